@@ -1,0 +1,84 @@
+#pragma once
+
+#include <Eigen/Geometry>
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "facet/frame.hpp"
+#include "mesh/hierarchy.hpp"
+
+namespace facet::mesh {
+
+/// Where the tracker stands. Names on the wire and in exports: "searching", "acquiring", "tracking", "lost".
+enum class TrackingState : std::uint8_t {
+  Searching,  ///< no face known
+  Acquiring,  ///< a face is found; identity and focal length are being estimated, no mesh to rely on yet
+  Tracking,   ///< pose and expression are solved every frame; the mesh is valid
+  Lost,       ///< the face was there a moment ago; the tracker looks for it
+};
+
+const char* to_string(TrackingState state);
+
+/// Times of one frame's stages, ms; 0 where a stage did not run.
+struct StageTimes {
+  float capture_ms = 0;       ///< decode or dequeue
+  float detect_ms = 0;        ///< face detector
+  float landmarks_ms = 0;     ///< landmark net
+  float fit_ms = 0;           ///< coarse fit
+  float upload_ms = 0;        ///< image and coarse mesh to the GPU, mips
+  float lighting_ms = 0;      ///< eq. 3
+  float albedo_ms = 0;        ///< eq. 4
+  float displacement_ms = 0;  ///< eq. 6, all levels
+  float readback_ms = 0;
+  float latency_ms = 0;  ///< from the frame's delivery to the mesh's hand-out
+};
+
+/// What does not change from frame to frame of one subject.
+struct Subject {
+  std::uint64_t id = 0;  ///< changes with every new identity or hierarchy; never 0
+  std::shared_ptr<const Hierarchy> hierarchy;
+  std::vector<std::string> expression_names;  ///< [expression_count]
+  std::vector<float> identity;                ///< [identity_count] coefficients in standard deviations
+  std::vector<std::uint8_t> regions;          ///< [control vertex_count] bits of face::Region
+};
+
+/// Albedo of the finest level; a new object only when it changed.
+struct Albedo {
+  std::uint64_t version = 0;      ///< counts up; 0: none yet
+  std::vector<float> linear_rgb;  ///< [finest vertex_count][3]
+};
+
+/// One frame of output: the currency that the pipeline hands to streams and takes. Plain data; shared
+/// read-only between threads. Head frame: x to the subject's left, y up, z out of the face; camera frame: x
+/// right, y down, z forward; both mm.
+struct MeshFrame {
+  std::uint64_t sequence = 0;      ///< Frame::sequence of the image
+  std::int64_t timestamp_ns = 0;   ///< Frame::timestamp_ns (CLOCK_MONOTONIC)
+  std::int64_t media_time_ns = 0;  ///< Frame::media_time_ns
+  TrackingState state = TrackingState::Searching;
+  bool degraded = false;  ///< something failed for this frame (GPU lost, corrupt image): see degraded_reason
+  std::string degraded_reason;
+  CameraIntrinsics camera;
+
+  // The rest is empty unless state is Tracking.
+  std::shared_ptr<const Subject> subject;
+  Eigen::Isometry3f camera_from_head = Eigen::Isometry3f::Identity();
+  std::vector<float> expression;  ///< [expression_count] 0 to 1, order of Subject::expression_names
+  std::vector<Eigen::Vector2f>
+      landmarks_px;              ///< [landmark_count] as measured in the image; may be there while Acquiring
+  float reprojection_px = 0;     ///< median distance of the model's landmarks to the measured ones
+  Vertices control_vertices_mm;  ///< [3][control_vertex_count] head frame
+  std::vector<float>
+      displacements_mm;           ///< [finest vertex_count] along the coarse normals; empty where not refined
+  std::vector<float> confidence;  ///< [finest vertex_count] 0 to 1; empty where not refined
+  std::array<float, 9>
+      lighting{};  ///< SH coefficients of eq. 1, camera frame with y up and z towards the camera
+  std::shared_ptr<const Albedo> albedo;  ///< null until learned
+  float photometric_rms = 0;             ///< rms of I - R over the visible refined vertices, linear 0 to 1
+  StageTimes stage_ms;
+};
+
+}  // namespace facet::mesh

@@ -1,0 +1,63 @@
+#pragma once
+
+#include <Eigen/Geometry>
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "face/face_model.hpp"
+#include "facet/frame.hpp"
+#include "mesh/mesh_frame.hpp"
+
+namespace facet::track {
+
+struct TrackerConfig {
+  std::filesystem::path landmark_assets;  ///< face_mesh_solution_packed_assets.data
+  int acquisition_frames = 15;            ///< good frames over which identity and focal length are estimated
+  std::optional<CameraIntrinsics> intrinsics;  ///< known camera: the focal length is then not estimated
+  float expression_prior = 1.0F;               ///< scales the default weight
+  float temporal_prior = 1.0F;                 ///< scales the default weight
+};
+
+/// The coarse face of one frame.
+struct TrackResult {
+  mesh::TrackingState state = mesh::TrackingState::Searching;
+  std::uint32_t subject = 0;  ///< counts identity estimates; 0 before the first
+  CameraIntrinsics camera;
+  Eigen::Isometry3f camera_from_head = Eigen::Isometry3f::Identity();
+  std::vector<float> identity;                ///< [identity_count]
+  std::vector<float> expression;              ///< [expression_count]
+  mesh::Vertices vertices_mm;                 ///< [3][vertex_count] head frame, valid in state Tracking
+  std::vector<Eigen::Vector2f> landmarks_px;  ///< [468] measured; empty where no face was found
+  float reprojection_px = 0;                  ///< median over the landmarks used
+  float interocular_px = 0;  ///< distance of the outer eye corners, to scale the figure above
+  float detect_ms = 0;
+  float landmarks_ms = 0;
+  float fit_ms = 0;
+};
+
+/// Finds one face and follows it: landmarks (MediaPipe nets), then pose and expression by
+/// Levenberg-Marquardt; identity and focal length over the first good frames (Ma & Deng 2019, section 3.1).
+/// One thread; no allocation after the first tracked frame.
+class Tracker {
+ public:
+  /// Throws Error(UnreadableInput) where the landmark assets are missing or damaged. The model must outlive
+  /// the tracker.
+  Tracker(const face::FaceModel& model, const TrackerConfig& config);
+  ~Tracker();
+
+  /// Never throws; a frame it can't use gives state Searching or Lost. The result is valid until the next
+  /// call.
+  const TrackResult& process(const Frame& frame);
+
+  /// Forgets identity and focal length; the next good frames estimate them anew. Same thread as process.
+  void reset_identity();
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace facet::track
