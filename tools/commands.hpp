@@ -1,0 +1,13 @@
+#pragma once
+
+namespace CLI {
+class App;
+}
+
+namespace facet::tools {
+
+/// Each adds one subcommand of `facet` to the program: its options, its help text and the callback that runs
+/// it. A callback reports failure by throwing facet::Error; main turns the error's kind into the exit status.
+/// One line here, one in main.cpp's list and one file command_<name>.cpp make a new subcommand.
+
+}  // namespace facet::tools
