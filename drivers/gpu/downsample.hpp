@@ -1,0 +1,23 @@
+#pragma once
+
+#include "gpu/batch.hpp"
+#include "gpu/image.hpp"
+#include "gpu/kernel.hpp"
+
+namespace facet::gpu {
+
+/// Fills the mip chain of an image: each pixel of level n + 1 is the mean of level n over the area that it
+/// covers (three weighted rows or columns where the size is odd), so the mean colour is kept and nothing
+/// shifts.
+class Downsampler {
+ public:
+  explicit Downsampler(Context& context);
+
+  /// Records the levels 1 to level_count - 1 from level 0.
+  void record(Batch& batch, const Image& image) const;
+
+ private:
+  Kernel kernel_;
+};
+
+}  // namespace facet::gpu
