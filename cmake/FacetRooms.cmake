@@ -53,6 +53,8 @@ function(facet_test name)
                        WORKING_DIRECTORY "${CMAKE_SOURCE_DIR}")
 endfunction()
 
+add_custom_target(fuzzers)
+
 # facet_fuzzer(<name> SOURCES <files> ROOMS <rooms>): a libFuzzer program fuzz_<name>; its corpus is tests/fuzz/corpus/<name>.
 function(facet_fuzzer name)
   if(NOT FACET_FUZZ)
@@ -61,6 +63,8 @@ function(facet_fuzzer name)
   cmake_parse_arguments(ARG "" "" "SOURCES;ROOMS;LIBS" ${ARGN})
   list(TRANSFORM ARG_ROOMS PREPEND "facet_")
   add_executable(fuzz_${name} ${ARG_SOURCES})
+  set_target_properties(fuzz_${name} PROPERTIES RUNTIME_OUTPUT_DIRECTORY "${CMAKE_BINARY_DIR}/fuzzers")
+  add_dependencies(fuzzers fuzz_${name})
   target_link_libraries(fuzz_${name} PRIVATE facet_options ${ARG_ROOMS} ${ARG_LIBS})
   target_link_options(fuzz_${name} PRIVATE -fsanitize=fuzzer)
 endfunction()

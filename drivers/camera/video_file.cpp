@@ -1,0 +1,479 @@
+#include "camera/video_file.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <mutex>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "facet/error.hpp"
+
+extern "C" {
+#include <libavcodec/avcodec.h>
+#include <libavformat/avformat.h>
+#include <libavutil/display.h>
+#include <libavutil/pixdesc.h>
+#include <libswscale/swscale.h>
+}
+
+namespace facet::camera {
+namespace {
+
+constexpr int kMaxSide_px = 16384;
+/// Frames of other formats are converted with this many bytes between rows a multiple of: what swscale's
+/// vector code likes.
+constexpr int kRowAlignment_bytes = 64;
+constexpr std::int64_t kSecond_ns = 1'000'000'000;
+/// A recorded file can't tell its rate: what browsers and players assume.
+constexpr double kDefaultRate_hz = 25.0;
+/// A paced source that is later than this many frames skips to the newest one.
+constexpr int kPacedSlack_frames = 1;
+
+struct FormatDeleter {
+  void operator()(AVFormatContext* context) const { avformat_close_input(&context); }
+};
+struct CodecDeleter {
+  void operator()(AVCodecContext* context) const { avcodec_free_context(&context); }
+};
+struct FrameDeleter {
+  void operator()(AVFrame* frame) const { av_frame_free(&frame); }
+};
+struct PacketDeleter {
+  void operator()(AVPacket* packet) const { av_packet_free(&packet); }
+};
+struct ScalerDeleter {
+  void operator()(SwsContext* context) const { sws_freeContext(context); }
+};
+
+std::string describe(int av_error) {
+  char text[AV_ERROR_MAX_STRING_SIZE] = {};
+  av_strerror(av_error, text, sizeof text);
+  return text;
+}
+
+std::int64_t monotonic_ns() {
+  // steady_clock is CLOCK_MONOTONIC with GNU's library.
+  return std::chrono::duration_cast<std::chrono::nanoseconds>(
+             std::chrono::steady_clock::now().time_since_epoch())
+      .count();
+}
+
+/// Clockwise quarter turns that put the picture upright, from the stream's display matrix.
+int quarter_turns(const AVStream& stream) {
+  const std::uint8_t* matrix = av_stream_get_side_data(&stream, AV_PKT_DATA_DISPLAYMATRIX, nullptr);
+  if (matrix == nullptr) {
+    return 0;
+  }
+  std::int32_t values[9];
+  std::memcpy(values, matrix, sizeof values);
+  const double counter_clockwise_deg = av_display_rotation_get(values);
+  if (std::isnan(counter_clockwise_deg)) {
+    return 0;
+  }
+  const long turns = std::lround(-counter_clockwise_deg / 90.0);
+  return static_cast<int>((turns % 4 + 4) % 4);
+}
+
+/// Pixel buffers that come back when their last reader lets go of them; it outlives the camera while readers
+/// hold frames.
+class BufferPool : public std::enable_shared_from_this<BufferPool> {
+ public:
+  /// Any thread. Costs one small control block a frame once as many buffers exist as are in use at a time.
+  std::shared_ptr<std::uint8_t[]> take(std::size_t size_bytes) {
+    Buffer buffer;
+    {
+      const std::scoped_lock lock(mutex_);
+      if (!free_.empty()) {
+        buffer = std::move(free_.back());
+        free_.pop_back();
+      }
+    }
+    if (buffer == nullptr) {
+      buffer.reset(
+          static_cast<std::uint8_t*>(::operator new[](size_bytes, std::align_val_t{kRowAlignment_bytes})));
+    }
+    return {buffer.release(), [pool = shared_from_this()](std::uint8_t* bytes) { pool->give_back(bytes); }};
+  }
+
+ private:
+  struct Free {
+    void operator()(std::uint8_t* bytes) const {
+      ::operator delete[](bytes, std::align_val_t{kRowAlignment_bytes});
+    }
+  };
+  using Buffer = std::unique_ptr<std::uint8_t[], Free>;
+
+  void give_back(std::uint8_t* bytes) {
+    const std::scoped_lock lock(mutex_);
+    free_.emplace_back(bytes);
+  }
+
+  std::mutex mutex_;
+  std::vector<Buffer> free_;  // every buffer of one camera has one size
+};
+
+class VideoFile final : public Camera {
+ public:
+  explicit VideoFile(const CameraConfig& config);
+
+  CameraInfo info() const override { return info_; }
+  void start() override;
+  CaptureOutcome next(Frame& out, std::chrono::milliseconds timeout) override;
+  void stop() override { stopped_ = true; }
+  std::string last_error() const override;
+
+ private:
+  enum class Decoded { Frame, End, Failed };
+  Decoded decode();
+  bool rewind();
+  bool deliver(Frame& out);
+  void set_error(std::string text);
+
+  CameraConfig config_;
+  CameraInfo info_;
+  std::unique_ptr<AVFormatContext, FormatDeleter> format_;
+  std::unique_ptr<AVCodecContext, CodecDeleter> codec_;
+  std::unique_ptr<AVFrame, FrameDeleter> frame_{av_frame_alloc()};
+  std::unique_ptr<AVPacket, PacketDeleter> packet_{av_packet_alloc()};
+  std::unique_ptr<SwsContext, ScalerDeleter> scaler_;
+  std::shared_ptr<BufferPool> pool_ = std::make_shared<BufferPool>();
+  std::vector<std::uint8_t> unrotated_;  // only where the file asks for a rotation
+
+  int stream_index_ = -1;
+  int turns_ = 0;
+  int scaled_width_px_ = 0;  // before rotation
+  int scaled_height_px_ = 0;
+
+  bool started_ = false;
+  bool stopped_ = false;
+  bool at_end_ = false;
+  bool draining_ = false;
+  bool pending_ = false;  // frame_ holds a decoded frame that is not delivered yet
+  std::uint64_t decoded_count_ = 0;
+  std::uint64_t decoded_in_pass_ = 0;
+  std::uint64_t damaged_packets_ = 0;
+  std::int64_t first_pts_ = AV_NOPTS_VALUE;
+  std::int64_t pass_offset_ns_ = 0;  // media time at which this pass over a looped file began
+  std::int64_t media_time_ns_ = 0;
+  std::int64_t period_ns_ = 0;
+  std::int64_t clock_start_ns_ = 0;
+
+  mutable std::mutex error_mutex_;
+  std::string error_;
+};
+
+VideoFile::VideoFile(const CameraConfig& config) : config_(config) {
+  av_log_set_level(AV_LOG_QUIET);  // what goes wrong is said in our own words, with the file's name
+  const std::string path = config.path.string();
+  std::error_code file_error;
+  if (!std::filesystem::exists(config.path, file_error)) {
+    throw Error(ErrorKind::UnreadableInput, fmt::format("{}: no such file", path));
+  }
+  if (std::filesystem::is_directory(config.path, file_error)) {
+    throw Error(ErrorKind::UnreadableInput, fmt::format("{}: is a folder, not a video", path));
+  }
+  if (std::filesystem::is_regular_file(config.path, file_error) &&
+      std::filesystem::file_size(config.path, file_error) == 0) {
+    throw Error(ErrorKind::UnreadableInput, fmt::format("{}: the file is empty", path));
+  }
+
+  AVFormatContext* opened = nullptr;
+  // "file:" keeps a name with a colon from being read as a protocol.
+  int result = avformat_open_input(&opened, ("file:" + path).c_str(), nullptr, nullptr);
+  if (result < 0) {
+    throw Error(
+        ErrorKind::UnreadableInput,
+        fmt::format("{}: not a video that can be read ({}); is the file complete?", path, describe(result)));
+  }
+  format_.reset(opened);
+  result = avformat_find_stream_info(format_.get(), nullptr);
+  const AVCodec* decoder = nullptr;
+  if (result >= 0) {
+    result = av_find_best_stream(format_.get(), AVMEDIA_TYPE_VIDEO, -1, -1, &decoder, 0);
+  }
+  if (result < 0 || decoder == nullptr) {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("{}: holds no video stream that can be decoded ({})", path,
+                            result < 0 ? describe(result) : "unknown codec"));
+  }
+  stream_index_ = result;
+  for (unsigned i = 0; i < format_->nb_streams; ++i) {
+    format_->streams[i]->discard = static_cast<int>(i) == stream_index_ ? AVDISCARD_DEFAULT : AVDISCARD_ALL;
+  }
+  const AVStream& stream = *format_->streams[stream_index_];
+  codec_.reset(avcodec_alloc_context3(decoder));
+  if (!codec_ || avcodec_parameters_to_context(codec_.get(), stream.codecpar) < 0) {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("{}: the {} stream's parameters are damaged", path, decoder->name));
+  }
+  codec_->thread_count = static_cast<int>(std::clamp(std::thread::hardware_concurrency(), 1U, 4U));
+  result = avcodec_open2(codec_.get(), decoder, nullptr);
+  if (result < 0) {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("{}: the {} decoder does not start ({})", path, decoder->name, describe(result)));
+  }
+
+  const int width = stream.codecpar->width;
+  const int height = stream.codecpar->height;
+  if (width < 1 || height < 1 || width > kMaxSide_px || height > kMaxSide_px) {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("{}: a picture of {}x{} px can't be used (1 to {} px a side)", path, width,
+                            height, kMaxSide_px));
+  }
+  // Square pixels: the wider way is kept, so that no line is lost.
+  scaled_width_px_ = width;
+  scaled_height_px_ = height;
+  const AVRational aspect =
+      av_guess_sample_aspect_ratio(format_.get(), format_->streams[stream_index_], nullptr);
+  if (aspect.num > 0 && aspect.den > 0 && aspect.num != aspect.den) {
+    const double ratio = av_q2d(aspect);
+    const double stretched = ratio > 1 ? width * ratio : height / ratio;
+    if (stretched <= kMaxSide_px) {
+      (ratio > 1 ? scaled_width_px_ : scaled_height_px_) = static_cast<int>(std::lround(stretched));
+    }
+  }
+  turns_ = quarter_turns(stream);
+
+  const AVRational rate = av_guess_frame_rate(format_.get(), format_->streams[stream_index_], nullptr);
+  info_.rate_hz = rate.num > 0 && rate.den > 0 ? av_q2d(rate) : 0;
+  period_ns_ = static_cast<std::int64_t>(static_cast<double>(kSecond_ns) /
+                                         (info_.rate_hz > 0 ? info_.rate_hz : kDefaultRate_hz));
+  info_.name = path;
+  info_.width_px = turns_ % 2 == 0 ? scaled_width_px_ : scaled_height_px_;
+  info_.height_px = turns_ % 2 == 0 ? scaled_height_px_ : scaled_width_px_;
+  info_.live = config.paced;
+  if (!config.loop) {
+    if (stream.nb_frames > 0) {
+      info_.frame_count = static_cast<std::uint64_t>(stream.nb_frames);
+    } else if (format_->duration > 0 && info_.rate_hz > 0) {
+      const double seconds = static_cast<double>(format_->duration) / AV_TIME_BASE;
+      info_.frame_count = static_cast<std::uint64_t>(std::lround(seconds * info_.rate_hz));
+    }
+  }
+  if (frame_ == nullptr || packet_ == nullptr) {
+    throw Error(ErrorKind::Internal, "out of memory");
+  }
+}
+
+void VideoFile::start() {
+  if (started_) {
+    return;
+  }
+  // The first frame is decoded now, so that a file without one is an error at start and not an empty run.
+  const Decoded outcome = decode();
+  if (outcome != Decoded::Frame) {
+    const std::string reason = last_error();
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("{}: holds no frame that can be decoded{}", config_.path.string(),
+                            reason.empty() ? "" : " (" + reason + ")"));
+  }
+  started_ = true;
+  clock_start_ns_ = monotonic_ns();
+}
+
+std::string VideoFile::last_error() const {
+  const std::scoped_lock lock(error_mutex_);
+  return error_;
+}
+
+void VideoFile::set_error(std::string text) {
+  const std::scoped_lock lock(error_mutex_);
+  error_ = std::move(text);
+}
+
+/// Puts the next decoded picture into frame_ and its position into media_time_ns_.
+VideoFile::Decoded VideoFile::decode() {
+  for (;;) {
+    const int received = avcodec_receive_frame(codec_.get(), frame_.get());
+    if (received == 0) {
+      break;
+    }
+    if (received == AVERROR_EOF) {
+      if (config_.loop && decoded_in_pass_ > 0 && rewind()) {
+        continue;
+      }
+      return Decoded::End;
+    }
+    if (received != AVERROR(EAGAIN)) {
+      ++damaged_packets_;
+      set_error(fmt::format("{}: a damaged part near frame {} was skipped ({})", config_.path.string(),
+                            decoded_count_, describe(received)));
+      continue;
+    }
+    const int read = av_read_frame(format_.get(), packet_.get());
+    if (read < 0) {
+      if (read != AVERROR_EOF) {
+        set_error(fmt::format("{}: reading ended early at frame {} ({})", config_.path.string(),
+                              decoded_count_, describe(read)));
+      }
+      if (draining_) {
+        return Decoded::End;
+      }
+      draining_ = true;
+      avcodec_send_packet(codec_.get(), nullptr);
+      continue;
+    }
+    if (packet_->stream_index == stream_index_) {
+      const int sent = avcodec_send_packet(codec_.get(), packet_.get());
+      if (sent < 0 && sent != AVERROR(EAGAIN)) {
+        ++damaged_packets_;
+        set_error(fmt::format("{}: a damaged part near frame {} was skipped ({})", config_.path.string(),
+                              decoded_count_, describe(sent)));
+      }
+    }
+    av_packet_unref(packet_.get());
+  }
+
+  const AVStream& stream = *format_->streams[stream_index_];
+  const std::int64_t pts = frame_->best_effort_timestamp;
+  std::int64_t time_ns = decoded_in_pass_ == 0 ? pass_offset_ns_ : media_time_ns_ + period_ns_;
+  if (pts != AV_NOPTS_VALUE) {
+    if (first_pts_ == AV_NOPTS_VALUE) {
+      first_pts_ = pts;
+    }
+    const std::int64_t from_file =
+        pass_offset_ns_ +
+        av_rescale_q(pts - first_pts_, stream.time_base, AVRational{1, static_cast<int>(kSecond_ns)});
+    // Broken files step back or stand still: time goes on regardless.
+    if (decoded_in_pass_ == 0 || from_file > media_time_ns_) {
+      time_ns = from_file;
+    }
+  }
+  media_time_ns_ = time_ns;
+  ++decoded_count_;
+  ++decoded_in_pass_;
+  pending_ = true;
+  return Decoded::Frame;
+}
+
+bool VideoFile::rewind() {
+  if (av_seek_frame(format_.get(), stream_index_, 0, AVSEEK_FLAG_BACKWARD) < 0 &&
+      avformat_seek_file(format_.get(), stream_index_, INT64_MIN, 0, INT64_MAX, 0) < 0) {
+    set_error(fmt::format("{}: can't start over, the file can't be rewound", config_.path.string()));
+    return false;
+  }
+  avcodec_flush_buffers(codec_.get());
+  draining_ = false;
+  decoded_in_pass_ = 0;
+  first_pts_ = AV_NOPTS_VALUE;
+  pass_offset_ns_ = media_time_ns_ + period_ns_;
+  return true;
+}
+
+/// Converts frame_ to RGBA, upright, into `out`.
+bool VideoFile::deliver(Frame& out) {
+  pending_ = false;
+  const auto source_format = static_cast<AVPixelFormat>(frame_->format);
+  scaler_.reset(sws_getCachedContext(
+      scaler_.release(), frame_->width, frame_->height, source_format, scaled_width_px_, scaled_height_px_,
+      AV_PIX_FMT_RGBA, SWS_BILINEAR | SWS_ACCURATE_RND | SWS_FULL_CHR_H_INT, nullptr, nullptr, nullptr));
+  if (!scaler_) {
+    set_error(fmt::format("{}: frame {} has a pixel format that can't be converted", config_.path.string(),
+                          decoded_count_ - 1));
+    return false;
+  }
+  int matrix = frame_->colorspace;
+  if (matrix == AVCOL_SPC_UNSPECIFIED || matrix == AVCOL_SPC_RGB) {
+    matrix = frame_->height >= 720 ? SWS_CS_ITU709 : SWS_CS_ITU601;  // what players assume
+  }
+  const bool full_range = frame_->color_range == AVCOL_RANGE_JPEG || frame_->format == AV_PIX_FMT_YUVJ420P ||
+                          frame_->format == AV_PIX_FMT_YUVJ422P || frame_->format == AV_PIX_FMT_YUVJ444P;
+  sws_setColorspaceDetails(scaler_.get(), sws_getCoefficients(matrix), full_range ? 1 : 0,
+                           sws_getCoefficients(SWS_CS_DEFAULT), 1, 0, 1 << 16, 1 << 16);
+
+  const int stride =
+      (info_.width_px * 4 + kRowAlignment_bytes - 1) / kRowAlignment_bytes * kRowAlignment_bytes;
+  const int scaled_stride =
+      (scaled_width_px_ * 4 + kRowAlignment_bytes - 1) / kRowAlignment_bytes * kRowAlignment_bytes;
+  auto buffer = pool_->take(static_cast<std::size_t>(stride) * static_cast<std::size_t>(info_.height_px));
+  std::uint8_t* scaled = buffer.get();
+  if (turns_ != 0) {
+    unrotated_.resize(static_cast<std::size_t>(scaled_stride) * static_cast<std::size_t>(scaled_height_px_));
+    scaled = unrotated_.data();
+  }
+  std::uint8_t* planes[4] = {scaled, nullptr, nullptr, nullptr};
+  const int strides[4] = {turns_ != 0 ? scaled_stride : stride, 0, 0, 0};
+  sws_scale(scaler_.get(), frame_->data, frame_->linesize, 0, frame_->height, planes, strides);
+
+  if (turns_ != 0) {
+    for (int y = 0; y < info_.height_px; ++y) {
+      std::uint8_t* row = buffer.get() + static_cast<std::size_t>(y) * static_cast<std::size_t>(stride);
+      for (int x = 0; x < info_.width_px; ++x) {
+        int from_x = scaled_width_px_ - 1 - x;
+        int from_y = scaled_height_px_ - 1 - y;
+        if (turns_ == 1) {
+          from_x = y;
+          from_y = scaled_height_px_ - 1 - x;
+        } else if (turns_ == 3) {
+          from_x = scaled_width_px_ - 1 - y;
+          from_y = x;
+        }
+        std::memcpy(row + 4 * x,
+                    scaled + static_cast<std::ptrdiff_t>(from_y) * scaled_stride +
+                        4 * static_cast<std::ptrdiff_t>(from_x),
+                    4);
+      }
+    }
+  }
+  const AVPixFmtDescriptor* description = av_pix_fmt_desc_get(source_format);
+  if (description != nullptr && (description->flags & AV_PIX_FMT_FLAG_ALPHA) != 0) {
+    for (std::size_t i = 3; i < static_cast<std::size_t>(stride) * static_cast<std::size_t>(info_.height_px);
+         i += 4) {
+      buffer[static_cast<std::ptrdiff_t>(i)] = 255;
+    }
+  }
+
+  out.sequence = decoded_count_ - 1;
+  out.media_time_ns = media_time_ns_;
+  out.timestamp_ns = config_.paced ? clock_start_ns_ + media_time_ns_ : monotonic_ns();
+  out.width_px = info_.width_px;
+  out.height_px = info_.height_px;
+  out.stride_bytes = static_cast<std::size_t>(stride);
+  out.corrupt = (frame_->flags & AV_FRAME_FLAG_CORRUPT) != 0 || frame_->decode_error_flags != 0;
+  out.pixels = std::move(buffer);
+  return true;
+}
+
+CaptureOutcome VideoFile::next(Frame& out, std::chrono::milliseconds timeout) {
+  if (!started_ || stopped_ || at_end_) {
+    return CaptureOutcome::EndOfStream;
+  }
+  const std::int64_t deadline_ns =
+      monotonic_ns() + std::chrono::duration_cast<std::chrono::nanoseconds>(timeout).count();
+  if (!pending_ && decode() != Decoded::Frame) {
+    at_end_ = true;
+    if (info_.frame_count && decoded_count_ + 1 < *info_.frame_count && last_error().empty()) {
+      set_error(fmt::format("{}: ended at frame {} of about {}; the file seems truncated",
+                            config_.path.string(), decoded_count_, *info_.frame_count));
+    }
+    return CaptureOutcome::EndOfStream;
+  }
+  if (config_.paced) {
+    // Late by more than the slack: the frames in between are gone, as they would be with a live camera.
+    while (monotonic_ns() > clock_start_ns_ + media_time_ns_ + (kPacedSlack_frames + 1) * period_ns_) {
+      if (decode() != Decoded::Frame) {
+        at_end_ = true;
+        return CaptureOutcome::EndOfStream;
+      }
+    }
+    const std::int64_t due_ns = clock_start_ns_ + media_time_ns_;
+    if (due_ns > deadline_ns) {
+      std::this_thread::sleep_for(timeout);
+      return CaptureOutcome::Timeout;
+    }
+    std::this_thread::sleep_for(std::chrono::nanoseconds(std::max<std::int64_t>(0, due_ns - monotonic_ns())));
+  }
+  return deliver(out) ? CaptureOutcome::Delivered : CaptureOutcome::Failed;
+}
+
+}  // namespace
+
+std::unique_ptr<Camera> open_video_file(const CameraConfig& config) {
+  return std::make_unique<VideoFile>(config);
+}
+
+}  // namespace facet::camera
