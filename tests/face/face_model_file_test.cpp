@@ -1,0 +1,170 @@
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cstring>
+#include <fstream>
+#include <iterator>
+#include <random>
+
+#include "face/face_model.hpp"
+#include "facet/error.hpp"
+#include "support/paths.hpp"
+#include "support/synthetic_model.hpp"
+
+namespace facet::face {
+namespace {
+
+using ::testing::HasSubstr;
+
+std::vector<std::byte> read_bytes(const std::filesystem::path& file) {
+  std::ifstream in(file, std::ios::binary);
+  const std::vector<char> text((std::istreambuf_iterator<char>(in)), {});
+  std::vector<std::byte> bytes(text.size());
+  std::memcpy(bytes.data(), text.data(), text.size());
+  return bytes;
+}
+
+std::vector<std::byte> saved_bytes(const FaceModel& model) {
+  const test::TemporaryFolder folder;
+  model.save(folder.path() / "m.facemodel");
+  return read_bytes(folder.path() / "m.facemodel");
+}
+
+/// The message with which the bytes are refused; "" where they are read.
+std::string refusal(const std::vector<std::byte>& bytes,
+                    std::uint64_t max_core_values = FaceModel::kMaxCoreValues) {
+  try {
+    FaceModel::parse(bytes, "test bytes", max_core_values);
+    return "";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::UnreadableInput);
+    EXPECT_THAT(error.what(), HasSubstr("test bytes"));
+    return error.what();
+  }
+}
+
+void expect_same(const FaceModel& a, const FaceModel& b) {
+  EXPECT_EQ(a.name, b.name);
+  EXPECT_EQ(a.control.quads, b.control.quads);
+  EXPECT_EQ(a.control.texture_coordinates, b.control.texture_coordinates);
+  EXPECT_EQ(a.control.refinable, b.control.refinable);
+  EXPECT_EQ(a.regions, b.regions);
+  EXPECT_EQ(a.expression_names, b.expression_names);
+  EXPECT_EQ(a.expression_sigma, b.expression_sigma);
+  EXPECT_EQ(a.mean_albedo, b.mean_albedo);
+  ASSERT_EQ(a.landmarks.size(), b.landmarks.size());
+  for (std::size_t i = 0; i < a.landmarks.size(); ++i) {
+    EXPECT_EQ(a.landmarks[i].vertices, b.landmarks[i].vertices);
+    for (std::size_t corner = 0; corner < 3; ++corner) {
+      EXPECT_NEAR(a.landmarks[i].weights[corner], b.landmarks[i].weights[corner], 1e-5F);
+    }
+  }
+  ASSERT_EQ(a.core_mm.size(), b.core_mm.size());
+  float worst_mm = 0;
+  for (std::size_t i = 0; i < a.core_mm.size(); ++i) {
+    worst_mm = std::max(worst_mm, std::abs(a.core_mm[i] - b.core_mm[i]));
+  }
+  // Half a step: 1 micrometre, or the largest coordinate (105 mm) / 32767.
+  EXPECT_LE(worst_mm, 0.5F * 105.0F / 32767.0F * 1.01F);
+}
+
+TEST(FaceModelFile, SavedModelReadsBack) {
+  const FaceModel model = test::synthetic_model(13);
+  const test::TemporaryFolder folder;
+  const auto file = folder.path() / "m.facemodel";
+  model.save(file);
+  expect_same(FaceModel::load(file), model);
+  // No temporary file stays behind.
+  EXPECT_EQ(std::distance(std::filesystem::directory_iterator(folder.path()), {}), 1);
+}
+
+TEST(FaceModelFile, SavingALoadedModelChangesNothing) {
+  const FaceModel once = FaceModel::parse(saved_bytes(test::synthetic_model(13)), "once");
+  const FaceModel twice = FaceModel::parse(saved_bytes(once), "twice");
+  float worst_mm = 0;
+  for (std::size_t i = 0; i < once.core_mm.size(); ++i) {
+    worst_mm = std::max(worst_mm, std::abs(once.core_mm[i] - twice.core_mm[i]));
+  }
+  EXPECT_LE(worst_mm, 1e-5F);  // rounding of 100 mm as float
+}
+
+TEST(FaceModelFile, ModelWithoutLandmarksReadsBack) {
+  FaceModel model = test::synthetic_model(13);
+  model.landmarks.clear();
+  expect_same(FaceModel::parse(saved_bytes(model), "bytes"), model);
+}
+
+TEST(FaceModelFile, MissingOrForeignFileIsNamed) {
+  const test::TemporaryFolder folder;
+  const auto expect_message = [](const std::filesystem::path& file, const char* part) {
+    try {
+      FaceModel::load(file);
+      FAIL() << file << " was read";
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::UnreadableInput);
+      EXPECT_THAT(error.what(), HasSubstr(file.string()));
+      EXPECT_THAT(error.what(), HasSubstr(part));
+    }
+  };
+  expect_message(folder.path() / "none.facemodel", "facet model build");
+  std::ofstream(folder.path() / "empty.facemodel").flush();
+  expect_message(folder.path() / "empty.facemodel", "empty");
+  std::ofstream(folder.path() / "text.facemodel") << std::string(1000, 'x');
+  expect_message(folder.path() / "text.facemodel", "magic");
+  expect_message(folder.path(), "not a face model");
+}
+
+TEST(FaceModelFile, UnwritablePlaceIsAStorageError) {
+  const FaceModel model = test::synthetic_model(13);
+  try {
+    model.save("/nonexistent-folder/m.facemodel");
+    FAIL() << "saved";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::Storage);
+  }
+}
+
+TEST(FaceModelFile, BrokenModelIsNotSaved) {
+  FaceModel model = test::synthetic_model(13);
+  model.core_mm[3] = std::nanf("");
+  const test::TemporaryFolder folder;
+  EXPECT_THROW(model.save(folder.path() / "m.facemodel"), Error);
+  EXPECT_FALSE(std::filesystem::exists(folder.path() / "m.facemodel"));
+}
+
+TEST(FaceModelFile, EveryTruncationIsRefused) {
+  const auto bytes = saved_bytes(test::synthetic_model(13));
+  for (std::size_t size = 0; size < bytes.size(); size += 1 + size / 20) {
+    EXPECT_NE(refusal({bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(size)}), "") << size;
+  }
+}
+
+TEST(FaceModelFile, EveryDamagedByteIsRefused) {
+  const auto bytes = saved_bytes(test::synthetic_model(13));
+  for (std::size_t at = 0; at < bytes.size(); at += at < 600 ? 1 : 97) {
+    auto damaged = bytes;
+    damaged[at] ^= std::byte{0x10};
+    EXPECT_NE(refusal(damaged), "") << "byte " << at;
+  }
+}
+
+TEST(FaceModelFile, NewerVersionIsNamed) {
+  auto bytes = saved_bytes(test::synthetic_model(13));
+  bytes[8] = std::byte{9};
+  EXPECT_THAT(refusal(bytes), HasSubstr("version 9"));
+}
+
+TEST(FaceModelFile, TooLargeCoreIsRefusedBeforeMemoryIsTaken) {
+  EXPECT_THAT(refusal(saved_bytes(test::synthetic_model(13)), 1000), HasSubstr("allowed: 1000"));
+}
+
+TEST(FaceModelFile, GoldenFileOfVersion1StillReads) {
+  const FaceModel golden =
+      FaceModel::load(std::filesystem::path(FACET_SOURCE_DIR) / "tests/face/golden-v1.facemodel");
+  FaceModel expected = test::synthetic_model(5);
+  expected.name = "golden version 1";
+  expect_same(golden, expected);
+}
+
+}  // namespace
+}  // namespace facet::face
