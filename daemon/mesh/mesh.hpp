@@ -37,8 +37,9 @@ struct OneRings {
 };
 
 /// Builds the one-rings of a manifold triangle mesh with or without boundary.
-/// Throws Error(UnreadableInput) naming the vertex or edge where the mesh is not manifold or not consistently
-/// oriented.
+/// Throws Error(UnreadableInput) naming the vertex, edge or triangle where the mesh is not manifold or not
+/// consistently oriented, where a vertex belongs to no triangle, or where an index is out of range. Rings of
+/// inner vertices start at an arbitrary but reproducible neighbour. Any thread; allocates.
 OneRings build_one_rings(const Triangles& triangles, std::int32_t vertex_count);
 
 /// Area-weighted unit vertex normals (the sum of eq. 5 at d = 0, Ma & Deng 2019); a vertex without area gets
@@ -49,5 +50,7 @@ void vertex_normals(const Vertices& vertices, const Triangles& triangles, Eigen:
 /// out[:, r] = sum of weights * in[:, column] over row r, for any number of rows per column of `in`
 /// (positions, albedo, texture coordinates or scalars). out is resized only when its size differs.
 void apply(const SparseRows& stencils, const Eigen::Ref<const Eigen::MatrixXf>& in, Eigen::MatrixXf& out);
+/// The same for positions.
+void apply(const SparseRows& stencils, const Vertices& in, Vertices& out);
 
 }  // namespace facet::mesh

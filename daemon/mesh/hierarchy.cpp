@@ -1,0 +1,168 @@
+#include "mesh/hierarchy.hpp"
+
+#include <fmt/format.h>
+
+#include <optional>
+#include <utility>
+
+#include "facet/error.hpp"
+#include "mesh/adaptive_surface.hpp"
+
+namespace facet::mesh {
+
+namespace {
+
+/// FNV-1a, 64 bit: the id must not depend on the machine or the library version.
+class ContentHash {
+ public:
+  template <typename Value>
+  void add(const Value* values, std::size_t count) {
+    const auto* bytes = reinterpret_cast<const unsigned char*>(values);
+    for (std::size_t i = 0; i < count * sizeof(Value); ++i) {
+      state_ = (state_ ^ bytes[i]) * kPrime;
+    }
+  }
+  std::uint64_t value() const { return state_; }
+
+ private:
+  static constexpr std::uint64_t kPrime = 0x100000001b3;
+  std::uint64_t state_ = 0xcbf29ce484222325;
+};
+
+std::uint64_t hash(const Hierarchy& hierarchy) {
+  ContentHash content;
+  content.add(&hierarchy.control_vertex_count, 1);
+  for (const Level& level : hierarchy.levels) {
+    content.add(&level.vertex_count, 1);
+    content.add(level.triangles.data(), static_cast<std::size_t>(level.triangles.size()));
+    content.add(level.from_coarser.row_offsets.data(), level.from_coarser.row_offsets.size());
+    content.add(level.from_coarser.columns.data(), level.from_coarser.columns.size());
+    content.add(level.from_coarser.weights.data(), level.from_coarser.weights.size());
+  }
+  return content.value() != 0 ? content.value() : 1;
+}
+
+SparseRows to_rows(const AdaptiveSurface::Stencils& stencils) {
+  SparseRows rows;
+  rows.row_offsets.reserve(static_cast<std::size_t>(stencils.rows()) + 1);
+  rows.columns.reserve(static_cast<std::size_t>(stencils.nonZeros()));
+  rows.weights.reserve(static_cast<std::size_t>(stencils.nonZeros()));
+  rows.row_offsets.push_back(0);
+  for (Eigen::Index row = 0; row < stencils.rows(); ++row) {
+    for (AdaptiveSurface::Stencils::InnerIterator entry(stencils, row); entry; ++entry) {
+      rows.columns.push_back(static_cast<std::int32_t>(entry.col()));
+      rows.weights.push_back(static_cast<float>(entry.value()));
+    }
+    rows.row_offsets.push_back(static_cast<std::int32_t>(rows.columns.size()));
+  }
+  return rows;
+}
+
+Level make_level(const AdaptiveSurface& surface, const AdaptiveSurface::Stencils& stencils) {
+  Level level;
+  level.vertex_count = surface.vertex_count();
+  level.triangles = surface.triangles();
+  level.from_coarser = to_rows(stencils);
+  level.one_rings = build_one_rings(level.triangles, level.vertex_count);
+  return level;
+}
+
+/// One adaptive sweep; nothing where no block is left to bisect or the result would pass max_vertices.
+std::optional<AdaptiveSurface::Stencils> sweep(AdaptiveSurface& surface, const HierarchyOptions& options) {
+  AdaptiveSurface next = surface;
+  AdaptiveSurface::Stencils stencils = next.bisect_larger_than(options.min_edge_px);
+  if (next.vertex_count() == surface.vertex_count() || next.vertex_count() > options.max_vertices) {
+    return std::nullopt;
+  }
+  surface = std::move(next);
+  return stencils;
+}
+
+void check(const ControlMesh& control, const TextureCoordinates& control_px,
+           const std::vector<std::uint8_t>& facing, const HierarchyOptions& options) {
+  if (control.quads.cols() == 0) {
+    throw Error(ErrorKind::UnreadableInput, "the control mesh has no quads");
+  }
+  const auto need = [&](const char* what, std::size_t found) {
+    if (found != static_cast<std::size_t>(control.vertex_count)) {
+      throw Error(ErrorKind::UnreadableInput, fmt::format("{} of {} vertices given for a control mesh of {}",
+                                                          what, found, control.vertex_count));
+    }
+  };
+  need("texture coordinates", static_cast<std::size_t>(control.texture_coordinates.cols()));
+  need("refinable flags", control.refinable.size());
+  need("projections", static_cast<std::size_t>(control_px.cols()));
+  need("facing flags", facing.size());
+  if (options.max_levels < 1 || !(options.min_edge_px > 0)) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("a hierarchy needs max_levels >= 1 and min_edge_px > 0, not {} and {}",
+                            options.max_levels, options.min_edge_px));
+  }
+}
+
+}  // namespace
+
+std::shared_ptr<const Hierarchy> build_hierarchy(const ControlMesh& control,
+                                                 const TextureCoordinates& control_px,
+                                                 const std::vector<std::uint8_t>& facing,
+                                                 const HierarchyOptions& options) {
+  check(control, control_px, facing, options);
+  std::vector<std::uint8_t> may_refine(facing.size());
+  for (std::size_t v = 0; v < facing.size(); ++v) {
+    may_refine[v] = control.refinable[v] != 0 && facing[v] != 0 ? 1 : 0;
+  }
+
+  auto hierarchy = std::make_shared<Hierarchy>();
+  hierarchy->control_vertex_count = control.vertex_count;
+  AdaptiveSurface surface(control.quads, control_px, std::move(may_refine));
+  hierarchy->levels.push_back(make_level(surface, surface.bisect_all()));
+  while (static_cast<int>(hierarchy->levels.size()) < options.max_levels) {
+    const auto first = sweep(surface, options);
+    if (!first) {
+      break;
+    }
+    const auto second = sweep(surface, options);
+    hierarchy->levels.push_back(
+        make_level(surface, second ? AdaptiveSurface::Stencils((*second * *first).pruned()) : *first));
+  }
+
+  Eigen::MatrixXf texture_coordinates = control.texture_coordinates;
+  for (const Level& level : hierarchy->levels) {
+    Eigen::MatrixXf finer;
+    apply(level.from_coarser, texture_coordinates, finer);
+    texture_coordinates = std::move(finer);
+  }
+  hierarchy->texture_coordinates = texture_coordinates;
+  hierarchy->id = hash(*hierarchy);
+  return hierarchy;
+}
+
+void push_positions(const Hierarchy& hierarchy, const Vertices& control, std::vector<Vertices>& out) {
+  out.resize(hierarchy.levels.size());
+  const Vertices* coarser = &control;
+  for (std::size_t l = 0; l < hierarchy.levels.size(); ++l) {
+    apply(hierarchy.levels[l].from_coarser, *coarser, out[l]);
+    coarser = &out[l];
+  }
+}
+
+void rebuild_finest(const Hierarchy& hierarchy, const Vertices& control_mm,
+                    const std::vector<float>& displacements_mm, Vertices& vertices_mm,
+                    Eigen::Matrix3Xf& normals) {
+  Vertices coarser = control_mm;
+  for (const Level& level : hierarchy.levels) {
+    apply(level.from_coarser, coarser, vertices_mm);
+    coarser = vertices_mm;
+  }
+  const Triangles& triangles = hierarchy.finest().triangles;
+  vertex_normals(vertices_mm, triangles, normals);
+  if (displacements_mm.empty()) {
+    return;
+  }
+  const Eigen::Map<const Eigen::RowVectorXf> displacements(
+      displacements_mm.data(), static_cast<Eigen::Index>(displacements_mm.size()));
+  vertices_mm.array() += normals.array().rowwise() * displacements.array();
+  vertex_normals(vertices_mm, triangles, normals);
+}
+
+}  // namespace facet::mesh
