@@ -1,0 +1,151 @@
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstdio>
+#include <cstring>
+#include <fstream>
+#include <iterator>
+#include <opencv2/imgcodecs.hpp>
+#include <opencv2/imgproc.hpp>
+#include <system_error>
+
+#include "facet/error.hpp"
+#include "render/renderer.hpp"
+
+namespace facet::render {
+namespace {
+
+std::size_t byte_count(int width_px, int height_px) {
+  return 3 * static_cast<std::size_t>(width_px) * static_cast<std::size_t>(height_px);
+}
+
+std::size_t offset_of(const Picture& picture, int x_px, int y_px) {
+  return 3 * (static_cast<std::size_t>(y_px) * static_cast<std::size_t>(picture.width_px) +
+              static_cast<std::size_t>(x_px));
+}
+
+/// OpenCV's view of a picture's memory. OpenCV does not write to it where the picture is const.
+cv::Mat view_of(const Picture& picture) {
+  return {picture.height_px, picture.width_px, CV_8UC3, const_cast<std::uint8_t*>(picture.rgb.data())};
+}
+
+}  // namespace
+
+Picture plain_picture(int width_px, int height_px, std::array<std::uint8_t, 3> rgb) {
+  Picture picture{width_px, height_px, std::vector<std::uint8_t>(byte_count(width_px, height_px))};
+  for (std::size_t k = 0; k < picture.rgb.size(); ++k) {
+    picture.rgb[k] = rgb[k % 3];
+  }
+  return picture;
+}
+
+Picture to_picture(const Frame& frame) {
+  Picture picture{frame.width_px, frame.height_px,
+                  std::vector<std::uint8_t>(byte_count(frame.width_px, frame.height_px))};
+  for (int y = 0; y < frame.height_px; ++y) {
+    const std::uint8_t* from = frame.row(y);
+    std::uint8_t* to = picture.rgb.data() + offset_of(picture, 0, y);
+    for (int x = 0; x < frame.width_px; ++x, from += 4, to += 3) {
+      std::copy_n(from, 3, to);
+    }
+  }
+  return picture;
+}
+
+Frame to_frame(const Picture& picture) {
+  Frame frame;
+  frame.width_px = picture.width_px;
+  frame.height_px = picture.height_px;
+  frame.stride_bytes = 4 * static_cast<std::size_t>(picture.width_px);
+  const std::size_t pixel_count = picture.rgb.size() / 3;
+  std::shared_ptr<std::uint8_t[]> pixels(new std::uint8_t[4 * pixel_count]);
+  for (std::size_t k = 0; k < pixel_count; ++k) {
+    std::copy_n(&picture.rgb[3 * k], 3, &pixels[4 * k]);
+    pixels[4 * k + 3] = 255;
+  }
+  frame.pixels = std::move(pixels);
+  return frame;
+}
+
+void write_png(const Picture& picture, const std::filesystem::path& file) {
+  cv::Mat bgr;
+  cv::cvtColor(view_of(picture), bgr, cv::COLOR_RGB2BGR);
+  std::vector<std::uint8_t> bytes;
+  if (!cv::imencode(".png", bgr, bytes)) {
+    throw Error(ErrorKind::Internal, fmt::format("{}: the picture cannot be encoded", file.string()));
+  }
+  std::filesystem::path temporary = file;
+  temporary += fmt::format(".{}.part", ::getpid());
+  std::ofstream stream(temporary, std::ios::binary);
+  stream.write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
+  stream.close();
+  std::error_code failure;
+  if (stream) {
+    std::filesystem::rename(temporary, file, failure);
+  }
+  if (!stream || failure) {
+    const std::string reason = failure ? failure.message() : std::strerror(errno);
+    std::error_code ignored;
+    std::filesystem::remove(temporary, ignored);
+    throw Error(
+        ErrorKind::Storage,
+        fmt::format("{}: cannot write the picture ({}); check the folder, its permissions and the free space",
+                    file.string(), reason));
+  }
+}
+
+Picture read_image(const std::filesystem::path& file) {
+  std::ifstream stream(file, std::ios::binary);
+  const std::vector<std::uint8_t> bytes{std::istreambuf_iterator<char>(stream), {}};
+  cv::Mat bgr;
+  try {
+    if (!bytes.empty()) {
+      bgr = cv::imdecode(bytes, cv::IMREAD_COLOR);
+    }
+  } catch (const cv::Exception& failure) {
+    throw Error(ErrorKind::UnreadableInput, fmt::format("{}: {}", file.string(), failure.err));
+  }
+  if (bgr.empty()) {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("{}: not a readable PNG or JPEG picture", file.string()));
+  }
+  Picture picture{bgr.cols, bgr.rows, std::vector<std::uint8_t>(byte_count(bgr.cols, bgr.rows))};
+  cv::Mat rgb = view_of(picture);
+  cv::cvtColor(bgr, rgb, cv::COLOR_BGR2RGB);
+  return picture;
+}
+
+void paste(Picture& onto, const Picture& from, int x_px, int y_px) {
+  const int first_x = std::max(0, -x_px);
+  const int end_x = std::min(from.width_px, onto.width_px - x_px);
+  if (end_x <= first_x) {
+    return;
+  }
+  for (int y = std::max(0, -y_px); y < std::min(from.height_px, onto.height_px - y_px); ++y) {
+    std::copy_n(from.rgb.data() + offset_of(from, first_x, y), 3 * (end_x - first_x),
+                onto.rgb.data() + offset_of(onto, x_px + first_x, y_px + y));
+  }
+}
+
+Picture crop(const Picture& picture, int x_px, int y_px, int width_px, int height_px,
+             std::array<std::uint8_t, 3> outside) {
+  Picture part = plain_picture(width_px, height_px, outside);
+  paste(part, picture, -x_px, -y_px);
+  return part;
+}
+
+Picture resize(const Picture& picture, int width_px, int height_px) {
+  if (picture.rgb.empty() || width_px < 1 || height_px < 1) {
+    throw Error(ErrorKind::Internal, fmt::format("a picture of {}x{} px cannot be resized to {}x{} px",
+                                                 picture.width_px, picture.height_px, width_px, height_px));
+  }
+  Picture resized{width_px, height_px, std::vector<std::uint8_t>(byte_count(width_px, height_px))};
+  cv::Mat onto = view_of(resized);
+  const bool shrinks = width_px < picture.width_px && height_px < picture.height_px;
+  cv::resize(view_of(picture), onto, onto.size(), 0, 0, shrinks ? cv::INTER_AREA : cv::INTER_CUBIC);
+  return resized;
+}
+
+}  // namespace facet::render

@@ -1,0 +1,259 @@
+#include <embree3/rtcore.h>
+#include <fmt/format.h>
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+#include "facet/error.hpp"
+#include "render/renderer.hpp"
+
+namespace facet::render {
+namespace {
+
+/// Embree's device: one for the process, made at first use, freed with the last caster.
+std::shared_ptr<RTCDeviceTy> shared_device() {
+  static const std::shared_ptr<RTCDeviceTy> device = [] {
+    // Two build threads: the appliance's picture making must leave the other cores to the pipeline.
+    RTCDevice made = rtcNewDevice("threads=2");
+    if (made == nullptr) {
+      throw Error(ErrorKind::Internal, fmt::format("the ray caster (Embree) cannot start, error {}",
+                                                   static_cast<int>(rtcGetDeviceError(nullptr))));
+    }
+    return std::shared_ptr<RTCDeviceTy>(made, rtcReleaseDevice);
+  }();
+  return device;
+}
+
+void pass_back_faces(const RTCFilterFunctionNArguments* arguments) {
+  // Single rays only: N is 1, and the N-wide structures have the layout of RTCRay and RTCHit.
+  const auto* ray = reinterpret_cast<const RTCRay*>(arguments->ray);
+  const auto* hit = reinterpret_cast<const RTCHit*>(arguments->hit);
+  if (arguments->valid[0] == -1 &&
+      ray->dir_x * hit->Ng_x + ray->dir_y * hit->Ng_y + ray->dir_z * hit->Ng_z > 0) {
+    arguments->valid[0] = 0;
+  }
+}
+
+/// Barycentric weights (second, third vertex) of the point of triangle a b c nearest to p: the nearest point
+/// of the plane where it lies inside, else the nearest point of the three edges.
+Eigen::Vector2f closest_barycentric(const Eigen::Vector3f& a, const Eigen::Vector3f& b,
+                                    const Eigen::Vector3f& c, const Eigen::Vector3f& p) {
+  const Eigen::Vector3f ab = b - a;
+  const Eigen::Vector3f ac = c - a;
+  const Eigen::Vector3f ap = p - a;
+  const float bb = ab.squaredNorm();
+  const float bc = ab.dot(ac);
+  const float cc = ac.squaredNorm();
+  const float pb = ap.dot(ab);
+  const float pc = ap.dot(ac);
+  const float determinant = bb * cc - bc * bc;
+  if (determinant > std::numeric_limits<float>::epsilon() * bb * cc) {
+    const float u = (cc * pb - bc * pc) / determinant;
+    const float v = (bb * pc - bc * pb) / determinant;
+    if (u >= 0 && v >= 0 && u + v <= 1) {
+      return {u, v};
+    }
+  }
+  const auto along = [](float numerator, float denominator) {
+    return denominator > 0 ? std::clamp(numerator / denominator, 0.0F, 1.0F) : 0.0F;
+  };
+  const Eigen::Vector3f edge_bc = c - b;
+  const float on_ab = along(pb, bb);
+  const float on_ac = along(pc, cc);
+  const float on_bc = along((p - b).dot(edge_bc), edge_bc.squaredNorm());
+  const std::array<Eigen::Vector2f, 3> candidates{Eigen::Vector2f{on_ab, 0}, Eigen::Vector2f{0, on_ac},
+                                                  Eigen::Vector2f{1 - on_bc, on_bc}};
+  return *std::min_element(candidates.begin(), candidates.end(),
+                           [&](const Eigen::Vector2f& one, const Eigen::Vector2f& other) {
+                             return (one.x() * ab + one.y() * ac - ap).squaredNorm() <
+                                    (other.x() * ab + other.y() * ac - ap).squaredNorm();
+                           });
+}
+
+}  // namespace
+
+struct Raycaster::Impl {
+  std::shared_ptr<RTCDeviceTy> device;
+  RTCScene scene = nullptr;
+  mesh::Vertices vertices_mm;  // with one column more than vertices: Embree reads 16 bytes per vertex
+  mesh::Triangles triangles;
+
+  Impl() = default;
+  Impl(const Impl&) = delete;
+  Impl& operator=(const Impl&) = delete;
+  ~Impl() {
+    if (scene != nullptr) {
+      rtcReleaseScene(scene);
+    }
+  }
+};
+
+Raycaster::Raycaster(const mesh::Vertices& vertices_mm, const mesh::Triangles& triangles)
+    : impl_(std::make_unique<Impl>()) {
+  if (!vertices_mm.allFinite()) {
+    throw Error(ErrorKind::UnreadableInput, "a mesh to be rendered has a position that is not finite");
+  }
+  if (triangles.size() > 0 &&
+      (triangles.minCoeff() < 0 || triangles.maxCoeff() >= static_cast<std::int32_t>(vertices_mm.cols()))) {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("a mesh to be rendered names vertex {} of {}",
+                            triangles.minCoeff() < 0 ? triangles.minCoeff() : triangles.maxCoeff(),
+                            vertices_mm.cols()));
+  }
+  impl_->vertices_mm = mesh::Vertices::Zero(3, vertices_mm.cols() + 1);
+  impl_->vertices_mm.leftCols(vertices_mm.cols()) = vertices_mm;
+  impl_->triangles = triangles;
+  impl_->device = shared_device();
+  impl_->scene = rtcNewScene(impl_->device.get());
+  rtcSetSceneFlags(impl_->scene, static_cast<RTCSceneFlags>(RTC_SCENE_FLAG_ROBUST |
+                                                            RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION));
+  if (triangles.cols() > 0) {
+    RTCGeometry geometry = rtcNewGeometry(impl_->device.get(), RTC_GEOMETRY_TYPE_TRIANGLE);
+    rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
+                               impl_->vertices_mm.data(), 0, 3 * sizeof(float),
+                               static_cast<std::size_t>(vertices_mm.cols()));
+    rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, impl_->triangles.data(),
+                               0, 3 * sizeof(std::int32_t), static_cast<std::size_t>(triangles.cols()));
+    rtcCommitGeometry(geometry);
+    rtcAttachGeometry(impl_->scene, geometry);
+    rtcReleaseGeometry(geometry);
+  }
+  rtcCommitScene(impl_->scene);
+  const RTCError error = rtcGetDeviceError(impl_->device.get());
+  if (error != RTC_ERROR_NONE) {
+    throw Error(ErrorKind::Internal,
+                fmt::format("the ray caster (Embree) refused a mesh of {} triangles, error {}",
+                            triangles.cols(), static_cast<int>(error)));
+  }
+}
+
+Raycaster::~Raycaster() = default;
+Raycaster::Raycaster(Raycaster&& other) noexcept = default;
+Raycaster& Raycaster::operator=(Raycaster&& other) noexcept = default;
+
+HitImage Raycaster::cast(const CameraIntrinsics& camera, Eigen::Vector2f offset_px) const {
+  HitImage image;
+  image.width_px = camera.width_px;
+  image.height_px = camera.height_px;
+  const auto pixel_count =
+      static_cast<std::size_t>(camera.width_px) * static_cast<std::size_t>(camera.height_px);
+  image.triangle.assign(pixel_count, -1);
+  image.barycentric.assign(pixel_count, Eigen::Vector2f::Zero());
+  image.depth_mm.assign(pixel_count, 0.0F);
+  for_each_row(camera.height_px, [&](int y) {
+    RTCIntersectContext context;
+    rtcInitIntersectContext(&context);
+    context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+    const float dy = (static_cast<float>(y) + offset_px.y() - camera.cy) / camera.fy;
+    std::size_t pixel = static_cast<std::size_t>(y) * static_cast<std::size_t>(camera.width_px);
+    for (int x = 0; x < camera.width_px; ++x, ++pixel) {
+      // The direction's z is 1, so that the ray's length parameter is the depth.
+      RTCRayHit query{};
+      query.ray.dir_x = (static_cast<float>(x) + offset_px.x() - camera.cx) / camera.fx;
+      query.ray.dir_y = dy;
+      query.ray.dir_z = 1;
+      query.ray.tfar = std::numeric_limits<float>::infinity();
+      query.ray.mask = ~0U;
+      query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+      rtcIntersect1(impl_->scene, &context, &query);
+      if (query.hit.geomID != RTC_INVALID_GEOMETRY_ID) {
+        image.triangle[pixel] = static_cast<std::int32_t>(query.hit.primID);
+        image.barycentric[pixel] = {query.hit.u, query.hit.v};
+        image.depth_mm[pixel] = query.ray.tfar;
+      }
+    }
+  });
+  return image;
+}
+
+Raycaster::Closest Raycaster::closest_point(const Eigen::Vector3f& query_mm, float max_distance_mm) const {
+  struct Search {
+    const Impl* impl;
+    Eigen::Vector3f query_mm;
+    Closest best;
+  } search{impl_.get(), query_mm, {}};
+  search.best.distance_mm = max_distance_mm;
+
+  RTCPointQueryContext context;
+  rtcInitPointQueryContext(&context);
+  RTCPointQuery query{};
+  query.x = query_mm.x();
+  query.y = query_mm.y();
+  query.z = query_mm.z();
+  query.radius = max_distance_mm;
+  rtcPointQuery(
+      impl_->scene, &query, &context,
+      [](RTCPointQueryFunctionArguments* arguments) {
+        auto& found = *static_cast<Search*>(arguments->userPtr);
+        const auto corners = found.impl->triangles.col(arguments->primID);
+        const Eigen::Vector3f a = found.impl->vertices_mm.col(corners[0]);
+        const Eigen::Vector3f b = found.impl->vertices_mm.col(corners[1]);
+        const Eigen::Vector3f c = found.impl->vertices_mm.col(corners[2]);
+        const Eigen::Vector2f at = closest_barycentric(a, b, c, found.query_mm);
+        const Eigen::Vector3f point = a + at.x() * (b - a) + at.y() * (c - a);
+        const float distance = (point - found.query_mm).norm();
+        if (distance < found.best.distance_mm ||
+            (found.best.triangle < 0 && distance <= found.best.distance_mm)) {
+          found.best = {static_cast<std::int32_t>(arguments->primID), at, point, distance};
+          arguments->query->radius = distance;
+          return true;
+        }
+        return false;
+      },
+      &search);
+  if (search.best.triangle < 0) {
+    search.best.distance_mm = 0;
+  }
+  return search.best;
+}
+
+Raycaster::Hit Raycaster::first_hit(const Eigen::Vector3f& origin_mm, const Eigen::Vector3f& direction,
+                                    float min_distance_mm, bool cull_back) const {
+  RTCIntersectContext context;
+  rtcInitIntersectContext(&context);
+  context.filter = cull_back ? pass_back_faces : nullptr;
+  RTCRayHit query{};
+  query.ray.org_x = origin_mm.x();
+  query.ray.org_y = origin_mm.y();
+  query.ray.org_z = origin_mm.z();
+  query.ray.dir_x = direction.x();
+  query.ray.dir_y = direction.y();
+  query.ray.dir_z = direction.z();
+  query.ray.tnear = min_distance_mm;
+  query.ray.tfar = std::numeric_limits<float>::infinity();
+  query.ray.mask = ~0U;
+  query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+  rtcIntersect1(impl_->scene, &context, &query);
+  if (query.hit.geomID == RTC_INVALID_GEOMETRY_ID) {
+    return {};
+  }
+  return {static_cast<std::int32_t>(query.hit.primID), {query.hit.u, query.hit.v}, query.ray.tfar};
+}
+
+bool Raycaster::occluded(const Eigen::Vector3f& from_mm, const Eigen::Vector3f& to_mm,
+                         float margin_mm) const {
+  const Eigen::Vector3f between = to_mm - from_mm;
+  const float distance_mm = between.norm();
+  if (distance_mm <= 2 * margin_mm) {
+    return false;
+  }
+  RTCIntersectContext context;
+  rtcInitIntersectContext(&context);
+  RTCRay ray{};
+  ray.org_x = from_mm.x();
+  ray.org_y = from_mm.y();
+  ray.org_z = from_mm.z();
+  ray.dir_x = between.x() / distance_mm;
+  ray.dir_y = between.y() / distance_mm;
+  ray.dir_z = between.z() / distance_mm;
+  ray.tnear = margin_mm;
+  ray.tfar = distance_mm - margin_mm;
+  ray.mask = ~0U;
+  rtcOccluded1(impl_->scene, &context, &ray);
+  return ray.tfar < 0;  // Embree's sign of a hit: minus infinity
+}
+
+}  // namespace facet::render
