@@ -162,16 +162,15 @@ AdaptiveSurface::Stencils AdaptiveSurface::bisect_marked(std::vector<std::uint8_
 }
 
 AdaptiveSurface::Stencils AdaptiveSurface::bisect_level(std::int32_t level,
-                                                        const std::vector<std::uint8_t>& marked) {
+                                                        std::vector<std::uint8_t>& marked) {
   // Everything that the masks read is collected before the topology changes.
   const std::int32_t old_count = vertex_count();
   std::vector<Eigen::Triplet<double>> entries;
-  std::vector<std::uint8_t> bisected(faces_.size(), 0);
   std::vector<std::uint8_t> smoothed(at(old_count), 0);
   std::vector<std::pair<std::int32_t, std::int32_t>> blocks;  // a face and its mate, or -1
   for (std::size_t f = 0; f < marked.size(); ++f) {
     const Face& face = faces_[f];
-    if (marked[f] == 0 || face.level != level || bisected[f] != 0) {
+    if (marked[f] == 0 || face.level != level) {
       continue;
     }
     const std::int32_t mate = mate_of(static_cast<std::int32_t>(f));
@@ -182,7 +181,7 @@ AdaptiveSurface::Stencils AdaptiveSurface::bisect_level(std::int32_t level,
       if (member < 0) {
         continue;
       }
-      bisected[at(member)] = 1;
+      marked[at(member)] = 0;
       for (const std::int32_t corner : corners(faces_[at(member)])) {
         if (on_boundary_[at(corner)] == 0 && smoothed_level_[at(corner)] < level) {
           smoothed[at(corner)] = 1;
@@ -213,6 +212,8 @@ AdaptiveSurface::Stencils AdaptiveSurface::bisect_level(std::int32_t level,
       }
     }
   }
+
+  marked.resize(faces_.size(), 0);
 
   Stencils stencils(vertex_count(), old_count);
   stencils.setFromTriplets(entries.begin(), entries.end());

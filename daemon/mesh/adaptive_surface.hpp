@@ -44,9 +44,11 @@ class AdaptiveSurface {
 
  private:
   bool wants_bisection(const Face& face, float min_edge_px) const;
+  /// Marks every coarser face that must be bisected before the marked ones (Algorithm 1, lines 5 to 9).
   void close_marks(std::vector<std::uint8_t>& marked) const;
   Stencils bisect_marked(std::vector<std::uint8_t> marked);
-  Stencils bisect_level(std::int32_t level, const std::vector<std::uint8_t>& marked);
+  /// Bisects the marked faces of one level and takes their marks away.
+  Stencils bisect_level(std::int32_t level, std::vector<std::uint8_t>& marked);
   void group_faces_by_vertex();
   /// The mate of a face: the other face at its interior edge where that is of the same level, else -1.
   std::int32_t mate_of(std::int32_t face) const;

@@ -109,7 +109,8 @@ std::shared_ptr<const Hierarchy> build_hierarchy(const ControlMesh& control,
   check(control, control_px, facing, options);
   std::vector<std::uint8_t> may_refine(facing.size());
   for (std::size_t v = 0; v < facing.size(); ++v) {
-    may_refine[v] = control.refinable[v] != 0 && facing[v] != 0 ? 1 : 0;
+    const bool projected = control_px.col(static_cast<Eigen::Index>(v)).allFinite();
+    may_refine[v] = control.refinable[v] != 0 && facing[v] != 0 && projected ? 1 : 0;
   }
 
   auto hierarchy = std::make_shared<Hierarchy>();

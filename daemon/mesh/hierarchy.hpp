@@ -65,7 +65,7 @@ struct ControlMesh {
 /// them, is bisected, whatever its flags: the mesh stays conforming.
 ///
 /// control_px  [2][control vertex_count] projections in the first good frame, px; NaN where behind the camera
-///             (a block with such a vertex at its interior edge is not subdivided)
+///             (counts as not facing)
 /// facing      [control vertex_count] 1 where the vertex faces the camera in that frame
 /// errors      Error(UnreadableInput) naming the quad, edge or vertex where the control mesh is not an
 ///             oriented manifold (with or without boundary) that uses every vertex, or where an array's
