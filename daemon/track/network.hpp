@@ -1,0 +1,41 @@
+#pragma once
+
+#include <memory>
+#include <span>
+#include <string>
+
+#include "track/tflite_model.hpp"
+
+namespace facet::track {
+
+/// A convolutional net of a TensorFlow Lite graph with one image input, run by OpenCV's DNN module on the
+/// calling thread. Not thread safe. After the first forward() OpenCV allocates only small bookkeeping.
+class Network {
+ public:
+  /// Builds the net and runs it once, so that a graph that OpenCV can't run is an error here.
+  /// Throws Error(UnreadableInput) that starts with `name`. The model is not needed afterwards.
+  Network(const TfliteModel& model, const std::string& name);
+  ~Network();
+  Network(Network&&) noexcept;
+  Network& operator=(Network&&) noexcept;
+
+  int input_rows() const;
+  int input_columns() const;
+
+  /// The image to work on, [3][rows][columns]: planar, red first. Write it, then call forward().
+  std::span<float> input();
+
+  /// Computes all outputs. Throws nothing: the shapes were proven by the constructor.
+  void forward();
+
+  /// An output in the graph's order, flat in TensorFlow's layout (channels last); valid until the next
+  /// forward().
+  std::span<const float> output(std::size_t index) const;
+  std::size_t output_count() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace facet::track
