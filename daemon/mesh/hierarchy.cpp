@@ -12,6 +12,9 @@ namespace facet::mesh {
 
 namespace {
 
+/// A level costs a whole solve, so one that adds fewer vertices than this is folded into the level below.
+constexpr float kLeastGrowth = 1.1F;
+
 /// FNV-1a, 64 bit: the id must not depend on the machine or the library version.
 class ContentHash {
  public:
@@ -116,15 +119,25 @@ std::shared_ptr<const Hierarchy> build_hierarchy(const ControlMesh& control,
   auto hierarchy = std::make_shared<Hierarchy>();
   hierarchy->control_vertex_count = control.vertex_count;
   AdaptiveSurface surface(control.quads, control_px, std::move(may_refine));
-  hierarchy->levels.push_back(make_level(surface, surface.bisect_all()));
+  AdaptiveSurface::Stencils stencils = surface.bisect_all();
+  hierarchy->levels.push_back(make_level(surface, stencils));
   while (static_cast<int>(hierarchy->levels.size()) < options.max_levels) {
     const auto first = sweep(surface, options);
     if (!first) {
       break;
     }
     const auto second = sweep(surface, options);
-    hierarchy->levels.push_back(
-        make_level(surface, second ? AdaptiveSurface::Stencils((*second * *first).pruned()) : *first));
+    const AdaptiveSurface::Stencils added =
+        second ? AdaptiveSurface::Stencils((*second * *first).pruned()) : *first;
+    const auto least_count =
+        static_cast<std::int32_t>(kLeastGrowth * static_cast<float>(hierarchy->finest().vertex_count));
+    if (hierarchy->levels.size() > 1 && surface.vertex_count() < least_count) {
+      stencils = (added * stencils).pruned();
+      hierarchy->levels.back() = make_level(surface, stencils);
+      continue;
+    }
+    stencils = added;
+    hierarchy->levels.push_back(make_level(surface, stencils));
   }
 
   Eigen::MatrixXf texture_coordinates = control.texture_coordinates;

@@ -50,7 +50,8 @@ struct ControlMesh {
 
 /// Builds the adaptive 4-8 hierarchy of Algorithm 1. Level 0 is one bisection sweep of every quad (made
 /// whatever the bounds say); each further level is two adaptive sweeps, the last one possibly a single sweep,
-/// until no block passes the test or an option's bound is met.
+/// until no block passes the test or an option's bound is met. Sweeps that add less than a tenth of the
+/// vertices are folded into the level below (above level 0), so that every level is worth its solve.
 ///
 /// Masks, the same for positions, displacements, albedo and texture coordinates:
 /// * face mask: the vertex that splits an interior edge is 1/4 of each of the block's four corners;

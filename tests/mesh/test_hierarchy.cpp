@@ -445,6 +445,27 @@ TEST(Hierarchy, BoundsAreKept) {
   EXPECT_EQ(build(surface, {.min_edge_px = 0.2F, .max_levels = 9, .max_vertices = 1})->levels.size(), 1U);
 }
 
+TEST(Hierarchy, EveryLevelIsWorthItsSolve) {
+  Surface surface = test::plane(12, 12, 10);
+  // One block is much larger in the image than all others: it alone could be split further.
+  surface.projected_px.col(84) += Eigen::Vector2f(30, 0);
+  const auto hierarchy = build(surface, {.min_edge_px = 4, .max_levels = 9});
+  ASSERT_GT(hierarchy->levels.size(), 1U);
+  for (std::size_t l = 2; l < hierarchy->levels.size(); ++l) {
+    EXPECT_GE(hierarchy->levels[l].vertex_count,
+              static_cast<std::int32_t>(1.1F * static_cast<float>(hierarchy->levels[l - 1].vertex_count)));
+  }
+  // The last sweeps are there all the same: no interior edge longer than epsilon is left.
+  const Vertices px = (Vertices(3, surface.projected_px.cols()) << surface.projected_px,
+                       Eigen::RowVectorXf::Zero(surface.projected_px.cols()))
+                          .finished();
+  const Vertices finest = positions(*hierarchy, px).back();
+  for (Eigen::Index f = 0; f < hierarchy->finest().triangles.cols(); ++f) {
+    const auto face = hierarchy->finest().triangles.col(f);
+    EXPECT_LE((finest.col(face[1]) - finest.col(face[2])).norm(), 4.001F);
+  }
+}
+
 TEST(Hierarchy, IdIsThatOfTheContent) {
   const Surface surface = test::sphere(4, 60);
   const auto first = build(surface, {.min_edge_px = 4});
