@@ -1,0 +1,355 @@
+#include "stream/encoder.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <string>
+#include <vector>
+
+#include "facet_generated.h"
+
+namespace facet::stream {
+namespace {
+
+using flatbuffers::FlatBufferBuilder;
+using flatbuffers::Offset;
+
+constexpr std::size_t kInitialBufferBytes = 1U << 20;
+constexpr float kInt16Max = 32767.0F;
+
+std::span<const std::uint8_t> finish(FlatBufferBuilder& builder, wire::Body type, Offset<void> body) {
+  wire::FinishMessageBuffer(builder, wire::CreateMessage(builder, type, body));
+  return {builder.GetBufferPointer(), builder.GetSize()};
+}
+
+Offset<flatbuffers::String> bounded_string(FlatBufferBuilder& builder, std::string_view text,
+                                           std::size_t limit) {
+  const std::string_view part = text.substr(0, limit);
+  return builder.CreateString(part.data(), part.size());
+}
+
+float finite_or_zero(float value) {
+  return std::isfinite(value) ? value : 0.0F;
+}
+
+float largest_magnitude(std::span<const float> values) {
+  float largest = 0.0F;
+  for (const float value : values) {
+    const float magnitude = std::abs(value);
+    // Comparisons with NaN are false; infinity must not become the scale.
+    largest = magnitude > largest && magnitude <= 3.0e38F ? magnitude : largest;
+  }
+  return largest;
+}
+
+std::int16_t to_int16(float scaled) {
+  return std::isfinite(scaled)
+             ? static_cast<std::int16_t>(std::lrint(std::clamp(scaled, -kInt16Max, kInt16Max)))
+             : std::int16_t{0};
+}
+
+Offset<wire::FixedPoint> fixed_point(FlatBufferBuilder& builder, std::span<const float> values,
+                                     float finest_step_mm) {
+  const float step_mm = std::clamp(largest_magnitude(values) / kInt16Max, finest_step_mm, kMaxStepMm);
+  const float per_mm = 1.0F / step_mm;
+  std::int16_t* out = nullptr;
+  const auto vector = builder.CreateUninitializedVector(values.size(), &out);
+  std::transform(values.begin(), values.end(), out, [&](float value) { return to_int16(value * per_mm); });
+  return wire::CreateFixedPoint(builder, step_mm, vector);
+}
+
+template <typename Derived>
+std::span<const float> flat(const Eigen::PlainObjectBase<Derived>& matrix) {
+  return {matrix.data(), static_cast<std::size_t>(matrix.size())};
+}
+
+/// Indices are non-negative by contract; on the wire they are unsigned.
+Offset<flatbuffers::Vector<std::uint32_t>> indices(FlatBufferBuilder& builder,
+                                                   std::span<const std::int32_t> values) {
+  std::uint32_t* out = nullptr;
+  const auto vector = builder.CreateUninitializedVector(values.size(), &out);
+  std::transform(values.begin(), values.end(), out,
+                 [](std::int32_t value) { return static_cast<std::uint32_t>(value); });
+  return vector;
+}
+
+Offset<wire::Level> level_message(FlatBufferBuilder& builder, const mesh::Level& level, bool with_stencils) {
+  Offset<wire::Stencils> stencils;
+  if (with_stencils) {
+    const mesh::SparseRows& rows = level.from_coarser;
+    const auto offsets = indices(builder, rows.row_offsets);
+    const auto columns = indices(builder, rows.columns);
+    const auto weights = builder.CreateVector(rows.weights);
+    stencils = wire::CreateStencils(builder, offsets, columns, weights);
+  }
+  const auto triangles =
+      indices(builder, {level.triangles.data(), static_cast<std::size_t>(level.triangles.size())});
+  return wire::CreateLevel(builder, static_cast<std::uint32_t>(level.vertex_count), triangles, stencils);
+}
+
+Offset<wire::Hierarchy> hierarchy_message(FlatBufferBuilder& builder, const mesh::Hierarchy& hierarchy,
+                                          Profile profile) {
+  const bool whole = profile == Profile::Displacements;
+  std::vector<Offset<wire::Level>> levels;
+  for (const mesh::Level& level : hierarchy.levels) {
+    if (whole || &level == &hierarchy.finest()) {
+      levels.push_back(level_message(builder, level, whole));
+    }
+  }
+  const auto level_vector = builder.CreateVector(levels);
+  const auto coordinates = builder.CreateVector(
+      hierarchy.texture_coordinates.data(), static_cast<std::size_t>(hierarchy.texture_coordinates.size()));
+  const auto control_vertex_count =
+      whole ? static_cast<std::uint32_t>(hierarchy.control_vertex_count) : std::uint32_t{0};
+  return wire::CreateHierarchy(builder, hierarchy.id, control_vertex_count, level_vector, coordinates);
+}
+
+bool all_finite(std::span<const float> values) {
+  return std::all_of(values.begin(), values.end(), [](float value) { return std::isfinite(value); });
+}
+
+/// Empty where the frame's mesh may be sent; else what is wrong with it.
+const char* mesh_fault(const mesh::MeshFrame& frame) {
+  const mesh::Subject& subject = *frame.subject;
+  const auto finest = static_cast<std::size_t>(subject.hierarchy->finest().vertex_count);
+  if (frame.expression.size() != subject.expression_names.size()) {
+    return "mesh left out: number of expression weights differs from the subject's";
+  }
+  if (!frame.displacements_mm.empty() && frame.displacements_mm.size() != finest) {
+    return "mesh left out: number of displacements differs from the finest level's vertices";
+  }
+  if (!frame.confidence.empty() && frame.confidence.size() != finest) {
+    return "mesh left out: number of confidences differs from the finest level's vertices";
+  }
+  if (!frame.camera_from_head.matrix().allFinite() || !all_finite(frame.expression) ||
+      !all_finite(frame.lighting)) {
+    return "mesh left out: pose, expression or lighting is not finite";
+  }
+  return "";
+}
+
+bool carries_mesh(const mesh::MeshFrame& frame) {
+  return frame.subject != nullptr && frame.subject->hierarchy != nullptr &&
+         !frame.subject->hierarchy->levels.empty() && frame.control_vertices_mm.cols() > 0 &&
+         frame.control_vertices_mm.cols() == frame.subject->hierarchy->control_vertex_count;
+}
+
+wire::Pose pose_struct(const Eigen::Isometry3f& pose) {
+  std::array<float, 12> rows{};
+  for (int row = 0; row < 3; ++row) {
+    for (int column = 0; column < 4; ++column) {
+      rows[static_cast<std::size_t>(row * 4 + column)] = pose.matrix()(row, column);
+    }
+  }
+  return wire::Pose(rows);
+}
+
+}  // namespace
+
+struct Encoder::Impl {
+  FlatBufferBuilder builder{kInitialBufferBytes};
+  mesh::Vertices vertices_mm;  ///< [3][finest vertex_count], profile Vertices
+  Eigen::Matrix3Xf normals;    ///< [3][finest vertex_count]
+
+  /// What a frame refers to, made before its table begins.
+  struct Parts {
+    Offset<flatbuffers::String> degraded_reason;
+    Offset<wire::StageTimes> stage_ms;
+    Offset<flatbuffers::Vector<const wire::Point*>> landmarks_px;
+    Offset<flatbuffers::Vector<float>> expression;
+    Offset<wire::FixedPoint> control_vertices;
+    Offset<wire::FixedPoint> displacements;
+    Offset<wire::FixedPoint> vertices;
+    Offset<flatbuffers::Vector<std::int16_t>> normals;
+    Offset<flatbuffers::Vector<std::uint8_t>> confidence;
+  };
+
+  void geometry_parts(const mesh::MeshFrame& frame, Profile profile, Parts& parts);
+  Offset<wire::StageTimes> stage_times(const mesh::StageTimes& times);
+  Offset<flatbuffers::Vector<const wire::Point*>> landmarks(const std::vector<Eigen::Vector2f>& points);
+};
+
+Encoder::Encoder() : impl_(std::make_unique<Impl>()) {}
+Encoder::~Encoder() = default;
+
+std::span<const std::uint8_t> Encoder::hello(const Hello& hello) {
+  FlatBufferBuilder& builder = impl_->builder;
+  builder.Clear();
+  const auto server = bounded_string(builder, hello.server, kMaxTextBytes);
+  std::vector<wire::Profile> profiles;
+  for (const Profile profile : hello.profiles) {
+    profiles.push_back(static_cast<wire::Profile>(profile));
+  }
+  const auto list = builder.CreateVector(profiles);
+  const auto body = wire::CreateHello(builder, hello.protocol_version, server, list, hello.max_message_bytes);
+  return finish(builder, wire::Body::Hello, body.Union());
+}
+
+std::span<const std::uint8_t> Encoder::subscription(const Subscription& subscription) {
+  FlatBufferBuilder& builder = impl_->builder;
+  builder.Clear();
+  const auto client = bounded_string(builder, subscription.client, kMaxNameBytes);
+  const auto body = wire::CreateSubscribe(builder, subscription.protocol_version,
+                                          static_cast<wire::Profile>(subscription.profile),
+                                          subscription.want_albedo, client);
+  return finish(builder, wire::Body::Subscribe, body.Union());
+}
+
+std::span<const std::uint8_t> Encoder::dropped(const Dropped& dropped) {
+  FlatBufferBuilder& builder = impl_->builder;
+  builder.Clear();
+  return finish(builder, wire::Body::Dropped,
+                wire::CreateDropped(builder, dropped.since_last, dropped.total).Union());
+}
+
+std::span<const std::uint8_t> Encoder::goodbye(std::string_view reason) {
+  FlatBufferBuilder& builder = impl_->builder;
+  builder.Clear();
+  const auto text = bounded_string(builder, reason, kMaxTextBytes);
+  return finish(builder, wire::Body::Goodbye, wire::CreateGoodbye(builder, text).Union());
+}
+
+std::span<const std::uint8_t> Encoder::subject(const mesh::Subject& subject, Profile profile) {
+  FlatBufferBuilder& builder = impl_->builder;
+  builder.Clear();
+  std::vector<Offset<flatbuffers::String>> names;
+  names.reserve(subject.expression_names.size());
+  for (const std::string& name : subject.expression_names) {
+    names.push_back(bounded_string(builder, name, kMaxNameBytes));
+  }
+  const auto name_vector = builder.CreateVector(names);
+  const auto identity = builder.CreateVector(subject.identity);
+  Offset<flatbuffers::Vector<std::uint8_t>> regions;
+  if (profile == Profile::Displacements) {
+    regions = builder.CreateVector(subject.regions);
+  }
+  Offset<wire::Hierarchy> hierarchy;
+  if (profile != Profile::Signals && subject.hierarchy != nullptr) {
+    hierarchy = hierarchy_message(builder, *subject.hierarchy, profile);
+  }
+  const auto body = wire::CreateSubject(builder, subject.id, name_vector, identity, regions, hierarchy);
+  return finish(builder, wire::Body::Subject, body.Union());
+}
+
+std::span<const std::uint8_t> Encoder::albedo(std::uint64_t subject_id, const mesh::Albedo& albedo) {
+  FlatBufferBuilder& builder = impl_->builder;
+  builder.Clear();
+  constexpr float kUint16Max = 65535.0F;
+  const float scale = std::max(1.0F, largest_magnitude(albedo.linear_rgb));
+  std::uint16_t* out = nullptr;
+  const auto values = builder.CreateUninitializedVector(albedo.linear_rgb.size(), &out);
+  std::transform(albedo.linear_rgb.begin(), albedo.linear_rgb.end(), out, [&](float value) {
+    return static_cast<std::uint16_t>(
+        std::lrint(std::clamp(finite_or_zero(value) / scale, 0.0F, 1.0F) * kUint16Max));
+  });
+  const auto body = wire::CreateAlbedo(builder, subject_id, albedo.version, scale, values);
+  return finish(builder, wire::Body::Albedo, body.Union());
+}
+
+Offset<wire::StageTimes> Encoder::Impl::stage_times(const mesh::StageTimes& times) {
+  return wire::CreateStageTimes(builder, finite_or_zero(times.capture_ms), finite_or_zero(times.detect_ms),
+                                finite_or_zero(times.landmarks_ms), finite_or_zero(times.fit_ms),
+                                finite_or_zero(times.upload_ms), finite_or_zero(times.lighting_ms),
+                                finite_or_zero(times.albedo_ms), finite_or_zero(times.displacement_ms),
+                                finite_or_zero(times.readback_ms), finite_or_zero(times.latency_ms));
+}
+
+Offset<flatbuffers::Vector<const wire::Point*>> Encoder::Impl::landmarks(
+    const std::vector<Eigen::Vector2f>& points) {
+  if (points.empty()) {
+    return {};
+  }
+  wire::Point* out = nullptr;
+  const auto vector =
+      builder.CreateUninitializedVectorOfStructs(std::min<std::size_t>(points.size(), kMaxLandmarks), &out);
+  for (std::size_t i = 0; i < std::min<std::size_t>(points.size(), kMaxLandmarks); ++i) {
+    out[i] = wire::Point(finite_or_zero(points[i].x()), finite_or_zero(points[i].y()));
+  }
+  return vector;
+}
+
+void Encoder::Impl::geometry_parts(const mesh::MeshFrame& frame, Profile profile, Parts& parts) {
+  parts.expression = builder.CreateVector(frame.expression);
+  if (profile == Profile::Signals) {
+    return;
+  }
+  if (!frame.confidence.empty()) {
+    std::uint8_t* out = nullptr;
+    parts.confidence = builder.CreateUninitializedVector(frame.confidence.size(), &out);
+    std::transform(frame.confidence.begin(), frame.confidence.end(), out, [](float value) {
+      return static_cast<std::uint8_t>(std::lrint(std::clamp(finite_or_zero(value), 0.0F, 1.0F) * 255.0F));
+    });
+  }
+  if (profile == Profile::Displacements) {
+    parts.control_vertices = fixed_point(builder, flat(frame.control_vertices_mm), kPositionStepMm);
+    if (!frame.displacements_mm.empty()) {
+      parts.displacements = fixed_point(builder, frame.displacements_mm, kDisplacementStepMm);
+    }
+    return;
+  }
+  mesh::rebuild_finest(*frame.subject->hierarchy, frame.control_vertices_mm, frame.displacements_mm,
+                       vertices_mm, normals);
+  parts.vertices = fixed_point(builder, flat(vertices_mm), kPositionStepMm);
+  std::int16_t* out = nullptr;
+  parts.normals = builder.CreateUninitializedVector(static_cast<std::size_t>(normals.size()), &out);
+  std::transform(normals.data(), normals.data() + normals.size(), out,
+                 [](float value) { return to_int16(value * kInt16Max); });
+}
+
+std::span<const std::uint8_t> Encoder::frame(const mesh::MeshFrame& frame, Profile profile) {
+  FlatBufferBuilder& builder = impl_->builder;
+  builder.Clear();
+  bool with_mesh = carries_mesh(frame);
+  bool degraded = frame.degraded;
+  std::string_view degraded_reason = frame.degraded_reason;
+  if (with_mesh) {
+    if (const std::string_view fault = mesh_fault(frame); !fault.empty()) {
+      with_mesh = false;
+      degraded = true;
+      degraded_reason = fault;
+    }
+  }
+
+  Impl::Parts parts;
+  parts.degraded_reason = bounded_string(builder, degraded_reason, kMaxTextBytes);
+  parts.stage_ms = impl_->stage_times(frame.stage_ms);
+  parts.landmarks_px = impl_->landmarks(frame.landmarks_px);
+  if (with_mesh) {
+    impl_->geometry_parts(frame, profile, parts);
+  }
+
+  const CameraIntrinsics& intrinsics = frame.camera;
+  const wire::Camera camera(finite_or_zero(intrinsics.fx), finite_or_zero(intrinsics.fy),
+                            finite_or_zero(intrinsics.cx), finite_or_zero(intrinsics.cy), intrinsics.width_px,
+                            intrinsics.height_px);
+  const wire::Pose pose = pose_struct(frame.camera_from_head);
+  const wire::Lighting lighting{std::span<const float, 9>(frame.lighting)};
+  wire::FrameBuilder table(builder);
+  table.add_sequence(frame.sequence);
+  table.add_timestamp_ns(frame.timestamp_ns);
+  table.add_media_time_ns(frame.media_time_ns);
+  table.add_state(static_cast<wire::TrackingState>(frame.state));
+  table.add_degraded(degraded);
+  table.add_degraded_reason(parts.degraded_reason);
+  table.add_camera(&camera);
+  table.add_stage_ms(parts.stage_ms);
+  table.add_landmarks_px(parts.landmarks_px);
+  table.add_reprojection_px(finite_or_zero(frame.reprojection_px));
+  if (with_mesh) {
+    table.add_subject_id(frame.subject->id);
+    table.add_camera_from_head(&pose);
+    table.add_expression(parts.expression);
+    table.add_photometric_rms(finite_or_zero(frame.photometric_rms));
+    table.add_lighting(&lighting);
+    table.add_albedo_version(frame.albedo != nullptr ? frame.albedo->version : 0);
+    table.add_control_vertices(parts.control_vertices);
+    table.add_displacements(parts.displacements);
+    table.add_vertices(parts.vertices);
+    table.add_normals(parts.normals);
+    table.add_confidence(parts.confidence);
+  }
+  return finish(builder, wire::Body::Frame, table.Finish().Union());
+}
+
+}  // namespace facet::stream

@@ -1,0 +1,43 @@
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <string_view>
+
+#include "mesh/mesh_frame.hpp"
+#include "stream/protocol.hpp"
+
+namespace facet::stream {
+
+/// Writes the messages of the protocol (facet.fbs) without the socket's header; a take stores the same bytes.
+/// Each call returns a view into the encoder's own memory that the next call overwrites. One thread; after
+/// the largest message has been written once, nothing is allocated.
+///
+/// Fixed point: positions and displacements are int16 times a step stated in the message. The step is the
+/// smallest of kPositionStepMm / kDisplacementStepMm upwards with which the largest value fits, and at most
+/// kMaxStepMm; the error is half a step, so never above 0.01 mm. A value that is not finite is written as 0,
+/// one beyond the range (655 mm) at its end; neither comes out of a sound pipeline.
+class Encoder {
+ public:
+  Encoder();
+  ~Encoder();
+  Encoder(const Encoder&) = delete;
+  Encoder& operator=(const Encoder&) = delete;
+
+  std::span<const std::uint8_t> hello(const Hello& hello);
+  std::span<const std::uint8_t> subscription(const Subscription& subscription);
+  std::span<const std::uint8_t> dropped(const Dropped& dropped);
+  std::span<const std::uint8_t> goodbye(std::string_view reason);
+  std::span<const std::uint8_t> subject(const mesh::Subject& subject, Profile profile);
+  std::span<const std::uint8_t> albedo(std::uint64_t subject_id, const mesh::Albedo& albedo);
+  /// A frame without a subject carries no geometry in any profile. Profile Vertices rebuilds the finest mesh
+  /// here (mesh::rebuild_finest): do it in the server's thread.
+  std::span<const std::uint8_t> frame(const mesh::MeshFrame& frame, Profile profile);
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace facet::stream

@@ -1,0 +1,68 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+/// The stream protocol's constants and small messages; docs/stream-protocol.md is its page, facet.fbs its
+/// schema.
+namespace facet::stream {
+
+/// Version of the message layouts. Appended fields don't raise it; anything an older reader would misread
+/// does.
+inline constexpr std::uint32_t kProtocolVersion = 1;
+
+/// On the socket every message has this header before its FlatBuffer: the magic, then the length of what
+/// follows, both little-endian uint32. The magic lets a peer notice at once that it talks to something else.
+inline constexpr std::uint32_t kMessageMagic = 0x4D544346;  // "FCTM" in memory
+inline constexpr std::size_t kHeaderBytes = 8;
+
+/// Limits of what is parsed; a message beyond them is refused whole. They bound the memory that a hostile
+/// peer or file can make a reader allocate.
+inline constexpr std::size_t kMaxMessageBytes = 64U << 20;  ///< topology of 500,000 vertices: 47 MB
+inline constexpr std::size_t kMaxRequestBytes = 4096;       ///< from a client to the server
+inline constexpr std::uint32_t kMaxVertices = 500'000;
+inline constexpr std::uint32_t kMaxTriangles = 2 * kMaxVertices + 2;
+inline constexpr std::uint32_t kMaxLevels = 12;
+inline constexpr std::uint32_t kMaxStencilEntriesPerRow = 64;  ///< on average over a level
+inline constexpr std::uint32_t kMaxCoefficients = 1024;        ///< identity or expression
+inline constexpr std::uint32_t kMaxLandmarks = 4096;
+inline constexpr std::size_t kMaxNameBytes = 64;
+inline constexpr std::size_t kMaxTextBytes = 1024;  ///< degraded_reason, goodbye reason, server
+
+/// Coarsest errors of the fixed-point fields for values within their stated range (see Encoder).
+inline constexpr float kDisplacementStepMm = 0.0005F;  ///< as long as |d| <= 16 mm
+inline constexpr float kPositionStepMm = 0.002F;       ///< as long as |x| <= 65 mm; grows with the extent
+inline constexpr float kMaxStepMm = 0.02F;             ///< error 0.01 mm, reached at |x| = 655 mm
+
+/// How much of a frame a reader gets.
+enum class Profile : std::uint8_t {
+  Signals = 0,        ///< state, camera, pose, expression, lighting, times; no geometry
+  Displacements = 1,  ///< and control vertices, displacements, confidence; topology with stencils. Compact.
+  Vertices = 2,       ///< and finest vertices, normals, confidence; finest triangles. Nothing to rebuild.
+};
+inline constexpr int kProfileCount = 3;
+
+const char* to_string(Profile profile);
+
+struct Hello {
+  std::uint32_t protocol_version = kProtocolVersion;
+  std::string server;
+  std::vector<Profile> profiles{Profile::Signals, Profile::Displacements, Profile::Vertices};
+  std::uint32_t max_message_bytes = static_cast<std::uint32_t>(kMaxMessageBytes);
+};
+
+struct Subscription {
+  std::uint32_t protocol_version = kProtocolVersion;
+  Profile profile = Profile::Displacements;
+  bool want_albedo = true;
+  std::string client;  ///< for people, kMaxNameBytes at most
+};
+
+struct Dropped {
+  std::uint64_t since_last = 0;  ///< frames, since the last one that this reader got
+  std::uint64_t total = 0;       ///< frames, since it connected
+};
+
+}  // namespace facet::stream

@@ -1,0 +1,568 @@
+#include "stream/server.hpp"
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <pthread.h>
+#include <sys/epoll.h>
+#include <sys/eventfd.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <cerrno>
+#include <chrono>
+#include <cstring>
+#include <exception>
+#include <mutex>
+#include <optional>
+#include <span>
+#include <thread>
+#include <utility>
+
+#include "facet/error.hpp"
+#include "stream/decoder.hpp"
+#include "stream/encoder.hpp"
+#include "stream/framing.hpp"
+
+namespace facet::stream {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+constexpr auto kFarewellTime = std::chrono::milliseconds(100);
+constexpr int kEventsPerWait = 64;
+constexpr std::uint64_t kWakeTag = 0;    // epoll data of the eventfd
+constexpr std::uint64_t kListenTag = 1;  // of the listening socket; readers' ids follow
+constexpr std::uint64_t kFirstReaderId = 2;
+
+/// A message with its header, ready to be sent; shared by the readers that are in the middle of it.
+struct Packet {
+  std::vector<std::uint8_t> bytes;
+};
+
+struct Reader {
+  explicit Reader(FileDescriptor connection) : fd(std::move(connection)) {}
+
+  FileDescriptor fd;
+  MessageAssembler requests{kMaxRequestBytes};
+  Subscription subscription;
+  ReaderStatistics statistics;
+  std::shared_ptr<const Packet> outgoing;  ///< null: ready for the next message
+  std::size_t sent_bytes = 0;              ///< of outgoing
+  bool outgoing_is_frame = false;
+  bool hello_sent = false;
+  bool waits_for_room = false;   ///< EPOLLOUT is armed
+  bool gone = false;             ///< to be removed after this round
+  std::uint64_t subject_id = 0;  ///< that the reader was sent in its profile; 0: none
+  std::uint64_t albedo_version = 0;
+  std::uint64_t last_number = 0;  ///< newest publication that was sent or counted as dropped
+  std::uint64_t dropped_since_frame = 0;
+  std::uint64_t dropped_told = 0;
+};
+
+FileDescriptor open_checked(int fd, const char* what) {
+  if (fd < 0) {
+    throw Error(ErrorKind::Internal, fmt::format("stream: {}: {}", what, std::strerror(errno)));
+  }
+  return FileDescriptor(fd);
+}
+
+FileDescriptor open_spare() {
+  return FileDescriptor(::open("/dev/null", O_RDONLY | O_CLOEXEC));
+}
+
+}  // namespace
+
+struct StreamServer::Impl {
+  explicit Impl(const StreamServerConfig& given)
+      : config(given),
+        listening(std::in_place, given.socket, given.access),
+        socket_path(given.socket),
+        wake(open_checked(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK), "eventfd")),
+        epoll(open_checked(::epoll_create1(EPOLL_CLOEXEC), "epoll")),
+        spare(open_spare()) {
+    Hello hello_message;
+    hello_message.server = config.server_name;
+    hello = packet(encoder.hello(hello_message));
+  }
+
+  // Any thread.
+  StreamServerConfig config;
+  std::optional<ListeningSocket> listening;
+  std::filesystem::path socket_path;
+  FileDescriptor wake;
+  std::thread thread;
+  std::atomic<bool> stopping{false};
+
+  std::mutex newest_mutex;                        ///< held for a pointer's swap only
+  std::shared_ptr<const mesh::MeshFrame> newest;  ///< guarded by newest_mutex; null once taken
+  std::uint64_t published = 0;                    ///< guarded by newest_mutex
+
+  mutable std::mutex statistics_mutex;
+  StreamStatistics shown_statistics;  ///< guarded by statistics_mutex
+
+  // facet-stream only.
+  FileDescriptor epoll;
+  FileDescriptor spare;  ///< given up for a moment to turn a connection away when descriptors run out
+  Encoder encoder;
+  std::vector<std::unique_ptr<Reader>> readers;
+  std::uint64_t next_reader_id = kFirstReaderId;
+  StreamStatistics statistics;
+  std::vector<std::shared_ptr<Packet>> pool;
+  std::shared_ptr<const Packet> hello;
+  std::shared_ptr<const mesh::MeshFrame> current;
+  std::uint64_t current_number = 0;              ///< publications up to and with current
+  std::shared_ptr<const mesh::Subject> subject;  ///< of the newest frame that had one
+  std::shared_ptr<const mesh::Albedo> albedo;    ///< likewise, of that subject
+  std::array<std::shared_ptr<const Packet>, kProfileCount>
+      frame_packets;  ///< of current, made when asked for
+  std::array<std::shared_ptr<const Packet>, kProfileCount> subject_packets;  ///< of subject
+  std::shared_ptr<const Packet> albedo_packet;                               ///< of albedo
+
+  std::shared_ptr<const Packet> packet(std::span<const std::uint8_t> message);
+  void run();
+  void run_until_stopped();
+  void take_newest();
+  void accept_readers();
+  void admit(FileDescriptor connection);
+  void handle(Reader& reader, std::uint32_t events);
+  void receive(Reader& reader);
+  void accept_request(Reader& reader);
+  void refuse(Reader& reader, const std::string& why);
+  void pump(Reader& reader);
+  bool send_outgoing(Reader& reader);
+  std::shared_ptr<const Packet> next_packet(Reader& reader);
+  std::shared_ptr<const Packet> frame_packet(Profile profile);
+  void arm(Reader& reader, bool waits_for_room);
+  void remove_gone();
+  void farewell();
+  void show_statistics();
+};
+
+/// A free packet of the pool, or one more: the pool is bounded by the packets in use, one per reader and
+/// those cached above.
+std::shared_ptr<const Packet> StreamServer::Impl::packet(std::span<const std::uint8_t> message) {
+  auto free = std::find_if(pool.begin(), pool.end(),
+                           [](const std::shared_ptr<Packet>& entry) { return entry.use_count() == 1; });
+  if (free == pool.end()) {
+    free = pool.insert(pool.end(), std::make_shared<Packet>());
+  }
+  const auto header = make_header(message.size());
+  std::vector<std::uint8_t>& bytes = (*free)->bytes;
+  bytes.resize(kHeaderBytes + message.size());
+  std::copy(header.begin(), header.end(), bytes.begin());
+  std::copy(message.begin(), message.end(), bytes.begin() + kHeaderBytes);
+  return *free;
+}
+
+void StreamServer::Impl::take_newest() {
+  std::shared_ptr<const mesh::MeshFrame> frame;
+  std::uint64_t number = 0;
+  {
+    const std::lock_guard lock(newest_mutex);
+    frame = std::exchange(newest, nullptr);
+    number = published;
+  }
+  if (frame == nullptr) {
+    return;
+  }
+  statistics.skipped += number - current_number - 1;
+  statistics.published = number;
+  current_number = number;
+  current = std::move(frame);
+  frame_packets.fill(nullptr);
+  if (current->subject != nullptr && (subject == nullptr || subject->id != current->subject->id)) {
+    subject = current->subject;
+    subject_packets.fill(nullptr);
+    albedo = nullptr;
+    albedo_packet = nullptr;
+  }
+  if (current->subject != nullptr && current->albedo != nullptr &&
+      (albedo == nullptr || albedo->version != current->albedo->version)) {
+    albedo = current->albedo;
+    albedo_packet = nullptr;
+  }
+}
+
+void StreamServer::Impl::accept_readers() {
+  for (;;) {
+    FileDescriptor connection(::accept4(listening->fd(), nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK));
+    if (connection) {
+      admit(std::move(connection));
+      continue;
+    }
+    if (errno == EINTR || errno == ECONNABORTED) {
+      continue;
+    }
+    if (errno == EMFILE || errno == ENFILE) {
+      // Left in the backlog the connection would wake this thread without end.
+      spare.reset();
+      FileDescriptor refused(::accept4(listening->fd(), nullptr, nullptr, SOCK_CLOEXEC));
+      refused.reset();
+      spare = open_spare();
+      ++statistics.refused;
+      statistics.last_refusal = "no file descriptor left for a reader";
+    }
+    return;
+  }
+}
+
+void StreamServer::Impl::admit(FileDescriptor connection) {
+  auto reader = std::make_unique<Reader>(std::move(connection));
+  reader->statistics.id = next_reader_id++;
+  ++statistics.connections;
+  if (static_cast<int>(readers.size()) >= config.max_readers) {
+    refuse(*reader, fmt::format("{} readers are connected already, which is the limit", config.max_readers));
+    return;
+  }
+  ucred peer{};
+  socklen_t size = sizeof(peer);
+  if (::getsockopt(reader->fd.get(), SOL_SOCKET, SO_PEERCRED, &peer, &size) == 0) {
+    reader->statistics.pid = peer.pid;
+    reader->statistics.uid = peer.uid;
+  }
+  epoll_event event{};
+  event.events = EPOLLIN | EPOLLRDHUP;
+  event.data.u64 = reader->statistics.id;
+  if (::epoll_ctl(epoll.get(), EPOLL_CTL_ADD, reader->fd.get(), &event) != 0) {
+    refuse(*reader, "no memory for one more reader");
+    return;
+  }
+  readers.push_back(std::move(reader));
+  pump(*readers.back());
+}
+
+void StreamServer::Impl::arm(Reader& reader, bool waits_for_room) {
+  if (reader.waits_for_room == waits_for_room) {
+    return;
+  }
+  reader.waits_for_room = waits_for_room;
+  epoll_event event{};
+  event.events = EPOLLIN | EPOLLRDHUP | (waits_for_room ? static_cast<std::uint32_t>(EPOLLOUT) : 0U);
+  event.data.u64 = reader.statistics.id;
+  if (::epoll_ctl(epoll.get(), EPOLL_CTL_MOD, reader.fd.get(), &event) != 0) {
+    reader.gone = true;
+  }
+}
+
+void StreamServer::Impl::handle(Reader& reader, std::uint32_t events) {
+  if ((events & EPOLLIN) != 0) {
+    receive(reader);
+  }
+  if ((events & (EPOLLHUP | EPOLLERR | EPOLLRDHUP)) != 0 && (events & EPOLLIN) == 0) {
+    reader.gone = true;
+  }
+  if (!reader.gone) {
+    pump(reader);
+  }
+}
+
+void StreamServer::Impl::receive(Reader& reader) {
+  // One piece a round: a peer that talks without end does not keep the thread from the others.
+  std::array<std::uint8_t, kMaxRequestBytes> piece{};
+  const ssize_t count = ::recv(reader.fd.get(), piece.data(), piece.size(), 0);
+  if (count == 0 || (count < 0 && errno != EAGAIN && errno != EINTR)) {
+    reader.gone = true;
+    return;
+  }
+  std::span<const std::uint8_t> bytes(piece.data(), count > 0 ? static_cast<std::size_t>(count) : 0);
+  while (!bytes.empty() && !reader.gone) {
+    switch (reader.requests.feed(bytes)) {
+      case MessageAssembler::Outcome::Incomplete:
+        break;
+      case MessageAssembler::Outcome::Complete:
+        accept_request(reader);
+        reader.requests.next();
+        break;
+      case MessageAssembler::Outcome::WrongMagic:
+        refuse(reader, "request does not begin with the protocol's magic");
+        break;
+      case MessageAssembler::Outcome::TooLong:
+        refuse(reader, fmt::format("request is longer than {} bytes", kMaxRequestBytes));
+        break;
+    }
+  }
+}
+
+void StreamServer::Impl::accept_request(Reader& reader) {
+  Subscription wanted;
+  try {
+    wanted = decode_subscription(reader.requests.message());
+  } catch (const Error& error) {
+    refuse(reader, error.what());
+    return;
+  }
+  if (wanted.protocol_version != kProtocolVersion) {
+    refuse(reader, fmt::format("client speaks protocol version {}, this server speaks {}",
+                               wanted.protocol_version, kProtocolVersion));
+    return;
+  }
+  if (!reader.statistics.subscribed) {
+    // The first frame is the current one, so that a reader sees something even while the source pauses.
+    reader.last_number = current_number > 0 ? current_number - 1 : 0;
+  }
+  if (!reader.statistics.subscribed || wanted.profile != reader.subscription.profile) {
+    reader.subject_id = 0;
+    reader.albedo_version = 0;
+  }
+  reader.subscription = wanted;
+  reader.statistics.subscribed = true;
+  reader.statistics.profile = wanted.profile;
+  reader.statistics.client = wanted.client;
+}
+
+/// Says goodbye and drops the reader. In the middle of a message no goodbye can be sent.
+void StreamServer::Impl::refuse(Reader& reader, const std::string& why) {
+  ++statistics.refused;
+  statistics.last_refusal = why;
+  if (reader.outgoing == nullptr) {
+    reader.outgoing = packet(encoder.goodbye(why));
+    reader.sent_bytes = 0;
+    reader.outgoing_is_frame = false;
+    send_outgoing(reader);
+  }
+  reader.gone = true;
+}
+
+std::shared_ptr<const Packet> StreamServer::Impl::frame_packet(Profile profile) {
+  auto& cached = frame_packets[static_cast<std::size_t>(profile)];
+  if (cached == nullptr) {
+    cached = packet(encoder.frame(*current, profile));
+    statistics.encoded_bytes += cached->bytes.size();
+  }
+  return cached;
+}
+
+/// What this reader needs next: hello, then subject, albedo and drop notice before the frame that needs them.
+std::shared_ptr<const Packet> StreamServer::Impl::next_packet(Reader& reader) {
+  reader.outgoing_is_frame = false;
+  if (!reader.hello_sent) {
+    reader.hello_sent = true;
+    return hello;
+  }
+  if (!reader.statistics.subscribed) {
+    return nullptr;
+  }
+  const Profile profile = reader.subscription.profile;
+  if (subject != nullptr && reader.subject_id != subject->id) {
+    reader.subject_id = subject->id;
+    reader.albedo_version = 0;
+    auto& cached = subject_packets[static_cast<std::size_t>(profile)];
+    if (cached == nullptr) {
+      cached = packet(encoder.subject(*subject, profile));
+    }
+    return cached;
+  }
+  if (albedo != nullptr && profile != Profile::Signals && reader.subscription.want_albedo &&
+      reader.albedo_version != albedo->version) {
+    reader.albedo_version = albedo->version;
+    if (albedo_packet == nullptr) {
+      albedo_packet = packet(encoder.albedo(subject->id, *albedo));
+    }
+    return albedo_packet;
+  }
+  if (reader.last_number >= current_number) {
+    return nullptr;
+  }
+  const std::uint64_t missed = current_number - reader.last_number - 1;
+  reader.last_number = current_number - 1;
+  reader.dropped_since_frame += missed;
+  reader.statistics.frames_dropped += missed;
+  if (reader.statistics.frames_dropped != reader.dropped_told) {
+    reader.dropped_told = reader.statistics.frames_dropped;
+    return packet(encoder.dropped({reader.dropped_since_frame, reader.statistics.frames_dropped}));
+  }
+  reader.last_number = current_number;
+  reader.dropped_since_frame = 0;
+  reader.outgoing_is_frame = true;
+  return frame_packet(profile);
+}
+
+/// Sends what the socket takes of the outgoing message. Returns true once it is all sent.
+bool StreamServer::Impl::send_outgoing(Reader& reader) {
+  const std::vector<std::uint8_t>& bytes = reader.outgoing->bytes;
+  while (reader.sent_bytes < bytes.size()) {
+    const ssize_t count = ::send(reader.fd.get(), bytes.data() + reader.sent_bytes,
+                                 bytes.size() - reader.sent_bytes, MSG_NOSIGNAL | MSG_DONTWAIT);
+    if (count < 0 && errno == EINTR) {
+      continue;
+    }
+    if (count < 0) {
+      reader.gone = errno != EAGAIN && errno != EWOULDBLOCK;
+      return false;
+    }
+    reader.sent_bytes += static_cast<std::size_t>(count);
+    reader.statistics.bytes_sent += static_cast<std::uint64_t>(count);
+  }
+  reader.statistics.frames_sent += reader.outgoing_is_frame ? 1 : 0;
+  reader.outgoing = nullptr;
+  return true;
+}
+
+void StreamServer::Impl::pump(Reader& reader) {
+  while (!reader.gone) {
+    if (reader.outgoing == nullptr) {
+      reader.outgoing = next_packet(reader);
+      reader.sent_bytes = 0;
+    }
+    if (reader.outgoing == nullptr) {
+      arm(reader, false);
+      return;
+    }
+    if (!send_outgoing(reader)) {
+      if (!reader.gone) {
+        arm(reader, true);
+      }
+      return;
+    }
+  }
+}
+
+void StreamServer::Impl::remove_gone() {
+  // Closing the descriptor takes it out of epoll as well.
+  std::erase_if(readers, [](const std::unique_ptr<Reader>& reader) { return reader->gone; });
+}
+
+void StreamServer::Impl::show_statistics() {
+  statistics.readers.resize(readers.size());
+  std::transform(readers.begin(), readers.end(), statistics.readers.begin(),
+                 [](const std::unique_ptr<Reader>& reader) { return reader->statistics; });
+  const std::lock_guard lock(statistics_mutex);
+  shown_statistics = statistics;
+}
+
+void StreamServer::Impl::run_until_stopped() {
+  std::array<epoll_event, kEventsPerWait> events{};
+  while (!stopping.load()) {
+    const int count = ::epoll_wait(epoll.get(), events.data(), kEventsPerWait, -1);
+    if (count < 0 && errno != EINTR) {
+      throw Error(ErrorKind::Internal, fmt::format("stream: epoll: {}", std::strerror(errno)));
+    }
+    bool woken = false;
+    for (int i = 0; i < count; ++i) {
+      const epoll_event& event = events[static_cast<std::size_t>(i)];
+      if (event.data.u64 == kWakeTag) {
+        woken = true;
+      } else if (event.data.u64 == kListenTag) {
+        accept_readers();
+      } else {
+        const auto reader = std::find_if(
+            readers.begin(), readers.end(),
+            [&](const std::unique_ptr<Reader>& entry) { return entry->statistics.id == event.data.u64; });
+        if (reader != readers.end()) {
+          handle(**reader, event.events);
+        }
+      }
+    }
+    remove_gone();
+    if (woken) {
+      std::uint64_t wakes = 0;
+      // Non-blocking; only empties the counter.
+      [[maybe_unused]] const ssize_t ignored = ::read(wake.get(), &wakes, sizeof(wakes));
+      take_newest();
+      for (const std::unique_ptr<Reader>& reader : readers) {
+        if (reader->outgoing == nullptr) {
+          pump(*reader);
+        }
+      }
+      remove_gone();
+    }
+    show_statistics();
+  }
+}
+
+/// Lets readers finish the message that they are in the middle of, then says goodbye.
+void StreamServer::Impl::farewell() {
+  const auto end = Clock::now() + kFarewellTime;
+  while (!readers.empty()) {
+    for (const std::unique_ptr<Reader>& reader : readers) {
+      if (reader->outgoing == nullptr || send_outgoing(*reader)) {
+        reader->outgoing = packet(encoder.goodbye("the server stops"));
+        reader->sent_bytes = 0;
+        reader->outgoing_is_frame = false;
+        send_outgoing(*reader);
+        reader->gone = true;
+      }
+    }
+    remove_gone();
+    if (Clock::now() >= end) {
+      break;
+    }
+    if (!readers.empty()) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(2));
+    }
+  }
+  readers.clear();
+}
+
+void StreamServer::Impl::run() {
+  ::pthread_setname_np(::pthread_self(), "facet-stream");
+  try {
+    run_until_stopped();
+    farewell();
+  } catch (const std::exception& error) {
+    statistics.failure = error.what();
+    readers.clear();
+  }
+  show_statistics();
+}
+
+StreamServer::StreamServer(const StreamServerConfig& config) : impl_(std::make_unique<Impl>(config)) {}
+
+StreamServer::~StreamServer() {
+  stop();
+}
+
+void StreamServer::start() {
+  for (const auto& [fd, tag] :
+       {std::pair(impl_->wake.get(), kWakeTag), std::pair(impl_->listening->fd(), kListenTag)}) {
+    epoll_event event{};
+    event.events = EPOLLIN;
+    event.data.u64 = tag;
+    if (::epoll_ctl(impl_->epoll.get(), EPOLL_CTL_ADD, fd, &event) != 0) {
+      throw Error(ErrorKind::Internal, fmt::format("stream: epoll: {}", std::strerror(errno)));
+    }
+  }
+  impl_->thread = std::thread([this] { impl_->run(); });
+}
+
+void StreamServer::publish(std::shared_ptr<const mesh::MeshFrame> frame) {
+  if (impl_->stopping.load() || frame == nullptr) {
+    return;
+  }
+  {
+    const std::lock_guard lock(impl_->newest_mutex);
+    impl_->newest.swap(frame);
+    ++impl_->published;
+  }
+  // An eventfd's counter can't overflow here: the write fails only where a wake-up is pending already.
+  const std::uint64_t one = 1;
+  [[maybe_unused]] const ssize_t ignored = ::write(impl_->wake.get(), &one, sizeof(one));
+}
+
+void StreamServer::request_stop() {
+  impl_->stopping.store(true);
+  const std::uint64_t one = 1;
+  [[maybe_unused]] const ssize_t ignored = ::write(impl_->wake.get(), &one, sizeof(one));
+}
+
+void StreamServer::stop() {
+  request_stop();
+  if (impl_->thread.joinable()) {
+    impl_->thread.join();
+  }
+  impl_->listening.reset();
+}
+
+StreamStatistics StreamServer::statistics() const {
+  const std::lock_guard lock(impl_->statistics_mutex);
+  return impl_->shown_statistics;
+}
+
+const std::filesystem::path& StreamServer::socket() const {
+  return impl_->socket_path;
+}
+
+}  // namespace facet::stream

@@ -1,0 +1,81 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "mesh/mesh_frame.hpp"
+#include "stream/protocol.hpp"
+#include "stream/unix_socket.hpp"
+
+namespace facet::stream {
+
+struct StreamServerConfig {
+  std::filesystem::path socket;
+  SocketAccess access;
+  int max_readers = 64;     ///< a connection more is told so and closed
+  std::string server_name;  ///< for people, in Hello: program and version
+};
+
+struct ReaderStatistics {
+  std::uint64_t id = 0;  ///< counts connections
+  std::string client;    ///< as the client calls itself
+  std::int32_t pid = 0;
+  std::uint32_t uid = 0;
+  Profile profile = Profile::Displacements;
+  bool subscribed = false;
+  std::uint64_t frames_sent = 0;
+  std::uint64_t frames_dropped = 0;
+  std::uint64_t bytes_sent = 0;
+};
+
+struct StreamStatistics {
+  std::uint64_t published = 0;  ///< frames
+  std::uint64_t skipped = 0;    ///< frames that were replaced before the stream thread saw them
+  std::uint64_t connections = 0;
+  std::uint64_t refused = 0;        ///< connections closed for a wrong or oversized request, or too many
+  std::string last_refusal;         ///< for people
+  std::uint64_t encoded_bytes = 0;  ///< frame messages, each profile counted once
+  std::string failure;              ///< empty; else why the stream thread ended early
+  std::vector<ReaderStatistics> readers;
+};
+
+/// Hands the newest frame to every reader over a Unix stream socket. A reader slower than the frames loses
+/// whole frames, the newest wins, and is told how many (message Dropped); it never slows the pipeline or
+/// another reader. A reader that joins late first gets the current subject and albedo.
+///
+/// Life: construct (binds the socket, may throw Error) -> start -> publish ... -> request_stop -> stop ->
+/// destroy. start begins the one thread `facet-stream`, which owns all connections and all encoding and
+/// blocks only in epoll; stop joins it. Memory: one encoded frame per profile in use, one more for every
+/// reader in the middle of an older one.
+class StreamServer {
+ public:
+  explicit StreamServer(const StreamServerConfig& config);
+  ~StreamServer();
+  StreamServer(const StreamServer&) = delete;
+  StreamServer& operator=(const StreamServer&) = delete;
+
+  void start();
+
+  /// Makes `frame` the newest. Any thread; real-time safe: swaps a pointer under a lock that is never held
+  /// across a system call or an encoding, and writes an eventfd. No effect after request_stop.
+  void publish(std::shared_ptr<const mesh::MeshFrame> frame);
+
+  /// First phase of stopping: readers get Goodbye, nothing new is sent. Any thread, returns at once;
+  /// idempotent.
+  void request_stop();
+  /// Second phase: waits for the thread (100 ms at most for the farewells) and removes the socket.
+  /// Idempotent; the destructor calls both.
+  void stop();
+
+  StreamStatistics statistics() const;  ///< any thread
+  const std::filesystem::path& socket() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace facet::stream

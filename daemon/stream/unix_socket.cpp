@@ -1,0 +1,209 @@
+#include "stream/unix_socket.hpp"
+
+#include <fmt/format.h>
+#include <grp.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <sys/un.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <cstring>
+#include <optional>
+#include <vector>
+
+#include "facet/error.hpp"
+
+namespace facet::stream {
+namespace {
+
+constexpr int kBacklog = 64;
+
+std::string reason(int error) {
+  return std::strerror(error);
+}
+
+sockaddr_un address_of(const std::filesystem::path& path, ErrorKind kind) {
+  sockaddr_un address{};
+  address.sun_family = AF_UNIX;
+  const std::string name = path.string();
+  if (name.empty() || name.size() >= sizeof(address.sun_path)) {
+    throw Error(kind, fmt::format("socket path '{}' must have 1 to {} bytes: choose a shorter folder", name,
+                                  sizeof(address.sun_path) - 1));
+  }
+  std::memcpy(address.sun_path, name.data(), name.size());
+  return address;
+}
+
+FileDescriptor make_socket(int flags) {
+  FileDescriptor fd(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | flags, 0));
+  if (!fd) {
+    throw Error(ErrorKind::Internal, fmt::format("cannot make a socket: {}", reason(errno)));
+  }
+  return fd;
+}
+
+int try_connect(int fd, const sockaddr_un& address) {
+  // The socket API takes every address as a sockaddr.
+  const auto* generic = reinterpret_cast<const sockaddr*>(&address);
+  int result = 0;
+  do {
+    result = ::connect(fd, generic, sizeof(address));
+  } while (result != 0 && errno == EINTR);
+  return result == 0 ? 0 : errno;
+}
+
+std::optional<gid_t> group_id(const std::string& name) {
+  std::vector<char> buffer(16384);
+  group entry{};
+  group* found = nullptr;
+  const int error = ::getgrnam_r(name.c_str(), &entry, buffer.data(), buffer.size(), &found);
+  return error == 0 && found != nullptr ? std::optional<gid_t>(found->gr_gid) : std::nullopt;
+}
+
+std::string group_name(gid_t id) {
+  std::vector<char> buffer(16384);
+  group entry{};
+  group* found = nullptr;
+  const int error = ::getgrgid_r(id, &entry, buffer.data(), buffer.size(), &found);
+  return error == 0 && found != nullptr ? std::string(found->gr_name) : std::to_string(id);
+}
+
+/// Removes a socket file that nobody listens on; throws where the path is in use.
+void clear_stale(const std::filesystem::path& path, const sockaddr_un& address) {
+  struct stat status {};
+  if (::lstat(path.c_str(), &status) != 0) {
+    if (errno == ENOENT) {
+      return;
+    }
+    throw Error(ErrorKind::Storage, fmt::format("socket '{}': {}", path.string(), reason(errno)));
+  }
+  if (!S_ISSOCK(status.st_mode)) {
+    throw Error(
+        ErrorKind::Storage,
+        fmt::format("socket path '{}' is taken by a file that is not a socket: move it away or choose "
+                    "another path",
+                    path.string()));
+  }
+  const FileDescriptor probe = make_socket(SOCK_NONBLOCK);
+  const int error = try_connect(probe.get(), address);
+  if (error != ECONNREFUSED) {
+    throw Error(
+        ErrorKind::Storage,
+        fmt::format("socket '{}' is in use by another running program ({}): stop it or choose another "
+                    "path",
+                    path.string(), error == 0 ? "it answers" : reason(error)));
+  }
+  if (::unlink(path.c_str()) != 0 && errno != ENOENT) {
+    throw Error(ErrorKind::Storage,
+                fmt::format("cannot remove the stale socket '{}': {}", path.string(), reason(errno)));
+  }
+}
+
+void bind_to(int fd, const std::filesystem::path& path, const sockaddr_un& address) {
+  if (::bind(fd, reinterpret_cast<const sockaddr*>(&address), sizeof(address)) == 0) {
+    return;
+  }
+  const int error = errno;
+  const std::string folder = path.has_parent_path() ? path.parent_path().string() : ".";
+  if (error == ENOENT) {
+    throw Error(ErrorKind::Storage,
+                fmt::format("socket '{}': the folder '{}' does not exist: create it", path.string(), folder));
+  }
+  if (error == EACCES || error == EPERM || error == EROFS) {
+    throw Error(ErrorKind::Storage,
+                fmt::format("socket '{}': cannot write to the folder '{}' ({}): give this user the right or "
+                            "choose another path",
+                            path.string(), folder, reason(error)));
+  }
+  throw Error(ErrorKind::Storage, fmt::format("cannot bind socket '{}': {}", path.string(), reason(error)));
+}
+
+void set_access(const std::filesystem::path& path, const SocketAccess& access) {
+  if (!access.group.empty()) {
+    const std::optional<gid_t> id = group_id(access.group);
+    if (!id) {
+      throw Error(
+          ErrorKind::Usage,
+          fmt::format("socket '{}': there is no group '{}': create it (groupadd --system {}) or change "
+                      "the configuration",
+                      path.string(), access.group, access.group));
+    }
+    if (::chown(path.c_str(), static_cast<uid_t>(-1), *id) != 0) {
+      throw Error(
+          ErrorKind::Usage,
+          fmt::format("socket '{}': cannot hand it to the group '{}' ({}): this user must be a member",
+                      path.string(), access.group, reason(errno)));
+    }
+  }
+  if (::chmod(path.c_str(), static_cast<mode_t>(access.mode & 0777U)) != 0) {
+    throw Error(ErrorKind::Storage,
+                fmt::format("socket '{}': cannot set its permissions: {}", path.string(), reason(errno)));
+  }
+}
+
+}  // namespace
+
+void FileDescriptor::reset(int fd) {
+  if (fd_ >= 0) {
+    ::close(fd_);
+  }
+  fd_ = fd;
+}
+
+ListeningSocket::ListeningSocket(const std::filesystem::path& path, const SocketAccess& access)
+    : path_(path) {
+  const sockaddr_un address = address_of(path, ErrorKind::Usage);
+  clear_stale(path, address);
+  fd_ = make_socket(SOCK_NONBLOCK);
+  bind_to(fd_.get(), path, address);
+  // Until listen, every connect is refused: nobody comes in before the permissions stand.
+  try {
+    struct stat status {};
+    if (::lstat(path.c_str(), &status) == 0) {
+      device_ = status.st_dev;
+      inode_ = status.st_ino;
+    }
+    set_access(path, access);
+    if (::listen(fd_.get(), kBacklog) != 0) {
+      throw Error(ErrorKind::Storage,
+                  fmt::format("cannot listen on socket '{}': {}", path.string(), reason(errno)));
+    }
+  } catch (const Error&) {
+    ::unlink(path.c_str());
+    throw;
+  }
+}
+
+ListeningSocket::~ListeningSocket() {
+  struct stat status {};
+  if (::lstat(path_.c_str(), &status) == 0 && status.st_dev == device_ && status.st_ino == inode_) {
+    ::unlink(path_.c_str());
+  }
+}
+
+FileDescriptor connect_unix(const std::filesystem::path& path) {
+  const sockaddr_un address = address_of(path, ErrorKind::Usage);
+  FileDescriptor fd = make_socket(0);
+  const int error = try_connect(fd.get(), address);
+  if (error == 0) {
+    return fd;
+  }
+  if (error == EACCES) {
+    struct stat status {};
+    const std::string group =
+        ::stat(path.c_str(), &status) == 0 ? group_name(status.st_gid) : std::string("its owner");
+    throw Error(ErrorKind::Unavailable,
+                fmt::format("no permission for the socket '{}': this user must be a member of the group '{}'",
+                            path.string(), group));
+  }
+  if (error == ENOENT || error == ECONNREFUSED) {
+    throw Error(
+        ErrorKind::Unavailable,
+        fmt::format("nobody answers at the socket '{}': is facetd running with this path?", path.string()));
+  }
+  throw Error(ErrorKind::Unavailable,
+              fmt::format("cannot connect to the socket '{}': {}", path.string(), reason(error)));
+}
+
+}  // namespace facet::stream

@@ -1,0 +1,67 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <utility>
+
+namespace facet::stream {
+
+/// Owns a file descriptor.
+class FileDescriptor {
+ public:
+  FileDescriptor() = default;
+  explicit FileDescriptor(int fd) : fd_(fd) {}
+  FileDescriptor(FileDescriptor&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
+  FileDescriptor& operator=(FileDescriptor&& other) noexcept {
+    if (this != &other) {
+      reset(std::exchange(other.fd_, -1));
+    }
+    return *this;
+  }
+  FileDescriptor(const FileDescriptor&) = delete;
+  FileDescriptor& operator=(const FileDescriptor&) = delete;
+  ~FileDescriptor() { reset(); }
+
+  int get() const { return fd_; }
+  explicit operator bool() const { return fd_ >= 0; }
+  void reset(int fd = -1);
+
+ private:
+  int fd_ = -1;
+};
+
+/// Who may connect to a socket.
+struct SocketAccess {
+  unsigned mode = 0660;
+  std::string group;  ///< name; empty: the process's own
+};
+
+/// A listening Unix stream socket that owns its path: the destructor removes the path if it is still the
+/// socket that was made here.
+class ListeningSocket {
+ public:
+  /// Binds and listens, non-blocking. A socket file that nobody listens on any more is replaced. Throws
+  /// Error(Storage) where the path is taken (by a running server or by another kind of file), its folder is
+  /// missing or closed to us, or the path is too long, and Error(Usage) where the group does not exist or we
+  /// are not in it. Nobody can connect before mode and group are set.
+  ListeningSocket(const std::filesystem::path& path, const SocketAccess& access);
+  ~ListeningSocket();
+  ListeningSocket(const ListeningSocket&) = delete;
+  ListeningSocket& operator=(const ListeningSocket&) = delete;
+
+  int fd() const { return fd_.get(); }
+  const std::filesystem::path& path() const { return path_; }
+
+ private:
+  std::filesystem::path path_;
+  FileDescriptor fd_;
+  std::uint64_t device_ = 0;
+  std::uint64_t inode_ = 0;
+};
+
+/// Connects to a Unix stream socket, blocking. Throws Error(Unavailable) saying what is wrong: no such
+/// socket, nobody listens, no permission (and which group would have it).
+FileDescriptor connect_unix(const std::filesystem::path& path);
+
+}  // namespace facet::stream

@@ -1,0 +1,67 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "mesh/mesh_frame.hpp"
+
+namespace facet::take {
+
+/// What a take says of itself.
+struct TakeInfo {
+  std::filesystem::path file;
+  std::int32_t format_version = 0;
+  std::string source;
+  std::string software;
+  std::string created_utc;  ///< ISO 8601
+  bool closed = false;      ///< false: its recorder was killed or failed, or still records
+  std::string end_reason;   ///< empty, or why the recording ended by itself
+  std::uint64_t dropped = 0;
+  std::int64_t frame_count = 0;
+  std::int64_t mesh_frame_count = 0;
+  std::int64_t first_timestamp_ns = 0;  ///< of the first and last frame
+  std::int64_t last_timestamp_ns = 0;
+  std::int64_t subject_count = 0;
+  std::uint64_t file_bytes = 0;
+};
+
+/// What the index knows of a frame without decoding it.
+struct FrameEntry {
+  std::int64_t index = 0;
+  std::uint64_t sequence = 0;
+  std::int64_t timestamp_ns = 0;
+  std::int64_t media_time_ns = 0;
+  mesh::TrackingState state = mesh::TrackingState::Searching;
+  bool has_mesh = false;
+};
+
+/// Reads a take, also while it is being recorded or after its recorder was killed. Everything in the file is
+/// checked before use. One thread. Throws Error(UnreadableInput) naming the file and what is wrong: missing,
+/// not a take, made by a newer version, damaged (with the frame).
+class TakeReader {
+ public:
+  explicit TakeReader(const std::filesystem::path& file);
+  ~TakeReader();
+  TakeReader(TakeReader&&) noexcept;
+  TakeReader& operator=(TakeReader&&) noexcept;
+
+  const TakeInfo& info() const;
+  /// Frames are numbered 0 to frame_count() - 1 without gaps; the count is that of the time of opening.
+  std::int64_t frame_count() const;
+
+  FrameEntry entry(std::int64_t index);
+  /// Subjects and albedos are cached: frames that share one share the object.
+  std::shared_ptr<const mesh::MeshFrame> frame(std::int64_t index);
+  /// All subjects in the order in which they appear.
+  std::vector<std::shared_ptr<const mesh::Subject>> subjects();
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace facet::take

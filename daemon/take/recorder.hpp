@@ -1,0 +1,90 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <string>
+
+#include "mesh/mesh_frame.hpp"
+
+namespace facet::take {
+
+/// What record() does when the queue is full.
+enum class WhenFull {
+  Drop,  ///< live sources: the frame is not recorded and counted
+  Wait,  ///< files: the caller waits, nothing is lost
+};
+
+struct TakeRecorderConfig {
+  std::filesystem::path file;  ///< must not exist yet
+  std::string source;          ///< for people: device or file that the frames come from
+  std::string software;        ///< for people: program and version
+  WhenFull when_full = WhenFull::Drop;
+  int queue_frames = 64;
+  /// Recording stops with a reason while this much of the disk is still free, bytes.
+  std::uint64_t disk_reserve_bytes = 256ULL << 20;
+  int compression_level = 1;  ///< of zstd, 1 to 19
+};
+
+enum class RecorderState {
+  Recording,
+  Finished,  ///< stopped on request; the take is one closed file
+  Failed,    ///< stopped by itself (disk full ...): `reason` says why. What was committed stays readable.
+};
+
+const char* to_string(RecorderState state);
+
+struct RecorderStatus {
+  RecorderState state = RecorderState::Recording;
+  std::string reason;  ///< empty unless Failed
+  std::filesystem::path file;
+  std::uint64_t frames = 0;       ///< committed
+  std::uint64_t mesh_frames = 0;  ///< of these, with a mesh
+  std::uint64_t dropped = 0;      ///< lost to a full queue, or after a failure
+  std::uint64_t bytes = 0;        ///< of frame blobs committed
+};
+
+/// Writes one take: one SQLite file, committed every half second, so that a killed process or a full disk
+/// loses one second at most. The thread `facet-take` does all work; it blocks on the disk.
+///
+/// Life: construct (creates the file, may throw Error) -> start -> record ... -> request_stop -> stop ->
+/// destroy.
+class TakeRecorder {
+ public:
+  /// Throws Error(Storage) where the file exists already or can't be written.
+  explicit TakeRecorder(const TakeRecorderConfig& config);
+  ~TakeRecorder();
+  TakeRecorder(const TakeRecorder&) = delete;
+  TakeRecorder& operator=(const TakeRecorder&) = delete;
+
+  void start();
+
+  /// Queues one frame; one thread at a time. With WhenFull::Drop real-time safe (a lock held for a pointer's
+  /// move). Returns false where the frame was not taken: queue full, failed or stopped.
+  bool record(std::shared_ptr<const mesh::MeshFrame> frame);
+
+  /// First phase: takes no more frames. Any thread, returns at once, idempotent.
+  void request_stop();
+  /// Second phase: what is queued is written, the write-ahead log is folded into the one file, the thread
+  /// joins. Idempotent; the destructor calls both.
+  RecorderStatus stop();
+
+  RecorderStatus status() const;  ///< any thread
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+/// FOLDER/NAME.take for `facet record start NAME`. Throws Error(Usage) where the name is empty, longer than
+/// 100 bytes, starts with a dot or has a slash or control character, and Error(Storage) where such a take is
+/// there already: a take is never overwritten and never renamed behind the user's back.
+std::filesystem::path take_path(const std::filesystem::path& folder, const std::string& name);
+
+/// Name for a take that the user did not name: UTC start time, "2026-11-21T09-30-00Z"; a suffix -2, -3 ...
+/// where the folder has one of that second already.
+std::string default_take_name(const std::filesystem::path& folder,
+                              std::chrono::system_clock::time_point start);
+
+}  // namespace facet::take
