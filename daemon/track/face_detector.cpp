@@ -75,7 +75,7 @@ Region Detection::second_look() const {
 }
 
 FaceDetector::FaceDetector(std::span<const std::uint8_t> tflite, const std::string& name)
-    : network_(parse_tflite(tflite, name), name), anchors_(make_anchors()) {
+    : network_(parse_tflite(tflite, name), name), sampler_(input_side), anchors_(make_anchors()) {
   if (network_.input_rows() != input_side || network_.input_columns() != input_side ||
       network_.output_count() != 2 || network_.output(0).size() != anchor_count * values_per_anchor ||
       network_.output(1).size() != anchor_count) {
@@ -87,7 +87,7 @@ FaceDetector::FaceDetector(std::span<const std::uint8_t> tflite, const std::stri
 
 std::span<const Detection> FaceDetector::detect(const Frame& frame, const Region& window, float min_score) {
   // The net was trained on values from -1 to 1 and black beyond the border.
-  sample_region(frame, window, Border::Black, input_side, 1 / 127.5F, -1.0F, network_.input());
+  sampler_.sample(frame, window, Border::Black, 1 / 127.5F, -1.0F, network_.input());
   network_.forward();
   const std::span<const float> boxes = network_.output(0);
   const std::span<const float> logits = network_.output(1);

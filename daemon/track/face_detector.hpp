@@ -41,6 +41,7 @@ class FaceDetector {
 
  private:
   Network network_;
+  RegionSampler sampler_;
   std::vector<Eigen::Vector2f> anchors_;  ///< [896] centres, 0 to 1
   std::vector<Detection> candidates_;
   std::vector<Detection> merged_;

@@ -12,7 +12,7 @@ constexpr int input_side = 192;
 }  // namespace
 
 LandmarkNet::LandmarkNet(std::span<const std::uint8_t> tflite, const std::string& name)
-    : network_(parse_tflite(tflite, name), name) {
+    : network_(parse_tflite(tflite, name), name), sampler_(input_side) {
   if (network_.input_rows() != input_side || network_.input_columns() != input_side ||
       network_.output_count() != 2 || network_.output(0).size() != 3 * landmark_count ||
       network_.output(1).size() != 1) {
@@ -22,7 +22,7 @@ LandmarkNet::LandmarkNet(std::span<const std::uint8_t> tflite, const std::string
 
 float LandmarkNet::find(const Frame& frame, const Region& window, Eigen::Matrix3Xf& points_px) {
   // The net was trained on values from 0 to 1 and the border repeated.
-  sample_region(frame, window, Border::Replicate, input_side, 1 / 255.0F, 0.0F, network_.input());
+  sampler_.sample(frame, window, Border::Replicate, 1 / 255.0F, 0.0F, network_.input());
   network_.forward();
   const Eigen::Map<const Eigen::Matrix3Xf> raw(network_.output(0).data(), 3, landmark_count);
   const float pixel = window.size_px / input_side;

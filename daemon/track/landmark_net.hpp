@@ -27,6 +27,7 @@ class LandmarkNet {
 
  private:
   Network network_;
+  RegionSampler sampler_;
 };
 
 }  // namespace facet::track

@@ -2,7 +2,10 @@
 
 #include <Eigen/Core>
 #include <cmath>
+#include <cstddef>
+#include <cstdint>
 #include <span>
+#include <vector>
 
 #include "facet/frame.hpp"
 
@@ -26,14 +29,40 @@ struct Region {
 /// What a window shows beyond the border of the image.
 enum class Border { Black, Replicate };
 
-/// Samples a window of the frame as a planar RGB image: value = scale * sRGB byte + offset.
-/// A window larger than the output is averaged over up to 4 x 4 samples a pixel; otherwise sampling is
-/// bilinear. Works on the sRGB values, as the nets were trained. Reads only the pixels it needs; allocates
-/// nothing.
-///
-/// frame    not empty
-/// planar   [3][side][side] out
-void sample_region(const Frame& frame, const Region& region, Border border, int side, float scale,
-                   float offset, std::span<float> planar);
+/// Samples windows of frames as planar RGB images of one size. Windows with more pixels than the output are
+/// first averaged over whole boxes of pixels, so that nothing aliases; then sampling is bilinear. Works on
+/// the sRGB values, as the nets were trained. One thread; allocates nothing after construction, except for a
+/// wider frame than any before.
+class RegionSampler {
+ public:
+  /// side: of the output in pixels
+  explicit RegionSampler(int side);
+
+  /// value = scale * sRGB byte + offset.
+  ///
+  /// frame    not empty
+  /// region   finite, size_px > 0
+  /// planar   [3][side][side] out, red first
+  void sample(const Frame& frame, const Region& region, Border border, float scale, float offset,
+              std::span<float> planar);
+
+ private:
+  /// An image of RGBA bytes whose pixel (0, 0) averages the box at (first_x, first_y) of a frame.
+  struct Source {
+    const std::uint8_t* pixels = nullptr;
+    std::size_t stride_bytes = 0;
+    int width = 0;
+    int height = 0;
+    float box = 1;  ///< frame pixels per pixel
+    int first_x = 0;
+    int first_y = 0;
+  };
+
+  Source average_boxes(const Frame& frame, const Region& region, int box);
+
+  int side_;
+  std::vector<std::uint8_t> averaged_;      ///< [rows][columns][4]
+  std::vector<std::uint16_t> column_sums_;  ///< [columns of one row of boxes][4]
+};
 
 }  // namespace facet::track
