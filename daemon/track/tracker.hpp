@@ -10,6 +10,7 @@
 #include "face/face_model.hpp"
 #include "facet/frame.hpp"
 #include "mesh/mesh_frame.hpp"
+#include "track/subject.hpp"
 
 namespace facet::track {
 
@@ -24,12 +25,16 @@ struct TrackerConfig {
 /// The coarse face of one frame.
 struct TrackResult {
   mesh::TrackingState state = mesh::TrackingState::Searching;
+  /// Pose, expression and vertices_mm belong to this frame: always in state Tracking; in Acquiring they are
+  /// provisional, from an identity that still changes.
+  bool has_mesh = false;
   std::uint32_t subject = 0;  ///< counts identity estimates; 0 before the first
   CameraIntrinsics camera;
   Eigen::Isometry3f camera_from_head = Eigen::Isometry3f::Identity();
-  std::vector<float> identity;                ///< [identity_count]
-  std::vector<float> expression;              ///< [expression_count]
-  mesh::Vertices vertices_mm;                 ///< [3][vertex_count] head frame, valid in state Tracking
+  std::vector<float> identity;    ///< [identity_count]
+  std::vector<float> expression;  ///< [expression_count]
+  /// [3][vertex_count] head frame; valid where has_mesh.
+  mesh::Vertices vertices_mm;
   std::vector<Eigen::Vector2f> landmarks_px;  ///< [468] measured; empty where no face was found
   float reprojection_px = 0;                  ///< median over the landmarks used
   float interocular_px = 0;  ///< distance of the outer eye corners, to scale the figure above
@@ -51,6 +56,15 @@ class Tracker {
   /// Never throws; a frame it can't use gives state Searching or Lost. The result is valid until the next
   /// call.
   const TrackResult& process(const Frame& frame);
+
+  /// The person being tracked; nothing before the first identity estimate. Same thread as process.
+  std::optional<Subject> subject() const;
+
+  /// Takes over a subject estimated earlier, for frames of `width_px` x `height_px`: tracking starts with the
+  /// first plausible face, without acquisition. A recording can so be tracked from its first frame on: once
+  /// until subject() is there, then again from the start with a tracker that adopted it. Throws Error(Usage)
+  /// where the subject does not fit the model. Same thread as process.
+  void adopt(const Subject& subject, int width_px, int height_px);
 
   /// Forgets identity and focal length; the next good frames estimate them anew. Same thread as process.
   void reset_identity();

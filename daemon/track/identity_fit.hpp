@@ -1,0 +1,103 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <vector>
+
+#include "track/coarse_fit.hpp"
+#include "track/subject.hpp"
+
+namespace facet::track {
+
+/// Strengths of the priors on what a subject's frames share. Found by experiment: bench/README.md, "coarse
+/// fit".
+struct IdentityPriorStrength {
+  /// Of |identity|^2 / 2 per frame. It grows with the number of frames because the landmark net's error on
+  /// one face is much the same in every frame: more frames do not make the shape more certain.
+  double identity = 1.0;
+  /// Focal length over the longer image side: median and standard deviation of the logarithm. Webcams and
+  /// phones see 50 to 75 degrees along it.
+  double focal_ratio = 0.87;
+  double log_focal_sigma = 0.25;
+  /// Frames whose worth a landmark's persistent offset needs before half of it is believed.
+  double bias_frames = 2.0;
+};
+
+/// Estimates identity and focal length jointly over a batch of frames, each with its own pose and expression
+/// (Ma & Deng 2019, section 3.1; Wang et al. 2016):
+///   E = sum_f (E_data + E_expression) + n (identity/2 |w_id|^2 + 1/2 ((ln f - ln f_0) / sigma)^2)
+/// by Levenberg-Marquardt; the frames' unknowns are eliminated by their Schur complement. Allocates with
+/// every frame added, and not in `improve`. One thread.
+class IdentityFit {
+ public:
+  /// image_size_px: the longer side of the image. fixed_focal_px: 0 to estimate the focal length.
+  IdentityFit(const LandmarkModel& model, const ExpressionPrior& prior, const LandmarkTrust& trust,
+              const IdentityPriorStrength& strength, double longer_side_px, double fixed_focal_px,
+              const Eigen::Vector2d& centre_px);
+
+  /// Takes a frame into the batch. `start` is its pose and expression so far.
+  void add_frame(const FaceLandmarks& face, const FrameState& start);
+
+  int frame_count() const { return static_cast<int>(frames_.size()); }
+  const FrameState& frame(int index) const { return frames_[static_cast<std::size_t>(index)].state; }
+  const SubjectShape& shape() const { return shape_; }
+
+  /// At most `max_iterations` Levenberg-Marquardt steps over the whole batch, from where the last call ended.
+  FitReport improve(int max_iterations);
+
+  /// The part of the landmark residuals that stays with the head from frame to frame: the net's habit on this
+  /// face and what the model's identities can't express, [count][3] head frame, mm, measured minus model. It
+  /// is shrunk towards 0 by bias_frames, and added to the landmark basis of later frames so that no
+  /// expression explains it.
+  Eigen::VectorXd landmark_bias_mm();
+
+  /// The energy at the current state, and its gradient by the shared unknowns and by every frame's own
+  /// (order: frame 0, frame 1, ..., identity, log focal): what a derivative checker compares.
+  double energy();
+  Eigen::VectorXd gradient();
+  /// Moves the current state by such a vector.
+  void move(const Eigen::VectorXd& step);
+
+ private:
+  struct BatchFrame {
+    BatchFrame(const FaceLandmarks& landmarks, const FrameState& start, int own_count, int shared_count);
+
+    FaceLandmarks face;
+    Observation observation;
+    FrameState state;
+    FrameState trial;
+    NormalEquations equations;
+    BoundedStepScratch scratch;
+    Eigen::MatrixXd eliminated;  ///< [own][shared + 1] A^-1 (coupling | gradient)
+    Eigen::VectorXd step;
+  };
+
+  int own_count() const { return kExpressionAt + model_->expression_count(); }
+  int shared_count() const { return model_->identity_count() + 1; }
+  void refresh_observations();
+  double shared_prior_energy(const SubjectShape& shape) const;
+  double batch_energy(const SubjectShape& shape, bool at_trial);
+  double linearise();
+  bool solve_step(double damping);
+  void apply_shared(const Eigen::VectorXd& step, SubjectShape& to) const;
+
+  const LandmarkModel* model_;
+  const ExpressionPrior* prior_;
+  LandmarkTrust trust_;
+  IdentityPriorStrength strength_;
+  double log_focal_prior_;
+  bool focal_is_fixed_;
+  Eigen::Vector2d centre_px_;
+  SubjectShape shape_;
+  SubjectShape trial_shape_;
+  LandmarkTerm landmark_term_;
+  LandmarkBasis basis_;
+  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> by_identity_mm_;
+  std::vector<BatchFrame> frames_;
+  Eigen::MatrixXd shared_hessian_;
+  Eigen::VectorXd shared_gradient_;
+  Eigen::MatrixXd reduced_hessian_;
+  Eigen::VectorXd shared_step_;
+  double damping_ = 1e-3;
+};
+
+}  // namespace facet::track

@@ -1,0 +1,107 @@
+#include "track/landmark_model.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+
+#include "facet/error.hpp"
+
+namespace facet::track {
+namespace {
+
+/// Fewer anchored landmarks than this can't tell pose, focal length and expression apart.
+constexpr std::size_t kFewestLandmarks = 40;
+
+std::vector<int> anchored_landmarks(const face::FaceModel& model) {
+  std::vector<int> anchored;
+  for (std::size_t index = 0; index < model.landmarks.size() && static_cast<int>(index) < landmark_count;
+       ++index) {
+    const auto& weights = model.landmarks[index].weights;
+    if (weights[0] != 0.0F || weights[1] != 0.0F || weights[2] != 0.0F) {
+      anchored.push_back(static_cast<int>(index));
+    }
+  }
+  return anchored;
+}
+
+}  // namespace
+
+LandmarkModel::LandmarkModel(const face::FaceModel& model)
+    : landmarks_(anchored_landmarks(model)),
+      position_of_(landmark_count, -1),
+      identity_count_(model.identity_count()),
+      expression_count_(model.expression_count()) {
+  if (landmarks_.size() < kFewestLandmarks) {
+    throw Error(
+        ErrorKind::UnreadableInput,
+        fmt::format("the face model '{}' has {} landmarks with a place on it, the tracker needs {}: build it "
+                    "again with `facet model build`",
+                    model.name, landmarks_.size(), kFewestLandmarks));
+  }
+  const std::vector<Eigen::MatrixXf> core_rows = model.core_at(landmarks_);
+  const auto block =
+      static_cast<std::size_t>(identity_count_ + 1) * 3 * static_cast<std::size_t>(expression_count_ + 1);
+  core_mm_.resize(landmarks_.size() * block);
+  for (std::size_t l = 0; l < landmarks_.size(); ++l) {
+    position_of_[static_cast<std::size_t>(landmarks_[l])] = static_cast<int>(l);
+    Eigen::Map<Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>(
+        core_mm_.data() + l * block, 3 * (identity_count_ + 1), expression_count_ + 1) = core_rows[l];
+  }
+  const int right = position_of(kRightEyeOuterCorner);
+  const int left = position_of(kLeftEyeOuterCorner);
+  if (right < 0 || left < 0) {
+    throw Error(
+        ErrorKind::UnreadableInput,
+        fmt::format("the face model '{}' has no place for the outer eye corners (landmarks {} and {}): build "
+                    "it again with `facet model build`",
+                    model.name, kRightEyeOuterCorner, kLeftEyeOuterCorner));
+  }
+  const auto neutral = [&](int l) {
+    return Eigen::Vector3f(core_rows[static_cast<std::size_t>(l)].block<3, 1>(0, 0));
+  };
+  interocular_mm_ = static_cast<double>((neutral(right) - neutral(left)).norm());
+}
+
+void LandmarkModel::contract_identity(const Eigen::VectorXd& identity, LandmarkBasis& basis) const {
+  using Block = Eigen::Map<const Eigen::Matrix<float, 3, Eigen::Dynamic, Eigen::RowMajor>>;
+  const int modes = expression_count_ + 1;
+  basis.neutral_mm.resize(3 * count());
+  basis.deltas_mm.resize(3 * count(), expression_count_);
+  const float* core = core_mm_.data();
+  for (int l = 0; l < count(); ++l) {
+    auto neutral = basis.neutral_mm.segment<3>(3 * l);
+    auto deltas = basis.deltas_mm.middleRows<3>(3 * l);
+    for (int i = 0; i <= identity_count_; ++i) {
+      const Block block(core, 3, modes);
+      const double weight = i == 0 ? 1.0 : identity[i - 1];
+      if (i == 0) {
+        neutral = block.col(0).cast<double>();
+        deltas = block.rightCols(expression_count_).cast<double>();
+      } else if (weight != 0.0) {
+        neutral += weight * block.col(0).cast<double>();
+        deltas += weight * block.rightCols(expression_count_).cast<double>();
+      }
+      core += std::ptrdiff_t{3} * modes;
+    }
+  }
+}
+
+void LandmarkModel::contract_expression(
+    const Eigen::VectorXd& expression,
+    Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>& by_identity_mm) const {
+  using Row = Eigen::Map<const Eigen::VectorXf>;
+  const int modes = expression_count_ + 1;
+  by_identity_mm.resize(3 * count(), identity_count_);
+  const float* core = core_mm_.data();
+  for (int l = 0; l < count(); ++l) {
+    core += std::ptrdiff_t{3} * modes;  // the mean
+    for (int i = 0; i < identity_count_; ++i) {
+      for (int axis = 0; axis < 3; ++axis, core += modes) {
+        by_identity_mm(3 * l + axis, i) =
+            static_cast<double>(*core) + Row(core + 1, expression_count_).cast<double>().dot(expression);
+      }
+    }
+  }
+}
+
+}  // namespace facet::track

@@ -1,0 +1,57 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <span>
+#include <vector>
+
+#include "face/face_model.hpp"
+#include "track/landmark_layout.hpp"
+
+namespace facet::track {
+
+/// The landmarks of one person: linear in the expression. Head frame, mm.
+struct LandmarkBasis {
+  Eigen::VectorXd neutral_mm;  ///< [landmark][3]
+  /// [landmark][3] x [expression_count]
+  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> deltas_mm;
+};
+
+/// The bilinear core at the landmarks that have a place on the model: V_l = C_l x2 w_id x3 w_exp (Ma & Deng
+/// 2019, section 3.1). Immutable; any thread.
+class LandmarkModel {
+ public:
+  /// Takes the core of `model` at its anchored landmarks. Throws Error(UnreadableInput) where the model has
+  /// too few of them to fit a face (run `facet model build`).
+  explicit LandmarkModel(const face::FaceModel& model);
+
+  int count() const { return static_cast<int>(landmarks_.size()); }
+  int identity_count() const { return identity_count_; }
+  int expression_count() const { return expression_count_; }
+
+  /// Indices into the face mesh, [count]; ascending.
+  std::span<const int> landmarks() const { return landmarks_; }
+  /// Position of a face mesh index in landmarks(), or -1. 0 <= landmark < landmark_count.
+  int position_of(int landmark) const { return position_of_[static_cast<std::size_t>(landmark)]; }
+  /// Distance of the outer eye corners on the mean face, mm.
+  double interocular_mm() const { return interocular_mm_; }
+
+  /// C x2 (1, identity): the landmarks' blend shapes of one person. identity [identity_count]. Resizes
+  /// `basis` at its first use only.
+  void contract_identity(const Eigen::VectorXd& identity, LandmarkBasis& basis) const;
+
+  /// C x3 (1, expression): how the landmarks move with each identity mode. by_identity_mm
+  /// [landmark][3] x [identity_count], row-major; resized at its first use only.
+  void contract_expression(
+      const Eigen::VectorXd& expression,
+      Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>& by_identity_mm) const;
+
+ private:
+  std::vector<int> landmarks_;
+  std::vector<int> position_of_;  ///< [landmark_count]
+  int identity_count_ = 0;
+  int expression_count_ = 0;
+  double interocular_mm_ = 0;
+  std::vector<float> core_mm_;  ///< [count][identity_count + 1][3][expression_count + 1]
+};
+
+}  // namespace facet::track

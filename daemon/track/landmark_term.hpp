@@ -1,0 +1,89 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <vector>
+
+#include "track/camera_pose.hpp"
+#include "track/landmark_model.hpp"
+#include "track/landmarker.hpp"
+#include "track/normal_equations.hpp"
+
+namespace facet::track {
+
+/// How far landmarks are trusted. Found by experiment: bench/README.md, "coarse fit".
+struct LandmarkTrust {
+  /// Standard deviation of one landmark on the face, mm.
+  double sigma_mm = 1.2;
+  /// How many independent measurements all landmarks of a group are worth together, in the order of
+  /// LandmarkGroup: the net's errors are strongly correlated, so four hundred points are not four hundred
+  /// facts.
+  std::array<double, kLandmarkGroupCount> group_strength = {16, 6, 8, 16, 24, 12};
+  /// Contour points count this much along the outline, as a fraction of their weight across it.
+  double along_contour = 0.1;
+  /// Fraction of its weight left to a landmark that is not seen (FaceLandmarks::confidence 0).
+  double unseen = 0.05;
+  /// From this many standard deviations on, a residual counts linearly (Huber 1964).
+  double huber_sigmas = 2.5;
+};
+
+/// What is solved for in each frame.
+struct FrameState {
+  Pose pose;
+  Eigen::VectorXd expression;  ///< [expression_count] 0 to 1
+};
+
+/// Order of the unknowns of one frame: rotation increment (camera_from_head <- exp(increment) *
+/// camera_from_head), translation, expression.
+inline constexpr int kRotationAt = 0;
+inline constexpr int kTranslationAt = 3;
+inline constexpr int kExpressionAt = 6;
+
+/// Moves `from` by `step` [6 + expression_count]; expressions are clamped to [0, 1].
+void apply_step(const FrameState& from, const Eigen::VectorXd& step, FrameState& to);
+
+/// The measured landmarks of one frame, ready to be compared with the model's.
+struct Observation {
+  Eigen::Matrix2Xd points_px;              ///< [2][LandmarkModel::count()]
+  std::vector<Eigen::Matrix2d> whitening;  ///< [count] residual in standard deviations = whitening * px
+  Eigen::Vector2d centre_px;               ///< principal point
+};
+
+/// Takes the model's landmarks out of a whole face mesh and sets their whitening for a head at `depth_mm`:
+/// sigma in pixels, group strength, confidence, contour anisotropy. Resizes `out` at its first use only.
+void observe(const LandmarkModel& model, const LandmarkTrust& trust, const FaceLandmarks& face,
+             double depth_mm, double focal_px, const Eigen::Vector2d& centre_px, Observation& out);
+
+/// The data term of the coarse fit:
+///   E_data = 1/2 sum_l rho(|| W_l (project(R (n_l + D_l e) + t) - m_l) ||^2)
+/// with rho = Huber, minimised by iteratively reweighted Gauss-Newton steps. Holds scratch only; one thread.
+class LandmarkTerm {
+ public:
+  LandmarkTerm(const LandmarkModel& model, const LandmarkTrust& trust);
+
+  /// E_data; infinite where a landmark lies behind the camera.
+  double energy(const LandmarkBasis& basis, const Observation& observation, double focal_px,
+                const FrameState& state);
+
+  /// Adds the rows of J and their residuals for the frame's own unknowns; when `by_identity_mm` is given
+  /// (LandmarkModel::contract_expression at the state's expression), also for the shared unknowns that follow
+  /// them: identity [identity_count], then log focal length. Returns E_data, infinite (and nothing added)
+  /// where a landmark lies behind the camera.
+  double linearise(
+      const LandmarkBasis& basis, const Observation& observation, double focal_px, const FrameState& state,
+      const Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>* by_identity_mm,
+      NormalEquations& equations);
+
+  /// Residuals at a state, px, [2][count]; false where a landmark lies behind the camera.
+  bool residuals_px(const LandmarkBasis& basis, const Observation& observation, double focal_px,
+                    const FrameState& state, Eigen::Matrix2Xd& out);
+
+ private:
+  void place(const LandmarkBasis& basis, const FrameState& state);
+
+  double huber_sigmas_;
+  Eigen::VectorXd head_mm_;      ///< [count][3] landmarks in the head frame
+  Eigen::Matrix3Xd rotated_mm_;  ///< [3][count] turned into the camera's axes
+};
+
+}  // namespace facet::track

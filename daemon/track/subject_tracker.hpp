@@ -1,0 +1,123 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "facet/frame.hpp"
+#include "mesh/mesh_frame.hpp"
+#include "track/coarse_fit.hpp"
+#include "track/identity_fit.hpp"
+#include "track/subject.hpp"
+
+namespace facet::track {
+
+struct SubjectTrackerConfig {
+  int acquisition_frames = 15;                 ///< frames in the identity batch
+  std::optional<CameraIntrinsics> intrinsics;  ///< known camera: the focal length is then not estimated
+  LandmarkTrust trust;
+  TemporalPriorStrength temporal;
+  IdentityPriorStrength identity;
+};
+
+/// The fit of one frame.
+struct SubjectFrame {
+  mesh::TrackingState state = mesh::TrackingState::Searching;
+  /// The frame has a pose and an expression: always in state Tracking, provisional in Acquiring.
+  bool fitted = false;
+  /// The landmarks were no plausible face for this subject: they should be looked for afresh.
+  bool rejected = false;
+  std::uint32_t subject = 0;        ///< counts identity estimates
+  std::uint64_t shape_version = 0;  ///< changes whenever shape().identity does
+  FrameState face;
+  double reprojection_px = 0;  ///< median over the landmarks used
+  double relative_residual =
+      0;  ///< the same as a fraction of the interocular distance, foreshortening undone
+  FitReport fit;
+};
+
+/// Turns the landmarks of successive frames into one subject's pose and expression: the tracking states, the
+/// identity batch, the gates, and who it is that came back. Knows nothing of images and nets. No allocation
+/// in state Tracking. One thread.
+///
+///   Searching -- plausible face --> Acquiring -- batch fitted --> Tracking
+///   Tracking, Acquiring -- no plausible face --> Lost -- face back --> where it was
+///   Lost -- kLostForS --> Searching; the subject is kept: when a face comes that fits it, straight to
+///   Tracking. When over its first frames a returned face fits the held identity clearly worse than its owner
+///   did, the subject is given up and Acquiring starts anew.
+class SubjectTracker {
+ public:
+  SubjectTracker(const LandmarkModel& model, const ExpressionPrior& prior,
+                 const SubjectTrackerConfig& config);
+
+  /// The next frame of a sequence. face: null where none was found; acquired: it was found afresh and may be
+  /// another one than in the last frame. timestamp_ns must not decrease. Valid until the next call.
+  const SubjectFrame& process(const FaceLandmarks* face, bool acquired, int width_px, int height_px,
+                              std::int64_t timestamp_ns);
+
+  /// Forgets identity and focal length; the next plausible face is acquired anew.
+  void reset_identity();
+
+  /// Identity and focal length in use; the mean face before the first estimate.
+  const SubjectShape& shape() const { return subject_.shape; }
+  const Subject& subject() const { return subject_; }
+  bool has_subject() const { return has_subject_; }
+
+  /// Takes over a subject estimated earlier, for example in a first pass over the same recording: tracking
+  /// starts with the next plausible face. False, and nothing changed, where the sizes don't fit the model or
+  /// a value is not finite.
+  bool adopt(const Subject& subject, int width_px, int height_px);
+
+  CameraIntrinsics camera() const;
+
+ private:
+  bool usable(const FaceLandmarks& face) const;
+  void set_image_size(int width_px, int height_px);
+  void set_shape();
+  bool fit(const FaceLandmarks& face, bool warm, double elapsed_s);
+  bool start_pose(const FaceLandmarks& face);
+  bool measure_residual(const FaceLandmarks& face);
+  bool plausible(double largest_residual) const;
+  bool jumped(double elapsed_s) const;
+  void miss(std::int64_t timestamp_ns);
+  void accept(const FaceLandmarks& face, bool found_afresh, std::int64_t timestamp_ns);
+  bool acquire(const FaceLandmarks& face);
+  bool worth_adding() const;
+  bool still_the_same_person();
+  double fixed_focal_px() const;
+  Eigen::Vector2d centre_px() const;
+
+  const LandmarkModel* model_;
+  const ExpressionPrior* prior_;
+  SubjectTrackerConfig config_;
+  CoarseFit coarse_fit_;
+  std::optional<IdentityFit> identity_fit_;
+  Subject subject_;
+  bool has_subject_ = false;
+  LandmarkBasis basis_;  ///< of subject_, with its landmark bias
+  int width_px_ = 0;
+  int height_px_ = 0;
+
+  SubjectFrame frame_;
+  Observation observation_;
+  FrameState candidate_;
+  double candidate_reprojection_px_ = 0;
+  double candidate_residual_ = 0;
+  FitReport candidate_report_;
+  TemporalPrior previous_;     ///< the last good frame, where has_previous_
+  bool has_previous_ = false;  ///< false also after the shape changed: the old pose belongs to the old shape
+  std::int64_t last_good_ns_ = 0;
+  int frames_since_added_ = 0;
+  int settling_frames_ = 0;  ///< good frames since the batch is full
+  int verified_frames_ = 0;  ///< good frames since the subject came back; kVerifyFrames: it is the same one
+  double verified_residual_sum_ = 0;
+  int residual_frames_ = 0;  ///< good frames that went into subject_.usual_residual
+  Eigen::Matrix3Xd start_head_mm_;
+  Eigen::Matrix3Xd start_px_;
+  Eigen::VectorXd start_weights_;
+  Eigen::Matrix2Xd residuals_px_;
+  std::vector<double> sorted_;
+};
+
+}  // namespace facet::track

@@ -1,0 +1,148 @@
+#include "track/tracker.hpp"
+
+#include <algorithm>
+#include <chrono>
+
+#include "facet/error.hpp"
+#include "track/expression_prior.hpp"
+#include "track/landmark_model.hpp"
+#include "track/landmarker.hpp"
+#include "track/subject_tracker.hpp"
+
+namespace facet::track {
+namespace {
+
+ExpressionPriorStrength prior_strength(const TrackerConfig& config) {
+  ExpressionPriorStrength strength;
+  const auto scale = static_cast<double>(config.expression_prior);
+  strength.size *= scale;
+  strength.sparsity *= scale;
+  strength.symmetry *= scale;
+  strength.exclusion *= scale;
+  return strength;
+}
+
+SubjectTrackerConfig subject_config(const TrackerConfig& config) {
+  SubjectTrackerConfig result;
+  result.acquisition_frames = config.acquisition_frames;
+  result.intrinsics = config.intrinsics;
+  result.temporal.strength *= static_cast<double>(config.temporal_prior);
+  return result;
+}
+
+using Clock = std::chrono::steady_clock;
+
+float milliseconds_since(Clock::time_point start) {
+  return std::chrono::duration<float, std::milli>(Clock::now() - start).count();
+}
+
+}  // namespace
+
+struct Tracker::Impl {
+  Impl(const face::FaceModel& face_model, const TrackerConfig& config)
+      : model(face_model),
+        landmarker(config.landmark_assets),
+        landmark_model(face_model),
+        prior(face_model.expression_names, face_model.expression_sigma, prior_strength(config)),
+        subject_tracker(landmark_model, prior, subject_config(config)) {
+    result.identity.resize(static_cast<std::size_t>(face_model.identity_count()));
+    result.expression.resize(static_cast<std::size_t>(face_model.expression_count()));
+    result.vertices_mm.setZero(3, face_model.vertex_count());
+    result.landmarks_px.reserve(landmark_count);
+  }
+
+  const SubjectFrame& follow(const Frame& frame, const LandmarkResult& landmarks) {
+    const Clock::time_point start = Clock::now();
+    const SubjectFrame& subject =
+        subject_tracker.process(landmarks.found ? &landmarks.face : nullptr, landmarks.acquired,
+                                frame.width_px, frame.height_px, frame.timestamp_ns);
+    result.detect_ms += landmarks.detect_ms;
+    result.landmarks_ms += landmarks.landmarks_ms;
+    result.fit_ms += milliseconds_since(start);
+    return subject;
+  }
+
+  void take_mesh(const SubjectFrame& subject) {
+    const Clock::time_point start = Clock::now();
+    if (subject.shape_version != shape_version) {
+      shape_version = subject.shape_version;
+      const Eigen::VectorXd& identity = subject_tracker.shape().identity;
+      std::copy(identity.begin(), identity.end(), result.identity.begin());
+      basis = model.contract_identity(result.identity);
+    }
+    std::copy(subject.face.expression.begin(), subject.face.expression.end(), result.expression.begin());
+    basis.evaluate(result.expression, result.vertices_mm);
+    result.camera_from_head.linear() = subject.face.pose.rotation.cast<float>();
+    result.camera_from_head.translation() = subject.face.pose.translation_mm.cast<float>();
+    result.reprojection_px = static_cast<float>(subject.reprojection_px);
+    result.fit_ms += milliseconds_since(start);
+  }
+
+  const face::FaceModel& model;
+  Landmarker landmarker;
+  LandmarkModel landmark_model;
+  ExpressionPrior prior;
+  SubjectTracker subject_tracker;
+  face::ExpressionBasis basis;
+  std::uint64_t shape_version = 0;
+  TrackResult result;
+};
+
+Tracker::Tracker(const face::FaceModel& model, const TrackerConfig& config)
+    : impl_(std::make_unique<Impl>(model, config)) {}
+
+Tracker::~Tracker() = default;
+
+const TrackResult& Tracker::process(const Frame& frame) {
+  TrackResult& result = impl_->result;
+  result.detect_ms = 0;
+  result.landmarks_ms = 0;
+  result.fit_ms = 0;
+  const bool was_good = result.has_mesh;
+  const LandmarkResult* landmarks = &impl_->landmarker.process(frame);
+  const SubjectFrame* subject = &impl_->follow(frame, *landmarks);
+  if (subject->rejected) {
+    impl_->landmarker.forget();
+    if (was_good) {
+      // The landmarks slipped off a face that was there a frame ago: look again at once.
+      landmarks = &impl_->landmarker.process(frame);
+      subject = &impl_->follow(frame, *landmarks);
+    }
+  }
+  result.state = subject->state;
+  result.subject = subject->subject;
+  result.has_mesh = subject->fitted;
+  result.camera = impl_->subject_tracker.camera();
+  result.landmarks_px.clear();
+  result.interocular_px = 0;
+  if (landmarks->found) {
+    const auto& points = landmarks->face.points_px;
+    for (Eigen::Index i = 0; i < points.cols(); ++i) {
+      result.landmarks_px.emplace_back(points.col(i).head<2>());
+    }
+    result.interocular_px = landmarks->face.interocular_px;
+  }
+  if (subject->fitted) {
+    impl_->take_mesh(*subject);
+  }
+  return result;
+}
+
+void Tracker::reset_identity() {
+  impl_->subject_tracker.reset_identity();
+}
+
+std::optional<Subject> Tracker::subject() const {
+  const SubjectTracker& tracker = impl_->subject_tracker;
+  return tracker.has_subject() ? std::optional<Subject>(tracker.subject()) : std::nullopt;
+}
+
+void Tracker::adopt(const Subject& subject, int width_px, int height_px) {
+  if (!impl_->subject_tracker.adopt(subject, width_px, height_px)) {
+    throw Error(
+        ErrorKind::Usage,
+        "the subject to be tracked was estimated with another face model: let the tracker estimate it anew");
+  }
+}
+
+}  // namespace facet::track
