@@ -3,6 +3,7 @@
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <initializer_list>
 #include <memory>
 #include <span>
@@ -28,9 +29,12 @@ struct Binding {
   /// A sampled image with all its levels.
   Binding(std::string_view binding_name, const Image& bound, const Sampler& how)
       : name(binding_name), image(&bound), sampler(&how) {}
+  /// A sampled image of which the kernel sees one level, as its level 0.
+  Binding(std::string_view binding_name, const Image& bound, const Sampler& how, std::uint32_t only_level)
+      : name(binding_name), image(&bound), sampler(&how), level(only_level), one_level(true) {}
   /// A storage image: one level.
-  Binding(std::string_view binding_name, const Image& bound, std::uint32_t bound_level)
-      : name(binding_name), image(&bound), level(bound_level) {}
+  Binding(std::string_view binding_name, const Image& bound, std::uint32_t only_level)
+      : name(binding_name), image(&bound), level(only_level), one_level(true) {}
 
   std::string_view name;
   const Buffer* buffer = nullptr;
@@ -38,6 +42,7 @@ struct Binding {
   const Image* image = nullptr;
   const Sampler* sampler = nullptr;
   std::uint32_t level = 0;
+  bool one_level = false;
   std::size_t offset_bytes = 0;
   std::size_t size_bytes = 0;
 };
@@ -68,8 +73,8 @@ struct StageTime {
 /// of buffers, by level of images). Batches submitted one after the other run one after the other.
 ///
 /// Life: record (dispatch, copy, fill, stage), finish, then submit and wait in turn. One thread at a time.
-/// Recording functions throw Error(Internal) for misuse: an unknown, missing, doubled or mistyped binding, a
-/// range outside its resource, push constants of the wrong size.
+/// Functions throw Error(Internal) for misuse only: an unknown, missing, doubled or mistyped binding, a range
+/// outside its resource, push constants of the wrong size, submit before finish or while in flight.
 class Batch {
  public:
   Batch(Context& context, std::string_view name);
@@ -176,5 +181,8 @@ class Batch {
 
   std::unique_ptr<Impl> impl_;
 };
+
+/// Records a batch, runs it once and waits for it. For set-up and tests. Throws DeviceLostError.
+void run_now(Context& context, std::string_view name, const std::function<void(Batch&)>& record);
 
 }  // namespace facet::gpu

@@ -18,6 +18,7 @@ class Downsampler {
 
  private:
   Kernel kernel_;
+  Sampler sampler_;
 };
 
 }  // namespace facet::gpu

@@ -21,7 +21,7 @@ struct Shader {
   std::span<const std::uint32_t> words;
 };
 
-/// All kernels of one room: `facet::shaders::refine()` from the generated "refine_shaders.hpp".
+/// All kernels of one room: `facet::shaders::refine::kernels()` from the generated "refine_shaders.hpp".
 using ShaderSet = std::span<const Shader>;
 
 /// A value for a specialization constant, by the name it has in the shader. The workgroup size, where the

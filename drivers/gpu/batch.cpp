@@ -1,0 +1,661 @@
+#include "gpu/batch.hpp"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+#include <array>
+#include <cstring>
+#include <limits>
+#include <utility>
+#include <vector>
+
+#include "gpu/hazards.hpp"
+#include "gpu/resources.hpp"
+
+namespace facet::gpu {
+
+namespace {
+
+// Descriptor sets come from pools of this many, with this many descriptors of each type on average.
+constexpr std::uint32_t sets_per_pool = 64;
+constexpr std::uint32_t descriptors_per_set = 8;
+
+constexpr std::array descriptor_types{VK_DESCRIPTOR_TYPE_STORAGE_BUFFER, VK_DESCRIPTOR_TYPE_UNIFORM_BUFFER,
+                                      VK_DESCRIPTOR_TYPE_UNIFORM_TEXEL_BUFFER,
+                                      VK_DESCRIPTOR_TYPE_COMBINED_IMAGE_SAMPLER,
+                                      VK_DESCRIPTOR_TYPE_STORAGE_IMAGE};
+
+constexpr VkPipelineStageFlags working_stages =
+    VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT | VK_PIPELINE_STAGE_TRANSFER_BIT;
+constexpr VkAccessFlags writing_access = VK_ACCESS_SHADER_WRITE_BIT | VK_ACCESS_TRANSFER_WRITE_BIT;
+constexpr VkAccessFlags any_access = writing_access | VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_UNIFORM_READ_BIT |
+                                     VK_ACCESS_TRANSFER_READ_BIT | VK_ACCESS_INDIRECT_COMMAND_READ_BIT;
+
+constexpr std::size_t dispatch_counts_bytes = 3 * sizeof(std::uint32_t);
+constexpr double ns_per_ms = 1e6;
+
+std::size_t round_up(std::size_t value, std::size_t multiple) {
+  return (value + multiple - 1) / multiple * multiple;
+}
+
+const char* type_name(BindingType type) {
+  switch (type) {
+    case BindingType::StorageBuffer:
+      return "a storage buffer";
+    case BindingType::UniformBuffer:
+      return "a uniform buffer";
+    case BindingType::TexelBuffer:
+      return "a texel view";
+    case BindingType::SampledImage:
+      return "an image with a sampler";
+    case BindingType::StorageImage:
+      return "an image level";
+  }
+  return "unknown";
+}
+
+}  // namespace
+
+struct Batch::Impl {
+  Impl(std::shared_ptr<Device> on, std::string_view called);
+  ~Impl();
+  Impl(const Impl&) = delete;
+  Impl& operator=(const Impl&) = delete;
+
+  void make();
+  void destroy();
+  void begin();
+  void check_recording() const;
+  [[noreturn]] void misuse(const std::string& what) const;
+  void check_range(std::string_view resource, std::size_t there_are, std::size_t offset,
+                   std::size_t size) const;
+  void check_device(const std::shared_ptr<Device>& other, std::string_view resource) const;
+  void step(std::span<const Access> accesses);
+  void barrier(VkPipelineStageFlags to_stages, VkAccessFlags to_access);
+  VkDescriptorSet allocate_set(VkDescriptorSetLayout layout);
+  void bind(const Kernel::Impl& kernel, std::span<const Binding> bindings, std::span<const std::byte> push,
+            std::size_t push_alignment, std::vector<Access>& accesses);
+  void write_descriptor(const Kernel::Impl& kernel, const BindingInfo& info, const Binding& binding,
+                        VkDescriptorSet set, std::vector<Access>& accesses) const;
+  void copy_image(const Buffer& buffer, const Image& image, std::uint32_t level, std::size_t offset_bytes,
+                  bool to_image);
+  void timestamp();
+  void wait_for_fence();
+  void read_stage_times();
+
+  std::shared_ptr<Device> device;
+  std::string name;
+  VkCommandPool command_pool = VK_NULL_HANDLE;
+  VkCommandBuffer commands = VK_NULL_HANDLE;
+  VkFence fence = VK_NULL_HANDLE;
+  VkQueryPool queries = VK_NULL_HANDLE;
+  std::vector<VkDescriptorPool> descriptor_pools;
+  std::size_t pool_in_use = 0;
+  HazardTracker hazards;
+  std::vector<StageTime> stages;
+  std::uint32_t timestamps = 0;
+  Counts counts;
+  bool finished = false;
+  bool in_flight = false;      ///< from submit until wait says how it ended
+  bool fence_pending = false;  ///< the device may still be at work, also after a simulated loss
+};
+
+Batch::Impl::Impl(std::shared_ptr<Device> on, std::string_view called) : device(std::move(on)), name(called) {
+  try {
+    make();
+    begin();
+  } catch (...) {
+    destroy();
+    throw;
+  }
+}
+
+void Batch::Impl::make() {
+  const std::string what = fmt::format("create batch '{}'", name);
+  device->check_not_lost(what);
+  const DeviceApi& api = device->api();
+  VkCommandPoolCreateInfo pool_info{};
+  pool_info.sType = VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO;
+  pool_info.queueFamilyIndex = device->queue_family();
+  device->check(api.vkCreateCommandPool(device->handle(), &pool_info, nullptr, &command_pool), what);
+  VkCommandBufferAllocateInfo allocate_info{};
+  allocate_info.sType = VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO;
+  allocate_info.commandPool = command_pool;
+  allocate_info.level = VK_COMMAND_BUFFER_LEVEL_PRIMARY;
+  allocate_info.commandBufferCount = 1;
+  device->check(api.vkAllocateCommandBuffers(device->handle(), &allocate_info, &commands), what);
+  VkFenceCreateInfo fence_info{};
+  fence_info.sType = VK_STRUCTURE_TYPE_FENCE_CREATE_INFO;
+  device->check(api.vkCreateFence(device->handle(), &fence_info, nullptr, &fence), what);
+  VkQueryPoolCreateInfo query_info{};
+  query_info.sType = VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO;
+  query_info.queryType = VK_QUERY_TYPE_TIMESTAMP;
+  query_info.queryCount = max_stages + 1;
+  device->check(api.vkCreateQueryPool(device->handle(), &query_info, nullptr, &queries), what);
+  device->set_name(VK_OBJECT_TYPE_COMMAND_BUFFER, handle_bits(commands), name);
+}
+
+void Batch::Impl::destroy() {
+  wait_for_fence();
+  const DeviceApi& api = device->api();
+  for (const VkDescriptorPool pool : descriptor_pools) {
+    api.vkDestroyDescriptorPool(device->handle(), pool, nullptr);
+  }
+  api.vkDestroyQueryPool(device->handle(), queries, nullptr);
+  api.vkDestroyFence(device->handle(), fence, nullptr);
+  api.vkDestroyCommandPool(device->handle(), command_pool, nullptr);
+}
+
+Batch::Impl::~Impl() {
+  destroy();
+}
+
+/// Waits until the device no longer uses the batch. A lost device ends its work in finite time too.
+void Batch::Impl::wait_for_fence() {
+  if (fence_pending) {
+    device->api().vkWaitForFences(device->handle(), 1, &fence, VK_TRUE,
+                                  std::numeric_limits<std::uint64_t>::max());
+    fence_pending = false;
+  }
+}
+
+void Batch::Impl::begin() {
+  const DeviceApi& api = device->api();
+  VkCommandBufferBeginInfo info{};
+  info.sType = VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO;
+  device->check(api.vkBeginCommandBuffer(commands, &info), fmt::format("record batch '{}'", name));
+  if (device->timestamp_valid_bits() > 0) {
+    api.vkCmdResetQueryPool(commands, queries, 0, max_stages + 1);
+  }
+  // What earlier submissions wrote must be visible to this one.
+  barrier(working_stages | VK_PIPELINE_STAGE_DRAW_INDIRECT_BIT, any_access);
+  counts = {};
+}
+
+void Batch::Impl::misuse(const std::string& what) const {
+  throw Error(ErrorKind::Internal, fmt::format("batch '{}': {}", name, what));
+}
+
+void Batch::Impl::check_recording() const {
+  if (finished) {
+    misuse("recording after finish; reset it first");
+  }
+}
+
+void Batch::Impl::check_range(std::string_view resource, std::size_t there_are, std::size_t offset,
+                              std::size_t size) const {
+  if (size == 0 || offset > there_are || size > there_are - offset) {
+    misuse(fmt::format("'{}': {} bytes at {} are outside its {} bytes", resource, size, offset, there_are));
+  }
+}
+
+void Batch::Impl::check_device(const std::shared_ptr<Device>& other, std::string_view resource) const {
+  if (other != device) {
+    misuse(fmt::format("'{}' belongs to another context", resource));
+  }
+}
+
+void Batch::Impl::barrier(VkPipelineStageFlags to_stages, VkAccessFlags to_access) {
+  VkMemoryBarrier memory{};
+  memory.sType = VK_STRUCTURE_TYPE_MEMORY_BARRIER;
+  memory.srcAccessMask = writing_access;
+  memory.dstAccessMask = to_access;
+  device->api().vkCmdPipelineBarrier(commands, working_stages | VK_PIPELINE_STAGE_DRAW_INDIRECT_BIT,
+                                     to_stages, 0, 1, &memory, 0, nullptr, 0, nullptr);
+  hazards.clear();
+  ++counts.barriers;
+}
+
+/// Puts a barrier before the step that makes these accesses, where it needs one.
+void Batch::Impl::step(std::span<const Access> accesses) {
+  if (hazards.conflicts(accesses)) {
+    barrier(working_stages | VK_PIPELINE_STAGE_DRAW_INDIRECT_BIT, any_access);
+  }
+  hazards.add(accesses);
+}
+
+VkDescriptorSet Batch::Impl::allocate_set(VkDescriptorSetLayout layout) {
+  const DeviceApi& api = device->api();
+  const std::string what = fmt::format("record batch '{}'", name);
+  VkDescriptorSetAllocateInfo info{};
+  info.sType = VK_STRUCTURE_TYPE_DESCRIPTOR_SET_ALLOCATE_INFO;
+  info.descriptorSetCount = 1;
+  info.pSetLayouts = &layout;
+  VkDescriptorSet set = VK_NULL_HANDLE;
+  for (; pool_in_use < descriptor_pools.size(); ++pool_in_use) {
+    info.descriptorPool = descriptor_pools[pool_in_use];
+    const VkResult result = api.vkAllocateDescriptorSets(device->handle(), &info, &set);
+    if (result != VK_ERROR_OUT_OF_POOL_MEMORY && result != VK_ERROR_FRAGMENTED_POOL) {
+      device->check(result, what);
+      return set;
+    }
+  }
+  std::array<VkDescriptorPoolSize, descriptor_types.size()> sizes{};
+  for (std::size_t type = 0; type < sizes.size(); ++type) {
+    sizes[type] = {descriptor_types[type], sets_per_pool * descriptors_per_set};
+  }
+  VkDescriptorPoolCreateInfo pool_info{};
+  pool_info.sType = VK_STRUCTURE_TYPE_DESCRIPTOR_POOL_CREATE_INFO;
+  pool_info.maxSets = sets_per_pool;
+  pool_info.poolSizeCount = static_cast<std::uint32_t>(sizes.size());
+  pool_info.pPoolSizes = sizes.data();
+  VkDescriptorPool pool = VK_NULL_HANDLE;
+  device->check(api.vkCreateDescriptorPool(device->handle(), &pool_info, nullptr, &pool), what);
+  descriptor_pools.push_back(pool);
+  info.descriptorPool = pool;
+  device->check(api.vkAllocateDescriptorSets(device->handle(), &info, &set), what);
+  return set;
+}
+
+void Batch::Impl::write_descriptor(const Kernel::Impl& kernel, const BindingInfo& info,
+                                   const Binding& binding, VkDescriptorSet set,
+                                   std::vector<Access>& accesses) const {
+  const auto wrong_type = [&] {
+    misuse(fmt::format("'{}' of kernel '{}' must be {}", info.name, kernel.name, type_name(info.type)));
+  };
+  VkDescriptorBufferInfo buffer_info{};
+  VkDescriptorImageInfo image_info{};
+  VkWriteDescriptorSet write{};
+  write.sType = VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET;
+  write.dstSet = set;
+  write.dstBinding = info.binding;
+  write.descriptorCount = 1;
+  write.descriptorType = descriptor_type(info.type);
+  // A resource that the kernel both reads and writes counts as written.
+  Access access{0, 0, 0, info.written};
+
+  switch (info.type) {
+    case BindingType::StorageBuffer:
+    case BindingType::UniformBuffer: {
+      if (binding.buffer == nullptr) {
+        wrong_type();
+      }
+      const Buffer::Impl& buffer = binding.buffer->impl();
+      check_device(buffer.device, info.name);
+      const std::size_t offset = binding.offset_bytes;
+      const std::size_t size = binding.size_bytes != 0
+                                   ? binding.size_bytes
+                                   : buffer.size_bytes - std::min(offset, buffer.size_bytes);
+      check_range(buffer.name, buffer.size_bytes, offset, size);
+      if (offset % device->info().buffer_alignment_bytes != 0) {
+        misuse(fmt::format("'{}' of kernel '{}' starts at byte {}, which is no multiple of {}", info.name,
+                           kernel.name, offset, device->info().buffer_alignment_bytes));
+      }
+      if (info.type == BindingType::UniformBuffer && size > device->limits().maxUniformBufferRange) {
+        misuse(fmt::format("'{}' of kernel '{}': {} bytes are more than a uniform buffer's {}", info.name,
+                           kernel.name, size, device->limits().maxUniformBufferRange));
+      }
+      buffer_info = {buffer.buffer, offset, size};
+      write.pBufferInfo = &buffer_info;
+      access.resource = handle_bits(buffer.buffer);
+      access.begin = offset;
+      access.end = offset + size;
+      break;
+    }
+    case BindingType::TexelBuffer: {
+      if (binding.view == nullptr) {
+        wrong_type();
+      }
+      const TexelView::Impl& view = binding.view->impl();
+      check_device(view.device, info.name);
+      write.pTexelBufferView = &view.view;
+      access.resource = handle_bits(view.buffer);
+      access.begin = view.offset_bytes;
+      access.end = view.offset_bytes + view.size_bytes;
+      break;
+    }
+    case BindingType::SampledImage:
+    case BindingType::StorageImage: {
+      const bool sampled = info.type == BindingType::SampledImage;
+      if (binding.image == nullptr || sampled != (binding.sampler != nullptr)) {
+        wrong_type();
+      }
+      const Image::Impl& image = binding.image->impl();
+      check_device(image.device, info.name);
+      if (binding.level >= image.levels.size()) {
+        misuse(fmt::format("'{}' of kernel '{}': level {} of image '{}', which has {}", info.name,
+                           kernel.name, binding.level, image.name, image.levels.size()));
+      }
+      image_info.imageLayout = VK_IMAGE_LAYOUT_GENERAL;
+      image_info.imageView = binding.one_level ? image.levels[binding.level] : image.all_levels;
+      if (sampled) {
+        const Sampler::Impl& sampler = binding.sampler->impl();
+        check_device(sampler.device, info.name);
+        if (sampler.linear && !image.filters_linearly) {
+          misuse(fmt::format("'{}' of kernel '{}': the device '{}' cannot filter image '{}' linearly",
+                             info.name, kernel.name, device->info().name, image.name));
+        }
+        image_info.sampler = sampler.sampler;
+      }
+      write.pImageInfo = &image_info;
+      access.resource = handle_bits(image.image);
+      access.begin = binding.one_level ? binding.level : 0;
+      access.end = binding.one_level ? binding.level + 1 : image.levels.size();
+      break;
+    }
+  }
+  device->api().vkUpdateDescriptorSets(device->handle(), 1, &write, 0, nullptr);
+  accesses.push_back(access);
+}
+
+/// Binds everything a kernel needs and notes what it will read and write.
+void Batch::Impl::bind(const Kernel::Impl& kernel, std::span<const Binding> bindings,
+                       std::span<const std::byte> push, std::size_t push_alignment,
+                       std::vector<Access>& accesses) {
+  check_recording();
+  check_device(kernel.device, kernel.name);
+  const std::size_t push_bytes = kernel.interface.push_constant_bytes;
+  if (push.size() != round_up(push_bytes, push_alignment)) {
+    misuse(fmt::format("kernel '{}' takes {} bytes of push constants, not {}", kernel.name, push_bytes,
+                       push.size()));
+  }
+  const DeviceApi& api = device->api();
+  const std::vector<BindingInfo>& wanted = kernel.interface.bindings;
+  const VkDescriptorSet set = allocate_set(kernel.set_layout);
+  std::vector<bool> given(wanted.size(), false);
+  for (const Binding& binding : bindings) {
+    const auto info = std::ranges::find(wanted, binding.name, &BindingInfo::name);
+    if (info == wanted.end()) {
+      std::vector<std::string_view> names;
+      std::ranges::transform(wanted, std::back_inserter(names), &BindingInfo::name);
+      misuse(fmt::format("kernel '{}' uses no '{}'; it uses: {}", kernel.name, binding.name,
+                         fmt::join(names, ", ")));
+    }
+    const auto index = static_cast<std::size_t>(info - wanted.begin());
+    if (given[index]) {
+      misuse(fmt::format("'{}' of kernel '{}' is given twice", binding.name, kernel.name));
+    }
+    given[index] = true;
+    write_descriptor(kernel, *info, binding, set, accesses);
+  }
+  if (const auto missing = std::ranges::find(given, false); missing != given.end()) {
+    misuse(fmt::format("'{}' of kernel '{}' is not given",
+                       wanted[static_cast<std::size_t>(missing - given.begin())].name, kernel.name));
+  }
+  api.vkCmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, kernel.pipeline);
+  if (!wanted.empty()) {
+    api.vkCmdBindDescriptorSets(commands, VK_PIPELINE_BIND_POINT_COMPUTE, kernel.pipeline_layout, 0, 1, &set,
+                                0, nullptr);
+  }
+  if (push_bytes > 0) {
+    api.vkCmdPushConstants(commands, kernel.pipeline_layout, VK_SHADER_STAGE_COMPUTE_BIT, 0,
+                           static_cast<std::uint32_t>(push_bytes), push.data());
+  }
+}
+
+void Batch::Impl::copy_image(const Buffer& buffer, const Image& image, std::uint32_t level,
+                             std::size_t offset_bytes, bool to_image) {
+  check_recording();
+  check_device(buffer.impl().device, buffer.impl().name);
+  check_device(image.impl().device, image.impl().name);
+  if (level >= image.level_count()) {
+    misuse(
+        fmt::format("level {} of image '{}', which has {}", level, image.impl().name, image.level_count()));
+  }
+  const std::size_t size = image.level_bytes(level);
+  check_range(buffer.impl().name, buffer.size_bytes(), offset_bytes, size);
+  if (offset_bytes % pixel_bytes(image.format()) != 0) {
+    misuse(fmt::format("copy of image '{}': byte {} of buffer '{}' is no multiple of a pixel",
+                       image.impl().name, offset_bytes, buffer.impl().name));
+  }
+  const std::array accesses{
+      Access{handle_bits(buffer.impl().buffer), offset_bytes, offset_bytes + size, !to_image},
+      Access{handle_bits(image.impl().image), level, std::size_t{level} + 1, to_image}};
+  step(accesses);
+  VkBufferImageCopy region{};
+  region.bufferOffset = offset_bytes;
+  region.imageSubresource = {VK_IMAGE_ASPECT_COLOR_BIT, level, 0, 1};
+  region.imageExtent = {image.width_px(level), image.height_px(level), 1};
+  const DeviceApi& api = device->api();
+  if (to_image) {
+    api.vkCmdCopyBufferToImage(commands, buffer.impl().buffer, image.impl().image, VK_IMAGE_LAYOUT_GENERAL, 1,
+                               &region);
+  } else {
+    api.vkCmdCopyImageToBuffer(commands, image.impl().image, VK_IMAGE_LAYOUT_GENERAL, buffer.impl().buffer, 1,
+                               &region);
+  }
+  ++counts.copies;
+}
+
+void Batch::Impl::timestamp() {
+  if (device->timestamp_valid_bits() > 0) {
+    device->api().vkCmdWriteTimestamp(commands, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, queries, timestamps);
+    ++timestamps;
+  }
+}
+
+void Batch::Impl::read_stage_times() {
+  if (timestamps == 0) {
+    return;
+  }
+  std::array<std::uint64_t, max_stages + 1> ticks;
+  const VkResult result = device->api().vkGetQueryPoolResults(
+      device->handle(), queries, 0, timestamps, timestamps * sizeof(std::uint64_t), ticks.data(),
+      sizeof(std::uint64_t), VK_QUERY_RESULT_64_BIT);
+  if (result != VK_SUCCESS) {
+    return;
+  }
+  const std::uint32_t bits = device->timestamp_valid_bits();
+  const std::uint64_t mask = bits >= 64 ? ~std::uint64_t{0} : (std::uint64_t{1} << bits) - 1;
+  for (std::size_t stage = 0; stage < stages.size(); ++stage) {
+    const std::uint64_t elapsed = (ticks[stage + 1] - ticks[stage]) & mask;
+    stages[stage].ms = static_cast<float>(static_cast<double>(elapsed) *
+                                          static_cast<double>(device->limits().timestampPeriod) / ns_per_ms);
+  }
+}
+
+Batch::Batch(Context& context, std::string_view name)
+    : impl_(std::make_unique<Impl>(context.device(), name)) {}
+Batch::~Batch() = default;
+Batch::Batch(Batch&&) noexcept = default;
+Batch& Batch::operator=(Batch&&) noexcept = default;
+
+void Batch::stage(std::string_view name) {
+  impl_->check_recording();
+  if (impl_->stages.size() == max_stages) {
+    impl_->misuse(fmt::format("more than {} stages", max_stages));
+  }
+  impl_->timestamp();
+  impl_->stages.push_back({std::string(name), 0.0F});
+}
+
+void Batch::dispatch_bytes(const Kernel& kernel, std::span<const Binding> bindings, Groups groups,
+                           std::span<const std::byte> push, std::size_t push_alignment) {
+  const auto& most = impl_->device->limits().maxComputeWorkGroupCount;
+  if (groups.x > most[0] || groups.y > most[1] || groups.z > most[2]) {
+    impl_->misuse(fmt::format("kernel '{}': {}x{}x{} workgroups are more than {}", kernel.name(), groups.x,
+                              groups.y, groups.z, fmt::join(most, "x")));
+  }
+  std::vector<Access> accesses;
+  impl_->bind(kernel.impl(), bindings, push, push_alignment, accesses);
+  impl_->step(accesses);
+  impl_->device->api().vkCmdDispatch(impl_->commands, groups.x, groups.y, groups.z);
+  ++impl_->counts.dispatches;
+}
+
+void Batch::dispatch_indirect_bytes(const Kernel& kernel, std::span<const Binding> bindings,
+                                    const Buffer& counts, std::size_t offset_bytes,
+                                    std::span<const std::byte> push, std::size_t push_alignment) {
+  const Buffer::Impl& buffer = counts.impl();
+  impl_->check_device(buffer.device, buffer.name);
+  impl_->check_range(buffer.name, buffer.size_bytes, offset_bytes, dispatch_counts_bytes);
+  if (offset_bytes % sizeof(std::uint32_t) != 0) {
+    impl_->misuse(fmt::format("workgroup counts at byte {} of buffer '{}', no multiple of 4", offset_bytes,
+                              buffer.name));
+  }
+  std::vector<Access> accesses{
+      {handle_bits(buffer.buffer), offset_bytes, offset_bytes + dispatch_counts_bytes, false}};
+  impl_->bind(kernel.impl(), bindings, push, push_alignment, accesses);
+  impl_->step(accesses);
+  impl_->device->api().vkCmdDispatchIndirect(impl_->commands, buffer.buffer, offset_bytes);
+  ++impl_->counts.dispatches;
+}
+
+void Batch::copy(const Buffer& source, const Buffer& target, std::size_t size_bytes,
+                 std::size_t source_offset_bytes, std::size_t target_offset_bytes) {
+  impl_->check_recording();
+  const Buffer::Impl& from = source.impl();
+  const Buffer::Impl& to = target.impl();
+  impl_->check_device(from.device, from.name);
+  impl_->check_device(to.device, to.name);
+  if (&from == &to) {
+    impl_->misuse(fmt::format("copy of buffer '{}' to itself", from.name));
+  }
+  const std::size_t size =
+      size_bytes != 0 ? size_bytes : from.size_bytes - std::min(source_offset_bytes, from.size_bytes);
+  impl_->check_range(from.name, from.size_bytes, source_offset_bytes, size);
+  impl_->check_range(to.name, to.size_bytes, target_offset_bytes, size);
+  const std::array accesses{
+      Access{handle_bits(from.buffer), source_offset_bytes, source_offset_bytes + size, false},
+      Access{handle_bits(to.buffer), target_offset_bytes, target_offset_bytes + size, true}};
+  impl_->step(accesses);
+  const VkBufferCopy region{source_offset_bytes, target_offset_bytes, size};
+  impl_->device->api().vkCmdCopyBuffer(impl_->commands, from.buffer, to.buffer, 1, &region);
+  ++impl_->counts.copies;
+}
+
+void Batch::copy(const Buffer& source, const Image& target, std::uint32_t level,
+                 std::size_t source_offset_bytes) {
+  impl_->copy_image(source, target, level, source_offset_bytes, true);
+}
+
+void Batch::copy(const Image& source, std::uint32_t level, const Buffer& target,
+                 std::size_t target_offset_bytes) {
+  impl_->copy_image(target, source, level, target_offset_bytes, false);
+}
+
+void Batch::fill(const Buffer& target, std::uint32_t word, std::size_t offset_bytes, std::size_t size_bytes) {
+  impl_->check_recording();
+  const Buffer::Impl& buffer = target.impl();
+  impl_->check_device(buffer.device, buffer.name);
+  const std::size_t rest = buffer.size_bytes - std::min(offset_bytes, buffer.size_bytes);
+  const std::size_t size =
+      size_bytes != 0 ? size_bytes : rest / sizeof(std::uint32_t) * sizeof(std::uint32_t);
+  impl_->check_range(buffer.name, buffer.size_bytes, offset_bytes, size);
+  if (offset_bytes % sizeof(std::uint32_t) != 0 || size % sizeof(std::uint32_t) != 0) {
+    impl_->misuse(fmt::format("fill of {} bytes at {} of buffer '{}': no multiples of 4", size, offset_bytes,
+                              buffer.name));
+  }
+  const std::array accesses{Access{handle_bits(buffer.buffer), offset_bytes, offset_bytes + size, true}};
+  impl_->step(accesses);
+  impl_->device->api().vkCmdFillBuffer(impl_->commands, buffer.buffer, offset_bytes, size, word);
+  ++impl_->counts.copies;
+}
+
+void Batch::finish() {
+  impl_->check_recording();
+  if (!impl_->stages.empty()) {
+    impl_->timestamp();
+  }
+  // What the host reads after wait.
+  impl_->barrier(VK_PIPELINE_STAGE_HOST_BIT, VK_ACCESS_HOST_READ_BIT);
+  --impl_->counts.barriers;
+  impl_->device->check(impl_->device->api().vkEndCommandBuffer(impl_->commands),
+                       fmt::format("finish batch '{}'", impl_->name));
+  impl_->finished = true;
+}
+
+void Batch::reset() {
+  if (impl_->in_flight) {
+    impl_->misuse("reset while in flight");
+  }
+  impl_->wait_for_fence();
+  const DeviceApi& api = impl_->device->api();
+  impl_->device->check(api.vkResetCommandPool(impl_->device->handle(), impl_->command_pool, 0),
+                       fmt::format("reset batch '{}'", impl_->name));
+  for (const VkDescriptorPool pool : impl_->descriptor_pools) {
+    api.vkResetDescriptorPool(impl_->device->handle(), pool, 0);
+  }
+  impl_->pool_in_use = 0;
+  impl_->stages.clear();
+  impl_->timestamps = 0;
+  impl_->finished = false;
+  impl_->begin();
+}
+
+Outcome Batch::submit() {
+  if (!impl_->finished || impl_->in_flight) {
+    impl_->misuse(impl_->finished ? "submit while in flight" : "submit before finish");
+  }
+  Device& device = *impl_->device;
+  if (device.lost()) {
+    return Outcome::DeviceLost;
+  }
+  device.api().vkResetFences(device.handle(), 1, &impl_->fence);
+  if (device.submit(impl_->commands, impl_->fence) != VK_SUCCESS) {
+    // Out of memory in a submission that was made ready long before leaves the device as useless as a loss.
+    device.mark_lost();
+    return Outcome::DeviceLost;
+  }
+  impl_->in_flight = true;
+  impl_->fence_pending = true;
+  return Outcome::Done;
+}
+
+Outcome Batch::wait(std::chrono::nanoseconds timeout) {
+  Device& device = *impl_->device;
+  if (device.lost()) {
+    impl_->in_flight = false;
+    return Outcome::DeviceLost;
+  }
+  if (!impl_->in_flight) {
+    return Outcome::Done;
+  }
+  const VkResult result = device.api().vkWaitForFences(
+      device.handle(), 1, &impl_->fence, VK_TRUE,
+      static_cast<std::uint64_t>(std::max(timeout, std::chrono::nanoseconds::zero()).count()));
+  if (result == VK_TIMEOUT) {
+    return Outcome::TimedOut;
+  }
+  impl_->in_flight = false;
+  if (result != VK_SUCCESS) {
+    device.mark_lost();
+    return Outcome::DeviceLost;
+  }
+  impl_->fence_pending = false;
+  if (device.lost()) {
+    return Outcome::DeviceLost;
+  }
+  impl_->read_stage_times();
+  return Outcome::Done;
+}
+
+bool Batch::in_flight() const {
+  return impl_->in_flight;
+}
+
+std::span<const StageTime> Batch::stage_times() const {
+  return impl_->stages;
+}
+
+float Batch::stage_ms(std::string_view name) const {
+  float sum = 0.0F;
+  for (const StageTime& stage : impl_->stages) {
+    sum += stage.name == name ? stage.ms : 0.0F;
+  }
+  return sum;
+}
+
+Batch::Counts Batch::counts() const {
+  return impl_->counts;
+}
+
+void run_now(Context& context, std::string_view name, const std::function<void(Batch&)>& record) {
+  Batch batch(context, name);
+  record(batch);
+  batch.finish();
+  Outcome outcome = batch.submit();
+  while (outcome == Outcome::Done && batch.in_flight()) {
+    outcome = batch.wait();
+    if (outcome == Outcome::TimedOut) {
+      outcome = Outcome::Done;  // set-up work may take its time
+    }
+  }
+  if (outcome != Outcome::Done) {
+    throw DeviceLostError(
+        fmt::format("batch '{}': the device '{}' was lost; open it again", name, context.info().name));
+  }
+}
+
+}  // namespace facet::gpu

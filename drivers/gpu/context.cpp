@@ -1,0 +1,75 @@
+#include "gpu/context.hpp"
+
+#include "gpu/device.hpp"
+#include "gpu/software_threads.hpp"
+
+namespace facet::gpu {
+
+Context::Context(const ContextOptions& options) : device_(std::make_shared<Device>(options)) {
+  if (device_->info().is_software && options.pin_software_threads) {
+    pin_software_threads();
+  }
+}
+
+Context::~Context() = default;
+
+const DeviceInfo& Context::info() const {
+  return device_->info();
+}
+
+bool Context::lost() const {
+  return device_->lost();
+}
+
+void Context::simulate_loss() {
+  device_->mark_lost();
+}
+
+bool Context::validation_active() const {
+  return device_->instance().validation_active();
+}
+
+std::vector<std::string> Context::validation_messages() const {
+  return device_->instance().validation_messages();
+}
+
+Outcome Context::wait_idle() {
+  return device_->wait_idle();
+}
+
+std::vector<DeviceInfo> list_devices(const ContextOptions& options) {
+  const Instance instance(options);
+  std::vector<DeviceInfo> infos;
+  for (Instance::Candidate& candidate : instance.candidates()) {
+    infos.push_back(std::move(candidate.info));
+  }
+  return infos;
+}
+
+std::string_view describe(Outcome outcome) {
+  switch (outcome) {
+    case Outcome::Done:
+      return "done";
+    case Outcome::TimedOut:
+      return "timed out";
+    case Outcome::DeviceLost:
+      return "device lost";
+  }
+  return "unknown";
+}
+
+std::string_view describe(DeviceType type) {
+  switch (type) {
+    case DeviceType::Discrete:
+      return "discrete GPU";
+    case DeviceType::Integrated:
+      return "integrated GPU";
+    case DeviceType::Virtual:
+      return "virtual GPU";
+    case DeviceType::Software:
+      return "software";
+  }
+  return "unknown";
+}
+
+}  // namespace facet::gpu

@@ -1,0 +1,542 @@
+#include "gpu/device.hpp"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+#include <array>
+#include <cctype>
+#include <cstdlib>
+#include <cstring>
+#include <limits>
+#include <utility>
+
+#include "gpu/software_threads.hpp"
+
+namespace facet::gpu {
+
+namespace {
+
+constexpr const char* validation_layer = "VK_LAYER_KHRONOS_validation";
+constexpr std::uint32_t needed_version = VK_API_VERSION_1_2;
+constexpr std::size_t max_messages = 100;
+constexpr const char* install_driver =
+    "install a driver (Debian: apt install mesa-vulkan-drivers gives the software device lavapipe on any "
+    "machine; GPUs need their maker's or Mesa's driver); where VK_DRIVER_FILES or VK_ICD_FILENAMES is set, "
+    "it "
+    "must name a driver's .json file";
+
+// Workgroups for kernels that loop over contiguous blocks (DeviceInfo::workgroup_count). Lavapipe: eight for
+// each worker thread was best at 12 K to 200 K vertices. GPUs: of 64 lanes each, enough to keep every core of
+// the larger ones busy, and few enough that their partial sums add up in one workgroup.
+constexpr std::uint32_t software_workgroups_per_thread = 8;
+constexpr std::uint32_t integrated_workgroups = 256;
+constexpr std::uint32_t discrete_workgroups = 1024;
+
+bool validation_wanted(Validation validation) {
+  if (validation != Validation::FromEnvironment) {
+    return validation != Validation::Off;
+  }
+  const char* set = std::getenv("FACET_VULKAN_VALIDATION");
+  return set != nullptr && *set != '\0' && std::strcmp(set, "0") != 0;
+}
+
+bool layer_installed(const GlobalApi& global) {
+  std::uint32_t count = 0;
+  global.vkEnumerateInstanceLayerProperties(&count, nullptr);
+  std::vector<VkLayerProperties> layers(count);
+  global.vkEnumerateInstanceLayerProperties(&count, layers.data());
+  return std::ranges::any_of(layers, [](const VkLayerProperties& layer) {
+    return std::strcmp(layer.layerName, validation_layer) == 0;
+  });
+}
+
+DeviceType device_type(VkPhysicalDeviceType type) {
+  switch (type) {
+    case VK_PHYSICAL_DEVICE_TYPE_DISCRETE_GPU:
+      return DeviceType::Discrete;
+    case VK_PHYSICAL_DEVICE_TYPE_INTEGRATED_GPU:
+      return DeviceType::Integrated;
+    case VK_PHYSICAL_DEVICE_TYPE_CPU:
+      return DeviceType::Software;
+    default:
+      return DeviceType::Virtual;
+  }
+}
+
+std::string lower(std::string_view text) {
+  std::string out(text);
+  std::ranges::transform(out, out.begin(),
+                         [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  return out;
+}
+
+bool has_extension(const InstanceApi& api, VkPhysicalDevice device, const char* name) {
+  std::uint32_t count = 0;
+  api.vkEnumerateDeviceExtensionProperties(device, nullptr, &count, nullptr);
+  std::vector<VkExtensionProperties> extensions(count);
+  api.vkEnumerateDeviceExtensionProperties(device, nullptr, &count, extensions.data());
+  return std::ranges::any_of(extensions, [name](const VkExtensionProperties& extension) {
+    return std::strcmp(extension.extensionName, name) == 0;
+  });
+}
+
+std::optional<std::uint32_t> compute_queue_family(const InstanceApi& api, VkPhysicalDevice device,
+                                                  std::uint32_t* timestamp_bits) {
+  std::uint32_t count = 0;
+  api.vkGetPhysicalDeviceQueueFamilyProperties(device, &count, nullptr);
+  std::vector<VkQueueFamilyProperties> families(count);
+  api.vkGetPhysicalDeviceQueueFamilyProperties(device, &count, families.data());
+  for (std::uint32_t family = 0; family < count; ++family) {
+    if ((families[family].queueFlags & VK_QUEUE_COMPUTE_BIT) != 0) {
+      *timestamp_bits = families[family].timestampValidBits;
+      return family;
+    }
+  }
+  return std::nullopt;
+}
+
+/// The features that Facet asks about or turns on, chained for vkGetPhysicalDeviceFeatures2 and
+/// vkCreateDevice.
+struct Features {
+  VkPhysicalDeviceFeatures2 core{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, nullptr, {}};
+  VkPhysicalDeviceShaderAtomicFloatFeaturesEXT atomic_float{
+      VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_ATOMIC_FLOAT_FEATURES_EXT,
+      nullptr,
+      VK_FALSE,
+      VK_FALSE,
+      VK_FALSE,
+      VK_FALSE,
+      VK_FALSE,
+      VK_FALSE,
+      VK_FALSE,
+      VK_FALSE,
+      VK_FALSE,
+      VK_FALSE,
+      VK_FALSE,
+      VK_FALSE};
+};
+
+DeviceInfo describe_device(const InstanceApi& api, VkPhysicalDevice device) {
+  VkPhysicalDeviceDriverProperties driver{};
+  driver.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DRIVER_PROPERTIES;
+  VkPhysicalDeviceSubgroupProperties subgroup{};
+  subgroup.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES;
+  subgroup.pNext = &driver;
+  VkPhysicalDeviceProperties2 properties{};
+  properties.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2;
+  properties.pNext = &subgroup;
+  api.vkGetPhysicalDeviceProperties2(device, &properties);
+  const VkPhysicalDeviceLimits& limits = properties.properties.limits;
+
+  Features features;
+  const bool atomics_known = has_extension(api, device, VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME);
+  if (atomics_known) {
+    features.core.pNext = &features.atomic_float;
+  }
+  api.vkGetPhysicalDeviceFeatures2(device, &features.core);
+
+  DeviceInfo info;
+  info.name = properties.properties.deviceName;
+  info.driver = fmt::format("{} {}", driver.driverName, driver.driverInfo);
+  info.type = device_type(properties.properties.deviceType);
+  info.is_software = info.type == DeviceType::Software;
+  info.subgroup_size = subgroup.subgroupSize;
+  switch (info.type) {
+    case DeviceType::Software:
+      info.workgroup_count =
+          software_workgroups_per_thread * static_cast<std::uint32_t>(allowed_core_count());
+      break;
+    case DeviceType::Integrated:
+      info.workgroup_count = integrated_workgroups;
+      break;
+    case DeviceType::Virtual:
+    case DeviceType::Discrete:
+      info.workgroup_count = discrete_workgroups;
+      break;
+  }
+  info.buffer_alignment_bytes = static_cast<std::size_t>(
+      std::max({limits.minStorageBufferOffsetAlignment, limits.minUniformBufferOffsetAlignment,
+                limits.minTexelBufferOffsetAlignment, VkDeviceSize{16}}));
+  info.max_storage_buffer_bytes = limits.maxStorageBufferRange;
+  info.max_texel_buffer_elements = limits.maxTexelBufferElements;
+  info.shared_memory_bytes = limits.maxComputeSharedMemorySize;
+  info.max_push_constant_bytes = limits.maxPushConstantsSize;
+  info.has_float_atomics = features.atomic_float.shaderBufferFloat32AtomicAdd != VK_FALSE;
+
+  std::vector<std::string> missing;
+  std::uint32_t timestamp_bits = 0;
+  if (properties.properties.apiVersion < needed_version) {
+    missing.emplace_back("Vulkan 1.2");
+  }
+  if (!compute_queue_family(api, device, &timestamp_bits)) {
+    missing.emplace_back("a compute queue");
+  }
+  if ((subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) == 0 ||
+      (subgroup.supportedOperations & VK_SUBGROUP_FEATURE_ARITHMETIC_BIT) == 0) {
+    missing.emplace_back("subgroup arithmetic in compute shaders");
+  }
+  if (features.core.features.shaderStorageImageWriteWithoutFormat == VK_FALSE) {
+    missing.emplace_back("shaderStorageImageWriteWithoutFormat");
+  }
+  info.usable = missing.empty();
+  info.why_unusable = info.usable ? "" : fmt::format("it lacks {}", fmt::join(missing, ", "));
+  return info;
+}
+
+std::string list_for_people(const std::vector<Instance::Candidate>& candidates) {
+  std::vector<std::string> lines;
+  lines.reserve(candidates.size());
+  for (const Instance::Candidate& candidate : candidates) {
+    const DeviceInfo& info = candidate.info;
+    lines.push_back(fmt::format("'{}' ({}{})", info.name, describe(info.type),
+                                info.usable ? "" : ", unusable: " + info.why_unusable));
+  }
+  return fmt::format("{}", fmt::join(lines, ", "));
+}
+
+const Instance::Candidate& choose(const std::vector<Instance::Candidate>& candidates,
+                                  const std::string& wanted) {
+  if (candidates.empty()) {
+    throw Error(ErrorKind::NoDevice, fmt::format("no Vulkan device: {}", install_driver));
+  }
+  const bool any_name = wanted.empty() || wanted == "auto";
+  bool named = false;
+  for (const Instance::Candidate& candidate : candidates) {
+    if (!any_name && lower(candidate.info.name).find(lower(wanted)) == std::string::npos) {
+      continue;
+    }
+    named = true;
+    if (candidate.info.usable) {
+      return candidate;
+    }
+  }
+  if (any_name || named) {
+    throw Error(ErrorKind::NoDevice, fmt::format("no usable Vulkan device{}; there is: {}; {}",
+                                                 any_name ? "" : " called '" + wanted + "'",
+                                                 list_for_people(candidates), install_driver));
+  }
+  throw Error(
+      ErrorKind::NoDevice,
+      fmt::format("no Vulkan device has '{}' in its name; there is: {}; name a part of one of these, or "
+                  "\"auto\"",
+                  wanted, list_for_people(candidates)));
+}
+
+}  // namespace
+
+Instance::Instance(const ContextOptions& options) {
+  choose_software_thread_count();
+  global_ = load_global(options.loader_library);
+  std::uint32_t version = VK_API_VERSION_1_0;
+  global_.vkEnumerateInstanceVersion(&version);
+  if (version < needed_version) {
+    throw Error(
+        ErrorKind::NoDevice,
+        fmt::format("the Vulkan loader {} is of version {}.{}; Facet needs 1.2 or later: install a "
+                    "current libvulkan1",
+                    options.loader_library, VK_API_VERSION_MAJOR(version), VK_API_VERSION_MINOR(version)));
+  }
+  validation_active_ = validation_wanted(options.validation) && layer_installed(global_);
+  if (options.validation == Validation::Required && !validation_active_) {
+    throw Error(ErrorKind::NoDevice,
+                "the Vulkan validation layer is not installed: apt install vulkan-validationlayers");
+  }
+
+  VkDebugUtilsMessengerCreateInfoEXT messenger{};
+  messenger.sType = VK_STRUCTURE_TYPE_DEBUG_UTILS_MESSENGER_CREATE_INFO_EXT;
+  messenger.messageSeverity =
+      VK_DEBUG_UTILS_MESSAGE_SEVERITY_WARNING_BIT_EXT | VK_DEBUG_UTILS_MESSAGE_SEVERITY_ERROR_BIT_EXT;
+  messenger.messageType = VK_DEBUG_UTILS_MESSAGE_TYPE_VALIDATION_BIT_EXT;
+  messenger.pfnUserCallback = &Instance::collect_message;
+  messenger.pUserData = this;
+
+  const VkValidationFeatureEnableEXT synchronisation =
+      VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT;
+  VkValidationFeaturesEXT validation_features{};
+  validation_features.sType = VK_STRUCTURE_TYPE_VALIDATION_FEATURES_EXT;
+  validation_features.pNext = &messenger;
+  validation_features.enabledValidationFeatureCount = 1;
+  validation_features.pEnabledValidationFeatures = &synchronisation;
+
+  VkApplicationInfo application{};
+  application.sType = VK_STRUCTURE_TYPE_APPLICATION_INFO;
+  application.pApplicationName = "Facet";
+  application.apiVersion = needed_version;
+
+  const char* debug_extension = VK_EXT_DEBUG_UTILS_EXTENSION_NAME;
+  VkInstanceCreateInfo create{};
+  create.sType = VK_STRUCTURE_TYPE_INSTANCE_CREATE_INFO;
+  create.pApplicationInfo = &application;
+  if (validation_active_) {
+    create.pNext = &validation_features;
+    create.enabledLayerCount = 1;
+    create.ppEnabledLayerNames = &validation_layer;
+    create.enabledExtensionCount = 1;
+    create.ppEnabledExtensionNames = &debug_extension;
+  }
+  const VkResult result = global_.vkCreateInstance(&create, nullptr, &instance_);
+  if (result != VK_SUCCESS) {
+    // VK_ERROR_INCOMPATIBLE_DRIVER is the loader's word for "no driver at all".
+    throw Error(ErrorKind::NoDevice,
+                fmt::format("no Vulkan device ({}): {}", result_name(result), install_driver));
+  }
+  try {
+    api_ = load_instance(global_, instance_, validation_active_);
+    if (validation_active_) {
+      api_.vkCreateDebugUtilsMessengerEXT(instance_, &messenger, nullptr, &messenger_);
+    }
+  } catch (...) {
+    const auto destroy = reinterpret_cast<PFN_vkDestroyInstance>(
+        global_.vkGetInstanceProcAddr(instance_, "vkDestroyInstance"));
+    if (destroy != nullptr) {
+      destroy(instance_, nullptr);
+    }
+    throw;
+  }
+}
+
+Instance::~Instance() {
+  if (messenger_ != VK_NULL_HANDLE) {
+    api_.vkDestroyDebugUtilsMessengerEXT(instance_, messenger_, nullptr);
+  }
+  api_.vkDestroyInstance(instance_, nullptr);
+}
+
+VkBool32 Instance::collect_message(VkDebugUtilsMessageSeverityFlagBitsEXT /*severity*/,
+                                   VkDebugUtilsMessageTypeFlagsEXT /*types*/,
+                                   const VkDebugUtilsMessengerCallbackDataEXT* data, void* user) {
+  auto* self = static_cast<Instance*>(user);
+  const std::scoped_lock lock(self->messages_mutex_);
+  if (self->messages_.size() < max_messages) {
+    self->messages_.emplace_back(data->pMessage);
+  }
+  return VK_FALSE;
+}
+
+std::vector<std::string> Instance::validation_messages() const {
+  const std::scoped_lock lock(messages_mutex_);
+  return messages_;
+}
+
+std::vector<Instance::Candidate> Instance::candidates() const {
+  std::uint32_t count = 0;
+  api_.vkEnumeratePhysicalDevices(instance_, &count, nullptr);
+  std::vector<VkPhysicalDevice> handles(count);
+  api_.vkEnumeratePhysicalDevices(instance_, &count, handles.data());
+  handles.resize(count);
+  std::vector<Candidate> found;
+  found.reserve(count);
+  for (const VkPhysicalDevice handle : handles) {
+    found.push_back({handle, describe_device(api_, handle)});
+  }
+  std::ranges::stable_sort(found, {}, [](const Candidate& candidate) {
+    return std::pair(!candidate.info.usable, static_cast<int>(candidate.info.type));
+  });
+  return found;
+}
+
+Device::Device(const ContextOptions& options) : instance_(std::make_unique<Instance>(options)) {
+  const std::vector<Instance::Candidate> candidates = instance_->candidates();
+  open(choose(candidates, options.device));
+}
+
+void Device::open(const Instance::Candidate& chosen) {
+  const InstanceApi& instance = instance_->api();
+  physical_ = chosen.handle;
+  info_ = chosen.info;
+  instance.vkGetPhysicalDeviceMemoryProperties(physical_, &memory_);
+  VkPhysicalDeviceProperties2 properties{};
+  properties.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2;
+  instance.vkGetPhysicalDeviceProperties2(physical_, &properties);
+  limits_ = properties.properties.limits;
+  queue_family_ = compute_queue_family(instance, physical_, &timestamp_valid_bits_).value();
+
+  const float priority = 1.0F;
+  VkDeviceQueueCreateInfo queue{};
+  queue.sType = VK_STRUCTURE_TYPE_DEVICE_QUEUE_CREATE_INFO;
+  queue.queueFamilyIndex = queue_family_;
+  queue.queueCount = 1;
+  queue.pQueuePriorities = &priority;
+
+  Features features;
+  features.core.features.shaderStorageImageWriteWithoutFormat = VK_TRUE;
+  const char* atomics = VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME;
+  VkDeviceCreateInfo create{};
+  create.sType = VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO;
+  create.pNext = &features.core;
+  create.queueCreateInfoCount = 1;
+  create.pQueueCreateInfos = &queue;
+  if (info_.has_float_atomics) {
+    features.atomic_float.shaderBufferFloat32AtomicAdd = VK_TRUE;
+    features.atomic_float.shaderBufferFloat32Atomics = VK_TRUE;
+    features.core.pNext = &features.atomic_float;
+    create.enabledExtensionCount = 1;
+    create.ppEnabledExtensionNames = &atomics;
+  }
+  check(instance.vkCreateDevice(physical_, &create, nullptr, &device_),
+        fmt::format("open the Vulkan device '{}'", info_.name));
+  try {
+    api_ = load_device(instance, device_);
+  } catch (...) {
+    const auto destroy =
+        reinterpret_cast<PFN_vkDestroyDevice>(instance.vkGetDeviceProcAddr(device_, "vkDestroyDevice"));
+    if (destroy != nullptr) {
+      destroy(device_, nullptr);
+    }
+    throw;
+  }
+  api_.vkGetDeviceQueue(device_, queue_family_, 0, &queue_);
+}
+
+Device::~Device() {
+  if (device_ != VK_NULL_HANDLE && api_.vkDestroyDevice != nullptr) {
+    api_.vkDeviceWaitIdle(device_);
+    api_.vkDestroyDevice(device_, nullptr);
+  }
+}
+
+void Device::check(VkResult result, std::string_view what) {
+  if (result == VK_ERROR_DEVICE_LOST) {
+    mark_lost();
+  }
+  check_not_lost(what);
+  if (result == VK_ERROR_OUT_OF_DEVICE_MEMORY || result == VK_ERROR_OUT_OF_HOST_MEMORY) {
+    throw Error(ErrorKind::NoDevice,
+                fmt::format("cannot {}: the device '{}' has not enough memory left ({}); end "
+                            "other programs that use it or choose another device",
+                            what, info_.name, result_name(result)));
+  }
+  if (result < 0) {
+    throw Error(ErrorKind::NoDevice,
+                fmt::format("cannot {} on the device '{}': {}", what, info_.name, result_name(result)));
+  }
+}
+
+void Device::check_not_lost(std::string_view what) const {
+  if (lost()) {
+    throw DeviceLostError(
+        fmt::format("cannot {}: the device '{}' was lost; open it again", what, info_.name));
+  }
+}
+
+VkResult Device::submit(VkCommandBuffer commands, VkFence fence) {
+  if (lost()) {
+    return VK_ERROR_DEVICE_LOST;
+  }
+  VkSubmitInfo submit{};
+  submit.sType = VK_STRUCTURE_TYPE_SUBMIT_INFO;
+  submit.commandBufferCount = 1;
+  submit.pCommandBuffers = &commands;
+  VkResult result = VK_SUCCESS;
+  {
+    const std::scoped_lock lock(queue_mutex_);
+    result = api_.vkQueueSubmit(queue_, 1, &submit, fence);
+  }
+  if (result == VK_ERROR_DEVICE_LOST) {
+    mark_lost();
+  }
+  return result;
+}
+
+Outcome Device::wait_idle() {
+  VkResult result = VK_SUCCESS;
+  {
+    const std::scoped_lock lock(queue_mutex_);
+    result = api_.vkDeviceWaitIdle(device_);
+  }
+  if (result != VK_SUCCESS) {
+    mark_lost();
+  }
+  return lost() ? Outcome::DeviceLost : Outcome::Done;
+}
+
+void Device::run_once(std::string_view what, const std::function<void(VkCommandBuffer)>& record) {
+  check_not_lost(what);
+  VkCommandPoolCreateInfo pool_info{};
+  pool_info.sType = VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO;
+  pool_info.queueFamilyIndex = queue_family_;
+  VkCommandPool pool = VK_NULL_HANDLE;
+  check(api_.vkCreateCommandPool(device_, &pool_info, nullptr, &pool), what);
+  VkFence fence = VK_NULL_HANDLE;
+  VkResult result = [&] {
+    VkFenceCreateInfo fence_info{};
+    fence_info.sType = VK_STRUCTURE_TYPE_FENCE_CREATE_INFO;
+    if (const VkResult made = api_.vkCreateFence(device_, &fence_info, nullptr, &fence); made != VK_SUCCESS) {
+      return made;
+    }
+    VkCommandBufferAllocateInfo allocate_info{};
+    allocate_info.sType = VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO;
+    allocate_info.commandPool = pool;
+    allocate_info.level = VK_COMMAND_BUFFER_LEVEL_PRIMARY;
+    allocate_info.commandBufferCount = 1;
+    VkCommandBuffer commands = VK_NULL_HANDLE;
+    if (const VkResult made = api_.vkAllocateCommandBuffers(device_, &allocate_info, &commands);
+        made != VK_SUCCESS) {
+      return made;
+    }
+    VkCommandBufferBeginInfo begin{};
+    begin.sType = VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO;
+    begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
+    api_.vkBeginCommandBuffer(commands, &begin);
+    record(commands);
+    if (const VkResult ended = api_.vkEndCommandBuffer(commands); ended != VK_SUCCESS) {
+      return ended;
+    }
+    if (const VkResult sent = submit(commands, fence); sent != VK_SUCCESS) {
+      return sent;
+    }
+    return api_.vkWaitForFences(device_, 1, &fence, VK_TRUE, std::numeric_limits<std::uint64_t>::max());
+  }();
+  api_.vkDestroyFence(device_, fence, nullptr);
+  api_.vkDestroyCommandPool(device_, pool, nullptr);
+  check(result, what);
+}
+
+VkFormatFeatureFlags Device::image_features(VkFormat format) const {
+  VkFormatProperties properties{};
+  instance_->api().vkGetPhysicalDeviceFormatProperties(physical_, format, &properties);
+  return properties.optimalTilingFeatures;
+}
+
+VkFormatFeatureFlags Device::buffer_features(VkFormat format) const {
+  VkFormatProperties properties{};
+  instance_->api().vkGetPhysicalDeviceFormatProperties(physical_, format, &properties);
+  return properties.bufferFeatures;
+}
+
+VkDeviceMemory Device::allocate(const VkMemoryRequirements& needs, VkMemoryPropertyFlags required,
+                                VkMemoryPropertyFlags preferred, std::string_view what) {
+  for (const VkMemoryPropertyFlags flags : {required | preferred, required}) {
+    for (std::uint32_t type = 0; type < memory_.memoryTypeCount; ++type) {
+      const bool allowed = (needs.memoryTypeBits & (1U << type)) != 0;
+      if (!allowed || (memory_.memoryTypes[type].propertyFlags & flags) != flags) {
+        continue;
+      }
+      VkMemoryAllocateInfo info{};
+      info.sType = VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_INFO;
+      info.allocationSize = needs.size;
+      info.memoryTypeIndex = type;
+      VkDeviceMemory memory = VK_NULL_HANDLE;
+      check(api_.vkAllocateMemory(device_, &info, nullptr, &memory), what);
+      return memory;
+    }
+  }
+  throw Error(ErrorKind::NoDevice,
+              fmt::format("cannot {}: the device '{}' has no suitable kind of memory", what, info_.name));
+}
+
+void Device::set_name(VkObjectType type, std::uint64_t object, std::string_view name) const {
+  if (!instance_->validation_active()) {
+    return;
+  }
+  const std::string text(name);
+  VkDebugUtilsObjectNameInfoEXT info{};
+  info.sType = VK_STRUCTURE_TYPE_DEBUG_UTILS_OBJECT_NAME_INFO_EXT;
+  info.objectType = type;
+  info.objectHandle = object;
+  info.pObjectName = text.c_str();
+  instance_->api().vkSetDebugUtilsObjectNameEXT(device_, &info);
+}
+
+}  // namespace facet::gpu

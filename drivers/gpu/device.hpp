@@ -1,0 +1,123 @@
+#pragma once
+
+// Private to this room: the opened Vulkan device behind a Context.
+
+#include <atomic>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "gpu/context.hpp"
+#include "gpu/vulkan_api.hpp"
+
+namespace facet::gpu {
+
+/// A Vulkan instance, with the validation layer where asked for.
+class Instance {
+ public:
+  explicit Instance(const ContextOptions& options);
+  ~Instance();
+  Instance(const Instance&) = delete;
+  Instance& operator=(const Instance&) = delete;
+
+  const InstanceApi& api() const { return api_; }
+  bool validation_active() const { return validation_active_; }
+  std::vector<std::string> validation_messages() const;
+
+  struct Candidate {
+    VkPhysicalDevice handle = VK_NULL_HANDLE;
+    DeviceInfo info;
+  };
+  /// Every physical device, best first.
+  std::vector<Candidate> candidates() const;
+
+ private:
+  static VKAPI_ATTR VkBool32 VKAPI_CALL collect_message(VkDebugUtilsMessageSeverityFlagBitsEXT severity,
+                                                        VkDebugUtilsMessageTypeFlagsEXT types,
+                                                        const VkDebugUtilsMessengerCallbackDataEXT* data,
+                                                        void* user);
+
+  GlobalApi global_;
+  InstanceApi api_;
+  VkInstance instance_ = VK_NULL_HANDLE;
+  VkDebugUtilsMessengerEXT messenger_ = VK_NULL_HANDLE;
+  bool validation_active_ = false;
+  mutable std::mutex messages_mutex_;
+  std::vector<std::string> messages_;  // guarded by messages_mutex_
+};
+
+/// The device, its one compute queue and what every resource needs from them. Any thread.
+class Device {
+ public:
+  explicit Device(const ContextOptions& options);
+  ~Device();
+  Device(const Device&) = delete;
+  Device& operator=(const Device&) = delete;
+
+  const DeviceApi& api() const { return api_; }
+  VkDevice handle() const { return device_; }
+  const DeviceInfo& info() const { return info_; }
+  const VkPhysicalDeviceLimits& limits() const { return limits_; }
+  const Instance& instance() const { return *instance_; }
+  std::uint32_t queue_family() const { return queue_family_; }
+  std::uint32_t timestamp_valid_bits() const { return timestamp_valid_bits_; }
+
+  bool lost() const { return lost_.load(std::memory_order_acquire); }
+  void mark_lost() { lost_.store(true, std::memory_order_release); }
+
+  /// Throws DeviceLostError or Error(NoDevice) unless the result is a success. `what` names the thing that
+  /// failed: "create buffer 'jacobian'".
+  void check(VkResult result, std::string_view what);
+  /// Throws DeviceLostError where the device is lost.
+  void check_not_lost(std::string_view what) const;
+
+  /// Hands command buffers to the queue. Per-frame safe; does not throw.
+  VkResult submit(VkCommandBuffer commands, VkFence fence);
+  Outcome wait_idle();
+
+  /// Records into a command buffer, submits it and waits. For set-up.
+  void run_once(std::string_view what, const std::function<void(VkCommandBuffer)>& record);
+
+  VkFormatFeatureFlags image_features(VkFormat format) const;
+  VkFormatFeatureFlags buffer_features(VkFormat format) const;
+
+  /// Memory of a type that has all `required` flags, and `preferred` ones where there is such a type.
+  VkDeviceMemory allocate(const VkMemoryRequirements& needs, VkMemoryPropertyFlags required,
+                          VkMemoryPropertyFlags preferred, std::string_view what);
+
+  /// Gives an object a name in the messages of the validation layer.
+  void set_name(VkObjectType type, std::uint64_t object, std::string_view name) const;
+
+ private:
+  void open(const Instance::Candidate& chosen);
+
+  std::unique_ptr<Instance> instance_;
+  VkPhysicalDevice physical_ = VK_NULL_HANDLE;
+  VkDevice device_ = VK_NULL_HANDLE;
+  VkQueue queue_ = VK_NULL_HANDLE;
+  DeviceApi api_;
+  DeviceInfo info_;
+  VkPhysicalDeviceLimits limits_{};
+  VkPhysicalDeviceMemoryProperties memory_{};
+  std::uint32_t queue_family_ = 0;
+  std::uint32_t timestamp_valid_bits_ = 0;
+  std::mutex queue_mutex_;  // the queue is externally synchronised
+  std::atomic<bool> lost_{false};
+};
+
+/// A Vulkan handle as the number that set_name and comparisons use; handles are pointers or numbers by
+/// platform.
+template <typename Handle>
+std::uint64_t handle_bits(Handle handle) {
+  if constexpr (std::is_pointer_v<Handle>) {
+    return reinterpret_cast<std::uint64_t>(handle);
+  } else {
+    return static_cast<std::uint64_t>(handle);
+  }
+}
+
+}  // namespace facet::gpu
