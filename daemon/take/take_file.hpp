@@ -1,9 +1,14 @@
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
+#include <memory>
+#include <span>
+#include <string_view>
+#include <vector>
 
-/// What a take file is: docs/take-format.md.
+/// What a take file is; docs/take-format.md is its page.
 namespace facet::take {
 
 /// SQLite application_id of a take: "FCTK".
@@ -11,7 +16,47 @@ inline constexpr std::int32_t kApplicationId = 0x4643544B;
 /// SQLite user_version: version of tables and blobs. History in docs/take-format.md.
 inline constexpr std::int32_t kFormatVersion = 1;
 
-/// Biggest uncompressed blob that a reader accepts (stream::kMaxMessageBytes).
+/// Biggest blob, uncompressed, that is written or read (stream::kMaxMessageBytes).
 inline constexpr std::size_t kMaxBlobBytes = 64U << 20;
+
+struct TableDefinition {
+  std::string_view name;
+  std::string_view sql;  ///< as it stands in sqlite_schema; a reader accepts nothing else
+};
+
+/// The tables of format version 1. 64-bit ids are stored as the signed integer of the same bits.
+inline constexpr std::array<TableDefinition, 5> kTables{{
+    {"meta", "CREATE TABLE meta(key TEXT PRIMARY KEY, value TEXT NOT NULL)"},
+    {"subject",
+     "CREATE TABLE subject(number INTEGER PRIMARY KEY, id INTEGER NOT NULL UNIQUE, data BLOB NOT NULL)"},
+    {"albedo",
+     "CREATE TABLE albedo(number INTEGER PRIMARY KEY, subject_id INTEGER NOT NULL, version INTEGER NOT NULL, "
+     "data BLOB NOT NULL, UNIQUE(subject_id, version))"},
+    {"frame",
+     "CREATE TABLE frame(number INTEGER PRIMARY KEY, sequence INTEGER NOT NULL, timestamp_ns INTEGER NOT "
+     "NULL, media_time_ns INTEGER NOT NULL, state INTEGER NOT NULL, has_mesh INTEGER NOT NULL)"},
+    {"frame_data", "CREATE TABLE frame_data(number INTEGER PRIMARY KEY, data BLOB NOT NULL)"},
+}};
+
+/// Compresses blobs: one zstd frame each, with content size and checksum. One thread; memory is reused.
+class BlobCompressor {
+ public:
+  /// level 1 to 19, see zstd.
+  explicit BlobCompressor(int level);
+  ~BlobCompressor();
+  BlobCompressor(const BlobCompressor&) = delete;
+  BlobCompressor& operator=(const BlobCompressor&) = delete;
+
+  /// The result is valid until the next call.
+  std::span<const std::uint8_t> compress(std::span<const std::uint8_t> message);
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+/// Decompresses one blob from outside. Throws Error(UnreadableInput) where it is damaged or longer than
+/// kMaxBlobBytes. `out` is reused.
+void decompress_blob(std::span<const std::uint8_t> blob, std::vector<std::uint8_t>& out);
 
 }  // namespace facet::take

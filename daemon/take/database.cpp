@@ -1,0 +1,129 @@
+#include "take/database.hpp"
+
+#include <sqlite3.h>
+
+#include "take/take_file.hpp"
+
+namespace facet::take {
+namespace {
+
+constexpr int kPrimaryCodeMask = 0xFF;
+
+[[noreturn]] void fail(sqlite3* handle, int code) {
+  throw DatabaseError(code & kPrimaryCodeMask,
+                      handle != nullptr ? sqlite3_errmsg(handle) : sqlite3_errstr(code));
+}
+
+void check(sqlite3* handle, int code) {
+  if (code != SQLITE_OK) {
+    fail(handle, code);
+  }
+}
+
+}  // namespace
+
+void Statement::Finalize::operator()(sqlite3_stmt* statement) const {
+  sqlite3_finalize(statement);
+}
+
+void Database::Close::operator()(sqlite3* handle) const {
+  sqlite3_close_v2(handle);
+}
+
+Statement::Statement(Database& database, std::string_view sql) : database_(&database) {
+  sqlite3_stmt* statement = nullptr;
+  const int code = sqlite3_prepare_v3(database.handle(), sql.data(), static_cast<int>(sql.size()),
+                                      SQLITE_PREPARE_PERSISTENT, &statement, nullptr);
+  statement_.reset(statement);
+  check(database.handle(), code);
+}
+
+void Statement::bind(int parameter, std::int64_t value) {
+  check(database_->handle(), sqlite3_bind_int64(statement_.get(), parameter, value));
+}
+
+void Statement::bind(int parameter, std::string_view text) {
+  check(database_->handle(), sqlite3_bind_text64(statement_.get(), parameter, text.data(), text.size(),
+                                                 SQLITE_TRANSIENT, SQLITE_UTF8));
+}
+
+void Statement::bind(int parameter, std::span<const std::uint8_t> blob) {
+  check(database_->handle(),
+        sqlite3_bind_blob64(statement_.get(), parameter, blob.data(), blob.size(), SQLITE_STATIC));
+}
+
+bool Statement::step() {
+  const int code = sqlite3_step(statement_.get());
+  if (code == SQLITE_ROW) {
+    return true;
+  }
+  if (code != SQLITE_DONE) {
+    // The message must be read before the reset, the reset must come before the statement's next use.
+    const DatabaseError error(code & kPrimaryCodeMask, sqlite3_errmsg(database_->handle()));
+    sqlite3_reset(statement_.get());
+    throw error;
+  }
+  sqlite3_reset(statement_.get());
+  return false;
+}
+
+void Statement::run() {
+  while (step()) {
+  }
+}
+
+void Statement::reset() {
+  sqlite3_reset(statement_.get());
+}
+
+std::int64_t Statement::column_int64(int column) {
+  return sqlite3_column_int64(statement_.get(), column);
+}
+
+std::string Statement::column_text(int column) {
+  const auto* text = sqlite3_column_text(statement_.get(), column);
+  const auto size = static_cast<std::size_t>(sqlite3_column_bytes(statement_.get(), column));
+  return text != nullptr ? std::string(reinterpret_cast<const char*>(text), size) : std::string();
+}
+
+std::span<const std::uint8_t> Statement::column_blob(int column) {
+  const auto* data = static_cast<const std::uint8_t*>(sqlite3_column_blob(statement_.get(), column));
+  return {data,
+          data != nullptr ? static_cast<std::size_t>(sqlite3_column_bytes(statement_.get(), column)) : 0};
+}
+
+bool Statement::column_is_null(int column) {
+  return sqlite3_column_type(statement_.get(), column) == SQLITE_NULL;
+}
+
+Database::Database(const std::filesystem::path& file, Mode mode) {
+  sqlite3* handle = nullptr;
+  const int flags = (mode == Mode::ReadOnly ? SQLITE_OPEN_READONLY : SQLITE_OPEN_READWRITE) |
+                    SQLITE_OPEN_NOMUTEX | SQLITE_OPEN_PRIVATECACHE;
+  const int code = sqlite3_open_v2(file.c_str(), &handle, flags, nullptr);
+  handle_.reset(handle);
+  check(handle, code);
+  // A take from elsewhere is data: nothing in its schema may run code or make SQLite take endless memory.
+  sqlite3_db_config(handle, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
+  sqlite3_db_config(handle, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
+  sqlite3_limit(handle, SQLITE_LIMIT_LENGTH, static_cast<int>(kMaxBlobBytes + (1U << 20)));
+}
+
+void Database::execute(const std::string& sql) {
+  check(handle_.get(), sqlite3_exec(handle_.get(), sql.c_str(), nullptr, nullptr, nullptr));
+}
+
+std::int64_t Database::query_int64(const std::string& sql) {
+  Statement statement(*this, sql);
+  return statement.step() ? statement.column_int64(0) : 0;
+}
+
+bool Database::in_transaction() const {
+  return sqlite3_get_autocommit(handle_.get()) == 0;
+}
+
+void Database::set_busy_timeout_ms(int timeout_ms) {
+  sqlite3_busy_timeout(handle_.get(), timeout_ms);
+}
+
+}  // namespace facet::take

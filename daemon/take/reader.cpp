@@ -1,0 +1,319 @@
+#include "take/reader.hpp"
+
+#include <fmt/format.h>
+#include <sqlite3.h>
+
+#include <algorithm>
+#include <bit>
+#include <cstddef>
+#include <cstdlib>
+#include <string_view>
+#include <unordered_map>
+#include <utility>
+
+#include "facet/error.hpp"
+#include "stream/decoder.hpp"
+#include "take/database.hpp"
+#include "take/take_file.hpp"
+
+namespace facet::take {
+namespace {
+
+std::uint64_t id_from(std::int64_t stored) {
+  return std::bit_cast<std::uint64_t>(stored);
+}
+
+[[noreturn]] void reject(const std::filesystem::path& file, std::string_view what) {
+  throw Error(ErrorKind::UnreadableInput, fmt::format("take '{}': {}", file.string(), what));
+}
+
+std::string explain(const DatabaseError& error) {
+  switch (error.code()) {
+    case SQLITE_NOTADB:
+      return "this is not a take (not an SQLite file)";
+    case SQLITE_CORRUPT:
+      return fmt::format("the file is damaged ({})", error.what());
+    case SQLITE_CANTOPEN:
+    case SQLITE_READONLY:
+      return "it was not closed by its recorder and its folder is read-only: copy it together with its -wal "
+             "file to "
+             "a folder that can be written";
+    case SQLITE_BUSY:
+    case SQLITE_LOCKED:
+      return "another program holds it locked: try again";
+    default:
+      return error.what();
+  }
+}
+
+Database open_database(const std::filesystem::path& file) {
+  std::error_code error;
+  const auto status = std::filesystem::status(file, error);
+  if (!std::filesystem::exists(status)) {
+    reject(file, "there is no such file");
+  }
+  if (!std::filesystem::is_regular_file(status)) {
+    reject(file, "this is not a file");
+  }
+  return {file, Database::Mode::ReadOnly};
+}
+
+constexpr int kBusyTimeoutMs = 2000;
+
+}  // namespace
+
+struct TakeReader::Impl {
+  explicit Impl(const std::filesystem::path& take)
+      : file(take), database(open_checked(take)), checked(check_schema()) {}
+
+  std::filesystem::path file;
+  Database database;
+  bool checked;  ///< orders the construction: nothing is read before the schema is known to be ours
+  TakeInfo info;
+  std::vector<std::uint8_t> message;  ///< reused
+  std::unordered_map<std::uint64_t, std::shared_ptr<const mesh::Subject>> subjects;
+  stream::DecodedAlbedo albedo;  ///< the last one read
+  std::unique_ptr<Statement> select_entry{
+      prepare("SELECT sequence, timestamp_ns, media_time_ns, state, has_mesh FROM frame WHERE number = ?")};
+  std::unique_ptr<Statement> select_data{prepare("SELECT data FROM frame_data WHERE number = ?")};
+  std::unique_ptr<Statement> select_subject{prepare("SELECT data FROM subject WHERE id = ?")};
+  std::unique_ptr<Statement> select_albedo{
+      prepare("SELECT data FROM albedo WHERE subject_id = ? AND version = ?")};
+
+  static Database open_checked(const std::filesystem::path& take) {
+    try {
+      return open_database(take);
+    } catch (const DatabaseError& error) {
+      reject(take, explain(error));
+    }
+  }
+  std::unique_ptr<Statement> prepare(std::string_view sql) {
+    return guarded([&] { return std::make_unique<Statement>(database, sql); });
+  }
+
+  /// Runs `work` and turns what SQLite reports into an Error that names the file.
+  template <typename Work>
+  auto guarded(Work&& work) -> decltype(work()) {
+    try {
+      return work();
+    } catch (const DatabaseError& error) {
+      reject(file, explain(error));
+    }
+  }
+
+  /// Runs a decoder over a blob and adds to its Error which one is damaged.
+  template <typename Work>
+  auto decoded(std::string_view what, Work&& work) -> decltype(work()) {
+    try {
+      return work();
+    } catch (const Error& error) {
+      reject(file, fmt::format("{}: {}", what, error.what()));
+    }
+  }
+
+  bool check_schema();
+  void read_info();
+  std::string meta(std::string_view key);
+  void require_index(std::int64_t index) const;
+  /// The blob of the only row of a bound statement, decompressed into `message`.
+  void load(Statement& statement, const std::string& what);
+  std::shared_ptr<const mesh::Subject> subject(std::uint64_t id);
+  std::shared_ptr<const mesh::Albedo> albedo_of(std::uint64_t subject_id, std::uint64_t version);
+  std::shared_ptr<const mesh::MeshFrame> frame(std::int64_t index);
+};
+
+bool TakeReader::Impl::check_schema() {
+  guarded([this] {
+    database.set_busy_timeout_ms(kBusyTimeoutMs);
+    const std::int64_t application = database.query_int64("PRAGMA application_id");
+    if (application != kApplicationId) {
+      reject(file, "this is an SQLite file, but not a take");
+    }
+    const std::int64_t version = database.query_int64("PRAGMA user_version");
+    if (version < 1 || version > kFormatVersion) {
+      reject(file, fmt::format("its format version is {}, this program reads 1 to {}: use a newer Facet",
+                               version, kFormatVersion));
+    }
+    info.format_version = static_cast<std::int32_t>(version);
+    // Exact text: a view, trigger or computed column in a table's place could run anything on reading.
+    Statement schema(database, "SELECT name, sql FROM sqlite_schema WHERE sql IS NOT NULL");
+    std::size_t known = 0;
+    while (schema.step()) {
+      const std::string name = schema.column_text(0);
+      const std::string sql = schema.column_text(1);
+      if (std::none_of(kTables.begin(), kTables.end(), [&](const TableDefinition& table) {
+            return table.name == name && table.sql == sql;
+          })) {
+        reject(file, fmt::format("its table '{}' is not that of a take", name));
+      }
+      ++known;
+    }
+    if (known != kTables.size()) {
+      reject(file, "tables are missing");
+    }
+  });
+  return true;
+}
+
+std::string TakeReader::Impl::meta(std::string_view key) {
+  Statement select(database, "SELECT value FROM meta WHERE key = ?");
+  select.bind(1, key);
+  std::string value = select.step() ? select.column_text(0) : std::string();
+  return value;
+}
+
+void TakeReader::Impl::read_info() {
+  guarded([this] {
+    info.file = file;
+    info.source = meta("source");
+    info.software = meta("software");
+    info.created_utc = meta("created_utc");
+    info.closed = meta("closed") == "1";
+    info.end_reason = meta("end_reason");
+    info.dropped = std::strtoull(meta("dropped").c_str(), nullptr, 10);
+    Statement frames(database, "SELECT count(*), min(number), max(number), total(has_mesh <> 0) FROM frame");
+    frames.step();
+    info.frame_count = frames.column_int64(0);
+    if (info.frame_count > 0 &&
+        (frames.column_int64(1) != 0 || frames.column_int64(2) != info.frame_count - 1)) {
+      reject(file, "the file is damaged (frames are missing)");
+    }
+    info.mesh_frame_count = frames.column_int64(3);
+    frames.reset();
+    info.subject_count = database.query_int64("SELECT count(*) FROM subject");
+    if (info.frame_count > 0) {
+      info.first_timestamp_ns = database.query_int64("SELECT timestamp_ns FROM frame WHERE number = 0");
+      info.last_timestamp_ns = database.query_int64(
+          fmt::format("SELECT timestamp_ns FROM frame WHERE number = {}", info.frame_count - 1));
+    }
+    std::error_code error;
+    for (const char* part : {"", "-wal"}) {
+      const std::uintmax_t bytes = std::filesystem::file_size(file.string() + part, error);
+      info.file_bytes += error ? 0 : bytes;
+    }
+  });
+}
+
+void TakeReader::Impl::require_index(std::int64_t index) const {
+  if (index < 0 || index >= info.frame_count) {
+    throw Error(ErrorKind::Usage, fmt::format("take '{}' has frames 0 to {}, there is no frame {}",
+                                              file.string(), info.frame_count - 1, index));
+  }
+}
+
+void TakeReader::Impl::load(Statement& statement, const std::string& what) {
+  if (!statement.step()) {
+    reject(file, fmt::format("the file is damaged ({} is missing)", what));
+  }
+  decoded(what, [&] { decompress_blob(statement.column_blob(0), message); });
+  statement.reset();
+}
+
+std::shared_ptr<const mesh::Subject> TakeReader::Impl::subject(std::uint64_t id) {
+  if (const auto known = subjects.find(id); known != subjects.end()) {
+    return known->second;
+  }
+  const std::string what = fmt::format("subject {:016x}", id);
+  select_subject->bind(1, std::bit_cast<std::int64_t>(id));
+  load(*select_subject, what);
+  auto read = decoded(what, [&] { return stream::decode_subject(message); });
+  if (read->id != id || read->hierarchy == nullptr || read->hierarchy->control_vertex_count == 0) {
+    reject(file, fmt::format("{}: not the topology that a take holds", what));
+  }
+  subjects.emplace(id, read);
+  return read;
+}
+
+std::shared_ptr<const mesh::Albedo> TakeReader::Impl::albedo_of(std::uint64_t subject_id,
+                                                                std::uint64_t version) {
+  if (albedo.albedo == nullptr || albedo.subject_id != subject_id || albedo.albedo->version != version) {
+    const std::string what = fmt::format("albedo {} of subject {:016x}", version, subject_id);
+    select_albedo->bind(1, std::bit_cast<std::int64_t>(subject_id));
+    select_albedo->bind(2, std::bit_cast<std::int64_t>(version));
+    load(*select_albedo, what);
+    stream::DecodedAlbedo read = decoded(what, [&] { return stream::decode_albedo(message); });
+    if (read.subject_id != subject_id || read.albedo->version != version) {
+      reject(file, fmt::format("{}: it holds another one", what));
+    }
+    albedo = std::move(read);
+  }
+  return albedo.albedo;
+}
+
+std::shared_ptr<const mesh::MeshFrame> TakeReader::Impl::frame(std::int64_t index) {
+  const std::string what = fmt::format("frame {}", index);
+  select_data->bind(1, index);
+  load(*select_data, what);
+  // Subject and albedo are read through the same buffer.
+  const std::vector<std::uint8_t> frame_message = std::exchange(message, {});
+  const auto wanted = decoded(what, [&] { return stream::frame_references(frame_message); });
+  auto wanted_subject = wanted.subject_id != 0 ? subject(wanted.subject_id) : nullptr;
+  auto wanted_albedo =
+      wanted.albedo_version != 0 ? albedo_of(wanted.subject_id, wanted.albedo_version) : nullptr;
+  stream::DecodedFrame out;
+  decoded(what, [&] {
+    stream::decode_frame(frame_message, std::move(wanted_subject), std::move(wanted_albedo), out);
+  });
+  return std::make_shared<mesh::MeshFrame>(std::move(out.frame));
+}
+
+TakeReader::TakeReader(const std::filesystem::path& file) : impl_(std::make_unique<Impl>(file)) {
+  impl_->read_info();
+}
+
+TakeReader::~TakeReader() = default;
+TakeReader::TakeReader(TakeReader&&) noexcept = default;
+TakeReader& TakeReader::operator=(TakeReader&&) noexcept = default;
+
+const TakeInfo& TakeReader::info() const {
+  return impl_->info;
+}
+
+std::int64_t TakeReader::frame_count() const {
+  return impl_->info.frame_count;
+}
+
+FrameEntry TakeReader::entry(std::int64_t index) {
+  impl_->require_index(index);
+  return impl_->guarded([&] {
+    Statement& select = *impl_->select_entry;
+    select.bind(1, index);
+    if (!select.step()) {
+      reject(impl_->file, fmt::format("the file is damaged (frame {} is missing)", index));
+    }
+    const std::int64_t state = select.column_int64(3);
+    FrameEntry entry{index,
+                     id_from(select.column_int64(0)),
+                     select.column_int64(1),
+                     select.column_int64(2),
+                     static_cast<mesh::TrackingState>(state),
+                     select.column_int64(4) != 0};
+    select.reset();
+    if (state < 0 || state > static_cast<std::int64_t>(mesh::TrackingState::Lost)) {
+      reject(impl_->file, fmt::format("the file is damaged (frame {} has state {})", index, state));
+    }
+    return entry;
+  });
+}
+
+std::shared_ptr<const mesh::MeshFrame> TakeReader::frame(std::int64_t index) {
+  impl_->require_index(index);
+  return impl_->guarded([&] { return impl_->frame(index); });
+}
+
+std::vector<std::shared_ptr<const mesh::Subject>> TakeReader::subjects() {
+  return impl_->guarded([&] {
+    std::vector<std::uint64_t> ids;
+    Statement select(impl_->database, "SELECT id FROM subject ORDER BY number");
+    while (select.step()) {
+      ids.push_back(id_from(select.column_int64(0)));
+    }
+    std::vector<std::shared_ptr<const mesh::Subject>> out;
+    for (const std::uint64_t id : ids) {
+      out.push_back(impl_->subject(id));
+    }
+    return out;
+  });
+}
+
+}  // namespace facet::take

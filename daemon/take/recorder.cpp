@@ -1,0 +1,452 @@
+#include "take/recorder.hpp"
+
+#include <fcntl.h>
+#include <fmt/chrono.h>
+#include <fmt/format.h>
+#include <pthread.h>
+#include <sys/stat.h>
+#include <sys/statvfs.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <bit>
+#include <cerrno>
+#include <condition_variable>
+#include <cstring>
+#include <exception>
+#include <mutex>
+#include <optional>
+#include <string_view>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "facet/error.hpp"
+#include "stream/decoder.hpp"
+#include "stream/encoder.hpp"
+#include "take/database.hpp"
+#include "take/take_file.hpp"
+
+namespace facet::take {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+// Half a second of frames is at risk; two syncs per second are no load for any disk.
+constexpr auto kCommitPeriod = std::chrono::milliseconds(500);
+// Frame blobs are tens to hundreds of kilobytes: bigger pages mean shorter chains of them.
+constexpr int kPageBytes = 16384;
+// The write-ahead log is folded into the file every 8 MiB.
+constexpr int kCheckpointPages = 512;
+// A reader in the middle of a page may hold up the closing of the log for this long; the take is readable
+// without it too.
+constexpr int kCloseTimeoutMs = 200;
+constexpr std::size_t kMaxTakeNameBytes = 100;
+
+std::string utc_text(std::chrono::system_clock::time_point time, const char* format) {
+  const auto seconds = std::chrono::system_clock::to_time_t(time);
+  return fmt::format(fmt::runtime(format), fmt::gmtime(seconds));
+}
+
+/// Makes an empty file that was not there before.
+void create_file(const std::filesystem::path& file) {
+  const int fd = ::open(file.c_str(), O_CREAT | O_EXCL | O_RDWR | O_CLOEXEC, 0644);
+  if (fd >= 0) {
+    ::close(fd);
+    return;
+  }
+  const int error = errno;
+  if (error == EEXIST) {
+    throw Error(ErrorKind::Storage,
+                fmt::format("take '{}' exists already: choose another name or move it away", file.string()));
+  }
+  throw Error(ErrorKind::Storage,
+              fmt::format("cannot create take '{}': {}{}", file.string(), std::strerror(error),
+                          error == ENOENT ? ": create its folder first" : ""));
+}
+
+std::int64_t stored_id(std::uint64_t id) {
+  return std::bit_cast<std::int64_t>(id);
+}
+
+}  // namespace
+
+const char* to_string(RecorderState state) {
+  switch (state) {
+    case RecorderState::Recording:
+      return "recording";
+    case RecorderState::Finished:
+      return "finished";
+    case RecorderState::Failed:
+      return "failed";
+  }
+  return "unknown";
+}
+
+/// The file and its statements: facet-take only, once started.
+class TakeWriter {
+ public:
+  explicit TakeWriter(const TakeRecorderConfig& config)
+      : compressor_(config.compression_level),
+        database_(config.file, Database::Mode::ReadWrite),
+        schema_(make_schema(config)),
+        insert_subject_(database_, "INSERT OR IGNORE INTO subject(id, data) VALUES(?, ?)"),
+        insert_albedo_(database_, "INSERT OR IGNORE INTO albedo(subject_id, version, data) VALUES(?, ?, ?)"),
+        insert_frame_(database_, "INSERT INTO frame VALUES(?, ?, ?, ?, ?, ?)"),
+        insert_data_(database_, "INSERT INTO frame_data VALUES(?, ?)"),
+        set_meta_(database_, "INSERT OR REPLACE INTO meta VALUES(?, ?)") {}
+
+  /// Writes a frame and what it refers to into the open transaction. Returns the size of the frame's blob.
+  std::size_t write(const mesh::MeshFrame& frame, std::int64_t number, bool& has_mesh);
+  void begin() { database_.execute("BEGIN"); }
+  void commit() { database_.execute("COMMIT"); }
+  void rollback() {
+    if (database_.in_transaction()) {
+      database_.execute("ROLLBACK");
+    }
+    // What the lost transaction wrote must be written again if anything follows.
+    subject_id_ = 0;
+    albedo_version_ = 0;
+  }
+  void set_meta(std::string_view key, std::string_view value);
+  /// Folds the write-ahead log into the file and removes it.
+  void close_log();
+
+ private:
+  bool make_schema(const TakeRecorderConfig& config);
+
+  stream::Encoder encoder_;
+  BlobCompressor compressor_;
+  Database database_;
+  bool schema_;  ///< only orders the construction: the statements need the tables
+  Statement insert_subject_;
+  Statement insert_albedo_;
+  Statement insert_frame_;
+  Statement insert_data_;
+  Statement set_meta_;
+  std::uint64_t subject_id_ = 0;  ///< written last
+  std::uint64_t albedo_version_ = 0;
+};
+
+bool TakeWriter::make_schema(const TakeRecorderConfig& config) {
+  database_.execute(fmt::format("PRAGMA page_size = {}", kPageBytes));
+  database_.execute("PRAGMA journal_mode = WAL");
+  // FULL: a commit survives a power cut, not only a killed process.
+  database_.execute("PRAGMA synchronous = FULL");
+  database_.execute(fmt::format("PRAGMA wal_autocheckpoint = {}", kCheckpointPages));
+  database_.execute("BEGIN");
+  database_.execute(fmt::format("PRAGMA application_id = {}", kApplicationId));
+  database_.execute(fmt::format("PRAGMA user_version = {}", kFormatVersion));
+  for (const TableDefinition& table : kTables) {
+    database_.execute(std::string(table.sql));
+  }
+  Statement meta(database_, "INSERT INTO meta VALUES(?, ?)");
+  const std::pair<std::string_view, std::string> entries[] = {
+      {"source", config.source},
+      {"software", config.software},
+      {"created_utc", utc_text(std::chrono::system_clock::now(), "{:%Y-%m-%dT%H:%M:%SZ}")}};
+  for (const auto& [key, value] : entries) {
+    meta.bind(1, key);
+    meta.bind(2, std::string_view(value));
+    meta.run();
+  }
+  database_.execute("COMMIT");
+  return true;
+}
+
+std::size_t TakeWriter::write(const mesh::MeshFrame& frame, std::int64_t number, bool& has_mesh) {
+  if (frame.subject != nullptr && frame.subject->id != subject_id_) {
+    insert_subject_.bind(1, stored_id(frame.subject->id));
+    insert_subject_.bind(
+        2, compressor_.compress(encoder_.subject(*frame.subject, stream::Profile::Displacements)));
+    insert_subject_.run();
+    subject_id_ = frame.subject->id;
+    albedo_version_ = 0;
+  }
+  if (frame.subject != nullptr && frame.albedo != nullptr && frame.albedo->version != albedo_version_) {
+    insert_albedo_.bind(1, stored_id(frame.subject->id));
+    insert_albedo_.bind(2, stored_id(frame.albedo->version));
+    insert_albedo_.bind(3, compressor_.compress(encoder_.albedo(frame.subject->id, *frame.albedo)));
+    insert_albedo_.run();
+    albedo_version_ = frame.albedo->version;
+  }
+  const auto message = encoder_.frame(frame, stream::Profile::Displacements);
+  has_mesh = stream::frame_references(message).subject_id != 0;
+  insert_frame_.bind(1, number);
+  insert_frame_.bind(2, stored_id(frame.sequence));
+  insert_frame_.bind(3, frame.timestamp_ns);
+  insert_frame_.bind(4, frame.media_time_ns);
+  insert_frame_.bind(5, static_cast<std::int64_t>(frame.state));
+  insert_frame_.bind(6, static_cast<std::int64_t>(has_mesh));
+  insert_frame_.run();
+  const auto blob = compressor_.compress(message);
+  insert_data_.bind(1, number);
+  insert_data_.bind(2, blob);
+  insert_data_.run();
+  return blob.size();
+}
+
+void TakeWriter::set_meta(std::string_view key, std::string_view value) {
+  set_meta_.bind(1, key);
+  set_meta_.bind(2, value);
+  set_meta_.run();
+}
+
+void TakeWriter::close_log() {
+  database_.set_busy_timeout_ms(kCloseTimeoutMs);
+  database_.execute("PRAGMA wal_checkpoint(TRUNCATE)");
+  database_.execute("PRAGMA journal_mode = DELETE");
+}
+
+struct TakeRecorder::Impl {
+  explicit Impl(const TakeRecorderConfig& given) : config(given) {
+    ring.resize(static_cast<std::size_t>(std::max(1, config.queue_frames)));
+    shown.file = config.file;
+  }
+
+  TakeRecorderConfig config;
+  std::optional<TakeWriter> writer;  ///< facet-take only, once started
+  std::thread thread;
+
+  mutable std::mutex mutex;
+  std::condition_variable work;  ///< a frame came, or the end
+  std::condition_variable room;  ///< WhenFull::Wait: a place came free, or the end
+  std::vector<std::shared_ptr<const mesh::MeshFrame>> ring;  ///< guarded by mutex
+  std::size_t first = 0;                                     ///< guarded by mutex
+  std::size_t queued = 0;                                    ///< guarded by mutex
+  bool stopping = false;                                     ///< guarded by mutex: takes no more frames
+  RecorderStatus shown;                                      ///< guarded by mutex
+
+  // facet-take only.
+  RecorderStatus counted;                       ///< with what the open transaction holds
+  std::optional<Clock::time_point> commit_due;  ///< set while a transaction is open
+
+  std::shared_ptr<const mesh::MeshFrame> wait_for_frame(bool& ended);
+  void write_until_stopped();
+  void write(const mesh::MeshFrame& frame);
+  void commit();
+  void check_disk() const;
+  void fail(const std::string& reason);
+  void finish();
+  void run();
+};
+
+/// The next frame; null at the commit's time or, with `ended`, at the end of the queue after request_stop.
+std::shared_ptr<const mesh::MeshFrame> TakeRecorder::Impl::wait_for_frame(bool& ended) {
+  std::unique_lock lock(mutex);
+  const auto ready = [this] { return queued > 0 || stopping; };
+  if (commit_due) {
+    work.wait_until(lock, *commit_due, ready);
+  } else {
+    work.wait(lock, ready);
+  }
+  ended = stopping && queued == 0;
+  if (queued == 0) {
+    return nullptr;
+  }
+  std::shared_ptr<const mesh::MeshFrame> frame = std::exchange(ring[first], nullptr);
+  first = (first + 1) % ring.size();
+  --queued;
+  room.notify_one();
+  return frame;
+}
+
+/// Throws Error(Storage) where the reserve is touched. A file system that can't tell is trusted.
+void TakeRecorder::Impl::check_disk() const {
+  struct statvfs status {};
+  if (::statvfs(config.file.c_str(), &status) != 0) {
+    return;
+  }
+  const std::uint64_t free_bytes = static_cast<std::uint64_t>(status.f_bavail) * status.f_frsize;
+  if (free_bytes < config.disk_reserve_bytes) {
+    throw Error(ErrorKind::Storage,
+                fmt::format("disk nearly full: {} MiB are free, {} MiB are kept in reserve: free some space",
+                            free_bytes >> 20, config.disk_reserve_bytes >> 20));
+  }
+}
+
+void TakeRecorder::Impl::commit() {
+  writer->commit();
+  commit_due.reset();
+  {
+    const std::lock_guard lock(mutex);
+    counted.dropped = shown.dropped;
+    shown = counted;
+  }
+  check_disk();
+}
+
+void TakeRecorder::Impl::write(const mesh::MeshFrame& frame) {
+  if (!commit_due) {
+    writer->begin();
+    commit_due = Clock::now() + kCommitPeriod;
+  }
+  bool has_mesh = false;
+  counted.bytes += writer->write(frame, static_cast<std::int64_t>(counted.frames), has_mesh);
+  ++counted.frames;
+  counted.mesh_frames += has_mesh ? 1 : 0;
+}
+
+void TakeRecorder::Impl::write_until_stopped() {
+  for (bool ended = false; !ended;) {
+    const std::shared_ptr<const mesh::MeshFrame> frame = wait_for_frame(ended);
+    if (frame != nullptr) {
+      write(*frame);
+    }
+    if (commit_due && (ended || Clock::now() >= *commit_due)) {
+      commit();
+    }
+  }
+}
+
+/// Takes no more frames and lets nobody wait; what is queued counts as dropped.
+void TakeRecorder::Impl::fail(const std::string& reason) {
+  const std::lock_guard lock(mutex);
+  stopping = true;
+  shown.state = RecorderState::Failed;
+  shown.reason = reason;
+  shown.dropped += queued + (counted.frames - shown.frames);
+  for (auto& entry : ring) {
+    entry = nullptr;
+  }
+  queued = 0;
+  room.notify_all();
+}
+
+/// Writes how the take ended and folds the log. On a full disk either may fail: the take is readable as it
+/// is.
+void TakeRecorder::Impl::finish() {
+  const RecorderStatus end = [this] {
+    const std::lock_guard lock(mutex);
+    return shown;
+  }();
+  bool marked = false;
+  try {
+    writer->rollback();
+    writer->begin();
+    writer->set_meta("dropped", std::to_string(end.dropped));
+    writer->set_meta("end_reason", end.reason);
+    writer->set_meta("closed", "1");
+    writer->commit();
+    marked = true;
+    writer->close_log();
+  } catch (const DatabaseError& error) {
+    if (!marked && end.state == RecorderState::Recording) {
+      fail(fmt::format("cannot close take '{}': {}", config.file.string(), error.what()));
+    }
+  }
+  writer.reset();
+  const std::lock_guard lock(mutex);
+  if (shown.state == RecorderState::Recording) {
+    shown.state = RecorderState::Finished;
+  }
+}
+
+void TakeRecorder::Impl::run() {
+  ::pthread_setname_np(::pthread_self(), "facet-take");
+  try {
+    write_until_stopped();
+  } catch (const DatabaseError& error) {
+    fail(fmt::format("cannot write take '{}': {}", config.file.string(), error.what()));
+  } catch (const std::exception& error) {
+    fail(error.what());
+  }
+  finish();
+}
+
+TakeRecorder::TakeRecorder(const TakeRecorderConfig& config) : impl_(std::make_unique<Impl>(config)) {
+  create_file(config.file);
+  try {
+    impl_->check_disk();
+    impl_->writer.emplace(config);
+  } catch (const DatabaseError& error) {
+    std::error_code ignored;
+    std::filesystem::remove(config.file, ignored);
+    throw Error(ErrorKind::Storage,
+                fmt::format("cannot create take '{}': {}", config.file.string(), error.what()));
+  } catch (const Error& error) {
+    std::error_code ignored;
+    std::filesystem::remove(config.file, ignored);
+    throw Error(error.kind(), fmt::format("cannot create take '{}': {}", config.file.string(), error.what()));
+  }
+}
+
+TakeRecorder::~TakeRecorder() {
+  stop();
+}
+
+void TakeRecorder::start() {
+  impl_->thread = std::thread([this] { impl_->run(); });
+}
+
+bool TakeRecorder::record(std::shared_ptr<const mesh::MeshFrame> frame) {
+  Impl& impl = *impl_;
+  std::unique_lock lock(impl.mutex);
+  const auto has_room = [&impl] { return impl.queued < impl.ring.size() || impl.stopping; };
+  if (impl.config.when_full == WhenFull::Wait) {
+    impl.room.wait(lock, has_room);
+  }
+  if (impl.stopping || !has_room() || frame == nullptr) {
+    ++impl.shown.dropped;
+    return false;
+  }
+  impl.ring[(impl.first + impl.queued) % impl.ring.size()] = std::move(frame);
+  ++impl.queued;
+  impl.work.notify_one();
+  return true;
+}
+
+void TakeRecorder::request_stop() {
+  const std::lock_guard lock(impl_->mutex);
+  impl_->stopping = true;
+  impl_->work.notify_all();
+  impl_->room.notify_all();
+}
+
+RecorderStatus TakeRecorder::stop() {
+  request_stop();
+  if (impl_->thread.joinable()) {
+    impl_->thread.join();
+  } else if (impl_->writer) {
+    impl_->finish();  // never started: the empty take is closed properly
+  }
+  return status();
+}
+
+RecorderStatus TakeRecorder::status() const {
+  const std::lock_guard lock(impl_->mutex);
+  return impl_->shown;
+}
+
+std::filesystem::path take_path(const std::filesystem::path& folder, const std::string& name) {
+  const bool bad_character = std::any_of(name.begin(), name.end(), [](char character) {
+    const auto code = static_cast<unsigned char>(character);
+    return character == '/' || code < 0x20 || code == 0x7F;
+  });
+  if (name.empty() || name.size() > kMaxTakeNameBytes || name.front() == '.' || bad_character) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("'{}' is no name for a take: 1 to {} bytes, no slash, no control character, not "
+                            "beginning with a dot",
+                            name, kMaxTakeNameBytes));
+  }
+  std::filesystem::path file = folder / (name + ".take");
+  std::error_code ignored;
+  if (std::filesystem::exists(file, ignored)) {
+    throw Error(ErrorKind::Storage,
+                fmt::format("take '{}' exists already: choose another name or move it away", file.string()));
+  }
+  return file;
+}
+
+std::string default_take_name(const std::filesystem::path& folder,
+                              std::chrono::system_clock::time_point start) {
+  const std::string base = utc_text(start, "{:%Y-%m-%dT%H-%M-%SZ}");
+  std::string name = base;
+  std::error_code ignored;
+  for (int next = 2; std::filesystem::exists(folder / (name + ".take"), ignored); ++next) {
+    name = fmt::format("{}-{}", base, next);
+  }
+  return name;
+}
+
+}  // namespace facet::take
