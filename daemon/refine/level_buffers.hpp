@@ -1,0 +1,53 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "gpu/batch.hpp"
+#include "mesh/hierarchy.hpp"
+#include "refine/device_array.hpp"
+
+namespace facet::refine {
+
+/// The one-rings of one level as shaders/refine/topology.glsl reads them.
+struct LevelTopology {
+  /// free          [vertex_count] 1 where shading may move the vertex; boundary vertices never are
+  /// dummy_vertex  index that fills up the last group of a ring; the arrays that PCG gathers from hold 0
+  /// there
+  LevelTopology(gpu::Context& context, const mesh::OneRings& rings, const std::vector<std::uint8_t>& free,
+                std::int32_t dummy_vertex);
+
+  std::uint32_t vertex_count;
+  std::uint32_t group_count;      ///< groups of four ring entries
+  std::uint32_t workgroup_count;  ///< that every kernel over this level's vertices runs with
+  DeviceArray vertex_rings;
+  DeviceArray ring_groups;
+  gpu::TexelView ring_indices;  ///< the groups as single entries
+};
+
+/// Rows of stencils from the next coarser level.
+struct LevelStencils {
+  LevelStencils(gpu::Context& context, const mesh::SparseRows& rows);
+
+  DeviceArray stencil_rows;
+  DeviceArray stencil_entries;
+};
+
+/// Values of a level's vertices. All 0 at first.
+struct LevelState {
+  LevelState(gpu::Context& context, std::uint32_t vertex_count);
+
+  DeviceArray positions;  ///< shading frame, mm; displacement, mm
+  DeviceArray normals;    ///< unit coarse normal; mean distance to the ring, mm
+  DeviceArray colours;    ///< linear RGB as seen; weight 0 to 1
+  DeviceArray albedo;     ///< linear RGB; confidence 0 to 1
+  DeviceArray priors;     ///< displacement prolonged from the coarser level, mm
+};
+
+/// Which vertices of every level shading may move: those that come from refinable control vertices, and not
+/// on the boundary. A vertex whose stencils draw less than three quarters from refinable ones is not. Returns
+/// [level][vertex].
+std::vector<std::vector<std::uint8_t>> free_vertices(const mesh::Hierarchy& hierarchy,
+                                                     const std::vector<std::uint8_t>& refinable);
+
+}  // namespace facet::refine

@@ -1,0 +1,60 @@
+#include "refine/lighting.hpp"
+
+#include "refine_shaders.hpp"
+
+namespace facet::refine {
+namespace {
+
+// As in shaders/refine/lighting.glsl.
+constexpr std::size_t kLightingSums = 17;
+
+}  // namespace
+
+shaders::refine::Light pack_light(const std::array<float, 9>& l, float gain) {
+  return {{l[0], l[1], l[2], l[3]}, {l[4], l[5], l[6], l[7]}, l[8], gain, 0, 1};
+}
+
+std::array<float, 9> unpack_light(const shaders::refine::Light& light) {
+  return {light.low.x,    light.low.y,    light.low.z,    light.low.w, light.middle.x,
+          light.middle.y, light.middle.z, light.middle.w, light.last};
+}
+
+LightingKernels::LightingKernels(gpu::Context& context)
+    : sums_kernel_(context, shaders::refine::kernels(), "refine/lighting_sums"),
+      solve_kernel_(context, shaders::refine::kernels(), "refine/lighting_solve"),
+      sums_(context, sizeof(shaders::vec4) * kLightingSums * context.info().workgroup_count,
+            gpu::Memory::Device, "lighting_sums"),
+      previous_(context, sizeof(shaders::refine::Light), gpu::Memory::Device, "previous light"),
+      light_(context, sizeof(shaders::refine::Light), gpu::Memory::Device, "light") {
+  clear(context, {&light_});
+}
+
+void LightingKernels::record_pass(gpu::Batch& batch, const LevelTopology& topology, const LevelState& state,
+                                  const gpu::Buffer& frame, float temporal_weight, float robust_scale) const {
+  const shaders::refine::LightingPush push{topology.vertex_count, topology.workgroup_count, temporal_weight,
+                                           robust_scale};
+  batch.dispatch(sums_kernel_,
+                 {{"vertex_rings", topology.vertex_rings.view},
+                  {"ring_indices", topology.ring_indices},
+                  {"positions", state.positions.view},
+                  {"normals", state.normals.view},
+                  {"colours", state.colours.view},
+                  {"albedo", state.albedo.view},
+                  {"light", light_},
+                  {"lighting_sums", sums_}},
+                 {topology.workgroup_count}, push);
+  batch.dispatch(solve_kernel_,
+                 {{"frame", frame}, {"lighting_sums", sums_}, {"previous", previous_}, {"light", light_}}, {},
+                 push);
+}
+
+void LightingKernels::record(gpu::Batch& batch, const LevelTopology& topology, const LevelState& state,
+                             const gpu::Buffer& frame, const LightingOptions& options) const {
+  batch.copy(light_, previous_);
+  record_pass(batch, topology, state, frame, options.temporal_weight, 0);
+  if (options.robust_scale > 0) {
+    record_pass(batch, topology, state, frame, options.temporal_weight, options.robust_scale);
+  }
+}
+
+}  // namespace facet::refine

@@ -1,0 +1,45 @@
+#pragma once
+
+#include <array>
+
+#include "gpu/batch.hpp"
+#include "refine/level_buffers.hpp"
+#include "shaders/refine/layout.h"
+
+namespace facet::refine {
+
+/// The light as kernels read it. gain: 1 / mean square brightness of the face.
+shaders::refine::Light pack_light(const std::array<float, 9>& lighting, float gain);
+std::array<float, 9> unpack_light(const shaders::refine::Light& light);
+
+struct LightingOptions {
+  float temporal_weight = 0;  ///< w1, in units of what all visible vertices weigh together
+  float robust_scale = 0;     ///< Tukey's bound on relative residuals in the second pass; 0: one plain pass
+};
+
+/// Estimates the light of the frame on M0 (eq. 3 of Ma & Deng 2019): once with plain squares, then again
+/// without what that light cannot explain (highlights, shadows, hair).
+class LightingKernels {
+ public:
+  explicit LightingKernels(gpu::Context& context);
+
+  /// Records the estimate. frame: shaders::refine::FrameParameters. The previous frame's result in light() is
+  /// the temporal prior.
+  void record(gpu::Batch& batch, const LevelTopology& topology, const LevelState& state,
+              const gpu::Buffer& frame, const LightingOptions& options) const;
+
+  /// The shaders::refine::Light of the latest frame.
+  const gpu::Buffer& light() const { return light_; }
+
+ private:
+  void record_pass(gpu::Batch& batch, const LevelTopology& topology, const LevelState& state,
+                   const gpu::Buffer& frame, float temporal_weight, float robust_scale) const;
+
+  gpu::Kernel sums_kernel_;
+  gpu::Kernel solve_kernel_;
+  gpu::Buffer sums_;
+  gpu::Buffer previous_;
+  gpu::Buffer light_;
+};
+
+}  // namespace facet::refine

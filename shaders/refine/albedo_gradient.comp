@@ -1,0 +1,73 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "layout.h"
+#include "workgroup.glsl"
+#include "topology.glsl"
+
+// Start of the PCG solve of eq. 4's normal equations, the three channels as one system. What no frame has
+// shown is held near the mean albedo.
+
+layout(push_constant) uniform Push {
+  AlbedoPush push;
+};
+uniform isamplerBuffer vertex_rings;
+uniform isamplerBuffer ring_indices;
+uniform samplerBuffer albedo;
+uniform samplerBuffer mean_albedo;
+uniform samplerBuffer albedo_sums;
+uniform samplerBuffer albedo_bends;
+layout(std430) readonly buffer AlbedoUnits {
+  vec2 albedo_units[];
+};
+layout(std430) writeonly buffer AlbedoStates {
+  vec4 albedo_states[];  // [vertex_count] r, inverse diagonal
+};
+layout(std430) writeonly buffer AlbedoChanges {
+  vec4 albedo_changes[];  // [vertex_count] x, diagonal of the terms in rho_i alone
+};
+layout(std430) writeonly buffer AlbedoSearches {
+  vec4 albedo_searches[];  // [2 * vertex_count] z, then p of the iteration before
+};
+layout(std430) writeonly buffer Sums {
+  float sums[];
+};
+
+// Relative to a vertex of mean brightness in all frames.
+const float kMeanPrior = 1e-3;
+
+void main() {
+  vec2 unit_sums = vec2(0);
+  for (uint group = 0; group < gl_NumWorkGroups.x; ++group) {
+    unit_sums += albedo_units[group];
+  }
+  float inverse_unit = unit_sums.x > 0 ? unit_sums.y / unit_sums.x : 0;
+  float rz = 0;
+  uvec2 block = block_of(push.vertex_count);
+  for (uint i = block.x + gl_LocalInvocationID.x; i < block.y; i += kGroupSize) {
+    ivec2 ring = texelFetch(vertex_rings, int(i)).xy;
+    int size = ring_size(ring);
+    vec3 bends = vec3(0);
+    float bend_diagonal = 1;
+    for (int k = 0; k < size; ++k) {
+      int j = texelFetch(ring_indices, 4 * ring.x + k).x;
+      bends += texelFetch(albedo_bends, j).rgb;
+      float other_size = float(ring_size(texelFetch(vertex_rings, j).xy));
+      bend_diagonal += 1 / (other_size * other_size);
+    }
+    vec3 own = texelFetch(albedo, int(i)).rgb;
+    vec4 seen = texelFetch(albedo_sums, int(i)) * inverse_unit;
+    vec3 r = seen.rgb - seen.w * own - (texelFetch(albedo_bends, int(i)).rgb * float(size) - bends) +
+             kMeanPrior * (texelFetch(mean_albedo, int(i)).rgb - own);
+    float alone = seen.w + kMeanPrior;
+    float inverse_diagonal = 1 / (alone + push.smooth_weight * bend_diagonal);
+    albedo_states[i] = vec4(r, inverse_diagonal);
+    albedo_changes[i] = vec4(0, 0, 0, alone);
+    albedo_searches[2 * i] = vec4(inverse_diagonal * r, 0);
+    albedo_searches[2 * i + 1] = vec4(0);
+    rz += inverse_diagonal * dot(r, r);
+  }
+  float total = workgroup_sum(vec4(rz, 0, 0, 0)).x;
+  if (gl_LocalInvocationID.x == 0) {
+    sums[gl_WorkGroupID.x] = total;
+  }
+}

@@ -1,0 +1,50 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "layout.h"
+#include "workgroup.glsl"
+
+// Ends the albedo solve. Light times albedo is all that an image shows, so the albedo's mean luminance over
+// the vertices seen is set to the face model's, and the light takes the other factor. One workgroup.
+
+layout(push_constant) uniform Push {
+  AlbedoPush push;
+};
+uniform samplerBuffer mean_albedo;
+uniform samplerBuffer albedo_changes;
+layout(std430) readonly buffer AlbedoCounts {
+  float albedo_counts[];
+};
+layout(std430) buffer Albedo {
+  vec4 albedo[];  // [vertex_count] rho, confidence 0 to 1
+};
+layout(std430) buffer LightBlock {
+  Light light;
+};
+
+const vec3 kLuminance = vec3(0.2126, 0.7152, 0.0722);
+// No skin or hair reflects less or more; outside, the solve has gone astray.
+const float kDarkest = 0.005;
+const float kBrightest = 1.2;
+
+void main() {
+  vec4 sum = vec4(0);
+  for (uint i = gl_LocalInvocationID.x; i < push.vertex_count; i += kGroupSize) {
+    if (albedo_counts[i] > 0) {
+      vec3 rho = albedo[i].rgb + texelFetch(albedo_changes, int(i)).rgb;
+      sum.xy += vec2(dot(kLuminance, rho), dot(kLuminance, texelFetch(mean_albedo, int(i)).rgb));
+    }
+  }
+  sum = workgroup_sum(sum);
+  float scale = sum.x > 0 && sum.y > 0 ? sum.y / sum.x : 1;
+  for (uint i = gl_LocalInvocationID.x; i < push.vertex_count; i += kGroupSize) {
+    vec3 rho = scale * (albedo[i].rgb + texelFetch(albedo_changes, int(i)).rgb);
+    bool usable = all(lessThan(abs(rho), vec3(1e3)));
+    rho = usable ? clamp(rho, vec3(kDarkest), vec3(kBrightest)) : texelFetch(mean_albedo, int(i)).rgb;
+    albedo[i] = vec4(rho, min(1.0, albedo_counts[i] / push.frame_quota));
+  }
+  if (gl_LocalInvocationID.x == 0) {
+    light.low /= scale;
+    light.middle /= scale;
+    light.last /= scale;
+  }
+}

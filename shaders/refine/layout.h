@@ -1,0 +1,90 @@
+// Layouts shared by the kernels of shaders/refine and their host side in daemon/refine.
+#ifndef FACET_SHADERS_REFINE_LAYOUT_H
+#define FACET_SHADERS_REFINE_LAYOUT_H
+
+#include "common/layout.h"
+
+FACET_LAYOUT_BEGIN(refine)
+
+// What changes from frame to frame; the host writes it before each submission.
+struct FrameParameters {
+  vec4 projection;         // fx, fy, cx, cy in pixels of the linear image
+  vec4 image_size;         // width, height of the linear image, 1 / width, 1 / height
+  vec4 depth_from_px;      // depth map position = px * xy + zw
+  ivec4 region_px;         // x0, y0, x1, y1 (past the end): the part of the image that the face needs
+  float keep_displacements;  // 1: warm start from the previous frame; 0: from nothing
+  float keep_lighting;       // 1: the previous frame's light is a prior
+  float learn_albedo;        // 1: this frame may add to the albedo's sums
+  int reduction;             // source pixels to one pixel of the linear image, in x and in y
+  ivec4 source_px;           // width, height of the source
+};
+FACET_LAYOUT_SIZE(FrameParameters, 96)
+FACET_LAYOUT_OFFSET(FrameParameters, region_px, 48)
+FACET_LAYOUT_OFFSET(FrameParameters, keep_displacements, 64)
+FACET_LAYOUT_OFFSET(FrameParameters, source_px, 80)
+
+// The light of the frame. Written by lighting_solve.
+struct Light {
+  vec4 low;        // l0 to l3
+  vec4 middle;     // l4 to l7
+  float last;      // l8
+  float gain;      // 1 / mean square of the channels that the face shows: makes residuals relative
+  float weight;    // sum of the vertex weights behind it
+  float valid;     // 1 once a frame gave a light
+};
+FACET_LAYOUT_SIZE(Light, 48)
+FACET_LAYOUT_OFFSET(Light, last, 32)
+
+
+// Weights and bounds of the displacement solve (eq. 6).
+struct SolvePush {
+  uint vertex_count;
+  uint iteration;          // of the PCG solve
+  uint last;               // 1 in its last iteration
+  uint energy_slot;        // where linearise puts its energy
+  float smooth_weight;     // w3
+  float hierarchy_weight;  // w4, 0 at the coarsest level
+  float coarse_weight;     // w5
+  float robust_scale;      // Tukey's bound on relative residuals, 0: plain squares
+  float bound_mm;          // displacements are held within +- this
+};
+FACET_LAYOUT_SIZE(SolvePush, 36)
+
+struct LevelPush {
+  uint vertex_count;
+  float has_prior;  // 1: the coarser level's displacements are this level's prior; 0 at the coarsest refined level
+  float refine;     // 1: shading refines this level
+};
+FACET_LAYOUT_SIZE(LevelPush, 12)
+
+struct DepthPush {
+  uint triangle_count;
+  uint size_px;  // the depth map is a square
+};
+FACET_LAYOUT_SIZE(DepthPush, 8)
+
+struct ObservePush {
+  uint vertex_count;
+  uint depth_size_px;
+};
+FACET_LAYOUT_SIZE(ObservePush, 8)
+
+struct LightingPush {
+  uint vertex_count;
+  uint group_count;        // workgroups that lighting_sums runs with
+  float temporal_weight;   // w1
+  float robust_scale;      // 0: plain squares
+};
+FACET_LAYOUT_SIZE(LightingPush, 16)
+
+struct AlbedoPush {
+  uint vertex_count;
+  uint iteration;
+  float smooth_weight;     // w2
+  float frame_quota;       // frames that a vertex learns from
+};
+FACET_LAYOUT_SIZE(AlbedoPush, 16)
+
+FACET_LAYOUT_END
+
+#endif

@@ -1,0 +1,115 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "layout.h"
+#include "workgroup.glsl"
+#include "lighting.glsl"
+
+// Solves eq. 3 by Cholesky. One workgroup. The temporal weight counts in units of what the vertices weigh
+// together, so it holds for any mesh and image size. Without a previous frame, the prior is the constant light
+// that fits best, with little weight: it keeps directions dark that no vertex faces.
+
+layout(push_constant) uniform Push {
+  LightingPush push;
+};
+layout(std140) uniform Frame {
+  FrameParameters frame;
+};
+layout(std430) readonly buffer LightingSums {
+  vec4 lighting_sums[];
+};
+layout(std430) readonly buffer PreviousBlock {
+  Light previous;
+};
+layout(std430) writeonly buffer LightBlock {
+  Light light;
+};
+
+const float kFirstPrior = 1e-3;
+// Relative to the matrix's largest entry: below it a direction of light is not determined at all.
+const float kLeastPrior = 1e-6;
+
+shared vec4 total[kLightingSums];
+
+void main() {
+  uint part = gl_LocalInvocationID.x;
+  if (part < kLightingSums) {
+    vec4 sum = vec4(0);
+    for (uint group = 0; group < push.group_count; ++group) {
+      sum += lighting_sums[group * kLightingSums + part];
+    }
+    total[part] = sum;
+  }
+  barrier();
+  if (gl_LocalInvocationID.x != 0) {
+    return;
+  }
+  float scale = total[0].x;
+  if (!(scale > 0)) {
+    light = previous;
+    return;
+  }
+  float a[9][9];
+  float b[9];
+  for (int row = 0; row < 4; ++row) {
+    for (int column = 0; column < 4; ++column) {
+      a[row][column] = total[column][row];
+      a[row][column + 4] = total[column + 4][row];
+      a[row + 4][column] = total[row + 4][column];
+      a[row + 4][column + 4] = total[column + 8][row];
+    }
+    a[row][8] = total[12][row];
+    a[8][row] = total[12][row];
+    a[row + 4][8] = total[13][row];
+    a[8][row + 4] = total[13][row];
+    b[row] = total[14][row];
+    b[row + 4] = total[15][row];
+  }
+  a[8][8] = total[16].x;
+  b[8] = total[16].y;
+
+  bool keep = frame.keep_lighting > 0 && previous.valid > 0;
+  float weight = (keep ? max(push.temporal_weight, kLeastPrior) : kFirstPrior) * scale;
+  float prior[9];
+  for (int row = 0; row < 4; ++row) {
+    prior[row] = keep ? previous.low[row] : 0;
+    prior[row + 4] = keep ? previous.middle[row] : 0;
+  }
+  prior[8] = keep ? previous.last : 0;
+  if (!keep) {
+    prior[0] = b[0] / scale;
+  }
+  for (int row = 0; row < 9; ++row) {
+    a[row][row] += weight;
+    b[row] += weight * prior[row];
+  }
+
+  for (int column = 0; column < 9; ++column) {
+    for (int k = 0; k < column; ++k) {
+      for (int row = column; row < 9; ++row) {
+        a[row][column] -= a[row][k] * a[column][k];
+      }
+    }
+    float inverse = inversesqrt(max(a[column][column], 1e-12 * scale));
+    for (int row = column; row < 9; ++row) {
+      a[row][column] *= inverse;
+    }
+  }
+  for (int row = 0; row < 9; ++row) {
+    for (int k = 0; k < row; ++k) {
+      b[row] -= a[row][k] * b[k];
+    }
+    b[row] /= a[row][row];
+  }
+  for (int row = 8; row >= 0; --row) {
+    for (int k = row + 1; k < 9; ++k) {
+      b[row] -= a[k][row] * b[k];
+    }
+    b[row] /= a[row][row];
+  }
+  light.low = vec4(b[0], b[1], b[2], b[3]);
+  light.middle = vec4(b[4], b[5], b[6], b[7]);
+  light.last = b[8];
+  light.weight = total[16].z;
+  light.gain = 3 * total[16].z / max(total[16].w, 1e-6 * total[16].z);
+  light.valid = 1;
+}

@@ -1,0 +1,80 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "layout.h"
+#include "workgroup.glsl"
+#include "topology.glsl"
+#include "shading.glsl"
+
+// Normal equations of the lighting (eq. 3) summed over each workgroup's vertices of M0, displaced as in the
+// previous frame. The 9 x 9 matrix stands in blocks of the basis parts (1, x, y, z), (xy, xz, yz, xx - yy) and
+// (3zz - 1).
+
+layout(push_constant) uniform Push {
+  LightingPush push;
+};
+uniform isamplerBuffer vertex_rings;
+uniform isamplerBuffer ring_indices;
+uniform samplerBuffer positions;
+uniform samplerBuffer normals;
+uniform samplerBuffer colours;
+uniform samplerBuffer albedo;
+layout(std430) readonly buffer LightBlock {
+  Light light;  // of the pass before: says which residuals are outliers
+};
+layout(std430) writeonly buffer LightingSums {
+  vec4 lighting_sums[];  // [workgroup][kLightingSums]
+};
+
+#include "displaced_normal.glsl"
+#include "lighting.glsl"
+
+void main() {
+  mat4 low_low = mat4(0);
+  mat4 low_middle = mat4(0);
+  mat4 middle_middle = mat4(0);
+  vec4 low_last = vec4(0);
+  vec4 middle_last = vec4(0);
+  vec4 low_right = vec4(0);
+  vec4 middle_right = vec4(0);
+  vec4 rest = vec4(0);  // last x last, last's right side, sum of weights, sum of weighted squared colours
+  uvec2 block = block_of(push.vertex_count);
+  for (uint i = block.x + gl_LocalInvocationID.x; i < block.y; i += kGroupSize) {
+    vec4 colour = texelFetch(colours, int(i));
+    if (colour.w > 0) {
+      ivec2 ring = texelFetch(vertex_rings, int(i)).xy;
+      vec4 own = texelFetch(positions, int(i));
+      vec3 n = displaced_unit_normal(ring, own.xyz + own.w * texelFetch(normals, int(i)).xyz);
+      vec3 rho = texelFetch(albedo, int(i)).rgb;
+      vec3 residual = colour.rgb - shade(light, n) * rho;
+      float weight = colour.w * tukey_weight(light.gain * dot(residual, residual), push.robust_scale);
+      vec4 low = vec4(1, n);
+      vec4 middle = vec4(n.x * n.y, n.x * n.z, n.y * n.z, n.x * n.x - n.y * n.y);
+      float last = 3 * n.z * n.z - 1;
+      float square = weight * dot(rho, rho);
+      float seen = weight * dot(rho, colour.rgb);
+      low_low += outerProduct(low, square * low);
+      low_middle += outerProduct(low, square * middle);
+      middle_middle += outerProduct(middle, square * middle);
+      low_last += square * last * low;
+      middle_last += square * last * middle;
+      low_right += seen * low;
+      middle_right += seen * middle;
+      rest += vec4(square * last * last, seen * last, weight, weight * dot(colour.rgb, colour.rgb));
+    }
+  }
+  uint first = gl_WorkGroupID.x * kLightingSums;
+  for (uint part = 0; part < kLightingSums; ++part) {
+    vec4 value = part < 4    ? low_low[part]
+                 : part < 8  ? low_middle[part - 4]
+                 : part < 12 ? middle_middle[part - 8]
+                 : part == 12 ? low_last
+                 : part == 13 ? middle_last
+                 : part == 14 ? low_right
+                 : part == 15 ? middle_right
+                              : rest;
+    vec4 sum = workgroup_sum(value);
+    if (gl_LocalInvocationID.x == 0) {
+      lighting_sums[first + part] = sum;
+    }
+  }
+}

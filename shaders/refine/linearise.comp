@@ -1,0 +1,94 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "layout.h"
+#include "workgroup.glsl"
+#include "topology.glsl"
+#include "shading.glsl"
+
+// Residuals of one Gauss-Newton step (eq. 7) and what their derivatives need.
+//
+// All three channels of R = (l . SH(n)) rho follow the normal through the one number l . SH(n), so the three
+// data residuals of a vertex turned into the frame of rho are one residual that depends on the displacements
+// and two that do not. The first, e = sqrt(w) rho . (I - R) / |rho|, and d R / d n* = slope carry the step.
+
+layout(push_constant) uniform Push {
+  SolvePush push;
+};
+uniform isamplerBuffer vertex_rings;
+uniform isamplerBuffer ring_indices;
+uniform samplerBuffer positions;  // [vertex_count] position, displacement
+uniform samplerBuffer normals;    // [vertex_count] unit coarse normal, spacing_mm
+uniform samplerBuffer colours;    // [vertex_count] I, weight
+uniform samplerBuffer albedo;     // [vertex_count] rho
+uniform samplerBuffer priors;     // [vertex_count] pd
+layout(std430) readonly buffer LightBlock {
+  Light light;
+};
+layout(std430) writeonly buffer Slopes {
+  vec4 slopes[];  // [vertex_count] d (sqrt(w) |rho| l . SH) / d n*, e
+};
+layout(std430) writeonly buffer Bends {
+  vec2 bends[];  // [vertex_count] w3 (L d)_i / (spacing^2 ring size), w3 / (spacing ring size)^2
+};
+layout(std430) writeonly buffer Energies {
+  float energies[];  // [slot][workgroup]
+};
+
+void main() {
+  float energy = 0;
+  uvec2 block = block_of(push.vertex_count);
+  for (uint i = block.x + gl_LocalInvocationID.x; i < block.y; i += kGroupSize) {
+    ivec2 ring = texelFetch(vertex_rings, int(i)).xy;
+    int size = ring_size(ring);
+    int first = 4 * ring.x;
+    vec4 own = texelFetch(positions, int(i));
+    vec4 own_normal = texelFetch(normals, int(i));
+    vec3 centre = own.xyz + own.w * own_normal.xyz;
+
+    int j = texelFetch(ring_indices, first).x;
+    vec4 neighbour = texelFetch(positions, j);
+    vec3 to_first = neighbour.xyz + neighbour.w * texelFetch(normals, j).xyz - centre;
+    vec3 to_next = to_first;
+    vec3 star = vec3(0);
+    float sum = neighbour.w;
+    for (int k = 1; k < size; ++k) {
+      vec3 to_this = to_next;
+      j = texelFetch(ring_indices, first + k).x;
+      neighbour = texelFetch(positions, j);
+      to_next = neighbour.xyz + neighbour.w * texelFetch(normals, j).xyz - centre;
+      star += cross(to_this, to_next);
+      sum += neighbour.w;
+    }
+    star += cross(to_next, to_first);
+
+    float inverse_spacing = 1 / own_normal.w;
+    float inverse_size = 1 / float(size);
+    float bend = (own.w - sum * inverse_size) * inverse_spacing;
+    float bend_scale = push.smooth_weight * inverse_spacing * inverse_size;
+    float beyond = (texelFetch(priors, int(i)).x - own.w) * inverse_spacing;
+    energy += push.smooth_weight * bend * bend + push.hierarchy_weight * beyond * beyond +
+              push.coarse_weight * own.w * own.w;
+
+    vec4 slope = vec4(0);
+    vec4 colour = texelFetch(colours, int(i));
+    if (colour.w > 0) {
+      float inverse_length = inversesqrt(max(dot(star, star), 1e-30));
+      vec3 normal = star * inverse_length;
+      vec3 rho = texelFetch(albedo, int(i)).rgb;
+      vec3 residual = colour.rgb - shade(light, normal) * rho;
+      float square = light.gain * dot(residual, residual);
+      float root = sqrt(colour.w * light.gain * tukey_weight(square, push.robust_scale));
+      float length_rho = max(length(rho), 1e-6);
+      vec3 gradient = shade_gradient(light, normal);
+      slope.xyz = (root * length_rho * inverse_length) * (gradient - normal * dot(normal, gradient));
+      slope.w = root * dot(rho, residual) / length_rho;
+      energy += colour.w * tukey_loss(square, push.robust_scale);
+    }
+    slopes[i] = slope;
+    bends[i] = vec2(bend_scale * bend, bend_scale * inverse_spacing * inverse_size);
+  }
+  float total = workgroup_sum(vec4(energy, 0, 0, 0)).x;
+  if (gl_LocalInvocationID.x == 0) {
+    energies[push.energy_slot * gl_NumWorkGroups.x + gl_WorkGroupID.x] = total;
+  }
+}

@@ -1,0 +1,32 @@
+// Eq. 1 of Ma & Deng 2019: R = (l . SH(n)) rho with
+// SH(n) = (1, nx, ny, nz, nx ny, nx nz, ny nz, nx^2 - ny^2, 3 nz^2 - 1).
+
+float shade(Light l, vec3 n) {
+  return l.low.x + dot(l.low.yzw, n) + l.middle.x * n.x * n.y + l.middle.y * n.x * n.z + l.middle.z * n.y * n.z +
+         l.middle.w * (n.x * n.x - n.y * n.y) + l.last * (3 * n.z * n.z - 1);
+}
+
+// d (l . SH(n)) / d n with n taken as three free numbers.
+vec3 shade_gradient(Light l, vec3 n) {
+  return l.low.yzw + vec3(l.middle.x * n.y + l.middle.y * n.z + 2 * l.middle.w * n.x,
+                          l.middle.x * n.x + l.middle.z * n.z - 2 * l.middle.w * n.y,
+                          l.middle.y * n.x + l.middle.z * n.y + 6 * l.last * n.z);
+}
+
+// Tukey's weight of a squared residual; scale 0: plain squares. What is not a number stays so, to be noticed.
+float tukey_weight(float square, float scale) {
+  if (scale <= 0) {
+    return 1;
+  }
+  float t = 1 - square / (scale * scale);
+  return t < 0 ? 0 : t * t;
+}
+
+float tukey_loss(float square, float scale) {
+  if (scale <= 0) {
+    return square;
+  }
+  float t = 1 - square / (scale * scale);
+  t = t < 0 ? 0 : t;
+  return scale * scale / 3 * (1 - t * t * t);
+}
