@@ -1,0 +1,301 @@
+#include "track/subject_tracker.hpp"
+
+#include <gtest/gtest.h>
+
+#include <functional>
+#include <limits>
+
+#include "allocation_counter.hpp"
+#include "support/synthetic_model.hpp"
+#include "synthetic_landmarks.hpp"
+
+namespace facet::track {
+namespace {
+
+using mesh::TrackingState;
+
+constexpr std::int64_t kFrameNs = 33'000'000;
+
+class SubjectTrackerTest : public testing::Test {
+ protected:
+  SubjectTrackerTest()
+      : face_model(test::synthetic_model()),
+        model(face_model),
+        prior(face_model.expression_names, face_model.expression_sigma, {}),
+        tracker(model, prior, {}) {}
+
+  /// A person who turns the head and talks, at frame `frame`.
+  test::SyntheticView acting(const Eigen::VectorXd& identity, int frame) const {
+    test::SyntheticView view;
+    view.identity = identity;
+    const double t = 0.1 * frame;
+    view.pose.rotation = rotation_from_vector(Eigen::Vector3d(0.15 * std::sin(1.3 * t), 0.35 * std::sin(t),
+                                                              0.1 * std::sin(0.7 * t))) *
+                         view.pose.rotation;
+    view.pose.translation_mm = Eigen::Vector3d(25 * std::sin(0.5 * t), 10 * std::cos(0.4 * t), 550);
+    view.expression = Eigen::VectorXd::Zero(model.expression_count());
+    view.expression[0] = std::max(0.0, 0.5 * std::sin(1.7 * t));
+    view.expression[3] = std::max(0.0, 0.6 * std::sin(0.6 * t));
+    view.expression[4] = view.expression[3];
+    return view;
+  }
+
+  const SubjectFrame& show(const FaceLandmarks* face, bool acquired = false) {
+    now_ns += kFrameNs;
+    const SubjectFrame& result = tracker.process(face, acquired, width_px, height_px, now_ns);
+    if (result.fitted) {
+      EXPECT_TRUE(result.face.pose.rotation.allFinite());
+      EXPECT_TRUE(result.face.pose.translation_mm.allFinite());
+      EXPECT_TRUE(result.face.expression.allFinite());
+      EXPECT_GE(result.face.expression.minCoeff(), 0.0);
+      EXPECT_LE(result.face.expression.maxCoeff(), 1.0);
+      EXPECT_LT(result.face.pose.translation_mm.norm(), 50'000.0);
+    } else {
+      EXPECT_NE(result.state, TrackingState::Tracking);
+    }
+    return result;
+  }
+
+  /// The person acts for `frames` frames; returns the last one.
+  const SubjectFrame& act(const Eigen::VectorXd& identity, int frames, bool acquired_first = false) {
+    const SubjectFrame* last = nullptr;
+    for (int f = 0; f < frames; ++f) {
+      const auto face = test::synthetic_landmarks(model, acting(identity, time++), 0.8, random);
+      last = &show(&face, acquired_first && f == 0);
+    }
+    return *last;
+  }
+
+  void acquire(const Eigen::VectorXd& identity) {
+    for (int f = 0; f < 150; ++f) {
+      if (act(identity, 1, f == 0 && !tracker.has_subject()).state == TrackingState::Tracking) {
+        act(identity, 40);
+        return;
+      }
+    }
+    FAIL() << "never tracked";
+  }
+
+  std::mt19937 random{40};
+  face::FaceModel face_model;
+  LandmarkModel model;
+  ExpressionPrior prior;
+  SubjectTracker tracker;
+  int width_px = 1280;
+  int height_px = 720;
+  std::int64_t now_ns = 1'000'000'000;
+  int time = 0;
+};
+
+TEST_F(SubjectTrackerTest, SearchesAcquiresAndTracks) {
+  EXPECT_EQ(show(nullptr).state, TrackingState::Searching);
+  const Eigen::VectorXd identity = test::random_identity(model, random);
+  const SubjectFrame& first = act(identity, 1, true);
+  EXPECT_EQ(first.state, TrackingState::Acquiring);
+  EXPECT_TRUE(first.fitted) << "a provisional face from the first frame on";
+  EXPECT_EQ(first.subject, 0U);
+  int acquiring = 1;
+  while (act(identity, 1).state == TrackingState::Acquiring) {
+    ASSERT_LT(++acquiring, 120) << "never ends";
+  }
+  const SubjectFrame& result = act(identity, 20);
+  EXPECT_EQ(result.state, TrackingState::Tracking);
+  EXPECT_EQ(result.subject, 1U);
+  EXPECT_LT(result.relative_residual, 0.02);
+  EXPECT_LT((tracker.shape().identity - identity).cwiseAbs().maxCoeff(), 1.0);
+}
+
+TEST_F(SubjectTrackerTest, ShapeAndFocalLengthAreHeldWhileTracking) {
+  const Eigen::VectorXd identity = test::random_identity(model, random);
+  acquire(identity);
+  const SubjectShape before = tracker.shape();
+  const std::uint64_t version = act(identity, 1).shape_version;
+  EXPECT_EQ(act(identity, 60).shape_version, version);
+  EXPECT_EQ(tracker.shape().focal_px, before.focal_px);
+  EXPECT_EQ(tracker.shape().identity, before.identity);
+}
+
+TEST_F(SubjectTrackerTest, LosesSearchesAndKnowsThePersonAgain) {
+  const Eigen::VectorXd identity = test::random_identity(model, random);
+  acquire(identity);
+  EXPECT_EQ(show(nullptr).state, TrackingState::Lost);
+  EXPECT_FALSE(tracker.process(nullptr, false, width_px, height_px, now_ns).fitted);
+  for (int f = 0; f < 40; ++f) {
+    show(nullptr);
+  }
+  EXPECT_EQ(show(nullptr).state, TrackingState::Searching);
+  const SubjectFrame& back = act(identity, 1, true);
+  EXPECT_EQ(back.state, TrackingState::Tracking) << "no second acquisition for the same person";
+  const SubjectFrame& later = act(identity, 40);
+  EXPECT_EQ(later.state, TrackingState::Tracking);
+  EXPECT_EQ(later.subject, 1U);
+}
+
+TEST_F(SubjectTrackerTest, AnotherPersonGetsANewIdentity) {
+  Eigen::VectorXd identity = Eigen::VectorXd::Constant(model.identity_count(), 1.2);
+  acquire(identity);
+  for (int f = 0; f < 40; ++f) {
+    show(nullptr);
+  }
+  act(-identity, 1, true);
+  const SubjectFrame& result = act(-identity, 150);
+  EXPECT_EQ(result.state, TrackingState::Tracking);
+  EXPECT_EQ(result.subject, 2U);
+  EXPECT_LT(tracker.shape().identity.dot(identity), 0.0);
+}
+
+TEST_F(SubjectTrackerTest, StaysOnItsOwnFaceWhenLandmarksHopToAnother) {
+  const Eigen::VectorXd identity = test::random_identity(model, random);
+  acquire(identity);
+  auto view = acting(identity, time);
+  view.pose.translation_mm.x() += 300;
+  const auto other = test::synthetic_landmarks(model, view, 0.8, random);
+  const SubjectFrame& result = show(&other);
+  EXPECT_TRUE(result.rejected);
+  EXPECT_EQ(result.state, TrackingState::Lost);
+  EXPECT_EQ(act(identity, 1).state, TrackingState::Tracking);
+}
+
+TEST_F(SubjectTrackerTest, ResetIdentityAcquiresAnew) {
+  const Eigen::VectorXd identity = test::random_identity(model, random);
+  acquire(identity);
+  tracker.reset_identity();
+  EXPECT_FALSE(tracker.has_subject());
+  EXPECT_EQ(act(identity, 1).state, TrackingState::Acquiring);
+  acquire(identity);
+  EXPECT_EQ(act(identity, 1).subject, 2U);
+}
+
+TEST_F(SubjectTrackerTest, AnAdoptedSubjectIsTrackedFromTheFirstFrame) {
+  const Eigen::VectorXd identity = test::random_identity(model, random);
+  acquire(identity);
+  SubjectTracker second(model, prior, {});
+  ASSERT_TRUE(second.adopt(tracker.subject(), width_px, height_px));
+  const auto face = test::synthetic_landmarks(model, acting(identity, 0), 0.8, random);
+  const SubjectFrame& result = second.process(&face, true, width_px, height_px, 5);
+  EXPECT_EQ(result.state, TrackingState::Tracking);
+  EXPECT_EQ(second.shape().identity, tracker.shape().identity);
+
+  Subject damaged = tracker.subject();
+  damaged.shape.identity[0] = std::nan("");
+  EXPECT_FALSE(second.adopt(damaged, width_px, height_px));
+  damaged = tracker.subject();
+  damaged.shape.identity.conservativeResize(2);
+  EXPECT_FALSE(second.adopt(damaged, width_px, height_px));
+}
+
+TEST_F(SubjectTrackerTest, KnownIntrinsicsAreUsedAndScaledToTheImage) {
+  SubjectTrackerConfig config;
+  config.intrinsics =
+      CameraIntrinsics{.fx = 450, .fy = 450, .cx = 310, .cy = 185, .width_px = 640, .height_px = 360};
+  SubjectTracker known(model, prior, config);
+  known.process(nullptr, false, 1280, 720, 0);
+  EXPECT_FLOAT_EQ(known.camera().fx, 900);
+  EXPECT_FLOAT_EQ(known.camera().cx, 620);
+  EXPECT_FLOAT_EQ(known.camera().cy, 370);
+}
+
+TEST_F(SubjectTrackerTest, AnotherImageSizeStartsAnew) {
+  const Eigen::VectorXd identity = test::random_identity(model, random);
+  acquire(identity);
+  width_px = 640;
+  height_px = 480;
+  EXPECT_EQ(show(nullptr).state, TrackingState::Searching);
+  EXPECT_FALSE(tracker.has_subject());
+}
+
+/// What a broken landmark net might say: every case in every state, and the tracker must recover from it.
+struct Garbage {
+  const char* name;
+  std::function<void(FaceLandmarks&, std::mt19937&)> spoil;
+};
+
+class SubjectTrackerGarbageTest : public SubjectTrackerTest, public testing::WithParamInterface<Garbage> {};
+
+TEST_P(SubjectTrackerGarbageTest, GivesNoMeshOrAPlausibleOneAndRecovers) {
+  const Eigen::VectorXd identity = test::random_identity(model, random);
+  const auto spoilt = [&](int frames, bool acquired) {
+    for (int f = 0; f < frames; ++f) {
+      auto face = test::synthetic_landmarks(model, acting(identity, time), 0.8, random);
+      GetParam().spoil(face, random);
+      show(&face, acquired);
+    }
+  };
+  spoilt(5, true);
+  act(identity, 4, true);
+  spoilt(5, false);
+  acquire(identity);
+  spoilt(5, false);
+  spoilt(40, true);
+  act(identity, 1, true);
+  acquire(identity);
+  EXPECT_EQ(act(identity, 5).state, TrackingState::Tracking);
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Cases, SubjectTrackerGarbageTest,
+    testing::Values(
+        Garbage{"all_equal", [](FaceLandmarks& face,
+                                std::mt19937&) { face.points_px.colwise() = Eigen::Vector3f(300, 200, 0); }},
+        Garbage{"on_a_line",
+                [](FaceLandmarks& face, std::mt19937&) {
+                  face.points_px =
+                      Eigen::Vector3f(1, 1, 1) * Eigen::RowVectorXf::LinSpaced(landmark_count, 0, 500);
+                }},
+        Garbage{"mirrored",
+                [](FaceLandmarks& face, std::mt19937&) {
+                  face.points_px.row(0) = 1279 - face.points_px.row(0).array();
+                }},
+        Garbage{"upside_down",
+                [](FaceLandmarks& face, std::mt19937&) {
+                  face.points_px.row(1) = 719 - face.points_px.row(1).array();
+                }},
+        Garbage{"huge", [](FaceLandmarks& face, std::mt19937&) { face.points_px *= 1e9F; }},
+        Garbage{"tiny",
+                [](FaceLandmarks& face, std::mt19937&) {
+                  face.points_px = face.points_px * 1e-3F;
+                  face.interocular_px *= 1e-3F;
+                }},
+        Garbage{"not_a_number",
+                [](FaceLandmarks& face, std::mt19937&) {
+                  face.points_px(1, 100) = std::numeric_limits<float>::quiet_NaN();
+                }},
+        Garbage{"infinite",
+                [](FaceLandmarks& face, std::mt19937&) {
+                  face.points_px(0, 5) = std::numeric_limits<float>::infinity();
+                }},
+        Garbage{"random",
+                [](FaceLandmarks& face, std::mt19937& random) {
+                  std::uniform_real_distribution<float> anywhere(0, 700);
+                  face.points_px =
+                      Eigen::Matrix3Xf::NullaryExpr(3, landmark_count, [&] { return anywhere(random); });
+                }},
+        Garbage{"wrong_size",
+                [](FaceLandmarks& face, std::mt19937&) { face.points_px.conservativeResize(3, 100); }},
+        Garbage{"stretched", [](FaceLandmarks& face, std::mt19937&) { face.points_px.row(0) *= 2.5F; }}),
+    [](const testing::TestParamInfo<Garbage>& tested) { return tested.param.name; });
+
+TEST_F(SubjectTrackerTest, TrackingAllocatesNothing) {
+  if (!test::allocations_are_counted()) {
+    GTEST_SKIP() << "the sanitizers bring their own allocator";
+  }
+  const Eigen::VectorXd identity = test::random_identity(model, random);
+  acquire(identity);
+  std::vector<FaceLandmarks> faces;
+  for (int f = 0; f < 30; ++f) {
+    faces.push_back(test::synthetic_landmarks(model, acting(identity, time++), 0.8, random));
+  }
+  const std::size_t before = test::allocation_count();
+  ASSERT_GT(before, 0U) << "the counter does not count";
+  for (const FaceLandmarks& face : faces) {
+    now_ns += kFrameNs;
+    tracker.process(&face, false, width_px, height_px, now_ns);
+  }
+  // Losing and finding the face again is no start-up either.
+  tracker.process(nullptr, false, width_px, height_px, now_ns + kFrameNs);
+  tracker.process(&faces.back(), true, width_px, height_px, now_ns + 2 * kFrameNs);
+  EXPECT_EQ(test::allocation_count() - before, 0U);
+}
+
+}  // namespace
+}  // namespace facet::track

@@ -1,0 +1,80 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <random>
+
+#include "face/face_model.hpp"
+#include "track/camera_pose.hpp"
+#include "track/landmark_model.hpp"
+#include "track/landmarker.hpp"
+
+namespace facet::test {
+
+/// A camera and a face before it, from which landmarks can be computed.
+struct SyntheticView {
+  double focal_px = 900;
+  int width_px = 1280;
+  int height_px = 720;
+  track::Pose pose;
+  Eigen::VectorXd identity;
+  Eigen::VectorXd expression;
+
+  Eigen::Vector2d centre_px() const { return {0.5 * (width_px - 1), 0.5 * (height_px - 1)}; }
+};
+
+/// A face near the middle of the image, half a metre away, turned by up to `turn_rad` and with random
+/// expression.
+inline SyntheticView random_view(const track::LandmarkModel& model, const Eigen::VectorXd& identity,
+                                 std::mt19937& random, double turn_rad = 0.35) {
+  std::uniform_real_distribution<double> unit(-1.0, 1.0);
+  SyntheticView view;
+  view.identity = identity;
+  view.expression.resize(model.expression_count());
+  for (double& weight : view.expression) {
+    weight = std::max(0.0, unit(random)) * 0.8;
+  }
+  const Eigen::Vector3d turn(unit(random) * turn_rad, unit(random) * turn_rad, 0.5 * unit(random) * turn_rad);
+  view.pose.rotation = track::rotation_from_vector(turn) * view.pose.rotation;
+  view.pose.translation_mm = Eigen::Vector3d(30 * unit(random), 20 * unit(random), 520 + 60 * unit(random));
+  return view;
+}
+
+inline Eigen::VectorXd random_identity(const track::LandmarkModel& model, std::mt19937& random) {
+  std::normal_distribution<double> normal;
+  Eigen::VectorXd identity(model.identity_count());
+  for (double& weight : identity) {
+    weight = normal(random);
+  }
+  return identity;
+}
+
+/// What a landmark net would measure of the view: projections, depth relative to the head, all seen.
+/// noise_px: standard deviation of x and y. Landmarks without a place on the model are put at the centre.
+inline track::FaceLandmarks synthetic_landmarks(const track::LandmarkModel& model, const SyntheticView& view,
+                                                double noise_px, std::mt19937& random) {
+  track::LandmarkBasis basis;
+  model.contract_identity(view.identity, basis);
+  const Eigen::VectorXd head_mm = basis.neutral_mm + basis.deltas_mm * view.expression;
+  track::FaceLandmarks face;
+  face.points_px.setZero(3, track::landmark_count);
+  face.points_px.row(0).setConstant(static_cast<float>(view.centre_px().x()));
+  face.points_px.row(1).setConstant(static_cast<float>(view.centre_px().y()));
+  face.confidence.setOnes(track::landmark_count);
+  face.presence = 1;
+  std::normal_distribution<double> noise(0.0, 1.0);
+  for (int l = 0; l < model.count(); ++l) {
+    const Eigen::Vector3d camera_mm =
+        view.pose.rotation * head_mm.segment<3>(3 * l) + view.pose.translation_mm;
+    const Eigen::Vector2d px = view.focal_px * camera_mm.head<2>() / camera_mm.z() + view.centre_px();
+    const double depth_px =
+        view.focal_px * (camera_mm.z() - view.pose.translation_mm.z()) / view.pose.translation_mm.z();
+    face.points_px.col(model.landmarks()[static_cast<std::size_t>(l)]) =
+        Eigen::Vector3d(px.x() + noise_px * noise(random), px.y() + noise_px * noise(random), depth_px)
+            .cast<float>();
+  }
+  face.interocular_px =
+      static_cast<float>(view.focal_px * model.interocular_mm() / view.pose.translation_mm.z());
+  return face;
+}
+
+}  // namespace facet::test
