@@ -1,0 +1,224 @@
+// `facet doctor`: looks at everything that the daemon needs and says what is wrong and what to do.
+
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <filesystem>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "camera/factory.hpp"
+#include "commands.hpp"
+#include "face/face_model.hpp"
+#include "facet/assets.hpp"
+#include "facet/error.hpp"
+#include "gpu/context.hpp"
+#include "service/config.hpp"
+#include "service/control_client.hpp"
+#include "stream/unix_socket.hpp"
+#include "track/landmark_assets.hpp"
+
+namespace facet::tools {
+namespace {
+
+enum class Verdict { Good, Note, Bad };
+
+/// Prints one finding a line and remembers the first fault's kind, which becomes the exit status.
+class Report {
+ public:
+  void say(Verdict verdict, const std::string& what, const std::string& finding,
+           const std::string& advice = {}) {
+    const char* mark = verdict == Verdict::Good ? "ok  " : verdict == Verdict::Note ? "note" : "BAD ";
+    fmt::print("{}  {:<16} {}\n", mark, what, finding);
+    if (!advice.empty()) {
+      fmt::print("      {:<16} -> {}\n", "", advice);
+    }
+  }
+  void bad(ErrorKind kind, const std::string& what, const std::string& finding,
+           const std::string& advice = {}) {
+    say(Verdict::Bad, what, finding, advice);
+    ++faults_;
+    if (!first_fault_) {
+      first_fault_ = kind;
+    }
+  }
+  int faults() const { return faults_; }
+  std::optional<ErrorKind> first_fault() const { return first_fault_; }
+
+ private:
+  int faults_ = 0;
+  std::optional<ErrorKind> first_fault_;
+};
+
+void check_vulkan(Report& report, const std::string& wanted) {
+  if (wanted == pipeline::kNoDevice) {
+    report.say(Verdict::Note, "Vulkan", "not used: gpu.device is \"none\"",
+               "meshes stay coarse; set gpu.device = \"auto\" for refinement");
+    return;
+  }
+  try {
+    for (const gpu::DeviceInfo& device : gpu::list_devices()) {
+      report.say(device.usable ? Verdict::Good : Verdict::Note, "Vulkan device",
+                 fmt::format("{} ({}, {}){}", device.name, gpu::describe(device.type), device.driver,
+                             device.usable ? "" : ": not usable: " + device.why_unusable));
+    }
+    gpu::ContextOptions options;
+    options.device = wanted;
+    const gpu::Context context(options);
+    report.say(Verdict::Good, "Vulkan", fmt::format("\"{}\" opens {}", wanted, context.info().name),
+               context.info().is_software ? "this is a software device: refinement is slow; a GPU with a "
+                                            "Vulkan 1.2 driver makes it real-time"
+                                          : "");
+  } catch (const Error& error) {
+    report.bad(error.kind(), "Vulkan", error.what());
+  }
+}
+
+void check_model(Report& report, const service::Config& config) {
+  try {
+    const auto model = face::FaceModel::load(config.pipeline.model_file);
+    report.say(
+        Verdict::Good, "face model",
+        fmt::format("{}: {} vertices, {} identity modes, {} expressions", config.pipeline.model_file.string(),
+                    model.vertex_count(), model.identity_count(), model.expression_count()));
+    if (model.landmarks.empty()) {
+      report.bad(ErrorKind::UnreadableInput, "face model", "has no landmark map",
+                 "facet model landmarks MODEL");
+    }
+  } catch (const Error& error) {
+    report.bad(error.kind(), "face model", error.what(),
+               fmt::format("facet model build -o {}", config.pipeline.model_file.string()));
+  }
+  try {
+    track::LandmarkAssets::load(config.pipeline.tracker.landmark_assets);
+    report.say(Verdict::Good, "landmark nets", config.pipeline.tracker.landmark_assets.string());
+  } catch (const Error& error) {
+    report.bad(error.kind(), "landmark nets", error.what());
+  }
+}
+
+void check_source(Report& report, const service::Config& config) {
+  if (config.pipeline.source.kind == "file" && config.pipeline.source.path.empty()) {
+    report.say(Verdict::Note, "source", "none is configured", "set source.path in the configuration");
+    return;
+  }
+  try {
+    const auto camera = camera::open_camera(config.pipeline.source);
+    const CameraInfo info = camera->info();
+    report.say(
+        Verdict::Good, "source",
+        fmt::format("{}: {}x{} px at {:.3g} Hz", info.name, info.width_px, info.height_px, info.rate_hz));
+  } catch (const Error& error) {
+    report.bad(error.kind(), "source", error.what());
+  }
+}
+
+void check_takes(Report& report, const service::Config& config) {
+  const std::filesystem::path& folder = config.takes.folder;
+  std::error_code error;
+  if (!std::filesystem::is_directory(folder, error)) {
+    report.bad(
+        ErrorKind::Storage, "takes", fmt::format("{} is not a folder", folder.string()),
+        fmt::format("create it for the daemon's user, or set takes.folder: mkdir -p {}", folder.string()));
+    return;
+  }
+  if (::access(folder.c_str(), W_OK | X_OK) != 0) {
+    report.bad(ErrorKind::Storage, "takes", fmt::format("{} can't be written by this user", folder.string()),
+               "run as the daemon's user, or change the folder's owner");
+    return;
+  }
+  const auto space = std::filesystem::space(folder, error);
+  if (error) {
+    report.bad(ErrorKind::Storage, "takes", fmt::format("{}: {}", folder.string(), error.message()));
+    return;
+  }
+  const std::string free =
+      fmt::format("{}: {:.1f} GB free", folder.string(), static_cast<double>(space.available) / 1e9);
+  if (space.available <= config.takes.disk_reserve_bytes) {
+    report.bad(ErrorKind::Storage, "takes", free,
+               fmt::format("recording stops at takes.disk_reserve ({:.1f} GB): free some space",
+                           static_cast<double>(config.takes.disk_reserve_bytes) / 1e9));
+  } else {
+    report.say(Verdict::Good, "takes", free);
+  }
+}
+
+void check_daemon(Report& report, const service::Config& config) {
+  std::error_code error;
+  for (const auto& [name, socket] :
+       {std::pair{"stream socket", config.stream.socket}, {"control socket", config.control.socket}}) {
+    const std::filesystem::path folder = socket.parent_path();
+    if (!std::filesystem::exists(socket, error)) {
+      if (std::filesystem::is_directory(folder, error)) {
+        report.say(Verdict::Note, name,
+                   fmt::format("{} is not there: the daemon does not run", socket.string()),
+                   "systemctl start facetd, or facetd --config FILE");
+      } else {
+        report.bad(ErrorKind::Storage, name, fmt::format("its folder {} does not exist", folder.string()),
+                   "create it, or set another path in the configuration");
+      }
+      continue;
+    }
+    try {
+      stream::connect_unix(socket);
+      report.say(Verdict::Good, name, fmt::format("{} answers", socket.string()));
+    } catch (const Error& failure) {
+      report.bad(failure.kind(), name, failure.what());
+    }
+  }
+  if (std::filesystem::exists(config.control.socket, error)) {
+    try {
+      const nlohmann::json status =
+          service::ControlClient(config.control.socket).call("status", nlohmann::json::object());
+      report.say(Verdict::Good, "daemon", fmt::format("state {}", status.value("state", "unknown")));
+    } catch (const Error& failure) {
+      report.bad(failure.kind(), "daemon", failure.what());
+    }
+  }
+}
+
+void run(const std::string& config_file) {
+  Report report;
+  service::Config config = service::default_config();
+  if (!config_file.empty()) {
+    try {
+      config = service::load_config(config_file);
+      report.say(Verdict::Good, "configuration", config_file);
+    } catch (const Error& error) {
+      report.bad(error.kind(), "configuration", error.what(), "the rest is checked with the defaults");
+    }
+  } else {
+    report.say(Verdict::Note, "configuration", "none given: the defaults are checked",
+               "facet doctor --config FILE");
+  }
+  report.say(Verdict::Good, "processor",
+             fmt::format("{} cores", std::max(1U, std::thread::hardware_concurrency())));
+  check_vulkan(report, config.pipeline.gpu_device);
+  check_model(report, config);
+  check_source(report, config);
+  check_takes(report, config);
+  check_daemon(report, config);
+  if (report.first_fault()) {
+    throw Error(*report.first_fault(),
+                fmt::format("doctor found {} fault{}", report.faults(), report.faults() == 1 ? "" : "s"));
+  }
+  fmt::print("\nEverything that was looked at is in order.\n");
+}
+
+}  // namespace
+
+void add_doctor_command(CLI::App& app) {
+  auto config_file = std::make_shared<std::string>();
+  CLI::App* command =
+      app.add_subcommand("doctor", "Check Vulkan, face model, source, sockets and disk; say what to do");
+  command->add_option("--config", *config_file, "The daemon's configuration file");
+  command->callback([config_file] { run(*config_file); });
+}
+
+}  // namespace facet::tools

@@ -1,0 +1,172 @@
+// `facet summary TAKE`: what is in a take, and how fast and how well it was made.
+
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdio>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "commands.hpp"
+#include "facet/error.hpp"
+#include "progress.hpp"
+#include "take/reader.hpp"
+
+namespace facet::tools {
+namespace {
+
+struct Options {
+  std::string take;
+  bool last_mesh_frame = false;
+};
+
+struct Stage {
+  const char* name;
+  float mesh::StageTimes::*time_ms;
+};
+constexpr std::array kStages = {
+    Stage{"capture (decode)", &mesh::StageTimes::capture_ms},
+    Stage{"face detector", &mesh::StageTimes::detect_ms},
+    Stage{"landmark net", &mesh::StageTimes::landmarks_ms},
+    Stage{"coarse fit", &mesh::StageTimes::fit_ms},
+    Stage{"upload, pyramid", &mesh::StageTimes::upload_ms},
+    Stage{"lighting (eq. 3)", &mesh::StageTimes::lighting_ms},
+    Stage{"albedo (eq. 4)", &mesh::StageTimes::albedo_ms},
+    Stage{"displacement (eq. 6)", &mesh::StageTimes::displacement_ms},
+    Stage{"read-back", &mesh::StageTimes::readback_ms},
+    Stage{"latency, frame to mesh", &mesh::StageTimes::latency_ms},
+};
+
+/// The p-quantile (0 to 1) of unsorted values; 0 for none.
+float quantile(std::vector<float> values, double p) {
+  if (values.empty()) {
+    return 0;
+  }
+  const auto at =
+      values.begin() + static_cast<std::ptrdiff_t>(p * static_cast<double>(values.size() - 1) + 0.5);
+  std::nth_element(values.begin(), at, values.end());
+  return *at;
+}
+
+float mean(const std::vector<float>& values) {
+  double sum = 0;
+  for (const float value : values) {
+    sum += value;
+  }
+  return values.empty() ? 0.0F : static_cast<float>(sum / static_cast<double>(values.size()));
+}
+
+void print_last_mesh_frame(take::TakeReader& reader) {
+  for (std::int64_t i = reader.frame_count() - 1; i >= 0; --i) {
+    if (reader.entry(i).has_mesh) {
+      fmt::print("{}\n", i);
+      return;
+    }
+  }
+  throw Error(ErrorKind::NoFace,
+              fmt::format("{}: no frame of this take has a mesh", reader.info().file.string()));
+}
+
+void run(const Options& options) {
+  take::TakeReader reader(options.take);
+  if (options.last_mesh_frame) {
+    print_last_mesh_frame(reader);
+    return;
+  }
+  const take::TakeInfo& info = reader.info();
+  const std::int64_t frame_count = reader.frame_count();
+  std::array<std::int64_t, 4> states{};
+  std::array<std::vector<float>, kStages.size()> times_ms;
+  std::vector<float> photometric_rms;
+  std::vector<float> reprojection_px;
+  std::int64_t refined = 0;
+  std::int64_t degraded = 0;
+  std::int64_t finest_vertices = 0;
+  std::size_t levels = 0;
+  std::string degraded_reason;
+  {
+    Progress progress("Reading", static_cast<std::uint64_t>(frame_count));
+    for (std::int64_t i = 0; i < frame_count; ++i) {
+      const auto frame = reader.frame(i);
+      ++states[static_cast<std::size_t>(frame->state)];
+      if (frame->degraded) {
+        ++degraded;
+        degraded_reason = frame->degraded_reason;
+      }
+      for (std::size_t s = 0; s < kStages.size(); ++s) {
+        if (const float time_ms = frame->stage_ms.*(kStages[s].time_ms); time_ms > 0) {
+          times_ms[s].push_back(time_ms);
+        }
+      }
+      if (frame->state == mesh::TrackingState::Tracking) {
+        reprojection_px.push_back(frame->reprojection_px);
+      }
+      if (!frame->displacements_mm.empty()) {
+        ++refined;
+        photometric_rms.push_back(frame->photometric_rms);
+        finest_vertices = static_cast<std::int64_t>(frame->displacements_mm.size());
+        levels = frame->subject->hierarchy->levels.size();
+      }
+      progress.advance();
+    }
+  }
+
+  const double seconds = static_cast<double>(info.last_timestamp_ns - info.first_timestamp_ns) * 1e-9;
+  fmt::print("take          {}\n", info.file.string());
+  fmt::print("source        {}\n", info.source);
+  fmt::print("recorded      {} by {}{}\n", info.created_utc, info.software,
+             info.closed ? "" : " (not closed: its recorder ended early or still records)");
+  if (!info.end_reason.empty()) {
+    fmt::print("ended         {}\n", info.end_reason);
+  }
+  fmt::print(
+      "frames        {} ({} tracking, {} acquiring, {} searching, {} lost; {} refined; {} not recorded)\n",
+      frame_count, states[static_cast<std::size_t>(mesh::TrackingState::Tracking)],
+      states[static_cast<std::size_t>(mesh::TrackingState::Acquiring)],
+      states[static_cast<std::size_t>(mesh::TrackingState::Searching)],
+      states[static_cast<std::size_t>(mesh::TrackingState::Lost)], refined, info.dropped);
+  if (degraded > 0) {
+    fmt::print("degraded      {} frames, the last one because: {}\n", degraded, degraded_reason);
+  }
+  if (refined > 0) {
+    fmt::print("mesh          {} vertices on the finest of {} levels\n", finest_vertices, levels);
+  }
+  if (frame_count > 1 && seconds > 0) {
+    fmt::print("rate          {:.2f} frames per second\n", static_cast<double>(frame_count - 1) / seconds);
+  }
+  fmt::print("size          {:.1f} MB, {:.1f} KB a frame\n", static_cast<double>(info.file_bytes) / 1e6,
+             static_cast<double>(info.file_bytes) / 1e3 /
+                 static_cast<double>(std::max<std::int64_t>(1, frame_count)));
+  if (!reprojection_px.empty()) {
+    fmt::print("reprojection  {:.2f} px median of the frames' medians\n", quantile(reprojection_px, 0.5));
+  }
+  if (!photometric_rms.empty()) {
+    fmt::print("photometric   {:.4f} mean rms error, {:.4f} worst frame (linear light, 0 to 1)\n",
+               mean(photometric_rms), quantile(photometric_rms, 1.0));
+  }
+  fmt::print("\n{:<24} {:>9} {:>9} {:>9} {:>8}\n", "stage", "mean ms", "median", "p95", "frames");
+  for (std::size_t s = 0; s < kStages.size(); ++s) {
+    if (!times_ms[s].empty()) {
+      fmt::print("{:<24} {:>9.2f} {:>9.2f} {:>9.2f} {:>8}\n", kStages[s].name, mean(times_ms[s]),
+                 quantile(times_ms[s], 0.5), quantile(times_ms[s], 0.95), times_ms[s].size());
+    }
+  }
+}
+
+}  // namespace
+
+void add_summary_command(CLI::App& app) {
+  auto options = std::make_shared<Options>();
+  CLI::App* command =
+      app.add_subcommand("summary", "What is in a take: frames by state, rate, times per stage, errors");
+  command->add_option("take", options->take, "The take")->required();
+  command->add_flag("--last-mesh-frame", options->last_mesh_frame,
+                    "Print only the index of the last frame that has a mesh");
+  command->callback([options] { run(*options); });
+}
+
+}  // namespace facet::tools
