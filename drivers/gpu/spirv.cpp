@@ -179,6 +179,7 @@ void Module::instruction(std::uint32_t operation, std::span<const std::uint32_t>
   };
   switch (operation) {
     case OpName:
+      need(2);
       result(0).name = literal_string(operands.subspan(1));
       break;
     case OpMemberName:

@@ -1,0 +1,18 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "layout.h"
+
+// Widens an integer texel buffer to four integers for each element.
+
+layout(local_size_x = 64) in;
+
+uniform isamplerBuffer source;
+writeonly buffer Target { ivec4 target[]; };
+layout(push_constant) uniform Push { CountPush push; };
+
+void main() {
+  uint index = gl_GlobalInvocationID.x;
+  if (index < push.count) {
+    target[index] = texelFetch(source, int(index));
+  }
+}
