@@ -1,0 +1,86 @@
+#pragma once
+
+#include <condition_variable>
+#include <cstddef>
+#include <mutex>
+#include <utility>
+#include <vector>
+
+namespace facet::pipeline {
+
+/// Frames on their way from one thread to the next: one thread pushes, one pops. Locks are held for a move
+/// only. After close nothing goes in, what is inside comes out, then pop says that it is over.
+template <typename Item>
+class BoundedQueue {
+ public:
+  explicit BoundedQueue(std::size_t capacity) : slots_(capacity) {}
+
+  /// Waits for room. Returns false once closed.
+  bool push(Item&& item) {
+    std::unique_lock lock(mutex_);
+    changed_.wait(lock, [&] { return closed_ || count_ < slots_.size(); });
+    return put(std::move(item));
+  }
+
+  /// Never waits: where there is no room the oldest item is thrown away. Returns false once closed.
+  bool push_newest(Item&& item) {
+    Item oldest;  // dies after the lock is gone
+    const std::lock_guard lock(mutex_);
+    if (count_ == slots_.size()) {
+      oldest = take();
+    }
+    return put(std::move(item));
+  }
+
+  /// Waits for an item. Returns false once closed and empty.
+  bool pop(Item& item) {
+    std::unique_lock lock(mutex_);
+    changed_.wait(lock, [&] { return closed_ || count_ > 0; });
+    if (count_ == 0) {
+      return false;
+    }
+    item = take();
+    changed_.notify_all();
+    return true;
+  }
+
+  /// Waits until everything was popped. Returns false once closed.
+  bool wait_until_empty() {
+    std::unique_lock lock(mutex_);
+    changed_.wait(lock, [&] { return closed_ || count_ == 0; });
+    return !closed_;
+  }
+
+  void close() {
+    const std::lock_guard lock(mutex_);
+    closed_ = true;
+    changed_.notify_all();
+  }
+
+ private:
+  bool put(Item&& item) {
+    if (closed_) {
+      return false;
+    }
+    slots_[(first_ + count_) % slots_.size()] = std::move(item);
+    ++count_;
+    changed_.notify_all();
+    return true;
+  }
+
+  Item take() {
+    Item item = std::exchange(slots_[first_], Item{});
+    first_ = (first_ + 1) % slots_.size();
+    --count_;
+    return item;
+  }
+
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  std::vector<Item> slots_;  ///< guarded by mutex_, as all below
+  std::size_t first_ = 0;
+  std::size_t count_ = 0;
+  bool closed_ = false;
+};
+
+}  // namespace facet::pipeline

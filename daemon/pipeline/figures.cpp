@@ -1,0 +1,75 @@
+#include "pipeline/figures.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+namespace facet::pipeline {
+
+const char* to_string(PipelineState state) {
+  switch (state) {
+    case PipelineState::Idle:
+      return "idle";
+    case PipelineState::Preparing:
+      return "preparing";
+    case PipelineState::Running:
+      return "running";
+    case PipelineState::Ended:
+      return "ended";
+    case PipelineState::Stopped:
+      return "stopped";
+    case PipelineState::Failed:
+      return "failed";
+  }
+  return "unknown";
+}
+
+void Window::add(float value) {
+  values_[next_] = value;
+  next_ = (next_ + 1) % kLength;
+  count_ = std::min(count_ + 1, kLength);
+}
+
+float Window::mean() const {
+  return count_ == 0
+             ? 0.0F
+             : std::accumulate(values_.begin(), values_.begin() + static_cast<std::ptrdiff_t>(count_), 0.0F) /
+                   static_cast<float>(count_);
+}
+
+float Window::quantile(float p) const {
+  if (count_ == 0) {
+    return 0;
+  }
+  std::array<float, kLength> sorted = values_;
+  const auto end = sorted.begin() + static_cast<std::ptrdiff_t>(count_);
+  const auto at = sorted.begin() + std::lround(p * static_cast<float>(count_ - 1));
+  std::nth_element(sorted.begin(), at, end);
+  return *at;
+}
+
+void Figures::add(const mesh::MeshFrame& frame, std::chrono::steady_clock::time_point handed_out) {
+  for (std::size_t s = 0; s < kStages.size(); ++s) {
+    if (const float time_ms = frame.stage_ms.*(kStages[s].time_ms); time_ms > 0) {
+      stages_[s].add(time_ms);
+    }
+  }
+  if (!frame.displacements_mm.empty()) {
+    photometric_rms_.add(frame.photometric_rms);
+  }
+  if (last_ != std::chrono::steady_clock::time_point()) {
+    between_s_.add(std::chrono::duration<float>(handed_out - last_).count());
+  }
+  last_ = handed_out;
+}
+
+void Figures::fill(PipelineStatus& status) const {
+  for (std::size_t s = 0; s < kStages.size(); ++s) {
+    status.stages[s] = {stages_[s].mean(), stages_[s].quantile(0.95F)};
+  }
+  const float between_s = between_s_.mean();
+  status.frames_per_second = between_s > 0 ? 1.0 / static_cast<double>(between_s) : 0.0;
+  status.photometric_rms = photometric_rms_.mean();
+}
+
+}  // namespace facet::pipeline

@@ -1,0 +1,22 @@
+#pragma once
+
+#include <memory>
+
+#include "mesh/mesh_frame.hpp"
+
+namespace facet::pipeline {
+
+/// Where finished frames go: the stream, a take, a test.
+class MeshSink {
+ public:
+  MeshSink() = default;
+  MeshSink(const MeshSink&) = delete;
+  MeshSink& operator=(const MeshSink&) = delete;
+  virtual ~MeshSink() = default;
+
+  /// Called on the thread `facet-refine` with every frame in order, those without a mesh too. Must not throw;
+  /// may block only where nothing may be lost (recorded sources). May keep the frame as long as it likes.
+  virtual void deliver(std::shared_ptr<const mesh::MeshFrame> frame) = 0;
+};
+
+}  // namespace facet::pipeline

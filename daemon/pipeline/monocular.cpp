@@ -1,0 +1,391 @@
+#include "pipeline/monocular.hpp"
+
+#include <fmt/format.h>
+#include <pthread.h>
+
+#include <atomic>
+#include <chrono>
+#include <exception>
+#include <mutex>
+#include <thread>
+#include <utility>
+
+#include "pipeline/bounded_queue.hpp"
+#include "pipeline/figures.hpp"
+#include "pipeline/frame_pool.hpp"
+#include "pipeline/subject_builder.hpp"
+
+namespace facet::pipeline {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+/// How long capture waits for a frame before it looks whether to stop.
+constexpr std::chrono::milliseconds kCaptureTimeout{50};
+/// Frames decoded ahead of the tracker, recorded sources.
+constexpr std::size_t kRecordedQueue = 4;
+/// A live frame waits for the tracker alone; the next one replaces it.
+constexpr std::size_t kLiveQueue = 1;
+
+struct Captured {
+  Frame frame;
+  Clock::time_point delivered;
+  float capture_ms = 0;
+};
+
+struct Tracked {
+  Captured captured;
+  std::shared_ptr<mesh::MeshFrame> mesh;
+  std::uint32_t subject_count = 0;                     ///< TrackResult::subject
+  std::shared_ptr<const std::vector<float>> identity;  ///< of that subject
+};
+
+float ms_since(Clock::time_point start) {
+  return std::chrono::duration<float, std::milli>(Clock::now() - start).count();
+}
+
+}  // namespace
+
+struct MonocularPipeline::Impl {
+  Impl(Stages given, const Options& given_options, std::vector<MeshSink*> given_sinks)
+      : stages(std::move(given)),
+        options(given_options),
+        sinks(std::move(given_sinks)),
+        source(stages.camera->info()),
+        captured(source.live ? kLiveQueue : kRecordedQueue),
+        tracked(1),
+        refiner(std::move(stages.refiner), stages.open_refiner, messages, given_options.pauses) {
+    shown.source = source;
+    shown.device = refiner.device();
+  }
+
+  // Set before the threads start.
+  Stages stages;
+  Options options;
+  std::vector<MeshSink*> sinks;
+  CameraInfo source;
+  std::vector<std::thread> threads;
+
+  // Shared by the threads.
+  Messages messages;
+  std::atomic<bool> stopping{false};
+  std::atomic<bool> wants_new_identity{false};
+  std::atomic<int> threads_at_work{0};
+  BoundedQueue<Captured> captured;
+  BoundedQueue<Tracked> tracked;
+  FramePool pool;
+  mutable std::mutex shown_mutex;
+  PipelineStatus shown;  ///< guarded by shown_mutex
+  Figures figures;       ///< guarded by shown_mutex
+
+  // facet-track only.
+  std::uint64_t next_sequence = 0;
+  std::uint32_t identity_count = 0;  ///< TrackResult::subject that `identity` belongs to
+  std::shared_ptr<const std::vector<float>> identity;
+
+  // facet-refine only.
+  RecoveringRefiner refiner;
+  refine::RefineOutput refined;
+  std::shared_ptr<const mesh::Subject> subject;
+  std::uint32_t subject_count = 0;  ///< TrackResult::subject that `subject` was built for
+
+  void begin(const char* name, void (Impl::*work)());
+  void fail(ErrorKind kind, const std::string& what);
+  void set_state(PipelineState state);
+
+  void capture();
+  void capture_until_end();
+  bool take(Captured&& item);
+  void track();
+  void track_one(Captured&& item);
+  void fill(mesh::MeshFrame& mesh, const Captured& item, const track::TrackResult& result) const;
+  void refine();
+  void refine_one(Tracked& item);
+  void follow_subject(const Tracked& item);
+  void add_displacements(Tracked& item);
+  void hand_out(Tracked& item);
+};
+
+void MonocularPipeline::Impl::begin(const char* name, void (Impl::*work)()) {
+  ++threads_at_work;
+  threads.emplace_back([this, name, work] {
+    ::pthread_setname_np(::pthread_self(), name);
+    try {
+      (this->*work)();
+    } catch (const Error& error) {
+      fail(error.kind(), error.what());
+    } catch (const std::exception& error) {
+      fail(ErrorKind::Internal, error.what());
+    }
+    --threads_at_work;
+  });
+}
+
+void MonocularPipeline::Impl::fail(ErrorKind kind, const std::string& what) {
+  {
+    const std::lock_guard lock(shown_mutex);
+    if (shown.state != PipelineState::Failed) {
+      shown.state = PipelineState::Failed;
+      shown.failure_kind = kind;
+      shown.failure = what;
+    }
+  }
+  stopping = true;
+  captured.close();
+  tracked.close();
+}
+
+void MonocularPipeline::Impl::set_state(PipelineState state) {
+  const std::lock_guard lock(shown_mutex);
+  if (shown.state != PipelineState::Failed) {
+    shown.state = state;
+  }
+}
+
+void MonocularPipeline::Impl::capture() {
+  stages.camera->start();
+  capture_until_end();
+  stages.camera->stop();
+  captured.close();
+}
+
+void MonocularPipeline::Impl::capture_until_end() {
+  while (!stopping) {
+    Captured item;
+    const Clock::time_point begun = Clock::now();
+    const CaptureOutcome outcome = stages.camera->next(item.frame, kCaptureTimeout);
+    if (outcome == CaptureOutcome::Failed) {
+      fail(ErrorKind::UnreadableInput, fmt::format("{}: {}", source.name, stages.camera->last_error()));
+      return;
+    }
+    if (outcome == CaptureOutcome::EndOfStream) {
+      if (const std::string error = stages.camera->last_error(); !error.empty()) {
+        messages.warning(fmt::format("{}: {}", source.name, error));
+      }
+      return;
+    }
+    if (outcome == CaptureOutcome::Timeout || item.frame.sequence < options.frames.first) {
+      continue;
+    }
+    if (item.frame.sequence >= options.frames.end) {
+      return;
+    }
+    item.delivered = Clock::now();
+    // Of a live source this time is mostly that of waiting for the next exposure.
+    item.capture_ms =
+        source.live ? 0.0F : std::chrono::duration<float, std::milli>(item.delivered - begun).count();
+    {
+      const std::lock_guard lock(shown_mutex);
+      shown.captured = item.frame.sequence + 1 - options.frames.first;
+    }
+    if (!take(std::move(item))) {
+      return;
+    }
+  }
+}
+
+bool MonocularPipeline::Impl::take(Captured&& item) {
+  return source.live ? captured.push_newest(std::move(item)) : captured.push(std::move(item));
+}
+
+void MonocularPipeline::Impl::track() {
+  set_state(PipelineState::Preparing);
+  stages.coarse->prepare(stopping);
+  set_state(PipelineState::Running);
+  next_sequence = options.frames.first;
+  // A frame is taken only when the GPU has begun the one before: what waits is the newest, not a tracked one.
+  while (!stopping && tracked.wait_until_empty()) {
+    Captured item;
+    if (!captured.pop(item)) {
+      break;
+    }
+    if (wants_new_identity.exchange(false)) {
+      stages.coarse->reset_identity();
+    }
+    track_one(std::move(item));
+  }
+  tracked.close();
+}
+
+void MonocularPipeline::Impl::track_one(Captured&& item) {
+  if (item.frame.sequence > next_sequence) {
+    const std::lock_guard lock(shown_mutex);
+    shown.dropped += item.frame.sequence - next_sequence;
+  }
+  next_sequence = item.frame.sequence + 1;
+  const track::TrackResult& result = stages.coarse->process(item.frame);
+  if (identity == nullptr || identity_count != result.subject) {
+    identity = std::make_shared<const std::vector<float>>(result.identity);
+    identity_count = result.subject;
+  }
+  Tracked tracked_item;
+  tracked_item.mesh = pool.take();
+  tracked_item.subject_count = result.subject;
+  tracked_item.identity = identity;
+  fill(*tracked_item.mesh, item, result);
+  tracked_item.captured = std::move(item);
+  tracked.push(std::move(tracked_item));
+}
+
+void MonocularPipeline::Impl::fill(mesh::MeshFrame& mesh, const Captured& item,
+                                   const track::TrackResult& result) const {
+  mesh.sequence = item.frame.sequence;
+  mesh.timestamp_ns = item.frame.timestamp_ns;
+  mesh.media_time_ns = item.frame.media_time_ns;
+  mesh.state = result.state;
+  mesh.camera = result.camera;
+  mesh.landmarks_px.assign(result.landmarks_px.begin(), result.landmarks_px.end());
+  mesh.stage_ms.capture_ms = item.capture_ms;
+  mesh.stage_ms.detect_ms = result.detect_ms;
+  mesh.stage_ms.landmarks_ms = result.landmarks_ms;
+  mesh.stage_ms.fit_ms = result.fit_ms;
+  if (item.frame.corrupt) {
+    mesh.degraded = true;
+    mesh.degraded_reason = "the source says that the image is damaged";
+  }
+  if (result.state != mesh::TrackingState::Tracking) {
+    mesh.control_vertices_mm.resize(3, 0);
+    return;
+  }
+  mesh.camera_from_head = result.camera_from_head;
+  mesh.expression.assign(result.expression.begin(), result.expression.end());
+  mesh.reprojection_px = result.reprojection_px;
+  mesh.control_vertices_mm = result.vertices_mm;
+}
+
+void MonocularPipeline::Impl::refine() {
+  Tracked item;
+  while (tracked.pop(item)) {
+    if (stopping) {
+      continue;  // what was tracked when the stop came is let go
+    }
+    refine_one(item);
+    hand_out(item);
+    item = {};
+  }
+  set_state(stopping ? PipelineState::Stopped : PipelineState::Ended);
+}
+
+void MonocularPipeline::Impl::refine_one(Tracked& item) {
+  if (item.mesh->state != mesh::TrackingState::Tracking) {
+    return;
+  }
+  if (subject == nullptr || subject_count != item.subject_count) {
+    follow_subject(item);
+  }
+  item.mesh->subject = subject;
+  if (!item.captured.frame.corrupt) {
+    add_displacements(item);
+  }
+}
+
+void MonocularPipeline::Impl::follow_subject(const Tracked& item) {
+  subject = build_subject(*stages.model, options.hierarchy, *item.mesh, *item.identity, item.subject_count);
+  subject_count = item.subject_count;
+  const mesh::Hierarchy& hierarchy = *subject->hierarchy;
+  {
+    const std::lock_guard lock(shown_mutex);
+    ++shown.subjects;
+    shown.finest_vertices = hierarchy.finest().vertex_count;
+    shown.levels = static_cast<int>(hierarchy.levels.size());
+  }
+  messages.info(fmt::format("subject {}: hierarchy of {} levels, {} to {} vertices", item.subject_count,
+                            hierarchy.levels.size(), hierarchy.levels.front().vertex_count,
+                            hierarchy.finest().vertex_count));
+  refiner.set_subject({subject->hierarchy, stages.model->mean_albedo, stages.model->control.refinable});
+}
+
+void MonocularPipeline::Impl::add_displacements(Tracked& item) {
+  mesh::MeshFrame& mesh = *item.mesh;
+  refine::RefineInput input;
+  input.image = item.captured.frame;
+  input.camera = mesh.camera;
+  input.camera_from_head = mesh.camera_from_head;
+  input.control_vertices_mm = &mesh.control_vertices_mm;
+  const std::string& missing = refiner.refine(input, refined);
+  if (!missing.empty()) {
+    mesh.degraded = true;
+    mesh.degraded_reason = missing;
+    return;
+  }
+  mesh.displacements_mm.assign(refined.displacements_mm.begin(), refined.displacements_mm.end());
+  mesh.confidence.assign(refined.confidence.begin(), refined.confidence.end());
+  mesh.lighting = refined.lighting;
+  mesh.albedo = refined.albedo;
+  mesh.photometric_rms = refined.photometric_rms;
+  mesh.stage_ms.upload_ms = refined.upload_ms;
+  mesh.stage_ms.lighting_ms = refined.lighting_ms;
+  mesh.stage_ms.albedo_ms = refined.albedo_ms;
+  mesh.stage_ms.displacement_ms = refined.displacement_ms;
+  mesh.stage_ms.readback_ms = refined.readback_ms;
+}
+
+void MonocularPipeline::Impl::hand_out(Tracked& item) {
+  mesh::MeshFrame& mesh = *item.mesh;
+  mesh.stage_ms.latency_ms = ms_since(item.captured.delivered);
+  for (MeshSink* sink : sinks) {
+    sink->deliver(item.mesh);
+  }
+  const std::lock_guard lock(shown_mutex);
+  ++shown.processed;
+  shown.tracking = mesh.state;
+  shown.mesh_frames += mesh.state == mesh::TrackingState::Tracking ? 1 : 0;
+  shown.face_frames += mesh.landmarks_px.empty() ? 0 : 1;
+  shown.refined_frames += mesh.displacements_mm.empty() ? 0 : 1;
+  if (mesh.degraded) {
+    ++shown.degraded_frames;
+    shown.degraded_reason = mesh.degraded_reason;
+  }
+  shown.device = refiner.device();
+  figures.add(mesh, Clock::now());
+}
+
+MonocularPipeline::MonocularPipeline(Stages stages, const Options& options, std::vector<MeshSink*> sinks)
+    : impl_(std::make_unique<Impl>(std::move(stages), options, std::move(sinks))) {}
+
+MonocularPipeline::~MonocularPipeline() {
+  stop();
+}
+
+void MonocularPipeline::start() {
+  impl_->set_state(PipelineState::Preparing);
+  impl_->begin("facet-refine", &Impl::refine);
+  impl_->begin("facet-track", &Impl::track);
+  impl_->begin("facet-capture", &Impl::capture);
+}
+
+void MonocularPipeline::request_stop() {
+  impl_->stopping = true;
+  impl_->captured.close();
+  impl_->tracked.close();
+  impl_->refiner.request_stop();
+}
+
+void MonocularPipeline::stop() {
+  request_stop();
+  for (std::thread& thread : impl_->threads) {
+    thread.join();
+  }
+  impl_->threads.clear();
+}
+
+bool MonocularPipeline::finished() const {
+  return impl_->threads_at_work == 0;
+}
+
+PipelineStatus MonocularPipeline::status() const {
+  const std::lock_guard lock(impl_->shown_mutex);
+  PipelineStatus status = impl_->shown;
+  impl_->figures.fill(status);
+  return status;
+}
+
+void MonocularPipeline::reset_identity() {
+  impl_->wants_new_identity = true;
+}
+
+std::vector<Messages::Message> MonocularPipeline::take_messages() {
+  return impl_->messages.take();
+}
+
+}  // namespace facet::pipeline

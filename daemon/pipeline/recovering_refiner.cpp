@@ -1,0 +1,145 @@
+#include "pipeline/recovering_refiner.hpp"
+
+#include <fmt/format.h>
+#include <pthread.h>
+
+#include <algorithm>
+#include <exception>
+#include <utility>
+
+#include "facet/error.hpp"
+
+namespace facet::pipeline {
+namespace {
+
+constexpr const char* kRefinementOff = "refinement off";
+
+}  // namespace
+
+RecoveringRefiner::RecoveringRefiner(std::unique_ptr<RefineStage> first, OpenRefiner open, Messages& messages,
+                                     Pauses pauses)
+    : open_(std::move(open)),
+      messages_(messages),
+      pauses_(pauses),
+      stage_(std::move(first)),
+      device_(stage_ != nullptr ? stage_->device() : std::string()) {}
+
+RecoveringRefiner::~RecoveringRefiner() {
+  request_stop();
+  if (helper_.joinable()) {
+    helper_.join();
+  }
+}
+
+void RecoveringRefiner::request_stop() {
+  const std::lock_guard lock(mutex_);
+  stop_ = true;
+  stop_changed_.notify_all();
+}
+
+void RecoveringRefiner::set_subject(const refine::SubjectSetup& subject) {
+  subject_ = subject;
+  has_subject_ = true;
+  adopt_reopened();
+  if (stage_ == nullptr) {
+    return;
+  }
+  try {
+    stage_->set_subject(subject_);
+  } catch (const Error& error) {
+    // The only thing that can be wrong with a subject that was built is the device under it.
+    lose(error.what());
+  }
+}
+
+const std::string& RecoveringRefiner::refine(const refine::RefineInput& input, refine::RefineOutput& output) {
+  adopt_reopened();
+  if (open_ == nullptr) {
+    reason_ = kRefinementOff;
+    return reason_;
+  }
+  if (stage_ == nullptr) {
+    return reason_;
+  }
+  switch (stage_->refine(input, output)) {
+    case refine::RefineOutcome::Refined:
+      reason_.clear();
+      break;
+    case refine::RefineOutcome::NumericalFailure:
+      reason_ = output.failure.empty() ? "the refinement failed numerically" : output.failure;
+      break;
+    case refine::RefineOutcome::DeviceLost:
+      lose(output.failure.empty() ? "device lost" : output.failure);
+      break;
+  }
+  return reason_;
+}
+
+void RecoveringRefiner::lose(const std::string& reason) {
+  messages_.warning(fmt::format("GPU {} lost ({}): frames are coarse until it is back", device_, reason));
+  reason_ = "GPU lost, being reopened: " + reason;
+  device_.clear();
+  stage_.reset();
+  if (helper_.joinable()) {
+    helper_.join();  // ended when it handed over the device that is lost now
+  }
+  // Lives until it has a device or request_stop; joined above or by the destructor.
+  helper_ = std::thread([this, subject = subject_] { reopen(subject); });
+}
+
+void RecoveringRefiner::adopt_reopened() {
+  if (stage_ != nullptr || open_ == nullptr) {
+    return;
+  }
+  const mesh::Hierarchy* reopened_for = nullptr;
+  {
+    const std::lock_guard lock(mutex_);
+    stage_ = std::move(reopened_);
+    reopened_for = reopened_for_;
+  }
+  if (stage_ == nullptr) {
+    return;
+  }
+  device_ = stage_->device();
+  messages_.info(fmt::format("GPU {} is back", device_));
+  if (has_subject_ && reopened_for != subject_.hierarchy.get()) {
+    // The subject changed while the helper was at work.
+    set_subject(refine::SubjectSetup(subject_));
+  }
+}
+
+void RecoveringRefiner::reopen(refine::SubjectSetup subject) {
+  ::pthread_setname_np(::pthread_self(), "facet-regpu");
+  std::chrono::milliseconds pause = pauses_.first;
+  for (;;) {
+    {
+      std::unique_lock lock(mutex_);
+      if (stop_changed_.wait_for(lock, pause, [&] { return stop_; })) {
+        return;
+      }
+    }
+    pause = std::min(2 * pause, pauses_.longest);
+    std::unique_ptr<RefineStage> stage = try_open(subject);
+    if (stage != nullptr) {
+      const std::lock_guard lock(mutex_);
+      reopened_ = std::move(stage);
+      reopened_for_ = subject.hierarchy.get();
+      return;
+    }
+  }
+}
+
+std::unique_ptr<RefineStage> RecoveringRefiner::try_open(const refine::SubjectSetup& subject) {
+  try {
+    std::unique_ptr<RefineStage> stage = open_();
+    if (subject.hierarchy != nullptr) {
+      stage->set_subject(subject);
+    }
+    return stage;
+  } catch (const std::exception& error) {
+    messages_.warning(fmt::format("cannot reopen the GPU: {}", error.what()));
+    return nullptr;
+  }
+}
+
+}  // namespace facet::pipeline

@@ -1,0 +1,121 @@
+#include "pipeline/stages.hpp"
+
+#include <fmt/format.h>
+
+#include <chrono>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "facet/error.hpp"
+#include "gpu/context.hpp"
+
+namespace facet::pipeline {
+namespace {
+
+/// Frames of a recording that are looked at ahead for the subject: beyond these it is estimated on the way.
+constexpr std::uint64_t kMostFramesAhead = 3000;
+
+class TrackerStage final : public CoarseStage {
+ public:
+  TrackerStage(std::shared_ptr<const face::FaceModel> model, const MonocularConfig& config, bool recorded)
+      : model_(std::move(model)), config_(config), recorded_(recorded), tracker_(make_tracker()) {}
+
+  void prepare(const std::atomic<bool>& stop) override {
+    if (!recorded_) {
+      return;
+    }
+    camera::CameraConfig source = config_.source;
+    source.loop = false;
+    const std::unique_ptr<Camera> camera = camera::open_camera(source);
+    camera->start();
+    const auto ahead = make_tracker();
+    Frame frame;
+    for (std::uint64_t seen = 0; seen < kMostFramesAhead && !stop && !ahead->subject();) {
+      const CaptureOutcome outcome = camera->next(frame, std::chrono::milliseconds(100));
+      if (outcome == CaptureOutcome::Timeout) {
+        continue;
+      }
+      if (outcome != CaptureOutcome::Delivered || frame.sequence >= config_.frames.end) {
+        break;
+      }
+      if (frame.sequence >= config_.frames.first) {
+        ahead->process(frame);
+        ++seen;
+      }
+    }
+    if (const std::optional<track::Subject> subject = ahead->subject()) {
+      tracker_->adopt(*subject, frame.width_px, frame.height_px);
+    }
+  }
+
+  const track::TrackResult& process(const Frame& frame) override { return tracker_->process(frame); }
+  void reset_identity() override { tracker_->reset_identity(); }
+
+ private:
+  std::unique_ptr<track::Tracker> make_tracker() const {
+    return std::make_unique<track::Tracker>(*model_, config_.tracker);
+  }
+
+  std::shared_ptr<const face::FaceModel> model_;
+  MonocularConfig config_;
+  bool recorded_;
+  std::unique_ptr<track::Tracker> tracker_;
+};
+
+class GpuStage final : public RefineStage {
+ public:
+  explicit GpuStage(const MonocularConfig& config)
+      : context_(context_options(config)), refiner_(context_, config.refiner) {}
+
+  std::string device() const override { return context_.info().name; }
+  void set_subject(const refine::SubjectSetup& subject) override { refiner_.set_subject(subject); }
+  refine::RefineOutcome refine(const refine::RefineInput& input, refine::RefineOutput& output) override {
+    refiner_.submit(input);
+    return refiner_.collect(output);
+  }
+
+ private:
+  static gpu::ContextOptions context_options(const MonocularConfig& config) {
+    gpu::ContextOptions options;
+    options.device = config.gpu_device;
+    return options;
+  }
+
+  gpu::Context context_;
+  refine::Refiner refiner_;
+};
+
+std::shared_ptr<const face::FaceModel> load_model(const MonocularConfig& config) {
+  auto model = std::make_shared<const face::FaceModel>(face::FaceModel::load(config.model_file));
+  // A control mesh that can't be subdivided must be found now, not with the first face.
+  mesh::HierarchyOptions coarse_only;
+  coarse_only.max_levels = 1;
+  const auto count = static_cast<std::size_t>(model->vertex_count());
+  try {
+    mesh::build_hierarchy(model->control, mesh::TextureCoordinates::Zero(2, model->vertex_count()),
+                          std::vector<std::uint8_t>(count, 0), coarse_only);
+  } catch (const Error& error) {
+    throw Error(ErrorKind::UnreadableInput, fmt::format("{}: the model's mesh can't be used: {}",
+                                                        config.model_file.string(), error.what()));
+  }
+  return model;
+}
+
+}  // namespace
+
+Stages open_stages(const MonocularConfig& config) {
+  Stages stages;
+  // Cheap and likely mistakes first.
+  stages.camera = camera::open_camera(config.source);
+  stages.model = load_model(config);
+  const bool recorded = !stages.camera->info().live && !config.source.loop;
+  stages.coarse = std::make_unique<TrackerStage>(stages.model, config, recorded);
+  if (config.gpu_device != kNoDevice) {
+    stages.open_refiner = [config] { return std::make_unique<GpuStage>(config); };
+    stages.refiner = stages.open_refiner();
+  }
+  return stages;
+}
+
+}  // namespace facet::pipeline

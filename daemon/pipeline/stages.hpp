@@ -1,0 +1,65 @@
+#pragma once
+
+#include <atomic>
+#include <functional>
+#include <memory>
+#include <string>
+
+#include "face/face_model.hpp"
+#include "facet/camera.hpp"
+#include "pipeline/monocular_config.hpp"
+#include "refine/refiner.hpp"
+#include "track/tracker.hpp"
+
+namespace facet::pipeline {
+
+/// The coarse tracker as the pipeline uses it; tests script one. One thread.
+class CoarseStage {
+ public:
+  CoarseStage() = default;
+  CoarseStage(const CoarseStage&) = delete;
+  CoarseStage& operator=(const CoarseStage&) = delete;
+  virtual ~CoarseStage() = default;
+
+  /// Called once before the first frame: a recorded source may be looked at ahead, so that its first frames
+  /// have meshes too. Returns early where `stop` becomes true.
+  virtual void prepare(const std::atomic<bool>& stop) = 0;
+  /// As track::Tracker::process.
+  virtual const track::TrackResult& process(const Frame& frame) = 0;
+  /// As track::Tracker::reset_identity.
+  virtual void reset_identity() = 0;
+};
+
+/// The GPU refinement as the pipeline uses it: a context and a refiner on it; tests script one. One thread at
+/// a time.
+class RefineStage {
+ public:
+  RefineStage() = default;
+  RefineStage(const RefineStage&) = delete;
+  RefineStage& operator=(const RefineStage&) = delete;
+  virtual ~RefineStage() = default;
+
+  virtual std::string device() const = 0;  ///< for people
+  /// As refine::Refiner::set_subject. May throw gpu::DeviceLostError.
+  virtual void set_subject(const refine::SubjectSetup& subject) = 0;
+  /// Submits a frame and waits for it.
+  virtual refine::RefineOutcome refine(const refine::RefineInput& input, refine::RefineOutput& output) = 0;
+};
+
+/// Opens the device and compiles the kernels. Throws Error(NoDevice).
+using OpenRefiner = std::function<std::unique_ptr<RefineStage>()>;
+
+/// What the pipeline connects.
+struct Stages {
+  std::unique_ptr<Camera> camera;
+  std::shared_ptr<const face::FaceModel> model;
+  std::unique_ptr<CoarseStage> coarse;
+  OpenRefiner open_refiner;              ///< empty: refinement is off
+  std::unique_ptr<RefineStage> refiner;  ///< the first one; null where refinement is off
+};
+
+/// Opens source, model, tracker and device. Seconds, for the kernels are compiled. Throws Error:
+/// UnreadableInput for source, model and landmark nets, NoDevice where no Vulkan device is usable.
+Stages open_stages(const MonocularConfig& config);
+
+}  // namespace facet::pipeline

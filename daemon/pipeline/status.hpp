@@ -1,0 +1,73 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <optional>
+#include <string>
+
+#include "facet/camera.hpp"
+#include "facet/error.hpp"
+#include "mesh/mesh_frame.hpp"
+
+namespace facet::pipeline {
+
+enum class PipelineState {
+  Idle,       ///< not started
+  Preparing,  ///< a recording is looked at ahead, for the subject
+  Running,
+  Ended,    ///< the source is at its end and every frame was handed out
+  Stopped,  ///< on request, before the end
+  Failed,   ///< see PipelineStatus::failure
+};
+const char* to_string(PipelineState state);
+
+/// Times of one stage over the last frames in which it ran (Window::kLength at most), ms.
+struct StageFigures {
+  float mean_ms = 0;
+  float p95_ms = 0;
+};
+
+/// One stage of mesh::StageTimes and its name, for whoever lists them.
+struct Stage {
+  const char* name;
+  float mesh::StageTimes::*time_ms;
+};
+inline constexpr std::array kStages = {
+    Stage{"capture", &mesh::StageTimes::capture_ms},
+    Stage{"detect", &mesh::StageTimes::detect_ms},
+    Stage{"landmarks", &mesh::StageTimes::landmarks_ms},
+    Stage{"fit", &mesh::StageTimes::fit_ms},
+    Stage{"upload", &mesh::StageTimes::upload_ms},
+    Stage{"lighting", &mesh::StageTimes::lighting_ms},
+    Stage{"albedo", &mesh::StageTimes::albedo_ms},
+    Stage{"displacement", &mesh::StageTimes::displacement_ms},
+    Stage{"readback", &mesh::StageTimes::readback_ms},
+    Stage{"latency", &mesh::StageTimes::latency_ms},
+};
+
+/// What the pipeline has done and how it does now. A snapshot.
+struct PipelineStatus {
+  PipelineState state = PipelineState::Idle;
+  std::string failure;  ///< for people, where Failed
+  ErrorKind failure_kind = ErrorKind::Internal;
+  CameraInfo source;
+  std::string device;          ///< of the refinement, for people; empty while there is none
+  std::uint64_t captured = 0;  ///< frames that the source produced, within the range asked for
+  std::uint64_t dropped =
+      0;  ///< of these, frames that no stage saw: the stages are slower than a live source
+  std::uint64_t processed = 0;       ///< frames handed out
+  std::uint64_t mesh_frames = 0;     ///< of these, in state Tracking
+  std::uint64_t face_frames = 0;     ///< of these, with landmarks of a face
+  std::uint64_t refined_frames = 0;  ///< of these, with displacements
+  std::uint64_t degraded_frames = 0;
+  std::string degraded_reason;  ///< of the last degraded frame
+  std::uint64_t subjects = 0;   ///< hierarchies built
+  std::int32_t finest_vertices = 0;
+  int levels = 0;
+  mesh::TrackingState tracking = mesh::TrackingState::Searching;  ///< of the last frame
+  double frames_per_second = 0;                                   ///< handed out, over the last frames
+  std::array<StageFigures, kStages.size()> stages;                ///< order of kStages
+  float photometric_rms = 0;                                      ///< mean over the last refined frames
+};
+
+}  // namespace facet::pipeline

@@ -1,0 +1,55 @@
+#include "pipeline/take_sink.hpp"
+
+#include <fmt/format.h>
+
+#include <utility>
+
+#include "facet/error.hpp"
+
+namespace facet::pipeline {
+
+std::shared_ptr<take::TakeRecorder> TakeSink::current() const {
+  const std::lock_guard lock(mutex_);
+  return recorder_;
+}
+
+void TakeSink::deliver(std::shared_ptr<const mesh::MeshFrame> frame) {
+  if (const auto recorder = current()) {
+    recorder->record(std::move(frame));
+  }
+}
+
+void TakeSink::begin(const take::TakeRecorderConfig& config) {
+  if (const auto running = current()) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("'{}' is being recorded: stop it first", running->status().file.string()));
+  }
+  auto recorder = std::make_shared<take::TakeRecorder>(config);
+  recorder->start();
+  const std::lock_guard lock(mutex_);
+  recorder_ = std::move(recorder);
+}
+
+void TakeSink::request_end() {
+  if (const auto recorder = current()) {
+    recorder->request_stop();
+  }
+}
+
+std::optional<take::RecorderStatus> TakeSink::end() {
+  const auto recorder = current();
+  if (recorder == nullptr) {
+    return std::nullopt;
+  }
+  take::RecorderStatus status = recorder->stop();
+  const std::lock_guard lock(mutex_);
+  recorder_ = nullptr;
+  return status;
+}
+
+std::optional<take::RecorderStatus> TakeSink::status() const {
+  const auto recorder = current();
+  return recorder != nullptr ? std::optional(recorder->status()) : std::nullopt;
+}
+
+}  // namespace facet::pipeline
