@@ -1,0 +1,455 @@
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <poll.h>
+#include <sys/socket.h>
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <functional>
+#include <optional>
+#include <thread>
+#include <vector>
+
+#include "facet/error.hpp"
+#include "stream/client.hpp"
+#include "stream/encoder.hpp"
+#include "stream/framing.hpp"
+#include "stream/server.hpp"
+#include "support/mesh_frames.hpp"
+#include "support/paths.hpp"
+
+namespace facet::stream {
+namespace {
+
+using namespace std::chrono_literals;
+using testing::HasSubstr;
+
+// How long a test waits before it gives up on something that must come; passing never takes it.
+constexpr auto kPatience = 60s;
+
+/// Waits until `holds`; false when patience is over.
+bool eventually(const std::function<bool()>& holds) {
+  const auto end = std::chrono::steady_clock::now() + kPatience;
+  while (!holds()) {
+    if (std::chrono::steady_clock::now() > end) {
+      return false;
+    }
+    std::this_thread::sleep_for(1ms);
+  }
+  return true;
+}
+
+/// A peer that speaks the protocol by hand, to misbehave where StreamClient can't.
+class RawPeer {
+ public:
+  explicit RawPeer(const std::filesystem::path& socket) : fd_(connect_unix(socket)) {}
+
+  void send(std::span<const std::uint8_t> bytes) {
+    while (!bytes.empty()) {
+      const ssize_t count = ::send(fd_.get(), bytes.data(), bytes.size(), MSG_NOSIGNAL);
+      if (count <= 0) {
+        return;  // the server hung up, which the test looks for elsewhere
+      }
+      bytes = bytes.subspan(static_cast<std::size_t>(count));
+    }
+  }
+  void send_message(std::span<const std::uint8_t> message) {
+    const auto header = make_header(message.size());
+    send(header);
+    send(message);
+  }
+  void subscribe(Profile profile) {
+    Encoder encoder;
+    send_message(encoder.subscription({kProtocolVersion, profile, true, "raw"}));
+  }
+  /// The next message; empty once the server has closed the connection.
+  std::optional<std::vector<std::uint8_t>> receive() {
+    for (;;) {
+      if (unread_.empty()) {
+        const ssize_t count = ::recv(fd_.get(), buffer_.data(), buffer_.size(), 0);
+        if (count <= 0) {
+          return std::nullopt;
+        }
+        unread_ = {buffer_.data(), static_cast<std::size_t>(count)};
+      }
+      const auto outcome = assembler_.feed(unread_);
+      if (outcome == MessageAssembler::Outcome::Complete) {
+        std::vector<std::uint8_t> message(assembler_.message().begin(), assembler_.message().end());
+        assembler_.next();
+        return message;
+      }
+      EXPECT_EQ(outcome, MessageAssembler::Outcome::Incomplete);
+    }
+  }
+  /// Reads to the end of the connection; the reason of the goodbye, or "" where none came.
+  std::string farewell() {
+    std::string reason;
+    while (const auto message = receive()) {
+      if (message_type(*message) == MessageType::Goodbye) {
+        reason = decode_goodbye(*message);
+      }
+    }
+    return reason;
+  }
+  void hang_up() { fd_.reset(); }
+
+ private:
+  FileDescriptor fd_;
+  std::vector<std::uint8_t> buffer_ = std::vector<std::uint8_t>(65536);
+  std::span<const std::uint8_t> unread_;
+  MessageAssembler assembler_{kMaxMessageBytes};
+};
+
+class Server : public testing::Test {
+ protected:
+  test::TemporaryFolder folder;
+  std::filesystem::path path = folder.path() / "stream.sock";
+  std::shared_ptr<const mesh::Subject> subject = test::patch_subject();
+  std::shared_ptr<const mesh::Albedo> albedo = test::patch_albedo(*subject, 1);
+  std::unique_ptr<StreamServer> server;
+
+  void start(int max_readers = 64) {
+    StreamServerConfig config;
+    config.socket = path;
+    config.max_readers = max_readers;
+    config.server_name = "test server";
+    server = std::make_unique<StreamServer>(config);
+    server->start();
+  }
+  void publish(std::uint64_t sequence) {
+    server->publish(std::make_shared<mesh::MeshFrame>(test::patch_frame(sequence, subject, albedo)));
+  }
+  /// Publishes and waits until the stream thread has taken the frame.
+  void publish_and_wait(std::uint64_t sequence) {
+    publish(sequence);
+    const std::uint64_t count = ++published;
+    ASSERT_TRUE(eventually([&] { return server->statistics().published == count; }));
+  }
+  void wait_for_subscribers(std::size_t count) {
+    ASSERT_TRUE(eventually([&] {
+      const auto readers = server->statistics().readers;
+      return static_cast<std::size_t>(std::count_if(
+                 readers.begin(), readers.end(), [](const ReaderStatistics& r) { return r.subscribed; })) ==
+             count;
+    }));
+  }
+  static Subscription wanted(Profile profile, bool want_albedo = true) {
+    return {kProtocolVersion, profile, want_albedo, "test"};
+  }
+  std::uint64_t published = 0;
+};
+
+TEST_F(Server, ReaderGetsEveryFrameItKeepsUpWith) {
+  start();
+  StreamClient client(path, wanted(Profile::Displacements));
+  EXPECT_EQ(client.hello().server, "test server");
+  wait_for_subscribers(1);
+  DecodedFrame got;
+  for (std::uint64_t sequence = 0; sequence < 20; ++sequence) {
+    publish(sequence);
+    ASSERT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
+    EXPECT_EQ(got.frame.sequence, sequence);
+    EXPECT_EQ(got.frame.displacements_mm.size(),
+              static_cast<std::size_t>(subject->hierarchy->finest().vertex_count));
+    ASSERT_NE(got.frame.albedo, nullptr);
+  }
+  EXPECT_EQ(client.dropped(), 0U);
+  EXPECT_EQ(client.next(got, 0ms), ReceiveOutcome::Timeout);
+}
+
+TEST_F(Server, LateReaderGetsSubjectAlbedoAndCurrentFrame) {
+  start();
+  publish_and_wait(0);
+  publish_and_wait(1);
+  StreamClient client(path, wanted(Profile::Vertices));
+  DecodedFrame got;
+  ASSERT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
+  EXPECT_EQ(got.frame.sequence, 1U);
+  EXPECT_EQ(got.vertices_mm.cols(), subject->hierarchy->finest().vertex_count);
+  ASSERT_NE(client.albedo(), nullptr);
+  EXPECT_EQ(client.subject()->id, subject->id);
+  EXPECT_EQ(client.dropped(), 0U) << "frames from before the connection are not lost ones";
+}
+
+TEST_F(Server, SubjectAndAlbedoAreSentAnewWhenTheyChange) {
+  start();
+  StreamClient client(path, wanted(Profile::Displacements));
+  wait_for_subscribers(1);
+  DecodedFrame got;
+  publish(0);
+  ASSERT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
+  albedo = test::patch_albedo(*subject, 2);
+  publish(1);
+  ASSERT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
+  EXPECT_EQ(got.frame.albedo->version, 2U);
+  subject = test::patch_subject(99, 5);
+  albedo = nullptr;
+  publish(2);
+  ASSERT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
+  EXPECT_EQ(got.frame.subject->id, 99U);
+  EXPECT_EQ(got.frame.albedo, nullptr);
+  server->publish(std::make_shared<mesh::MeshFrame>(test::searching_frame(3)));
+  ASSERT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
+  EXPECT_EQ(got.frame.state, mesh::TrackingState::Searching);
+  EXPECT_EQ(got.frame.subject, nullptr);
+}
+
+TEST_F(Server, ReaderWithoutWishForAlbedoGetsNone) {
+  start();
+  StreamClient client(path, wanted(Profile::Displacements, false));
+  wait_for_subscribers(1);
+  publish(0);
+  DecodedFrame got;
+  ASSERT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
+  EXPECT_EQ(client.albedo(), nullptr);
+  EXPECT_EQ(got.frame.albedo, nullptr);
+}
+
+TEST_F(Server, ReaderMayChangeItsProfile) {
+  start();
+  publish_and_wait(0);
+  RawPeer peer(path);
+  peer.subscribe(Profile::Signals);
+  const auto expect = [&](MessageType type) {
+    const auto message = peer.receive();
+    ASSERT_TRUE(message.has_value());
+    EXPECT_EQ(message_type(*message), type);
+  };
+  expect(MessageType::Hello);
+  expect(MessageType::Subject);
+  expect(MessageType::Frame);
+  peer.subscribe(Profile::Displacements);
+  expect(MessageType::Subject);
+  expect(MessageType::Albedo);
+  publish(1);
+  expect(MessageType::Frame);
+}
+
+// A reader that stands still loses frames and is told exactly how many; another reader loses none by it.
+TEST_F(Server, SlowReaderLosesWholeFramesAndHarmsNobody) {
+  start();
+  RawPeer slow(path);
+  slow.subscribe(Profile::Displacements);
+  wait_for_subscribers(1);
+  StreamClient quick(path, wanted(Profile::Displacements));
+  wait_for_subscribers(2);
+  constexpr std::uint64_t kFrames = 300;
+  DecodedFrame got;
+  for (std::uint64_t sequence = 0; sequence < kFrames; ++sequence) {
+    publish(sequence);
+    ASSERT_EQ(quick.next(got, kPatience), ReceiveOutcome::Received);
+    ASSERT_EQ(got.frame.sequence, sequence);
+  }
+  EXPECT_EQ(quick.dropped(), 0U);
+
+  std::uint64_t received = 0;
+  std::uint64_t dropped = 0;
+  std::uint64_t last_sequence = 0;
+  std::uint64_t announced = 0;
+  do {
+    const auto message = slow.receive();
+    ASSERT_TRUE(message.has_value());
+    if (message_type(*message) == MessageType::Dropped) {
+      const Dropped notice = decode_dropped(*message);
+      dropped = notice.total;
+      announced = notice.since_last;
+    } else if (message_type(*message) == MessageType::Frame) {
+      decode_frame(*message, subject, nullptr, got);
+      if (received > 0) {
+        EXPECT_EQ(got.frame.sequence - last_sequence - 1, announced)
+            << "the notice tells the gap before the frame";
+      }
+      last_sequence = got.frame.sequence;
+      announced = 0;
+      ++received;
+    }
+  } while (last_sequence + 1 < kFrames);
+  EXPECT_GT(dropped, 0U);
+  EXPECT_EQ(received + dropped, kFrames);
+}
+
+TEST_F(Server, ReaderThatNeverReadsHoldsNothingUp) {
+  start();
+  RawPeer deaf(path);
+  deaf.subscribe(Profile::Vertices);
+  wait_for_subscribers(1);
+  for (std::uint64_t sequence = 0; sequence < 200; ++sequence) {
+    publish_and_wait(sequence);
+  }
+  const StreamStatistics statistics = server->statistics();
+  EXPECT_EQ(statistics.skipped, 0U);
+  ASSERT_EQ(statistics.readers.size(), 1U);
+  EXPECT_LT(statistics.readers[0].frames_sent, 200U);
+  server->stop();
+  EXPECT_EQ(server->statistics().failure, "");
+}
+
+TEST_F(Server, FiftyReaders) {
+  start();
+  constexpr std::size_t kReaders = 50;
+  constexpr std::uint64_t kFrames = 40;
+  std::vector<std::unique_ptr<StreamClient>> clients;
+  for (std::size_t i = 0; i < kReaders; ++i) {
+    clients.push_back(std::make_unique<StreamClient>(path, wanted(static_cast<Profile>(i % kProfileCount))));
+  }
+  wait_for_subscribers(kReaders);
+  std::atomic<bool> done{false};
+  std::vector<std::uint64_t> received(kReaders, 0);
+  std::vector<std::uint64_t> last(kReaders, 0);
+  // Two threads serve all clients, so many of them are slow.
+  std::vector<std::thread> threads;
+  for (std::size_t part = 0; part < 2; ++part) {
+    threads.emplace_back([&, part] {
+      DecodedFrame got;
+      for (std::size_t i = part; i < kReaders; i += 2) {
+        while (last[i] + 1 < kFrames && clients[i]->next(got, kPatience) == ReceiveOutcome::Received) {
+          ++received[i];
+          last[i] = got.frame.sequence;
+        }
+      }
+    });
+  }
+  for (std::uint64_t sequence = 0; sequence < kFrames; ++sequence) {
+    publish_and_wait(sequence);
+  }
+  for (std::thread& thread : threads) {
+    thread.join();
+  }
+  for (std::size_t i = 0; i < kReaders; ++i) {
+    EXPECT_EQ(last[i], kFrames - 1) << "reader " << i;
+    EXPECT_EQ(received[i] + clients[i]->dropped(), kFrames) << "reader " << i;
+  }
+}
+
+TEST_F(Server, ReadersThatDieAreForgotten) {
+  start();
+  for (int round = 0; round < 20; ++round) {
+    RawPeer peer(path);
+    peer.subscribe(Profile::Displacements);
+    publish_and_wait(static_cast<std::uint64_t>(round));
+    peer.hang_up();
+  }
+  EXPECT_TRUE(eventually([&] {
+    publish(100);
+    return server->statistics().readers.empty();
+  }));
+  StreamClient client(path, wanted(Profile::Displacements));
+  DecodedFrame got;
+  EXPECT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
+}
+
+TEST_F(Server, WrongRequestsAreRefusedWithAReason) {
+  start();
+  const auto refusal = [&](auto&& talk) {
+    RawPeer peer(path);
+    talk(peer);
+    return peer.farewell();
+  };
+  Encoder encoder;
+  EXPECT_THAT(refusal([](RawPeer& peer) {
+                const std::string text = "GET / HTTP/1.1\r\n\r\n";
+                peer.send({reinterpret_cast<const std::uint8_t*>(text.data()), text.size()});
+              }),
+              HasSubstr("magic"));
+  EXPECT_THAT(refusal([](RawPeer& peer) { peer.send(make_header(kMaxRequestBytes + 1)); }),
+              HasSubstr("longer than"));
+  EXPECT_THAT(refusal([](RawPeer& peer) { peer.send_message(std::vector<std::uint8_t>(100, 0xA5)); }),
+              HasSubstr("identifier"));
+  EXPECT_THAT(refusal([&](RawPeer& peer) { peer.send_message(encoder.goodbye("x")); }),
+              HasSubstr("subscription"));
+  EXPECT_THAT(refusal([&](RawPeer& peer) {
+                peer.send_message(encoder.subscription({kProtocolVersion + 1, Profile::Signals, true, ""}));
+              }),
+              HasSubstr("protocol version"));
+  EXPECT_EQ(server->statistics().refused, 5U);
+  StreamClient client(path, wanted(Profile::Signals));
+  publish(0);
+  DecodedFrame got;
+  EXPECT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
+}
+
+TEST_F(Server, OneReaderTooManyIsToldSo) {
+  start(2);
+  StreamClient first(path, wanted(Profile::Signals));
+  StreamClient second(path, wanted(Profile::Signals));
+  wait_for_subscribers(2);
+  RawPeer third(path);
+  EXPECT_THAT(third.farewell(), HasSubstr("limit"));
+}
+
+TEST_F(Server, ClientNamesAServerThatSpeaksSomethingElse) {
+  const ListeningSocket foreign(path, {});
+  std::thread answer([&] {
+    pollfd entry{foreign.fd(), POLLIN, 0};
+    ::poll(&entry, 1, -1);
+    const FileDescriptor connection(::accept(foreign.fd(), nullptr, nullptr));
+    const std::string text = "HTTP/1.1 400 Bad Request\r\n";
+    ::send(connection.get(), text.data(), text.size(), MSG_NOSIGNAL);
+  });
+  try {
+    const StreamClient client(path, wanted(Profile::Signals), kPatience);
+    ADD_FAILURE() << "no error";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::UnreadableInput);
+    EXPECT_THAT(error.what(), HasSubstr("another socket"));
+  }
+  answer.join();
+}
+
+TEST_F(Server, SilentServerIsUnavailable) {
+  const ListeningSocket silent(path, {});
+  try {
+    const StreamClient client(path, wanted(Profile::Signals), 1ms);
+    ADD_FAILURE() << "no error";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::Unavailable);
+  }
+}
+
+TEST_F(Server, StopSaysGoodbyeAndRemovesTheSocket) {
+  start();
+  StreamClient client(path, wanted(Profile::Signals));
+  wait_for_subscribers(1);
+  server->request_stop();
+  server->request_stop();
+  server->stop();
+  server->stop();
+  publish(0);
+  DecodedFrame got;
+  EXPECT_EQ(client.next(got, kPatience), ReceiveOutcome::Closed);
+  EXPECT_EQ(client.closed_reason(), "the server stops");
+  EXPECT_FALSE(std::filesystem::exists(path));
+}
+
+TEST_F(Server, NeverStartedServerStops) {
+  StreamServerConfig config;
+  config.socket = path;
+  const StreamServer idle(config);
+  EXPECT_TRUE(std::filesystem::exists(path));
+}
+
+TEST_F(Server, PublishingFromAnotherThreadWhileReadersComeAndGo) {
+  start();
+  std::atomic<bool> done{false};
+  std::thread publisher([&] {
+    for (std::uint64_t sequence = 0; !done.load(); ++sequence) {
+      publish(sequence);
+    }
+  });
+  for (int round = 0; round < 10; ++round) {
+    StreamClient client(path, wanted(static_cast<Profile>(round % kProfileCount)));
+    DecodedFrame got;
+    std::uint64_t last = 0;
+    for (int frame = 0; frame < 5; ++frame) {
+      ASSERT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
+      EXPECT_TRUE(frame == 0 || got.frame.sequence > last);
+      last = got.frame.sequence;
+    }
+  }
+  done.store(true);
+  publisher.join();
+}
+
+}  // namespace
+}  // namespace facet::stream

@@ -1,0 +1,107 @@
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <fstream>
+#include <optional>
+
+#include "facet/error.hpp"
+#include "stream/unix_socket.hpp"
+#include "support/paths.hpp"
+
+namespace facet::stream {
+namespace {
+
+using testing::HasSubstr;
+
+class UnixSocket : public testing::Test {
+ protected:
+  test::TemporaryFolder folder;
+  std::filesystem::path path = folder.path() / "stream.sock";
+
+  static void expect_error(ErrorKind kind, const std::string& part, auto&& work) {
+    try {
+      work();
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), kind);
+      EXPECT_THAT(error.what(), HasSubstr(part));
+      return;
+    }
+    ADD_FAILURE() << "no error, expected one with: " << part;
+  }
+};
+
+TEST_F(UnixSocket, ListensAndCleansUp) {
+  {
+    const ListeningSocket listening(path, {});
+    EXPECT_TRUE(connect_unix(path));
+  }
+  EXPECT_FALSE(std::filesystem::exists(path));
+  expect_error(ErrorKind::Unavailable, "nobody answers", [&] { connect_unix(path); });
+}
+
+TEST_F(UnixSocket, StaleSocketIsReplaced) {
+  const std::filesystem::path kept = folder.path() / "kept.sock";
+  {
+    const ListeningSocket crashed(path, {});
+    // A hard link survives the owner's clean-up as a crash's leftover would.
+    std::filesystem::create_hard_link(path, kept);
+  }
+  ASSERT_TRUE(std::filesystem::is_socket(kept));
+  const ListeningSocket listening(kept, {});
+  EXPECT_TRUE(connect_unix(kept));
+}
+
+TEST_F(UnixSocket, RunningServersSocketIsLeftAlone) {
+  const ListeningSocket first(path, {});
+  expect_error(ErrorKind::Storage, "in use", [&] { const ListeningSocket second(path, {}); });
+  EXPECT_TRUE(connect_unix(path));
+}
+
+TEST_F(UnixSocket, OtherFilesAreNeverRemoved) {
+  std::ofstream(path) << "precious";
+  expect_error(ErrorKind::Storage, "not a socket", [&] { const ListeningSocket listening(path, {}); });
+  EXPECT_TRUE(std::filesystem::is_regular_file(path));
+}
+
+TEST_F(UnixSocket, SuccessorsSocketIsNotRemoved) {
+  std::optional<ListeningSocket> first(std::in_place, path, SocketAccess{});
+  std::filesystem::remove(path);
+  const ListeningSocket second(path, {});
+  first.reset();
+  EXPECT_TRUE(connect_unix(path));
+}
+
+TEST_F(UnixSocket, MissingFolderAndLongPathAreNamed) {
+  expect_error(ErrorKind::Storage, "does not exist",
+               [&] { const ListeningSocket listening(folder.path() / "no/such.sock", {}); });
+  expect_error(ErrorKind::Usage, "shorter",
+               [&] { const ListeningSocket listening(folder.path() / std::string(200, 'x'), {}); });
+}
+
+TEST_F(UnixSocket, ModeIsSetAndUnknownGroupIsNamed) {
+  {
+    const ListeningSocket listening(path, {0600, ""});
+    struct stat status {};
+    ASSERT_EQ(::stat(path.c_str(), &status), 0);
+    EXPECT_EQ(status.st_mode & 0777U, 0600U);
+  }
+  expect_error(ErrorKind::Usage, "no-such-group-here", [&] {
+    const ListeningSocket listening(path, {0660, "no-such-group-here"});
+  });
+  EXPECT_FALSE(std::filesystem::exists(path)) << "a failed start left its socket behind";
+}
+
+TEST_F(UnixSocket, ClosedFolderIsNamed) {
+  if (::geteuid() == 0) {
+    GTEST_SKIP() << "root may write everywhere";
+  }
+  ::chmod(folder.path().c_str(), 0500);
+  expect_error(ErrorKind::Storage, "cannot write to the folder",
+               [&] { const ListeningSocket listening(path, {}); });
+  ::chmod(folder.path().c_str(), 0700);
+}
+
+}  // namespace
+}  // namespace facet::stream
