@@ -95,17 +95,21 @@ void measure_shape(const CanonicalFace& canonical, FaceLandmarks& face) {
   face.shape_error = std::sqrt(std::max(0.0F, variance - fitted * scale) / n) / face.interocular_px;
 }
 
-/// How far each landmark is seen: its canonical normal against the line of sight, and whether it is in the
-/// image.
+/// How far each landmark is seen: its place round the head against the line of sight, and whether it is in
+/// the image. The place, not the surface normal: a nostril points down, yet the net sees it well from the
+/// front.
 void measure_confidence(const CanonicalFace& canonical, const Frame& frame, FaceLandmarks& face) {
-  // Full confidence up to 60 degrees from the line of sight, none beyond 100: the net places hidden points
-  // too, roughly.
-  constexpr float full = 0.5F;
+  // Full confidence up to 65 degrees from the line of sight, none beyond 100: the net guesses hidden points.
+  constexpr float full = 0.42F;
   constexpr float none = -0.17F;
+  constexpr float axis_depth_cm = 4.0F;  ///< of the head's axis behind the mean of the face's points
+  const Eigen::Vector3f mean = canonical.vertices_cm.rowwise().mean();
   const Eigen::RowVector3f towards_camera = -face.camera_from_canonical.row(2);
   face.confidence.resize(landmark_count);
   for (int i = 0; i < landmark_count; ++i) {
-    const float facing = towards_camera * canonical.normals.col(i);
+    const Eigen::Vector3f from_axis(canonical.vertices_cm(0, i) - mean.x(), 0,
+                                    canonical.vertices_cm(2, i) - mean.z() + axis_depth_cm);
+    const float facing = towards_camera * from_axis.normalized();
     const Eigen::Vector2f point = face.points_px.col(i).head<2>();
     const bool inside = point.x() >= -0.5F && point.y() >= -0.5F &&
                         point.x() <= static_cast<float>(frame.width_px) - 0.5F &&
@@ -140,18 +144,21 @@ void list_search_windows(const Frame& frame, std::vector<Region>& windows) {
     }
   };
   const float whole = std::max(width, height);
+  const float half = 0.5F * short_side;
+  const bool has_short_level = short_side < whole;
   add_tiles(whole, 0);
-  if (short_side < whole) {
+  if (has_short_level) {
     add_tiles(short_side, 0);
   }
   for (const float rotation : {quarter, -quarter, 0.5F * quarter, -0.5F * quarter}) {
     add_tiles(whole, rotation);
   }
-  add_tiles(0.5F * short_side, 0);
-  if (short_side < whole) {
-    for (const float rotation : {quarter, -quarter}) {
+  add_tiles(half, 0);
+  for (const float rotation : {quarter, -quarter}) {
+    if (has_short_level) {
       add_tiles(short_side, rotation);
     }
+    add_tiles(half, rotation);
   }
 }
 
@@ -177,7 +184,7 @@ struct Landmarker::Impl {
   std::size_t search_position = 0;
   int searched_width_px = 0;
   int searched_height_px = 0;
-  std::vector<Detection> seen;
+  std::vector<Detection> candidates;
 
   /// Runs the landmark net and judges what it gives.
   bool look(const Frame& frame, const Region& where, FaceLandmarks& face) {
@@ -202,23 +209,33 @@ struct Landmarker::Impl {
            std::abs(wrapped(next.rotation_rad - face.window.rotation_rad)) < max_turn_in_window_rad;
   }
 
-  /// From a coarse detection to landmarks: the detector again on the crop, since its key points on small
-  /// faces can be wrong, then the landmark net twice, since the first window is only the detector's.
+  /// From a coarse detection to landmarks: the detector again on the crop, since its key points on small or
+  /// turned faces can be wrong, until the face stands upright in its window; then the landmark net twice,
+  /// since the first window is only the detector's.
   bool confirm(const Frame& frame, const Detection& coarse, FaceLandmarks& face) {
-    const Region closer = coarse.second_look();
-    if (!usable(closer)) {
-      return false;
+    constexpr int max_looks = 3;
+    constexpr float upright_rad = 0.35F;
+    Detection current = coarse;
+    for (int i = 0; i < max_looks; ++i) {
+      const Region closer = current.second_look();
+      if (!usable(closer)) {
+        return false;
+      }
+      const auto again = detector.detect(frame, closer, config.min_second_score);
+      const auto nearest =
+          std::min_element(again.begin(), again.end(), [&](const Detection& a, const Detection& b) {
+            return (a.centre_px - coarse.centre_px).squaredNorm() <
+                   (b.centre_px - coarse.centre_px).squaredNorm();
+          });
+      if (nearest == again.end() || (nearest->centre_px - coarse.centre_px).norm() > 0.5F * coarse.size_px) {
+        return false;
+      }
+      current = *nearest;
+      if (std::abs(wrapped(current.face_region().rotation_rad - closer.rotation_rad)) < upright_rad) {
+        break;
+      }
     }
-    const auto again = detector.detect(frame, closer, config.min_second_score);
-    const auto nearest =
-        std::min_element(again.begin(), again.end(), [&](const Detection& a, const Detection& b) {
-          return (a.centre_px - coarse.centre_px).squaredNorm() <
-                 (b.centre_px - coarse.centre_px).squaredNorm();
-        });
-    if (nearest == again.end() || (nearest->centre_px - coarse.centre_px).norm() > 0.5F * coarse.size_px) {
-      return false;
-    }
-    return look(frame, nearest->face_region(), face) && look(frame, window_of(face.points_px), face);
+    return look(frame, current.face_region(), face) && look(frame, window_of(face.points_px), face);
   }
 
   void move_window(const FaceLandmarks& face) {
@@ -257,43 +274,41 @@ struct Landmarker::Impl {
            ratio < growth && ratio > 1 / growth;
   }
 
-  void see(const Frame& frame, const Region& where) {
+  /// Looks for faces in a window and takes the largest that holds up.
+  bool acquire_in(const Frame& frame, const Region& where) {
+    constexpr std::size_t max_attempts = 2;  ///< bounds the time of one window
     const auto faces = detector.detect(frame, where, config.min_detection_score);
-    seen.insert(seen.end(), faces.begin(), faces.end());
+    candidates.assign(faces.begin(), faces.end());
+    std::erase_if(candidates, [&](const Detection& face) { return !may_be_lost_one(face); });
+    std::sort(candidates.begin(), candidates.end(),
+              [](const Detection& a, const Detection& b) { return a.size_px > b.size_px; });
+    for (std::size_t i = 0; i < std::min(candidates.size(), max_attempts); ++i) {
+      if (confirm(frame, candidates[i], result.face)) {
+        window = window_of(result.face.points_px);
+        return true;
+      }
+    }
+    return false;
   }
 
-  /// The next windows of the round.
-  void search_on(const Frame& frame) {
+  /// Looks near the last place, at the whole image, and in the next windows of the round.
+  bool acquire(const Frame& frame) {
+    constexpr float near_last = 2.0F;
+    if (remembers && acquire_in(frame, {window.centre_px, near_last * window.size_px, window.rotation_rad})) {
+      return true;
+    }
     if (frame.width_px != searched_width_px || frame.height_px != searched_height_px) {
       searched_width_px = frame.width_px;
       searched_height_px = frame.height_px;
       list_search_windows(frame, search_windows);
       search_position = 0;
     }
-    see(frame, search_windows.front());
-    for (int i = 0; i < config.search_windows_per_frame && seen.empty() && search_windows.size() > 1; ++i) {
+    if (acquire_in(frame, search_windows.front())) {
+      return true;
+    }
+    for (int i = 0; i < config.search_windows_per_frame; ++i) {
       search_position = search_position + 1 < search_windows.size() ? search_position + 1 : 1;
-      see(frame, search_windows[search_position]);
-    }
-  }
-
-  bool acquire(const Frame& frame) {
-    constexpr std::size_t max_attempts = 3;  ///< bounds the time of one frame
-    seen.clear();
-    if (remembers) {
-      constexpr float near_last = 2.0F;
-      see(frame, {window.centre_px, near_last * window.size_px, window.rotation_rad});
-      std::erase_if(seen, [&](const Detection& face) { return !may_be_lost_one(face); });
-    }
-    if (seen.empty()) {
-      search_on(frame);
-      std::erase_if(seen, [&](const Detection& face) { return !may_be_lost_one(face); });
-    }
-    std::sort(seen.begin(), seen.end(),
-              [](const Detection& a, const Detection& b) { return a.size_px > b.size_px; });
-    for (std::size_t i = 0; i < std::min(seen.size(), max_attempts); ++i) {
-      if (confirm(frame, seen[i], result.face)) {
-        window = window_of(result.face.points_px);
+      if (acquire_in(frame, search_windows[search_position])) {
         return true;
       }
     }
