@@ -29,6 +29,8 @@ int main(int argc, char** argv) {
       "Vulkan\n"
       "device, 6 cannot write, 7 the daemon does not answer. `facet COMMAND --help` explains a command.");
 
+  add_synth_command(app);
+
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

@@ -1,0 +1,50 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <cstdint>
+#include <vector>
+
+namespace facet::simulation {
+
+enum class LightKind {
+  SphericalHarmonics,  ///< distant, one for all channels: exactly the model of eq. 1 (Ma & Deng 2019), no
+                       ///< shadows
+  Area,                ///< rectangles near the head with soft shadows, a little tinted, over an ambient
+};
+
+/// A one-sided light-giving rectangle, camera frame.
+struct AreaLight {
+  Eigen::Vector3f centre_mm{0, 0, 0};
+  Eigen::Vector3f half_u_mm{0, 0, 0};  ///< from the centre to the middle of one edge
+  Eigen::Vector3f half_v_mm{0, 0, 0};
+  Eigen::Vector3f normal{0, 0, 1};  ///< unit, the side that gives light
+  float reference_distance_mm = 1;  ///< from its centre to the head
+  /// What a surface at the head that faces the light gets from it, linear RGB, before exposure.
+  Eigen::Vector3f irradiance{0, 0, 0};
+};
+
+/// The light of one sequence.
+struct Lighting {
+  LightKind kind = LightKind::SphericalHarmonics;
+  /// Coefficients of eq. 1, camera frame with y up and z towards the camera. Area light: the ambient part.
+  std::array<float, 9> spherical_harmonics{};
+  std::vector<AreaLight> area_lights;  ///< empty for SphericalHarmonics
+  /// Unit directions from the head to the main lights, camera frame; what highlights reflect.
+  std::vector<Eigen::Vector3f> main_directions;
+  std::vector<float> main_strengths;  ///< [main_directions.size()] irradiance
+};
+
+/// The second-order SH form of max(0, n . w), the irradiance of a distant light (Ramamoorthi & Hanrahan
+/// 2001), in the basis of eq. 1 (Ma & Deng 2019): max(0, c) is about 1/4 + c/2 + 5/32 (3 c^2 - 1).
+/// direction: unit, lighting frame (y up, z towards the camera).
+std::array<float, 9> distant_light_sh(const Eigen::Vector3f& direction);
+
+/// A plausible light for a seed: a key from one side and above, a weaker fill from the other, sky and floor.
+/// head_mm: where the head is, camera frame.
+Lighting make_lighting(LightKind kind, std::uint64_t seed, const Eigen::Vector3f& head_mm);
+
+/// Where shadow rays go: count^2 points spread over the rectangle.
+std::vector<Eigen::Vector3f> light_points_mm(const AreaLight& light, int count);
+
+}  // namespace facet::simulation

@@ -1,0 +1,99 @@
+#include "simulation/sequence.hpp"
+
+#include <fmt/format.h>
+
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <system_error>
+
+#include "facet/error.hpp"
+#include "simulation/lossless_video.hpp"
+
+namespace facet::simulation {
+namespace {
+
+using nlohmann::json;
+
+json vector_json(const Eigen::Vector3f& vector) {
+  return {vector.x(), vector.y(), vector.z()};
+}
+
+json light_json(const Lighting& lighting) {
+  json areas = json::array();
+  for (const AreaLight& light : lighting.area_lights) {
+    areas.push_back({{"centre_mm", vector_json(light.centre_mm)},
+                     {"half_u_mm", vector_json(light.half_u_mm)},
+                     {"half_v_mm", vector_json(light.half_v_mm)},
+                     {"irradiance", vector_json(light.irradiance)}});
+  }
+  return {{"kind", lighting.kind == LightKind::Area ? "area" : "sh"},
+          {"spherical_harmonics", lighting.spherical_harmonics},
+          {"area_lights", areas}};
+}
+
+json frame_json(int index, const SyntheticFrame& frame, const std::vector<std::string>& names) {
+  json pose = json::array();
+  for (Eigen::Index row = 0; row < 4; ++row) {
+    json values = json::array();
+    for (Eigen::Index column = 0; column < 4; ++column) {
+      values.push_back(frame.camera_from_head.matrix()(row, column));
+    }
+    pose.push_back(values);
+  }
+  json expression = json::object();
+  for (std::size_t k = 0; k < names.size(); ++k) {
+    expression[names[k]] = frame.expression[k];
+  }
+  return {{"index", index}, {"camera_from_head", pose}, {"expression", expression}};
+}
+
+}  // namespace
+
+std::filesystem::path truth_file(const std::filesystem::path& folder, std::uint64_t index) {
+  return folder / "truth" / fmt::format("frame_{:06}.ply", index);
+}
+
+void write_sequence(const Studio& studio, const std::filesystem::path& folder,
+                    const std::function<void(int)>& done) {
+  std::error_code failure;
+  std::filesystem::create_directories(folder / "truth", failure);
+  if (failure) {
+    throw Error(ErrorKind::Storage, fmt::format("{}: cannot make the folder ({})",
+                                                (folder / "truth").string(), failure.message()));
+  }
+  const StudioConfig& config = studio.config();
+  const CameraIntrinsics& camera = studio.camera();
+  json document = {{"fx", camera.fx},
+                   {"fy", camera.fy},
+                   {"cx", camera.cx},
+                   {"cy", camera.cy},
+                   {"width", camera.width_px},
+                   {"height", camera.height_px},
+                   {"fps", config.rate_hz},
+                   {"seed", config.seed},
+                   {"light", light_json(studio.lighting())},
+                   {"highlights", config.highlights},
+                   {"glasses", config.glasses},
+                   {"identity", studio.identity()},
+                   {"outside_span_rms_mm", studio.outside_span_rms_mm()},
+                   {"frames", json::array()}};
+  LosslessVideo video(folder / "video.mkv", camera.width_px, camera.height_px, config.rate_hz);
+  TruthMesh truth;
+  for (int index = 0; index < config.frame_count; ++index) {
+    const SyntheticFrame frame = studio.render(index, &truth);
+    video.append(frame.picture);
+    write_truth_ply(truth, truth_file(folder, static_cast<std::uint64_t>(index)));
+    document["frames"].push_back(frame_json(index, frame, studio.expression_names()));
+    done(index + 1);
+  }
+  video.finish();
+  std::ofstream stream(folder / "camera.json");
+  stream << document.dump(1) << '\n';
+  stream.close();
+  if (!stream) {
+    throw Error(ErrorKind::Storage,
+                fmt::format("{}: cannot write; check the free space", (folder / "camera.json").string()));
+  }
+}
+
+}  // namespace facet::simulation

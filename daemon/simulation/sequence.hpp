@@ -1,0 +1,19 @@
+#pragma once
+
+#include <filesystem>
+#include <functional>
+
+#include "simulation/studio.hpp"
+
+namespace facet::simulation {
+
+/// Renders a whole sequence into a folder (made where missing): video.mkv (lossless), truth/frame_%06d.ply
+/// and camera.json (docs/synthetic-sequences.md). done(count) is called after every frame.
+/// Throws Error(Storage) where it cannot write.
+void write_sequence(const Studio& studio, const std::filesystem::path& folder,
+                    const std::function<void(int)>& done);
+
+/// Name of a frame's truth mesh in a sequence's folder.
+std::filesystem::path truth_file(const std::filesystem::path& folder, std::uint64_t index);
+
+}  // namespace facet::simulation

@@ -1,0 +1,63 @@
+#pragma once
+
+#include <Eigen/Geometry>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "face/face_model.hpp"
+#include "facet/frame.hpp"
+#include "render/renderer.hpp"
+#include "simulation/light.hpp"
+#include "simulation/truth_mesh.hpp"
+
+namespace facet::simulation {
+
+struct StudioConfig {
+  std::uint64_t seed = 1;
+  int width_px = 1280;
+  int height_px = 720;
+  int frame_count = 100;
+  int rate_hz = 30;
+  LightKind light = LightKind::SphericalHarmonics;
+  bool highlights = false;  ///< skin shines (GGX)
+  bool glasses = false;
+  int rays_per_pixel = 4;
+  bool sensor_noise = true;
+};
+
+/// One rendered frame and what is true of it.
+struct SyntheticFrame {
+  render::Picture picture;
+  Eigen::Isometry3f camera_from_head = Eigen::Isometry3f::Identity();
+  std::vector<float> expression;  ///< [expression_count]
+};
+
+/// A virtual studio: one actor, a camera, a light and a performance, all from one seed. Frames may be
+/// rendered in any order and come out the same. One thread (it uses two inside).
+class Studio {
+ public:
+  /// Throws Error(Usage) where the configuration makes no sense, Error(UnreadableInput) where the model has
+  /// no landmark map. The model is not needed afterwards.
+  Studio(const face::FaceModel& model, const StudioConfig& config);
+  ~Studio();
+
+  const StudioConfig& config() const;
+  const CameraIntrinsics& camera() const;
+  const std::vector<std::string>& expression_names() const;
+  const std::vector<float>& identity() const;  ///< the part inside the model's span
+  float outside_span_rms_mm() const;
+  /// Exposed: coefficients that give the linear picture values. Area light: its ambient part.
+  const Lighting& lighting() const;
+
+  /// Renders frame `index` (0 <= index < frame_count). truth: the head's surface in the camera frame, without
+  /// eyeballs, teeth, neck and glasses; left out where null.
+  SyntheticFrame render(int index, TruthMesh* truth) const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace facet::simulation

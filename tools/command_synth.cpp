@@ -1,0 +1,76 @@
+// `facet synth`: sequences of the virtual actor with known geometry.
+
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <cstdio>
+#include <memory>
+#include <string>
+
+#include "commands.hpp"
+#include "facet/assets.hpp"
+#include "facet/error.hpp"
+#include "progress.hpp"
+#include "simulation/sequence.hpp"
+
+namespace facet::tools {
+namespace {
+
+struct SynthOptions {
+  simulation::StudioConfig studio;
+  std::string size = "1280x720";
+  std::string light = "sh";
+  std::string model = default_model_file().string();
+  std::string folder;
+};
+
+void parse_size(const std::string& text, simulation::StudioConfig& studio) {
+  int read = 0;
+  if (std::sscanf(text.c_str(), "%dx%d%n", &studio.width_px, &studio.height_px, &read) != 2 ||
+      static_cast<std::size_t>(read) != text.size()) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("--size {}: give width and height in pixels, as in 1280x720", text));
+  }
+}
+
+void run_synth(SynthOptions options) {
+  parse_size(options.size, options.studio);
+  options.studio.light =
+      options.light == "area" ? simulation::LightKind::Area : simulation::LightKind::SphericalHarmonics;
+  const face::FaceModel model = face::FaceModel::load(options.model);
+  const simulation::Studio studio(model, options.studio);
+  Progress progress("Rendering", static_cast<std::uint64_t>(options.studio.frame_count));
+  simulation::write_sequence(studio, options.folder,
+                             [&](int done) { progress.set(static_cast<std::uint64_t>(done)); });
+  progress.finish();
+  fmt::print(
+      "{}: {} frames of {}x{} px, truth in truth/, camera.json; the actor differs from the model's span by "
+      "{:.2f} mm (rms)\n",
+      options.folder, options.studio.frame_count, options.studio.width_px, options.studio.height_px,
+      studio.outside_span_rms_mm());
+}
+
+}  // namespace
+
+void add_synth_command(CLI::App& app) {
+  auto options = std::make_shared<SynthOptions>();
+  CLI::App* command = app.add_subcommand(
+      "synth", "Render a sequence of a virtual actor with known geometry (video, truth meshes, camera)");
+  command->add_option("--seed", options->studio.seed, "Actor, performance, camera and light follow from it")
+      ->capture_default_str();
+  command->add_option("--frames", options->studio.frame_count, "Number of frames at 30 per second")
+      ->capture_default_str()
+      ->check(CLI::Range(1, 1'000'000));
+  command->add_option("--size", options->size, "WIDTHxHEIGHT in pixels")->capture_default_str();
+  command->add_option("--light", options->light, "sh: distant, smooth; area: lamps with soft shadows")
+      ->capture_default_str()
+      ->check(CLI::IsMember({"sh", "area"}));
+  command->add_flag("--highlights", options->studio.highlights, "The skin shines");
+  command->add_flag("--glasses", options->studio.glasses, "The actor wears spectacles");
+  command->add_option("--model", options->model, "Face model file whose topology the actor uses")
+      ->capture_default_str();
+  command->add_option("-o,--output", options->folder, "Folder to write into")->required();
+  command->callback([options] { run_synth(*options); });
+}
+
+}  // namespace facet::tools
