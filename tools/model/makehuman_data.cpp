@@ -1,0 +1,200 @@
+#include "model/makehuman_data.hpp"
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cctype>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <numeric>
+
+#include "facet/error.hpp"
+
+namespace facet::model {
+namespace {
+
+using nlohmann::json;
+
+constexpr std::size_t kVertices = 19158;  // of the base mesh; the width of a row of targets.bin
+constexpr std::size_t kTargets = 1258;
+constexpr double kTargetUnitDm = 1e-3;
+
+// The file has no header: the sum of one row's x coordinates and the rest shows that rows and names still
+// agree.
+constexpr std::size_t kCheckedRow = 3;
+constexpr long kCheckedRowSum = 2952;
+
+constexpr const char* kHint = "Run packaging/fetch-assets again.";
+
+[[noreturn]] void fail(const std::filesystem::path& file, const std::string& what) {
+  throw Error(ErrorKind::UnreadableInput, fmt::format("{}: {}. {}", file.string(), what, kHint));
+}
+
+json read_json(const std::filesystem::path& file) {
+  std::ifstream in(file);
+  if (!in) {
+    fail(file, "can't open it");
+  }
+  json document = json::parse(in, nullptr, false);
+  if (document.is_discarded()) {
+    fail(file, "not valid JSON");
+  }
+  return document;
+}
+
+}  // namespace
+
+MakeHumanMesh read_makehuman_mesh(const std::filesystem::path& file) {
+  constexpr int kQuadMaterialUv = 11;  // face type bits: quad, material, one texture coordinate per corner
+  constexpr std::size_t kFaceNumbers = 10;
+  MakeHumanMesh mesh;
+  try {
+    const json document = read_json(file);
+    const auto vertices = document.at("vertices").get<std::vector<double>>();
+    const auto faces = document.at("faces").get<std::vector<int>>();
+    const auto uvs = document.at("uvs").at(0).get<std::vector<float>>();
+    if (vertices.size() != 3 * kVertices || faces.size() % kFaceNumbers != 0 || uvs.size() % 2 != 0) {
+      fail(file, fmt::format("{} vertex and {} face numbers are not those of the base mesh", vertices.size(),
+                             faces.size()));
+    }
+    mesh.vertices_dm = Eigen::Map<const Eigen::Matrix3Xd>(vertices.data(), 3, kVertices);
+    mesh.texture_coordinates =
+        Eigen::Map<const Eigen::Matrix2Xf>(uvs.data(), 2, static_cast<Eigen::Index>(uvs.size() / 2));
+    for (const json& material : document.at("materials")) {
+      mesh.group_names.push_back(material.at("DbgName").get<std::string>());
+    }
+    const auto quad_count = static_cast<Eigen::Index>(faces.size() / kFaceNumbers);
+    mesh.quads.resize(4, quad_count);
+    mesh.corner_uv.resize(4, quad_count);
+    for (Eigen::Index q = 0; q < quad_count; ++q) {
+      const int* face = faces.data() + static_cast<std::size_t>(q) * kFaceNumbers;
+      if (face[0] != kQuadMaterialUv || face[5] < 0 || face[5] >= static_cast<int>(mesh.group_names.size())) {
+        fail(file, fmt::format("face {} is not a quad of a known group", q));
+      }
+      mesh.group.push_back(face[5]);
+      for (int corner = 0; corner < 4; ++corner) {
+        const int vertex = face[1 + corner];
+        const int uv = face[6 + corner];
+        if (vertex < 0 || vertex >= static_cast<int>(kVertices) || uv < 0 ||
+            uv >= mesh.texture_coordinates.cols()) {
+          fail(file, fmt::format("face {} names a vertex that is not there", q));
+        }
+        mesh.quads(corner, q) = vertex;
+        mesh.corner_uv(corner, q) = uv;
+      }
+    }
+  } catch (const json::exception& error) {
+    fail(file, fmt::format("unexpected contents: {}", error.what()));
+  }
+  return mesh;
+}
+
+MakeHumanTargets::MakeHumanTargets(const std::filesystem::path& folder) {
+  const auto list_file = folder / "src/json/targets/target-list.json";
+  std::vector<std::string> names;
+  try {
+    const json document = read_json(list_file);
+    for (const auto& [key, value] : document.at("targets").items()) {
+      std::string name = key;
+      std::transform(name.begin(), name.end(), name.begin(), [](unsigned char c) { return std::tolower(c); });
+      names.push_back(std::move(name));
+    }
+  } catch (const json::exception& error) {
+    fail(list_file, fmt::format("unexpected contents: {}", error.what()));
+  }
+  if (names.size() != kTargets) {
+    fail(list_file, fmt::format("it lists {} targets and should list {}", names.size(), kTargets));
+  }
+  // The rows of targets.bin follow the lower-cased names in the order of their bytes.
+  std::sort(names.begin(), names.end());
+  constexpr std::string_view kPrefix = "data/targets/";
+  constexpr std::string_view kSuffix = ".target";
+  for (std::size_t row = 0; row < names.size(); ++row) {
+    std::string& name = names[row];
+    if (name.size() <= kPrefix.size() + kSuffix.size()) {
+      fail(list_file, fmt::format("'{}' is not a target's name", name));
+    }
+    rows_[name.substr(kPrefix.size(), name.size() - kPrefix.size() - kSuffix.size())] = row;
+  }
+
+  const auto file = folder / "public/data/targets/targets.bin";
+  const int descriptor = ::open(file.c_str(), O_RDONLY | O_CLOEXEC);
+  struct stat facts {};
+  const std::size_t expected_bytes = kTargets * kVertices * 3 * sizeof(std::int16_t);
+  if (descriptor < 0 || ::fstat(descriptor, &facts) != 0 ||
+      static_cast<std::size_t>(facts.st_size) != expected_bytes) {
+    if (descriptor >= 0) {
+      ::close(descriptor);
+    }
+    fail(file, fmt::format("it can't be opened or does not hold {} bytes", expected_bytes));
+  }
+  void* mapped = ::mmap(nullptr, expected_bytes, PROT_READ, MAP_PRIVATE, descriptor, 0);
+  ::close(descriptor);
+  if (mapped == MAP_FAILED) {
+    fail(file, "can't map it");
+  }
+  mapped_bytes_ = expected_bytes;
+  values_ = static_cast<const std::int16_t*>(mapped);
+  const std::int16_t* checked = values_ + kCheckedRow * kVertices * 3;
+  if (std::accumulate(checked, checked + kVertices * 3, 0L) != kCheckedRowSum) {
+    ::munmap(mapped, mapped_bytes_);
+    fail(file, "its rows are not in the expected order");
+  }
+}
+
+MakeHumanTargets::~MakeHumanTargets() {
+  ::munmap(const_cast<std::int16_t*>(values_), mapped_bytes_);
+}
+
+std::vector<std::string> MakeHumanTargets::names(std::string_view prefix) const {
+  std::vector<std::string> found;
+  for (auto it = rows_.lower_bound(prefix); it != rows_.end() && it->first.starts_with(prefix); ++it) {
+    found.push_back(it->first);
+  }
+  return found;
+}
+
+Eigen::Matrix3Xd MakeHumanTargets::displacements_dm(std::string_view name,
+                                                    const std::vector<int>& vertices) const {
+  const auto found = rows_.find(name);
+  if (found == rows_.end()) {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("MakeHuman's data has no target '{}'. {}", name, kHint));
+  }
+  const std::int16_t* row = values_ + found->second * kVertices * 3;
+  Eigen::Matrix3Xd displacements(3, static_cast<Eigen::Index>(vertices.size()));
+  for (std::size_t v = 0; v < vertices.size(); ++v) {
+    const std::int16_t* at = row + 3 * static_cast<std::size_t>(vertices[v]);
+    displacements.col(static_cast<Eigen::Index>(v)) = kTargetUnitDm * Eigen::Vector3d(at[0], at[1], at[2]);
+  }
+  return displacements;
+}
+
+std::vector<render::Picture> read_makehuman_skins(const std::filesystem::path& folder) {
+  const auto skins = folder / "public/data/skins";
+  std::error_code error;
+  std::vector<std::filesystem::path> files;
+  for (std::filesystem::recursive_directory_iterator it(skins, error), end; !error && it != end;
+       it.increment(error)) {
+    const std::string name = it->path().filename().string();
+    const bool drawn = name.find("toon") != std::string::npos || name.find("suit") != std::string::npos;
+    if (it->path().parent_path().filename() == "textures" && it->path().extension() == ".png" && !drawn) {
+      files.push_back(it->path());
+    }
+  }
+  if (files.empty()) {
+    fail(skins, "no skin pictures are there");
+  }
+  std::sort(files.begin(), files.end());
+  std::vector<render::Picture> pictures;
+  for (const auto& file : files) {
+    pictures.push_back(render::read_image(file));
+  }
+  return pictures;
+}
+
+}  // namespace facet::model
