@@ -79,7 +79,7 @@ std::optional<Pose> pose_from_similarity(const Eigen::Matrix3Xd& points_head_mm,
     spread_px += weights[i] * px.squaredNorm();
   }
   const Eigen::JacobiSVD<Eigen::Matrix3d> svd(covariance, Eigen::ComputeFullU | Eigen::ComputeFullV);
-  const Eigen::Vector3d singular = svd.singularValues();
+  const Eigen::Vector3d& singular = svd.singularValues();
   // The second singular value vanishes for collinear points, the first for coincident ones.
   constexpr double kDegenerate = 1e-6;
   if (!(spread_head > 0) || !(singular[1] > kDegenerate * std::sqrt(spread_head * spread_px)) ||

@@ -225,16 +225,17 @@ FitReport IdentityFit::improve(int max_iterations) {
 
 Eigen::VectorXd IdentityFit::landmark_bias_mm() {
   model_->contract_identity(shape_.identity, basis_);
-  Eigen::VectorXd sum = Eigen::VectorXd::Zero(3 * model_->count());
+  Eigen::VectorXd sum = Eigen::VectorXd::Zero(Eigen::Index{3} * model_->count());
   Eigen::VectorXd seen = Eigen::VectorXd::Constant(model_->count(), strength_.bias_frames);
   Eigen::Matrix2Xd residuals_px;
   for (const BatchFrame& frame : frames_) {
-    if (!landmark_term_.residuals_px(basis_, frame.observation, shape_.focal_px, frame.state, residuals_px)) {
+    if (!landmark_term_.residuals_px(basis_, frame.observation, shape_.focal_px, frame.state, true,
+                                     residuals_px)) {
       continue;
     }
     const Eigen::Matrix3d& rotation = frame.state.pose.rotation;
     const double mm_per_px = frame.state.pose.translation_mm.z() / shape_.focal_px;
-    for (int l = 0; l < model_->count(); ++l) {
+    for (Eigen::Index l = 0; l < model_->count(); ++l) {
       const double weight = frame.face.confidence[model_->landmarks()[static_cast<std::size_t>(l)]];
       const Eigen::Vector3d measured_minus_model(-mm_per_px * residuals_px(0, l),
                                                  -mm_per_px * residuals_px(1, l), 0.0);
@@ -242,7 +243,7 @@ Eigen::VectorXd IdentityFit::landmark_bias_mm() {
       seen[l] += weight;
     }
   }
-  for (int l = 0; l < model_->count(); ++l) {
+  for (Eigen::Index l = 0; l < model_->count(); ++l) {
     sum.segment<3>(3 * l) /= seen[l];
   }
   return sum;
@@ -254,7 +255,7 @@ double IdentityFit::energy() {
 
 Eigen::VectorXd IdentityFit::gradient() {
   linearise();
-  const int own = own_count();
+  const Eigen::Index own = own_count();
   Eigen::VectorXd all(frame_count() * own + shared_count());
   for (int f = 0; f < frame_count(); ++f) {
     all.segment(f * own, own) = frames_[static_cast<std::size_t>(f)].equations.gradient.head(own);
@@ -264,7 +265,7 @@ Eigen::VectorXd IdentityFit::gradient() {
 }
 
 void IdentityFit::move(const Eigen::VectorXd& step) {
-  const int own = own_count();
+  const Eigen::Index own = own_count();
   for (int f = 0; f < frame_count(); ++f) {
     BatchFrame& frame = frames_[static_cast<std::size_t>(f)];
     apply_step(frame.state, step.segment(f * own, own), frame.trial);

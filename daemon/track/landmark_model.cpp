@@ -45,7 +45,7 @@ LandmarkModel::LandmarkModel(const face::FaceModel& model)
   for (std::size_t l = 0; l < landmarks_.size(); ++l) {
     position_of_[static_cast<std::size_t>(landmarks_[l])] = static_cast<int>(l);
     Eigen::Map<Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>(
-        core_mm_.data() + l * block, 3 * (identity_count_ + 1), expression_count_ + 1) = core_rows[l];
+        core_mm_.data() + l * block, Eigen::Index{3} * (identity_count_ + 1), expression_count_ + 1) = core_rows[l];
   }
   const int right = position_of(kRightEyeOuterCorner);
   const int left = position_of(kLeftEyeOuterCorner);
@@ -65,10 +65,12 @@ LandmarkModel::LandmarkModel(const face::FaceModel& model)
 void LandmarkModel::contract_identity(const Eigen::VectorXd& identity, LandmarkBasis& basis) const {
   using Block = Eigen::Map<const Eigen::Matrix<float, 3, Eigen::Dynamic, Eigen::RowMajor>>;
   const int modes = expression_count_ + 1;
-  basis.neutral_mm.resize(3 * count());
-  basis.deltas_mm.resize(3 * count(), expression_count_);
+  const Eigen::Index rows = Eigen::Index{3} * count();
+  basis.neutral_mm.resize(rows);
+  basis.bias_mm.setZero(rows);
+  basis.deltas_mm.resize(rows, expression_count_);
   const float* core = core_mm_.data();
-  for (int l = 0; l < count(); ++l) {
+  for (Eigen::Index l = 0; l < count(); ++l) {
     auto neutral = basis.neutral_mm.segment<3>(3 * l);
     auto deltas = basis.deltas_mm.middleRows<3>(3 * l);
     for (int i = 0; i <= identity_count_; ++i) {
@@ -91,9 +93,9 @@ void LandmarkModel::contract_expression(
     Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>& by_identity_mm) const {
   using Row = Eigen::Map<const Eigen::VectorXf>;
   const int modes = expression_count_ + 1;
-  by_identity_mm.resize(3 * count(), identity_count_);
+  by_identity_mm.resize(Eigen::Index{3} * count(), identity_count_);
   const float* core = core_mm_.data();
-  for (int l = 0; l < count(); ++l) {
+  for (Eigen::Index l = 0; l < count(); ++l) {
     core += std::ptrdiff_t{3} * modes;  // the mean
     for (int i = 0; i < identity_count_; ++i) {
       for (int axis = 0; axis < 3; ++axis, core += modes) {

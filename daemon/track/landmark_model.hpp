@@ -12,6 +12,9 @@ namespace facet::track {
 /// The landmarks of one person: linear in the expression. Head frame, mm.
 struct LandmarkBasis {
   Eigen::VectorXd neutral_mm;  ///< [landmark][3]
+  /// [landmark][3] how far the net sees the landmarks beside the mesh, whatever the expression (IdentityFit):
+  /// part of what is compared with measurements, not of the mesh.
+  Eigen::VectorXd bias_mm;
   /// [landmark][3] x [expression_count]
   Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> deltas_mm;
 };

@@ -77,8 +77,11 @@ void observe(const LandmarkModel& model, const LandmarkTrust& trust, const FaceL
 LandmarkTerm::LandmarkTerm(const LandmarkModel& model, const LandmarkTrust& trust)
     : huber_sigmas_(trust.huber_sigmas), head_mm_(3 * model.count()), rotated_mm_(3, model.count()) {}
 
-void LandmarkTerm::place(const LandmarkBasis& basis, const FrameState& state) {
+void LandmarkTerm::place(const LandmarkBasis& basis, const FrameState& state, bool with_bias) {
   head_mm_ = basis.neutral_mm;
+  if (with_bias) {
+    head_mm_ += basis.bias_mm;
+  }
   head_mm_.noalias() += basis.deltas_mm * state.expression;
   const Eigen::Index count = rotated_mm_.cols();
   for (Eigen::Index l = 0; l < count; ++l) {
@@ -88,7 +91,7 @@ void LandmarkTerm::place(const LandmarkBasis& basis, const FrameState& state) {
 
 double LandmarkTerm::energy(const LandmarkBasis& basis, const Observation& observation, double focal_px,
                             const FrameState& state) {
-  place(basis, state);
+  place(basis, state, true);
   double sum = 0;
   for (Eigen::Index l = 0; l < rotated_mm_.cols(); ++l) {
     const Eigen::Vector3d camera_mm = rotated_mm_.col(l) + state.pose.translation_mm;
@@ -148,8 +151,8 @@ double LandmarkTerm::linearise(
 }
 
 bool LandmarkTerm::residuals_px(const LandmarkBasis& basis, const Observation& observation, double focal_px,
-                                const FrameState& state, Eigen::Matrix2Xd& out) {
-  place(basis, state);
+                                const FrameState& state, bool with_bias, Eigen::Matrix2Xd& out) {
+  place(basis, state, with_bias);
   out.resize(2, rotated_mm_.cols());
   for (Eigen::Index l = 0; l < rotated_mm_.cols(); ++l) {
     Projection at;

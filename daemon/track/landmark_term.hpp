@@ -74,12 +74,14 @@ class LandmarkTerm {
       const Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>* by_identity_mm,
       NormalEquations& equations);
 
-  /// Residuals at a state, px, [2][count]; false where a landmark lies behind the camera.
+  /// Distances of the projected landmarks from the measured ones at a state, px, [2][count]: with the basis'
+  /// bias as the fit sees them, or without it as the mesh lies in the image. False where a landmark lies
+  /// behind the camera.
   bool residuals_px(const LandmarkBasis& basis, const Observation& observation, double focal_px,
-                    const FrameState& state, Eigen::Matrix2Xd& out);
+                    const FrameState& state, bool with_bias, Eigen::Matrix2Xd& out);
 
  private:
-  void place(const LandmarkBasis& basis, const FrameState& state);
+  void place(const LandmarkBasis& basis, const FrameState& state, bool with_bias);
 
   double huber_sigmas_;
   Eigen::VectorXd head_mm_;      ///< [count][3] landmarks in the head frame

@@ -118,7 +118,7 @@ CameraIntrinsics SubjectTracker::camera() const {
 
 void SubjectTracker::set_shape() {
   model_->contract_identity(subject_.shape.identity, basis_);
-  basis_.neutral_mm += subject_.landmark_bias_mm;
+  basis_.bias_mm = subject_.landmark_bias_mm;
   ++frame_.shape_version;
 }
 
@@ -130,7 +130,7 @@ void SubjectTracker::reset_identity() {
   subject_.shape.focal_px =
       known > 0 ? known : config_.identity.focal_ratio * std::max(width_px_, height_px_);
   subject_.shape.identity = Eigen::VectorXd::Zero(model_->identity_count());
-  subject_.landmark_bias_mm = Eigen::VectorXd::Zero(3 * model_->count());
+  subject_.landmark_bias_mm = Eigen::VectorXd::Zero(Eigen::Index{3} * model_->count());
   subject_.usual_residual = 0;
   residual_frames_ = 0;
   verified_frames_ = kVerifyFrames;
@@ -140,7 +140,7 @@ void SubjectTracker::reset_identity() {
 
 bool SubjectTracker::adopt(const Subject& subject, int width_px, int height_px) {
   if (subject.shape.identity.size() != model_->identity_count() ||
-      subject.landmark_bias_mm.size() != 3 * model_->count() || !subject.shape.identity.allFinite() ||
+      subject.landmark_bias_mm.size() != Eigen::Index{3} * model_->count() || !subject.shape.identity.allFinite() ||
       !subject.landmark_bias_mm.allFinite() || !(subject.shape.focal_px > 0) ||
       !std::isfinite(subject.shape.focal_px) || width_px <= 0 || height_px <= 0) {
     return false;
@@ -173,7 +173,7 @@ bool SubjectTracker::usable(const FaceLandmarks& face) const {
 }
 
 bool SubjectTracker::start_pose(const FaceLandmarks& face) {
-  for (int l = 0; l < model_->count(); ++l) {
+  for (Eigen::Index l = 0; l < model_->count(); ++l) {
     start_head_mm_.col(l) = basis_.neutral_mm.segment<3>(3 * l);
     start_px_.col(l) = face.points_px.col(model_->landmarks()[static_cast<std::size_t>(l)]).cast<double>();
   }
@@ -187,26 +187,35 @@ bool SubjectTracker::start_pose(const FaceLandmarks& face) {
   return true;
 }
 
-bool SubjectTracker::measure_residual(const FaceLandmarks& face) {
+std::optional<double> SubjectTracker::median_residual_px(const FaceLandmarks& face, bool with_bias) {
   if (!coarse_fit_.landmark_term().residuals_px(basis_, observation_, subject_.shape.focal_px, candidate_,
-                                                residuals_px_)) {
-    return false;
+                                                with_bias, residuals_px_)) {
+    return std::nullopt;
   }
   sorted_.clear();
-  for (int l = 0; l < model_->count(); ++l) {
+  for (Eigen::Index l = 0; l < model_->count(); ++l) {
     if (face.confidence[model_->landmarks()[static_cast<std::size_t>(l)]] >= kSeen) {
       sorted_.push_back(residuals_px_.col(l).norm());
     }
   }
   if (sorted_.empty()) {
-    return false;
+    return std::nullopt;
   }
   const auto middle = sorted_.begin() + static_cast<std::ptrdiff_t>(sorted_.size() / 2);
   std::nth_element(sorted_.begin(), middle, sorted_.end());
-  candidate_reprojection_px_ = *middle;
+  return *middle;
+}
+
+bool SubjectTracker::measure_residual(const FaceLandmarks& face) {
+  const auto of_fit_px = median_residual_px(face, true);
+  const auto of_mesh_px = median_residual_px(face, false);
+  if (!of_fit_px || !of_mesh_px) {
+    return false;
+  }
   const double interocular_px =
       subject_.shape.focal_px * model_->interocular_mm() / candidate_.pose.translation_mm.z();
-  candidate_residual_ = candidate_reprojection_px_ / interocular_px;
+  candidate_reprojection_px_ = *of_mesh_px;
+  candidate_residual_ = *of_fit_px / interocular_px;
   return true;
 }
 

@@ -31,9 +31,10 @@ struct SubjectFrame {
   std::uint32_t subject = 0;        ///< counts identity estimates
   std::uint64_t shape_version = 0;  ///< changes whenever shape().identity does
   FrameState face;
-  double reprojection_px = 0;  ///< median over the landmarks used
-  double relative_residual =
-      0;  ///< the same as a fraction of the interocular distance, foreshortening undone
+  double reprojection_px = 0;  ///< median distance of the mesh's landmarks from the measured ones
+  /// Median landmark residual of the fit as a fraction of the interocular distance, foreshortening undone and
+  /// the subject's landmark bias taken out.
+  double relative_residual = 0;
   FitReport fit;
 };
 
@@ -77,6 +78,7 @@ class SubjectTracker {
   void set_shape();
   bool fit(const FaceLandmarks& face, bool warm, double elapsed_s);
   bool start_pose(const FaceLandmarks& face);
+  std::optional<double> median_residual_px(const FaceLandmarks& face, bool with_bias);
   bool measure_residual(const FaceLandmarks& face);
   bool plausible(double largest_residual) const;
   bool jumped(double elapsed_s) const;

@@ -84,7 +84,7 @@ TEST_F(CoarseFitTest, HessianMatchesDifferencesWhereTheResidualsVanish) {
   FrameState state{view.pose, view.expression.cwiseMax(0.1)};
   Observation exact = observation;
   Eigen::Matrix2Xd residuals;
-  ASSERT_TRUE(fit.landmark_term().residuals_px(basis, exact, view.focal_px, state, residuals));
+  ASSERT_TRUE(fit.landmark_term().residuals_px(basis, exact, view.focal_px, state, true, residuals));
   exact.points_px += residuals;
   NormalEquations at(kExpressionAt + model.expression_count());
   LandmarkTerm& term = fit.landmark_term();

@@ -1,0 +1,277 @@
+// Measures the tracker on video clips: how many face frames get a mesh, how well it lies on the landmarks,
+// what a frame costs on one core, how quiet it is; and writes contact sheets of the coarse wire over the
+// frames.
+
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "camera/factory.hpp"
+#include "facet/assets.hpp"
+#include "facet/error.hpp"
+#include "render/renderer.hpp"
+#include "track/tracker.hpp"
+
+namespace {
+
+using facet::Frame;
+using facet::track::Tracker;
+using facet::track::TrackResult;
+
+struct Options {
+  std::filesystem::path model = facet::default_model_file();
+  std::filesystem::path assets = facet::default_landmark_assets();
+  std::vector<std::filesystem::path> clips;
+  std::filesystem::path sheet_folder;
+  int sheet_tiles = 12;
+  bool single_pass = false;
+};
+
+double quantile(std::vector<double> values, double q) {
+  if (values.empty()) {
+    return 0;
+  }
+  const auto at = values.begin() + static_cast<std::ptrdiff_t>(q * static_cast<double>(values.size() - 1));
+  std::nth_element(values.begin(), at, values.end());
+  return *at;
+}
+
+double mean(const std::vector<double>& values) {
+  double sum = 0;
+  for (const double value : values) {
+    sum += value;
+  }
+  return values.empty() ? 0 : sum / static_cast<double>(values.size());
+}
+
+/// Control mesh edges over the frame, cut to the face: near edges light, landmarks as dots.
+facet::render::Picture draw(const Frame& frame, const TrackResult& result,
+                            const facet::face::FaceModel& model) {
+  facet::render::Picture picture = facet::render::to_picture(frame);
+  const auto project = [&](const Eigen::Vector3f& head_mm) {
+    const Eigen::Vector3f p = result.camera_from_head * head_mm;
+    return Eigen::Vector2f(result.camera.fx * p.x() / p.z() + result.camera.cx,
+                           result.camera.fy * p.y() / p.z() + result.camera.cy);
+  };
+  Eigen::Vector2f middle(0.5F * static_cast<float>(frame.width_px),
+                         0.5F * static_cast<float>(frame.height_px));
+  float half = 0.5F * static_cast<float>(std::min(frame.width_px, frame.height_px));
+  if (result.has_mesh) {
+    const auto& quads = model.control.quads;
+    for (Eigen::Index q = 0; q < quads.cols(); ++q) {
+      Eigen::Vector3f corners[4];
+      for (int c = 0; c < 4; ++c) {
+        corners[c] = result.vertices_mm.col(quads(c, q));
+      }
+      const Eigen::Vector3f normal = (corners[2] - corners[0]).cross(corners[3] - corners[1]);
+      const Eigen::Vector3f seen = result.camera_from_head * corners[0];
+      if ((result.camera_from_head.linear() * normal).dot(seen) >= 0) {
+        continue;
+      }
+      for (int c = 0; c < 4; ++c) {
+        facet::render::draw_line(picture, project(corners[c]), project(corners[(c + 1) % 4]), {40, 255, 120},
+                                 0.35F);
+      }
+    }
+    const Eigen::Vector3f centre = result.camera_from_head.translation();
+    middle = project(Eigen::Vector3f::Zero());
+    half = 150.0F * result.camera.fx / centre.z();
+  }
+  for (const Eigen::Vector2f& point : result.landmarks_px) {
+    facet::render::draw_dot(picture, point, 0.7F, {255, 60, 40});
+  }
+  const int side = static_cast<int>(2 * half);
+  return facet::render::crop(picture, static_cast<int>(middle.x() - half),
+                             static_cast<int>(middle.y() - half), side, side);
+}
+
+/// Nearest-neighbour copy into a square of `side_px`.
+facet::render::Picture fit_square(const facet::render::Picture& from, int side_px) {
+  facet::render::Picture to = facet::render::plain_picture(side_px, side_px, {0, 0, 0});
+  for (int y = 0; y < side_px; ++y) {
+    for (int x = 0; x < side_px; ++x) {
+      const auto source = static_cast<std::size_t>((y * from.height_px / side_px) * from.width_px +
+                                                   x * from.width_px / side_px) *
+                          3;
+      const auto target = static_cast<std::size_t>(y * side_px + x) * 3;
+      std::copy_n(from.rgb.begin() + static_cast<std::ptrdiff_t>(source), 3,
+                  to.rgb.begin() + static_cast<std::ptrdiff_t>(target));
+    }
+  }
+  return to;
+}
+
+struct ClipFigures {
+  int frames = 0;
+  int face_frames = 0;
+  int mesh_frames = 0;
+  int tracking_frames = 0;
+  int broken_frames = 0;  ///< a vertex that is not finite or further than 2 m from the head's origin
+  std::uint32_t subjects = 0;
+  double focal_px = 0;
+  int width_px = 0;
+  int height_px = 0;
+  std::vector<double> reprojection;  ///< fraction of the interocular distance
+  std::vector<double> detect_ms, landmarks_ms, fit_ms, total_ms;
+  std::vector<double> flicker_mm;  ///< mean |second difference| of the vertices in the head frame
+};
+
+class ClipRun {
+ public:
+  ClipRun(const facet::face::FaceModel& model, const Options& options, const std::filesystem::path& clip)
+      : model_(model), options_(options), clip_(clip) {}
+
+  /// The subject of the clip from a first pass; nothing when none was acquired.
+  std::optional<facet::track::Subject> first_pass() {
+    Tracker tracker(model_, {.landmark_assets = options_.assets, .intrinsics = {}});
+    auto camera = facet::camera::open_camera({.kind = "file", .path = clip_});
+    camera->start();
+    Frame frame;
+    while (camera->next(frame, std::chrono::seconds(10)) == facet::CaptureOutcome::Delivered) {
+      ++acquisition_frames_;
+      if (tracker.process(frame).state == facet::mesh::TrackingState::Tracking) {
+        width_px_ = frame.width_px;
+        height_px_ = frame.height_px;
+        return tracker.subject();
+      }
+    }
+    return std::nullopt;
+  }
+
+  ClipFigures measure(const std::optional<facet::track::Subject>& subject) {
+    Tracker tracker(model_, {.landmark_assets = options_.assets, .intrinsics = {}});
+    if (subject) {
+      tracker.adopt(*subject, width_px_, height_px_);
+    }
+    auto camera = facet::camera::open_camera({.kind = "file", .path = clip_});
+    camera->start();
+    const auto expected = static_cast<int>(camera->info().frame_count.value_or(1));
+    const int every = std::max(1, expected / options_.sheet_tiles);
+    Frame frame;
+    while (camera->next(frame, std::chrono::seconds(10)) == facet::CaptureOutcome::Delivered) {
+      const TrackResult& result = tracker.process(frame);
+      add(result);
+      if (!options_.sheet_folder.empty() && figures_.frames % every == 1 % every) {
+        tiles_.push_back(fit_square(draw(frame, result, model_), kTilePx));
+      }
+      figures_.width_px = frame.width_px;
+      figures_.height_px = frame.height_px;
+    }
+    write_sheet();
+    return figures_;
+  }
+
+  int acquisition_frames() const { return acquisition_frames_; }
+
+ private:
+  static constexpr int kTilePx = 480;
+
+  void add(const TrackResult& result) {
+    ++figures_.frames;
+    figures_.face_frames += result.landmarks_px.empty() ? 0 : 1;
+    figures_.tracking_frames += result.state == facet::mesh::TrackingState::Tracking ? 1 : 0;
+    figures_.detect_ms.push_back(static_cast<double>(result.detect_ms));
+    figures_.landmarks_ms.push_back(static_cast<double>(result.landmarks_ms));
+    figures_.fit_ms.push_back(static_cast<double>(result.fit_ms));
+    figures_.total_ms.push_back(static_cast<double>(result.detect_ms + result.landmarks_ms + result.fit_ms));
+    if (!result.has_mesh) {
+      history_ = 0;
+      return;
+    }
+    ++figures_.mesh_frames;
+    figures_.subjects = result.subject;
+    figures_.focal_px = static_cast<double>(result.camera.fx);
+    figures_.reprojection.push_back(static_cast<double>(result.reprojection_px / result.interocular_px));
+    const auto& vertices = result.vertices_mm;
+    if (!vertices.allFinite() || vertices.cwiseAbs().maxCoeff() > 2000.0F ||
+        !result.camera_from_head.matrix().allFinite()) {
+      ++figures_.broken_frames;
+    }
+    if (history_ >= 2) {
+      figures_.flicker_mm.push_back(
+          static_cast<double>((vertices - 2 * last_ + before_last_).colwise().norm().mean()));
+    }
+    before_last_ = last_;
+    last_ = vertices;
+    ++history_;
+  }
+
+  void write_sheet() const {
+    if (tiles_.empty()) {
+      return;
+    }
+    constexpr int kColumns = 4;
+    const int rows = (static_cast<int>(tiles_.size()) + kColumns - 1) / kColumns;
+    auto sheet = facet::render::plain_picture(kColumns * kTilePx, rows * kTilePx, {0, 0, 0});
+    for (std::size_t i = 0; i < tiles_.size(); ++i) {
+      const int at = static_cast<int>(i);
+      facet::render::paste(sheet, tiles_[i], (at % kColumns) * kTilePx, (at / kColumns) * kTilePx);
+    }
+    facet::render::write_png(sheet, options_.sheet_folder / (clip_.stem().string() + ".png"));
+  }
+
+  const facet::face::FaceModel& model_;
+  const Options& options_;
+  std::filesystem::path clip_;
+  ClipFigures figures_;
+  std::vector<facet::render::Picture> tiles_;
+  facet::mesh::Vertices last_, before_last_;
+  int history_ = 0;
+  int acquisition_frames_ = 0;
+  int width_px_ = 0;
+  int height_px_ = 0;
+};
+
+void print(const std::string& name, const ClipFigures& figures, int acquisition_frames) {
+  const double longer = std::max(figures.width_px, figures.height_px);
+  fmt::print(
+      "{:28} {:6} {:6} {:7.2f} {:5} {:7.2f} {:7.2f} {:7} {:6.2f} {:7.3f} | {:6.2f} {:6.2f} {:6.2f} {:6.2f} "
+      "{:6.2f}\n",
+      name, figures.frames, figures.face_frames,
+      100.0 * figures.mesh_frames / std::max(figures.face_frames, 1), figures.broken_frames,
+      100.0 * quantile(figures.reprojection, 0.5), 100.0 * quantile(figures.reprojection, 0.95),
+      acquisition_frames, figures.focal_px / longer, mean(figures.flicker_mm), mean(figures.detect_ms),
+      mean(figures.landmarks_ms), mean(figures.fit_ms), mean(figures.total_ms),
+      quantile(figures.total_ms, 0.95));
+}
+
+int run(const Options& options) {
+  const auto model = facet::face::FaceModel::load(options.model);
+  fmt::print("{:28} {:>6} {:>6} {:>7} {:>5} {:>7} {:>7} {:>7} {:>6} {:>7} | {:>6} {:>6} {:>6} {:>6} {:>6}\n",
+             "clip", "frames", "faces", "mesh %", "bad", "rep %", "p95 %", "acquire", "f/side", "flicker",
+             "detect", "landm", "fit", "total", "p95 ms");
+  for (const auto& clip : options.clips) {
+    ClipRun run(model, options, clip);
+    std::optional<facet::track::Subject> subject;
+    if (!options.single_pass) {
+      subject = run.first_pass();
+    }
+    print(clip.stem().string(), run.measure(subject), run.acquisition_frames());
+  }
+  return 0;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  Options options;
+  CLI::App app("Measures the tracker on video clips");
+  app.add_option("--model", options.model, "face model")->capture_default_str();
+  app.add_option("--landmark-assets", options.assets, "MediaPipe's packed nets")->capture_default_str();
+  app.add_option("--sheets", options.sheet_folder, "folder for contact sheets of the wire over the frames");
+  app.add_flag("--single-pass", options.single_pass, "as live: acquire while measuring");
+  app.add_option("clips", options.clips, "videos")->required();
+  CLI11_PARSE(app, argc, argv);
+  try {
+    return run(options);
+  } catch (const facet::Error& error) {
+    fmt::print(stderr, "{}\n", error.what());
+    return static_cast<int>(error.kind());
+  }
+}
