@@ -68,8 +68,8 @@ struct TakeReader::Impl {
 
   std::filesystem::path file;
   Database database;
-  bool checked;  ///< orders the construction: nothing is read before the schema is known to be ours
   TakeInfo info;
+  bool checked;  ///< orders the construction: nothing is read before the schema is known to be ours
   std::vector<std::uint8_t> message;  ///< reused
   std::unordered_map<std::uint64_t, std::shared_ptr<const mesh::Subject>> subjects;
   stream::DecodedAlbedo albedo;  ///< the last one read

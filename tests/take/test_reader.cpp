@@ -1,0 +1,223 @@
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sqlite3.h>
+
+#include <fstream>
+#include <iterator>
+#include <random>
+
+#include "facet/error.hpp"
+#include "record_take.hpp"
+#include "support/paths.hpp"
+#include "take/reader.hpp"
+#include "take/take_file.hpp"
+
+namespace facet::take {
+namespace {
+
+using testing::AnyOf;
+using testing::HasSubstr;
+
+std::string rejection(auto&& work) {
+  try {
+    work();
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::UnreadableInput) << error.what();
+    return error.what();
+  }
+  return "";
+}
+
+class Reader : public testing::Test {
+ protected:
+  test::TemporaryFolder folder;
+  std::filesystem::path file = folder.path() / "one.take";
+  std::shared_ptr<const mesh::Subject> subject = test::patch_subject();
+
+  void change(const std::string& sql) {
+    sqlite3* database = nullptr;
+    ASSERT_EQ(sqlite3_open(file.c_str(), &database), SQLITE_OK);
+    EXPECT_EQ(sqlite3_exec(database, sql.c_str(), nullptr, nullptr, nullptr), SQLITE_OK)
+        << sqlite3_errmsg(database);
+    sqlite3_close(database);
+  }
+  std::string open_error() {
+    return rejection([&] { TakeReader{file}; });
+  }
+  std::string frame_error(std::int64_t index) {
+    return rejection([&] { TakeReader(file).frame(index); });
+  }
+};
+
+TEST_F(Reader, GivesBackWhatWasRecorded) {
+  test::record_take(file, 20, subject);
+  TakeReader reader(file);
+  const TakeInfo& info = reader.info();
+  EXPECT_EQ(info.format_version, kFormatVersion);
+  EXPECT_EQ(info.source, "synthetic patch");
+  EXPECT_EQ(info.software, "facet tests");
+  EXPECT_EQ(info.frame_count, 20);
+  EXPECT_EQ(info.mesh_frame_count, 16);
+  EXPECT_EQ(info.subject_count, 1);
+  EXPECT_EQ(info.first_timestamp_ns, test::take_frame(0, subject)->timestamp_ns);
+  EXPECT_EQ(info.last_timestamp_ns, test::take_frame(19, subject)->timestamp_ns);
+  EXPECT_EQ(info.created_utc.size(), std::string("2026-11-21T09:30:00Z").size());
+  EXPECT_EQ(info.file_bytes, std::filesystem::file_size(file));
+
+  for (const std::int64_t index : {19, 0, 7, 4, 12, 7}) {
+    const auto sent = test::take_frame(static_cast<std::uint64_t>(index), subject);
+    const FrameEntry entry = reader.entry(index);
+    EXPECT_EQ(entry.sequence, sent->sequence);
+    EXPECT_EQ(entry.timestamp_ns, sent->timestamp_ns);
+    EXPECT_EQ(entry.state, sent->state);
+    EXPECT_EQ(entry.has_mesh, sent->subject != nullptr);
+    const auto got = reader.frame(index);
+    EXPECT_EQ(got->sequence, sent->sequence);
+    EXPECT_EQ(got->landmarks_px, sent->landmarks_px);
+    if (sent->subject == nullptr) {
+      EXPECT_EQ(got->subject, nullptr);
+      continue;
+    }
+    EXPECT_EQ(got->subject->id, subject->id);
+    EXPECT_EQ(got->albedo->version, index < 10 ? 1U : 2U);
+    EXPECT_EQ(got->expression, sent->expression);
+    EXPECT_LE((got->control_vertices_mm - sent->control_vertices_mm).cwiseAbs().maxCoeff(), 0.01F);
+  }
+  EXPECT_EQ(reader.frame(0)->subject, reader.frame(1)->subject) << "frames share their subject";
+  EXPECT_EQ(reader.frame(0)->albedo, reader.frame(1)->albedo);
+  EXPECT_EQ(reader.subjects().size(), 1U);
+}
+
+TEST_F(Reader, SubjectsComeInTheirOrder) {
+  TakeRecorder recorder(test::recorder_config(file));
+  recorder.start();
+  const auto other = test::patch_subject(7, 5);
+  recorder.record(test::take_frame(0, subject));
+  recorder.record(test::take_frame(1, other));
+  recorder.record(test::take_frame(2, subject));
+  recorder.stop();
+  TakeReader reader(file);
+  ASSERT_EQ(reader.subjects().size(), 2U);
+  EXPECT_EQ(reader.subjects()[0]->id, subject->id);
+  EXPECT_EQ(reader.subjects()[1]->id, 7U);
+  EXPECT_EQ(reader.frame(1)->subject->id, 7U);
+  EXPECT_EQ(reader.frame(2)->subject->id, subject->id);
+  EXPECT_EQ(reader.frame(2)->albedo->version, 1U);
+}
+
+TEST_F(Reader, IndexBeyondTheEndIsAUsageError) {
+  test::record_take(file, 3, subject);
+  TakeReader reader(file);
+  for (const std::int64_t index : {std::int64_t{-1}, std::int64_t{3}}) {
+    try {
+      reader.frame(index);
+      ADD_FAILURE() << index;
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::Usage);
+    }
+  }
+}
+
+TEST_F(Reader, ForeignFilesAreNamed) {
+  EXPECT_THAT(open_error(), HasSubstr("no such file"));
+  std::ofstream(file) << std::string(10000, 'x');
+  EXPECT_THAT(open_error(), HasSubstr("not an SQLite file"));
+  std::filesystem::remove(file);
+  std::ofstream(file).flush();
+  EXPECT_THAT(open_error(), HasSubstr("not a take"));
+  std::filesystem::remove(file);
+  change("CREATE TABLE frame(x)");
+  EXPECT_THAT(open_error(), AllOf(HasSubstr("not a take"), HasSubstr(file.string())));
+  EXPECT_THAT(rejection([&] { TakeReader{folder.path()}; }), HasSubstr("not a file"));
+}
+
+TEST_F(Reader, NewerVersionIsNamed) {
+  test::record_take(file, 3, subject);
+  change("PRAGMA user_version = 2");
+  EXPECT_THAT(open_error(), AllOf(HasSubstr("format version is 2"), HasSubstr("newer Facet")));
+}
+
+TEST_F(Reader, StrangeTablesAreRefused) {
+  test::record_take(file, 3, subject);
+  change("CREATE VIEW spy AS SELECT 1");
+  EXPECT_THAT(open_error(), HasSubstr("table 'spy'"));
+  change("DROP VIEW spy; DROP TABLE albedo");
+  EXPECT_THAT(open_error(), HasSubstr("missing"));
+  change("CREATE VIEW albedo AS SELECT 1 AS subject_id, 1 AS version, x'00' AS data");
+  EXPECT_THAT(open_error(), HasSubstr("table 'albedo'"));
+}
+
+TEST_F(Reader, DamagedContentIsNamedWithItsFrame) {
+  test::record_take(file, 6, subject);
+  change("UPDATE frame_data SET data = x'0102030405' WHERE number = 1");
+  change("UPDATE frame_data SET data = (SELECT data FROM subject LIMIT 1) WHERE number = 2");
+  change("UPDATE frame SET state = 77 WHERE number = 3");
+  change("DELETE FROM frame_data WHERE number = 5");
+  EXPECT_THAT(frame_error(1), HasSubstr("frame 1"));
+  EXPECT_THAT(frame_error(2), AllOf(HasSubstr("frame 2"), HasSubstr("not a frame")));
+  EXPECT_THAT(rejection([&] { TakeReader(file).entry(3); }), HasSubstr("state 77"));
+  EXPECT_THAT(frame_error(5), HasSubstr("frame 5 is missing"));
+  EXPECT_EQ(TakeReader(file).frame(0)->sequence, 0U) << "sound frames stay readable";
+  change("UPDATE subject SET data = zeroblob(100)");
+  EXPECT_THAT(frame_error(0), HasSubstr("subject"));
+  change("DELETE FROM frame WHERE number = 2");
+  EXPECT_THAT(open_error(), HasSubstr("frames are missing"));
+}
+
+TEST_F(Reader, SubjectUnderAnotherIdIsNoticed) {
+  test::record_take(file, 2, subject);
+  const auto other = test::patch_subject(7, 5);
+  const std::filesystem::path second = folder.path() / "two.take";
+  test::record_take(second, 2, other);
+  change("ATTACH '" + second.string() + "' AS two; UPDATE subject SET data = (SELECT data FROM two.subject)");
+  EXPECT_THAT(frame_error(0), HasSubstr("subject"));
+}
+
+/// Reads everything in a file; what is not readable must be an Error.
+void read_all(const std::filesystem::path& file) {
+  try {
+    TakeReader reader(file);
+    for (std::int64_t index = 0; index < std::min<std::int64_t>(reader.frame_count(), 100); ++index) {
+      try {
+        reader.entry(index);
+        reader.frame(index);
+      } catch (const Error&) {
+        continue;
+      }
+    }
+  } catch (const Error&) {
+    return;
+  }
+}
+
+TEST_F(Reader, TruncatedAndFlippedFilesNeverCrash) {
+  constexpr unsigned kSeed = 4711;
+  std::mt19937 random(kSeed);
+  test::record_take(file, 6, test::patch_subject(5, 3, 1));
+  std::ifstream stream(file, std::ios::binary);
+  const std::string sound{std::istreambuf_iterator<char>(stream), std::istreambuf_iterator<char>()};
+  const std::filesystem::path damaged = folder.path() / "damaged.take";
+  int refused = 0;
+  for (int round = 0; round < 300; ++round) {
+    std::string bytes = sound;
+    if (round % 3 == 0) {
+      bytes.resize(random() % bytes.size());
+    } else {
+      for (int flip = 0; flip < 40; ++flip) {
+        bytes[random() % bytes.size()] = static_cast<char>(random());
+      }
+      bytes[random() % 200] = static_cast<char>(random());
+    }
+    std::ofstream(damaged, std::ios::binary) << bytes;
+    read_all(damaged);
+    try {
+      TakeReader{damaged};
+    } catch (const Error&) {
+      ++refused;
+    }
+  }
+  EXPECT_GT(refused, 50) << "seed " << kSeed;
+}
+
+}  // namespace
+}  // namespace facet::take

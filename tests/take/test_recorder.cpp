@@ -1,0 +1,332 @@
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sys/mount.h>
+#include <sys/resource.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <chrono>
+#include <csignal>
+#include <ctime>
+#include <fstream>
+#include <thread>
+
+#include "facet/error.hpp"
+#include "record_take.hpp"
+#include "support/paths.hpp"
+#include "take/reader.hpp"
+#include "take/recorder.hpp"
+
+namespace facet::take {
+namespace {
+
+using namespace std::chrono_literals;
+using testing::HasSubstr;
+using testing::IsEmpty;
+
+class Recorder : public testing::Test {
+ protected:
+  test::TemporaryFolder folder;
+  std::filesystem::path file = folder.path() / "one.take";
+  std::shared_ptr<const mesh::Subject> subject = test::patch_subject();
+};
+
+std::string storage_error(auto&& work) {
+  try {
+    work();
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::Storage);
+    return error.what();
+  }
+  return "";
+}
+
+TEST_F(Recorder, ClosedTakeIsOneFile) {
+  const RecorderStatus status = test::record_take(file, 12, subject);
+  EXPECT_EQ(status.state, RecorderState::Finished);
+  EXPECT_THAT(status.reason, IsEmpty());
+  EXPECT_EQ(status.frames, 12U);
+  EXPECT_EQ(status.mesh_frames, 10U);
+  EXPECT_EQ(status.dropped, 0U);
+  EXPECT_GT(status.bytes, 0U);
+  int files = 0;
+  for ([[maybe_unused]] const auto& entry : std::filesystem::directory_iterator(folder.path())) {
+    ++files;
+  }
+  EXPECT_EQ(files, 1);
+  EXPECT_TRUE(TakeReader(file).info().closed);
+}
+
+TEST_F(Recorder, ExistingFileIsNeverOverwritten) {
+  std::ofstream(file) << "precious";
+  EXPECT_THAT(storage_error([&] { const TakeRecorder recorder(test::recorder_config(file)); }),
+              HasSubstr("exists already"));
+  EXPECT_EQ(std::filesystem::file_size(file), 8U);
+}
+
+TEST_F(Recorder, MissingFolderIsNamed) {
+  const std::filesystem::path nowhere = folder.path() / "no" / "such.take";
+  const std::string error =
+      storage_error([&] { const TakeRecorder recorder(test::recorder_config(nowhere)); });
+  EXPECT_THAT(error, HasSubstr(nowhere.string()));
+  EXPECT_THAT(error, HasSubstr("create its folder"));
+}
+
+TEST_F(Recorder, DiskBelowTheReserveStartsNoTake) {
+  TakeRecorderConfig config = test::recorder_config(file);
+  config.disk_reserve_bytes = 1ULL << 62;
+  EXPECT_THAT(storage_error([&] { const TakeRecorder recorder(config); }), HasSubstr("nearly full"));
+  EXPECT_FALSE(std::filesystem::exists(file)) << "a failed start left a file behind";
+}
+
+TEST_F(Recorder, FullQueueDropsAndCounts) {
+  TakeRecorderConfig config = test::recorder_config(file);
+  config.when_full = WhenFull::Drop;
+  config.queue_frames = 4;
+  TakeRecorder recorder(config);
+  // Not started: nothing empties the queue.
+  for (std::uint64_t index = 0; index < 6; ++index) {
+    EXPECT_EQ(recorder.record(test::take_frame(index, subject)), index < 4);
+  }
+  recorder.start();
+  const RecorderStatus status = recorder.stop();
+  EXPECT_EQ(status.frames, 4U);
+  EXPECT_EQ(status.dropped, 2U);
+  EXPECT_EQ(TakeReader(file).info().dropped, 2U);
+}
+
+TEST_F(Recorder, WaitingCallerLosesNothing) {
+  TakeRecorderConfig config = test::recorder_config(file);
+  config.queue_frames = 2;
+  TakeRecorder recorder(config);
+  recorder.start();
+  for (std::uint64_t index = 0; index < 150; ++index) {
+    ASSERT_TRUE(recorder.record(test::take_frame(index, subject)));
+  }
+  EXPECT_EQ(recorder.stop().frames, 150U);
+}
+
+TEST_F(Recorder, FramesAfterTheStopAreNotTaken) {
+  TakeRecorder recorder(test::recorder_config(file));
+  recorder.start();
+  recorder.request_stop();
+  EXPECT_FALSE(recorder.record(test::take_frame(0, subject)));
+  recorder.stop();
+  EXPECT_EQ(recorder.stop().frames, 0U);
+}
+
+TEST_F(Recorder, NeverStartedRecorderLeavesAnEmptyClosedTake) {
+  { const TakeRecorder recorder(test::recorder_config(file)); }
+  TakeReader reader(file);
+  EXPECT_EQ(reader.frame_count(), 0);
+  EXPECT_TRUE(reader.info().closed);
+}
+
+TEST_F(Recorder, TakeIsReadableWhileItIsRecorded) {
+  TakeRecorder recorder(test::recorder_config(file));
+  recorder.start();
+  std::uint64_t index = 0;
+  while (recorder.status().frames < 5) {
+    recorder.record(test::take_frame(index++, subject));
+    std::this_thread::sleep_for(5ms);
+  }
+  {
+    TakeReader reader(file);
+    EXPECT_FALSE(reader.info().closed);
+    ASSERT_GE(reader.frame_count(), 5);
+    EXPECT_EQ(reader.frame(3)->sequence, 3U);
+    recorder.record(test::take_frame(index++, subject));
+    // The open reader keeps the log from being folded in; the take must not suffer from it.
+    const RecorderStatus status = recorder.stop();
+    EXPECT_EQ(status.state, RecorderState::Finished);
+    EXPECT_EQ(status.frames, index);
+  }
+  TakeReader reader(file);
+  EXPECT_EQ(reader.frame_count(), static_cast<std::int64_t>(index));
+  EXPECT_TRUE(reader.info().closed);
+}
+
+TEST_F(Recorder, NamesAreCheckedAndNeverReused) {
+  EXPECT_EQ(take_path(folder.path(), "take 1"), folder.path() / "take 1.take");
+  for (const std::string& name : {std::string(), std::string("a/b"), std::string(".hidden"),
+                                  std::string("a\nb"), std::string(101, 'x'), std::string("..")}) {
+    try {
+      take_path(folder.path(), name);
+      ADD_FAILURE() << "accepted: " << name;
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::Usage);
+    }
+  }
+  std::ofstream(folder.path() / "one.take") << "x";
+  EXPECT_THAT(storage_error([&] { take_path(folder.path(), "one"); }), HasSubstr("exists already"));
+
+  const auto time = std::chrono::system_clock::from_time_t(0);
+  EXPECT_EQ(default_take_name(folder.path(), time), "1970-01-01T00-00-00Z");
+  std::ofstream(folder.path() / "1970-01-01T00-00-00Z.take") << "x";
+  EXPECT_EQ(default_take_name(folder.path(), time), "1970-01-01T00-00-00Z-2");
+}
+
+std::int64_t monotonic_ns() {
+  timespec now{};
+  ::clock_gettime(CLOCK_MONOTONIC, &now);
+  return now.tv_sec * 1'000'000'000LL + now.tv_nsec;
+}
+
+/// Runs `work` in a child process and gives its wait status.
+class Child {
+ public:
+  explicit Child(auto&& work) : pid_(::fork()) {
+    if (pid_ == 0) {
+      work();
+      ::_exit(0);
+    }
+  }
+  void kill() const { ::kill(pid_, SIGKILL); }
+  int wait() const {
+    int status = 0;
+    ::waitpid(pid_, &status, 0);
+    return status;
+  }
+
+ private:
+  pid_t pid_;
+};
+
+TEST_F(Recorder, KilledProcessLosesOneSecondAtMost) {
+  int ends[2] = {};
+  ASSERT_EQ(::pipe(ends), 0);
+  const Child child([&] {
+    TakeRecorder recorder(test::recorder_config(file));
+    recorder.start();
+    for (std::uint64_t index = 0;; ++index) {
+      auto frame = std::make_shared<mesh::MeshFrame>(*test::take_frame(index, subject));
+      frame->timestamp_ns = monotonic_ns();
+      recorder.record(frame);
+      if (::write(ends[1], &frame->timestamp_ns, sizeof(frame->timestamp_ns)) < 0) {
+        ::_exit(1);
+      }
+      std::this_thread::sleep_for(5ms);
+    }
+  });
+  ::close(ends[1]);
+  std::int64_t first_ns = 0;
+  std::int64_t recorded_ns = 0;
+  do {
+    ASSERT_EQ(::read(ends[0], &recorded_ns, sizeof(recorded_ns)), static_cast<ssize_t>(sizeof(recorded_ns)));
+    first_ns = first_ns == 0 ? recorded_ns : first_ns;
+  } while (recorded_ns - first_ns < 2'200'000'000);
+  child.kill();
+  child.wait();
+  ::close(ends[0]);
+
+  TakeReader reader(file);
+  EXPECT_FALSE(reader.info().closed);
+  ASSERT_GT(reader.frame_count(), 0);
+  EXPECT_LE(recorded_ns - reader.info().last_timestamp_ns, 1'000'000'000);
+  for (std::int64_t index = 0; index < reader.frame_count(); ++index) {
+    EXPECT_EQ(reader.frame(index)->sequence, static_cast<std::uint64_t>(index));
+  }
+}
+
+/// Records until the recorder fails. The exit status tells what went wrong.
+void record_until_failure(const TakeRecorderConfig& config,
+                          const std::shared_ptr<const mesh::Subject>& subject) {
+  try {
+    TakeRecorder recorder(config);
+    recorder.start();
+    for (std::uint64_t index = 0; recorder.status().state == RecorderState::Recording; ++index) {
+      if (index > 200'000) {
+        ::_exit(2);
+      }
+      recorder.record(test::take_frame(index, subject));
+      // The disk must last for more than one commit.
+      std::this_thread::sleep_for(5ms);
+    }
+    const RecorderStatus status = recorder.stop();
+    ::_exit(status.state == RecorderState::Failed && !status.reason.empty() && status.dropped > 0 ? 0 : 3);
+  } catch (const std::exception&) {
+    ::_exit(4);
+  }
+}
+
+void expect_readable(const std::filesystem::path& file) {
+  TakeReader reader(file);
+  ASSERT_GT(reader.frame_count(), 0);
+  for (std::int64_t index = 0; index < reader.frame_count(); ++index) {
+    ASSERT_EQ(reader.frame(index)->sequence, static_cast<std::uint64_t>(index));
+  }
+}
+
+TEST_F(Recorder, FileSizeLimitStopsTheRecordingAndKeepsTheTake) {
+  // A file size limit makes writes fail as a full disk does, without a disk of its own.
+  const Child child([&] {
+    ::signal(SIGXFSZ, SIG_IGN);
+    const rlimit limit{4U << 20, 4U << 20};
+    ::setrlimit(RLIMIT_FSIZE, &limit);
+    record_until_failure(test::recorder_config(file), subject);
+  });
+  const int status = child.wait();
+  ASSERT_TRUE(WIFEXITED(status));
+  EXPECT_EQ(WEXITSTATUS(status), 0);
+  expect_readable(file);
+}
+
+/// A file system of a few MiB; only root can have one.
+class SmallDisk {
+ public:
+  explicit SmallDisk(const std::filesystem::path& where) : where_(where) {
+    std::filesystem::create_directories(where);
+    mounted_ = ::mount("tmpfs", where.c_str(), "tmpfs", 0, "size=4m") == 0;
+  }
+  ~SmallDisk() {
+    if (mounted_) {
+      ::umount(where_.c_str());
+    }
+  }
+  SmallDisk(const SmallDisk&) = delete;
+  SmallDisk& operator=(const SmallDisk&) = delete;
+  bool mounted() const { return mounted_; }
+
+ private:
+  std::filesystem::path where_;
+  bool mounted_ = false;
+};
+
+TEST_F(Recorder, FullDiskStopsTheRecordingAndKeepsTheTake) {
+  const SmallDisk disk(folder.path() / "disk");
+  if (!disk.mounted()) {
+    GTEST_SKIP() << "mounting a small tmpfs needs root";
+  }
+  const std::filesystem::path take = folder.path() / "disk" / "full.take";
+  const Child child([&] { record_until_failure(test::recorder_config(take), subject); });
+  const int status = child.wait();
+  ASSERT_TRUE(WIFEXITED(status));
+  EXPECT_EQ(WEXITSTATUS(status), 0);
+  expect_readable(take);
+}
+
+TEST_F(Recorder, ReserveStopsTheRecordingInTimeToCloseIt) {
+  const SmallDisk disk(folder.path() / "disk");
+  if (!disk.mounted()) {
+    GTEST_SKIP() << "mounting a small tmpfs needs root";
+  }
+  TakeRecorderConfig config = test::recorder_config(folder.path() / "disk" / "reserve.take");
+  config.disk_reserve_bytes = 3U << 20;
+  const auto small = test::patch_subject(5, 3, 1);
+  TakeRecorder recorder(config);
+  recorder.start();
+  for (std::uint64_t index = 0; recorder.status().state == RecorderState::Recording; ++index) {
+    recorder.record(test::take_frame(index, small));
+    std::this_thread::sleep_for(1ms);
+  }
+  const RecorderStatus status = recorder.stop();
+  EXPECT_EQ(status.state, RecorderState::Failed);
+  EXPECT_THAT(status.reason, HasSubstr("reserve"));
+  TakeReader reader(config.file);
+  EXPECT_TRUE(reader.info().closed);
+  EXPECT_THAT(reader.info().end_reason, HasSubstr("reserve"));
+  EXPECT_EQ(reader.frame_count(), static_cast<std::int64_t>(status.frames));
+}
+
+}  // namespace
+}  // namespace facet::take
