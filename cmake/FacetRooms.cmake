@@ -44,13 +44,14 @@ function(facet_room name)
 endfunction()
 
 # facet_test(<room> SOURCES <files> [ROOMS <rooms>] [LIBS <external>]): one gtest program test_<room>, each case a ctest.
+# ctest runs each with the Vulkan validation layers on, where they are installed.
 function(facet_test name)
   cmake_parse_arguments(ARG "" "" "SOURCES;ROOMS;LIBS" ${ARGN})
   list(TRANSFORM ARG_ROOMS PREPEND "facet_")
   add_executable(test_${name} ${ARG_SOURCES})
   target_link_libraries(test_${name} PRIVATE facet_options facet_test_support ${ARG_ROOMS} ${ARG_LIBS} GTest::gtest GTest::gmock GTest::gtest_main)
-  gtest_discover_tests(test_${name} TEST_PREFIX "${name}." DISCOVERY_MODE PRE_TEST PROPERTIES TIMEOUT 300
-                       WORKING_DIRECTORY "${CMAKE_SOURCE_DIR}")
+  gtest_discover_tests(test_${name} TEST_PREFIX "${name}." DISCOVERY_MODE PRE_TEST WORKING_DIRECTORY "${CMAKE_SOURCE_DIR}"
+                       PROPERTIES TIMEOUT 300 ENVIRONMENT FACET_VULKAN_VALIDATION=1)
 endfunction()
 
 add_custom_target(fuzzers)

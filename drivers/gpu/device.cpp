@@ -281,6 +281,7 @@ Instance::Instance(const ContextOptions& options) {
     throw Error(ErrorKind::NoDevice,
                 fmt::format("no Vulkan device ({}): {}", result_name(result), install_driver));
   }
+  keep_drivers_open();
   try {
     api_ = load_instance(global_, instance_, validation_active_);
     if (validation_active_) {

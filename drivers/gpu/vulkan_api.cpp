@@ -2,6 +2,11 @@
 
 #include <dlfcn.h>
 #include <fmt/format.h>
+#include <link.h>
+
+#include <cstddef>
+#include <string_view>
+#include <vector>
 
 #include "facet/error.hpp"
 
@@ -20,7 +25,24 @@ void require(Function function, const char* name) {
   }
 }
 
+int collect_library(dl_phdr_info* info, std::size_t /*size*/, void* names) {
+  const std::string_view name = info->dlpi_name == nullptr ? "" : info->dlpi_name;
+  if (name.find("libvulkan_") != std::string_view::npos ||
+      name.find("libVkLayer_") != std::string_view::npos) {
+    static_cast<std::vector<std::string>*>(names)->emplace_back(name);
+  }
+  return 0;
+}
+
 }  // namespace
+
+void keep_drivers_open() {
+  std::vector<std::string> names;
+  dl_iterate_phdr(&collect_library, &names);
+  for (const std::string& name : names) {
+    dlopen(name.c_str(), RTLD_NOW | RTLD_NOLOAD | RTLD_NODELETE);
+  }
+}
 
 GlobalApi load_global(const std::string& library) {
   void* handle = dlopen(library.c_str(), RTLD_NOW | RTLD_LOCAL | RTLD_NODELETE);

@@ -115,6 +115,11 @@ GlobalApi load_global(const std::string& library);
 InstanceApi load_instance(const GlobalApi& global, VkInstance instance, bool with_debug);
 DeviceApi load_device(const InstanceApi& instance, VkDevice device);
 
+/// Keeps the driver and layer libraries that the loader has opened, which would else be closed with the
+/// instance and opened again with the next. Drivers leave thread-local destructors behind, and memory
+/// checkers need the code to name what it left.
+void keep_drivers_open();
+
 /// "VK_ERROR_DEVICE_LOST" and so on.
 const char* result_name(VkResult result);
 
