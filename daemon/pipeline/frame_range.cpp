@@ -10,6 +10,9 @@
 namespace facet::pipeline {
 
 FrameRange parse_frame_range(const std::string& text) {
+  if (text.empty()) {
+    return {};
+  }
   const auto fail = [&] {
     throw Error(
         ErrorKind::Usage,

@@ -1,0 +1,59 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "pipeline/monocular_config.hpp"
+#include "service/log.hpp"
+#include "stream/server.hpp"
+
+namespace facet::service {
+
+struct ControlConfig {
+  std::filesystem::path socket = "/run/facet/control.sock";
+  stream::SocketAccess access;
+};
+
+struct TakesConfig {
+  std::filesystem::path folder = "/var/lib/facet/takes";
+  std::uint64_t disk_reserve_bytes = 256ULL << 20;
+  int compression_level = 1;    ///< of zstd
+  std::string record_at_start;  ///< name of a take that begins with the first frame; empty: none
+};
+
+/// All that a configuration file says; defaults are those of config/facet.toml. Running state is elsewhere
+/// (Service).
+struct Config {
+  pipeline::MonocularConfig pipeline;  ///< source.path empty: not given
+  bool exit_at_end = false;
+  bool wait_for_reader = false;
+  stream::StreamServerConfig stream;
+  ControlConfig control;
+  TakesConfig takes;
+  LogLevel log_level = LogLevel::Info;
+};
+
+/// The configuration of an empty file.
+Config default_config();
+
+/// Reads a TOML configuration file. Relative paths in it are relative to its folder. Throws
+/// Error(UnreadableInput) where the file can't be read and Error(Usage) for what is wrong in it, naming file,
+/// line, key and allowed values; an unknown key is an error that suggests the nearest known one.
+Config load_config(const std::filesystem::path& file);
+
+/// The same for text; `file` is for messages and for relative paths.
+Config parse_config(std::string_view text, const std::filesystem::path& file);
+
+/// Throws Error(Usage) where the configuration lacks what a daemon needs: a source.
+void require_source(const Config& config, const std::filesystem::path& file);
+
+/// Every key that a configuration file may have, as "section.key".
+std::vector<std::string> config_keys();
+
+/// A configuration file larger than this is refused, bytes.
+inline constexpr std::size_t kMaxConfigBytes = 1U << 20;
+
+}  // namespace facet::service

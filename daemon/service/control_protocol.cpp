@@ -1,0 +1,153 @@
+#include "service/control_protocol.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <exception>
+#include <nlohmann/json.hpp>
+
+#include "facet/error.hpp"
+
+namespace facet::service {
+namespace {
+
+using nlohmann::json;
+
+/// What a request got instead of a result.
+struct Refusal {
+  int code;
+  std::string message;
+};
+
+std::string to_text(const json& message) {
+  // Paths need not be UTF-8; JSON must be.
+  return message.dump(-1, ' ', false, json::error_handler_t::replace);
+}
+
+json refusal_json(const Refusal& refusal, const json& id) {
+  return {{"jsonrpc", "2.0"}, {"error", {{"code", refusal.code}, {"message", refusal.message}}}, {"id", id}};
+}
+
+std::vector<std::string> names_of(const ControlMethods& methods) {
+  std::vector<std::string> names;
+  for (const auto& [name, method] : methods) {
+    names.push_back(name);
+  }
+  return names;
+}
+
+const ControlMethod& find_method(const ControlMethods& methods, const json& request, const Caller& caller) {
+  const auto& name = request.at("method").get_ref<const std::string&>();
+  const auto found = methods.find(name);
+  if (found == methods.end()) {
+    throw Refusal{kMethodNotFound,
+                  fmt::format("no such method; there are: {}", fmt::join(names_of(methods), ", "))};
+  }
+  if (found->second.changes_something && !caller.may_command) {
+    throw Refusal{kPermissionDenied,
+                  fmt::format("user {} may not call {}: only root, the daemon's user and members of the "
+                              "control socket's group may",
+                              caller.uid, name)};
+  }
+  return found->second;
+}
+
+json params_of(const json& request, const ControlMethod& method) {
+  const auto given = request.find("params");
+  json params = given != request.end() ? *given : json::object();
+  if (!params.is_object()) {
+    throw Refusal{kInvalidParams, "params must be an object"};
+  }
+  for (const auto& item : params.items()) {
+    if (std::find(method.params.begin(), method.params.end(), item.key()) == method.params.end()) {
+      throw Refusal{kInvalidParams, method.params.empty() ? std::string("this method takes no params")
+                                                          : fmt::format("unknown param; there are: {}",
+                                                                        fmt::join(method.params, ", "))};
+    }
+  }
+  return params;
+}
+
+json call(const ControlMethods& methods, const json& request, const Caller& caller) {
+  const ControlMethod& method = find_method(methods, request, caller);
+  const json params = params_of(request, method);
+  try {
+    return method.call(params);
+  } catch (const Error& error) {
+    throw Refusal{kServerErrorBase - static_cast<int>(error.kind()), error.what()};
+  } catch (const json::exception& error) {
+    throw Refusal{kInvalidParams, fmt::format("params are not of the right type: {}", error.what())};
+  } catch (const std::exception& error) {
+    throw Refusal{kServerErrorBase - static_cast<int>(ErrorKind::Internal), error.what()};
+  }
+}
+
+/// Throws Refusal where a message is no request of JSON-RPC 2.0.
+void check_request(const json& request) {
+  if (!request.is_object()) {
+    throw Refusal{kInvalidRequest, "a request must be an object"};
+  }
+  for (const auto& item : request.items()) {
+    if (item.key() != "jsonrpc" && item.key() != "method" && item.key() != "params" && item.key() != "id") {
+      throw Refusal{kInvalidRequest, "a request has jsonrpc, method, params and id, nothing else"};
+    }
+  }
+  const auto version = request.find("jsonrpc");
+  if (version == request.end() || *version != "2.0") {
+    throw Refusal{kInvalidRequest, "jsonrpc must be \"2.0\""};
+  }
+  const auto method = request.find("method");
+  if (method == request.end() || !method->is_string()) {
+    throw Refusal{kInvalidRequest, "method must be a string"};
+  }
+  const auto id = request.find("id");
+  if (id != request.end() && !id->is_string() && !id->is_number() && !id->is_null()) {
+    throw Refusal{kInvalidRequest, "id must be a string, a number or null"};
+  }
+}
+
+/// The response to one request of a batch or a line; a discarded value for a notification.
+json answer_one(const ControlMethods& methods, const json& request, const Caller& caller) {
+  json id = nullptr;
+  bool notification = false;
+  try {
+    check_request(request);
+    notification = !request.contains("id");
+    id = notification ? json(nullptr) : request.at("id");
+    json result = call(methods, request, caller);
+    return notification ? json(json::value_t::discarded)
+                        : json{{"jsonrpc", "2.0"}, {"result", std::move(result)}, {"id", id}};
+  } catch (const Refusal& refusal) {
+    return notification ? json(json::value_t::discarded) : refusal_json(refusal, id);
+  }
+}
+
+}  // namespace
+
+std::string error_response(int code, const std::string& message) {
+  return to_text(refusal_json({code, message}, nullptr));
+}
+
+std::string answer_request(const ControlMethods& methods, std::string_view line, const Caller& caller) {
+  const json message = json::parse(line, nullptr, false);
+  if (message.is_discarded()) {
+    return error_response(kParseError, "not valid JSON; a request is one line");
+  }
+  if (!message.is_array()) {
+    const json response = answer_one(methods, message, caller);
+    return response.is_discarded() ? std::string() : to_text(response);
+  }
+  if (message.empty() || message.size() > kMaxBatch) {
+    return error_response(kInvalidRequest, fmt::format("a batch has 1 to {} requests", kMaxBatch));
+  }
+  json responses = json::array();
+  for (const json& request : message) {
+    json response = answer_one(methods, request, caller);
+    if (!response.is_discarded()) {
+      responses.push_back(std::move(response));
+    }
+  }
+  return responses.empty() ? std::string() : to_text(responses);
+}
+
+}  // namespace facet::service

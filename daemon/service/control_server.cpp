@@ -1,0 +1,202 @@
+#include "service/control_server.hpp"
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <sys/epoll.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <cstring>
+#include <utility>
+#include <vector>
+
+#include "facet/error.hpp"
+
+namespace facet::service {
+namespace {
+
+constexpr std::uint64_t kListenTag = 0;  // epoll data; clients' ids follow
+
+stream::FileDescriptor open_spare() {
+  return stream::FileDescriptor(::open("/dev/null", O_RDONLY | O_CLOEXEC));
+}
+
+bool is_member(int fd, gid_t primary, gid_t wanted) {
+  std::vector<gid_t> groups(64);
+  socklen_t size = static_cast<socklen_t>(groups.size() * sizeof(gid_t));
+  if (::getsockopt(fd, SOL_SOCKET, SO_PEERGROUPS, groups.data(), &size) != 0) {
+    // ERANGE: `size` now says how much it takes.
+    groups.resize(size / sizeof(gid_t));
+    if (errno != ERANGE || ::getsockopt(fd, SOL_SOCKET, SO_PEERGROUPS, groups.data(), &size) != 0) {
+      return primary == wanted;
+    }
+  }
+  groups.resize(size / sizeof(gid_t));
+  return primary == wanted || std::find(groups.begin(), groups.end(), wanted) != groups.end();
+}
+
+/// Root, the daemon's own user and members of the socket's group may command.
+Caller caller_at(int fd, const std::filesystem::path& socket) {
+  ucred peer{};
+  socklen_t size = sizeof(peer);
+  struct stat status {};
+  if (::getsockopt(fd, SOL_SOCKET, SO_PEERCRED, &peer, &size) != 0 || ::stat(socket.c_str(), &status) != 0) {
+    return {};
+  }
+  const bool may_command = peer.uid == 0 || peer.uid == ::geteuid() || is_member(fd, peer.gid, status.st_gid);
+  return {peer.pid, peer.uid, may_command};
+}
+
+}  // namespace
+
+ControlServer::ControlServer(const ControlConfig& config, ControlMethods methods)
+    : methods_(std::move(methods)),
+      listening_(config.socket, config.access),
+      epoll_(::epoll_create1(EPOLL_CLOEXEC)),
+      spare_(open_spare()) {
+  epoll_event event{};
+  event.events = EPOLLIN;
+  event.data.u64 = kListenTag;
+  if (!epoll_ || ::epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, listening_.fd(), &event) != 0) {
+    throw Error(ErrorKind::Internal, fmt::format("control socket: epoll: {}", std::strerror(errno)));
+  }
+}
+
+ControlServer::~ControlServer() = default;
+
+void ControlServer::serve() {
+  std::array<epoll_event, 64> events{};
+  const int count = ::epoll_wait(epoll_.get(), events.data(), static_cast<int>(events.size()), 0);
+  for (int e = 0; e < count; ++e) {
+    const epoll_event& event = events.at(static_cast<std::size_t>(e));
+    if (event.data.u64 == kListenTag) {
+      accept_clients();
+      continue;
+    }
+    const auto client = std::find_if(clients_.begin(), clients_.end(),
+                                     [&](const Client& entry) { return entry.id == event.data.u64; });
+    if (client == clients_.end()) {
+      continue;
+    }
+    if ((event.events & (EPOLLIN | EPOLLHUP | EPOLLERR)) != 0) {
+      receive(*client);
+    }
+    if (!client->gone) {
+      send_some(*client);
+    }
+  }
+  const auto now = std::chrono::steady_clock::now();
+  std::erase_if(clients_, [&](const Client& client) {
+    return client.gone || (!client.unsent.empty() && now - client.waits_since > kPatience);
+  });
+}
+
+void ControlServer::accept_clients() {
+  for (;;) {
+    stream::FileDescriptor connection(
+        ::accept4(listening_.fd(), nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK));
+    if (!connection) {
+      if (errno == EMFILE || errno == ENFILE) {
+        // Left in the backlog the connection would wake the loop without end.
+        spare_.reset();
+        stream::FileDescriptor refused(::accept4(listening_.fd(), nullptr, nullptr, SOCK_CLOEXEC));
+        refused.reset();
+        spare_ = open_spare();
+      }
+      return;
+    }
+    Client& client = clients_.emplace_back();
+    client.fd = std::move(connection);
+    client.id = next_id_++;
+    client.caller = caller_at(client.fd.get(), listening_.path());
+    watch(client, EPOLL_CTL_ADD);
+    if (clients_.size() > kMaxClients) {
+      say(client, error_response(kServerErrorBase - static_cast<int>(ErrorKind::Unavailable),
+                                 "too many control clients; try again"));
+      client.last_words = true;
+      send_some(client);
+      client.gone = true;
+    }
+  }
+}
+
+void ControlServer::watch(const Client& client, int operation) {
+  epoll_event event{};
+  // While a client has answers to take, it may not ask more.
+  event.events = client.unsent.empty() ? EPOLLIN : EPOLLOUT;
+  event.data.u64 = client.id;
+  // Can fail for want of kernel memory only; the client then hears nothing and goes away by itself.
+  ::epoll_ctl(epoll_.get(), operation, client.fd.get(), &event);
+}
+
+void ControlServer::receive(Client& client) {
+  std::array<char, 16384> piece{};
+  const ssize_t count = ::recv(client.fd.get(), piece.data(), piece.size(), 0);
+  if (count == 0 || (count < 0 && errno != EAGAIN && errno != EINTR)) {
+    client.gone = true;
+    return;
+  }
+  if (count > 0) {
+    client.unanswered.append(piece.data(), static_cast<std::size_t>(count));
+    answer(client);
+  }
+}
+
+void ControlServer::answer(Client& client) {
+  std::size_t start = 0;
+  for (std::size_t end = client.unanswered.find('\n'); end != std::string::npos && !client.last_words;
+       end = client.unanswered.find('\n', start)) {
+    const std::string_view line = std::string_view(client.unanswered).substr(start, end - start);
+    start = end + 1;
+    if (line.empty() || line == "\r") {
+      continue;
+    }
+    say(client, answer_request(methods_, line, client.caller));
+    client.last_words = client.unsent.size() > kMaxUnreadBytes;
+  }
+  client.unanswered.erase(0, start);
+  if (client.unanswered.size() > kMaxRequestBytes) {
+    say(client, error_response(kInvalidRequest,
+                               fmt::format("a request line has {} bytes at most", kMaxRequestBytes)));
+    client.last_words = true;
+  }
+}
+
+void ControlServer::say(Client& client, const std::string& response) {
+  if (response.empty()) {
+    return;
+  }
+  if (client.unsent.empty()) {
+    client.waits_since = std::chrono::steady_clock::now();
+  }
+  client.unsent += response + '\n';
+}
+
+void ControlServer::send_some(Client& client) {
+  const bool had_unsent = !client.unsent.empty();
+  while (!client.unsent.empty()) {
+    const ssize_t count =
+        ::send(client.fd.get(), client.unsent.data(), client.unsent.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+    if (count < 0 && errno == EINTR) {
+      continue;
+    }
+    if (count < 0) {
+      client.gone = errno != EAGAIN && errno != EWOULDBLOCK;
+      break;
+    }
+    client.unsent.erase(0, static_cast<std::size_t>(count));
+    client.waits_since = std::chrono::steady_clock::now();
+  }
+  if (client.last_words && client.unsent.empty()) {
+    client.gone = true;
+  }
+  if (had_unsent && !client.gone) {
+    watch(client, EPOLL_CTL_MOD);
+  }
+}
+
+}  // namespace facet::service

@@ -1,0 +1,65 @@
+// `facetd`: the daemon.
+
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <cstdio>
+#include <exception>
+#include <string>
+
+#include "facet/error.hpp"
+#include "service/config.hpp"
+#include "service/log.hpp"
+#include "service/service.hpp"
+
+namespace {
+
+int run(const std::string& file, bool check_only) {
+  const facet::service::Config config = facet::service::load_config(file);
+  facet::service::require_source(config, file);
+  if (check_only) {
+    fmt::print("{}: good\n", file);
+    return 0;
+  }
+  facet::service::Log log(config.log_level);
+  return facet::service::Service(config, log).run();
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+#if defined(__AVX2__) && defined(__FMA__)
+  if (!__builtin_cpu_supports("avx2") || !__builtin_cpu_supports("fma")) {
+    std::fputs("facetd: this build needs a processor with AVX2 and FMA; rebuild with -DFACET_MARCH=x86-64\n",
+               stderr);
+    return static_cast<int>(facet::ErrorKind::Internal);
+  }
+#endif
+  CLI::App app{
+      "facetd: turns one video source into a stream of refined face meshes, and records takes of it."};
+  app.name("facetd");
+  app.set_version_flag("--version", FACET_VERSION);
+  app.footer(
+      "Exit status: 0 stopped on request or at the source's end, 1 internal fault, 2 usage or "
+      "configuration,\n"
+      "3 unreadable source, model or configuration, 5 no usable Vulkan device, 6 cannot write or socket path "
+      "taken.");
+  std::string file;
+  bool check_only = false;
+  app.add_option("--config", file, "The configuration file (TOML); config/facet.toml is a documented sample")
+      ->required();
+  app.add_flag("--check-config", check_only, "Only check the configuration file");
+  facet::service::Log log;
+  try {
+    app.parse(argc, argv);
+    return run(file, check_only);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? 0 : static_cast<int>(facet::ErrorKind::Usage);
+  } catch (const facet::Error& error) {
+    log.error(error.what());
+    return static_cast<int>(error.kind());
+  } catch (const std::exception& error) {
+    log.error(fmt::format("internal fault: {}", error.what()));
+    return static_cast<int>(facet::ErrorKind::Internal);
+  }
+}

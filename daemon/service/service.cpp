@@ -1,0 +1,370 @@
+#include "service/service.hpp"
+
+#include <fmt/format.h>
+#include <poll.h>
+#include <sys/signalfd.h>
+#include <unistd.h>
+
+#include <array>
+#include <cerrno>
+#include <chrono>
+#include <csignal>
+#include <cstring>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <utility>
+
+#include "facet/error.hpp"
+#include "pipeline/monocular.hpp"
+#include "pipeline/stream_sink.hpp"
+#include "pipeline/take_sink.hpp"
+#include "service/control_server.hpp"
+#include "service/stage_opener.hpp"
+#include "service/status_report.hpp"
+#include "stream/server.hpp"
+
+namespace facet::service {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+using nlohmann::json;
+
+/// How long the loop sleeps at most: it then looks at the pipeline, the recorder and the stream.
+constexpr std::chrono::milliseconds kLoopPeriod{100};
+/// The same while a reader is being waited for: until then nothing moves.
+constexpr std::chrono::milliseconds kImpatientPeriod{10};
+/// How long a stop waits for threads that a driver holds; with the stream's farewells it stays below a
+/// second.
+constexpr std::chrono::milliseconds kStopPatience{600};
+
+sigset_t stop_signals() {
+  sigset_t set;
+  sigemptyset(&set);
+  for (const int signal : {SIGTERM, SIGINT, SIGHUP}) {
+    sigaddset(&set, signal);
+  }
+  return set;
+}
+
+stream::FileDescriptor open_signals() {
+  const sigset_t set = stop_signals();
+  // A reader that goes away is an error of its write, not of the process.
+  std::signal(SIGPIPE, SIG_IGN);
+  ::pthread_sigmask(SIG_BLOCK, &set, nullptr);
+  stream::FileDescriptor fd(::signalfd(-1, &set, SFD_CLOEXEC | SFD_NONBLOCK));
+  if (!fd) {
+    throw Error(ErrorKind::Internal, fmt::format("cannot watch signals: {}", std::strerror(errno)));
+  }
+  return fd;
+}
+
+void check_takes_folder(const std::filesystem::path& folder) {
+  std::error_code ignored;
+  if (!std::filesystem::is_directory(folder, ignored)) {
+    throw Error(ErrorKind::Storage,
+                fmt::format("takes.folder '{}' is not there: create it", folder.string()));
+  }
+  if (::access(folder.c_str(), W_OK | X_OK) != 0) {
+    throw Error(ErrorKind::Storage,
+                fmt::format("takes.folder '{}' can't be written: {}", folder.string(), std::strerror(errno)));
+  }
+}
+
+stream::StreamServerConfig named(stream::StreamServerConfig config) {
+  config.server_name = software_name();
+  return config;
+}
+
+}  // namespace
+
+const char* software_name() {
+  return "facetd " FACET_VERSION;
+}
+
+struct Service::Impl {
+  Impl(const Config& given, Log& given_log);
+
+  Config config;
+  Log& log;
+  Clock::time_point started = Clock::now();
+  stream::FileDescriptor signals;
+  std::optional<stream::StreamServer> stream;
+  std::optional<ControlServer> control;
+  pipeline::StreamSink stream_sink;
+  pipeline::TakeSink takes;
+  std::optional<StageOpener> opener;
+  std::optional<pipeline::MonocularPipeline> pipeline;
+  CameraInfo source;
+  bool running = false;            ///< the pipeline was started
+  bool stopping = false;           ///< somebody asked for the end
+  bool end_seen = false;           ///< the pipeline's end was logged
+  std::optional<int> exit_status;  ///< set: leave the loop
+
+  ControlMethods methods();
+  json status();
+  json record_start(const json& params);
+  json record_stop();
+
+  void wait_for_events();
+  void read_signals();
+  void begin_pipeline();
+  void start_when_awaited();
+  void begin_take(const std::string& name);
+  void log_take(const take::RecorderStatus& take) const;
+  void look_after();
+  void look_after_take();
+  void look_after_pipeline();
+  void finish();
+};
+
+Service::Impl::Impl(const Config& given, Log& given_log)
+    : config(given),
+      log(given_log),
+      signals(open_signals()),
+      stream(named(given.stream)),
+      stream_sink(*stream) {
+  check_takes_folder(config.takes.folder);
+  control.emplace(config.control, methods());
+}
+
+ControlMethods Service::Impl::methods() {
+  return {
+      {"status", {false, {}, [this](const json&) { return status(); }}},
+      {"record.start", {true, {"name"}, [this](const json& params) { return record_start(params); }}},
+      {"record.stop", {true, {}, [this](const json&) { return record_stop(); }}},
+      {"takes.list", {false, {}, [this](const json&) { return list_takes(config.takes.folder); }}},
+      {"identity.reset",
+       {true,
+        {},
+        [this](const json&) {
+          if (!pipeline) {
+            throw Error(ErrorKind::Unavailable, "facetd is still starting; try again");
+          }
+          pipeline->reset_identity();
+          log.info("identity is estimated anew, as asked over the control socket");
+          return json::object();
+        }}},
+      {"shutdown",
+       {true,
+        {},
+        [this](const json&) {
+          log.info("shutdown asked over the control socket");
+          stopping = true;
+          return json::object();
+        }}},
+  };
+}
+
+json Service::Impl::status() {
+  const pipeline::PipelineStatus now = pipeline ? pipeline->status() : pipeline::PipelineStatus();
+  json answer = to_json(now);
+  answer["version"] = FACET_VERSION;
+  answer["pid"] = ::getpid();
+  answer["uptime_s"] = std::chrono::duration<double>(Clock::now() - started).count();
+  answer["resident_bytes"] = resident_bytes();
+  answer["state"] = !pipeline  ? "starting"
+                    : !running ? "waiting for a reader"
+                               : pipeline::to_string(now.state);
+  answer["stream"] = to_json(stream->statistics());
+  answer["stream"]["socket"] = config.stream.socket.string();
+  const auto take = takes.status();
+  answer["recording"] = take ? to_json(*take) : json(nullptr);
+  return answer;
+}
+
+json Service::Impl::record_start(const json& params) {
+  if (!pipeline) {
+    throw Error(ErrorKind::Unavailable, "facetd is still starting; try again");
+  }
+  const std::string name =
+      params.contains("name")
+          ? params.at("name").get<std::string>()
+          : take::default_take_name(config.takes.folder, std::chrono::system_clock::now());
+  begin_take(name);
+  return {{"file", takes.status()->file.string()}};
+}
+
+json Service::Impl::record_stop() {
+  const auto take = takes.end();
+  if (!take) {
+    throw Error(ErrorKind::Usage, "nothing is being recorded");
+  }
+  log_take(*take);
+  return to_json(*take);
+}
+
+void Service::Impl::begin_take(const std::string& name) {
+  take::TakeRecorderConfig recorder;
+  recorder.file = take::take_path(config.takes.folder, name);
+  recorder.source = source.name;
+  recorder.software = software_name();
+  recorder.when_full = source.live ? take::WhenFull::Drop : take::WhenFull::Wait;
+  recorder.disk_reserve_bytes = config.takes.disk_reserve_bytes;
+  recorder.compression_level = config.takes.compression_level;
+  takes.begin(recorder);
+  log.info(fmt::format("recording {}", recorder.file.string()));
+}
+
+void Service::Impl::log_take(const take::RecorderStatus& take) const {
+  const std::string text = fmt::format("take {}: {} frames, {} not recorded, {:.1f} MB", take.file.string(),
+                                       take.frames, take.dropped, static_cast<double>(take.bytes) / 1e6);
+  if (take.state == take::RecorderState::Failed) {
+    log.error(fmt::format("{}; recording ended by itself: {}", text, take.reason));
+  } else {
+    log.info(text);
+  }
+}
+
+void Service::Impl::wait_for_events() {
+  std::array<pollfd, 3> fds{
+      {{signals.get(), POLLIN, 0}, {control->fd(), POLLIN, 0}, {opener ? opener->fd() : -1, POLLIN, 0}}};
+  const auto period = pipeline && !running ? kImpatientPeriod : kLoopPeriod;
+  if (::poll(fds.data(), fds.size(), static_cast<int>(period.count())) < 0 && errno != EINTR) {
+    throw Error(ErrorKind::Internal, fmt::format("poll: {}", std::strerror(errno)));
+  }
+  read_signals();
+  control->serve();
+}
+
+void Service::Impl::read_signals() {
+  signalfd_siginfo info{};
+  while (::read(signals.get(), &info, sizeof(info)) == sizeof(info)) {
+    log.info(fmt::format("stopping on signal {}", info.ssi_signo));
+    stopping = true;
+  }
+}
+
+void Service::Impl::begin_pipeline() {
+  pipeline::Stages stages = opener->take();
+  opener.reset();
+  source = stages.camera->info();
+  if (!config.pipeline.tracker.intrinsics && source.intrinsics) {
+    log.debug("the source knows its intrinsics; the configuration does not use them");
+  }
+  log.info(fmt::format("source {}: {} x {} px, {:.2f} Hz{}", source.name, source.width_px, source.height_px,
+                       source.rate_hz, source.live ? ", live" : ""));
+  if (stages.refiner != nullptr) {
+    log.info(fmt::format("refining on {}", stages.refiner->device()));
+  } else {
+    log.warning("refinement off (gpu.device = \"none\"): meshes are coarse and marked as degraded");
+  }
+  pipeline.emplace(
+      std::move(stages),
+      pipeline::MonocularPipeline::Options{config.pipeline.hierarchy, config.pipeline.frames, {}},
+      std::vector<pipeline::MeshSink*>{&stream_sink, &takes});
+  if (!config.takes.record_at_start.empty()) {
+    begin_take(config.takes.record_at_start);
+  }
+  if (config.wait_for_reader) {
+    log.info("waiting for a reader of the stream");
+  }
+}
+
+void Service::Impl::start_when_awaited() {
+  if (config.wait_for_reader) {
+    const auto readers = stream->statistics().readers;
+    if (std::none_of(readers.begin(), readers.end(), [](const auto& reader) { return reader.subscribed; })) {
+      return;
+    }
+  }
+  pipeline->start();
+  running = true;
+  log.info("running");
+}
+
+void Service::Impl::look_after_take() {
+  const auto take = takes.status();
+  if (take && take->state == take::RecorderState::Failed) {
+    log_take(*takes.end());
+  }
+}
+
+void Service::Impl::look_after_pipeline() {
+  for (const pipeline::Messages::Message& message : pipeline->take_messages()) {
+    if (message.warning) {
+      log.warning(message.text);
+    } else {
+      log.info(message.text);
+    }
+  }
+  const pipeline::PipelineStatus now = pipeline->status();
+  if (now.state == pipeline::PipelineState::Failed) {
+    log.error(now.failure);
+    exit_status = static_cast<int>(now.failure_kind);
+  } else if (now.state == pipeline::PipelineState::Ended && !end_seen) {
+    end_seen = true;
+    log.info(fmt::format("the source is at its end: {} frames, {} with a mesh, {} refined, {} dropped",
+                         now.processed, now.mesh_frames, now.refined_frames, now.dropped));
+    if (config.exit_at_end) {
+      exit_status = 0;
+    }
+  }
+}
+
+void Service::Impl::look_after() {
+  if (const std::string failure = stream->statistics().failure; !failure.empty()) {
+    throw Error(ErrorKind::Internal, failure);
+  }
+  look_after_take();
+  if (opener && opener->done()) {
+    begin_pipeline();
+  }
+  if (pipeline && !running) {
+    start_when_awaited();
+  }
+  if (running) {
+    look_after_pipeline();
+  }
+  if (stopping && !exit_status) {
+    exit_status = 0;
+  }
+}
+
+/// Phase one: everybody is told. Phase two: takes are closed, sockets removed, threads joined.
+void Service::Impl::finish() {
+  const Clock::time_point patience = Clock::now() + kStopPatience;
+  if (pipeline) {
+    pipeline->request_stop();
+  }
+  takes.request_end();
+  stream->request_stop();
+  if (const auto take = takes.end()) {
+    log_take(*take);
+  }
+  stream->stop();
+  control.reset();
+  const auto threads_end = [&] { return (!opener || opener->done()) && (!pipeline || pipeline->finished()); };
+  while (!threads_end()) {
+    if (Clock::now() >= patience) {
+      log.warning("a driver still holds a thread: leaving without it");
+      ::_exit(exit_status.value_or(0));
+    }
+    ::usleep(2000);
+  }
+  log.info("stopped");
+}
+
+Service::Service(const Config& config, Log& log) : impl_(std::make_unique<Impl>(config, log)) {}
+
+Service::~Service() = default;
+
+int Service::run() {
+  Impl& impl = *impl_;
+  try {
+    impl.stream->start();
+    impl.log.info(fmt::format("{}: stream on {}, control on {}", software_name(),
+                              impl.config.stream.socket.string(), impl.config.control.socket.string()));
+    impl.opener.emplace(impl.config.pipeline);
+    while (!impl.exit_status) {
+      impl.wait_for_events();
+      impl.look_after();
+    }
+  } catch (const Error& error) {
+    impl.log.error(error.what());
+    impl.exit_status = static_cast<int>(error.kind());
+  }
+  impl.finish();
+  return *impl.exit_status;
+}
+
+}  // namespace facet::service

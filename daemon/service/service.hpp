@@ -1,0 +1,43 @@
+#pragma once
+
+#include <memory>
+
+#include "service/config.hpp"
+#include "service/log.hpp"
+
+namespace facet::service {
+
+/// The daemon: one pipeline, its stream, its takes and the control socket, from start to stop.
+///
+/// | thread        | does                                                         | may block on   |
+/// |---------------|--------------------------------------------------------------|----------------|
+/// | main          | signals, control socket, log; begins and ends all others      | poll; the disk when a
+/// take is closed | | `facet-open`  | opens source, model, tracker and GPU, so that main can answer | files,
+/// the driver | | `facet-stream`, `facet-take`, `facet-capture`, `facet-track`, `facet-refine` | see their
+/// rooms | |
+///
+/// SIGTERM, SIGINT, SIGHUP and the control method "shutdown" end it within a second in every state: takes are
+/// closed and sockets removed; a frame that the GPU or a driver still holds then is abandoned with the
+/// process.
+class Service {
+ public:
+  /// Binds the sockets. Throws Error(Storage) where a socket's path is taken or the takes' folder can't be
+  /// written, Error(Usage) where a group does not exist. Blocks the signals above in the calling thread,
+  /// which must be the process's only one. `log` outlives the service.
+  Service(const Config& config, Log& log);
+  ~Service();
+  Service(const Service&) = delete;
+  Service& operator=(const Service&) = delete;
+
+  /// Runs until stopped; returns the process's exit status: 0, or the ErrorKind of what failed.
+  int run();
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+/// Program and version, for people.
+const char* software_name();
+
+}  // namespace facet::service

@@ -1,0 +1,58 @@
+#include "service/stage_opener.hpp"
+
+#include <pthread.h>
+#include <sys/eventfd.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <cstdint>
+#include <exception>
+#include <utility>
+
+namespace facet::service {
+
+struct StageOpener::Result {
+  stream::FileDescriptor wake{::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)};
+  std::atomic<bool> done{false};
+  std::exception_ptr error;  ///< written before done
+  pipeline::Stages stages;   ///< written before done
+};
+
+StageOpener::StageOpener(const pipeline::MonocularConfig& config) : result_(std::make_shared<Result>()) {
+  if (!result_->wake) {
+    throw Error(ErrorKind::Internal, "cannot make an eventfd: too many open files");
+  }
+  // Ends by itself; joined by the destructor.
+  thread_ = std::thread([result = result_, config] {
+    ::pthread_setname_np(::pthread_self(), "facet-open");
+    try {
+      result->stages = pipeline::open_stages(config);
+    } catch (...) {
+      result->error = std::current_exception();
+    }
+    result->done = true;
+    const std::uint64_t one = 1;
+    [[maybe_unused]] const ssize_t ignored = ::write(result->wake.get(), &one, sizeof(one));
+  });
+}
+
+StageOpener::~StageOpener() {
+  thread_.join();
+}
+
+int StageOpener::fd() const {
+  return result_->wake.get();
+}
+
+bool StageOpener::done() const {
+  return result_->done;
+}
+
+pipeline::Stages StageOpener::take() {
+  if (result_->error != nullptr) {
+    std::rethrow_exception(result_->error);
+  }
+  return std::move(result_->stages);
+}
+
+}  // namespace facet::service

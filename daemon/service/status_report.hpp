@@ -1,0 +1,25 @@
+#pragma once
+
+#include <filesystem>
+#include <nlohmann/json_fwd.hpp>
+
+#include "pipeline/status.hpp"
+#include "stream/server.hpp"
+#include "take/recorder.hpp"
+
+namespace facet::service {
+
+/// The parts of what the control method "status" answers (docs/control-protocol.md).
+nlohmann::json to_json(const pipeline::PipelineStatus& status);
+nlohmann::json to_json(const stream::StreamStatistics& statistics);
+nlohmann::json to_json(const take::RecorderStatus& status);
+
+/// Memory of this process in use, bytes; 0 where the system does not tell.
+std::uint64_t resident_bytes();
+
+/// The takes of a folder, newest first, and what each says of itself; a file that is no readable take has
+/// "error" instead. At most kMostListedTakes are looked into; "count" tells all.
+nlohmann::json list_takes(const std::filesystem::path& folder);
+inline constexpr std::size_t kMostListedTakes = 200;
+
+}  // namespace facet::service
