@@ -17,17 +17,13 @@ struct DeviceArray {
   gpu::TexelView view;
 };
 
-/// Sets buffers to 0 and waits. Set-up only.
+/// Sets buffers to 0 and waits. Set-up only. Throws gpu::DeviceLostError.
 inline void clear(gpu::Context& context, std::initializer_list<const gpu::Buffer*> buffers) {
-  gpu::Batch batch(context, "clear");
-  batch.stage("clear");
-  for (const gpu::Buffer* buffer : buffers) {
-    batch.fill(*buffer);
-  }
-  batch.finish();
-  if (batch.submit() != gpu::Outcome::Done || batch.wait() != gpu::Outcome::Done) {
-    throw gpu::DeviceLostError("the GPU was lost while its buffers were cleared; open it again");
-  }
+  gpu::run_now(context, "clear", [&](gpu::Batch& batch) {
+    for (const gpu::Buffer* buffer : buffers) {
+      batch.fill(*buffer);
+    }
+  });
 }
 
 }  // namespace facet::refine

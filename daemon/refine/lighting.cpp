@@ -19,41 +19,48 @@ std::array<float, 9> unpack_light(const shaders::refine::Light& light) {
           light.middle.y, light.middle.z, light.middle.w, light.last};
 }
 
-LightingKernels::LightingKernels(gpu::Context& context)
-    : sums_kernel_(context, shaders::refine::kernels(), "refine/lighting_sums"),
-      solve_kernel_(context, shaders::refine::kernels(), "refine/lighting_solve"),
-      sums_(context, sizeof(shaders::vec4) * kLightingSums * context.info().workgroup_count,
-            gpu::Memory::Device, "lighting_sums"),
-      previous_(context, sizeof(shaders::refine::Light), gpu::Memory::Device, "previous light"),
-      light_(context, sizeof(shaders::refine::Light), gpu::Memory::Device, "light") {
-  clear(context, {&light_});
+LightingState::LightingState(gpu::Context& context)
+    : light(context, sizeof(shaders::refine::Light), gpu::Memory::Device, "light"),
+      previous(context, sizeof(shaders::refine::Light), gpu::Memory::Device, "previous light"),
+      sums(context, sizeof(shaders::vec4) * kLightingSums * context.info().workgroup_count,
+           gpu::Memory::Device, "lighting_sums") {
+  clear(context, {&light});
 }
 
+LightingKernels::LightingKernels(gpu::Context& context)
+    : sums_(context, shaders::refine::kernels(), "refine/lighting_sums"),
+      solve_(context, shaders::refine::kernels(), "refine/lighting_solve") {}
+
 void LightingKernels::record_pass(gpu::Batch& batch, const LevelTopology& topology, const LevelState& state,
-                                  const gpu::Buffer& frame, float temporal_weight, float robust_scale) const {
+                                  const LightingState& lighting, const gpu::Buffer& frame,
+                                  float temporal_weight, float robust_scale) const {
   const shaders::refine::LightingPush push{topology.vertex_count, topology.workgroup_count, temporal_weight,
                                            robust_scale};
-  batch.dispatch(sums_kernel_,
+  batch.dispatch(sums_,
                  {{"vertex_rings", topology.vertex_rings.view},
                   {"ring_indices", topology.ring_indices},
                   {"positions", state.positions.view},
                   {"normals", state.normals.view},
                   {"colours", state.colours.view},
                   {"albedo", state.albedo.view},
-                  {"light", light_},
-                  {"lighting_sums", sums_}},
+                  {"light", lighting.light},
+                  {"lighting_sums", lighting.sums}},
                  {topology.workgroup_count}, push);
-  batch.dispatch(solve_kernel_,
-                 {{"frame", frame}, {"lighting_sums", sums_}, {"previous", previous_}, {"light", light_}}, {},
-                 push);
+  batch.dispatch(solve_,
+                 {{"frame", frame},
+                  {"lighting_sums", lighting.sums},
+                  {"previous", lighting.previous},
+                  {"light", lighting.light}},
+                 {}, push);
 }
 
 void LightingKernels::record(gpu::Batch& batch, const LevelTopology& topology, const LevelState& state,
-                             const gpu::Buffer& frame, const LightingOptions& options) const {
-  batch.copy(light_, previous_);
-  record_pass(batch, topology, state, frame, options.temporal_weight, 0);
+                             const LightingState& lighting, const gpu::Buffer& frame,
+                             const LightingOptions& options) const {
+  batch.copy(lighting.light, lighting.previous);
+  record_pass(batch, topology, state, lighting, frame, options.temporal_weight, 0);
   if (options.robust_scale > 0) {
-    record_pass(batch, topology, state, frame, options.temporal_weight, options.robust_scale);
+    record_pass(batch, topology, state, lighting, frame, options.temporal_weight, options.robust_scale);
   }
 }
 

@@ -17,29 +17,33 @@ struct LightingOptions {
   float robust_scale = 0;     ///< Tukey's bound on relative residuals in the second pass; 0: one plain pass
 };
 
+/// The light of one subject's frames. Nothing known at first.
+struct LightingState {
+  explicit LightingState(gpu::Context& context);
+
+  gpu::Buffer light;     ///< shaders::refine::Light of the latest frame
+  gpu::Buffer previous;  ///< of the frame before
+  gpu::Buffer sums;      ///< normal equations of each workgroup
+};
+
 /// Estimates the light of the frame on M0 (eq. 3 of Ma & Deng 2019): once with plain squares, then again
 /// without what that light cannot explain (highlights, shadows, hair).
 class LightingKernels {
  public:
   explicit LightingKernels(gpu::Context& context);
 
-  /// Records the estimate. frame: shaders::refine::FrameParameters. The previous frame's result in light() is
-  /// the temporal prior.
+  /// Records the estimate. frame: shaders::refine::FrameParameters. The previous frame's result in
+  /// lighting.light is the temporal prior and is replaced.
   void record(gpu::Batch& batch, const LevelTopology& topology, const LevelState& state,
-              const gpu::Buffer& frame, const LightingOptions& options) const;
-
-  /// The shaders::refine::Light of the latest frame.
-  const gpu::Buffer& light() const { return light_; }
+              const LightingState& lighting, const gpu::Buffer& frame, const LightingOptions& options) const;
 
  private:
   void record_pass(gpu::Batch& batch, const LevelTopology& topology, const LevelState& state,
-                   const gpu::Buffer& frame, float temporal_weight, float robust_scale) const;
+                   const LightingState& lighting, const gpu::Buffer& frame, float temporal_weight,
+                   float robust_scale) const;
 
-  gpu::Kernel sums_kernel_;
-  gpu::Kernel solve_kernel_;
-  gpu::Buffer sums_;
-  gpu::Buffer previous_;
-  gpu::Buffer light_;
+  gpu::Kernel sums_;
+  gpu::Kernel solve_;
 };
 
 }  // namespace facet::refine

@@ -15,14 +15,14 @@
 
 namespace facet::refine {
 
-/// Weights of the energies, chosen by bench/weights (see bench/README.md). All colours linear 0 to 1,
-/// displacements mm.
+/// Weights of the energies (Ma & Deng 2019), chosen by bench/weights (see bench/README.md). Data residuals
+/// are relative to the face's rms brightness, so that one set holds for every exposure, skin and image size.
 struct Weights {
-  float lighting_temporal = 0.0F;       ///< w1, eq. 3
-  float albedo_smooth = 0.0F;           ///< w2, eq. 4
-  float displacement_smooth = 0.0F;     ///< w3, eq. 6
-  float displacement_hierarchy = 0.0F;  ///< w4, eq. 6
-  float displacement_coarse = 0.0F;     ///< w5, eq. 6
+  float lighting_temporal = 0.05F;       ///< w1, eq. 3, in units of what all visible vertices weigh together
+  float albedo_smooth = 200.0F;          ///< w2, eq. 4, against a vertex of mean brightness
+  float displacement_smooth = 0.05F;     ///< w3, eq. 6, of the squared slope (L d) / spacing
+  float displacement_hierarchy = 0.05F;  ///< w4, eq. 6, of the squared slope (pd - d) / spacing
+  float displacement_coarse = 0.002F;    ///< w5, eq. 6, of d^2 in mm^2
 };
 
 struct RefinerConfig {
@@ -32,6 +32,12 @@ struct RefinerConfig {
   int pcg_iterations = 7;
   int albedo_frames = 20;    ///< good frames over which the albedo is learned
   bool hierarchical = true;  ///< false: the finest level only (the paper's figure 6, for comparison)
+  /// Tukey's bound on the residual relative to the face's rms brightness: what shading cannot explain
+  /// (highlights, cast shadows, hair) loses its weight. 0: plain squares as in the paper.
+  float robust_scale = 0.5F;
+  /// Displacements are held within +- this: three times the coarse mesh's mean error. More is no wrinkle.
+  float displacement_bound_mm = 6;
+  bool record_energies = false;  ///< fill RefineOutput::energies: for convergence plots
 };
 
 /// What is fixed for one subject.
@@ -67,10 +73,16 @@ struct RefineOutput {
   float displacement_ms = 0;
   float readback_ms = 0;
   std::string failure;  ///< for people, empty where Refined
+  /// Only with record_energies: [level][step] E(d) of eq. 6 before each Gauss-Newton step and after the last.
+  std::vector<std::vector<double>> energies;
 };
 
 /// Hierarchical shading refinement on the GPU (Ma & Deng 2019, section 4). One thread. submit hands a frame
-/// to the GPU and returns; collect waits for it. One frame may be in flight. A whole frame is one submission.
+/// to the GPU and returns; collect waits for it. One frame may be in flight. A whole frame is one submission:
+///   image -> linear pyramid; coarse mesh -> positions, depth map, colours of M0; light (eq. 3); while it
+///   learns, albedo (eq. 4); then level by level positions, colours, displacements (eq. 5 to 8).
+/// Nothing is allocated per frame but for the first frame, a change of the image's size, and a new albedo to
+/// hand out (every frame while it is learned, rarely afterwards).
 class Refiner {
  public:
   /// Compiles the kernels. Throws Error(NoDevice). The context must outlive the refiner.
@@ -81,8 +93,17 @@ class Refiner {
   /// Not while in flight.
   void set_subject(const SubjectSetup& subject);
 
+  /// Starts a frame. Throws Error(Usage) without a subject, for an empty image or for vertices that do not
+  /// fit the subject; Error(NoDevice) where a first image finds no room on the device.
   void submit(const RefineInput& input);
+
+  /// Waits for the frame in flight. `output` is resized as needed and best used again. With DeviceLost, or
+  /// where nothing is in flight, `failure` says so.
   RefineOutcome collect(RefineOutput& output);
+
+  /// Forgets the previous frame's displacements and light, not the albedo: for a cut or a face that comes
+  /// back.
+  void restart();
 
  private:
   struct Impl;

@@ -35,6 +35,14 @@ const float kDepthMarginMm = 5;
 const float kGrazing = 0.15;
 const float kFacing = 0.45;
 
+// A step in depth this much larger than a vertex spacing is an outline.
+const float kOutlineMarginMm = 15;
+
+float depth_at(vec2 map) {
+  ivec2 at = clamp(ivec2(round(map)), ivec2(0), ivec2(push.depth_size_px - 1));
+  return uintBitsToFloat(depth_bits[at.y * push.depth_size_px + at.x]);
+}
+
 void main() {
   uvec2 block = block_of(push.vertex_count);
   for (uint i = block.x + gl_LocalInvocationID.x; i < block.y; i += kGroupSize) {
@@ -69,10 +77,13 @@ void main() {
       float inside =
           all(greaterThan(px, vec2(0))) && all(lessThan(px, frame.image_size.xy - 1)) ? 1.0 : 0.0;
       float facing = smoothstep(kGrazing, kFacing, dot(normal, -normalize(p)));
-      ivec2 map = ivec2(round(px * frame.depth_from_px.xy + frame.depth_from_px.zw));
-      map = clamp(map, ivec2(0), ivec2(push.depth_size_px - 1));
-      float nearest = uintBitsToFloat(depth_bits[map.y * push.depth_size_px + map.x]);
-      float shown = z > nearest + kDepthMarginMm ? 0.0 : 1.0;
+      vec2 map = px * frame.depth_from_px.xy + frame.depth_from_px.zw;
+      float reach = max(1, spacing_px) * frame.depth_from_px.x;
+      float shown = z > depth_at(map) + kDepthMarginMm ? 0.0 : 1.0;
+      // The image is read over about a spacing: at an outline that mixes in what lies behind.
+      float behind = max(max(depth_at(map + vec2(reach, 0)), depth_at(map - vec2(reach, 0))),
+                         max(depth_at(map + vec2(0, reach)), depth_at(map - vec2(0, reach))));
+      shown *= behind > z + spacing + kOutlineMarginMm ? 0.0 : 1.0;
       float trusted = smoothstep(0.6, 1.0, seen.a);
       colour = vec4(seen.rgb, inside * facing * shown * trusted);
     }

@@ -3,7 +3,7 @@
 #include <limits>
 
 #include "facet/error.hpp"
-#include "gpu_fixture.hpp"
+#include "support/gpu.hpp"
 #include "test_problems.hpp"
 
 namespace facet::refine {
@@ -45,7 +45,7 @@ Eigen::VectorXd to_vector(const std::vector<float>& values) {
       .cast<double>();
 }
 
-using DisplacementSolverTest = test::GpuTest;
+using DisplacementSolverTest = facet::test::GpuTest;
 
 struct Shape {
   int columns;

@@ -37,7 +37,7 @@ float displacement_mm(const Scene& scene, float x, float y) {
 }
 
 Eigen::Vector3f albedo(const Scene& scene, float x, float y) {
-  const float tone = 1 + 0.12F * std::sin(x / 31) * std::cos(y / 43);
+  const float tone = 1 + 0.06F * std::sin(x / 31) * std::cos(y / 43);
   Eigen::Vector3f rho = tone * Eigen::Vector3f(0.55F, 0.37F, 0.29F);
   const float flush = bell(x, y, -32, -14, 13, 13) + bell(x, y, 32, -14, 13, 13);
   rho.y() *= 1 - 0.15F * flush;

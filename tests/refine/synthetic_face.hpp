@@ -24,7 +24,7 @@ struct Scene {
   bool highlight = false;  ///< a glossy spot that is no diffuse light
   float noise = 0;         ///< standard deviation of the pixels, 8-bit sRGB counts
   unsigned seed = 1;
-  std::array<float, 9> lighting{0.62F, 0.22F, 0.20F, 0.42F, 0.05F, -0.06F, 0.05F, -0.03F, 0.02F};
+  std::array<float, 9> lighting{0.55F, 0.34F, 0.22F, 0.36F, 0.05F, -0.06F, 0.05F, -0.03F, 0.02F};
   float yaw_rad = 0;     ///< head turned about its y axis
   float bump_phase = 0;  ///< moves the wrinkles: another expression
 };

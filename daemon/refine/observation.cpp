@@ -1,0 +1,171 @@
+#include "refine/observation.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstring>
+#include <span>
+#include <vector>
+
+#include "refine_shaders.hpp"
+
+namespace facet::refine {
+namespace {
+
+// The finest mesh has no use for more pixels, and an 8K pyramid would not fit into the memory that Facet may
+// take.
+constexpr int kLargestSidePx = 2048;
+// Mips and interpolation read beyond the face's outline by at most the width of the coarsest mip used.
+constexpr int kRegionMarginPx = 48;
+constexpr std::uint32_t kRowGroup = 64;
+constexpr float kNearMm = 10;
+
+int reduction_for(int width_px, int height_px) {
+  return std::max(1, (std::max(width_px, height_px) + kLargestSidePx - 1) / kLargestSidePx);
+}
+
+std::uint32_t reduced(int size_px, int reduction) {
+  return static_cast<std::uint32_t>((size_px + reduction - 1) / reduction);
+}
+
+}  // namespace
+
+ImagePyramid::ImagePyramid(gpu::Context& context, int source_width_px, int source_height_px)
+    : width_px(source_width_px),
+      height_px(source_height_px),
+      reduction(reduction_for(source_width_px, source_height_px)),
+      pixels(context, static_cast<std::size_t>(source_width_px) * static_cast<std::size_t>(source_height_px),
+             gpu::TexelFormat::Rgba8, "pixels", gpu::Memory::Upload),
+      linear(context, gpu::ImageFormat::Rgba16f, reduced(source_width_px, reduction),
+             reduced(source_height_px, reduction), 0, "linear image") {}
+
+void ImagePyramid::write(const Frame& frame, int first_row, int end_row) const {
+  const auto row_bytes = static_cast<std::size_t>(width_px) * 4;
+  std::byte* target = pixels.buffer.mapped().data();
+  for (int row = first_row; row < end_row; ++row) {
+    std::memcpy(target + static_cast<std::size_t>(row) * row_bytes, frame.row(row), row_bytes);
+  }
+}
+
+void to_shading_frame(const mesh::Vertices& head_vertices_mm, const Eigen::Isometry3f& camera_from_head,
+                      std::span<shaders::vec4> out) {
+  const Eigen::Matrix3f rotation = camera_from_head.linear();
+  const Eigen::Vector3f translation = camera_from_head.translation();
+  for (Eigen::Index i = 0; i < head_vertices_mm.cols(); ++i) {
+    const Eigen::Vector3f p = rotation * head_vertices_mm.col(i) + translation;
+    out[static_cast<std::size_t>(i)] = {p.x(), -p.y(), -p.z(), 0};
+  }
+}
+
+FaceRegion set_frame_parameters(const ImagePyramid& pyramid, const CameraIntrinsics& camera,
+                                std::span<const shaders::vec4> vertices,
+                                shaders::refine::FrameParameters& out) {
+  const auto k = static_cast<float>(pyramid.reduction);
+  const int width = static_cast<int>(pyramid.linear.width_px());
+  const int height = static_cast<int>(pyramid.linear.height_px());
+  out.projection = {camera.fx / k, camera.fy / k, (camera.cx + 0.5F) / k - 0.5F,
+                    (camera.cy + 0.5F) / k - 0.5F};
+  out.image_size = {static_cast<float>(width), static_cast<float>(height), 1 / static_cast<float>(width),
+                    1 / static_cast<float>(height)};
+  out.reduction = pyramid.reduction;
+  out.source_px = {pyramid.width_px, pyramid.height_px, 0, 0};
+
+  Eigen::Array2f low(static_cast<float>(width), static_cast<float>(height));
+  Eigen::Array2f high(0, 0);
+  for (const shaders::vec4& p : vertices) {
+    if (-p.z > kNearMm) {
+      const Eigen::Array2f px(out.projection.x * p.x / -p.z + out.projection.z,
+                              out.projection.y * -p.y / -p.z + out.projection.w);
+      low = low.min(px);
+      high = high.max(px);
+    }
+  }
+  const Eigen::Array2f last(static_cast<float>(width), static_cast<float>(height));
+  low = low.max(0).min(last);
+  high = high.min(last).max(low + 1);
+  const float depth_scale =
+      static_cast<float>(DepthMap::size_px - 2) / std::max(high.x() - low.x(), high.y() - low.y());
+  out.depth_from_px = {depth_scale, depth_scale, 1 - depth_scale * low.x(), 1 - depth_scale * low.y()};
+
+  FaceRegion region;
+  region.low_px = (low.cast<int>() - kRegionMarginPx).max(0);
+  region.high_px = (high.cast<int>() + kRegionMarginPx).min(Eigen::Array2i(width, height));
+  out.region_px = {region.low_px.x(), region.low_px.y(), region.high_px.x(), region.high_px.y()};
+  return region;
+}
+
+DepthMap::DepthMap(gpu::Context& context, const mesh::Triangles& corners)
+    : triangle_count(static_cast<std::uint32_t>(corners.cols())),
+      workgroup_count(std::min(context.info().workgroup_count, gpu::groups_for(triangle_count, kRowGroup))),
+      triangles(context, triangle_count, gpu::TexelFormat::Rgba32i, "triangles"),
+      depth_bits(context, sizeof(std::uint32_t) * size_px * size_px, gpu::Memory::Device, "depth map") {
+  std::vector<std::array<std::int32_t, 4>> packed(triangle_count);
+  for (std::size_t t = 0; t < packed.size(); ++t) {
+    const auto triangle = corners.col(static_cast<Eigen::Index>(t));
+    packed[t] = {triangle[0], triangle[1], triangle[2], 0};
+  }
+  gpu::upload(context, triangles.buffer, std::as_bytes(std::span(packed)));
+}
+
+ObservationKernels::ObservationKernels(gpu::Context& context)
+    : linear_image_(context, shaders::refine::kernels(), "refine/linear_image"),
+      rasterise_depth_(context, shaders::refine::kernels(), "refine/rasterise_depth"),
+      prolong_(context, shaders::refine::kernels(), "refine/prolong"),
+      observe_(context, shaders::refine::kernels(), "refine/observe"),
+      downsampler_(context),
+      sampler_(context, gpu::Filter::Linear, gpu::Filter::Linear) {}
+
+void ObservationKernels::record_image(gpu::Batch& batch, const ImagePyramid& pyramid,
+                                      const gpu::Buffer& frame) const {
+  batch.dispatch(linear_image_,
+                 {{"frame", frame}, {"pixels", pyramid.pixels.view}, {"linear_image", pyramid.linear, 0}},
+                 {gpu::groups_for(pyramid.linear.width_px(), kRowGroup), pyramid.linear.height_px()});
+  downsampler_.record(batch, pyramid.linear);
+}
+
+void ObservationKernels::record_prolong(gpu::Batch& batch, const LevelTopology& topology,
+                                        const LevelStencils& stencils, const gpu::TexelView& coarser,
+                                        const LevelState& state, const gpu::Buffer& frame, bool refine,
+                                        bool has_prior) const {
+  const shaders::refine::LevelPush push{topology.vertex_count, has_prior ? 1.0F : 0.0F, refine ? 1.0F : 0.0F};
+  batch.dispatch(prolong_,
+                 {{"frame", frame},
+                  {"vertex_rings", topology.vertex_rings.view},
+                  {"stencil_rows", stencils.stencil_rows.view},
+                  {"stencil_entries", stencils.stencil_entries.view},
+                  {"coarser", coarser},
+                  {"positions", state.positions.buffer},
+                  {"priors", state.priors.buffer}},
+                 {topology.workgroup_count}, push);
+}
+
+void ObservationKernels::record_depth(gpu::Batch& batch, const LevelState& coarsest, const DepthMap& map,
+                                      const gpu::Buffer& frame) const {
+  constexpr std::uint32_t kInfinityBits = 0x7f800000;
+  batch.fill(map.depth_bits, kInfinityBits);
+  const shaders::refine::DepthPush push{map.triangle_count, DepthMap::size_px};
+  batch.dispatch(rasterise_depth_,
+                 {{"frame", frame},
+                  {"positions", coarsest.positions.view},
+                  {"triangles", map.triangles.view},
+                  {"depth_bits", map.depth_bits}},
+                 {map.workgroup_count}, push);
+}
+
+void ObservationKernels::record_observe(gpu::Batch& batch, const LevelTopology& topology,
+                                        const LevelState& state, const ImagePyramid& pyramid,
+                                        const DepthMap& map, const gpu::Buffer& frame) const {
+  const shaders::refine::ObservePush push{topology.vertex_count, DepthMap::size_px};
+  batch.dispatch(observe_,
+                 {{"frame", frame},
+                  {"vertex_rings", topology.vertex_rings.view},
+                  {"ring_indices", topology.ring_indices},
+                  {"positions", state.positions.view},
+                  {"linear_image", pyramid.linear, sampler_},
+                  {"depth_bits", map.depth_bits},
+                  {"normals", state.normals.buffer},
+                  {"colours", state.colours.buffer}},
+                 {topology.workgroup_count}, push);
+}
+
+}  // namespace facet::refine

@@ -1,0 +1,91 @@
+#pragma once
+
+#include <Eigen/Geometry>
+#include <cstdint>
+#include <span>
+
+#include "facet/frame.hpp"
+#include "gpu/downsample.hpp"
+#include "mesh/mesh.hpp"
+#include "refine/level_buffers.hpp"
+#include "shaders/refine/layout.h"
+
+namespace facet::refine {
+
+/// Room on the device for images of one size, and their linear pyramid.
+struct ImagePyramid {
+  ImagePyramid(gpu::Context& context, int source_width_px, int source_height_px);
+
+  /// Copies the rows [first_row, end_row) of a frame of that size to the upload buffer. Real-time safe.
+  void write(const Frame& frame, int first_row, int end_row) const;
+
+  int width_px;  ///< of the source
+  int height_px;
+  int reduction;       ///< source pixels to one of the linear image, per axis
+  DeviceArray pixels;  ///< [height][width] 8-bit sRGB as uploaded
+  gpu::Image linear;   ///< linear RGB and 1 where unsaturated, with mips
+};
+
+/// Where a frame's face lies and how it projects.
+struct FaceRegion {
+  Eigen::Array2i low_px;   ///< of the linear image
+  Eigen::Array2i high_px;  ///< past the end
+};
+
+/// Fills projection, region and depth map mapping for the coarse mesh as it stands in this frame; the other
+/// members of `out` stay. vertices: shading frame, mm. Real-time safe.
+FaceRegion set_frame_parameters(const ImagePyramid& pyramid, const CameraIntrinsics& camera,
+                                std::span<const shaders::vec4> vertices,
+                                shaders::refine::FrameParameters& out);
+
+/// The vertices in the shading frame (camera frame turned by half a turn about x), fourth 0. Real-time safe.
+void to_shading_frame(const mesh::Vertices& head_vertices_mm, const Eigen::Isometry3f& camera_from_head,
+                      std::span<shaders::vec4> out);
+
+/// The coarse mesh's depth map, over the face's region.
+struct DepthMap {
+  /// triangles: of M0
+  DepthMap(gpu::Context& context, const mesh::Triangles& triangles);
+
+  /// Side, px: two pixels to an edge of a mesh of 5 K vertices that fills the region.
+  static constexpr std::uint32_t size_px = 256;
+
+  std::uint32_t triangle_count;
+  std::uint32_t workgroup_count;
+  DeviceArray triangles;
+  gpu::Buffer depth_bits;  ///< [size_px][size_px] z as float bits, infinity where there is no face
+};
+
+/// What the camera sees of every vertex: linear image pyramid, depth map of the coarse mesh, positions,
+/// coarse normals and sampled colours of every level.
+class ObservationKernels {
+ public:
+  explicit ObservationKernels(gpu::Context& context);
+
+  /// Records sRGB to linear light and the mips.
+  void record_image(gpu::Batch& batch, const ImagePyramid& pyramid, const gpu::Buffer& frame) const;
+
+  /// Records positions, start displacements and priors of a level from the next coarser one. coarser: a view
+  /// of positions and displacements. refine: shading moves this level; has_prior: it moved the coarser one.
+  void record_prolong(gpu::Batch& batch, const LevelTopology& topology, const LevelStencils& stencils,
+                      const gpu::TexelView& coarser, const LevelState& state, const gpu::Buffer& frame,
+                      bool refine, bool has_prior) const;
+
+  /// Records the depth map from the positions of M0.
+  void record_depth(gpu::Batch& batch, const LevelState& coarsest, const DepthMap& map,
+                    const gpu::Buffer& frame) const;
+
+  /// Records coarse normals, spacings and colours of a level.
+  void record_observe(gpu::Batch& batch, const LevelTopology& topology, const LevelState& state,
+                      const ImagePyramid& pyramid, const DepthMap& map, const gpu::Buffer& frame) const;
+
+ private:
+  gpu::Kernel linear_image_;
+  gpu::Kernel rasterise_depth_;
+  gpu::Kernel prolong_;
+  gpu::Kernel observe_;
+  gpu::Downsampler downsampler_;
+  gpu::Sampler sampler_;
+};
+
+}  // namespace facet::refine

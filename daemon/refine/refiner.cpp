@@ -1,0 +1,494 @@
+#include "refine/refiner.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <optional>
+#include <span>
+
+#include "facet/error.hpp"
+#include "refine/albedo.hpp"
+#include "refine/displacement_kernels.hpp"
+#include "refine/lighting.hpp"
+#include "refine/observation.hpp"
+#include "refine_shaders.hpp"
+#include "shaders/refine/layout.h"
+
+namespace facet::refine {
+namespace {
+
+using shaders::vec4;
+using shaders::refine::FrameParameters;
+using shaders::refine::Light;
+
+constexpr int kPaperGaussNewtonSteps = 10;
+constexpr int kPaperPcgIterations = 7;
+// After the first frames the albedo looks for vertices not yet seen in one frame of this many.
+constexpr std::uint64_t kAlbedoRefreshFrames = 8;
+// A new albedo is handed out when more than this share of M0's vertices has learned from the frame.
+constexpr float kAlbedoNewsShare = 0.005F;
+
+struct Level {
+  Level(gpu::Context& context, const mesh::Level& level, const std::vector<std::uint8_t>& free,
+        std::int32_t dummy_vertex)
+      : topology(context, level.one_rings, free, dummy_vertex),
+        stencils(context, level.from_coarser),
+        state(context, topology.vertex_count) {}
+
+  LevelTopology topology;
+  LevelStencils stencils;
+  LevelState state;
+};
+
+DisplacementOptions displacement_options(const RefinerConfig& config, bool has_prior) {
+  DisplacementOptions out;
+  out.smooth_weight = config.weights.displacement_smooth;
+  out.hierarchy_weight = has_prior ? config.weights.displacement_hierarchy : 0;
+  out.coarse_weight = config.weights.displacement_coarse;
+  out.robust_scale = config.robust_scale;
+  out.bound_mm = config.displacement_bound_mm;
+  out.gauss_newton_steps = config.paper_budget ? kPaperGaussNewtonSteps : config.gauss_newton_steps;
+  out.pcg_iterations = config.paper_budget ? kPaperPcgIterations : config.pcg_iterations;
+  return out;
+}
+
+AlbedoOptions albedo_options(const RefinerConfig& config) {
+  AlbedoOptions out;
+  out.smooth_weight = config.weights.albedo_smooth;
+  out.frame_quota = static_cast<float>(std::max(1, config.albedo_frames));
+  return out;
+}
+
+/// Mean albedo of every level, [3][vertex_count].
+std::vector<mesh::Vertices> mean_albedo_of_levels(const SubjectSetup& subject) {
+  std::vector<mesh::Vertices> out;
+  mesh::push_positions(*subject.hierarchy, subject.mean_albedo, out);
+  return out;
+}
+
+std::vector<vec4> with_fourth(const mesh::Vertices& columns, float fourth) {
+  std::vector<vec4> out(static_cast<std::size_t>(columns.cols()));
+  for (std::size_t i = 0; i < out.size(); ++i) {
+    const auto column = static_cast<Eigen::Index>(i);
+    out[i] = {columns(0, column), columns(1, column), columns(2, column), fourth};
+  }
+  return out;
+}
+
+void check(const RefinerConfig& config) {
+  if (config.gauss_newton_steps < 1 || config.pcg_iterations < 1) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("refinement needs at least 1 Gauss-Newton step and 1 PCG iteration, not "
+                            "{} and {}",
+                            config.gauss_newton_steps, config.pcg_iterations));
+  }
+}
+
+void check(const SubjectSetup& subject) {
+  if (subject.hierarchy == nullptr || subject.hierarchy->levels.empty()) {
+    throw Error(ErrorKind::Usage, "refinement needs a subject with a hierarchy");
+  }
+  const std::int32_t count = subject.hierarchy->control_vertex_count;
+  if (subject.mean_albedo.cols() != count || subject.refinable.size() != static_cast<std::size_t>(count)) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("the subject has {} control vertices, {} mean albedos and {} refinable "
+                            "flags; the three must be equal",
+                            count, subject.mean_albedo.cols(), subject.refinable.size()));
+  }
+}
+
+}  // namespace
+
+/// Everything on the device that belongs to one subject.
+struct SubjectBuffers {
+  SubjectBuffers(gpu::Context& context, const RefinerConfig& config, const SubjectSetup& subject);
+
+  std::uint32_t control_vertex_count;
+  std::vector<std::unique_ptr<Level>> levels;
+  DeviceArray control;  ///< [control_vertex_count] shading frame, mm; the host writes it every frame
+  gpu::Buffer frame;    ///< FrameParameters
+  SolverScratch scratch;
+  DepthMap depth;
+  LightingState lighting;
+  AlbedoState albedo;
+  gpu::Buffer displacements_out;
+  gpu::Buffer confidences_out;
+  gpu::Buffer errors_out;  ///< [workgroup] vec4
+  gpu::Buffer light_out;
+  gpu::Buffer albedo_out;
+  std::optional<ImagePyramid> pyramid;
+  std::optional<gpu::Batch> learning;  ///< with the albedo
+  std::optional<gpu::Batch> held;      ///< with the albedo as it stands
+};
+
+/// All kernels of the method.
+struct Kernels {
+  explicit Kernels(gpu::Context& context)
+      : observation(context),
+        lighting(context),
+        albedo(context),
+        displacement(context),
+        finish(context, shaders::refine::kernels(), "refine/finish") {}
+
+  /// Records a whole frame for images of the pyramid's size. learn: with the albedo.
+  void record(gpu::Batch& batch, const RefinerConfig& config, const SubjectBuffers& subject,
+              bool learn) const;
+
+  ObservationKernels observation;
+  LightingKernels lighting;
+  AlbedoKernels albedo;
+  DisplacementKernels displacement;
+  gpu::Kernel finish;
+
+ private:
+  void record_displacements(gpu::Batch& batch, const RefinerConfig& config,
+                            const SubjectBuffers& subject) const;
+  void record_readback(gpu::Batch& batch, const RefinerConfig& config, const SubjectBuffers& subject,
+                       bool learn) const;
+};
+
+struct Refiner::Impl {
+  Impl(gpu::Context& used, const RefinerConfig& chosen) : context(used), config(chosen), kernels(used) {}
+
+  gpu::Context& context;
+  RefinerConfig config;
+  Kernels kernels;
+  std::shared_ptr<const mesh::Hierarchy> hierarchy;
+  std::optional<SubjectBuffers> subject;
+  gpu::Batch* in_flight = nullptr;
+  bool lost = false;
+  bool warm = false;              ///< the previous frame's displacements and light can be used
+  std::uint64_t frame_count = 0;  ///< of this subject
+  std::uint64_t albedo_version = 0;
+  std::shared_ptr<const mesh::Albedo> albedo;
+
+  void read(RefineOutput& output);
+  void read_albedo();
+  void read_energies(RefineOutput& output) const;
+  void clear_output(RefineOutput& output) const;
+};
+
+SubjectBuffers::SubjectBuffers(gpu::Context& context, const RefinerConfig& config,
+                               const SubjectSetup& subject)
+    : control_vertex_count(static_cast<std::uint32_t>(subject.hierarchy->control_vertex_count)),
+      levels([&] {
+        const std::int32_t dummy = subject.hierarchy->finest().vertex_count;
+        const auto free = free_vertices(*subject.hierarchy, subject.refinable);
+        std::vector<std::unique_ptr<Level>> made;
+        for (std::size_t l = 0; l < free.size(); ++l) {
+          made.push_back(std::make_unique<Level>(context, subject.hierarchy->levels[l], free[l], dummy));
+        }
+        return made;
+      }()),
+      control(context, control_vertex_count, gpu::TexelFormat::Rgba32f, "control vertices",
+              gpu::Memory::Upload),
+      frame(context, sizeof(FrameParameters), gpu::Memory::Upload, "frame parameters"),
+      scratch(context, levels.back()->topology.vertex_count, levels.back()->topology.group_count,
+              static_cast<std::uint32_t>(levels.size()) *
+                  static_cast<std::uint32_t>(displacement_options(config, true).gauss_newton_steps + 1),
+              displacement_options(config, true).pcg_iterations),
+      depth(context, subject.hierarchy->levels.front().triangles),
+      lighting(context),
+      albedo(context, levels.front()->topology.vertex_count, albedo_options(config).pcg_iterations),
+      displacements_out(context, sizeof(float) * levels.back()->topology.vertex_count, gpu::Memory::Readback,
+                        "displacements"),
+      confidences_out(context, sizeof(float) * levels.back()->topology.vertex_count, gpu::Memory::Readback,
+                      "confidences"),
+      errors_out(context, sizeof(vec4) * context.info().workgroup_count, gpu::Memory::Readback, "error sums"),
+      light_out(context, sizeof(Light), gpu::Memory::Readback, "light read back"),
+      albedo_out(context, sizeof(vec4) * levels.back()->topology.vertex_count, gpu::Memory::Readback,
+                 "albedo read back") {
+  const std::vector<mesh::Vertices> mean = mean_albedo_of_levels(subject);
+  for (std::size_t l = 0; l < levels.size(); ++l) {
+    const std::vector<vec4> packed = with_fourth(mean[l], 0);
+    gpu::upload(context, levels[l]->state.albedo.buffer, std::as_bytes(std::span(packed)));
+    if (l == 0) {
+      gpu::upload(context, albedo.mean.buffer, std::as_bytes(std::span(packed)));
+    }
+  }
+}
+
+void Kernels::record(gpu::Batch& batch, const RefinerConfig& config, const SubjectBuffers& subject,
+                     bool learn) const {
+  const Level& coarsest = *subject.levels.front();
+  const bool refine_coarsest = config.hierarchical || subject.levels.size() == 1;
+
+  batch.stage("upload");
+  observation.record_image(batch, *subject.pyramid, subject.frame);
+  observation.record_prolong(batch, coarsest.topology, coarsest.stencils, subject.control.view,
+                             coarsest.state, subject.frame, refine_coarsest, false);
+  observation.record_depth(batch, coarsest.state, subject.depth, subject.frame);
+  observation.record_observe(batch, coarsest.topology, coarsest.state, *subject.pyramid, subject.depth,
+                             subject.frame);
+
+  batch.stage("lighting");
+  lighting.record(batch, coarsest.topology, coarsest.state, subject.lighting, subject.frame,
+                  {config.weights.lighting_temporal, config.robust_scale});
+
+  if (learn) {
+    batch.stage("albedo");
+    albedo.record(batch, coarsest.topology, coarsest.state, subject.albedo, subject.frame,
+                  subject.lighting.light, albedo_options(config));
+    for (std::size_t l = 1; l < subject.levels.size(); ++l) {
+      const Level& level = *subject.levels[l];
+      albedo.record_prolong(batch, level.topology, level.stencils, subject.levels[l - 1]->state, level.state);
+    }
+  }
+
+  batch.stage("displacement");
+  record_displacements(batch, config, subject);
+  batch.stage("readback");
+  record_readback(batch, config, subject, learn);
+  batch.finish();
+}
+
+void Kernels::record_displacements(gpu::Batch& batch, const RefinerConfig& config,
+                                   const SubjectBuffers& subject) const {
+  std::uint32_t energy_slot = 0;
+  for (std::size_t l = 0; l < subject.levels.size(); ++l) {
+    const Level& level = *subject.levels[l];
+    const bool refined = config.hierarchical || l + 1 == subject.levels.size();
+    const bool has_prior = config.hierarchical && l > 0;
+    if (l > 0) {
+      observation.record_prolong(batch, level.topology, level.stencils,
+                                 subject.levels[l - 1]->state.positions.view, level.state, subject.frame,
+                                 refined, has_prior);
+    }
+    const DisplacementOptions options = displacement_options(config, has_prior);
+    const auto steps = static_cast<std::uint32_t>(options.gauss_newton_steps);
+    if (refined) {
+      if (l > 0) {
+        observation.record_observe(batch, level.topology, level.state, *subject.pyramid, subject.depth,
+                                   subject.frame);
+      }
+      displacement.record(batch, level.topology, level.state, subject.scratch, subject.lighting.light,
+                          options, energy_slot);
+      if (config.record_energies) {
+        displacement.record_energy(batch, level.topology, level.state, subject.scratch,
+                                   subject.lighting.light, options, energy_slot + steps);
+      }
+    }
+    energy_slot += steps + 1;
+  }
+}
+
+void Kernels::record_readback(gpu::Batch& batch, const RefinerConfig& config, const SubjectBuffers& subject,
+                              bool learn) const {
+  const Level& finest = *subject.levels.back();
+  shaders::refine::SolvePush push{};
+  push.vertex_count = finest.topology.vertex_count;
+  push.robust_scale = config.robust_scale;
+  push.bound_mm = config.displacement_bound_mm;
+  batch.dispatch(finish,
+                 {{"vertex_rings", finest.topology.vertex_rings.view},
+                  {"ring_indices", finest.topology.ring_indices},
+                  {"positions", finest.state.positions.view},
+                  {"normals", finest.state.normals.view},
+                  {"colours", finest.state.colours.view},
+                  {"albedo", finest.state.albedo.view},
+                  {"light", subject.lighting.light},
+                  {"displacements", subject.displacements_out},
+                  {"confidences", subject.confidences_out},
+                  {"error_sums", subject.errors_out}},
+                 {finest.topology.workgroup_count}, push);
+  batch.copy(subject.lighting.light, subject.light_out);
+  if (learn) {
+    batch.copy(finest.state.albedo.buffer, subject.albedo_out);
+  }
+}
+
+Refiner::Refiner(gpu::Context& context, const RefinerConfig& config) {
+  check(config);
+  impl_ = std::make_unique<Impl>(context, config);
+}
+
+Refiner::~Refiner() {
+  if (impl_->in_flight != nullptr) {
+    impl_->in_flight->wait();
+  }
+}
+
+void Refiner::set_subject(const SubjectSetup& subject) {
+  check(subject);
+  impl_->subject.reset();
+  impl_->subject.emplace(impl_->context, impl_->config, subject);
+  impl_->hierarchy = subject.hierarchy;
+  impl_->warm = false;
+  impl_->frame_count = 0;
+  impl_->albedo = nullptr;
+}
+
+void Refiner::restart() {
+  impl_->warm = false;
+}
+
+void Refiner::submit(const RefineInput& input) {
+  Impl& impl = *impl_;
+  if (!impl.subject) {
+    throw Error(ErrorKind::Usage, "refinement has no subject: call set_subject first");
+  }
+  SubjectBuffers& subject = *impl.subject;
+  if (input.image.empty() || input.image.width_px < 1 || input.image.height_px < 1) {
+    throw Error(ErrorKind::Usage, "refinement was given an empty image");
+  }
+  if (input.control_vertices_mm == nullptr ||
+      input.control_vertices_mm->cols() != static_cast<Eigen::Index>(subject.control_vertex_count)) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("refinement was given {} control vertices; the subject has {}",
+                            input.control_vertices_mm == nullptr ? 0 : input.control_vertices_mm->cols(),
+                            subject.control_vertex_count));
+  }
+  const bool new_size = !subject.pyramid || subject.pyramid->width_px != input.image.width_px ||
+                        subject.pyramid->height_px != input.image.height_px;
+  if (new_size) {
+    subject.learning.reset();
+    subject.held.reset();
+    subject.pyramid.reset();
+    subject.pyramid.emplace(impl.context, input.image.width_px, input.image.height_px);
+    impl.kernels.record(subject.learning.emplace(impl.context, "frame, albedo learned"), impl.config, subject,
+                        true);
+    impl.kernels.record(subject.held.emplace(impl.context, "frame, albedo held"), impl.config, subject,
+                        false);
+  }
+
+  const std::span<vec4> control =
+      subject.control.buffer.mapped_as<vec4>().first(subject.control_vertex_count);
+  to_shading_frame(*input.control_vertices_mm, input.camera_from_head, control);
+  FrameParameters& frame = subject.frame.mapped_as<FrameParameters>().front();
+  const FaceRegion region = set_frame_parameters(*subject.pyramid, input.camera, control, frame);
+  const int reduction = subject.pyramid->reduction;
+  int first_row = region.low_px.y() * reduction;
+  int end_row = std::min(region.high_px.y() * reduction, input.image.height_px);
+  if (new_size) {
+    // The region's surroundings must hold some colour before the mips are read the first time.
+    frame.region_px = {0, 0, static_cast<std::int32_t>(subject.pyramid->linear.width_px()),
+                       static_cast<std::int32_t>(subject.pyramid->linear.height_px())};
+    first_row = 0;
+    end_row = input.image.height_px;
+  }
+  subject.pyramid->write(input.image, first_row, end_row);
+  frame.keep_displacements = impl.warm ? 1.0F : 0.0F;
+  frame.keep_lighting = impl.warm ? 1.0F : 0.0F;
+  frame.learn_albedo = 1;
+  const bool learn = impl.frame_count < static_cast<std::uint64_t>(std::max(0, impl.config.albedo_frames)) ||
+                     impl.frame_count % kAlbedoRefreshFrames == 0;
+  gpu::Batch& batch = learn ? *subject.learning : *subject.held;
+  ++impl.frame_count;
+  impl.lost = batch.submit() != gpu::Outcome::Done;
+  impl.in_flight = &batch;
+}
+
+void Refiner::Impl::clear_output(RefineOutput& output) const {
+  const std::size_t count = subject ? subject->levels.back()->topology.vertex_count : 0;
+  output.displacements_mm.assign(count, 0.0F);
+  output.confidence.assign(count, 0.0F);
+  output.lighting = {};
+  output.photometric_rms = 0;
+  output.energies.clear();
+}
+
+void Refiner::Impl::read_albedo() {
+  const bool first_frames = frame_count <= static_cast<std::uint64_t>(std::max(0, config.albedo_frames));
+  const Level& coarsest = *subject->levels.front();
+  const float gained = subject->albedo.gained_in_frame(coarsest.topology.workgroup_count);
+  const bool news = gained > kAlbedoNewsShare * static_cast<float>(coarsest.topology.vertex_count);
+  if (albedo != nullptr && !first_frames && !news) {
+    return;
+  }
+  auto next = std::make_shared<mesh::Albedo>();
+  next->version = ++albedo_version;
+  const std::span<const vec4> values = subject->albedo_out.mapped_as<vec4>();
+  next->linear_rgb.resize(3 * values.size());
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    next->linear_rgb[3 * i] = values[i].x;
+    next->linear_rgb[3 * i + 1] = values[i].y;
+    next->linear_rgb[3 * i + 2] = values[i].z;
+  }
+  albedo = std::move(next);
+}
+
+void Refiner::Impl::read_energies(RefineOutput& output) const {
+  output.energies.resize(subject->levels.size());
+  std::uint32_t slot = 0;
+  for (std::size_t l = 0; l < subject->levels.size(); ++l) {
+    const bool refined = config.hierarchical || l + 1 == subject->levels.size();
+    const int steps = displacement_options(config, true).gauss_newton_steps;
+    output.energies[l].clear();
+    for (int step = 0; step <= steps; ++step, ++slot) {
+      if (refined) {
+        output.energies[l].push_back(
+            subject->scratch.energy(slot, subject->levels[l]->topology.workgroup_count));
+      }
+    }
+  }
+}
+
+void Refiner::Impl::read(RefineOutput& output) {
+  const auto displacements = subject->displacements_out.mapped_as<float>();
+  const auto confidences = subject->confidences_out.mapped_as<float>();
+  output.displacements_mm.assign(displacements.begin(), displacements.end());
+  output.confidence.assign(confidences.begin(), confidences.end());
+  output.lighting = unpack_light(subject->light_out.mapped_as<Light>().front());
+  double squares = 0;
+  double visible = 0;
+  const std::uint32_t workgroups = subject->levels.back()->topology.workgroup_count;
+  for (const vec4& sum : subject->errors_out.mapped_as<vec4>().first(workgroups)) {
+    squares += static_cast<double>(sum.x);
+    visible += static_cast<double>(sum.y);
+  }
+  constexpr double kChannels = 3;
+  output.photometric_rms = visible > 0 ? static_cast<float>(std::sqrt(squares / (kChannels * visible))) : 0;
+}
+
+RefineOutcome Refiner::collect(RefineOutput& output) {
+  Impl& impl = *impl_;
+  output.failure.clear();
+  if (impl.in_flight == nullptr) {
+    impl.clear_output(output);
+    output.failure = "no frame is in flight";
+    return RefineOutcome::NumericalFailure;
+  }
+  gpu::Batch& batch = *impl.in_flight;
+  impl.in_flight = nullptr;
+  if (impl.lost || batch.wait() != gpu::Outcome::Done) {
+    impl.lost = true;
+    output = {};
+    output.failure = "the GPU was lost while it refined a frame";
+    return RefineOutcome::DeviceLost;
+  }
+  output.upload_ms = batch.stage_ms("upload");
+  output.lighting_ms = batch.stage_ms("lighting");
+  output.albedo_ms = batch.stage_ms("albedo");
+  output.displacement_ms = batch.stage_ms("displacement");
+  output.readback_ms = batch.stage_ms("readback");
+
+  double failed = 0;
+  const std::uint32_t workgroups = impl.subject->levels.back()->topology.workgroup_count;
+  for (const vec4& sum : impl.subject->errors_out.mapped_as<vec4>().first(workgroups)) {
+    failed += static_cast<double>(sum.z);
+  }
+  const auto light = unpack_light(impl.subject->light_out.mapped_as<Light>().front());
+  const bool light_finite = std::all_of(light.begin(), light.end(), [](float l) { return std::isfinite(l); });
+  if (failed > 0 || !light_finite) {
+    impl.clear_output(output);
+    impl.warm = false;
+    output.albedo = impl.albedo;
+    output.failure = fmt::format("the solve left finite numbers at {:.0f} vertices{}", failed,
+                                 light_finite ? "" : " and in the light");
+    return RefineOutcome::NumericalFailure;
+  }
+  impl.read(output);
+  if (&batch == &*impl.subject->learning) {
+    impl.read_albedo();
+  }
+  output.albedo = impl.albedo;
+  if (impl.config.record_energies) {
+    impl.read_energies(output);
+  }
+  impl.warm = true;
+  return RefineOutcome::Refined;
+}
+
+}  // namespace facet::refine
