@@ -12,8 +12,6 @@ constexpr int input_side = 128;
 constexpr std::size_t anchor_count = 896;
 constexpr std::size_t values_per_anchor = 16;  ///< centre x, y, width, height, 6 key points x, y
 constexpr float merge_overlap = 0.3F;          ///< intersection over union, as MediaPipe's graph sets it
-constexpr float face_window_scale = 1.5F;
-constexpr float second_look_scale = 2.5F;
 
 /// Anchor centres of the 16 x 16 grid (2 each) and the 8 x 8 grid (6 each), row by row.
 std::vector<Eigen::Vector2f> make_anchors() {

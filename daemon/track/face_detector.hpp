@@ -15,6 +15,9 @@ namespace facet::track {
 
 /// One face as the detector sees it, in image pixels.
 struct Detection {
+  static constexpr float face_window_scale = 1.5F;  ///< boxes in the landmark net's window
+  static constexpr float second_look_scale = 2.5F;
+
   enum KeyPoint : std::uint8_t { RightEye, LeftEye, NoseTip, Mouth, RightEar, LeftEar, Count };
 
   float score = 0;                               ///< 0 to 1

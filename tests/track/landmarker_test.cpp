@@ -165,6 +165,38 @@ TEST_F(LandmarkerTest, StaysOnItsFaceWhileAnotherPasses) {
   }
 }
 
+TEST_F(LandmarkerTest, ComesBackToItsFaceAfterAnotherPassedBeforeIt) {
+  const cv::Mat own = photo(cv::Rect(560, 250, 280, 400));
+  for (const double scale : {0.8, 1.0, 1.3}) {
+    cv::Mat other;
+    cv::resize(photo(cv::Rect(1030, 190, 300, 380)), other, {}, scale, scale, cv::INTER_LINEAR);
+    const auto picture = [&](int other_x) {
+      cv::Mat canvas(600, 1600, CV_8UC3, cv::Scalar(100, 100, 100));
+      own.copyTo(canvas(cv::Rect(300, 100, 280, 400)));
+      other.copyTo(canvas(cv::Rect(cv::Point(other_x, 60), other.size())));
+      return frame_of(canvas);
+    };
+    landmarker->forget();
+    const LandmarkResult& result = landmarker->process(frame_of([&] {
+      cv::Mat alone(600, 1600, CV_8UC3, cv::Scalar(100, 100, 100));
+      own.copyTo(alone(cv::Rect(300, 100, 280, 400)));
+      return alone;
+    }()));
+    ASSERT_TRUE(result.found);
+    const Region place = result.face.window;
+    for (int x = 800; x >= 0; x -= 25) {
+      landmarker->process(picture(x));
+      if (result.found) {
+        EXPECT_LT((result.face.window.centre_px - place.centre_px).norm(), 0.35F * place.size_px)
+            << "scale " << scale << " at " << x;
+      }
+    }
+    ASSERT_TRUE(result.found) << scale;
+    EXPECT_LT((result.face.window.centre_px - place.centre_px).norm(), 0.06F * place.size_px) << scale;
+    EXPECT_NEAR(result.face.window.size_px, place.size_px, 0.06F * place.size_px) << scale;
+  }
+}
+
 TEST_F(LandmarkerTest, DoesNotJumpToAnotherFaceWhenItsOwnIsHidden) {
   const auto picture = [&](bool own) {
     cv::Mat canvas(700, 1920, CV_8UC3, cv::Scalar(100, 100, 100));
