@@ -29,7 +29,11 @@ int main(int argc, char** argv) {
       "Vulkan\n"
       "device, 6 cannot write, 7 the daemon does not answer. `facet COMMAND --help` explains a command.");
 
+  add_doctor_command(app);
+  add_export_command(app);
+  add_summary_command(app);
   add_synth_command(app);
+  add_watch_command(app);
 
   try {
     app.parse(argc, argv);
