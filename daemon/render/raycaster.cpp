@@ -27,6 +27,12 @@ std::shared_ptr<RTCDeviceTy> shared_device() {
   return device;
 }
 
+/// Debian's Embree checks its rays with assertions: what it would stop the program for must not reach it.
+bool usable(const Eigen::Vector3f& vector) {
+  constexpr float kLargest = 1e18F;
+  return vector.allFinite() && vector.cwiseAbs().maxCoeff() < kLargest;
+}
+
 void pass_back_faces(const RTCFilterFunctionNArguments* arguments) {
   // Single rays only: N is 1, and the N-wide structures have the layout of RTCRay and RTCHit.
   const auto* ray = reinterpret_cast<const RTCRay*>(arguments->ray);
@@ -143,6 +149,11 @@ HitImage Raycaster::cast(const CameraIntrinsics& camera, Eigen::Vector2f offset_
   image.triangle.assign(pixel_count, -1);
   image.barycentric.assign(pixel_count, Eigen::Vector2f::Zero());
   image.depth_mm.assign(pixel_count, 0.0F);
+  const Eigen::Vector3f corner((offset_px.x() - camera.cx) / camera.fx,
+                               (offset_px.y() - camera.cy) / camera.fy, 1);
+  if (!usable(corner)) {
+    return image;
+  }
   for_each_row(camera.height_px, [&](int y) {
     RTCIntersectContext context;
     rtcInitIntersectContext(&context);
@@ -176,6 +187,9 @@ Raycaster::Closest Raycaster::closest_point(const Eigen::Vector3f& query_mm, flo
     Closest best;
   } search{impl_.get(), query_mm, {}};
   search.best.distance_mm = max_distance_mm;
+  if (!usable(query_mm) || !(max_distance_mm >= 0)) {
+    return {};
+  }
 
   RTCPointQueryContext context;
   rtcInitPointQueryContext(&context);
@@ -212,6 +226,9 @@ Raycaster::Closest Raycaster::closest_point(const Eigen::Vector3f& query_mm, flo
 
 Raycaster::Hit Raycaster::first_hit(const Eigen::Vector3f& origin_mm, const Eigen::Vector3f& direction,
                                     float min_distance_mm, bool cull_back) const {
+  if (!usable(origin_mm) || !usable(direction) || direction.isZero() || !std::isfinite(min_distance_mm)) {
+    return {};
+  }
   RTCIntersectContext context;
   rtcInitIntersectContext(&context);
   context.filter = cull_back ? pass_back_faces : nullptr;
@@ -237,7 +254,7 @@ bool Raycaster::occluded(const Eigen::Vector3f& from_mm, const Eigen::Vector3f& 
                          float margin_mm) const {
   const Eigen::Vector3f between = to_mm - from_mm;
   const float distance_mm = between.norm();
-  if (distance_mm <= 2 * margin_mm) {
+  if (!usable(from_mm) || !usable(to_mm) || !(distance_mm > 2 * margin_mm)) {
     return false;
   }
   RTCIntersectContext context;

@@ -30,7 +30,8 @@ struct HitImage {
   std::vector<float> depth_mm;               ///< z in the camera frame; 0 where nothing is hit
 };
 
-/// Ray queries against one triangle mesh (Embree). Any thread once built.
+/// Ray queries against one triangle mesh (Embree). Any thread once built. A query with numbers that are not
+/// finite finds nothing.
 class Raycaster {
  public:
   /// vertices_mm [3][vertex_count], triangles [3][triangle_count]; both copied.

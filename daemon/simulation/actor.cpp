@@ -60,6 +60,10 @@ Eigen::MatrixXf find_openness(const mesh::Vertices& vertices_mm, const mesh::Tri
   Eigen::MatrixXf openness(1, vertices_mm.cols());
   render::for_each_row(static_cast<int>(vertices_mm.cols()), [&](int v) {
     const Vector3f normal = normals.col(v);
+    if (normal.isZero()) {  // a vertex of an eyeball, which is not in this mesh
+      openness(0, v) = 1;
+      return;
+    }
     const Vector3f u = normal.unitOrthogonal();
     const Vector3f w = normal.cross(u);
     const Vector3f from = vertices_mm.col(v) + kLift_mm * normal;
@@ -296,6 +300,8 @@ VirtualActor::VirtualActor(const face::FaceModel& model, std::uint64_t seed, boo
   openness_ = zones.openness;
   face_skin_ = zones.skin;
 
+  constexpr float kBehindEyes_mm = 75;
+  head_middle_mm_ = anatomy_.nasion - Vector3f(0, 0, kBehindEyes_mm);
   hair_volume_mm_.resize(resting_mm.cols());
   head_materials_.assign(static_cast<std::size_t>(resting_mm.cols()), Material::Skin);
   const Noise locks(seed, 78);
@@ -339,8 +345,14 @@ void VirtualActor::shape(std::span<const float> expression, const Gaze& gaze, Ac
   mesh::vertex_normals(smooth_mm, head_triangles_, shape.head_normals);
   Eigen::VectorXf relief_mm;
   relief_->wrinkles.relief_mm(expression, relief_mm);
-  relief_mm += hair_volume_mm_;
+  // Hair grows away from the middle of the head, not along the normals: the two sides of the slit at the back
+  // of the skull lie in one place and have to stay together.
   shape.head_mm = smooth_mm + shape.head_normals * relief_mm.asDiagonal();
+  for (Eigen::Index v = 0; v < hair_volume_mm_.size(); ++v) {
+    if (hair_volume_mm_[v] > 0) {
+      shape.head_mm.col(v) += hair_volume_mm_[v] * (smooth_mm.col(v) - head_middle_mm_).normalized();
+    }
+  }
   mesh::vertex_normals(shape.head_mm, head_triangles_, shape.head_normals);
 
   // The jaw's motion is the best rigid one of the chin.

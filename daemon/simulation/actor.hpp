@@ -72,6 +72,7 @@ class VirtualActor {
   Eigen::VectorXf openness_;
   Eigen::VectorXf face_skin_;
   Eigen::VectorXf hair_volume_mm_;
+  Eigen::Vector3f head_middle_mm_{0, 0, 0};
   struct Relief;
   std::unique_ptr<const Relief> relief_;
   Surface eyeball_surface_;

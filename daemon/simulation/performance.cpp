@@ -86,7 +86,7 @@ constexpr std::array<std::span<const Part>, 7> kVisemes{kOpenVowel, kWideVowel, 
                                                         kLipsShut,  kLipOnTeeth, kHiss};
 
 constexpr double kFirstEvent_s = 0.8;
-constexpr double kCalmStart_s = 1.6;  // the head leaves the frontal pose over this time
+constexpr double kCalmStart_s = 2.4;  // the head leaves the frontal pose over this time
 constexpr double kBlinkClose_s = 0.07;
 constexpr double kBlinkOpen_s = 0.17;
 constexpr double kSaccade_s = 0.05;
@@ -244,7 +244,7 @@ Gaze Performance::gaze(double time_s) const {
   return {std::clamp(before.yaw_rad + part * (last.offset.yaw_rad - before.yaw_rad) - 0.8F * motion.yaw_rad,
                      -0.5F, 0.5F),
           std::clamp(
-              before.pitch_rad + part * (last.offset.pitch_rad - before.pitch_rad) + 0.8F * motion.pitch_rad,
+              before.pitch_rad + part * (last.offset.pitch_rad - before.pitch_rad) + 0.5F * motion.pitch_rad,
               -0.4F, 0.4F)};
 }
 

@@ -100,7 +100,7 @@ Surface make_eyeball(float radius_mm, const Eigen::Vector3f& iris, std::uint64_t
       const float from_axis_mm = radius_mm * polar;
       const float fibre =
           fibres.at({3.0F * std::cos(turn) * 3, 3.0F * std::sin(turn) * 3, from_axis_mm * 0.25F});
-      Vector3f colour = Vector3f(0.62F, 0.57F, 0.54F) * (1 - 0.25F * smooth_step(7, 13, from_axis_mm));
+      Vector3f colour = Vector3f(0.52F, 0.47F, 0.44F) * (1 - 0.25F * smooth_step(7, 13, from_axis_mm));
       const Vector3f stroma = iris * (1 + 0.35F * fibre) * (1 - 0.6F * smooth_step(4.6F, 5.9F, from_axis_mm));
       colour = stroma + smooth_step(kIris_mm - 0.35F, kIris_mm + 0.35F, from_axis_mm) * (colour - stroma);
       colour *= 0.03F + 0.97F * smooth_step(kPupil_mm - 0.25F, kPupil_mm + 0.25F, from_axis_mm);
@@ -157,12 +157,13 @@ Surface make_teeth(const Anatomy& anatomy, bool upper) {
 }
 
 Torso make_torso(const Anatomy& anatomy, const Complexion& complexion, std::uint64_t seed) {
-  constexpr int kRows = 80;
-  constexpr int kAround = 128;
+  constexpr int kRows = 120;
+  constexpr int kAround = 160;
   Random random(seed, 62);
   const Noise weave(seed, 63);
-  const Vector3f cloth(random.uniform(0.03F, 0.4F), random.uniform(0.03F, 0.4F),
-                       random.uniform(0.04F, 0.45F));
+  const float grey = random.uniform(0.03F, 0.35F);
+  const Vector3f cloth(grey * random.uniform(0.6F, 1.2F), grey * random.uniform(0.7F, 1.1F),
+                       grey * random.uniform(0.7F, 1.4F));
   struct Section {
     float y, half_x, half_z, z;
   };
@@ -197,11 +198,11 @@ Torso make_torso(const Anatomy& anatomy, const Complexion& complexion, std::uint
       const auto v = static_cast<std::size_t>(row * kAround + step);
       surface.vertices_mm.col(row * kAround + step) = point;
       const float collar = chin_y - 58 - 14 * std::max(0.0F, std::sin(turn));
-      const bool clothed = point.y() < collar;
-      surface.materials[v] = clothed ? Material::Cloth : Material::Skin;
+      const float clothed = smooth_step(collar + 2.5F, collar - 2.5F, point.y());
+      surface.materials[v] = Material::Cloth;
       const Vector3f skin = complexion.skin * (1 + 0.05F * weave.at(point / 15.0F)) * 0.85F;
-      surface.albedo.col(row * kAround + step) =
-          clothed ? Vector3f(cloth * (1 + 0.25F * weave.fractal(point / 35.0F, 3))) : skin;
+      const Vector3f fabric = cloth * (1 + 0.25F * weave.fractal(point / 35.0F, 3));
+      surface.albedo.col(row * kAround + step) = skin + clothed * (fabric - skin);
       torso.hold[v] = smooth_step(chin_y - 75, chin_y + 10, point.y());
     }
   }
@@ -239,7 +240,7 @@ Surface make_glasses(const Anatomy& anatomy, std::uint64_t seed) {
         centre + Vector3f(sign * half_width_mm, 7, -0.006F * (half_width_mm + 8) * (half_width_mm + 8));
     for (int step = 0; step <= 40; ++step) {
       const float part = static_cast<float>(step) / 40;
-      temple.emplace_back(hinge.x() + sign * 11 * smooth_step(0, 0.35F, part),
+      temple.emplace_back(hinge.x() + sign * 22 * smooth_step(0, 0.5F, part),
                           hinge.y() - 6 * part * part * part, hinge.z() - 110 * part);
     }
     append(glasses, tube(temple, false, radius_mm));

@@ -130,14 +130,18 @@ Eigen::Matrix3Xf shade_vertices(const Scene& scene, const render::Raycaster& cas
       const Vector3f normal = scene.normals.col(v);
       const Vector3f to_eye = -at.normalized();
       // Vertices just over the horizon still colour triangles that are seen.
-      if (normal.dot(to_eye) < -0.3F) {
+      if (normal.isZero() || normal.dot(to_eye) < -0.3F) {
         continue;
       }
       const Material material = scene.materials[static_cast<std::size_t>(v)];
       const Gloss gloss = gloss_of(material, highlights);
       float open = scene.openness[v];
-      if (std::isnan(open)) {
-        open = find_openness(caster, at, normal, kPropReach_mm);
+      const bool baked = !std::isnan(open);
+      // A hidden vertex only tints the rim of what is seen: shadow rays would be wasted on it.
+      constexpr float kHiddenLight = 0.4F;
+      const bool hidden = (area || !baked) && caster.occluded(at + kLift_mm * normal, Vector3f::Zero(), 0);
+      if (!baked) {
+        open = hidden ? kHiddenLight : find_openness(caster, at, normal, kPropReach_mm);
       } else if (!area) {
         open = 1;  // the shading model knows no shadows
       }
@@ -155,7 +159,7 @@ Eigen::Matrix3Xf shade_vertices(const Scene& scene, const render::Raycaster& cas
           const Vector3f to_light = between.normalized();
           const float cosine = normal.dot(to_light);
           const float from_light = -to_light.dot(light.normal);
-          if (cosine <= 0 || from_light <= 0 || caster.occluded(from, point, 0)) {
+          if (cosine <= 0 || from_light <= 0 || (!hidden && caster.occluded(from, point, 0))) {
             continue;
           }
           const float falloff =
@@ -165,7 +169,7 @@ Eigen::Matrix3Xf shade_vertices(const Scene& scene, const render::Raycaster& cas
             mirror += falloff * mirrored(normal, to_light, to_eye, gloss);
           }
         }
-        light_sum += share * diffuse * light.irradiance;
+        light_sum += (hidden ? kHiddenLight : 1.0F) * share * diffuse * light.irradiance;
         mirror_sum += share * mirror * light.irradiance;
       }
       if (!area && gloss.reflectance > 0) {

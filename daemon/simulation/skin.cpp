@@ -35,7 +35,7 @@ float brow_cover(const Anatomy& face, std::size_t index, const Vector3f& at, con
                      smooth_step(1.06F, 0.75F, along);
   const float slant = 0.9F - 1.1F * along;  // upright near the nose, lying outwards
   const float strand = strands.at({(at.x() - side * slant * at.y()) / 0.9F, at.y() / 5.0F, at.z() / 5.0F});
-  return band * std::clamp(0.78F + 0.45F * strand, 0.0F, 1.0F);
+  return band * std::clamp(0.85F + 0.4F * strand, 0.0F, 1.0F);
 }
 
 /// Where stubble grows: upper lip, chin, jaw and lower cheeks.
@@ -74,8 +74,11 @@ float above_hairline_mm(const Anatomy& anatomy, const Eigen::Vector3f& point_mm)
   const Vector2f line = Vector2f(temple_z - front.z(), temple_y - front.y()).normalized();
   const Vector2f upwards(line.y(), -line.x());
   const float over = (Vector2f(point_mm.z(), point_mm.y()) - Vector2f(front.z(), front.y())).dot(upwards);
-  const float behind = temple_z - 26 - point_mm.z();
-  return std::max(over, behind);
+  const float behind = temple_z - 48 - point_mm.z();
+  const float nape_y = 0.5F * (anatomy.nose_tip.y() + anatomy.mouth_corner[0].y());
+  // Ears stick out farther than the skull is wide.
+  const float skull_mm = 1.72F * anatomy.eye_outer[1].x();
+  return std::min({std::max(over, behind), point_mm.y() - nape_y, 3 * (skull_mm - std::abs(point_mm.x()))});
 }
 
 Eigen::Matrix3Xf paint_albedo(const Anatomy& anatomy, const Complexion& complexion, const SkinZones& zones,
@@ -128,7 +131,7 @@ Eigen::Matrix3Xf paint_albedo(const Anatomy& anatomy, const Complexion& complexi
     red += 0.8F * std::exp(-(at - anatomy.nose_tip).squaredNorm() / (12 * 12));
     red = (0.16F * red + 0.05F * mottle.fractal(at / 17.0F, 2)) * zones.skin[v];
     colour = colour.array() * Vector3f(1 + 0.35F * red, 1 - 0.75F * red, 1 - 0.7F * red).array();
-    colour *= 1 + 0.07F * blotches.fractal(at / 26.0F, 3) + 0.045F * fine.fractal(at / 3.4F, 2);
+    colour *= 1 + 0.085F * blotches.fractal(at / 26.0F, 3) + 0.06F * fine.fractal(at / 3.4F, 2);
     for (const Spot& spot : spots) {
       const float distance = (at - spot.at_mm).norm() / spot.radius_mm;
       if (distance < 2) {
@@ -140,7 +143,7 @@ Eigen::Matrix3Xf paint_albedo(const Anatomy& anatomy, const Complexion& complexi
       const float hairs = 0.35F + 0.5F * smooth_step(-0.1F, 0.7F, stubble.at(at / 1.25F));
       colour = mixed(colour, 0.35F * colour + 0.5F * complexion.hair, cover * hairs);
     }
-    const Vector3f lip = complexion.skin.array() * Vector3f(0.86F, 0.52F, 0.56F).array();
+    const Vector3f lip = complexion.skin.array() * Vector3f(0.84F, 0.57F, 0.6F).array();
     colour = mixed(colour, lip * (1 + 0.1F * fine.at({at.x() / 1.6F, at.y() / 7.0F, at.z() / 7.0F})),
                    0.85F * smooth_step(0.25F, 0.75F, zones.lips[v]));
 
@@ -163,7 +166,9 @@ Eigen::Matrix3Xf paint_albedo(const Anatomy& anatomy, const Complexion& complexi
                    smooth_step(-2.0F, 4.0F, hairline));
 
     // Nostrils and sockets get no light that the shading model knows of.
-    colour *= 0.06F + 0.94F * smooth_step(0.06F, 0.42F, zones.openness[v]);
+    const float hollow = std::max(
+        {zones.eye[v], zones.mouth[v], std::exp(-(at - anatomy.nose_tip).squaredNorm() / (22 * 22))});
+    colour *= 1 - 0.94F * smooth_step(0.1F, 0.4F, hollow) * smooth_step(0.42F, 0.06F, zones.openness[v]);
     albedo.col(v) = colour.cwiseMax(0.004F).cwiseMin(0.9F);
   }
   return albedo;

@@ -41,7 +41,9 @@ Eigen::Matrix3f turn(const HeadMotion& motion) {
 Eigen::Matrix3Xf make_background(const StudioConfig& config) {
   Random random(config.seed, 81);
   const Noise shapes(config.seed, 82);
-  const Vector3f wall(random.uniform(0.08F, 0.3F), random.uniform(0.08F, 0.3F), random.uniform(0.08F, 0.32F));
+  const Vector3f wall =
+      random.uniform(0.08F, 0.3F) *
+      Vector3f(random.uniform(0.8F, 1.2F), random.uniform(0.9F, 1.1F), random.uniform(0.75F, 1.25F));
   struct Blob {
     float x, y, radius;
     Vector3f colour;
@@ -65,7 +67,7 @@ Eigen::Matrix3Xf make_background(const StudioConfig& config) {
           wall * (1.15F - 0.4F * v) * (1 + 0.15F * shapes.fractal({2.2F * u, 2.2F * v, 0.5F}, 2));
       for (const Blob& blob : blobs) {
         const float distance = std::hypot(u - blob.x * width / height, v - blob.y) / blob.radius;
-        colour += 0.6F * smooth_step(1.2F, 0.8F, distance) * (blob.colour - colour);
+        colour += 0.6F * smooth_step(1.5F, 0.4F, distance) * (blob.colour - colour);
       }
       background.col(static_cast<Eigen::Index>(y) * config.width_px + x) = colour.cwiseMax(0.0F);
     }

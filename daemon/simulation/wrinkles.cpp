@@ -236,7 +236,7 @@ void smile_lines(const Anatomy& face, std::size_t cheek, const Carver& carver, R
     Crease crease;
     crease.course_mm = {corner + Vector2f(side * (out - 3), 12), corner + Vector2f(side * out, 4),
                         corner + Vector2f(side * (out - 1), -4), corner + Vector2f(side * (out - 4), -10)};
-    crease.depth_mm = random.uniform(0.3F, 0.55F);
+    crease.depth_mm = random.uniform(0.2F, 0.4F);
     crease.half_width_mm = random.uniform(0.9F, 1.2F);
     carver.carve(crease, pattern_mm);
   }

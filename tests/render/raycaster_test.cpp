@@ -210,6 +210,22 @@ TEST(Raycaster, ClosestPointOnEdgesCornersAndSlivers) {
   EXPECT_NEAR(caster.closest_point({15, 0, 2}, 100).distance_mm, 2, 1e-5F);
 }
 
+TEST_F(OnSphere, QueriesThatAreNotFiniteFindNothing) {
+  const Eigen::Vector3f bad(0, std::nanf(""), 0);
+  const Eigen::Vector3f far(0, INFINITY, 0);
+  const Eigen::Vector3f forward(0, 0, 1);
+  EXPECT_EQ(caster.first_hit(bad, forward).triangle, -1);
+  EXPECT_EQ(caster.first_hit({0, 0, 0}, far).triangle, -1);
+  EXPECT_EQ(caster.first_hit(kCentre_mm, {0, 0, 0}).triangle, -1);
+  EXPECT_EQ(caster.closest_point(bad, 1000).triangle, -1);
+  EXPECT_EQ(caster.closest_point(kCentre_mm, std::nanf("")).triangle, -1);
+  EXPECT_FALSE(caster.occluded(kCentre_mm, far, 1));
+  EXPECT_FALSE(caster.occluded(bad, kCentre_mm, 1));
+  CameraIntrinsics broken = kCamera;
+  broken.fx = 0;
+  EXPECT_EQ(caster.cast(broken).triangle[0], -1);
+}
+
 TEST(Raycaster, EmptyMeshHitsNothing) {
   const Raycaster caster(mesh::Vertices(3, 0), mesh::Triangles(3, 0));
   EXPECT_EQ(caster.first_hit({0, 0, 0}, {0, 0, 1}).triangle, -1);
