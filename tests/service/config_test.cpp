@@ -1,0 +1,205 @@
+#include "service/config.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <fstream>
+#include <iterator>
+#include <regex>
+#include <sstream>
+
+#include "facet/error.hpp"
+#include "support/paths.hpp"
+
+namespace facet::service {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using ::testing::StartsWith;
+
+std::string error_of(const std::string& text) {
+  try {
+    parse_config(text, "/etc/facet/facet.toml");
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::Usage);
+    return error.what();
+  }
+  return "no error";
+}
+
+std::string sample() {
+  std::ifstream file(std::filesystem::path(FACET_SOURCE_DIR) / "config/facet.toml");
+  return {std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
+}
+
+TEST(Config, EmptyFileIsTheDefault) {
+  const Config config = parse_config("", "facet.toml");
+  EXPECT_EQ(config.pipeline.gpu_device, "auto");
+  EXPECT_EQ(config.control.socket, "/run/facet/control.sock");
+  EXPECT_EQ(config.stream.socket, "/run/facet/stream.sock");
+  EXPECT_EQ(config.log_level, LogLevel::Info);
+  EXPECT_FALSE(config.pipeline.tracker.intrinsics.has_value());
+}
+
+/// The sample shows every key, and what it shows is the default.
+TEST(Config, SampleShowsEveryKeyWithItsDefault) {
+  const std::string text = sample();
+  const Config shown = parse_config(text, "/sample/facet.toml");
+  const Config defaults = parse_config("", "/sample/facet.toml");
+  EXPECT_EQ(shown.pipeline.source.path, "/sample/video.mp4");
+  EXPECT_EQ(shown.pipeline.source.kind, defaults.pipeline.source.kind);
+  EXPECT_EQ(shown.pipeline.source.paced, defaults.pipeline.source.paced);
+  EXPECT_EQ(shown.pipeline.source.loop, defaults.pipeline.source.loop);
+  EXPECT_EQ(shown.pipeline.frames.first, defaults.pipeline.frames.first);
+  EXPECT_EQ(shown.pipeline.frames.end, defaults.pipeline.frames.end);
+  EXPECT_EQ(shown.exit_at_end, defaults.exit_at_end);
+  EXPECT_EQ(shown.wait_for_reader, defaults.wait_for_reader);
+  EXPECT_EQ(shown.pipeline.tracker.acquisition_frames, defaults.pipeline.tracker.acquisition_frames);
+  EXPECT_EQ(shown.pipeline.tracker.expression_prior, defaults.pipeline.tracker.expression_prior);
+  EXPECT_EQ(shown.pipeline.tracker.temporal_prior, defaults.pipeline.tracker.temporal_prior);
+  EXPECT_EQ(shown.pipeline.hierarchy.min_edge_px, defaults.pipeline.hierarchy.min_edge_px);
+  EXPECT_EQ(shown.pipeline.hierarchy.max_levels, defaults.pipeline.hierarchy.max_levels);
+  EXPECT_EQ(shown.pipeline.hierarchy.max_vertices, defaults.pipeline.hierarchy.max_vertices);
+  const refine::RefinerConfig& refiner = shown.pipeline.refiner;
+  const refine::RefinerConfig& expected = defaults.pipeline.refiner;
+  EXPECT_EQ(refiner.paper_budget, expected.paper_budget);
+  EXPECT_EQ(refiner.gauss_newton_steps, expected.gauss_newton_steps);
+  EXPECT_EQ(refiner.pcg_iterations, expected.pcg_iterations);
+  EXPECT_EQ(refiner.albedo_frames, expected.albedo_frames);
+  EXPECT_EQ(refiner.robust_scale, expected.robust_scale);
+  EXPECT_EQ(refiner.displacement_bound_mm, expected.displacement_bound_mm);
+  EXPECT_EQ(refiner.weights.lighting_temporal, expected.weights.lighting_temporal);
+  EXPECT_EQ(refiner.weights.albedo_smooth, expected.weights.albedo_smooth);
+  EXPECT_EQ(refiner.weights.displacement_smooth, expected.weights.displacement_smooth);
+  EXPECT_EQ(refiner.weights.displacement_hierarchy, expected.weights.displacement_hierarchy);
+  EXPECT_EQ(refiner.weights.displacement_coarse, expected.weights.displacement_coarse);
+  EXPECT_EQ(shown.pipeline.gpu_device, defaults.pipeline.gpu_device);
+  EXPECT_EQ(shown.stream.socket, defaults.stream.socket);
+  EXPECT_EQ(shown.stream.access.group, defaults.stream.access.group);
+  EXPECT_EQ(shown.stream.access.mode, defaults.stream.access.mode);
+  EXPECT_EQ(shown.stream.max_readers, defaults.stream.max_readers);
+  EXPECT_EQ(shown.control.socket, defaults.control.socket);
+  EXPECT_EQ(shown.control.access.group, defaults.control.access.group);
+  EXPECT_EQ(shown.control.access.mode, defaults.control.access.mode);
+  EXPECT_EQ(shown.takes.folder, defaults.takes.folder);
+  EXPECT_EQ(shown.takes.disk_reserve_bytes, defaults.takes.disk_reserve_bytes);
+  EXPECT_EQ(shown.takes.compression_level, defaults.takes.compression_level);
+  EXPECT_EQ(shown.takes.record_at_start, defaults.takes.record_at_start);
+  EXPECT_EQ(shown.log_level, defaults.log_level);
+
+  for (const std::string& key : config_keys()) {
+    const std::size_t dot = key.rfind('.');
+    const std::regex line("(^|\n)#?" + key.substr(dot + 1) + " = ");
+    const std::size_t section = text.find("[" + key.substr(0, dot) + "]");
+    ASSERT_NE(section, std::string::npos) << key;
+    EXPECT_TRUE(std::regex_search(text.substr(section), line)) << key << " is not in config/facet.toml";
+  }
+}
+
+TEST(Config, ReadsEveryKindOfValue) {
+  const Config config = parse_config(R"(
+[source]
+path = "clips/face.mp4"
+paced = true
+frames = "10:20"
+[source.intrinsics]
+fx = 1000
+fy = 1001.5
+cx = 319.5
+cy = 239.5
+width_px = 640
+height_px = 480
+[refiner]
+budget = "paper"
+[refiner.weights]
+displacement_smooth = 1e-3
+[gpu]
+device = "llvmpipe"
+[stream]
+socket = "/tmp/s"
+mode = 0o600
+[takes]
+disk_reserve_mb = 5
+[log]
+level = "debug"
+)",
+                                     "/etc/facet/facet.toml");
+  EXPECT_EQ(config.pipeline.source.path, "/etc/facet/clips/face.mp4");
+  EXPECT_TRUE(config.pipeline.source.paced);
+  EXPECT_EQ(config.pipeline.frames.first, 10U);
+  EXPECT_EQ(config.pipeline.frames.end, 20U);
+  ASSERT_TRUE(config.pipeline.tracker.intrinsics.has_value());
+  EXPECT_FLOAT_EQ(config.pipeline.tracker.intrinsics->fy, 1001.5F);
+  EXPECT_EQ(config.pipeline.tracker.intrinsics->width_px, 640);
+  EXPECT_TRUE(config.pipeline.refiner.paper_budget);
+  EXPECT_FLOAT_EQ(config.pipeline.refiner.weights.displacement_smooth, 1e-3F);
+  EXPECT_EQ(config.pipeline.gpu_device, "llvmpipe");
+  EXPECT_EQ(config.stream.socket, "/tmp/s");
+  EXPECT_EQ(config.stream.access.mode, 0600U);
+  EXPECT_EQ(config.takes.disk_reserve_bytes, 5U << 20);
+  EXPECT_EQ(config.log_level, LogLevel::Debug);
+  EXPECT_EQ(parse_config("[refiner]\nbudget = 5", "f").pipeline.refiner.gauss_newton_steps, 5);
+}
+
+TEST(Config, ErrorsNameFileLineKeyAndWhatIsAllowed) {
+  EXPECT_THAT(error_of("[source]\npaced = 1"),
+              AllOf(StartsWith("/etc/facet/facet.toml:2: source.paced: "), HasSubstr("true or false")));
+  EXPECT_THAT(error_of("\n[source]\nkind = \"webcam\""),
+              AllOf(StartsWith("/etc/facet/facet.toml:3: source.kind: "), HasSubstr("one of: \"file\"")));
+  EXPECT_THAT(error_of("[source]\nframes = \"20:10\""), HasSubstr("facet.toml:2: source.frames: "));
+  EXPECT_THAT(error_of("[source]\npath = \"\""), HasSubstr("source.path: must be a path"));
+  EXPECT_THAT(error_of("[source]\npath = 3"), HasSubstr("source.path: must be a path"));
+  EXPECT_THAT(error_of("[source.intrinsics]\nfx = 1000"), HasSubstr("needs fx, fy, cx, cy, width_px"));
+  EXPECT_THAT(error_of("[hierarchy]\nmax_levels = 99"),
+              AllOf(HasSubstr("hierarchy.max_levels"), HasSubstr("from 1 to 12")));
+  EXPECT_THAT(error_of("[hierarchy]\nmax_levels = 2.5"), HasSubstr("a whole number from 1 to 12"));
+  EXPECT_THAT(error_of("[hierarchy]\nmin_edge_px = nan"), HasSubstr("a number from 0.1 to 1000"));
+  EXPECT_THAT(error_of("[refiner]\nbudget = \"fast\""), HasSubstr("\"paper\" or a whole number"));
+  EXPECT_THAT(error_of("[refiner]\nbudget = 0"), HasSubstr("from 1 to 100"));
+  EXPECT_THAT(error_of("[refiner.weights]\nalbedo_smooth = -1"), HasSubstr("refiner.weights.albedo_smooth"));
+  EXPECT_THAT(error_of("[stream]\nmode = 0o1777"), HasSubstr("0o660"));
+  EXPECT_THAT(error_of("[log]\nlevel = \"loud\""), HasSubstr("\"error\", \"warning\", \"info\", \"debug\""));
+  EXPECT_THAT(error_of("source = 3"), HasSubstr("source: must be a section"));
+  EXPECT_THAT(error_of("[source]\npath = \"x"),
+              AllOf(HasSubstr("facet.toml:2: "), HasSubstr("not valid TOML")));
+  EXPECT_THAT(error_of("[source]\npaced = true\npaced = false"), HasSubstr("facet.toml:3: "));
+}
+
+TEST(Config, UnknownKeysAreErrorsWithASuggestion) {
+  EXPECT_THAT(error_of("[source]\npth = \"x\""),
+              AllOf(HasSubstr("facet.toml:2: source.pth: unknown key"), HasSubstr("did you mean 'path'?")));
+  EXPECT_THAT(error_of("[sources]\npath = \"x\""), HasSubstr("did you mean 'source'?"));
+  EXPECT_THAT(error_of("[gpu]\nwattage = 3"), HasSubstr("known are: device"));
+  EXPECT_THAT(error_of("[gpu]\n" + std::string(1000, 'x') + " = 3"), HasSubstr("known are: device"));
+}
+
+TEST(Config, FilesThatCannotBeRead) {
+  const test::TemporaryFolder folder;
+  const auto kind_of = [](const std::filesystem::path& file) {
+    try {
+      load_config(file);
+    } catch (const Error& error) {
+      EXPECT_THAT(error.what(), HasSubstr(file.string()));
+      return error.kind();
+    }
+    return ErrorKind::Internal;
+  };
+  EXPECT_EQ(kind_of(folder.path() / "missing.toml"), ErrorKind::UnreadableInput);
+  EXPECT_EQ(kind_of(folder.path()), ErrorKind::UnreadableInput);
+  const auto huge = folder.path() / "huge.toml";
+  std::ofstream(huge) << std::string(kMaxConfigBytes + 1, '#');
+  EXPECT_EQ(kind_of(huge), ErrorKind::Usage);
+  const auto binary = folder.path() / "binary.toml";
+  std::ofstream(binary) << std::string("\0\xff\xfe\x01", 4);
+  EXPECT_EQ(kind_of(binary), ErrorKind::Usage);
+}
+
+TEST(Config, ADaemonNeedsASource) {
+  EXPECT_THROW(require_source(default_config(), "facet.toml"), Error);
+  require_source(parse_config("[source]\npath = \"a.mp4\"", "facet.toml"), "facet.toml");
+}
+
+}  // namespace
+}  // namespace facet::service

