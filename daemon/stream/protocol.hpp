@@ -13,6 +13,9 @@ namespace facet::stream {
 /// does.
 inline constexpr std::uint32_t kProtocolVersion = 1;
 
+/// Where facetd listens unless its configuration says otherwise.
+inline constexpr const char* kDefaultSocket = "/run/facet/stream.sock";
+
 /// On the socket every message has this header before its FlatBuffer: the magic, then the length of what
 /// follows, both little-endian uint32. The magic lets a peer notice at once that it talks to something else.
 inline constexpr std::uint32_t kMessageMagic = 0x4D544346;  // "FCTM" in memory
