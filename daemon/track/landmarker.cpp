@@ -9,6 +9,7 @@
 #include "track/face_detector.hpp"
 #include "track/face_geometry.hpp"
 #include "track/landmark_assets.hpp"
+#include "track/landmark_filter.hpp"
 #include "track/landmark_net.hpp"
 #include "track/search_plan.hpp"
 
@@ -68,6 +69,8 @@ struct Landmarker::Impl {
   LandmarkNet net;
 
   LandmarkResult result;
+  LandmarkFilter filter;
+  std::int64_t last_media_time_ns = 0;
   bool following = false;  ///< the last frame had the face
   bool remembers = false;  ///< `window`, `trusted` and `average` tell of a face
   Region window;           ///< where the face is looked for next
@@ -251,6 +254,19 @@ struct Landmarker::Impl {
     return true;
   }
 
+  /// Calms the landmarks of a face that was found.
+  void smooth(const Frame& frame) {
+    constexpr float usual_frame_seconds = 1 / 30.0F;
+    constexpr float longest_frame_seconds = 0.5F;
+    const auto passed_ns = static_cast<float>(frame.media_time_ns - last_media_time_ns);
+    const float seconds = passed_ns > 0 ? 1e-9F * passed_ns : usual_frame_seconds;
+    if (result.acquired || seconds > longest_frame_seconds) {
+      filter.reset();
+    }
+    filter.apply(result.face.interocular_px, seconds, result.face.points_px);
+    last_media_time_ns = frame.media_time_ns;
+  }
+
   /// Looks near the last place, at the whole image, and in the next windows of the round.
   bool acquire(const Frame& frame) {
     constexpr float near_last = 2.0F;
@@ -300,6 +316,9 @@ const LandmarkResult& Landmarker::process(const Frame& frame) {
       result.acquired = result.found;
       result.detect_ms += milliseconds_since(start);
     }
+  }
+  if (result.found && impl_->config.smooth) {
+    impl_->smooth(frame);
   }
   impl_->following = result.found;
   impl_->remembers = impl_->remembers || result.found;

@@ -106,16 +106,19 @@ TEST_F(LandmarkerTest, FollowsTheImageThroughScaleAndRotation) {
 }
 
 TEST_F(LandmarkerTest, AStillImageStandsStill) {
-  const Frame frame = frame_of(photo);
-  landmarker->process(frame);
-  for (int i = 0; i < 5; ++i) {
-    landmarker->process(frame);
-  }
-  const Eigen::Matrix3Xf settled = landmarker->process(frame).face.points_px;
-  for (int i = 0; i < 10; ++i) {
-    const LandmarkResult& result = landmarker->process(frame);
-    EXPECT_FALSE(result.acquired);
-    EXPECT_EQ(result.face.points_px, settled);
+  const Frame frame = frame_of(solo);
+  for (const bool smooth : {false, true}) {
+    Landmarker still(test::landmark_assets(), {.smooth = smooth});
+    for (int i = 0; i < 40; ++i) {
+      still.process(frame);
+    }
+    const Eigen::Matrix3Xf settled = still.process(frame).face.points_px;
+    for (int i = 0; i < 15; ++i) {
+      const LandmarkResult& result = still.process(frame);
+      ASSERT_TRUE(result.found);
+      EXPECT_FALSE(result.acquired);
+      EXPECT_LE((result.face.points_px - settled).cwiseAbs().maxCoeff(), smooth ? 1e-3F : 0.0F);
+    }
   }
 }
 

@@ -1,0 +1,40 @@
+#include "track/landmark_filter.hpp"
+
+#include <numbers>
+
+namespace facet::track {
+namespace {
+
+constexpr float resting_cutoff_hz = 2.0F;
+constexpr float cutoff_hz_per_speed = 120.0F;  ///< speed in interocular distances per second
+constexpr float velocity_cutoff_hz = 3.0F;
+
+/// The share of the new value in a first-order low-pass (Casiez et al. 2012, eq. 3 and 4).
+float new_share(float cutoff_hz, float seconds) {
+  const float period = 1 / (2 * std::numbers::pi_v<float> * cutoff_hz);
+  return 1 / (1 + period / seconds);
+}
+
+}  // namespace
+
+void LandmarkFilter::apply(float interocular_px, float seconds, Eigen::Matrix3Xf& points_px) {
+  if (!started_) {
+    started_ = true;
+    measured_ = points_px;
+    filtered_ = points_px;
+    velocity_.setZero(2, points_px.cols());
+    return;
+  }
+  const float velocity_share = new_share(velocity_cutoff_hz, seconds);
+  const float per_second = 1 / (interocular_px * seconds);
+  for (Eigen::Index i = 0; i < points_px.cols(); ++i) {
+    const Eigen::Vector2f speed = per_second * (points_px.col(i) - measured_.col(i)).head<2>();
+    velocity_.col(i) += velocity_share * (speed - velocity_.col(i));
+    const float cutoff_hz = resting_cutoff_hz + cutoff_hz_per_speed * velocity_.col(i).norm();
+    filtered_.col(i) += new_share(cutoff_hz, seconds) * (points_px.col(i) - filtered_.col(i));
+  }
+  measured_ = points_px;
+  points_px = filtered_;
+}
+
+}  // namespace facet::track
