@@ -21,11 +21,11 @@ constexpr double kIrisAngleRad = 0.42;  // 6 mm of iris on a 14 mm eyeball
 struct Brow {
   double inner_mm = 12;  // from the mid-line
   double outer_mm = 54;
-  double inner_height_mm = 17;
-  double peak_height_mm = 23;
-  double outer_height_mm = 15;
+  double inner_height_mm = 16;
+  double peak_height_mm = 21.5;
+  double outer_height_mm = 14;
   double peak_at = 0.62;  // part of the way from inner to outer end
-  double half_width_mm = 4.5;
+  double half_width_mm = 4.2;
 };
 
 /// Height of the brow's middle at a distance from the mid-line: a parabola on either side of the peak.

@@ -211,18 +211,18 @@ Field shape(std::string_view name, const Anatomy& face,
   if (is("mouthSmile")) return half(unit("mouth-corner-puller"));
   if (is("mouthFrown")) return half(unit("mouth-depression"));
   if (is("mouthDimple")) return half(unit("mouth-retraction"));
-  if (is("mouthStretch")) return half(unit("neck-platysma"));
+  if (is("mouthStretch")) return half(masked(unit("neck-platysma"), face.lips(2.6, 0.75)));
   constexpr double kUpperLipMm = 10;
   constexpr double kLowerLipMm = 14;
   if (name == "mouthRollLower") {
     const Mask roll =
-        face.lips(1.3).cwiseProduct(face.lower_lip()).cwiseProduct(face.towards_seam(kLowerLipMm));
-    return masked(face.constant(0, 2.5, -6), roll);
+        face.lips(1.5).cwiseProduct(face.lower_lip()).cwiseProduct(face.towards_seam(kLowerLipMm));
+    return masked(face.constant(0, 3, -8), roll);
   }
   if (name == "mouthRollUpper") {
     const Mask roll =
-        face.lips(1.3).cwiseProduct(face.upper_lip()).cwiseProduct(face.towards_seam(kUpperLipMm));
-    return masked(face.constant(0, -2.5, -6), roll);
+        face.lips(1.5).cwiseProduct(face.upper_lip()).cwiseProduct(face.towards_seam(kUpperLipMm));
+    return masked(face.constant(0, -3, -8), roll);
   }
   if (name == "mouthShrugLower") return unit("mouth-eversion");
   if (name == "mouthShrugUpper")

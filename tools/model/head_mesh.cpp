@@ -97,6 +97,42 @@ std::map<Part, std::vector<int>> head_quads(const MakeHumanMesh& base) {
 
 using Edge = std::pair<int, int>;
 
+/// The strips of quads that run round the nape below the skull: they start at the lowest edges of the
+/// mid-line at the back and cross every quad to its opposite edge until the border.
+std::set<int> nape_strips(const MakeHumanMesh& base, const std::vector<int>& skin) {
+  constexpr std::size_t kStrips = 3;
+  constexpr double kOnMidlineDm = 1e-3;
+  std::map<Edge, int> quad_of_edge;  // directed
+  std::map<double, Edge> midline;    // by height
+  for (const int q : skin) {
+    for (int corner = 0; corner < 4; ++corner) {
+      const Edge edge(base.quads(corner, q), base.quads((corner + 1) % 4, q));
+      quad_of_edge[edge] = q;
+      const Eigen::Vector3d a = base.vertices_dm.col(edge.first);
+      const Eigen::Vector3d b = base.vertices_dm.col(edge.second);
+      if (std::abs(a.x()) < kOnMidlineDm && std::abs(b.x()) < kOnMidlineDm && a.z() < 0 && a.y() < b.y()) {
+        midline[a.y()] = edge;
+      }
+    }
+  }
+  std::set<int> strips;
+  std::size_t taken = 0;
+  for (auto it = midline.begin(); it != midline.end() && taken < kStrips; ++it, ++taken) {
+    for (Edge edge : {it->second, Edge(it->second.second, it->second.first)}) {
+      for (auto at = quad_of_edge.find(edge); at != quad_of_edge.end() && strips.insert(at->second).second;
+           at = quad_of_edge.find(edge)) {
+        for (int corner = 0; corner < 4; ++corner) {
+          if (base.quads(corner, at->second) == edge.first) {
+            edge = {base.quads((corner + 3) % 4, at->second), base.quads((corner + 2) % 4, at->second)};
+            break;
+          }
+        }
+      }
+    }
+  }
+  return strips;
+}
+
 std::vector<Edge> quad_edges(const mesh::Quads& quads, Eigen::Index q) {
   return {{quads(0, q), quads(1, q)},
           {quads(1, q), quads(2, q)},
@@ -263,6 +299,8 @@ std::vector<int> HeadMesh::vertices_of(Part wanted) const {
 
 HeadMesh cut_head(const MakeHumanMesh& base) {
   auto quads = head_quads(base);
+  const std::set<int> nape = nape_strips(base, quads[Part::Skin]);
+  std::erase_if(quads[Part::Skin], [&](int q) { return nape.count(q) != 0; });
   HeadMesh head;
   // A skin vertex is told apart by its texture coordinate too, which opens the slit along the seam; all else
   // by the base vertex, which joins inner mouth and sockets to the skin.

@@ -12,9 +12,10 @@ namespace facet::model {
 /// What a vertex of the cut head belongs to.
 enum class Part : std::uint8_t { Skin, MouthInterior, Socket, LeftEyeball, RightEyeball };
 
-/// The head that is cut from MakeHuman's base mesh: face, ears and skull down to the jaw line and the nape,
-/// inner mouth, eye sockets and eyeballs; quads, manifold, open at the neck and along a slit at the back of
-/// the skull where the texture's seam runs (both sides of the slit are copies of the same base vertices).
+/// The head that is cut from MakeHuman's base mesh: face, ears and skull down to the jaw line and above the
+/// nape, inner mouth, eye sockets and eyeballs; quads, manifold, open at the neck and along a slit at the
+/// back of the skull where the texture's seam runs (both sides of the slit are copies of the same base
+/// vertices).
 struct HeadMesh {
   mesh::Quads quads;                             ///< [4][quad_count]
   std::vector<int> base_vertex;                  ///< [vertex_count] index in the base mesh
