@@ -3,7 +3,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <chrono>
+#include <limits>
 #include <random>
 #include <thread>
 #include <vector>
@@ -203,7 +205,9 @@ TEST_F(BatchTest, StagesAreTimedByName) {
                  ScalePush{{1.0F, 0.0F, 0.0F, 0.0F}, count, 1.0F});
   batch.finish();
   EXPECT_EQ(batch.stage_ms("scale"), 0.0F) << "before the first run";
-  for (int run = 0; run < 3; ++run) {
+  float least_scale_ms = std::numeric_limits<float>::max();
+  float least_nothing_ms = std::numeric_limits<float>::max();
+  for (int run = 0; run < 10; ++run) {
     const auto start = std::chrono::steady_clock::now();
     ASSERT_EQ(batch.submit(), Outcome::Done);
     ASSERT_EQ(batch.wait(), Outcome::Done);
@@ -213,12 +217,15 @@ TEST_F(BatchTest, StagesAreTimedByName) {
     EXPECT_EQ(times[0].name, "clear");
     EXPECT_EQ(times[1].name, "scale");
     EXPECT_GT(times[1].ms, 0.0F);
-    EXPECT_GT(times[1].ms, times[2].ms) << "a million elements take longer than nothing";
+    least_scale_ms = std::min(least_scale_ms, times[1].ms);
+    least_nothing_ms = std::min(least_nothing_ms, times[2].ms);
     EXPECT_FLOAT_EQ(batch.stage_ms("scale"), times[1].ms + times[3].ms);
     EXPECT_EQ(batch.stage_ms("no such stage"), 0.0F);
     // The stages lie within the wait; the clocks of device and host may differ by a percent.
     EXPECT_LE(times[0].ms + times[1].ms + times[2].ms + times[3].ms, 1.01F * elapsed.count());
   }
+  // The least of ten runs: on a busy machine a single one may lose the core anywhere.
+  EXPECT_GT(least_scale_ms, least_nothing_ms) << "a million elements take longer than nothing";
 }
 
 TEST_F(BatchTest, MisuseIsRefused) {
@@ -293,22 +300,30 @@ TEST_F(BatchTest, DestroyingABatchInFlightIsSafe) {
   EXPECT_EQ(buffer.mapped_as<std::uint32_t>().back(), 7U);
 }
 
+// The work is doubled until the device is not done with it by the time the host looks.
 TEST_F(BatchTest, AWaitThatIsTooShortSaysSoAndCanGoOn) {
   constexpr std::uint32_t count = 1 << 20;
   const Buffer zeros(context(), count * 4, Memory::Device, "zeros");
   const Buffer values(context(), count * 4, Memory::Device, "values");
   const Kernel kernel = accumulate();
   Batch batch(context(), "long");
-  for (int step = 0; step < 30; ++step) {
-    batch.dispatch(kernel, {{"previous", zeros}, {"values", values}}, {groups_for(count, 64)},
-                   CountPush{count});
+  Outcome outcome = Outcome::Done;
+  for (int steps = 16; outcome == Outcome::Done && steps <= 4096; steps *= 2) {
+    for (int step = 0; step < steps; ++step) {
+      batch.dispatch(kernel, {{"previous", zeros}, {"values", values}}, {groups_for(count, 64)},
+                     CountPush{count});
+    }
+    batch.finish();
+    ASSERT_EQ(batch.submit(), Outcome::Done);
+    outcome = batch.wait(std::chrono::nanoseconds(0));
+    if (outcome == Outcome::Done) {
+      batch.reset();
+    }
   }
-  batch.finish();
-  ASSERT_EQ(batch.submit(), Outcome::Done);
-  const Outcome outcome = batch.wait(std::chrono::nanoseconds(0));
   EXPECT_EQ(outcome, Outcome::TimedOut) << describe(outcome);
   EXPECT_TRUE(batch.in_flight());
   EXPECT_EQ(batch.wait(), Outcome::Done);
+  EXPECT_FALSE(batch.in_flight());
 }
 
 // Several threads may have batches of their own on one context.
