@@ -12,8 +12,17 @@ namespace facet::tools {
 
 void add_doctor_command(CLI::App& app);
 void add_summary_command(CLI::App& app);
+void add_eval_command(CLI::App& app);
 void add_export_command(CLI::App& app);
+void add_model_command(CLI::App& app);
 void add_synth_command(CLI::App& app);
+void add_view_command(CLI::App& app);
 void add_watch_command(CLI::App& app);
+void add_process_command(CLI::App& app);
+void add_record_command(CLI::App& app);
+void add_reset_identity_command(CLI::App& app);
+void add_shutdown_command(CLI::App& app);
+void add_status_command(CLI::App& app);
+void add_takes_command(CLI::App& app);
 
 }  // namespace facet::tools

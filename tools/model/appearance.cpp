@@ -25,7 +25,7 @@ struct Brow {
   double peak_height_mm = 21.5;
   double outer_height_mm = 14;
   double peak_at = 0.62;  // part of the way from inner to outer end
-  double half_width_mm = 4.2;
+  double half_width_mm = 4.8;
 };
 
 /// Height of the brow's middle at a distance from the mid-line: a parabola on either side of the peak.

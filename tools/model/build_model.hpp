@@ -13,7 +13,7 @@ namespace facet::model {
 struct BuildOptions {
   std::filesystem::path makehuman;  ///< the unpacked npm package
   std::uint64_t seed = 20190521;    ///< of the sampled identities
-  int identities = 220;             ///< sampled; each counts with its mirror image
+  int identities = 340;             ///< sampled; each counts with its mirror image
   int check_identities = 12;        ///< sampled besides, to measure what the truncation loses
   CoreOptions core;
 };
