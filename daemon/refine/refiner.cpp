@@ -167,6 +167,7 @@ struct Refiner::Impl {
   void read(RefineOutput& output);
   void read_albedo();
   void read_energies(RefineOutput& output) const;
+  bool energies_finite() const;
   void clear_output(RefineOutput& output) const;
 };
 
@@ -425,6 +426,23 @@ void Refiner::Impl::read_energies(RefineOutput& output) const {
   }
 }
 
+/// Whether every Gauss-Newton step began from numbers: one that did not leaves its level as it was.
+bool Refiner::Impl::energies_finite() const {
+  std::uint32_t slot = 0;
+  for (std::size_t l = 0; l < subject->levels.size(); ++l) {
+    const bool refined = config.hierarchical || l + 1 == subject->levels.size();
+    const int steps = displacement_options(config, true).gauss_newton_steps;
+    for (int step = 0; step < steps; ++step) {
+      if (refined && !std::isfinite(subject->scratch.energy(slot + static_cast<std::uint32_t>(step),
+                                                            subject->levels[l]->topology.workgroup_count))) {
+        return false;
+      }
+    }
+    slot += static_cast<std::uint32_t>(steps) + 1;
+  }
+  return true;
+}
+
 void Refiner::Impl::read(RefineOutput& output) {
   const auto displacements = subject->displacements_out.mapped_as<float>();
   const auto confidences = subject->confidences_out.mapped_as<float>();
@@ -471,12 +489,14 @@ RefineOutcome Refiner::collect(RefineOutput& output) {
   }
   const auto light = unpack_light(impl.subject->light_out.mapped_as<Light>().front());
   const bool light_finite = std::all_of(light.begin(), light.end(), [](float l) { return std::isfinite(l); });
-  if (failed > 0 || !light_finite) {
+  const bool energies_finite = impl.energies_finite();
+  if (failed > 0 || !light_finite || !energies_finite) {
     impl.clear_output(output);
     impl.warm = false;
     output.albedo = impl.albedo;
-    output.failure = fmt::format("the solve left finite numbers at {:.0f} vertices{}", failed,
-                                 light_finite ? "" : " and in the light");
+    output.failure = fmt::format("the solve left finite numbers at {:.0f} vertices{}{}", failed,
+                                 light_finite ? "" : ", in the light",
+                                 energies_finite ? "" : ", in the energy: the coarse mesh may be broken");
     return RefineOutcome::NumericalFailure;
   }
   impl.read(output);

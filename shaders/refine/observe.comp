@@ -5,7 +5,7 @@
 #include "topology.glsl"
 
 // Coarse normals (eq. 5 at d = 0), vertex spacing, and what the camera sees at every vertex: the image
-// sampled where M_d projects to, from the mip level whose pixels are as wide as the vertices lie apart, and
+// sampled where M_d projects to, from the mip level whose pixels are half as wide as the vertices lie apart (wider ones wash the shading out), and
 // how far that colour can be trusted.
 
 layout(push_constant) uniform Push {
@@ -73,7 +73,7 @@ void main() {
       vec2 px = frame.projection.xy * vec2(p.x, -p.y) / z + frame.projection.zw;
       vec2 texture_position = (px + 0.5) * frame.image_size.zw;
       float spacing_px = spacing * frame.projection.x / z;
-      vec4 seen = textureLod(linear_image, texture_position, log2(max(spacing_px, 1.0)));
+      vec4 seen = textureLod(linear_image, texture_position, log2(max(0.5 * spacing_px, 1.0)));
       float inside =
           all(greaterThan(px, vec2(0))) && all(lessThan(px, frame.image_size.xy - 1)) ? 1.0 : 0.0;
       float facing = smoothstep(kGrazing, kFacing, dot(normal, -normalize(p)));

@@ -1,0 +1,292 @@
+#include "refine/refiner.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <limits>
+
+#include "facet/error.hpp"
+#include "reference.hpp"
+#include "support/gpu.hpp"
+#include "synthetic_face.hpp"
+
+namespace facet::refine {
+namespace {
+
+using RefinerTest = facet::test::GpuTest;
+
+/// A synthetic face and a refiner that knows its smooth cap.
+class Session {
+ public:
+  Session(gpu::Context& context, const synthetic::Scene& shown, const RefinerConfig& config,
+          float min_edge_px = 4)
+      : scene(shown), cap(synthetic::make_cap(shown)), refiner(context, config) {
+    mesh::HierarchyOptions options;
+    options.min_edge_px = min_edge_px;
+    hierarchy = synthetic::hierarchy(scene, cap, options);
+    std::vector<mesh::Vertices> positions;
+    mesh::push_positions(*hierarchy, cap.vertices_mm, positions);
+    cap_xy_mm = positions.back().topRows(2);
+    refiner.set_subject({hierarchy, cap.mean_albedo, cap.control.refinable});
+  }
+
+  RefineInput input() {
+    RefineInput out;
+    out.image = synthetic::render(scene);
+    out.camera = synthetic::camera(scene);
+    out.camera_from_head = synthetic::camera_from_head(scene);
+    out.control_vertices_mm = &cap.vertices_mm;
+    return out;
+  }
+
+  RefineOutcome refine() {
+    refiner.submit(input());
+    return refiner.collect(output);
+  }
+
+  /// Frames with the head turning to and fro, each with noise of its own.
+  void run(int frames) {
+    for (int k = 0; k < frames; ++k) {
+      scene.seed = static_cast<unsigned>(k) + 1;
+      scene.yaw_rad = 0.3F * std::sin(0.3F * static_cast<float>(k));
+      ASSERT_EQ(refine(), RefineOutcome::Refined) << output.failure;
+    }
+  }
+
+  synthetic::Errors errors(const std::vector<float>& displacements_mm) const {
+    constexpr float kMarginMm = 8;
+    mesh::Vertices vertices;
+    Eigen::Matrix3Xf normals;
+    mesh::rebuild_finest(*hierarchy, cap.vertices_mm, displacements_mm, vertices, normals);
+    return synthetic::compare(scene, vertices, normals, cap_xy_mm, kMarginMm);
+  }
+
+  synthetic::Scene scene;
+  synthetic::Cap cap;
+  std::shared_ptr<const mesh::Hierarchy> hierarchy;
+  Eigen::Matrix2Xf cap_xy_mm;
+  Refiner refiner;
+  RefineOutput output;
+};
+
+synthetic::Scene small_scene() {
+  synthetic::Scene scene;
+  scene.image_width_px = 250;
+  scene.image_height_px = 300;
+  scene.quad_mm = 6;
+  scene.noise = 1.5F;
+  return scene;
+}
+
+TEST_F(RefinerTest, NormalsApproachTheTruth) {
+  Session session(context(), small_scene(), {});
+  session.run(25);
+  const synthetic::Errors coarse = session.errors({});
+  const synthetic::Errors refined = session.errors(session.output.displacements_mm);
+  RecordProperty("coarse_deg", std::to_string(coarse.normal_deg));
+  RecordProperty("refined_deg", std::to_string(refined.normal_deg));
+  EXPECT_LT(refined.normal_deg, 0.8 * coarse.normal_deg) << coarse.normal_deg;
+  EXPECT_LT(refined.distance_mm, coarse.distance_mm);
+  // 1.5 counts of noise and what the smoothness takes away.
+  EXPECT_LT(session.output.photometric_rms, 0.012F);
+}
+
+TEST_F(RefinerTest, OutputsFitTheSubject) {
+  Session session(context(), small_scene(), {});
+  ASSERT_EQ(session.refine(), RefineOutcome::Refined);
+  const auto count = static_cast<std::size_t>(session.hierarchy->finest().vertex_count);
+  EXPECT_EQ(session.output.displacements_mm.size(), count);
+  EXPECT_EQ(session.output.confidence.size(), count);
+  EXPECT_TRUE(std::all_of(session.output.confidence.begin(), session.output.confidence.end(),
+                          [](float c) { return c >= 0 && c <= 1; }));
+  ASSERT_NE(session.output.albedo, nullptr);
+  EXPECT_EQ(session.output.albedo->linear_rgb.size(), 3 * count);
+  EXPECT_TRUE(session.output.failure.empty());
+  EXPECT_TRUE(session.output.energies.empty());
+  const mesh::OneRings& rings = session.hierarchy->finest().one_rings;
+  for (std::size_t v = 0; v < count; ++v) {
+    if (rings.on_boundary[v] != 0) {
+      EXPECT_EQ(session.output.displacements_mm[v], 0);
+    }
+  }
+}
+
+TEST_F(RefinerTest, AlbedoIsTheSameObjectOnceLearned) {
+  RefinerConfig config;
+  config.albedo_frames = 4;
+  Session session(context(), small_scene(), config);
+  // Vertices that are seen at a slant weigh less and learn longer.
+  for (int k = 0; k < 48; ++k) {
+    ASSERT_EQ(session.refine(), RefineOutcome::Refined);
+  }
+  const auto learned = session.output.albedo;
+  for (int k = 0; k < 12; ++k) {
+    ASSERT_EQ(session.refine(), RefineOutcome::Refined);
+    EXPECT_EQ(session.output.albedo, learned);
+  }
+  EXPECT_GE(learned->version, 4U);
+}
+
+TEST_F(RefinerTest, EnergiesFallWithEveryStep) {
+  RefinerConfig config;
+  config.record_energies = true;
+  config.gauss_newton_steps = 4;
+  config.robust_scale = 0;
+  Session session(context(), small_scene(), config);
+  ASSERT_EQ(session.refine(), RefineOutcome::Refined);
+  ASSERT_EQ(session.output.energies.size(), session.hierarchy->levels.size());
+  for (const std::vector<double>& level : session.output.energies) {
+    ASSERT_EQ(level.size(), 5U);
+    EXPECT_LT(level.back(), level.front());
+    for (std::size_t step = 1; step < level.size(); ++step) {
+      // Without a line search a step near the minimum may overshoot by a little.
+      EXPECT_LT(level[step], 1.001 * level[step - 1]);
+    }
+  }
+}
+
+TEST_F(RefinerTest, ExcludedPartsStayAsTheyAre) {
+  Session session(context(), small_scene(), {});
+  SubjectSetup subject{session.hierarchy, session.cap.mean_albedo, session.cap.control.refinable};
+  for (Eigen::Index i = 0; i < session.cap.vertices_mm.cols(); ++i) {
+    subject.refinable[static_cast<std::size_t>(i)] = session.cap.vertices_mm(1, i) < 0 ? 1 : 0;
+  }
+  session.refiner.set_subject(subject);
+  ASSERT_EQ(session.refine(), RefineOutcome::Refined);
+  float largest_above = 0;
+  float largest_below = 0;
+  for (Eigen::Index i = 0; i < session.cap_xy_mm.cols(); ++i) {
+    const float d = std::abs(session.output.displacements_mm[static_cast<std::size_t>(i)]);
+    const float y = session.cap_xy_mm(1, i);
+    if (y > session.scene.quad_mm) {
+      largest_above = std::max(largest_above, d);
+    } else if (y < -session.scene.quad_mm) {
+      largest_below = std::max(largest_below, d);
+    }
+  }
+  EXPECT_EQ(largest_above, 0);
+  EXPECT_GT(largest_below, 0.1F);
+}
+
+TEST_F(RefinerTest, PhotometricErrorAndConfidenceAreThoseOfTheOutput) {
+  // In an image of one colour every vertex sees that colour, so the outputs alone tell the residuals.
+  RefinerConfig config;
+  config.robust_scale = 0.8F;
+  Session session(context(), small_scene(), config);
+  RefineInput input = session.input();
+  auto grey = std::make_shared<std::uint8_t[]>(input.image.stride_bytes *
+                                               static_cast<std::size_t>(input.image.height_px));
+  std::memset(grey.get(), 128, input.image.stride_bytes * static_cast<std::size_t>(input.image.height_px));
+  input.image.pixels = grey;
+  session.refiner.submit(input);
+  ASSERT_EQ(session.refiner.collect(session.output), RefineOutcome::Refined);
+
+  constexpr double kGrey = 0.21586;  // sRGB 128
+  mesh::Vertices vertices;
+  Eigen::Matrix3Xf normals;
+  mesh::rebuild_finest(*session.hierarchy, session.cap.vertices_mm, session.output.displacements_mm, vertices,
+                       normals);
+  const Eigen::Matrix3f camera_from_head = input.camera_from_head.linear();
+  double squares = 0;
+  double count = 0;
+  for (Eigen::Index i = 0; i < normals.cols(); ++i) {
+    const auto v = static_cast<std::size_t>(i);
+    if (session.output.confidence[v] <= 0) {
+      continue;
+    }
+    const Eigen::Vector3f n = camera_from_head * normals.col(i);
+    const float shade = synthetic::shade(session.output.lighting, {n.x(), -n.y(), -n.z()});
+    for (std::size_t c = 0; c < 3; ++c) {
+      const double r = kGrey - static_cast<double>(shade * session.output.albedo->linear_rgb[3 * v + c]);
+      squares += r * r;
+    }
+    count += 1;
+  }
+  ASSERT_GT(count, 500);
+  const double expected = std::sqrt(squares / (3 * count));
+  // Half precision colours: one part in 1024 of the grey.
+  EXPECT_NEAR(static_cast<double>(session.output.photometric_rms), expected, 3e-4);
+}
+
+TEST_F(RefinerTest, ImageSizeMayChange) {
+  Session session(context(), small_scene(), {});
+  ASSERT_EQ(session.refine(), RefineOutcome::Refined);
+  session.scene.image_width_px = 131;
+  session.scene.image_height_px = 157;
+  ASSERT_EQ(session.refine(), RefineOutcome::Refined);
+  session.scene.image_width_px = 16;
+  session.scene.image_height_px = 16;
+  ASSERT_EQ(session.refine(), RefineOutcome::Refined) << session.output.failure;
+}
+
+TEST_F(RefinerTest, AFaceOutOfTheImageIsLeftCoarse) {
+  Session session(context(), small_scene(), {});
+  RefineInput input = session.input();
+  input.camera_from_head.pretranslate(Eigen::Vector3f(5000, 0, 0));
+  session.refiner.submit(input);
+  ASSERT_EQ(session.refiner.collect(session.output), RefineOutcome::Refined) << session.output.failure;
+  for (std::size_t v = 0; v < session.output.displacements_mm.size(); ++v) {
+    EXPECT_EQ(session.output.displacements_mm[v], 0);
+    EXPECT_EQ(session.output.confidence[v], 0);
+  }
+  // Behind the camera, too.
+  input.camera_from_head.pretranslate(Eigen::Vector3f(-5000, 0, -2000));
+  session.refiner.submit(input);
+  EXPECT_EQ(session.refiner.collect(session.output), RefineOutcome::Refined) << session.output.failure;
+}
+
+TEST_F(RefinerTest, NumericalFailureGivesTheCoarseMeshAndPasses) {
+  Session session(context(), small_scene(), {});
+  ASSERT_EQ(session.refine(), RefineOutcome::Refined);
+  mesh::Vertices broken = session.cap.vertices_mm;
+  broken.col(broken.cols() / 2).setConstant(std::numeric_limits<float>::quiet_NaN());
+  RefineInput input = session.input();
+  input.control_vertices_mm = &broken;
+  session.refiner.submit(input);
+  EXPECT_EQ(session.refiner.collect(session.output), RefineOutcome::NumericalFailure);
+  EXPECT_FALSE(session.output.failure.empty());
+  EXPECT_EQ(session.output.displacements_mm.size(),
+            static_cast<std::size_t>(session.hierarchy->finest().vertex_count));
+  EXPECT_TRUE(std::all_of(session.output.displacements_mm.begin(), session.output.displacements_mm.end(),
+                          [](float d) { return d == 0; }));
+  session.run(3);
+  EXPECT_LT(session.errors(session.output.displacements_mm).normal_deg, session.errors({}).normal_deg);
+}
+
+TEST_F(RefinerTest, ALostDeviceIsReported) {
+  Session session(context(), small_scene(), {});
+  ASSERT_EQ(session.refine(), RefineOutcome::Refined);
+  context().simulate_loss();
+  session.refiner.submit(session.input());
+  EXPECT_EQ(session.refiner.collect(session.output), RefineOutcome::DeviceLost);
+  EXPECT_TRUE(session.output.displacements_mm.empty());
+  EXPECT_FALSE(session.output.failure.empty());
+}
+
+TEST_F(RefinerTest, MisuseIsRefused) {
+  RefinerConfig no_steps;
+  no_steps.gauss_newton_steps = 0;
+  EXPECT_THROW(Refiner(context(), no_steps), Error);
+  Refiner bare(context(), {});
+  EXPECT_THROW(bare.submit({}), Error);
+  EXPECT_THROW(bare.set_subject({}), Error);
+  RefineOutput output;
+  EXPECT_EQ(bare.collect(output), RefineOutcome::NumericalFailure);
+  EXPECT_FALSE(output.failure.empty());
+
+  Session session(context(), small_scene(), {});
+  RefineInput input = session.input();
+  mesh::Vertices few = session.cap.vertices_mm.leftCols(7);
+  input.control_vertices_mm = &few;
+  EXPECT_THROW(session.refiner.submit(input), Error);
+  input = session.input();
+  input.image = {};
+  EXPECT_THROW(session.refiner.submit(input), Error);
+  SubjectSetup subject{session.hierarchy, session.cap.mean_albedo, {1, 1, 1}};
+  EXPECT_THROW(session.refiner.set_subject(subject), Error);
+}
+
+}  // namespace
+}  // namespace facet::refine
