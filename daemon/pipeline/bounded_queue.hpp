@@ -24,7 +24,7 @@ class BoundedQueue {
 
   /// Never waits: where there is no room the oldest item is thrown away. Returns false once closed.
   bool push_newest(Item&& item) {
-    Item oldest;  // dies after the lock is gone
+    [[maybe_unused]] Item oldest;  // dies after the lock is gone
     const std::lock_guard lock(mutex_);
     if (count_ == slots_.size()) {
       oldest = take();

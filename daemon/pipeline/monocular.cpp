@@ -135,9 +135,11 @@ void MonocularPipeline::Impl::fail(ErrorKind kind, const std::string& what) {
   tracked.close();
 }
 
+/// The end is final: a thread that is late must not overwrite it.
 void MonocularPipeline::Impl::set_state(PipelineState state) {
   const std::lock_guard lock(shown_mutex);
-  if (shown.state != PipelineState::Failed) {
+  if (shown.state != PipelineState::Failed && shown.state != PipelineState::Ended &&
+      shown.state != PipelineState::Stopped) {
     shown.state = state;
   }
 }

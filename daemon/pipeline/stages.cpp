@@ -36,7 +36,7 @@ class TrackerStage final : public CoarseStage {
       if (outcome == CaptureOutcome::Timeout) {
         continue;
       }
-      if (outcome != CaptureOutcome::Delivered || frame.sequence >= config_.frames.end) {
+      if (outcome != CaptureOutcome::Delivered) {
         break;
       }
       if (frame.sequence >= config_.frames.first) {

@@ -1,0 +1,364 @@
+#include "pipeline/monocular.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <set>
+#include <thread>
+
+#include "scripted_stages.hpp"
+
+namespace facet::pipeline {
+namespace {
+
+using mesh::TrackingState;
+using refine::RefineOutcome;
+using test::CollectingSink;
+using test::Script;
+using ::testing::HasSubstr;
+
+MonocularPipeline::Options options() {
+  MonocularPipeline::Options options;
+  options.hierarchy.min_edge_px = 4;
+  options.pauses.first = std::chrono::milliseconds(1);
+  options.pauses.longest = std::chrono::milliseconds(2);
+  return options;
+}
+
+/// A pipeline of scripted stages with one sink.
+class Monocular : public ::testing::Test {
+ protected:
+  MonocularPipeline& make(const MonocularPipeline::Options& given = options()) {
+    pipeline_ = std::make_unique<MonocularPipeline>(script_.stages(), given, std::vector<MeshSink*>{&sink_});
+    return *pipeline_;
+  }
+  /// Runs until the pipeline ends by itself.
+  PipelineStatus run(const MonocularPipeline::Options& given = options()) {
+    make(given).start();
+    await_end();
+    pipeline_->stop();
+    return pipeline_->status();
+  }
+  void await_end() const {
+    while (!pipeline_->finished()) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+  }
+
+  Script script_;
+  CollectingSink sink_;
+  std::unique_ptr<MonocularPipeline> pipeline_;
+};
+
+TEST_F(Monocular, ARecordingLosesNoFrame) {
+  script_.frame_count = 50;
+  const PipelineStatus status = run();
+  EXPECT_EQ(status.state, PipelineState::Ended);
+  EXPECT_EQ(status.captured, 50U);
+  EXPECT_EQ(status.dropped, 0U);
+  EXPECT_EQ(status.processed, 50U);
+  EXPECT_EQ(status.mesh_frames, 50U);
+  EXPECT_EQ(status.refined_frames, 50U);
+  EXPECT_EQ(status.degraded_frames, 0U);
+  EXPECT_EQ(status.subjects, 1U);
+  EXPECT_EQ(status.device, "scripted GPU");
+  EXPECT_FLOAT_EQ(status.photometric_rms, 0.02F);
+  EXPECT_GT(status.frames_per_second, 0);
+  EXPECT_TRUE(script_.camera_stopped);
+  const auto frames = sink_.frames();
+  ASSERT_EQ(frames.size(), 50U);
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    const mesh::MeshFrame& frame = *frames[i];
+    EXPECT_EQ(frame.sequence, i);
+    EXPECT_EQ(frame.timestamp_ns, static_cast<std::int64_t>(i) * 33'000'000);
+    EXPECT_EQ(frame.control_vertices_mm.cols(), script_.model->vertex_count());
+    EXPECT_EQ(frame.subject, frames[0]->subject);
+    EXPECT_EQ(frame.displacements_mm.size(),
+              static_cast<std::size_t>(frame.subject->hierarchy->finest().vertex_count));
+    EXPECT_EQ(frame.landmarks_px.size(), 468U);
+    EXPECT_GT(frame.stage_ms.latency_ms, 0);
+    EXPECT_FLOAT_EQ(frame.stage_ms.displacement_ms, 3);
+  }
+}
+
+TEST_F(Monocular, ALiveSourceDropsOldFramesAndCountsThem) {
+  script_.live = true;
+  script_.frame_count = 40;
+  script_.tracker_gate.set(false);
+  make().start();
+  // The tracker holds the first frame that it got; the camera goes on to its end.
+  while (!script_.camera_stopped) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+  script_.tracker_gate.set(true);
+  await_end();
+  const PipelineStatus status = pipeline_->status();
+  EXPECT_EQ(status.captured, 40U);
+  EXPECT_EQ(status.processed + status.dropped, 40U);
+  EXPECT_LE(status.processed, 3U) << "what the tracker held, and the newest";
+  EXPECT_EQ(sink_.frames().back()->sequence, 39U) << "the newest wins";
+}
+
+TEST_F(Monocular, FramesThatTheDriverSkippedCountAsDropped) {
+  script_.frame_count = 10;
+  script_.sequence_step = 3;
+  const PipelineStatus status = run();
+  EXPECT_EQ(status.processed, 10U);
+  EXPECT_EQ(status.dropped, 18U);
+}
+
+TEST_F(Monocular, TheTrackerWorksOnTheNextFrameWhileTheGpuIsBusy) {
+  script_.frame_count = 3;
+  script_.refiner_gate.set(false);
+  script_.tracker_gate.set(true);
+  std::atomic<bool> tracked_second{false};
+  script_.state_of = [&](std::uint64_t sequence) {
+    tracked_second = tracked_second || sequence == 1;
+    return TrackingState::Tracking;
+  };
+  make().start();
+  script_.refiner_gate.wait_for_visitor();
+  while (!tracked_second) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+  EXPECT_TRUE(sink_.frames().empty()) << "frame 0 is still at the GPU";
+  script_.refiner_gate.set(true);
+  await_end();
+  EXPECT_EQ(sink_.frames().size(), 3U);
+}
+
+TEST_F(Monocular, FramesWithoutAMeshAreHandedOutToo) {
+  script_.state_of = [](std::uint64_t sequence) {
+    return sequence < 3   ? TrackingState::Searching
+           : sequence < 6 ? TrackingState::Acquiring
+                          : TrackingState::Lost;
+  };
+  const PipelineStatus status = run();
+  EXPECT_EQ(status.processed, 10U);
+  EXPECT_EQ(status.mesh_frames, 0U);
+  EXPECT_EQ(status.face_frames, 7U);
+  EXPECT_EQ(status.subjects, 0U);
+  for (const auto& frame : sink_.frames()) {
+    EXPECT_EQ(frame->subject, nullptr);
+    EXPECT_EQ(frame->control_vertices_mm.cols(), 0);
+    EXPECT_TRUE(frame->expression.empty());
+    EXPECT_FALSE(frame->degraded);
+  }
+}
+
+TEST_F(Monocular, ANewSubjectGetsItsOwnHierarchy) {
+  script_.subject_of = [](std::uint64_t sequence) { return sequence < 4 ? 1U : 2U; };
+  const PipelineStatus status = run();
+  EXPECT_EQ(status.subjects, 2U);
+  EXPECT_EQ(script_.subjects_set, 2);
+  const auto frames = sink_.frames();
+  EXPECT_EQ(frames[0]->subject, frames[3]->subject);
+  EXPECT_EQ(frames[4]->subject, frames[9]->subject);
+  EXPECT_NE(frames[0]->subject->id, frames[4]->subject->id);
+  EXPECT_NE(frames[0]->subject->id, 0U);
+}
+
+TEST_F(Monocular, WithoutRefinementFramesAreCoarseAndSaySo) {
+  script_.has_refiner = false;
+  const PipelineStatus status = run();
+  EXPECT_EQ(status.degraded_frames, 10U);
+  EXPECT_EQ(status.degraded_reason, "refinement off");
+  EXPECT_EQ(status.device, "");
+  for (const auto& frame : sink_.frames()) {
+    EXPECT_TRUE(frame->degraded);
+    EXPECT_EQ(frame->degraded_reason, "refinement off");
+    EXPECT_TRUE(frame->displacements_mm.empty());
+    EXPECT_NE(frame->subject, nullptr) << "a coarse mesh is a mesh";
+  }
+}
+
+TEST_F(Monocular, ANumericalFailureCostsTheDetailOfOneFrame) {
+  script_.outcome_of = [](std::uint64_t sequence) {
+    return sequence == 4 ? RefineOutcome::NumericalFailure : RefineOutcome::Refined;
+  };
+  const PipelineStatus status = run();
+  EXPECT_EQ(status.degraded_frames, 1U);
+  EXPECT_EQ(status.refined_frames, 9U);
+  const auto frames = sink_.frames();
+  EXPECT_TRUE(frames[4]->degraded);
+  EXPECT_EQ(frames[4]->degraded_reason, "scripted failure");
+  EXPECT_TRUE(frames[4]->displacements_mm.empty());
+  EXPECT_EQ(frames[4]->control_vertices_mm.cols(), script_.model->vertex_count());
+  EXPECT_FALSE(frames[5]->degraded);
+}
+
+TEST_F(Monocular, ALostDeviceIsReopenedWhileFramesStayCoarse) {
+  script_.live = true;
+  script_.frame_count = ~0ULL;
+  script_.failing_opens = 3;
+  std::atomic<bool> lost{false};
+  script_.outcome_of = [&](std::uint64_t sequence) {
+    return sequence >= 3 && !lost.exchange(true) ? RefineOutcome::DeviceLost : RefineOutcome::Refined;
+  };
+  make().start();
+  sink_.wait_for([](const mesh::MeshFrame& frame) { return frame.degraded; });
+  sink_.wait_for(
+      [&](const mesh::MeshFrame& frame) { return script_.opens == 4 && !frame.displacements_mm.empty(); });
+  pipeline_->stop();
+  EXPECT_EQ(script_.opens, 4);
+  EXPECT_EQ(script_.subjects_set, 2) << "the reopened device knows the subject";
+  const auto frames = sink_.frames();
+  bool coarse_seen = false;
+  for (const auto& frame : frames) {
+    EXPECT_EQ(frame->degraded, frame->displacements_mm.empty());
+    if (frame->degraded) {
+      coarse_seen = true;
+      EXPECT_THAT(frame->degraded_reason, HasSubstr("GPU lost"));
+      EXPECT_THAT(frame->degraded_reason, HasSubstr("scripted failure"));
+      EXPECT_EQ(frame->control_vertices_mm.cols(), script_.model->vertex_count());
+    }
+  }
+  EXPECT_TRUE(coarse_seen);
+  std::string said;
+  for (const Messages::Message& message : pipeline_->take_messages()) {
+    said += message.text + '\n';
+  }
+  EXPECT_THAT(said, HasSubstr("scripted GPU lost"));
+  EXPECT_THAT(said, HasSubstr("cannot reopen the GPU: scripted: no device"));
+  EXPECT_THAT(said, HasSubstr("scripted GPU is back"));
+}
+
+TEST_F(Monocular, StopsWhileTheDeviceCannotBeReopened) {
+  script_.live = true;
+  script_.frame_count = ~0ULL;
+  script_.failing_opens = 1'000'000;
+  script_.outcome_of = [](std::uint64_t) { return RefineOutcome::DeviceLost; };
+  make().start();
+  sink_.wait_for([&](const mesh::MeshFrame&) { return script_.opens > 3; });
+  pipeline_->stop();
+  EXPECT_EQ(pipeline_->status().state, PipelineState::Stopped);
+  EXPECT_EQ(script_.refiners_alive, 0);
+}
+
+TEST_F(Monocular, ADamagedImageIsNotRefined) {
+  script_.corrupt_at = 2;
+  const PipelineStatus status = run();
+  EXPECT_EQ(status.degraded_frames, 1U);
+  const auto frames = sink_.frames();
+  EXPECT_TRUE(frames[2]->degraded);
+  EXPECT_THAT(frames[2]->degraded_reason, HasSubstr("damaged"));
+  EXPECT_TRUE(frames[2]->displacements_mm.empty());
+}
+
+TEST_F(Monocular, OnlyFramesOfTheRangeAreProcessed) {
+  MonocularPipeline::Options given = options();
+  given.frames = {3, 7};
+  const PipelineStatus status = run(given);
+  EXPECT_EQ(status.captured, 4U);
+  EXPECT_EQ(status.dropped, 0U);
+  const auto frames = sink_.frames();
+  ASSERT_EQ(frames.size(), 4U);
+  EXPECT_EQ(frames.front()->sequence, 3U);
+  EXPECT_EQ(frames.back()->sequence, 6U);
+}
+
+TEST_F(Monocular, ABrokenSourceIsAFailureWithItsReason) {
+  script_.fails_at = 5;
+  const PipelineStatus status = run();
+  EXPECT_EQ(status.state, PipelineState::Failed);
+  EXPECT_EQ(status.failure_kind, ErrorKind::UnreadableInput);
+  EXPECT_THAT(status.failure, HasSubstr("the cable is out"));
+}
+
+TEST_F(Monocular, ASourceThatCannotStartIsAFailureWithItsReason) {
+  script_.throws_at_start = true;
+  const PipelineStatus status = run();
+  EXPECT_EQ(status.state, PipelineState::Failed);
+  EXPECT_EQ(status.failure_kind, ErrorKind::UnreadableInput);
+  EXPECT_THAT(status.failure, HasSubstr("cannot start"));
+  EXPECT_EQ(status.processed, 0U);
+}
+
+TEST_F(Monocular, AFaultInAStageEndsThePipelineNotTheProcess) {
+  script_.tracker_throws_at = 4;
+  const PipelineStatus status = run();
+  EXPECT_EQ(status.state, PipelineState::Failed);
+  EXPECT_EQ(status.failure_kind, ErrorKind::Internal);
+  EXPECT_THAT(status.failure, HasSubstr("scripted tracker fault"));
+}
+
+TEST_F(Monocular, AnEmptySourceEnds) {
+  script_.frame_count = 0;
+  const PipelineStatus status = run();
+  EXPECT_EQ(status.state, PipelineState::Ended);
+  EXPECT_EQ(status.processed, 0U);
+}
+
+TEST_F(Monocular, IdentityIsResetBetweenFrames) {
+  script_.live = true;
+  script_.frame_count = ~0ULL;
+  make().start();
+  pipeline_->reset_identity();
+  sink_.wait_for([&](const mesh::MeshFrame&) { return script_.identity_resets == 1; });
+  pipeline_->stop();
+  EXPECT_EQ(script_.identity_resets, 1);
+}
+
+TEST_F(Monocular, FramesAreRecycled) {
+  script_.frame_count = 200;
+  sink_.keep = false;
+  run();
+  ASSERT_EQ(sink_.addresses.size(), 200U);
+  // One at the tracker, one between the stages, one at the GPU, one on its way back.
+  EXPECT_LE(std::set(sink_.addresses.begin(), sink_.addresses.end()).size(), 4U);
+}
+
+TEST_F(Monocular, StopsBeforeItStarted) {
+  make().stop();
+  EXPECT_TRUE(pipeline_->finished());
+  EXPECT_EQ(pipeline_->status().state, PipelineState::Idle);
+}
+
+TEST_F(Monocular, StopsWhilePreparing) {
+  script_.prepare_waits_for_stop = true;
+  make().start();
+  while (!script_.preparing) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+  EXPECT_EQ(pipeline_->status().state, PipelineState::Preparing);
+  pipeline_->stop();
+  EXPECT_EQ(pipeline_->status().state, PipelineState::Stopped);
+  EXPECT_TRUE(sink_.frames().empty());
+}
+
+TEST_F(Monocular, StopsWhileNothingComes) {
+  script_.silent = true;
+  make().start();
+  pipeline_->stop();
+  EXPECT_EQ(pipeline_->status().state, PipelineState::Stopped);
+  EXPECT_TRUE(script_.camera_stopped);
+}
+
+TEST_F(Monocular, StopsWhileEveryStageIsBusy) {
+  script_.frame_count = ~0ULL;
+  script_.refiner_gate.set(false);
+  make().start();
+  script_.refiner_gate.wait_for_visitor();
+  pipeline_->request_stop();
+  EXPECT_FALSE(pipeline_->finished()) << "the GPU still holds a frame";
+  script_.refiner_gate.set(true);
+  pipeline_->stop();
+  EXPECT_TRUE(pipeline_->finished());
+  EXPECT_EQ(pipeline_->status().state, PipelineState::Stopped);
+  EXPECT_EQ(sink_.frames().size(), 1U) << "the frame at the GPU comes out, the others are let go";
+}
+
+TEST_F(Monocular, StopsTwiceAndFromSeveralThreads) {
+  script_.frame_count = ~0ULL;
+  make().start();
+  sink_.wait_for([](const mesh::MeshFrame& frame) { return frame.sequence > 5; });
+  std::thread other([&] { pipeline_->request_stop(); });
+  pipeline_->request_stop();
+  other.join();
+  pipeline_->stop();
+  pipeline_->stop();
+  EXPECT_EQ(pipeline_->status().state, PipelineState::Stopped);
+}
+
+}  // namespace
+}  // namespace facet::pipeline

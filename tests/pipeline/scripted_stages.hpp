@@ -1,0 +1,92 @@
+#pragma once
+
+#include <atomic>
+#include <condition_variable>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <vector>
+
+#include "pipeline/mesh_sink.hpp"
+#include "pipeline/stages.hpp"
+
+namespace facet::test {
+
+/// Something that a stage waits at until a test lets it pass.
+class Gate {
+ public:
+  explicit Gate(bool open = true) : open_(open) {}
+  void set(bool open);
+  /// Waits until open.
+  void pass();
+  /// Waits until somebody waits in pass.
+  void wait_for_visitor();
+
+ private:
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  bool open_;
+  int visitors_ = 0;
+};
+
+/// What the scripted stages do and what they saw. Outlives the pipeline.
+struct Script {
+  Script();
+
+  // The camera.
+  bool live = false;
+  std::uint64_t frame_count = 10;
+  std::uint64_t first_sequence = 0;
+  std::uint64_t sequence_step = 1;   ///< more than 1: a live driver that skipped frames
+  std::uint64_t fails_at = ~0ULL;    ///< sequence at which the camera is broken
+  std::uint64_t corrupt_at = ~0ULL;  ///< sequence of a damaged image
+  bool throws_at_start = false;
+  bool silent = false;  ///< nothing ever comes
+  Gate camera_gate;     ///< before every frame
+  std::atomic<bool> camera_stopped{false};
+
+  // The tracker.
+  std::function<mesh::TrackingState(std::uint64_t sequence)> state_of;
+  std::function<std::uint32_t(std::uint64_t sequence)> subject_of;
+  std::uint64_t tracker_throws_at = ~0ULL;
+  bool prepare_waits_for_stop = false;
+  Gate tracker_gate;  ///< before every frame
+  std::atomic<bool> preparing{false};
+  std::atomic<int> identity_resets{0};
+
+  // The refiner.
+  bool has_refiner = true;
+  std::function<refine::RefineOutcome(std::uint64_t sequence)> outcome_of;
+  Gate refiner_gate;                  ///< before every frame
+  std::atomic<int> failing_opens{0};  ///< so many attempts to open fail
+  std::atomic<int> opens{0};
+  std::atomic<int> subjects_set{0};
+  std::atomic<int> refiners_alive{0};
+
+  std::shared_ptr<const face::FaceModel> model;
+
+  pipeline::Stages stages();
+};
+
+/// What arrived, in order. Keeps the frames unless told not to.
+class CollectingSink final : public pipeline::MeshSink {
+ public:
+  void deliver(std::shared_ptr<const mesh::MeshFrame> frame) override;
+
+  std::vector<std::shared_ptr<const mesh::MeshFrame>> frames() const;
+  /// Waits until a delivered frame passes.
+  void wait_for(const std::function<bool(const mesh::MeshFrame&)>& passes);
+
+  bool keep = true;
+  std::vector<const mesh::MeshFrame*> addresses;  ///< of all frames; to be read when the pipeline has stopped
+
+ private:
+  mutable std::mutex mutex_;
+  std::condition_variable arrived_;
+  std::vector<std::shared_ptr<const mesh::MeshFrame>> frames_;
+  std::function<bool(const mesh::MeshFrame&)> passes_;
+  bool passed_ = false;
+};
+
+}  // namespace facet::test

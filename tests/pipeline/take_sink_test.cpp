@@ -1,0 +1,52 @@
+#include "pipeline/take_sink.hpp"
+
+#include <gtest/gtest.h>
+
+#include "facet/error.hpp"
+#include "support/paths.hpp"
+#include "take/reader.hpp"
+
+namespace facet::pipeline {
+namespace {
+
+TEST(TakeSink, RecordsOneTakeAtATime) {
+  const test::TemporaryFolder folder;
+  TakeSink sink;
+  const auto deliver = [&](std::uint64_t sequence) {
+    auto frame = std::make_shared<mesh::MeshFrame>();
+    frame->sequence = sequence;
+    frame->timestamp_ns = static_cast<std::int64_t>(sequence);
+    sink.deliver(std::move(frame));
+  };
+  deliver(0);
+  EXPECT_FALSE(sink.status().has_value());
+  EXPECT_FALSE(sink.end().has_value());
+
+  take::TakeRecorderConfig config;
+  config.when_full = take::WhenFull::Wait;
+  config.file = folder.path() / "a.take";
+  sink.begin(config);
+  take::TakeRecorderConfig other = config;
+  other.file = folder.path() / "b.take";
+  EXPECT_THROW(sink.begin(other), Error);
+  EXPECT_FALSE(std::filesystem::exists(other.file));
+  for (std::uint64_t sequence = 1; sequence <= 5; ++sequence) {
+    deliver(sequence);
+  }
+  EXPECT_EQ(sink.status()->file, config.file);
+  const auto ended = sink.end();
+  ASSERT_TRUE(ended.has_value());
+  EXPECT_EQ(ended->frames, 5U);
+  deliver(6);
+  EXPECT_THROW(sink.begin(config), Error) << "a take is never overwritten";
+  sink.begin(other);
+  deliver(7);
+  sink.request_end();
+  deliver(8);
+  EXPECT_EQ(sink.end()->frames, 1U);
+  EXPECT_EQ(take::TakeReader(config.file).frame_count(), 5);
+  EXPECT_EQ(take::TakeReader(other.file).entry(0).sequence, 7U);
+}
+
+}  // namespace
+}  // namespace facet::pipeline

@@ -1,0 +1,60 @@
+// `facet takes`: the takes in the daemon's folder.
+
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <nlohmann/json.hpp>
+
+#include "commands.hpp"
+#include "daemon_options.hpp"
+
+namespace facet::tools {
+namespace {
+
+using nlohmann::json;
+
+void print(const json& list) {
+  fmt::print("{} takes in {}\n", list["count"].get<std::size_t>(), list["folder"].get<std::string>());
+  if (list["takes"].empty()) {
+    return;
+  }
+  fmt::print("{:<32} {:<21} {:>8} {:>8} {:>9} {:>9}\n", "name", "recorded (UTC)", "frames", "meshes",
+             "seconds", "MB");
+  for (const json& take : list["takes"]) {
+    const std::string name = take["name"];
+    if (take.contains("error")) {
+      fmt::print("{:<32} {}\n", name, take["error"].get<std::string>());
+      continue;
+    }
+    const std::string end_reason = take["end_reason"];
+    fmt::print("{:<32} {:<21} {:>8} {:>8} {:>9.1f} {:>9.1f}{}\n", name,
+               take["created_utc"].get<std::string>(), take["frames"].get<std::int64_t>(),
+               take["mesh_frames"].get<std::int64_t>(), take["duration_s"].get<double>(),
+               take["bytes"].get<double>() / 1e6,
+               !end_reason.empty()           ? "  ended: " + end_reason
+               : !take["closed"].get<bool>() ? "  not closed"
+                                             : "");
+  }
+  if (list["count"].get<std::size_t>() > list["takes"].size()) {
+    fmt::print("(the newest {} are shown)\n", list["takes"].size());
+  }
+}
+
+}  // namespace
+
+void add_takes_command(CLI::App& app) {
+  CLI::App* command = app.add_subcommand("takes", "List the takes in the daemon's folder, newest first");
+  const auto options = add_daemon_options(*command);
+  const auto as_json = std::make_shared<bool>(false);
+  command->add_flag("--json", *as_json, "Print the daemon's answer as JSON");
+  command->callback([options, as_json] {
+    const json list = call_daemon(*options, "takes.list", json::object());
+    if (*as_json) {
+      fmt::print("{}\n", list.dump(2));
+    } else {
+      print(list);
+    }
+  });
+}
+
+}  // namespace facet::tools

@@ -1,0 +1,27 @@
+#pragma once
+
+#include <memory>
+#include <nlohmann/json_fwd.hpp>
+#include <string>
+
+namespace CLI {
+class App;
+}
+
+namespace facet::tools {
+
+/// Which daemon a command talks to: the options of every such command.
+struct DaemonOptions {
+  std::string socket;  ///< empty: that of the configuration
+  std::string config;  ///< empty: the defaults
+};
+
+/// Adds --socket and --config to a subcommand.
+std::shared_ptr<DaemonOptions> add_daemon_options(CLI::App& command);
+
+/// Calls a control method of the daemon. Throws Error(Unavailable) where it does not answer, and its own
+/// error else.
+nlohmann::json call_daemon(const DaemonOptions& options, const std::string& method,
+                           const nlohmann::json& params);
+
+}  // namespace facet::tools
