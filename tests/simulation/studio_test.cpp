@@ -1,0 +1,229 @@
+#include "simulation/studio.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <fstream>
+#include <nlohmann/json.hpp>
+
+#include "camera/factory.hpp"
+#include "facet/error.hpp"
+#include "simulation/sequence.hpp"
+#include "support/paths.hpp"
+#include "support/synthetic_model.hpp"
+#include "track/landmarker.hpp"
+
+namespace facet::simulation {
+namespace {
+
+const face::FaceModel& model() {
+  static const face::FaceModel made = test::synthetic_model();
+  return made;
+}
+
+StudioConfig small() {
+  StudioConfig config;
+  config.seed = 5;
+  config.width_px = 321;
+  config.height_px = 241;
+  config.frame_count = 3;
+  config.sensor_noise = false;
+  return config;
+}
+
+/// Projection in front of the camera, px.
+Eigen::Vector2f project(const CameraIntrinsics& camera, const Eigen::Vector3f& at_mm) {
+  return {camera.fx * at_mm.x() / at_mm.z() + camera.cx, camera.fy * at_mm.y() / at_mm.z() + camera.cy};
+}
+
+TEST(Studio, PictureIsTheTruthUnderTheShadingModel) {
+  const Studio studio(model(), small());
+  TruthMesh truth;
+  const SyntheticFrame frame = studio.render(2, &truth);
+  const render::Raycaster caster(truth.vertices_mm, truth.triangles);
+  const render::HitImage hits = caster.cast(studio.camera());
+  std::vector<float> errors;
+  for (std::size_t pixel = 0; pixel < hits.triangle.size(); ++pixel) {
+    if (hits.triangle[pixel] < 0) {
+      continue;
+    }
+    const auto at = [&](const mesh::Vertices& field) {
+      return render::interpolate(truth.triangles, hits.triangle[pixel], hits.barycentric[pixel], field);
+    };
+    const Eigen::Vector3f normal = at(truth.normals).normalized();
+    if (-normal.z() < 0.5F) {
+      continue;
+    }
+    const Eigen::Vector3f expected =
+        render::irradiance(studio.lighting().spherical_harmonics, normal) * at(truth.albedo);
+    for (std::size_t channel = 0; channel < 3; ++channel) {
+      errors.push_back(std::abs(render::srgb8_to_linear(frame.picture.rgb[3 * pixel + channel]) -
+                                expected[static_cast<Eigen::Index>(channel)]));
+    }
+  }
+  ASSERT_GT(errors.size(), 10'000U);
+  std::sort(errors.begin(), errors.end());
+  EXPECT_LT(errors[errors.size() / 2], 0.006F);  // blur and rounding; props in front of the face are few
+  EXPECT_LT(errors[errors.size() * 9 / 10], 0.04F);
+}
+
+TEST(Studio, FaceIsInThePictureAtTheRightSizeAndDistance) {
+  for (std::uint64_t seed = 1; seed <= 4; ++seed) {
+    StudioConfig config = small();
+    config.seed = seed;
+    const Studio studio(model(), config);
+    const SyntheticFrame frame = studio.render(0, nullptr);
+    const float distance_mm = frame.camera_from_head.translation().z();
+    EXPECT_GT(distance_mm, 430);
+    EXPECT_LT(distance_mm, 800);
+    const auto landmark = [&](std::size_t index) {
+      mesh::Vertices vertices_mm;
+      model().evaluate(studio.identity(), frame.expression, vertices_mm);
+      return project(studio.camera(), frame.camera_from_head * face::FaceModel::anchor_point(
+                                                                   model().landmarks[index], vertices_mm));
+    };
+    const float height_px = (landmark(10) - landmark(152)).norm();
+    EXPECT_GT(height_px, 0.3F * 241);
+    EXPECT_LT(height_px, 0.65F * 241);
+    EXPECT_LT((landmark(1) - Eigen::Vector2f(160, 120)).norm(), 60);
+    EXPECT_GT(landmark(152).y(), landmark(10).y());  // upright
+    EXPECT_GT(landmark(263).x(), landmark(33).x());  // the subject's left on the right of the picture
+  }
+}
+
+TEST(Studio, FramesDoNotDependOnOrder) {
+  StudioConfig config = small();
+  config.sensor_noise = true;
+  const Studio studio(model(), config);
+  const auto second = studio.render(1, nullptr).picture.rgb;
+  studio.render(0, nullptr);
+  EXPECT_EQ(studio.render(1, nullptr).picture.rgb, second);
+  EXPECT_NE(studio.render(2, nullptr).picture.rgb, second);
+}
+
+TEST(Studio, SensorNoiseIsThatOfASmallCamera) {
+  StudioConfig config = small();
+  const auto clean = Studio(model(), config).render(1, nullptr).picture.rgb;
+  config.sensor_noise = true;
+  const auto noisy = Studio(model(), config).render(1, nullptr).picture.rgb;
+  double squares = 0;
+  for (std::size_t k = 0; k < clean.size(); ++k) {
+    const double difference = static_cast<double>(noisy[k]) - clean[k];
+    squares += difference * difference;
+  }
+  const double rms = std::sqrt(squares / static_cast<double>(clean.size()));
+  EXPECT_GT(rms, 0.7);
+  EXPECT_LT(rms, 6);
+}
+
+TEST(Studio, AreaLightShadesAndHighlightsShine) {
+  StudioConfig config = small();
+  config.light = LightKind::Area;
+  const auto matt = Studio(model(), config).render(0, nullptr).picture.rgb;
+  config.highlights = true;
+  const auto shiny = Studio(model(), config).render(0, nullptr).picture.rgb;
+  std::size_t brighter = 0;
+  std::size_t darker = 0;
+  for (std::size_t k = 0; k < matt.size(); ++k) {
+    brighter += shiny[k] > matt[k] + 8 ? 1 : 0;
+    darker += shiny[k] + 8 < matt[k] ? 1 : 0;
+  }
+  EXPECT_GT(brighter, 300U);
+  EXPECT_EQ(darker, 0U);
+  EXPECT_NE(matt, Studio(model(), small()).render(0, nullptr).picture.rgb);
+}
+
+TEST(Studio, RefusesConfigurationsWithoutSense) {
+  for (const auto& change : std::initializer_list<void (*)(StudioConfig&)>{
+           [](StudioConfig& config) { config.width_px = 0; },
+           [](StudioConfig& config) { config.height_px = 100'000; },
+           [](StudioConfig& config) { config.frame_count = 0; },
+           [](StudioConfig& config) { config.rate_hz = 0; }}) {
+    StudioConfig config = small();
+    change(config);
+    try {
+      const Studio studio(model(), config);
+      FAIL() << "accepted";
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::Usage);
+    }
+  }
+}
+
+TEST(Sequence, WritesVideoTruthAndCamera) {
+  const test::TemporaryFolder folder;
+  StudioConfig config = small();
+  config.frame_count = 2;
+  const Studio studio(model(), config);
+  int last = 0;
+  write_sequence(studio, folder.path() / "out", [&](int done) { last = done; });
+  EXPECT_EQ(last, 2);
+  TruthMesh truth;
+  const SyntheticFrame expected = studio.render(1, &truth);
+  EXPECT_EQ(read_truth_ply(truth_file(folder.path() / "out", 1)).vertices_mm, truth.vertices_mm);
+
+  const auto camera = camera::open_camera({.kind = "file", .path = folder.path() / "out" / "video.mkv"});
+  camera->start();
+  Frame frame;
+  for (int k = 0; k < 2; ++k) {
+    ASSERT_EQ(camera->next(frame, std::chrono::seconds(10)), CaptureOutcome::Delivered);
+  }
+  EXPECT_EQ(render::to_picture(frame).rgb, expected.picture.rgb);
+
+  std::ifstream stream(folder.path() / "out" / "camera.json");
+  const nlohmann::json document = nlohmann::json::parse(stream);
+  EXPECT_EQ(document["width"], 321);
+  EXPECT_EQ(document["fps"], 30);
+  EXPECT_EQ(document["seed"], 5);
+  EXPECT_FLOAT_EQ(document["fx"].get<float>(), studio.camera().fx);
+  ASSERT_EQ(document["frames"].size(), 2U);
+  EXPECT_FLOAT_EQ(document["frames"][1]["camera_from_head"][2][3].get<float>(),
+                  expected.camera_from_head(2, 3));
+  EXPECT_EQ(document["frames"][1]["expression"].size(), studio.expression_names().size());
+  EXPECT_EQ(document["light"]["spherical_harmonics"].size(), 9U);
+}
+
+/// The built model and the landmark nets together: what the tracker will see.
+TEST(BuiltActor, LooksLikeAFaceToTheLandmarkNet) {
+  const auto nets = test::assets() / "mediapipe" / "face_mesh_solution_packed_assets.data";
+  if (!std::filesystem::exists(test::default_model()) || !std::filesystem::exists(nets)) {
+    GTEST_SKIP() << "needs the built model and the landmark nets in " << test::assets();
+  }
+  const face::FaceModel built = face::FaceModel::load(test::default_model());
+  for (const auto& [seed, light] : {std::pair{1, LightKind::SphericalHarmonics}, {2, LightKind::Area}}) {
+    StudioConfig config;
+    config.seed = static_cast<std::uint64_t>(seed);
+    config.width_px = 640;
+    config.height_px = 480;
+    config.light = light;
+    const Studio studio(built, config);
+    track::Landmarker landmarker(nets);
+    for (const int index : {0, 20, 45}) {
+      const SyntheticFrame frame = studio.render(index, nullptr);
+      const auto& found = landmarker.process(render::to_frame(frame.picture));
+      ASSERT_TRUE(found.found) << seed << ' ' << index;
+      mesh::Vertices vertices_mm;
+      built.evaluate(studio.identity(), frame.expression, vertices_mm);
+      std::vector<float> errors;
+      for (std::size_t k = 0; k < built.landmarks.size(); ++k) {
+        if (built.landmarks[k].weights[0] + built.landmarks[k].weights[1] + built.landmarks[k].weights[2] >
+            0) {
+          const Eigen::Vector3f at =
+              frame.camera_from_head * face::FaceModel::anchor_point(built.landmarks[k], vertices_mm);
+          errors.push_back((project(studio.camera(), at) -
+                            found.face.points_px.col(static_cast<Eigen::Index>(k)).head<2>())
+                               .norm());
+        }
+      }
+      ASSERT_GT(errors.size(), 400U);
+      std::nth_element(errors.begin(), errors.begin() + static_cast<std::ptrdiff_t>(errors.size() / 2),
+                       errors.end());
+      // Net and actor each differ from the model by one to two millimetres; the eyes are 90 mm apart.
+      EXPECT_LT(errors[errors.size() / 2], 0.06F * found.face.interocular_px) << seed << ' ' << index;
+    }
+  }
+}
+
+}  // namespace
+}  // namespace facet::simulation

@@ -1,0 +1,108 @@
+// `facet view`: a contact sheet of a take.
+
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <charconv>
+#include <cstdint>
+#include <memory>
+#include <numeric>
+#include <string>
+#include <vector>
+
+#include "commands.hpp"
+#include "facet/error.hpp"
+#include "pipeline/frame_range.hpp"
+#include "progress.hpp"
+#include "sheet.hpp"
+
+namespace facet::tools {
+namespace {
+
+constexpr std::size_t kDefaultRows = 5;
+constexpr std::size_t kMostRows = 40;  // PNG pictures of more are no longer fit to be looked at
+
+struct ViewOptions {
+  std::string take;
+  std::string sheet;
+  std::string frames;
+  std::string video;
+};
+
+/// The frames asked for: "A,B,C" (each one), "A:B" or nothing (spread evenly over those with a mesh), by
+/// Frame::sequence. returns indices in the take.
+std::vector<std::int64_t> chosen_frames(take::TakeReader& take, const std::string& text) {
+  const bool is_list =
+      text.find(',') != std::string::npos || (!text.empty() && text.find(':') == std::string::npos);
+  std::vector<std::int64_t> chosen;
+  if (is_list) {
+    for (std::size_t at = 0; at <= text.size();) {
+      const std::size_t end = std::min(text.find(',', at), text.size());
+      std::uint64_t sequence = 0;
+      const auto [stop, error] = std::from_chars(text.data() + at, text.data() + end, sequence);
+      if (error != std::errc() || stop != text.data() + end) {
+        throw Error(
+            ErrorKind::Usage,
+            fmt::format("--frames {}: give frame numbers as in 0,50,100, or a range as in 100:200", text));
+      }
+      for (std::int64_t index = 0; index < take.frame_count(); ++index) {
+        if (take.entry(index).sequence == sequence) {
+          chosen.push_back(index);
+        }
+      }
+      at = end + 1;
+    }
+  } else {
+    const pipeline::FrameRange range = pipeline::parse_frame_range(text);
+    std::vector<std::int64_t> with_mesh;
+    std::vector<std::int64_t> any;
+    for (std::int64_t index = 0; index < take.frame_count(); ++index) {
+      const take::FrameEntry entry = take.entry(index);
+      if (entry.sequence >= range.first && entry.sequence < range.end) {
+        any.push_back(index);
+        if (entry.has_mesh) {
+          with_mesh.push_back(index);
+        }
+      }
+    }
+    chosen = spread_evenly(with_mesh.empty() ? any : with_mesh, kDefaultRows);
+  }
+  if (chosen.empty() || chosen.size() > kMostRows) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("--frames {}: {} of the take's {} frames are chosen; a sheet holds 1 to {}", text,
+                            chosen.size(), take.frame_count(), kMostRows));
+  }
+  return chosen;
+}
+
+void run_view(const ViewOptions& options) {
+  take::TakeReader take(options.take);
+  const auto frames = chosen_frames(take, options.frames);
+  const auto images = open_source_images(take.info(), options.video);
+  if (!images) {
+    fmt::print(stderr, "facet view: the take's source '{}' is not a video file here; give it with --video\n",
+               take.info().source);
+  }
+  Progress progress("Drawing", frames.size(), "rows");
+  const render::Picture sheet = make_sheet(take, frames, images.get(),
+                                           [&](int rows) { progress.set(static_cast<std::uint64_t>(rows)); });
+  progress.finish();
+  render::write_png(sheet, options.sheet);
+  fmt::print("{}: {} frames of {}\n", options.sheet, frames.size(), options.take);
+}
+
+}  // namespace
+
+void add_view_command(CLI::App& app) {
+  auto options = std::make_shared<ViewOptions>();
+  CLI::App* command = app.add_subcommand(
+      "view", "Draw a sheet of a take: input, coarse mesh, normals, shaded mesh, albedo, photometric error");
+  command->add_option("take", options->take, "Take file")->required();
+  command->add_option("-o,--output", options->sheet, "PNG to write")->required();
+  command->add_option("--frames", options->frames,
+                      "Frames as 0,50,100, or a range A:B of which five are drawn; default: the whole take");
+  command->add_option("--video", options->video, "The video that the take was made from, where it has moved");
+  command->callback([options] { run_view(*options); });
+}
+
+}  // namespace facet::tools
