@@ -5,8 +5,8 @@
 #include <algorithm>
 #include <cmath>
 #include <fstream>
+#include <map>
 #include <nlohmann/json.hpp>
-#include <set>
 
 #include "facet/error.hpp"
 
@@ -15,10 +15,12 @@ namespace {
 
 using nlohmann::json;
 
-// Typical slider values, chosen so that the sampled heads vary as real adults do (docs/face-model.md has the
-// figures that this is measured by). The head's sliders are halved: at full size the skull varies too much.
-constexpr double kFaceSigma = 0.30;
-constexpr double kHeadSigma = 0.5 * kFaceSigma;
+// Typical slider values by group, chosen so that distances between landmarks spread as measured on real
+// adults (the table in docs/face-model.md). A group that is not named is left alone. The head's sliders are
+// halved: at full size the skull varies too much.
+const std::map<std::string, double> kGroupSigma = {{"head", 0.15}, {"forehead", 0.3}, {"eyebrows", 0.3},
+                                                   {"eyes", 0.3},  {"nose", 0.24},    {"mouth", 0.25},
+                                                   {"ears", 0.3},  {"chin", 0.2},     {"cheek", 0.3}};
 constexpr double kAsymmetrySigma = 0.18;
 constexpr double kNeckSigma = 0.25;
 
@@ -30,13 +32,10 @@ constexpr double kMaleSigma = 0.17;
 // Concentration of the Dirichlet draw of ethnicities: below 1 most people lie near one corner.
 constexpr double kEthnicityConcentration = 0.8;
 
-const std::set<std::string> kGroups = {"head",  "forehead", "eyebrows", "eyes", "nose",
-                                       "mouth", "ears",     "chin",     "cheek"};
-
 struct SliderName {
   std::vector<std::string> low;  // targets that the negative side adds, left and right
   std::vector<std::string> high;
-  double sigma = kFaceSigma;
+  double sigma = 0;
 };
 
 std::vector<SliderName> slider_names(const std::filesystem::path& file) {
@@ -46,7 +45,8 @@ std::vector<SliderName> slider_names(const std::filesystem::path& file) {
   try {
     for (const json& group : document) {
       const auto group_name = group.at("group").get<std::string>();
-      if (kGroups.find(group_name) == kGroups.end()) {
+      const auto sigma = kGroupSigma.find(group_name);
+      if (sigma == kGroupSigma.end()) {
         continue;
       }
       for (const json& modifier : group.at("modifiers")) {
@@ -64,7 +64,7 @@ std::vector<SliderName> slider_names(const std::filesystem::path& file) {
           return both;
         };
         SliderName name;
-        name.sigma = group_name == "head" ? kHeadSigma : kFaceSigma;
+        name.sigma = sigma->second;
         if (modifier.contains("max")) {
           name.low = sides(modifier.at("min").get<std::string>());
           name.high = sides(modifier.at("max").get<std::string>());
