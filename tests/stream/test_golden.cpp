@@ -12,6 +12,7 @@
 
 #include "stream/decoder.hpp"
 #include "stream/encoder.hpp"
+#include "support/mesh_frames.hpp"
 #include "support/paths.hpp"
 
 namespace facet::stream {
@@ -82,14 +83,22 @@ mesh::MeshFrame tiny_frame() {
   return frame;
 }
 
+bool writes_golden() {
+  return std::getenv("FACET_WRITE_GOLDEN") != nullptr;
+}
+
+void write_file(const std::filesystem::path& file, std::span<const std::uint8_t> bytes) {
+  std::filesystem::create_directories(file.parent_path());
+  std::ofstream(file, std::ios::binary)
+      .write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
+}
+
 /// Compares the encoder's bytes with the file's and gives the file's.
 std::vector<std::uint8_t> golden(const std::string& name, std::span<const std::uint8_t> encoded,
                                  bool same_bytes = true) {
   const std::filesystem::path file = kFolder / ("v1_" + name + ".bin");
-  if (std::getenv("FACET_WRITE_GOLDEN") != nullptr) {
-    std::filesystem::create_directories(kFolder);
-    std::ofstream(file, std::ios::binary)
-        .write(reinterpret_cast<const char*>(encoded.data()), static_cast<std::streamsize>(encoded.size()));
+  if (writes_golden()) {
+    write_file(file, encoded);
   }
   std::vector<std::uint8_t> bytes = read_file(file);
   EXPECT_FALSE(bytes.empty()) << file << " is missing";
@@ -164,6 +173,33 @@ TEST(Golden, FramesOfVersion1) {
   decode_frame(golden("frame_signals", encoder.frame(sent, Profile::Signals)),
                decode_subject(encoder.subject(*sent.subject, Profile::Signals)), nullptr, got);
   EXPECT_EQ(got.frame.expression, sent.expression);
+}
+
+// The fuzzer's seeds: each kind of message, of the subject that the fuzzer knows.
+TEST(Golden, SeedsOfTheFuzzerAreSoundMessages) {
+  const std::filesystem::path corpus =
+      std::filesystem::path(FACET_SOURCE_DIR) / "tests/fuzz/corpus/stream_message";
+  if (writes_golden()) {
+    Encoder encoder;
+    const auto subject = test::patch_subject(5, 3, 1);
+    const auto albedo = test::patch_albedo(*subject);
+    write_file(corpus / "hello", encoder.hello({}));
+    write_file(corpus / "subscribe", encoder.subscription({}));
+    write_file(corpus / "dropped", encoder.dropped({1, 2}));
+    write_file(corpus / "goodbye", encoder.goodbye("seed"));
+    write_file(corpus / "albedo", encoder.albedo(subject->id, *albedo));
+    for (const Profile profile : {Profile::Signals, Profile::Displacements, Profile::Vertices}) {
+      const std::string suffix = std::string("_") + to_string(profile);
+      write_file(corpus / ("subject" + suffix), encoder.subject(*subject, profile));
+      write_file(corpus / ("frame" + suffix), encoder.frame(test::patch_frame(1, subject, albedo), profile));
+    }
+  }
+  int seeds = 0;
+  for (const auto& entry : std::filesystem::directory_iterator(corpus)) {
+    EXPECT_NE(message_type(read_file(entry.path())), MessageType::Unknown) << entry.path();
+    ++seeds;
+  }
+  EXPECT_GE(seeds, 11);
 }
 
 }  // namespace
