@@ -99,6 +99,7 @@ void measure_readers(const Frames& frames, int reader_count, double rate_hz, dou
   std::atomic<bool> done{false};
   std::atomic<std::uint64_t> received{0};
   std::vector<std::thread> readers;
+  readers.reserve(static_cast<std::size_t>(reader_count));
   for (int i = 0; i < reader_count; ++i) {
     readers.emplace_back([&] {
       stream::StreamClient client(socket, {});

@@ -178,6 +178,7 @@ std::span<const std::uint8_t> Encoder::hello(const Hello& hello) {
   builder.Clear();
   const auto server = bounded_string(builder, hello.server, kMaxTextBytes);
   std::vector<wire::Profile> profiles;
+  profiles.reserve(hello.profiles.size());
   for (const Profile profile : hello.profiles) {
     profiles.push_back(static_cast<wire::Profile>(profile));
   }

@@ -386,8 +386,13 @@ bool TakeRecorder::record(std::shared_ptr<const mesh::MeshFrame> frame) {
   if (impl.config.when_full == WhenFull::Wait) {
     impl.room.wait(lock, has_room);
   }
-  if (impl.stopping || !has_room() || frame == nullptr) {
-    ++impl.shown.dropped;
+  if (frame == nullptr) {
+    return false;
+  }
+  if (impl.stopping || !has_room()) {
+    // A frame that comes after the take's end is none of its losses.
+    const bool ended_on_request = impl.stopping && impl.shown.state != RecorderState::Failed;
+    impl.shown.dropped += ended_on_request ? 0 : 1;
     return false;
   }
   impl.ring[(impl.first + impl.queued) % impl.ring.size()] = std::move(frame);

@@ -290,6 +290,7 @@ TEST_F(Server, FiftyReaders) {
   constexpr std::size_t kReaders = 50;
   constexpr std::uint64_t kFrames = 40;
   std::vector<std::unique_ptr<StreamClient>> clients;
+  clients.reserve(kReaders);
   for (std::size_t i = 0; i < kReaders; ++i) {
     clients.push_back(std::make_unique<StreamClient>(path, wanted(static_cast<Profile>(i % kProfileCount))));
   }
@@ -298,6 +299,7 @@ TEST_F(Server, FiftyReaders) {
   std::vector<std::uint64_t> last(kReaders, 0);
   // Two threads serve all clients, so many of them are slow.
   std::vector<std::thread> threads;
+  threads.reserve(2);
   for (std::size_t part = 0; part < 2; ++part) {
     threads.emplace_back([&, part] {
       DecodedFrame got;

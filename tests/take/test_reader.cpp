@@ -15,7 +15,7 @@
 namespace facet::take {
 namespace {
 
-using testing::AnyOf;
+using testing::AllOf;
 using testing::HasSubstr;
 
 std::string rejection(auto&& work) {

@@ -113,6 +113,7 @@ TEST_F(Recorder, FramesAfterTheStopAreNotTaken) {
   EXPECT_FALSE(recorder.record(test::take_frame(0, subject)));
   recorder.stop();
   EXPECT_EQ(recorder.stop().frames, 0U);
+  EXPECT_EQ(recorder.status().dropped, 0U) << "a frame after the end is no loss";
 }
 
 TEST_F(Recorder, NeverStartedRecorderLeavesAnEmptyClosedTake) {

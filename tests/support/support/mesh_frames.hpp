@@ -18,7 +18,7 @@ inline std::shared_ptr<const mesh::Hierarchy> patch_hierarchy(int side = 9, int 
   control.vertex_count = side * side;
   control.refinable.assign(static_cast<std::size_t>(control.vertex_count), 1);
   control.texture_coordinates.resize(2, control.vertex_count);
-  control.quads.resize(4, (side - 1) * (side - 1));
+  control.quads.resize(4, Eigen::Index{side - 1} * (side - 1));
   mesh::TextureCoordinates control_px(2, control.vertex_count);
   for (int row = 0; row < side; ++row) {
     for (int column = 0; column < side; ++column) {
