@@ -44,6 +44,7 @@ class TrackerStage final : public CoarseStage {
         ++seen;
       }
     }
+    ahead->settle_subject();
     if (const std::optional<track::Subject> subject = ahead->subject()) {
       tracker_->adopt(*subject, frame.width_px, frame.height_px);
     }

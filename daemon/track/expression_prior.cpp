@@ -12,14 +12,15 @@ constexpr double kSymmetrySigma = 0.15;
 /// mouthClose undoes jawOpen; more of it than that pushes the lips through each other.
 constexpr double kMouthCloseSigma = 0.05;
 constexpr double kSmallestSigma = 0.02;
+/// Shapes that none of the 468 landmarks shows: the mesh has no irises, and what its lid points would say of
+/// the gaze is better said by the blink.
+constexpr std::string_view kUnseen = "eyeLook";
 
 /// Shapes of one side that undo each other; "Left" and "Right" are appended to both.
-constexpr std::array<std::pair<std::string_view, std::string_view>, 11> kOpposedSided = {{
+constexpr std::array<std::pair<std::string_view, std::string_view>, 9> kOpposedSided = {{
     {"browDown", "browOuterUp"},
     {"eyeBlink", "eyeWide"},
     {"eyeSquint", "eyeWide"},
-    {"eyeLookIn", "eyeLookOut"},
-    {"eyeLookUp", "eyeLookDown"},
     {"mouthSmile", "mouthFrown"},
     {"mouthLowerDown", "mouthPress"},
     {"mouthUpperUp", "mouthPress"},
@@ -56,7 +57,9 @@ ExpressionPrior::ExpressionPrior(std::span<const std::string> names, std::span<c
                                  const ExpressionPriorStrength& strength)
     : strength_(strength), sigma_(static_cast<Eigen::Index>(names.size())) {
   for (std::size_t k = 0; k < names.size(); ++k) {
-    sigma_[static_cast<Eigen::Index>(k)] = std::max(static_cast<double>(sigma[k]), kSmallestSigma);
+    sigma_[static_cast<Eigen::Index>(k)] = names[k].starts_with(kUnseen)
+                                               ? kSmallestSigma
+                                               : std::max(static_cast<double>(sigma[k]), kSmallestSigma);
     constexpr std::string_view kLeft = "Left";
     // jawLeft and mouthLeft move to the left: they are no halves of a symmetric shape.
     if (names[k].ends_with(kLeft) && names[k] != "jawLeft" && names[k] != "mouthLeft") {

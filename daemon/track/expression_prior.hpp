@@ -24,7 +24,8 @@ struct ExpressionPriorStrength {
 /// such terms. Immutable; any thread.
 class ExpressionPrior {
  public:
-  /// names and sigma as in face::FaceModel; a sigma below 0.02 is taken as 0.02.
+  /// names and sigma as in face::FaceModel; a sigma below 0.02 is taken as 0.02, and so are
+  /// the eyeLook shapes, which no landmark shows: they stay near 0.
   ExpressionPrior(std::span<const std::string> names, std::span<const float> sigma,
                   const ExpressionPriorStrength& strength);
 

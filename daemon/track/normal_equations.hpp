@@ -43,7 +43,9 @@ class NormalEquations {
 /// Scratch of solve_bounded_step, allocated once.
 struct BoundedStepScratch {
   explicit BoundedStepScratch(int unknown_count)
-      : damped(unknown_count, unknown_count), right_hand_side(unknown_count), held(unknown_count) {}
+      : damped(unknown_count, unknown_count),
+        right_hand_side(unknown_count),
+        held(static_cast<std::size_t>(unknown_count)) {}
 
   Eigen::MatrixXd damped;
   Eigen::VectorXd right_hand_side;

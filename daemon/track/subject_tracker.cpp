@@ -41,10 +41,10 @@ constexpr double kNewExpression = 0.3;
 constexpr int kFramesBetweenLikeOnes = 4;
 /// Batch sizes at which a provisional shape is solved, and the steps spent on it.
 constexpr std::array kProvisionalAt = {1, 3, 8};
-constexpr int kProvisionalIterations = 6;
+constexpr int kProvisionalIterations = 3;
 /// Steps per frame once the batch is full, and frames after which the fit ends without having converged.
-constexpr int kSettlingIterations = 3;
-constexpr int kMostSettlingFrames = 8;
+constexpr int kSettlingIterations = 1;
+constexpr int kMostSettlingFrames = 20;
 
 /// A returned face is another person when its median residual over this many frames is larger than the
 /// owner's by this factor and this difference (fraction of the interocular distance).
@@ -394,6 +394,19 @@ bool SubjectTracker::acquire(const FaceLandmarks& face) {
   ++frame_.subject;
   frame_.state = mesh::TrackingState::Tracking;
   return true;
+}
+
+bool SubjectTracker::settle() {
+  if (!has_subject_ && identity_fit_ && identity_fit_->frame_count() > 0) {
+    identity_fit_->improve(kMostSettlingFrames * kSettlingIterations);
+    subject_.shape = identity_fit_->shape();
+    subject_.landmark_bias_mm = identity_fit_->landmark_bias_mm();
+    identity_fit_.reset();
+    has_subject_ = true;
+    set_shape();
+    ++frame_.subject;
+  }
+  return has_subject_;
 }
 
 }  // namespace facet::track

@@ -57,6 +57,10 @@ class SubjectTracker {
   const SubjectFrame& process(const FaceLandmarks* face, bool acquired, int width_px, int height_px,
                               std::int64_t timestamp_ns);
 
+  /// Ends the acquisition with the frames gathered so far, for recordings that are shorter than it. False
+  /// where there is no frame to go by.
+  bool settle();
+
   /// Forgets identity and focal length; the next plausible face is acquired anew.
   void reset_identity();
 

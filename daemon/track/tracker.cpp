@@ -137,6 +137,10 @@ std::optional<Subject> Tracker::subject() const {
   return tracker.has_subject() ? std::optional<Subject>(tracker.subject()) : std::nullopt;
 }
 
+bool Tracker::settle_subject() {
+  return impl_->subject_tracker.settle();
+}
+
 void Tracker::adopt(const Subject& subject, int width_px, int height_px) {
   if (!impl_->subject_tracker.adopt(subject, width_px, height_px)) {
     throw Error(

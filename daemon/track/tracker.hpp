@@ -60,6 +60,10 @@ class Tracker {
   /// The person being tracked; nothing before the first identity estimate. Same thread as process.
   std::optional<Subject> subject() const;
 
+  /// Estimates the person from the frames seen so far, however few: for a recording that is shorter than the
+  /// acquisition. False where no face was seen well enough. Same thread as process.
+  bool settle_subject();
+
   /// Takes over a subject estimated earlier, for frames of `width_px` x `height_px`: tracking starts with the
   /// first plausible face, without acquisition. A recording can so be tracked from its first frame on: once
   /// until subject() is there, then again from the start with a tracker that adopted it. Throws Error(Usage)
