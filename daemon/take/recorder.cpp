@@ -271,6 +271,7 @@ void TakeRecorder::Impl::commit() {
   {
     const std::lock_guard lock(mutex);
     counted.dropped = shown.dropped;
+    counted.file = shown.file;
     shown = counted;
   }
   check_disk();

@@ -37,6 +37,7 @@ TEST(TakeSink, RecordsOneTakeAtATime) {
   const auto ended = sink.end();
   ASSERT_TRUE(ended.has_value());
   EXPECT_EQ(ended->frames, 5U);
+  EXPECT_EQ(ended->file, config.file);
   deliver(6);
   EXPECT_THROW(sink.begin(config), Error) << "a take is never overwritten";
   sink.begin(other);
