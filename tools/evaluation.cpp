@@ -18,7 +18,7 @@ using simulation::Similarity;
 
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
 constexpr float kReach_mm = 50;  // a vertex farther from the truth than this counts as measured at kReach_mm
-constexpr std::size_t kAlignmentPoints = 4000;
+constexpr std::size_t kAlignmentPoints = 2500;
 constexpr int kAlignmentSteps = 40;
 constexpr float kSteepest = 0.2588F;  // cosine of 75 degrees
 

@@ -47,7 +47,7 @@ class Truth {
 };
 
 /// Measures a mesh: aligns it (start: the truth point at the same pixel; then iterated closest points with
-/// point-to-plane steps on up to 4,000 vertices, Chen & Medioni 1992), then takes each vertex's distance to
+/// point-to-plane steps on up to 2,500 vertices, Chen & Medioni 1992), then takes each vertex's distance to
 /// the nearest point of the truth surface and the angle to its normal there.
 Comparison compare(const Reconstruction& reconstruction, const Truth& truth, Alignment alignment);
 

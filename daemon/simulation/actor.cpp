@@ -307,7 +307,7 @@ VirtualActor::VirtualActor(const face::FaceModel& model, std::uint64_t seed, boo
   const Noise locks(seed, 78);
   for (Eigen::Index v = 0; v < resting_mm.cols(); ++v) {
     const Vector3f at = resting_mm.col(v);
-    const float cover = smooth_step(0, 16, above_hairline_mm(anatomy_, at));
+    const float cover = smooth_step(0, 16, above_hairline_mm(anatomy_, at, zones.skin[v]));
     const float lock = locks.fractal({at.x() / 6.0F, at.y() / 40.0F, at.z() / 25.0F}, 2);
     hair_volume_mm_[v] = cover * (kHairVolume_mm + 1.2F * lock);
     if (cover > 0) {

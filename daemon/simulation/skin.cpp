@@ -28,7 +28,7 @@ float brow_cover(const Anatomy& face, std::size_t index, const Vector3f& at, con
     return 0;
   }
   // The brow landmark lies on the upper edge, a bit outside of the middle; the ends hang lower.
-  const float centre_y = brow.y() - 3.2F - 5.5F * (along - 0.55F) * (along - 0.55F) / 0.3F;
+  const float centre_y = brow.y() - 1.6F - 5.5F * (along - 0.55F) * (along - 0.55F) / 0.3F;
   const float half_height = 3.6F - 1.9F * std::clamp(along, 0.0F, 1.0F);
   const float across = (at.y() - centre_y) / half_height;
   const float band = smooth_step(1.35F, 0.55F, std::abs(across)) * smooth_step(-0.06F, 0.12F, along) *
@@ -66,8 +66,10 @@ Complexion make_complexion(std::uint64_t seed) {
   return complexion;
 }
 
-float above_hairline_mm(const Anatomy& anatomy, const Eigen::Vector3f& point_mm) {
-  const Vector3f& front = anatomy.forehead;
+float above_hairline_mm(const Anatomy& anatomy, const Eigen::Vector3f& point_mm, float skin) {
+  constexpr float kAboveLandmark_mm = 5;
+  constexpr float kOnSkin_mm = -12;
+  const Vector3f front = anatomy.forehead + Vector3f(0, kAboveLandmark_mm, 0);
   const float temple_y = 0.5F * (anatomy.eye_outer[0].y() + anatomy.eye_outer[1].y()) + 16;
   const float temple_z = front.z() - 72;
   // Side view: a line from the forehead back and down to above the ear, then straight down behind it.
@@ -78,7 +80,9 @@ float above_hairline_mm(const Anatomy& anatomy, const Eigen::Vector3f& point_mm)
   const float nape_y = 0.5F * (anatomy.nose_tip.y() + anatomy.mouth_corner[0].y());
   // Ears stick out farther than the skull is wide.
   const float skull_mm = 1.72F * anatomy.eye_outer[1].x();
-  return std::min({std::max(over, behind), point_mm.y() - nape_y, 3 * (skull_mm - std::abs(point_mm.x()))});
+  const float above =
+      std::min({std::max(over, behind), point_mm.y() - nape_y, 3 * (skull_mm - std::abs(point_mm.x()))});
+  return above + (kOnSkin_mm - std::max(above, 0.0F)) * smooth_step(0.02F, 0.5F, skin);
 }
 
 Eigen::Matrix3Xf paint_albedo(const Anatomy& anatomy, const Complexion& complexion, const SkinZones& zones,
@@ -160,7 +164,7 @@ Eigen::Matrix3Xf paint_albedo(const Anatomy& anatomy, const Complexion& complexi
                    smooth_step(0.6F, 0.95F, zones.eye[v]));
     colour = mixed(colour, {0.13F, 0.03F, 0.03F}, smooth_step(0.3F, 0.8F, zones.mouth[v]));
 
-    const float hairline = above_hairline_mm(anatomy, at) + 2.5F * edge.fractal(at / 9.0F, 2);
+    const float hairline = above_hairline_mm(anatomy, at, zones.skin[v]) + 2.5F * edge.fractal(at / 9.0F, 2);
     const float strand = strands.fractal({at.x() / 1.3F, at.y() / 14.0F, at.z() / 9.0F}, 2);
     colour = mixed(colour, complexion.hair * std::max(0.25F, 1 + 0.55F * strand),
                    smooth_step(-2.0F, 4.0F, hairline));

@@ -28,8 +28,9 @@ struct Complexion {
 /// Light to dark skins, blond to black hair.
 Complexion make_complexion(std::uint64_t seed);
 
-/// How far a point lies above the hairline, mm; negative on the face, the ears and the neck.
-float above_hairline_mm(const Anatomy& anatomy, const Eigen::Vector3f& point_mm);
+/// How far a point lies above the hairline, mm; negative on the face, the ears and the neck. skin:
+/// SkinZones::skin there: the face skin is free of hair, for hair would hide it from every method.
+float above_hairline_mm(const Anatomy& anatomy, const Eigen::Vector3f& point_mm, float skin);
 
 /// Paints the resting face: tone with the model's mean albedo as its pattern, redness, blotches, freckles,
 /// stubble, brows, lips, lid margins, hair. [3][vertex_count] linear RGB.

@@ -123,8 +123,8 @@ Vector2f front(const Vector3f& point) {
 
 /// Lines across the forehead, wavy and broken.
 void forehead_lines(const Anatomy& face, const Carver& carver, Random& random, Eigen::VectorXf& pattern_mm) {
-  const float bottom_mm = 0.5F * (face.brow[0].y() + face.brow[1].y()) + 9;
-  const float top_mm = face.forehead.y() - 4;
+  const float bottom_mm = 0.5F * (face.brow[0].y() + face.brow[1].y()) + 5;
+  const float top_mm = face.forehead.y() - 7;
   const float half_length_mm = 0.95F * 0.5F * (face.brow[1] - face.brow[0]).norm() + 14;
   int count = std::clamp(static_cast<int>((top_mm - bottom_mm) / 8), 2, 6);
   for (int line = 0; line < count; ++line) {
