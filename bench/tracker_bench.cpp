@@ -65,6 +65,11 @@ facet::render::Picture draw(const Frame& frame, const TrackResult& result,
   if (result.has_mesh) {
     const auto& quads = model.control.quads;
     for (Eigen::Index q = 0; q < quads.cols(); ++q) {
+      const std::uint8_t region = model.regions[static_cast<std::size_t>(quads(0, q))];
+      if (!facet::face::has_region(region, facet::face::Region::Refinable) &&
+          !facet::face::has_region(region, facet::face::Region::Lips)) {
+        continue;
+      }
       Eigen::Vector3f corners[4];
       for (int c = 0; c < 4; ++c) {
         corners[c] = result.vertices_mm.col(quads(c, q));
@@ -75,16 +80,17 @@ facet::render::Picture draw(const Frame& frame, const TrackResult& result,
         continue;
       }
       for (int c = 0; c < 4; ++c) {
-        facet::render::draw_line(picture, project(corners[c]), project(corners[(c + 1) % 4]), {40, 255, 120},
-                                 0.35F);
+        facet::render::draw_line(picture, project(corners[c]), project(corners[(c + 1) % 4]), {60, 255, 140},
+                                 0.22F);
       }
     }
     const Eigen::Vector3f centre = result.camera_from_head.translation();
     middle = project(Eigen::Vector3f::Zero());
     half = 150.0F * result.camera.fx / centre.z();
   }
+  const float dot_radius = half / 250.0F;
   for (const Eigen::Vector2f& point : result.landmarks_px) {
-    facet::render::draw_dot(picture, point, 0.7F, {255, 60, 40});
+    facet::render::draw_dot(picture, point, dot_radius, {255, 60, 40});
   }
   const int side = static_cast<int>(2 * half);
   return facet::render::crop(picture, static_cast<int>(middle.x() - half),

@@ -12,7 +12,7 @@ namespace facet::track {
 /// Strengths of the expression prior's parts. Found by experiment: bench/README.md, "coarse fit".
 struct ExpressionPriorStrength {
   double size = 1.0;       ///< of (e / sigma)^2
-  double sparsity = 0.5;   ///< of |e| / sigma: few shapes rather than many small ones
+  double sparsity = 0.3;   ///< of |e| / sigma: few shapes rather than many small ones
   double symmetry = 1.0;   ///< of ((left - right) / kSymmetrySigma)^2
   double exclusion = 4.0;  ///< of (a b / (sigma_a sigma_b))^2 for shapes that undo each other
 };
