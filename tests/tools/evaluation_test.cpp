@@ -42,12 +42,11 @@ Patch bumpy_patch() {
   for (int row = 0; row + 1 < kSide; ++row) {
     for (int column = 0; column + 1 < kSide; ++column) {
       const int a = row * kSide + column;
+      // Towards the camera is outside.
       patch.truth.triangles.col(next++) << a, a + kSide, a + kSide + 1;
       patch.truth.triangles.col(next++) << a, a + kSide + 1, a + 1;
     }
   }
-  // Towards the camera is outside.
-  patch.truth.triangles.row(1).swap(patch.truth.triangles.row(2));
   mesh::vertex_normals(patch.truth.vertices_mm, patch.truth.triangles, patch.truth.normals);
   patch.truth.albedo = mesh::Vertices::Constant(3, patch.truth.vertices_mm.cols(), 0.5F);
   patch.reconstruction.vertices_mm = patch.truth.vertices_mm;
