@@ -62,8 +62,9 @@ Frame to_frame(const Picture& picture) {
   const std::size_t pixel_count = picture.rgb.size() / 3;
   std::shared_ptr<std::uint8_t[]> pixels(new std::uint8_t[4 * pixel_count]);
   for (std::size_t k = 0; k < pixel_count; ++k) {
-    std::copy_n(&picture.rgb[3 * k], 3, &pixels[4 * k]);
-    pixels[4 * k + 3] = 255;
+    std::uint8_t* pixel = pixels.get() + 4 * k;
+    std::copy_n(&picture.rgb[3 * k], 3, pixel);
+    pixel[3] = 255;
   }
   frame.pixels = std::move(pixels);
   return frame;
@@ -124,8 +125,8 @@ void paste(Picture& onto, const Picture& from, int x_px, int y_px) {
     return;
   }
   for (int y = std::max(0, -y_px); y < std::min(from.height_px, onto.height_px - y_px); ++y) {
-    std::copy_n(from.rgb.data() + offset_of(from, first_x, y), 3 * (end_x - first_x),
-                onto.rgb.data() + offset_of(onto, x_px + first_x, y_px + y));
+    std::copy_n(&from.rgb[offset_of(from, first_x, y)], 3 * (end_x - first_x),
+                &onto.rgb[offset_of(onto, x_px + first_x, y_px + y)]);
   }
 }
 
