@@ -51,7 +51,7 @@ function(facet_test name)
   add_executable(test_${name} ${ARG_SOURCES})
   target_link_libraries(test_${name} PRIVATE facet_options facet_test_support ${ARG_ROOMS} ${ARG_LIBS} GTest::gtest GTest::gmock GTest::gtest_main)
   gtest_discover_tests(test_${name} TEST_PREFIX "${name}." DISCOVERY_MODE PRE_TEST WORKING_DIRECTORY "${CMAKE_SOURCE_DIR}"
-                       PROPERTIES TIMEOUT 300 ENVIRONMENT FACET_VULKAN_VALIDATION=1)
+                       DISCOVERY_TIMEOUT 120 PROPERTIES TIMEOUT 900 ENVIRONMENT FACET_VULKAN_VALIDATION=1)
 endfunction()
 
 add_custom_target(fuzzers)

@@ -13,13 +13,12 @@ namespace facet::pipeline {
 
 /// One colour camera in, refined meshes out: capture -> track (CPU) -> refine (GPU) -> sinks.
 ///
-/// | thread          | does                                    | may block on |
-/// |-----------------|-----------------------------------------|---------------------------------------------|
-/// | `facet-capture` | Camera::start, next, stop               | the source; a recorded one: room in a queue
-/// | | `facet-track`   | CoarseStage                             | an empty queue; until refine takes a frame
-/// | | `facet-refine`  | hierarchy of a new subject, RefineStage, | an empty queue, the GPU, a sink | | |
-/// MeshSink::deliver                       |                                             | | `facet-regpu` |
-/// RecoveringRefiner, after a device loss  | the driver                                  |
+/// Threads, what each does and what it may block on:
+/// * `facet-capture`: Camera::start, next, stop. The source; where it is recorded also room in a queue.
+/// * `facet-track`: CoarseStage. An empty queue, and until refine takes a frame.
+/// * `facet-refine`: the hierarchy of a new subject, RefineStage, MeshSink::deliver. An empty queue, the GPU,
+///   a sink.
+/// * `facet-regpu`: RecoveringRefiner, after a device loss. The driver.
 ///
 /// start begins the first three, stop joins them. The tracker works on frame n + 1 while the GPU works on n.
 /// Queues: captured frames, where a live source's newest frame replaces an older one (the drop is counted)

@@ -14,6 +14,7 @@
 
 #include "facet/assets.hpp"
 #include "facet/error.hpp"
+#include "stream/protocol.hpp"
 
 namespace facet::service {
 namespace {
@@ -258,7 +259,7 @@ void read_tracker(Section section, track::TrackerConfig& tracker) {
 void read_hierarchy(Section section, mesh::HierarchyOptions& hierarchy) {
   section.read_number("min_edge_px", hierarchy.min_edge_px, 0.1, 1000);
   section.read_integer("max_levels", hierarchy.max_levels, 1, 12);
-  section.read_integer("max_vertices", hierarchy.max_vertices, 1000, 2'000'000);
+  section.read_integer("max_vertices", hierarchy.max_vertices, 1000, static_cast<int>(stream::kMaxVertices));
   section.finish();
 }
 

@@ -253,7 +253,8 @@ void Service::Impl::begin_pipeline() {
       pipeline::MonocularPipeline::Options{config.pipeline.hierarchy, config.pipeline.frames, {}},
       std::vector<pipeline::MeshSink*>{&stream_sink, &takes});
   if (!config.takes.record_at_start.empty()) {
-    begin_take(config.takes.record_at_start);
+    // A daemon that is started again must not stumble over its own earlier take.
+    begin_take(take::free_take_name(config.takes.folder, config.takes.record_at_start));
   }
   if (config.wait_for_reader) {
     log.info("waiting for a reader of the stream");

@@ -446,7 +446,10 @@ std::filesystem::path take_path(const std::filesystem::path& folder, const std::
 
 std::string default_take_name(const std::filesystem::path& folder,
                               std::chrono::system_clock::time_point start) {
-  const std::string base = utc_text(start, "{:%Y-%m-%dT%H-%M-%SZ}");
+  return free_take_name(folder, utc_text(start, "{:%Y-%m-%dT%H-%M-%SZ}"));
+}
+
+std::string free_take_name(const std::filesystem::path& folder, const std::string& base) {
   std::string name = base;
   std::error_code ignored;
   for (int next = 2; std::filesystem::exists(folder / (name + ".take"), ignored); ++next) {

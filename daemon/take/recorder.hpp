@@ -82,8 +82,10 @@ class TakeRecorder {
 /// there already: a take is never overwritten and never renamed behind the user's back.
 std::filesystem::path take_path(const std::filesystem::path& folder, const std::string& name);
 
-/// Name for a take that the user did not name: UTC start time, "2026-11-21T09-30-00Z"; a suffix -2, -3 ...
-/// where the folder has one of that second already.
+/// `base`, or with a suffix -2, -3 ... where the folder has a take of that name already.
+std::string free_take_name(const std::filesystem::path& folder, const std::string& base);
+
+/// Name for a take that the user did not name: UTC start time, "2026-11-21T09-30-00Z", made free as above.
 std::string default_take_name(const std::filesystem::path& folder,
                               std::chrono::system_clock::time_point start);
 

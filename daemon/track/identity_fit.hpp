@@ -16,7 +16,8 @@ struct IdentityPriorStrength {
   double identity = 1.0;
   /// Focal length over the longer image side: median and standard deviation of the logarithm. Webcams and
   /// phones see 50 to 75 degrees along it (0.13 either way); tighter than that because frontal faces hardly
-  /// tell focal length from distance, and what they seem to tell is mostly how the face differs from the model.
+  /// tell focal length from distance, and what they seem to tell is mostly how the face differs from the
+  /// model.
   double focal_ratio = 0.87;
   double log_focal_sigma = 0.1;
   /// Frames whose worth a landmark's persistent offset needs before half of it is believed.

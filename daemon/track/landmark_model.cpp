@@ -45,7 +45,8 @@ LandmarkModel::LandmarkModel(const face::FaceModel& model)
   for (std::size_t l = 0; l < landmarks_.size(); ++l) {
     position_of_[static_cast<std::size_t>(landmarks_[l])] = static_cast<int>(l);
     Eigen::Map<Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>(
-        core_mm_.data() + l * block, Eigen::Index{3} * (identity_count_ + 1), expression_count_ + 1) = core_rows[l];
+        core_mm_.data() + l * block, Eigen::Index{3} * (identity_count_ + 1), expression_count_ + 1) =
+        core_rows[l];
   }
   const int right = position_of(kRightEyeOuterCorner);
   const int left = position_of(kLeftEyeOuterCorner);

@@ -140,9 +140,10 @@ void SubjectTracker::reset_identity() {
 
 bool SubjectTracker::adopt(const Subject& subject, int width_px, int height_px) {
   if (subject.shape.identity.size() != model_->identity_count() ||
-      subject.landmark_bias_mm.size() != Eigen::Index{3} * model_->count() || !subject.shape.identity.allFinite() ||
-      !subject.landmark_bias_mm.allFinite() || !(subject.shape.focal_px > 0) ||
-      !std::isfinite(subject.shape.focal_px) || width_px <= 0 || height_px <= 0) {
+      subject.landmark_bias_mm.size() != Eigen::Index{3} * model_->count() ||
+      !subject.shape.identity.allFinite() || !subject.landmark_bias_mm.allFinite() ||
+      !(subject.shape.focal_px > 0) || !std::isfinite(subject.shape.focal_px) || width_px <= 0 ||
+      height_px <= 0) {
     return false;
   }
   width_px_ = width_px;

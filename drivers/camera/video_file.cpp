@@ -32,6 +32,10 @@ constexpr std::int64_t kSecond_ns = 1'000'000'000;
 constexpr double kDefaultRate_hz = 25.0;
 /// A paced source that is later than this many frames skips to the newest one.
 constexpr int kPacedSlack_frames = 1;
+/// A decoder that reports this many errors in a row, with no frame between, is not asked again.
+constexpr int kMostDecoderErrors = 100;
+/// A step in the file's times longer than this is a damaged time stamp, not a pause.
+constexpr std::int64_t kLongestStep_ns = 10 * kSecond_ns;
 
 struct FormatDeleter {
   void operator()(AVFormatContext* context) const { avformat_close_input(&context); }
@@ -287,6 +291,7 @@ void VideoFile::set_error(std::string text) {
 
 /// Puts the next decoded picture into frame_ and its position into media_time_ns_.
 VideoFile::Decoded VideoFile::decode() {
+  int errors = 0;
   for (;;) {
     const int received = avcodec_receive_frame(codec_.get(), frame_.get());
     if (received == 0) {
@@ -302,6 +307,9 @@ VideoFile::Decoded VideoFile::decode() {
       ++damaged_packets_;
       set_error(fmt::format("{}: a damaged part near frame {} was skipped ({})", config_.path.string(),
                             decoded_count_, describe(received)));
+      if (++errors >= kMostDecoderErrors) {
+        return Decoded::End;
+      }
       continue;
     }
     const int read = av_read_frame(format_.get(), packet_.get());
@@ -336,10 +344,11 @@ VideoFile::Decoded VideoFile::decode() {
       first_pts_ = pts;
     }
     const std::int64_t from_file =
-        pass_offset_ns_ +
-        av_rescale_q(pts - first_pts_, stream.time_base, AVRational{1, static_cast<int>(kSecond_ns)});
-    // Broken files step back or stand still: time goes on regardless.
-    if (decoded_in_pass_ == 0 || from_file > media_time_ns_) {
+        av_sat_add64(pass_offset_ns_, av_rescale_q(av_sat_sub64(pts, first_pts_), stream.time_base,
+                                                   AVRational{1, static_cast<int>(kSecond_ns)}));
+    // Broken files step back, stand still or jump: time goes on regardless.
+    if (decoded_in_pass_ == 0 ||
+        (from_file > media_time_ns_ && from_file - media_time_ns_ <= kLongestStep_ns)) {
       time_ns = from_file;
     }
   }

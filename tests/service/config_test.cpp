@@ -118,7 +118,7 @@ displacement_smooth = 1e-3
 [gpu]
 device = "llvmpipe"
 [stream]
-socket = "/tmp/s"
+socket = "/run/s"
 mode = 0o600
 [takes]
 disk_reserve_mb = 5
@@ -136,7 +136,7 @@ level = "debug"
   EXPECT_TRUE(config.pipeline.refiner.paper_budget);
   EXPECT_FLOAT_EQ(config.pipeline.refiner.weights.displacement_smooth, 1e-3F);
   EXPECT_EQ(config.pipeline.gpu_device, "llvmpipe");
-  EXPECT_EQ(config.stream.socket, "/tmp/s");
+  EXPECT_EQ(config.stream.socket, "/run/s");
   EXPECT_EQ(config.stream.access.mode, 0600U);
   EXPECT_EQ(config.takes.disk_reserve_bytes, 5U << 20);
   EXPECT_EQ(config.log_level, LogLevel::Debug);

@@ -104,7 +104,8 @@ DeformationTransfer::DeformationTransfer(const Eigen::Matrix3Xd& source, const E
   Eigen::SparseMatrix<double> laplacian(impl_->unknown_count, impl_->unknown_count);
   laplacian.setFromTriplets(entries.begin(), entries.end());
   impl_->solver.compute(laplacian);
-  constexpr double kSingular = 1e-10;  // of the largest pivot: a floating part leaves a pivot of rounding size
+  constexpr double kSingular =
+      1e-10;  // of the largest pivot: a floating part leaves a pivot of rounding size
   const Eigen::VectorXd pivots = impl_->solver.vectorD().cwiseAbs();
   if (impl_->solver.info() != Eigen::Success || pivots.minCoeff() < kSingular * pivots.maxCoeff()) {
     throw Error(ErrorKind::Internal, "deformation transfer: a part of the mesh has no fixed vertex");

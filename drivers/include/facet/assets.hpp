@@ -9,7 +9,8 @@ namespace facet {
 /// (FACET_ASSETS_FOLDER: assets/ of the source tree, or /usr/share/facet in packages). It need not exist.
 inline std::filesystem::path assets_folder() {
   const char* set = std::getenv("FACET_ASSETS");
-  return set != nullptr && *set != '\0' ? std::filesystem::path(set) : std::filesystem::path(FACET_ASSETS_FOLDER);
+  return set != nullptr && *set != '\0' ? std::filesystem::path(set)
+                                        : std::filesystem::path(FACET_ASSETS_FOLDER);
 }
 
 /// The default face model and the landmark nets, where a configuration names no others.
