@@ -10,6 +10,10 @@ AlbedoState::AlbedoState(gpu::Context& context, std::uint32_t vertex_count, int 
       sums(context, vertex_count, gpu::TexelFormat::Rgba32f, "albedo_sums"),
       counts(context, vertex_count, gpu::TexelFormat::R32f, "albedo_counts"),
       gained(context, sizeof(float) * context.info().workgroup_count, gpu::Memory::Readback, "albedo_gained"),
+      deviations(context, vertex_count, gpu::TexelFormat::Rgba32f, "deviations"),
+      tints(context, 2 * sizeof(shaders::vec4) * context.info().workgroup_count, gpu::Memory::Device,
+            "albedo_tints"),
+      tint(context, sizeof(shaders::vec4), gpu::Memory::Device, "albedo_tint"),
       bends(context, vertex_count, gpu::TexelFormat::Rgba32f, "albedo_bends"),
       units(context, sizeof(shaders::vec2) * context.info().workgroup_count, gpu::Memory::Device,
             "albedo_units"),
@@ -21,7 +25,7 @@ AlbedoState::AlbedoState(gpu::Context& context, std::uint32_t vertex_count, int 
               static_cast<std::size_t>(2 * pcg_iterations + 1) *
                   static_cast<std::size_t>(context.info().workgroup_count),
               gpu::TexelFormat::R32f, "albedo scalars") {
-  clear(context, {&mean.buffer, &sums.buffer, &counts.buffer});
+  clear(context, {&mean.buffer, &sums.buffer, &counts.buffer, &deviations.buffer});
 }
 
 float AlbedoState::gained_in_frame(std::uint32_t workgroup_count) const {
@@ -39,7 +43,8 @@ AlbedoKernels::AlbedoKernels(gpu::Context& context)
       direction_(context, shaders::refine::kernels(), "refine/albedo_direction"),
       update_(context, shaders::refine::kernels(), "refine/albedo_update"),
       normalise_(context, shaders::refine::kernels(), "refine/albedo_normalise"),
-      prolong_(context, shaders::refine::kernels(), "refine/prolong_albedo") {}
+      prolong_(context, shaders::refine::kernels(), "refine/prolong_albedo"),
+      restrict_(context, shaders::refine::kernels(), "refine/restrict_albedo") {}
 
 void AlbedoKernels::record(gpu::Batch& batch, const LevelTopology& topology, const LevelState& state,
                            const AlbedoState& albedo, const gpu::Buffer& frame, const gpu::Buffer& light,
@@ -53,7 +58,9 @@ void AlbedoKernels::record(gpu::Batch& batch, const LevelTopology& topology, con
                   {"positions", state.positions.view},
                   {"normals", state.normals.view},
                   {"colours", state.colours.view},
+                  {"mean_albedo", albedo.mean.view},
                   {"light", light},
+                  {"albedo_tints", albedo.tints},
                   {"albedo_sums", albedo.sums.buffer},
                   {"albedo_counts", albedo.counts.buffer},
                   {"albedo_gained", albedo.gained}},
@@ -61,8 +68,7 @@ void AlbedoKernels::record(gpu::Batch& batch, const LevelTopology& topology, con
   batch.dispatch(bend_,
                  {{"vertex_rings", topology.vertex_rings.view},
                   {"ring_indices", topology.ring_indices},
-                  {"albedo", state.albedo.view},
-                  {"mean_albedo", albedo.mean.view},
+                  {"deviations", albedo.deviations.view},
                   {"albedo_sums", albedo.sums.view},
                   {"albedo_bends", albedo.bends.buffer},
                   {"albedo_units", albedo.units}},
@@ -70,8 +76,10 @@ void AlbedoKernels::record(gpu::Batch& batch, const LevelTopology& topology, con
   batch.dispatch(gradient_,
                  {{"vertex_rings", topology.vertex_rings.view},
                   {"ring_indices", topology.ring_indices},
-                  {"albedo", state.albedo.view},
+                  {"deviations", albedo.deviations.view},
                   {"mean_albedo", albedo.mean.view},
+                  {"albedo_tints", albedo.tints},
+                  {"albedo_tint", albedo.tint},
                   {"albedo_sums", albedo.sums.view},
                   {"albedo_bends", albedo.bends.view},
                   {"albedo_units", albedo.units},
@@ -106,6 +114,8 @@ void AlbedoKernels::record(gpu::Batch& batch, const LevelTopology& topology, con
                  {{"mean_albedo", albedo.mean.view},
                   {"albedo_changes", albedo.changes.view},
                   {"albedo_counts", albedo.counts.buffer},
+                  {"albedo_tint", albedo.tint},
+                  {"deviations", albedo.deviations.buffer},
                   {"albedo", state.albedo.buffer},
                   {"light", light}},
                  {}, push);
@@ -121,6 +131,18 @@ void AlbedoKernels::record_prolong(gpu::Batch& batch, const LevelTopology& topol
                   {"coarser", coarser.albedo.view},
                   {"albedo", state.albedo.buffer}},
                  {topology.workgroup_count}, push);
+}
+
+void AlbedoKernels::record_restrict(gpu::Batch& batch, const LevelTopology& topology, const LevelState& finer,
+                                    const LevelState& state, std::uint32_t vertex_count,
+                                    std::uint32_t workgroup_count) const {
+  const shaders::refine::LevelPush push{vertex_count, 0, 0};
+  batch.dispatch(restrict_,
+                 {{"vertex_rings", topology.vertex_rings.view},
+                  {"ring_indices", topology.ring_indices},
+                  {"finer", finer.albedo.view},
+                  {"albedo", state.albedo.buffer}},
+                 {workgroup_count}, push);
 }
 
 }  // namespace facet::refine

@@ -15,7 +15,7 @@ struct AlbedoOptions {
   int pcg_iterations = 12;  ///< per frame; the next frame goes on from there
 };
 
-/// What one subject's frames have said about its albedo on M0. Nothing at first.
+/// What one subject's frames have said about its albedo on one level. Nothing at first.
 struct AlbedoState {
   AlbedoState(gpu::Context& context, std::uint32_t vertex_count, int pcg_iterations);
 
@@ -26,7 +26,10 @@ struct AlbedoState {
   DeviceArray sums;    ///< over frames, [vertex_count] sum of w (l . SH) I, sum of w (l . SH)^2
   DeviceArray counts;  ///< over frames, [vertex_count] sum of w
   gpu::Buffer gained;  ///< [workgroup], for the host
+  DeviceArray deviations;  ///< rho - tint rho_mean as solved last, [vertex_count]
   // Of the solve:
+  gpu::Buffer tints;
+  gpu::Buffer tint;
   DeviceArray bends;
   gpu::Buffer units;
   gpu::Buffer states;
@@ -35,15 +38,15 @@ struct AlbedoState {
   DeviceArray scalars;
 };
 
-/// Learns the albedo of M0 over several frames (eq. 4 of Ma & Deng 2019): every vertex adds up what its
-/// frames say, so the least-squares problem over all of them is solved at the cost of one. Light and albedo
-/// are only known as a product; the mean luminance of what was seen is kept equal to the face model's.
+/// Learns the albedo of one level over several frames (eq. 4 of Ma & Deng 2019): every vertex adds up what
+/// its frames say, so the least-squares problem over all of them is solved at the cost of one. Light and
+/// albedo are only known as a product; the mean luminance of what was seen is kept equal to the face model's.
 class AlbedoKernels {
  public:
   explicit AlbedoKernels(gpu::Context& context);
 
-  /// Records: add this frame to the sums, solve, and set the albedo of M0 in state.albedo; light is scaled to
-  /// fit. frame: shaders::refine::FrameParameters.
+  /// Records: add this frame to the sums, solve, and set the level's albedo in state.albedo; light is scaled
+  /// to fit. frame: shaders::refine::FrameParameters.
   void record(gpu::Batch& batch, const LevelTopology& topology, const LevelState& state,
               const AlbedoState& albedo, const gpu::Buffer& frame, const gpu::Buffer& light,
               const AlbedoOptions& options) const;
@@ -51,6 +54,11 @@ class AlbedoKernels {
   /// Records the albedo of a finer level from the next coarser one's.
   void record_prolong(gpu::Batch& batch, const LevelTopology& topology, const LevelStencils& stencils,
                       const LevelState& coarser, const LevelState& state) const;
+
+  /// Records the albedo of a coarser level from the next finer one's. topology: of the finer level.
+  void record_restrict(gpu::Batch& batch, const LevelTopology& topology, const LevelState& finer,
+                       const LevelState& state, std::uint32_t vertex_count,
+                       std::uint32_t workgroup_count) const;
 
  private:
   gpu::Kernel accumulate_;
@@ -60,6 +68,7 @@ class AlbedoKernels {
   gpu::Kernel update_;
   gpu::Kernel normalise_;
   gpu::Kernel prolong_;
+  gpu::Kernel restrict_;
 };
 
 }  // namespace facet::refine

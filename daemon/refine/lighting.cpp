@@ -6,12 +6,12 @@ namespace facet::refine {
 namespace {
 
 // As in shaders/refine/lighting.glsl.
-constexpr std::size_t kLightingSums = 17;
+constexpr std::size_t kLightingSums = 19;
 
 }  // namespace
 
 shaders::refine::Light pack_light(const std::array<float, 9>& l, float gain) {
-  return {{l[0], l[1], l[2], l[3]}, {l[4], l[5], l[6], l[7]}, l[8], gain, 0, 1};
+  return {{l[0], l[1], l[2], l[3]}, {l[4], l[5], l[6], l[7]}, l[8], gain, 0, 1, {1, 1, 1, 0}, {0, 0, 0, 0}};
 }
 
 std::array<float, 9> unpack_light(const shaders::refine::Light& light) {
@@ -33,9 +33,9 @@ LightingKernels::LightingKernels(gpu::Context& context)
 
 void LightingKernels::record_pass(gpu::Batch& batch, const LevelTopology& topology, const LevelState& state,
                                   const LightingState& lighting, const gpu::Buffer& frame,
-                                  float temporal_weight, float robust_scale) const {
-  const shaders::refine::LightingPush push{topology.vertex_count, topology.workgroup_count, temporal_weight,
-                                           robust_scale};
+                                  const LightingOptions& options, float robust_scale) const {
+  const shaders::refine::LightingPush push{topology.vertex_count, topology.workgroup_count,
+                                           options.temporal_weight, robust_scale, options.metric_floor};
   batch.dispatch(sums_,
                  {{"vertex_rings", topology.vertex_rings.view},
                   {"ring_indices", topology.ring_indices},
@@ -58,9 +58,9 @@ void LightingKernels::record(gpu::Batch& batch, const LevelTopology& topology, c
                              const LightingState& lighting, const gpu::Buffer& frame,
                              const LightingOptions& options) const {
   batch.copy(lighting.light, lighting.previous);
-  record_pass(batch, topology, state, lighting, frame, options.temporal_weight, 0);
+  record_pass(batch, topology, state, lighting, frame, options, 0);
   if (options.robust_scale > 0) {
-    record_pass(batch, topology, state, lighting, frame, options.temporal_weight, options.robust_scale);
+    record_pass(batch, topology, state, lighting, frame, options, options.robust_scale);
   }
 }
 

@@ -15,6 +15,7 @@ std::array<float, 9> unpack_light(const shaders::refine::Light& light);
 struct LightingOptions {
   float temporal_weight = 0;  ///< w1, in units of what all visible vertices weigh together
   float robust_scale = 0;     ///< Tukey's bound on relative residuals in the second pass; 0: one plain pass
+  float metric_floor = 1e4F;  ///< see RefinerConfig::metric_floor
 };
 
 /// The light of one subject's frames. Nothing known at first.
@@ -39,7 +40,7 @@ class LightingKernels {
 
  private:
   void record_pass(gpu::Batch& batch, const LevelTopology& topology, const LevelState& state,
-                   const LightingState& lighting, const gpu::Buffer& frame, float temporal_weight,
+                   const LightingState& lighting, const gpu::Buffer& frame, const LightingOptions& options,
                    float robust_scale) const;
 
   gpu::Kernel sums_;

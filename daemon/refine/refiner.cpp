@@ -68,6 +68,30 @@ std::vector<mesh::Vertices> mean_albedo_of_levels(const SubjectSetup& subject) {
   return out;
 }
 
+/// Known albedo of every level from the finest one's, [3][vertex_count]. A vertex of a coarser level is also
+/// one of the finer level; it takes half of itself and half of its neighbours there, as the wider pixels that
+/// it is compared with do.
+std::vector<mesh::Vertices> known_albedo_of_levels(const SubjectSetup& subject) {
+  const std::vector<mesh::Level>& levels = subject.hierarchy->levels;
+  std::vector<mesh::Vertices> out(levels.size());
+  out.back() =
+      Eigen::Map<const mesh::Vertices>(subject.albedo->linear_rgb.data(), 3, levels.back().vertex_count);
+  for (std::size_t l = levels.size() - 1; l > 0; --l) {
+    const mesh::OneRings& rings = levels[l].one_rings;
+    out[l - 1].resize(3, levels[l - 1].vertex_count);
+    for (Eigen::Index v = 0; v < out[l - 1].cols(); ++v) {
+      const auto first = static_cast<std::size_t>(rings.offsets[static_cast<std::size_t>(v)]);
+      const auto end = static_cast<std::size_t>(rings.offsets[static_cast<std::size_t>(v) + 1]);
+      Eigen::Vector3f sum = Eigen::Vector3f::Zero();
+      for (std::size_t k = first; k < end; ++k) {
+        sum += out[l].col(rings.neighbours[k]);
+      }
+      out[l - 1].col(v) = 0.5F * out[l].col(v) + 0.5F * sum / static_cast<float>(end - first);
+    }
+  }
+  return out;
+}
+
 std::vector<vec4> with_fourth(const mesh::Vertices& columns, float fourth) {
   std::vector<vec4> out(static_cast<std::size_t>(columns.cols()));
   for (std::size_t i = 0; i < out.size(); ++i) {
@@ -96,6 +120,11 @@ void check(const SubjectSetup& subject) {
                 fmt::format("the subject has {} control vertices, {} mean albedos and {} refinable "
                             "flags; the three must be equal",
                             count, subject.mean_albedo.cols(), subject.refinable.size()));
+  }
+  const auto finest = static_cast<std::size_t>(subject.hierarchy->finest().vertex_count);
+  if (subject.albedo != nullptr && subject.albedo->linear_rgb.size() != 3 * finest) {
+    throw Error(ErrorKind::Usage, fmt::format("the known albedo has {} numbers; the finest level needs {}",
+                                              subject.albedo->linear_rgb.size(), 3 * finest));
   }
 }
 
@@ -143,6 +172,7 @@ struct Kernels {
   gpu::Kernel finish;
 
  private:
+  void record_albedo(gpu::Batch& batch, const RefinerConfig& config, const SubjectBuffers& subject) const;
   void record_displacements(gpu::Batch& batch, const RefinerConfig& config,
                             const SubjectBuffers& subject) const;
   void record_readback(gpu::Batch& batch, const RefinerConfig& config, const SubjectBuffers& subject,
@@ -162,6 +192,7 @@ struct Refiner::Impl {
   bool warm = false;              ///< the previous frame's displacements and light can be used
   std::uint64_t frame_count = 0;  ///< of this subject
   std::uint64_t albedo_version = 0;
+  bool albedo_known = false;  ///< the subject came with one: it is held
   std::shared_ptr<const mesh::Albedo> albedo;
 
   void read(RefineOutput& output);
@@ -192,7 +223,8 @@ SubjectBuffers::SubjectBuffers(gpu::Context& context, const RefinerConfig& confi
               displacement_options(config, true).pcg_iterations),
       depth(context, subject.hierarchy->levels.front().triangles),
       lighting(context),
-      albedo(context, levels.front()->topology.vertex_count, albedo_options(config).pcg_iterations),
+      albedo(context, (config.fine_albedo ? levels.back() : levels.front())->topology.vertex_count,
+             albedo_options(config).pcg_iterations),
       displacements_out(context, sizeof(float) * levels.back()->topology.vertex_count, gpu::Memory::Readback,
                         "displacements"),
       confidences_out(context, sizeof(float) * levels.back()->topology.vertex_count, gpu::Memory::Readback,
@@ -201,11 +233,13 @@ SubjectBuffers::SubjectBuffers(gpu::Context& context, const RefinerConfig& confi
       light_out(context, sizeof(Light), gpu::Memory::Readback, "light read back"),
       albedo_out(context, sizeof(vec4) * levels.back()->topology.vertex_count, gpu::Memory::Readback,
                  "albedo read back") {
-  const std::vector<mesh::Vertices> mean = mean_albedo_of_levels(subject);
+  const bool known = subject.albedo != nullptr;
+  const std::vector<mesh::Vertices> start =
+      known ? known_albedo_of_levels(subject) : mean_albedo_of_levels(subject);
   for (std::size_t l = 0; l < levels.size(); ++l) {
-    const std::vector<vec4> packed = with_fourth(mean[l], 0);
+    const std::vector<vec4> packed = with_fourth(start[l], known ? 1 : 0);
     gpu::upload(context, levels[l]->state.albedo.buffer, std::as_bytes(std::span(packed)));
-    if (l == 0) {
+    if (l == (config.fine_albedo ? levels.size() - 1 : 0)) {
       gpu::upload(context, albedo.mean.buffer, std::as_bytes(std::span(packed)));
     }
   }
@@ -226,23 +260,40 @@ void Kernels::record(gpu::Batch& batch, const RefinerConfig& config, const Subje
 
   batch.stage("lighting");
   lighting.record(batch, coarsest.topology, coarsest.state, subject.lighting, subject.frame,
-                  {config.weights.lighting_temporal, config.robust_scale});
+                  {config.weights.lighting_temporal, config.robust_scale, config.metric_floor});
 
-  if (learn) {
+  if (learn && !config.fine_albedo) {
     batch.stage("albedo");
-    albedo.record(batch, coarsest.topology, coarsest.state, subject.albedo, subject.frame,
-                  subject.lighting.light, albedo_options(config));
-    for (std::size_t l = 1; l < subject.levels.size(); ++l) {
-      const Level& level = *subject.levels[l];
-      albedo.record_prolong(batch, level.topology, level.stencils, subject.levels[l - 1]->state, level.state);
-    }
+    record_albedo(batch, config, subject);
   }
 
   batch.stage("displacement");
   record_displacements(batch, config, subject);
+  if (learn && config.fine_albedo) {
+    batch.stage("albedo");
+    record_albedo(batch, config, subject);
+  }
   batch.stage("readback");
   record_readback(batch, config, subject, learn);
   batch.finish();
+}
+
+void Kernels::record_albedo(gpu::Batch& batch, const RefinerConfig& config,
+                            const SubjectBuffers& subject) const {
+  const Level& learned = config.fine_albedo ? *subject.levels.back() : *subject.levels.front();
+  albedo.record(batch, learned.topology, learned.state, subject.albedo, subject.frame, subject.lighting.light,
+                albedo_options(config));
+  for (std::size_t l = 1; l < subject.levels.size(); ++l) {
+    if (config.fine_albedo) {
+      const Level& finer = *subject.levels[subject.levels.size() - l];
+      const Level& level = *subject.levels[subject.levels.size() - l - 1];
+      albedo.record_restrict(batch, finer.topology, finer.state, level.state, level.topology.vertex_count,
+                             level.topology.workgroup_count);
+    } else {
+      const Level& level = *subject.levels[l];
+      albedo.record_prolong(batch, level.topology, level.stencils, subject.levels[l - 1]->state, level.state);
+    }
+  }
 }
 
 void Kernels::record_displacements(gpu::Batch& batch, const RefinerConfig& config,
@@ -318,7 +369,8 @@ void Refiner::set_subject(const SubjectSetup& subject) {
   impl_->hierarchy = subject.hierarchy;
   impl_->warm = false;
   impl_->frame_count = 0;
-  impl_->albedo = nullptr;
+  impl_->albedo = subject.albedo;
+  impl_->albedo_known = subject.albedo != nullptr;
 }
 
 void Refiner::restart() {
@@ -373,8 +425,9 @@ void Refiner::submit(const RefineInput& input) {
   frame.keep_displacements = impl.warm ? 1.0F : 0.0F;
   frame.keep_lighting = impl.warm ? 1.0F : 0.0F;
   frame.learn_albedo = 1;
-  const bool learn = impl.frame_count < static_cast<std::uint64_t>(std::max(0, impl.config.albedo_frames)) ||
-                     impl.frame_count % kAlbedoRefreshFrames == 0;
+  const bool learn = !impl.albedo_known &&
+                     (impl.frame_count < static_cast<std::uint64_t>(std::max(0, impl.config.albedo_frames)) ||
+                      impl.frame_count % kAlbedoRefreshFrames == 0);
   gpu::Batch& batch = learn ? *subject.learning : *subject.held;
   ++impl.frame_count;
   impl.lost = batch.submit() != gpu::Outcome::Done;
@@ -392,9 +445,10 @@ void Refiner::Impl::clear_output(RefineOutput& output) const {
 
 void Refiner::Impl::read_albedo() {
   const bool first_frames = frame_count <= static_cast<std::uint64_t>(std::max(0, config.albedo_frames));
-  const Level& coarsest = *subject->levels.front();
-  const float gained = subject->albedo.gained_in_frame(coarsest.topology.workgroup_count);
-  const bool news = gained > kAlbedoNewsShare * static_cast<float>(coarsest.topology.vertex_count);
+  const LevelTopology& learned =
+      (config.fine_albedo ? subject->levels.back() : subject->levels.front())->topology;
+  const float gained = subject->albedo.gained_in_frame(learned.workgroup_count);
+  const bool news = gained > kAlbedoNewsShare * static_cast<float>(learned.vertex_count);
   if (albedo != nullptr && !first_frames && !news) {
     return;
   }

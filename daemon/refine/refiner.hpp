@@ -18,11 +18,11 @@ namespace facet::refine {
 /// Weights of the energies (Ma & Deng 2019), chosen by bench/weights (see bench/README.md). Data residuals
 /// are relative to the face's rms brightness, so that one set holds for every exposure, skin and image size.
 struct Weights {
-  float lighting_temporal = 0.05F;       ///< w1, eq. 3, in units of what all visible vertices weigh together
-  float albedo_smooth = 200.0F;          ///< w2, eq. 4, against a vertex of mean brightness
-  float displacement_smooth = 0.05F;     ///< w3, eq. 6, of the squared slope (L d) / spacing
-  float displacement_hierarchy = 0.05F;  ///< w4, eq. 6, of the squared slope (pd - d) / spacing
-  float displacement_coarse = 0.002F;    ///< w5, eq. 6, of d^2 in mm^2
+  float lighting_temporal = 0.05F;      ///< w1, eq. 3, in units of what all visible vertices weigh together
+  float albedo_smooth = 2000.0F;        ///< w2, eq. 4, against a vertex of mean brightness
+  float displacement_smooth = 30.0F;    ///< w3, eq. 6, of the squared slope (L d) / spacing
+  float displacement_hierarchy = 1.0F;  ///< w4, eq. 6, of the squared slope (pd - d) / spacing
+  float displacement_coarse = 0.006F;   ///< w5, eq. 6, of d^2 in mm^2
 };
 
 struct RefinerConfig {
@@ -30,11 +30,18 @@ struct RefinerConfig {
   bool paper_budget = false;   ///< 10 Gauss-Newton steps of 7 PCG iterations on every level
   int gauss_newton_steps = 2;  ///< on every level where not paper_budget
   int pcg_iterations = 7;
-  int albedo_frames = 20;    ///< good frames over which the albedo is learned
+  int albedo_frames = 20;  ///< good frames over which the albedo is learned
+  /// true: the albedo is learned on the finest level, so that brows, lips and moles are not taken for shape;
+  /// false: on M0 and prolonged, as in the paper.
+  bool fine_albedo = false;
   bool hierarchical = true;  ///< false: the finest level only (the paper's figure 6, for comparison)
   /// Tukey's bound on the residual relative to the face's rms brightness: what shading cannot explain
   /// (highlights, cast shadows, hair) loses its weight. 0: plain squares as in the paper.
-  float robust_scale = 0.5F;
+  float robust_scale = 0.4F;
+  /// Residuals are weighted by the inverse of their colour covariance over the face plus this times its mean
+  /// variance: what changes colour is albedo, what changes all channels alike is shading. 1000 and more:
+  /// plain squares as in the paper.
+  float metric_floor = 0.1F;
   /// Displacements are held within +- this: three times the coarse mesh's mean error. More is no wrinkle.
   float displacement_bound_mm = 6;
   bool record_energies = false;  ///< fill RefineOutput::energies: for convergence plots
@@ -45,6 +52,9 @@ struct SubjectSetup {
   std::shared_ptr<const mesh::Hierarchy> hierarchy;
   mesh::Vertices mean_albedo;           ///< [3][control_vertex_count] linear RGB
   std::vector<std::uint8_t> refinable;  ///< [control_vertex_count]
+  /// Albedo known from before, on this hierarchy's finest level; it is then held. Null: learned from the
+  /// first frames.
+  std::shared_ptr<const mesh::Albedo> albedo = nullptr;
 };
 
 struct RefineInput {

@@ -4,7 +4,7 @@
 #include "workgroup.glsl"
 #include "topology.glsl"
 
-// L rho - L rho_mean of eq. 4, and the mean of sum w (l . SH)^2 over the vertices seen: the unit in which the
+// L rho - L rho_mean of eq. 4 with rho = tint rho_mean + deviation, and the mean of sum w (l . SH)^2 over the vertices seen: the unit in which the
 // data count.
 
 layout(push_constant) uniform Push {
@@ -12,11 +12,10 @@ layout(push_constant) uniform Push {
 };
 uniform isamplerBuffer vertex_rings;
 uniform isamplerBuffer ring_indices;
-uniform samplerBuffer albedo;
-uniform samplerBuffer mean_albedo;
+uniform samplerBuffer deviations;
 uniform samplerBuffer albedo_sums;
 layout(std430) writeonly buffer AlbedoBends {
-  vec4 albedo_bends[];  // [vertex_count] w2 (L (rho - rho_mean))_i / ring size
+  vec4 albedo_bends[];  // [vertex_count] w2 (L deviation)_i / ring size
 };
 layout(std430) writeonly buffer AlbedoUnits {
   vec2 albedo_units[];  // [workgroup] sum over vertices of sum w (l . SH)^2, vertices seen
@@ -31,9 +30,9 @@ void main() {
     vec3 sum = vec3(0);
     for (int k = 0; k < size; ++k) {
       int j = texelFetch(ring_indices, 4 * ring.x + k).x;
-      sum += texelFetch(albedo, j).rgb - texelFetch(mean_albedo, j).rgb;
+      sum += texelFetch(deviations, j).rgb;
     }
-    vec3 own = texelFetch(albedo, int(i)).rgb - texelFetch(mean_albedo, int(i)).rgb;
+    vec3 own = texelFetch(deviations, int(i)).rgb;
     float inverse_size = 1 / float(size);
     albedo_bends[i] = vec4(push.smooth_weight * inverse_size * (own - sum * inverse_size), 0);
     float seen = texelFetch(albedo_sums, int(i)).w;

@@ -5,19 +5,26 @@
 #include "topology.glsl"
 
 // Start of the PCG solve of eq. 4's normal equations, the three channels as one system. What no frame has
-// shown is held near the mean albedo.
+// shown is held near the mean albedo, tinted as a whole to what the frames have shown: Jacobi's preconditioner
+// would take hundreds of iterations to carry one colour over the face.
 
 layout(push_constant) uniform Push {
   AlbedoPush push;
 };
 uniform isamplerBuffer vertex_rings;
 uniform isamplerBuffer ring_indices;
-uniform samplerBuffer albedo;
+uniform samplerBuffer deviations;  // [vertex_count] rho - tint rho_mean
 uniform samplerBuffer mean_albedo;
 uniform samplerBuffer albedo_sums;
 uniform samplerBuffer albedo_bends;
 layout(std430) readonly buffer AlbedoUnits {
   vec2 albedo_units[];
+};
+layout(std430) readonly buffer AlbedoTints {
+  vec4 albedo_tints[];
+};
+layout(std430) writeonly buffer AlbedoTint {
+  vec4 albedo_tint;  // for albedo_normalise
 };
 layout(std430) writeonly buffer AlbedoStates {
   vec4 albedo_states[];  // [vertex_count] r, inverse diagonal
@@ -37,8 +44,16 @@ const float kMeanPrior = 1e-3;
 
 void main() {
   vec2 unit_sums = vec2(0);
+  vec3 seen_sum = vec3(0);
+  vec3 mean_sum = vec3(0);
   for (uint group = 0; group < gl_NumWorkGroups.x; ++group) {
     unit_sums += albedo_units[group];
+    seen_sum += albedo_tints[2 * group].rgb;
+    mean_sum += albedo_tints[2 * group + 1].rgb;
+  }
+  vec3 tint = all(greaterThan(mean_sum, vec3(0))) ? seen_sum / mean_sum : vec3(1);
+  if (gl_GlobalInvocationID.x == 0) {
+    albedo_tint = vec4(tint, 0);
   }
   float inverse_unit = unit_sums.x > 0 ? unit_sums.y / unit_sums.x : 0;
   float rz = 0;
@@ -54,10 +69,11 @@ void main() {
       float other_size = float(ring_size(texelFetch(vertex_rings, j).xy));
       bend_diagonal += 1 / (other_size * other_size);
     }
-    vec3 own = texelFetch(albedo, int(i)).rgb;
+    vec3 deviation = texelFetch(deviations, int(i)).rgb;
+    vec3 own = tint * texelFetch(mean_albedo, int(i)).rgb + deviation;
     vec4 seen = texelFetch(albedo_sums, int(i)) * inverse_unit;
-    vec3 r = seen.rgb - seen.w * own - (texelFetch(albedo_bends, int(i)).rgb * float(size) - bends) +
-             kMeanPrior * (texelFetch(mean_albedo, int(i)).rgb - own);
+    vec3 r = seen.rgb - seen.w * own - (texelFetch(albedo_bends, int(i)).rgb * float(size) - bends) -
+             kMeanPrior * deviation;
     float alone = seen.w + kMeanPrior;
     float inverse_diagonal = 1 / (alone + push.smooth_weight * bend_diagonal);
     albedo_states[i] = vec4(r, inverse_diagonal);

@@ -14,7 +14,13 @@ uniform samplerBuffer albedo_changes;
 layout(std430) readonly buffer AlbedoCounts {
   float albedo_counts[];
 };
-layout(std430) buffer Albedo {
+layout(std430) readonly buffer AlbedoTint {
+  vec4 albedo_tint;
+};
+layout(std430) buffer Deviations {
+  vec4 deviations[];  // [vertex_count] rho - tint rho_mean
+};
+layout(std430) writeonly buffer Albedo {
   vec4 albedo[];  // [vertex_count] rho, confidence 0 to 1
 };
 layout(std430) buffer LightBlock {
@@ -30,16 +36,20 @@ void main() {
   vec4 sum = vec4(0);
   for (uint i = gl_LocalInvocationID.x; i < push.vertex_count; i += kGroupSize) {
     if (albedo_counts[i] > 0) {
-      vec3 rho = albedo[i].rgb + texelFetch(albedo_changes, int(i)).rgb;
-      sum.xy += vec2(dot(kLuminance, rho), dot(kLuminance, texelFetch(mean_albedo, int(i)).rgb));
+      vec3 mean = texelFetch(mean_albedo, int(i)).rgb;
+      vec3 rho = albedo_tint.rgb * mean + deviations[i].rgb + texelFetch(albedo_changes, int(i)).rgb;
+      sum.xy += vec2(dot(kLuminance, rho), dot(kLuminance, mean));
     }
   }
   sum = workgroup_sum(sum);
   float scale = sum.x > 0 && sum.y > 0 ? sum.y / sum.x : 1;
   for (uint i = gl_LocalInvocationID.x; i < push.vertex_count; i += kGroupSize) {
-    vec3 rho = scale * (albedo[i].rgb + texelFetch(albedo_changes, int(i)).rgb);
-    bool usable = all(lessThan(abs(rho), vec3(1e3)));
-    rho = usable ? clamp(rho, vec3(kDarkest), vec3(kBrightest)) : texelFetch(mean_albedo, int(i)).rgb;
+    vec3 deviation = deviations[i].rgb + texelFetch(albedo_changes, int(i)).rgb;
+    bool usable = all(lessThan(abs(deviation), vec3(1e3)));
+    deviation = usable ? deviation : vec3(0);
+    deviations[i] = vec4(deviation, 0);
+    vec3 rho = scale * (albedo_tint.rgb * texelFetch(mean_albedo, int(i)).rgb + deviation);
+    rho = clamp(rho, vec3(kDarkest), vec3(kBrightest));
     albedo[i] = vec4(rho, min(1.0, albedo_counts[i] / push.frame_quota));
   }
   if (gl_LocalInvocationID.x == 0) {

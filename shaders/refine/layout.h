@@ -31,8 +31,11 @@ struct Light {
   float gain;      // 1 / mean square of the channels that the face shows: makes residuals relative
   float weight;    // sum of the vertex weights behind it
   float valid;     // 1 once a frame gave a light
+  vec4 metric_diagonal;  // metric of colour residuals: xx, yy, zz, 0
+  vec4 metric_mixed;     // xy, xz, yz, 0
 };
-FACET_LAYOUT_SIZE(Light, 48)
+FACET_LAYOUT_SIZE(Light, 80)
+FACET_LAYOUT_OFFSET(Light, metric_diagonal, 48)
 FACET_LAYOUT_OFFSET(Light, last, 32)
 
 
@@ -74,8 +77,9 @@ struct LightingPush {
   uint group_count;        // workgroups that lighting_sums runs with
   float temporal_weight;   // w1
   float robust_scale;      // 0: plain squares
+  float metric_floor;      // added to the residuals' covariance, in units of its mean variance
 };
-FACET_LAYOUT_SIZE(LightingPush, 16)
+FACET_LAYOUT_SIZE(LightingPush, 20)
 
 struct AlbedoPush {
   uint vertex_count;

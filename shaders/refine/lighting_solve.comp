@@ -24,6 +24,8 @@ layout(std430) writeonly buffer LightBlock {
   Light light;
 };
 
+// From here on the covariance's part is lost in the floor: plain squares.
+const float kPlainMetric = 1e3;
 const float kFirstPrior = 1e-3;
 // Relative to the matrix's largest entry: below it a direction of light is not determined at all.
 const float kLeastPrior = 1e-6;
@@ -112,4 +114,21 @@ void main() {
   light.weight = total[16].z;
   light.gain = 3 * total[16].z / max(total[16].w, 1e-6 * total[16].z);
   light.valid = 1;
+
+  // Where skin differs from its albedo as known, it does so in certain directions of colour (blood, melanin,
+  // hair, noise); shading moves all channels alike. Weighting residuals by the inverse of their covariance
+  // over the face, as in generalised least squares, lets the displacements follow what looks like shading.
+  vec3 square = total[17].xyz / max(total[17].w, 1e-6);
+  vec3 mixed = total[18].xyz / max(total[17].w, 1e-6);
+  float mean_square = (square.x + square.y + square.z) / 3;
+  vec3 diagonal = square + push.metric_floor * mean_square + 1e-8;
+  vec3 minor = diagonal.yxx * diagonal.zzy - mixed.zyx * mixed.zyx;
+  vec3 other = vec3(mixed.y * mixed.z - mixed.x * diagonal.z, mixed.x * mixed.z - mixed.y * diagonal.y,
+                    mixed.x * mixed.y - mixed.z * diagonal.x);
+  // Scaled so that grey residuals keep their size.
+  float grey = minor.x + minor.y + minor.z + 2 * (other.x + other.y + other.z);
+  float unit = 3 / max(grey, 1e-30);
+  bool known = total[17].w > 0 && push.metric_floor < kPlainMetric;
+  light.metric_diagonal = known ? vec4(unit * minor, 0) : vec4(1, 1, 1, 0);
+  light.metric_mixed = known ? vec4(unit * other, 0) : vec4(0);
 }

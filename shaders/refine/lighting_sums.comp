@@ -28,6 +28,9 @@ layout(std430) writeonly buffer LightingSums {
 #include "displaced_normal.glsl"
 #include "lighting.glsl"
 
+// l . SH below which a vertex says nothing of its albedo.
+const float kDarkest = 0.05;
+
 void main() {
   mat4 low_low = mat4(0);
   mat4 low_middle = mat4(0);
@@ -36,6 +39,8 @@ void main() {
   vec4 middle_last = vec4(0);
   vec4 low_right = vec4(0);
   vec4 middle_right = vec4(0);
+  vec4 square_sum = vec4(0);  // of the residual over l . SH: xx, yy, zz, weights
+  vec4 mixed_sum = vec4(0);   // xy, xz, yz
   vec4 rest = vec4(0);  // last x last, last's right side, sum of weights, sum of weighted squared colours
   uvec2 block = block_of(push.vertex_count);
   for (uint i = block.x + gl_LocalInvocationID.x; i < block.y; i += kGroupSize) {
@@ -59,6 +64,9 @@ void main() {
       middle_last += square * last * middle;
       low_right += seen * low;
       middle_right += seen * middle;
+      vec3 deviation = residual / max(shade(light, n), kDarkest);
+      square_sum += weight * vec4(deviation * deviation, 1);
+      mixed_sum.xyz += weight * deviation.xxy * deviation.yzz;
       rest += vec4(square * last * last, seen * last, weight, weight * dot(colour.rgb, colour.rgb));
     }
   }
@@ -71,7 +79,9 @@ void main() {
                  : part == 13 ? middle_last
                  : part == 14 ? low_right
                  : part == 15 ? middle_right
-                              : rest;
+                 : part == 16 ? rest
+                 : part == 17 ? square_sum
+                              : mixed_sum;
     vec4 sum = workgroup_sum(value);
     if (gl_LocalInvocationID.x == 0) {
       lighting_sums[first + part] = sum;

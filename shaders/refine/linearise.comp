@@ -9,7 +9,8 @@
 //
 // All three channels of R = (l . SH(n)) rho follow the normal through the one number l . SH(n), so the three
 // data residuals of a vertex turned into the frame of rho are one residual that depends on the displacements
-// and two that do not. The first, e = sqrt(w) rho . (I - R) / |rho|, and d R / d n* = slope carry the step.
+// and two that do not. With r = I - R and the metric M, the first is e = sqrt(w) rho . M r / |rho|_M, where
+// |rho|_M^2 = rho . M rho; e and its slope d (w^1/2 |rho|_M l . SH) / d n* carry the step.
 
 layout(push_constant) uniform Push {
   SolvePush push;
@@ -25,7 +26,7 @@ layout(std430) readonly buffer LightBlock {
   Light light;
 };
 layout(std430) writeonly buffer Slopes {
-  vec4 slopes[];  // [vertex_count] d (sqrt(w) |rho| l . SH) / d n*, e
+  vec4 slopes[];  // [vertex_count] d (sqrt(w) |rho|_M l . SH) / d n*, e
 };
 layout(std430) writeonly buffer Bends {
   vec2 bends[];  // [vertex_count] w3 (L d)_i / (spacing^2 ring size), w3 / (spacing ring size)^2
@@ -76,12 +77,13 @@ void main() {
       vec3 normal = star * inverse_length;
       vec3 rho = texelFetch(albedo, int(i)).rgb;
       vec3 residual = colour.rgb - shade(light, normal) * rho;
-      float square = light.gain * dot(residual, residual);
+      vec3 metric_rho = metric_times(light, rho);
+      float square = light.gain * dot(residual, metric_times(light, residual));
       float root = sqrt(colour.w * light.gain * tukey_weight(square, push.robust_scale));
-      float length_rho = max(length(rho), 1e-6);
+      float length_rho = sqrt(max(dot(rho, metric_rho), 1e-12));
       vec3 gradient = shade_gradient(light, normal);
       slope.xyz = (root * length_rho * inverse_length) * (gradient - normal * dot(normal, gradient));
-      slope.w = root * dot(rho, residual) / length_rho;
+      slope.w = root * dot(metric_rho, residual) / length_rho;
       energy += colour.w * tukey_loss(square, push.robust_scale);
     }
     slopes[i] = slope;

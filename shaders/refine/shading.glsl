@@ -13,6 +13,12 @@ vec3 shade_gradient(Light l, vec3 n) {
                           l.middle.y * n.x + l.middle.z * n.y + 6 * l.last * n.z);
 }
 
+// The metric of colour residuals (see lighting_solve) times a colour.
+vec3 metric_times(Light l, vec3 colour) {
+  return l.metric_diagonal.xyz * colour +
+         vec3(dot(l.metric_mixed.xy, colour.yz), dot(l.metric_mixed.xz, colour.xz), dot(l.metric_mixed.yz, colour.xy));
+}
+
 // Tukey's weight of a squared residual; scale 0: plain squares. What is not a number stays so, to be noticed.
 float tukey_weight(float square, float scale) {
   if (scale <= 0) {

@@ -177,10 +177,18 @@ TEST_F(RefineAlbedo, AgreesWithTheReferenceOverTwoFrames) {
       seen += shade_squared[i] > 0 ? 1 : 0;
     }
     unit /= seen;
+    // The mean albedo tinted to what was seen is the prior.
+    Eigen::Vector3d seen_sum = Eigen::Vector3d::Zero();
+    Eigen::Vector3d mean_sum = Eigen::Vector3d::Zero();
+    for (Eigen::Index i = 0; i < count; ++i) {
+      seen_sum += shade_colour.col(i).cwiseProduct(mean.col(i));
+      mean_sum += shade_squared[i] * mean.col(i).cwiseAbs2();
+    }
+    const Eigen::Matrix3Xd prior = seen_sum.cwiseQuotient(mean_sum).asDiagonal() * mean;
     constexpr double kMeanPrior = 1e-3;  // as in albedo_gradient.comp
     const Eigen::Matrix3Xd solved =
         reference::estimate_albedo(*problem.rings, (shade_squared / unit).array() + kMeanPrior,
-                                   shade_colour / unit + kMeanPrior * mean, mean, 0.8);
+                                   shade_colour / unit + kMeanPrior * prior, prior, 0.8);
     const Eigen::RowVector3d luminance(0.2126, 0.7152, 0.0722);
     double bright = 0;
     double wanted = 0;

@@ -80,8 +80,26 @@ synthetic::Scene small_scene() {
   return scene;
 }
 
+/// Weights for a clean scene: a known albedo, no more than what eq. 1 describes.
+RefinerConfig clean_config() {
+  RefinerConfig config;
+  config.weights.displacement_smooth = 0.05F;
+  config.weights.displacement_hierarchy = 0.05F;
+  config.weights.displacement_coarse = 0.002F;
+  return config;
+}
+
 TEST_F(RefinerTest, NormalsApproachTheTruth) {
-  Session session(context(), small_scene(), {});
+  Session session(context(), small_scene(), clean_config());
+  auto albedo = std::make_shared<mesh::Albedo>();
+  albedo->version = 1;
+  for (Eigen::Index i = 0; i < session.cap_xy_mm.cols(); ++i) {
+    const Eigen::Vector3f rho =
+        synthetic::albedo(session.scene, session.cap_xy_mm(0, i), session.cap_xy_mm(1, i));
+    albedo->linear_rgb.insert(albedo->linear_rgb.end(), rho.data(), rho.data() + 3);
+  }
+  session.refiner.set_subject(
+      {session.hierarchy, session.cap.mean_albedo, session.cap.control.refinable, albedo});
   session.run(25);
   const synthetic::Errors coarse = session.errors({});
   const synthetic::Errors refined = session.errors(session.output.displacements_mm);
@@ -89,6 +107,7 @@ TEST_F(RefinerTest, NormalsApproachTheTruth) {
   RecordProperty("refined_deg", std::to_string(refined.normal_deg));
   EXPECT_LT(refined.normal_deg, 0.8 * coarse.normal_deg) << coarse.normal_deg;
   EXPECT_LT(refined.distance_mm, coarse.distance_mm);
+  EXPECT_EQ(session.output.albedo, albedo);
   // 1.5 counts of noise and what the smoothness takes away.
   EXPECT_LT(session.output.photometric_rms, 0.012F);
 }
