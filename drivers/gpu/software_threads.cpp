@@ -5,11 +5,13 @@
 
 #include <algorithm>
 #include <charconv>
+#include <chrono>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <string>
 #include <string_view>
+#include <thread>
 #include <vector>
 
 namespace facet::gpu {
@@ -17,6 +19,8 @@ namespace facet::gpu {
 namespace {
 
 constexpr std::string_view worker_prefix = "llvmpipe-";
+constexpr int most_attempts = 100;
+constexpr std::chrono::milliseconds attempt_pause{2};
 
 /// Cores that this process may use, ascending: the mask of its main thread, since a caller may have narrowed
 /// its own.
@@ -40,6 +44,33 @@ bool parse(std::string_view text, Number& out) {
   return error == std::errc() && end == text.data() + text.size();
 }
 
+/// Puts every worker that bears its name by now onto its core, where there is more than one core; returns how
+/// many there are.
+std::size_t pin_named_workers(const std::vector<int>& cores) {
+  std::size_t found = 0;
+  std::error_code error;
+  for (std::filesystem::directory_iterator task("/proc/self/task", error), end; !error && task != end;
+       task.increment(error)) {
+    std::ifstream file(task->path() / "comm");
+    std::string comm;
+    std::getline(file, comm);
+    std::size_t worker = 0;
+    pid_t thread = 0;
+    if (!comm.starts_with(worker_prefix) || !parse(comm.substr(worker_prefix.size()), worker) ||
+        !parse(task->path().filename().string(), thread)) {
+      continue;
+    }
+    ++found;
+    if (cores.size() > 1) {
+      cpu_set_t mask;
+      CPU_ZERO(&mask);
+      CPU_SET(static_cast<std::size_t>(cores[worker % cores.size()]), &mask);
+      sched_setaffinity(thread, sizeof(mask), &mask);
+    }
+  }
+  return found;
+}
+
 }  // namespace
 
 int allowed_core_count() {
@@ -53,25 +84,14 @@ void choose_software_thread_count() {
 
 void pin_software_threads() {
   const std::vector<int> cores = allowed_cores();
-  if (cores.size() < 2) {
-    return;
+  const char* set = std::getenv("LP_NUM_THREADS");
+  std::size_t expected = 0;
+  if (set == nullptr || !parse(std::string_view(set), expected)) {
+    expected = cores.size();
   }
-  std::error_code error;
-  for (std::filesystem::directory_iterator task("/proc/self/task", error), end; !error && task != end;
-       task.increment(error)) {
-    std::ifstream file(task->path() / "comm");
-    std::string comm;
-    std::getline(file, comm);
-    std::size_t worker = 0;
-    pid_t thread = 0;
-    if (!comm.starts_with(worker_prefix) || !parse(comm.substr(worker_prefix.size()), worker) ||
-        !parse(task->path().filename().string(), thread)) {
-      continue;
-    }
-    cpu_set_t mask;
-    CPU_ZERO(&mask);
-    CPU_SET(static_cast<std::size_t>(cores[worker % cores.size()]), &mask);
-    sched_setaffinity(thread, sizeof(mask), &mask);
+  // A worker names itself as its first act, so on a busy machine it may not have done so yet.
+  for (int attempt = 0; pin_named_workers(cores) < expected && attempt < most_attempts; ++attempt) {
+    std::this_thread::sleep_for(attempt_pause);
   }
 }
 
