@@ -6,9 +6,9 @@
 #include <vector>
 
 #include "gpu/batch.hpp"
+#include "problems.hpp"
 #include "refine/level_buffers.hpp"
 #include "shaders/refine/layout.h"
-#include "test_problems.hpp"
 
 namespace facet::refine::test {
 

@@ -3,8 +3,8 @@
 #include <limits>
 
 #include "facet/error.hpp"
+#include "problems.hpp"
 #include "support/gpu.hpp"
-#include "test_problems.hpp"
 
 namespace facet::refine {
 namespace {

@@ -4,8 +4,8 @@
 
 #include <random>
 
+#include "problems.hpp"
 #include "synthetic_face.hpp"
-#include "test_problems.hpp"
 
 namespace facet::refine::reference {
 namespace {

@@ -17,13 +17,6 @@ inline std::filesystem::path default_model() {
   return assets() / "default.facemodel";
 }
 
-/// Data that is not part of the product (real videos): $FACET_TEST_DATA, else ../shared/data beside the tree.
-inline std::filesystem::path outside_data() {
-  const char* set = std::getenv("FACET_TEST_DATA");
-  return set != nullptr ? std::filesystem::path(set)
-                        : std::filesystem::path(FACET_SOURCE_DIR) / "../shared/data";
-}
-
 /// A folder made for one test and removed with its contents at the end of the scope.
 class TemporaryFolder {
  public:

@@ -1,4 +1,4 @@
-#include "test_problems.hpp"
+#include "problems.hpp"
 
 #include <algorithm>
 #include <cmath>
