@@ -109,9 +109,23 @@ bool all_finite(std::span<const float> values) {
   return std::all_of(values.begin(), values.end(), [](float value) { return std::isfinite(value); });
 }
 
+/// Topology, stencils and texture coordinates of a Subject message.
+std::size_t topology_bytes(const mesh::Hierarchy& hierarchy) {
+  auto words = static_cast<std::size_t>(hierarchy.texture_coordinates.size());
+  for (const mesh::Level& level : hierarchy.levels) {
+    const mesh::SparseRows& rows = level.from_coarser;
+    words += static_cast<std::size_t>(level.triangles.size()) + rows.row_offsets.size() +
+             rows.columns.size() + rows.weights.size();
+  }
+  return sizeof(std::uint32_t) * words;
+}
+
 /// Empty where the frame's mesh may be sent; else what is wrong with it.
-const char* mesh_fault(const mesh::MeshFrame& frame) {
+std::string_view mesh_fault(const mesh::MeshFrame& frame) {
   const mesh::Subject& subject = *frame.subject;
+  if (const std::string_view fault = subject_fault(subject); !fault.empty()) {
+    return fault;
+  }
   const auto finest = static_cast<std::size_t>(subject.hierarchy->finest().vertex_count);
   if (frame.expression.size() != subject.expression_names.size()) {
     return "mesh left out: number of expression weights differs from the subject's";
@@ -146,6 +160,25 @@ wire::Pose pose_struct(const Eigen::Isometry3f& pose) {
 }
 
 }  // namespace
+
+std::string_view subject_fault(const mesh::Subject& subject) {
+  // What a subject's message holds beside the topology: names, identity, regions.
+  constexpr std::size_t kRemainderBytes = 1U << 20;
+  if (subject.identity.size() > kMaxCoefficients || subject.expression_names.size() > kMaxCoefficients) {
+    return "mesh left out: the face model has more than 1024 identity or expression modes, the most that a "
+           "message may hold: use a smaller model";
+  }
+  if (subject.hierarchy == nullptr || subject.hierarchy->levels.empty()) {
+    return "";
+  }
+  const mesh::Hierarchy& hierarchy = *subject.hierarchy;
+  if (hierarchy.levels.size() > kMaxLevels || hierarchy.finest().vertex_count > std::int64_t{kMaxVertices} ||
+      topology_bytes(hierarchy) > kMaxMessageBytes - kRemainderBytes) {
+    return "mesh left out: the mesh has more levels, vertices or bytes than a message may hold (12, 500000, "
+           "64 MiB): lower hierarchy.max_vertices or hierarchy.max_levels";
+  }
+  return "";
+}
 
 struct Encoder::Impl {
   FlatBufferBuilder builder{kInitialBufferBytes};

@@ -10,6 +10,10 @@
 
 namespace facet::stream {
 
+/// Empty where every reader accepts the subject's messages; else which limit of protocol.hpp they would break
+/// and what to do. Neither the subject nor a mesh of it may be sent or stored then.
+std::string_view subject_fault(const mesh::Subject& subject);
+
 /// Writes the messages of the protocol (facet.fbs) without the socket's header; a take stores the same bytes.
 /// Each call returns a view into the encoder's own memory that the next call overwrites. One thread; after
 /// the largest message has been written once, nothing is allocated.
@@ -31,7 +35,8 @@ class Encoder {
   std::span<const std::uint8_t> goodbye(std::string_view reason);
   std::span<const std::uint8_t> subject(const mesh::Subject& subject, Profile profile);
   std::span<const std::uint8_t> albedo(std::uint64_t subject_id, const mesh::Albedo& albedo);
-  /// A frame without a subject carries no geometry in any profile. Profile Vertices rebuilds the finest mesh
+  /// A frame without a subject, or with one that has a subject_fault, carries no geometry in any profile; the
+  /// latter is degraded and says why. Profile Vertices rebuilds the finest mesh
   /// here (mesh::rebuild_finest): do it in the server's thread.
   std::span<const std::uint8_t> frame(const mesh::MeshFrame& frame, Profile profile);
 

@@ -173,14 +173,16 @@ void StreamServer::Impl::take_newest() {
   current_number = number;
   current = std::move(frame);
   frame_packets.fill(nullptr);
-  if (current->subject != nullptr && (subject == nullptr || subject->id != current->subject->id)) {
+  if (current->subject == nullptr || !subject_fault(*current->subject).empty()) {
+    return;
+  }
+  if (subject == nullptr || subject->id != current->subject->id) {
     subject = current->subject;
     subject_packets.fill(nullptr);
     albedo = nullptr;
     albedo_packet = nullptr;
   }
-  if (current->subject != nullptr && current->albedo != nullptr &&
-      (albedo == nullptr || albedo->version != current->albedo->version)) {
+  if (current->albedo != nullptr && (albedo == nullptr || albedo->version != current->albedo->version)) {
     albedo = current->albedo;
     albedo_packet = nullptr;
   }

@@ -156,6 +156,9 @@ bool TakeWriter::make_schema(const TakeRecorderConfig& config) {
 
 std::size_t TakeWriter::write(const mesh::MeshFrame& frame, std::int64_t number, bool& has_mesh) {
   if (frame.subject != nullptr && frame.subject->id != subject_id_) {
+    if (const std::string_view fault = stream::subject_fault(*frame.subject); !fault.empty()) {
+      throw Error(ErrorKind::Usage, std::string(fault));
+    }
     insert_subject_.bind(1, stored_id(frame.subject->id));
     insert_subject_.bind(
         2, compressor_.compress(encoder_.subject(*frame.subject, stream::Profile::Displacements)));

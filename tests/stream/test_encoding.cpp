@@ -203,6 +203,33 @@ TEST_F(Encoding, UnsoundMeshIsLeftOutWithAReason) {
   EXPECT_THAT(reason_for([](mesh::MeshFrame& f) { f.lighting[4] = kNaN; }), HasSubstr("finite"));
 }
 
+TEST_F(Encoding, WhatNoReaderWouldAcceptIsLeftOutWithAdvice) {
+  EXPECT_EQ(subject_fault(*subject), "");
+  const auto reason_for = [&](auto&& spoil) {
+    auto too_big = std::make_shared<mesh::Subject>(*subject);
+    auto hierarchy = std::make_shared<mesh::Hierarchy>(*subject->hierarchy);
+    spoil(*too_big, *hierarchy);
+    too_big->hierarchy = hierarchy;
+    const auto message = encoder.frame(test::patch_frame(13, too_big, nullptr), Profile::Displacements);
+    EXPECT_EQ(frame_references(message).subject_id, 0U);
+    DecodedFrame got;
+    decode_frame(message, nullptr, nullptr, got);
+    EXPECT_TRUE(got.frame.degraded);
+    EXPECT_EQ(got.frame.degraded_reason, subject_fault(*too_big));
+    return got.frame.degraded_reason;
+  };
+  EXPECT_THAT(reason_for([](mesh::Subject& s, mesh::Hierarchy&) { s.identity.resize(kMaxCoefficients + 1); }),
+              HasSubstr("smaller model"));
+  EXPECT_THAT(reason_for([](mesh::Subject&, mesh::Hierarchy& h) {
+                h.levels.back().vertex_count = static_cast<std::int32_t>(kMaxVertices) + 1;
+              }),
+              HasSubstr("lower hierarchy.max_vertices"));
+  EXPECT_THAT(reason_for([](mesh::Subject&, mesh::Hierarchy& h) {
+                h.levels.back().from_coarser.weights.resize(kMaxMessageBytes / sizeof(float));
+              }),
+              HasSubstr("lower hierarchy.max_vertices"));
+}
+
 TEST_F(Encoding, NumbersThatAreNotFiniteBecomeZero) {
   mesh::MeshFrame sent = test::patch_frame(14, subject, nullptr);
   sent.displacements_mm[5] = std::numeric_limits<float>::quiet_NaN();

@@ -106,6 +106,23 @@ TEST_F(Recorder, WaitingCallerLosesNothing) {
   EXPECT_EQ(recorder.stop().frames, 150U);
 }
 
+TEST_F(Recorder, AMeshThatNoReaderWouldAcceptEndsTheTakeWithAdvice) {
+  auto too_big = std::make_shared<mesh::Subject>(*subject);
+  too_big->id = 1;
+  too_big->identity.resize(5000);
+  TakeRecorder recorder(test::recorder_config(file));
+  recorder.start();
+  recorder.record(test::take_frame(0, subject));
+  recorder.record(test::take_frame(1, too_big));
+  const RecorderStatus status = recorder.stop();
+  EXPECT_EQ(status.state, RecorderState::Failed);
+  EXPECT_THAT(status.reason, HasSubstr("use a smaller model"));
+  TakeReader reader(file);
+  EXPECT_TRUE(reader.info().closed);
+  EXPECT_EQ(reader.info().end_reason, status.reason);
+  EXPECT_EQ(static_cast<std::uint64_t>(reader.frame_count()), status.frames);
+}
+
 TEST_F(Recorder, FramesAfterTheStopAreNotTaken) {
   TakeRecorder recorder(test::recorder_config(file));
   recorder.start();
