@@ -133,7 +133,7 @@ int run_to_end(pipeline::MonocularPipeline& pipeline, const StopSignals& signals
 
 void check_result(const Options& options, const pipeline::PipelineStatus& status) {
   if (status.state == pipeline::PipelineState::Failed) {
-    throw Error(status.failure_kind, status.failure);
+    throw Error(status.failure_kind, status.reason);
   }
   if (status.processed == 0) {
     throw Error(ErrorKind::UnreadableInput,

@@ -43,8 +43,9 @@ void print(const json& status) {
   fmt::print("facetd        {} (process {}), up {:.0f} s, {:.0f} MB in memory\n",
              status["version"].get<std::string>(), status["pid"].get<int>(), status["uptime_s"].get<double>(),
              status["resident_bytes"].get<double>() / 1e6);
-  fmt::print("state         {}, {}\n", status["state"].get<std::string>(),
-             status["tracking"].get<std::string>());
+  const std::string reason = status["reason"];
+  fmt::print("state         {}, {}{}\n", status["state"].get<std::string>(),
+             status["tracking"].get<std::string>(), reason.empty() ? "" : ": " + reason);
   fmt::print("source        {} ({} x {} px, {:.2f} Hz{})\n", source["name"].get<std::string>(),
              source["width_px"].get<int>(), source["height_px"].get<int>(), source["rate_hz"].get<double>(),
              source["live"].get<bool>() ? ", live" : "");

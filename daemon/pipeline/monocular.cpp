@@ -7,6 +7,7 @@
 #include <chrono>
 #include <exception>
 #include <mutex>
+#include <optional>
 #include <thread>
 #include <utility>
 
@@ -66,6 +67,9 @@ struct MonocularPipeline::Impl {
   CameraInfo source;
   std::vector<std::thread> threads;
 
+  // facet-capture until it closes `captured`, then facet-refine.
+  std::optional<Error> source_failure;
+
   // Shared by the threads.
   Messages messages;
   std::atomic<bool> stopping{false};
@@ -88,6 +92,7 @@ struct MonocularPipeline::Impl {
   refine::RefineOutput refined;
   std::shared_ptr<const mesh::Subject> subject;
   std::uint32_t subject_count = 0;  ///< TrackResult::subject that `subject` was built for
+  bool face_was_away = false;       ///< since the last frame with a mesh
 
   void begin(const char* name, void (Impl::*work)());
   void fail(ErrorKind kind, const std::string& what);
@@ -95,6 +100,7 @@ struct MonocularPipeline::Impl {
 
   void capture();
   void capture_until_end();
+  void note_early_end(const std::string& error);
   bool take(Captured&& item);
   void track();
   void track_one(Captured&& item);
@@ -127,7 +133,7 @@ void MonocularPipeline::Impl::fail(ErrorKind kind, const std::string& what) {
     if (shown.state != PipelineState::Failed) {
       shown.state = PipelineState::Failed;
       shown.failure_kind = kind;
-      shown.failure = what;
+      shown.reason = what;
     }
   }
   stopping = true;
@@ -157,13 +163,11 @@ void MonocularPipeline::Impl::capture_until_end() {
     const Clock::time_point begun = Clock::now();
     const CaptureOutcome outcome = stages.camera->next(item.frame, kCaptureTimeout);
     if (outcome == CaptureOutcome::Failed) {
-      fail(ErrorKind::UnreadableInput, fmt::format("{}: {}", source.name, stages.camera->last_error()));
+      source_failure.emplace(ErrorKind::UnreadableInput, stages.camera->last_error());
       return;
     }
     if (outcome == CaptureOutcome::EndOfStream) {
-      if (const std::string error = stages.camera->last_error(); !error.empty()) {
-        messages.warning(fmt::format("{}: {}", source.name, error));
-      }
+      note_early_end(stages.camera->last_error());
       return;
     }
     if (outcome == CaptureOutcome::Timeout || item.frame.sequence < options.frames.first) {
@@ -183,6 +187,15 @@ void MonocularPipeline::Impl::capture_until_end() {
     if (!take(std::move(item))) {
       return;
     }
+  }
+}
+
+/// error: of the source, empty where it is simply at its end.
+void MonocularPipeline::Impl::note_early_end(const std::string& error) {
+  if (!error.empty()) {
+    messages.warning(error);
+    const std::lock_guard lock(shown_mutex);
+    shown.reason = error;
   }
 }
 
@@ -265,16 +278,24 @@ void MonocularPipeline::Impl::refine() {
     hand_out(item);
     item = {};
   }
+  if (!stopping && source_failure) {
+    // Only now: what came before the failure is handed out.
+    throw Error(*source_failure);
+  }
   set_state(stopping ? PipelineState::Stopped : PipelineState::Ended);
 }
 
 void MonocularPipeline::Impl::refine_one(Tracked& item) {
   if (item.mesh->state != mesh::TrackingState::Tracking) {
+    face_was_away = true;
     return;
   }
   if (subject == nullptr || subject_count != item.subject_count) {
     follow_subject(item);
+  } else if (face_was_away) {
+    refiner.restart();
   }
+  face_was_away = false;
   item.mesh->subject = subject;
   if (!item.captured.frame.corrupt) {
     add_displacements(item);

@@ -52,6 +52,13 @@ void RecoveringRefiner::set_subject(const refine::SubjectSetup& subject) {
   }
 }
 
+void RecoveringRefiner::restart() {
+  // A device that comes back later has no frame before.
+  if (stage_ != nullptr) {
+    stage_->restart();
+  }
+}
+
 const std::string& RecoveringRefiner::refine(const refine::RefineInput& input, refine::RefineOutput& output) {
   adopt_reopened();
   if (open_ == nullptr) {

@@ -32,6 +32,9 @@ class RecoveringRefiner {
   /// Sets the subject now and on every device that comes after a loss. Blocks for the upload.
   void set_subject(const refine::SubjectSetup& subject);
 
+  /// The next frame does not follow the one before: a face came back.
+  void restart();
+
   /// Refines one frame. Returns an empty text where output holds a result, else why there is none, for
   /// MeshFrame::degraded_reason (valid until the next call).
   const std::string& refine(const refine::RefineInput& input, refine::RefineOutput& output);

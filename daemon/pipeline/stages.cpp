@@ -71,6 +71,7 @@ class GpuStage final : public RefineStage {
 
   std::string device() const override { return context_.info().name; }
   void set_subject(const refine::SubjectSetup& subject) override { refiner_.set_subject(subject); }
+  void restart() override { refiner_.restart(); }
   refine::RefineOutcome refine(const refine::RefineInput& input, refine::RefineOutput& output) override {
     refiner_.submit(input);
     return refiner_.collect(output);
@@ -105,10 +106,20 @@ std::shared_ptr<const face::FaceModel> load_model(const MonocularConfig& config)
 
 }  // namespace
 
-Stages open_stages(const MonocularConfig& config) {
+track::TrackerConfig tracker_config(const MonocularConfig& config, const CameraInfo& source) {
+  track::TrackerConfig tracker = config.tracker;
+  if (!tracker.intrinsics) {
+    tracker.intrinsics = source.intrinsics;
+  }
+  return tracker;
+}
+
+Stages open_stages(const MonocularConfig& given) {
   Stages stages;
   // Cheap and likely mistakes first.
-  stages.camera = camera::open_camera(config.source);
+  stages.camera = camera::open_camera(given.source);
+  MonocularConfig config = given;
+  config.tracker = tracker_config(given, stages.camera->info());
   stages.model = load_model(config);
   const bool recorded = !stages.camera->info().live && !config.source.loop;
   stages.coarse = std::make_unique<TrackerStage>(stages.model, config, recorded);

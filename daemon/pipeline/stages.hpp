@@ -42,6 +42,8 @@ class RefineStage {
   virtual std::string device() const = 0;  ///< for people
   /// As refine::Refiner::set_subject. May throw gpu::DeviceLostError.
   virtual void set_subject(const refine::SubjectSetup& subject) = 0;
+  /// As refine::Refiner::restart.
+  virtual void restart() = 0;
   /// Submits a frame and waits for it.
   virtual refine::RefineOutcome refine(const refine::RefineInput& input, refine::RefineOutput& output) = 0;
 };
@@ -57,6 +59,10 @@ struct Stages {
   OpenRefiner open_refiner;              ///< empty: refinement is off
   std::unique_ptr<RefineStage> refiner;  ///< the first one; null where refinement is off
 };
+
+/// The tracker's configuration for a source: where the configuration gives no intrinsics, those that the
+/// source knows of itself count.
+track::TrackerConfig tracker_config(const MonocularConfig& config, const CameraInfo& source);
 
 /// Opens source, model, tracker and device. Seconds, for the kernels are compiled. Throws Error:
 /// UnreadableInput for source, model and landmark nets, NoDevice where no Vulkan device is usable.

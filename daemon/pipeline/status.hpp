@@ -17,7 +17,7 @@ enum class PipelineState {
   Running,
   Ended,    ///< the source is at its end and every frame was handed out
   Stopped,  ///< on request, before the end
-  Failed,   ///< see PipelineStatus::failure
+  Failed,   ///< see PipelineStatus::reason
 };
 const char* to_string(PipelineState state);
 
@@ -48,8 +48,8 @@ inline constexpr std::array kStages = {
 /// What the pipeline has done and how it does now. A snapshot.
 struct PipelineStatus {
   PipelineState state = PipelineState::Idle;
-  std::string failure;  ///< for people, where Failed
-  ErrorKind failure_kind = ErrorKind::Internal;
+  std::string reason;  ///< for people: why it Failed, or what the source said when it Ended early
+  ErrorKind failure_kind = ErrorKind::Internal;  ///< where Failed; UnreadableInput: it was the source
   CameraInfo source;
   std::string device;          ///< of the refinement, for people; empty while there is none
   std::uint64_t captured = 0;  ///< frames that the source produced, within the range asked for

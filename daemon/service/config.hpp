@@ -28,7 +28,7 @@ struct TakesConfig {
 /// (Service).
 struct Config {
   pipeline::MonocularConfig pipeline;  ///< source.path empty: not given
-  bool exit_at_end = false;
+  bool exit_at_end = false;            ///< or where the source fails
   bool wait_for_reader = false;
   stream::StreamServerConfig stream;
   ControlConfig control;

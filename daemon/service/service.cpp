@@ -238,9 +238,6 @@ void Service::Impl::begin_pipeline() {
   pipeline::Stages stages = opener->take();
   opener.reset();
   source = stages.camera->info();
-  if (!config.pipeline.tracker.intrinsics && source.intrinsics) {
-    log.debug("the source knows its intrinsics; the configuration does not use them");
-  }
   log.info(fmt::format("source {}: {} x {} px, {:.2f} Hz{}", source.name, source.width_px, source.height_px,
                        source.rate_hz, source.live ? ", live" : ""));
   if (stages.refiner != nullptr) {
@@ -289,16 +286,22 @@ void Service::Impl::look_after_pipeline() {
     }
   }
   const pipeline::PipelineStatus now = pipeline->status();
-  if (now.state == pipeline::PipelineState::Failed) {
-    log.error(now.failure);
-    exit_status = static_cast<int>(now.failure_kind);
-  } else if (now.state == pipeline::PipelineState::Ended && !end_seen) {
-    end_seen = true;
-    log.info(fmt::format("the source is at its end: {} frames, {} with a mesh, {} refined, {} dropped",
-                         now.processed, now.mesh_frames, now.refined_frames, now.dropped));
-    if (config.exit_at_end) {
-      exit_status = 0;
-    }
+  const bool failed = now.state == pipeline::PipelineState::Failed;
+  if (end_seen || (!failed && now.state != pipeline::PipelineState::Ended)) {
+    return;
+  }
+  end_seen = true;
+  if (failed) {
+    log.error(now.reason);
+  }
+  log.info(fmt::format("{}: {} frames, {} with a mesh, {} refined, {} dropped",
+                       failed ? "until then" : "the source is at its end", now.processed, now.mesh_frames,
+                       now.refined_frames, now.dropped));
+  // A source that is gone leaves takes and status to be asked for; a fault of ours is for whoever supervises
+  // the process.
+  const bool source_failed = failed && now.failure_kind == ErrorKind::UnreadableInput;
+  if (config.exit_at_end || (failed && !source_failed)) {
+    exit_status = failed ? static_cast<int>(now.failure_kind) : 0;
   }
 }
 

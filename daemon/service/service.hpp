@@ -29,7 +29,9 @@ class Service {
   Service(const Service&) = delete;
   Service& operator=(const Service&) = delete;
 
-  /// Runs until stopped; returns the process's exit status: 0, or the ErrorKind of what failed.
+  /// Runs until stopped, or with Config::exit_at_end until the source ends or fails; without it the daemon
+  /// stays and its status says what became of the source. Returns the process's exit status: 0, or the
+  /// ErrorKind of what failed.
   int run();
 
  private:

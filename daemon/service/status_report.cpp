@@ -23,6 +23,7 @@ json to_json(const pipeline::PipelineStatus& status) {
                                          {"p95", status.stages[s].p95_ms}};
   }
   return {
+      {"reason", status.reason},
       {"source",
        {{"name", status.source.name},
         {"width_px", status.source.width_px},

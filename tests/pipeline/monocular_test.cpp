@@ -15,6 +15,7 @@ using mesh::TrackingState;
 using refine::RefineOutcome;
 using test::CollectingSink;
 using test::Script;
+using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 
 MonocularPipeline::Options options() {
@@ -158,6 +159,18 @@ TEST_F(Monocular, ANewSubjectGetsItsOwnHierarchy) {
   EXPECT_NE(frames[0]->subject->id, 0U);
 }
 
+TEST_F(Monocular, DisplacementsOfBeforeAreForgottenWhenTheFaceComesBack) {
+  script_.state_of = [](std::uint64_t sequence) {
+    return sequence == 0                    ? TrackingState::Acquiring
+           : sequence == 4 || sequence == 5 ? TrackingState::Lost
+                                            : TrackingState::Tracking;
+  };
+  script_.subject_of = [](std::uint64_t sequence) { return sequence < 8 ? 1U : 2U; };
+  const PipelineStatus status = run();
+  EXPECT_EQ(status.refined_frames, 7U);
+  EXPECT_THAT(script_.restarted_before, ElementsAre(6U)) << "a new subject starts anew by itself";
+}
+
 TEST_F(Monocular, WithoutRefinementFramesAreCoarseAndSaySo) {
   script_.has_refiner = false;
   const PipelineStatus status = run();
@@ -262,7 +275,17 @@ TEST_F(Monocular, ABrokenSourceIsAFailureWithItsReason) {
   const PipelineStatus status = run();
   EXPECT_EQ(status.state, PipelineState::Failed);
   EXPECT_EQ(status.failure_kind, ErrorKind::UnreadableInput);
-  EXPECT_THAT(status.failure, HasSubstr("the cable is out"));
+  EXPECT_THAT(status.reason, HasSubstr("the cable is out"));
+  EXPECT_EQ(sink_.frames().size(), 5U) << "what came before the failure is handed out";
+  EXPECT_TRUE(script_.camera_stopped);
+}
+
+TEST_F(Monocular, ASourceThatEndsEarlySaysWhy) {
+  script_.end_note = "scripted: cut off";
+  const PipelineStatus status = run();
+  EXPECT_EQ(status.state, PipelineState::Ended);
+  EXPECT_EQ(status.processed, 10U);
+  EXPECT_EQ(status.reason, "scripted: cut off");
 }
 
 TEST_F(Monocular, ASourceThatCannotStartIsAFailureWithItsReason) {
@@ -270,7 +293,7 @@ TEST_F(Monocular, ASourceThatCannotStartIsAFailureWithItsReason) {
   const PipelineStatus status = run();
   EXPECT_EQ(status.state, PipelineState::Failed);
   EXPECT_EQ(status.failure_kind, ErrorKind::UnreadableInput);
-  EXPECT_THAT(status.failure, HasSubstr("cannot start"));
+  EXPECT_THAT(status.reason, HasSubstr("cannot start"));
   EXPECT_EQ(status.processed, 0U);
 }
 
@@ -279,7 +302,7 @@ TEST_F(Monocular, AFaultInAStageEndsThePipelineNotTheProcess) {
   const PipelineStatus status = run();
   EXPECT_EQ(status.state, PipelineState::Failed);
   EXPECT_EQ(status.failure_kind, ErrorKind::Internal);
-  EXPECT_THAT(status.failure, HasSubstr("scripted tracker fault"));
+  EXPECT_THAT(status.reason, HasSubstr("scripted tracker fault"));
 }
 
 TEST_F(Monocular, AnEmptySourceEnds) {

@@ -47,7 +47,7 @@ TEST_F(RealStages, EveryFrameOfAClipBecomesARefinedMesh) {
     std::this_thread::sleep_for(std::chrono::milliseconds(5));
   }
   const PipelineStatus status = pipeline.status();
-  EXPECT_EQ(status.state, PipelineState::Ended) << status.failure;
+  EXPECT_EQ(status.state, PipelineState::Ended) << status.reason;
   EXPECT_EQ(status.processed, 24U);
   EXPECT_EQ(status.mesh_frames, 24U) << "the subject is known from the first frame on";
   EXPECT_EQ(status.refined_frames, 24U) << status.degraded_reason;
@@ -56,6 +56,16 @@ TEST_F(RealStages, EveryFrameOfAClipBecomesARefinedMesh) {
     EXPECT_TRUE(frame->control_vertices_mm.allFinite());
     EXPECT_GT(frame->camera_from_head.translation().z(), 100);
   }
+}
+
+TEST(TrackerConfig, TheSourcesIntrinsicsCountUnlessOthersAreGiven) {
+  CameraInfo source;
+  MonocularConfig config;
+  EXPECT_FALSE(tracker_config(config, source).intrinsics.has_value());
+  source.intrinsics = CameraIntrinsics{900, 900, 640, 360, 1280, 720};
+  EXPECT_FLOAT_EQ(tracker_config(config, source).intrinsics.value().fx, 900);
+  config.tracker.intrinsics = CameraIntrinsics{700, 700, 320, 240, 640, 480};
+  EXPECT_FLOAT_EQ(tracker_config(config, source).intrinsics.value().fx, 700);
 }
 
 TEST_F(RealStages, WhatIsMissingIsNamed) {

@@ -35,10 +35,11 @@ class ScriptedCamera final : public Camera {
     }
     script_.camera_gate.pass();
     if (delivered_ == script_.frame_count) {
+      error_ = script_.end_note;
       return CaptureOutcome::EndOfStream;
     }
     if (next_ == script_.fails_at) {
-      error_ = "the cable is out";
+      error_ = "scripted: the cable is out";
       return CaptureOutcome::Failed;
     }
     out.sequence = next_;
@@ -110,8 +111,12 @@ class ScriptedRefiner final : public pipeline::RefineStage {
     ++script_.subjects_set;
     vertex_count_ = static_cast<std::size_t>(subject.hierarchy->finest().vertex_count);
   }
+  void restart() override { restarted_ = true; }
   refine::RefineOutcome refine(const refine::RefineInput& input, refine::RefineOutput& output) override {
     script_.refiner_gate.pass();
+    if (std::exchange(restarted_, false)) {
+      script_.restarted_before.push_back(input.image.sequence);
+    }
     const refine::RefineOutcome outcome = script_.outcome_of(input.image.sequence);
     output.failure = outcome == refine::RefineOutcome::Refined ? "" : "scripted failure";
     output.displacements_mm.assign(vertex_count_, 0.125F);
@@ -124,6 +129,7 @@ class ScriptedRefiner final : public pipeline::RefineStage {
  private:
   Script& script_;
   std::size_t vertex_count_ = 0;
+  bool restarted_ = false;
 };
 
 }  // namespace

@@ -40,6 +40,7 @@ struct Script {
   std::uint64_t first_sequence = 0;
   std::uint64_t sequence_step = 1;   ///< more than 1: a live driver that skipped frames
   std::uint64_t fails_at = ~0ULL;    ///< sequence at which the camera is broken
+  std::string end_note;              ///< what the camera says was wrong when it is at its end
   std::uint64_t corrupt_at = ~0ULL;  ///< sequence of a damaged image
   bool throws_at_start = false;
   bool silent = false;  ///< nothing ever comes
@@ -62,6 +63,7 @@ struct Script {
   std::atomic<int> failing_opens{0};  ///< so many attempts to open fail
   std::atomic<int> opens{0};
   std::atomic<int> subjects_set{0};
+  std::vector<std::uint64_t> restarted_before;  ///< sequences of the frames refined first after a restart
   std::atomic<int> refiners_alive{0};
 
   std::shared_ptr<const face::FaceModel> model;

@@ -9,16 +9,19 @@
 #include <functional>
 #include <nlohmann/json.hpp>
 
-#include "child_process.hpp"
 #include "facet/error.hpp"
+#include "gpu/context.hpp"
 #include "service/control_client.hpp"
+#include "support/child_process.hpp"
 #include "support/paths.hpp"
+#include "support/videos.hpp"
 #include "take/reader.hpp"
 
 namespace facet::service {
 namespace {
 
 using nlohmann::json;
+using test::Birth;
 using test::ChildProcess;
 using ::testing::AllOf;
 using ::testing::HasSubstr;
@@ -33,29 +36,37 @@ class Daemon : public ::testing::Test {
 
   /// Writes a configuration with sockets and takes in the test's folder.
   std::string configure(const std::string& source, const std::string& takes = "",
-                        const std::string& device = "none") {
+                        const std::string& device = "none",
+                        const std::filesystem::path& model = test::default_model()) {
     const auto file = folder_.path() / "facet.toml";
     std::ofstream(file) << fmt::format(
         "[source]\n{}\n[model]\npath = \"{}\"\nlandmark_assets = \"{}\"\n[gpu]\ndevice = "
         "\"{}\"\n[stream]\nsocket = "
         "\"stream.sock\"\n[control]\nsocket = \"control.sock\"\n[takes]\nfolder = \"takes\"\ndisk_reserve_mb "
         "= 1\n{}\n",
-        source, test::default_model().string(),
+        source, model.string(),
         (test::assets() / "mediapipe" / "face_mesh_solution_packed_assets.data").string(), device, takes);
     return file.string();
   }
 
-  std::unique_ptr<ChildProcess> start(const std::string& config) {
+  std::unique_ptr<ChildProcess> start(const std::string& config, const Birth& birth = {}) {
     return std::make_unique<ChildProcess>(FACETD_PROGRAM, std::vector<std::string>{"--config", config},
-                                          folder_.path() / "log");
+                                          folder_.path() / "log", birth);
   }
 
   /// Runs facetd to its end.
-  int run(const std::vector<std::string>& arguments, std::string& output) {
-    ChildProcess child(FACETD_PROGRAM, arguments, folder_.path() / "log");
+  int run(const std::vector<std::string>& arguments, std::string& output, const Birth& birth = {}) {
+    ChildProcess child(FACETD_PROGRAM, arguments, folder_.path() / "log", birth);
     const int status = child.wait();
     output = child.output();
     return status;
+  }
+
+  std::filesystem::path grey() const { return folder_.path() / "grey.mkv"; }
+  /// A video in which nobody is seen, as a [source].
+  std::string grey_source(int frame_count) const {
+    test::write_grey_video(grey(), frame_count);
+    return fmt::format("path = \"{}\"", grey().string());
   }
 
   std::filesystem::path control() const { return folder_.path() / "control.sock"; }
@@ -82,8 +93,12 @@ class Daemon : public ::testing::Test {
   }
 
   void expect_clean_end(ChildProcess& daemon) const {
-    EXPECT_EQ(daemon.wait(), 0) << daemon.output();
+    expect_end(daemon);
     EXPECT_THAT(daemon.output(), HasSubstr("stopped"));
+  }
+  /// The same where a thread may be in a driver, which can't be broken off: it may have been left behind.
+  void expect_end(ChildProcess& daemon) const {
+    EXPECT_EQ(daemon.wait(), 0) << daemon.output();
     EXPECT_FALSE(std::filesystem::exists(control()));
     EXPECT_FALSE(std::filesystem::exists(folder_.path() / "stream.sock"));
   }
@@ -131,6 +146,25 @@ TEST_F(Daemon, CheckConfig) {
   EXPECT_EQ(run({"--check-config", "--config", (folder_.path() / "none.toml").string()}, output), 3);
 }
 
+TEST_F(Daemon, ACorruptConfigurationIsNamed) {
+  std::string output;
+  const std::string config = configure("path = \"a.mp4\"");
+  const auto size = std::filesystem::file_size(config);
+  std::filesystem::resize_file(config, size - 5);
+  std::ofstream(config, std::ios::app) << "[takes";
+  EXPECT_EQ(run({"--config", config}, output), 2);
+  EXPECT_THAT(output, AllOf(HasSubstr(config + ":"), HasSubstr("not valid TOML")));
+  std::ofstream(config) << std::string("\0\xff\xfe\x01 = [", 8);
+  EXPECT_EQ(run({"--config", config}, output), 2);
+  EXPECT_THAT(output, AllOf(HasSubstr(config + ":1"), HasSubstr("not valid TOML")));
+  std::ofstream(config) << std::string(2U << 20U, '#');
+  EXPECT_EQ(run({"--config", config}, output), 2);
+  EXPECT_THAT(output, AllOf(HasSubstr(config), HasSubstr("no configuration file")));
+  EXPECT_EQ(run({"--config", folder_.path().string()}, output), 3);
+  EXPECT_THAT(output, AllOf(HasSubstr(folder_.path().string()), HasSubstr("check that it exists")));
+  EXPECT_FALSE(std::filesystem::exists(control()));
+}
+
 TEST_F(Daemon, WhatIsMissingIsNamed) {
   std::string output;
   EXPECT_EQ(run({"--config", configure("path = \"none.mp4\"")}, output), 3);
@@ -155,17 +189,44 @@ TEST_F(DaemonWithAssets, AnUnknownDeviceIsNamed) {
   EXPECT_THAT(output, HasSubstr("No Such Device"));
 }
 
+TEST_F(DaemonWithAssets, ALoaderWithoutDriversIsNamed) {
+  std::string output;
+  EXPECT_EQ(run({"--config", configure(looped(), "", "auto")}, output,
+                {.environment = {"VK_ICD_FILENAMES=/nowhere/icd.json", "VK_DRIVER_FILES=/nowhere/icd.json"},
+                 .pending_signal = 0}),
+            5);
+  EXPECT_THAT(output, AllOf(HasSubstr("no Vulkan device"), HasSubstr("apt install")));
+  EXPECT_FALSE(std::filesystem::exists(control()));
+}
+
+TEST_F(DaemonWithAssets, AForeignModelIsNamed) {
+  const auto foreign = folder_.path() / "foreign.facemodel";
+  std::ofstream(foreign) << std::string(5000, 'x');
+  std::string output;
+  EXPECT_EQ(run({"--config", configure(looped(), "", "none", foreign)}, output), 3);
+  EXPECT_THAT(output, HasSubstr(foreign.string()));
+}
+
 TEST_F(DaemonWithAssets, StopsWhileStarting) {
   const auto daemon = start(configure(looped()));
   await(*daemon, [](const json&) { return true; });
   daemon->send(SIGTERM);
-  expect_clean_end(*daemon);
+  expect_end(*daemon);
 }
 
 TEST_F(DaemonWithAssets, StopsWhileWaitingForAReader) {
   const auto daemon = start(configure(looped() + "\nwait_for_reader = true"));
   await(*daemon, [](const json& status) { return status["state"] == "waiting for a reader"; });
   daemon->send(SIGINT);
+  expect_clean_end(*daemon);
+}
+
+TEST_F(DaemonWithAssets, StopsWhilePreparing) {
+  // No face is found: the whole recording is looked at ahead, which takes a while.
+  const auto daemon = start(configure(grey_source(600)));
+  const json status = await(*daemon, [](const json& now) { return now["state"] != "starting"; });
+  EXPECT_EQ(status["state"], "preparing");
+  daemon->send(SIGTERM);
   expect_clean_end(*daemon);
 }
 
@@ -208,6 +269,39 @@ TEST_F(DaemonWithAssets, CoarseOnlyIsSaid) {
   expect_clean_end(*daemon);
 }
 
+TEST_F(DaemonWithAssets, ALostDeviceIsReopenedAndAStopDoesNotWaitForIt) {
+  try {
+    gpu::list_devices();
+  } catch (const Error& error) {
+    GTEST_SKIP() << error.what();
+  }
+  // The loss comes from below the loader, as a driver would report it.
+  const auto fault = folder_.path() / "lose-device";
+  const auto daemon =
+      start(configure(looped() + "\n[hierarchy]\nmin_edge_px = 10", "", "auto"),
+            {.environment = {"VK_LAYER_PATH=" FAULT_LAYER_FOLDER, "VK_INSTANCE_LAYERS=VK_LAYER_FACET_fault",
+                             "FACET_LOSE_DEVICE=" + fault.string()},
+             .pending_signal = 0});
+  const auto is_refining = [](const json& now) { return now["frames"]["refined"] > 1; };
+  const std::string device = await(*daemon, is_refining)["gpu"];
+  EXPECT_NE(device, "");
+  const auto is_lost = [](const json& now) { return now["gpu"] == "" && now["frames"]["degraded"] > 0; };
+  std::ofstream(fault).flush();
+  const json lost = await(*daemon, is_lost);
+  EXPECT_THAT(lost["degraded_reason"].get<std::string>(), HasSubstr("GPU lost"));
+  EXPECT_EQ(lost["state"], "running") << "coarse meshes go on";
+  std::filesystem::remove(fault);
+  const int refined_before = lost["frames"]["refined"];
+  const json back =
+      await(*daemon, [&](const json& now) { return now["frames"]["refined"] > refined_before; });
+  EXPECT_EQ(back["gpu"], device);
+  EXPECT_THAT(daemon->output(), AllOf(HasSubstr(device + " lost"), HasSubstr(device + " is back")));
+  std::ofstream(fault).flush();
+  await(*daemon, is_lost);
+  daemon->send(SIGTERM);
+  expect_end(*daemon);
+}
+
 TEST_F(DaemonWithAssets, ExitsAtTheEndWithEveryFrameRecorded) {
   const auto daemon =
       start(configure(fmt::format("path = \"{}\"\nframes = \"5:45\"\nexit_at_end = true", clip().string()),
@@ -226,6 +320,33 @@ TEST_F(DaemonWithAssets, StaysAfterTheEndUnlessToldOtherwise) {
   EXPECT_EQ(status["frames"]["processed"], 8);
   EXPECT_EQ(status["frames"]["dropped"], 0);
   daemon->send(SIGTERM);
+  expect_clean_end(*daemon);
+}
+
+TEST_F(DaemonWithAssets, AFailedSourceIsReportedAndTheDaemonStays) {
+  const std::string source = grey_source(3);
+  test::cut_before_first_frame(grey());
+  const auto daemon = start(configure(source));
+  const json status = await(*daemon, [](const json& now) { return now["state"] == "failed"; });
+  EXPECT_THAT(status["reason"].get<std::string>(), AllOf(HasSubstr("grey.mkv"), HasSubstr("no frame")));
+  EXPECT_EQ(ask("takes.list")["count"], 0);
+  daemon->send(SIGTERM);
+  expect_clean_end(*daemon);
+  EXPECT_THAT(daemon->output(), HasSubstr("grey.mkv"));
+  std::string output;
+  EXPECT_EQ(run({"--config", configure(source + "\nexit_at_end = true")}, output), 3);
+  EXPECT_THAT(output, HasSubstr("grey.mkv"));
+}
+
+TEST_F(DaemonWithAssets, ATruncatedSourceEndsWithItsReason) {
+  const std::string source = grey_source(40);
+  std::filesystem::resize_file(grey(), std::filesystem::file_size(grey()) * 3 / 4);
+  const auto daemon = start(configure(source));
+  const json status = await(*daemon, [](const json& now) { return now["state"] == "ended"; });
+  EXPECT_THAT(status["reason"].get<std::string>(), HasSubstr("grey.mkv"));
+  EXPECT_GT(status["frames"]["processed"], 10);
+  EXPECT_LT(status["frames"]["processed"], 40);
+  ask("shutdown");
   expect_clean_end(*daemon);
 }
 

@@ -50,6 +50,7 @@ class Camera {
   /// Ends delivery; a `next` after it says EndOfStream. Idempotent.
   virtual void stop() = 0;
 
+  /// What went wrong last, naming the source; empty where nothing did.
   virtual std::string last_error() const = 0;
 };
 

@@ -5,21 +5,26 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include <chrono>
+#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
 #include <string>
-#include <thread>
 #include <vector>
 
 namespace facet::test {
+
+/// How a child begins, beside its program and arguments.
+struct Birth {
+  std::vector<std::string> environment;  ///< "NAME=VALUE", beside the parent's
+  int pending_signal = 0;  ///< blocked and pending when the program begins: it comes at the first look
+};
 
 /// A program run as a child, its output in a file; killed at the end of the scope where it still runs.
 class ChildProcess {
  public:
   ChildProcess(const std::string& program, const std::vector<std::string>& arguments,
-               const std::filesystem::path& output)
+               const std::filesystem::path& output, Birth birth = {})
       : output_(output) {
     std::vector<std::string> words = arguments;
     words.insert(words.begin(), program);
@@ -30,6 +35,16 @@ class ChildProcess {
     argv.push_back(nullptr);
     pid_ = ::fork();
     if (pid_ == 0) {
+      for (std::string& variable : birth.environment) {
+        ::putenv(variable.data());
+      }
+      if (birth.pending_signal != 0) {
+        sigset_t set;
+        sigemptyset(&set);
+        sigaddset(&set, birth.pending_signal);
+        ::sigprocmask(SIG_BLOCK, &set, nullptr);
+        ::raise(birth.pending_signal);
+      }
       const int file = ::open(output.c_str(), O_WRONLY | O_CREAT | O_TRUNC, 0644);
       ::dup2(file, STDOUT_FILENO);
       ::dup2(file, STDERR_FILENO);
