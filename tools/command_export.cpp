@@ -12,11 +12,12 @@
 
 #include "commands.hpp"
 #include "facet/error.hpp"
-#include "pipeline/frame_range.hpp"
 #include "progress.hpp"
+#include "stop_signals.hpp"
 #include "take/export.hpp"
 #include "take/output_file.hpp"
 #include "take/reader.hpp"
+#include "take_frames.hpp"
 
 namespace facet::tools {
 namespace {
@@ -29,27 +30,8 @@ struct ExportOptions {
   std::string output;
 };
 
-/// Frames [first, end) of a take.
-struct Selection {
-  std::int64_t first = 0;
-  std::int64_t end = 0;
-
-  std::uint64_t size() const { return static_cast<std::uint64_t>(end - first); }
-};
-
-Selection select_frames(const take::TakeReader& reader, const std::string& text) {
-  const pipeline::FrameRange range = pipeline::parse_frame_range(text);
-  const auto count = static_cast<std::uint64_t>(reader.frame_count());
-  const Selection selection{static_cast<std::int64_t>(std::min(range.first, count)),
-                            static_cast<std::int64_t>(std::min(range.end, count))};
-  if (selection.first >= selection.end) {
-    throw Error(ErrorKind::Usage,
-                count == 0 ? fmt::format("take '{}' has no frames", reader.info().file.string())
-                           : fmt::format("--frames {} selects nothing: the take has frames 0 to {}", text,
-                                         count - 1));
-  }
-  return selection;
-}
+/// Indices in the take.
+using Selection = std::vector<std::int64_t>;
 
 take::MeshFormat mesh_format(const std::string& name) {
   return name == "ply"   ? take::MeshFormat::Ply
@@ -57,16 +39,16 @@ take::MeshFormat mesh_format(const std::string& name) {
                          : take::MeshFormat::Glb;
 }
 
-/// "3, 7-9" for the sorted indices 3, 7, 8, 9.
-std::string ranges_text(const std::vector<std::int64_t>& indices) {
+/// "3, 7-9" for the sorted numbers 3, 7, 8, 9.
+std::string ranges_text(const std::vector<std::uint64_t>& numbers) {
   std::string text;
-  for (std::size_t i = 0; i < indices.size();) {
+  for (std::size_t i = 0; i < numbers.size();) {
     std::size_t last = i;
-    while (last + 1 < indices.size() && indices[last + 1] == indices[last] + 1) {
+    while (last + 1 < numbers.size() && numbers[last + 1] == numbers[last] + 1) {
       ++last;
     }
-    text += fmt::format("{}{}", text.empty() ? "" : ", ", indices[i]);
-    text += last > i ? fmt::format("-{}", indices[last]) : "";
+    text += fmt::format("{}{}", text.empty() ? "" : ", ", numbers[i]);
+    text += last > i ? fmt::format("-{}", numbers[last]) : "";
     i = last + 1;
   }
   return text;
@@ -87,7 +69,9 @@ bool names_a_file(const std::filesystem::path& output, take::MeshFormat format) 
          !std::filesystem::is_directory(output);
 }
 
-void export_meshes(take::TakeReader& reader, const Selection& selection, const ExportOptions& options) {
+/// Returns the signal that broke it off, or 0.
+int export_meshes(take::TakeReader& reader, const Selection& selection, const ExportOptions& options,
+                  const StopSignals& signals) {
   const take::MeshFormat format = mesh_format(options.format);
   const take::MeshLevel level = options.level == "coarse" ? take::MeshLevel::Coarse : take::MeshLevel::Finest;
   const std::filesystem::path output = options.output;
@@ -103,15 +87,22 @@ void export_meshes(take::TakeReader& reader, const Selection& selection, const E
 
   Progress progress("Exporting", selection.size());
   take::ExportMesh mesh;
-  std::vector<std::int64_t> without_mesh;
-  for (std::int64_t index = selection.first; index < selection.end; ++index) {
+  std::vector<std::uint64_t> without_mesh;
+  std::size_t done = 0;
+  for (const std::int64_t index : selection) {
+    if (const int signal = signals.pending(); signal != 0) {
+      fmt::print(stderr, "facet: broken off: '{}' holds {} of the {} frames\n", options.output,
+                 done - without_mesh.size(), selection.size());
+      return signal;
+    }
+    ++done;
     const auto frame = reader.frame(index);
     if (take::has_mesh(*frame)) {
       take::build_export_mesh(*frame, level, mesh);
-      const std::string name = fmt::format("frame_{:06}.{}", index, take::extension(format));
+      const std::string name = fmt::format("frame_{:06}.{}", frame->sequence, take::extension(format));
       take::write_mesh(format, mesh, one_file ? output : output / name);
     } else {
-      without_mesh.push_back(index);
+      without_mesh.push_back(frame->sequence);
     }
     progress.advance();
   }
@@ -126,16 +117,25 @@ void export_meshes(take::TakeReader& reader, const Selection& selection, const E
   }
   fmt::print("{}: {} {} file{}, {} mesh, {} vertices\n", options.output, written, options.format,
              written == 1 ? "" : "s", options.level, mesh.vertices_mm.cols());
+  return 0;
 }
 
-void export_signals(take::TakeReader& reader, const Selection& selection, const ExportOptions& options) {
+/// Returns the signal that broke it off, or 0.
+int export_signals(take::TakeReader& reader, const Selection& selection, const ExportOptions& options,
+                   const StopSignals& signals) {
   const bool to_standard_output = options.output == "-";
   std::unique_ptr<take::OutputFile> file;
   if (!to_standard_output) {
     file = std::make_unique<take::OutputFile>(options.output);
   }
   Progress progress("Exporting", selection.size());
-  for (std::int64_t index = selection.first; index < selection.end; ++index) {
+  for (const std::int64_t index : selection) {
+    if (const int signal = signals.pending(); signal != 0) {
+      fmt::print(stderr, "facet: broken off: {}\n",
+                 to_standard_output ? "the last line written is a whole one"
+                                    : fmt::format("nothing was written to '{}'", options.output));
+      return signal;
+    }
     const std::string line = take::frame_json(*reader.frame(index), index) + "\n";
     if (to_standard_output) {
       fmt::print("{}", line);
@@ -149,6 +149,7 @@ void export_signals(take::TakeReader& reader, const Selection& selection, const 
     file->commit();
     fmt::print("{}: {} frames\n", options.output, selection.size());
   }
+  return 0;
 }
 
 void run_export(const ExportOptions& options) {
@@ -158,11 +159,12 @@ void run_export(const ExportOptions& options) {
     fmt::print(stderr, "note: '{}' was not closed by its recorder; exporting the {} frames that are in it\n",
                options.take, info.frame_count);
   }
-  const Selection selection = select_frames(reader, options.frames);
-  if (options.format == "jsonl") {
-    export_signals(reader, selection, options);
-  } else {
-    export_meshes(reader, selection, options);
+  const Selection selection = frames_in_range(reader, options.frames);
+  const StopSignals signals;
+  const int broken_off_by = options.format == "jsonl" ? export_signals(reader, selection, options, signals)
+                                                      : export_meshes(reader, selection, options, signals);
+  if (broken_off_by != 0) {
+    signals.die_of(broken_off_by);
   }
 }
 
@@ -180,15 +182,15 @@ void add_export_command(CLI::App& app) {
           "frame")
       ->required()
       ->check(CLI::IsMember({"ply", "obj", "glb", "jsonl"}));
-  command->add_option("--frames", options->frames,
-                      "A:B, the frames from A up to B without B, counted from 0");
+  command->add_option("--frames", options->frames, kFramesHelp);
   command->add_option("--level", options->level, "coarse: the tracked mesh; finest: the refined one")
       ->capture_default_str()
       ->check(CLI::IsMember({"coarse", "finest"}));
   command
-      ->add_option(
-          "-o,--output", options->output,
-          "Folder for frame_%06d files, or one file for one frame; jsonl: a file, - is standard output")
+      ->add_option("-o,--output", options->output,
+                   "Folder for frame_%06d files (the number of the source's frame), or one file for one "
+                   "frame; jsonl: a "
+                   "file, - is standard output")
       ->required();
   command->callback([options] { run_export(*options); });
 }

@@ -4,7 +4,6 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
-#include <csignal>
 #include <ctime>
 #include <filesystem>
 #include <memory>
@@ -17,6 +16,8 @@
 #include "pipeline/take_sink.hpp"
 #include "progress.hpp"
 #include "service/config.hpp"
+#include "stop_signals.hpp"
+#include "take_frames.hpp"
 
 namespace facet::tools {
 namespace {
@@ -74,37 +75,6 @@ std::uint64_t expected_frames(const CameraInfo& source, const pipeline::FrameRan
   return end > range.first ? end - range.first : 0;
 }
 
-/// SIGINT and SIGTERM end the work, not the process: what was made so far stays a whole take.
-class StopSignals {
- public:
-  StopSignals() {
-    sigemptyset(&set_);
-    sigaddset(&set_, SIGINT);
-    sigaddset(&set_, SIGTERM);
-    ::pthread_sigmask(SIG_BLOCK, &set_, &before_);
-  }
-  ~StopSignals() { ::pthread_sigmask(SIG_SETMASK, &before_, nullptr); }
-  StopSignals(const StopSignals&) = delete;
-  StopSignals& operator=(const StopSignals&) = delete;
-
-  /// Waits for one of the signals, for a moment; 0 where none came.
-  int wait() const {
-    const int signal = ::sigtimedwait(&set_, nullptr, &kPeriod);
-    return signal > 0 ? signal : 0;
-  }
-
-  /// Ends the process as the signal would have, so that a calling shell sees what happened.
-  void die_of(int signal) const {
-    std::signal(signal, SIG_DFL);
-    ::pthread_sigmask(SIG_UNBLOCK, &set_, nullptr);
-    std::raise(signal);
-  }
-
- private:
-  sigset_t set_{};
-  sigset_t before_{};
-};
-
 std::string note(const pipeline::PipelineStatus& status) {
   if (status.state == pipeline::PipelineState::Preparing) {
     return "looking ahead for the face";
@@ -119,7 +89,7 @@ int run_to_end(pipeline::MonocularPipeline& pipeline, const StopSignals& signals
   int broken_off_by = 0;
   pipeline.start();
   while (!pipeline.finished()) {
-    if (const int signal = signals.wait(); signal != 0) {
+    if (const int signal = signals.wait(kPeriod); signal != 0) {
       broken_off_by = signal;
       pipeline.request_stop();
     }
@@ -136,16 +106,22 @@ void check_result(const Options& options, const pipeline::PipelineStatus& status
     throw Error(status.failure_kind, status.reason);
   }
   if (status.processed == 0) {
-    throw Error(ErrorKind::UnreadableInput,
-                fmt::format("'{}' has no frame in the range asked for", options.input));
+    throw Error(
+        ErrorKind::UnreadableInput,
+        fmt::format("'{}' has no frame in the range asked for: choose another with --frames", options.input));
   }
   if (status.mesh_frames == 0) {
     throw Error(
         ErrorKind::NoFace,
         status.face_frames == 0
-            ? fmt::format("no face found in the {} frames of '{}'", status.processed, options.input)
-            : fmt::format("a face was seen in {} of {} frames of '{}', but never well enough to track it",
-                          status.face_frames, status.processed, options.input));
+            ? fmt::format(
+                  "no face found in the {} frames of '{}': give a video in which one face looks towards "
+                  "the camera, upright and lit",
+                  status.processed, options.input)
+            : fmt::format(
+                  "a face was seen in {} of {} frames of '{}', but never well enough to track it: give "
+                  "a video in which it is larger, wholly in the picture and sharper",
+                  status.face_frames, status.processed, options.input));
   }
 }
 
@@ -176,14 +152,17 @@ void run(const Options& options) {
     throw Error(ErrorKind::Storage, fmt::format("'{}': {}", options.take, written->reason));
   }
   const pipeline::PipelineStatus status = pipeline.status();
-  if (broken_off_by != 0) {
-    fmt::print(stderr, "facet: broken off: '{}' holds the first {} frames\n", options.take, status.processed);
-    signals.die_of(broken_off_by);
-  }
   if (status.mesh_frames == 0) {
     // A take without a mesh serves nobody, and would be in the way of the next attempt.
     std::error_code ignored;
     std::filesystem::remove(options.take, ignored);
+  }
+  if (broken_off_by != 0) {
+    fmt::print(stderr, "facet: broken off: {}\n",
+               status.mesh_frames == 0
+                   ? "no mesh was made yet, nothing is left"
+                   : fmt::format("'{}' holds the first {} frames", options.take, status.processed));
+    signals.die_of(broken_off_by);
   }
   check_result(options, status);
   if (status.degraded_frames > 0) {
@@ -204,7 +183,7 @@ void add_process_command(CLI::App& app) {
   command->add_option("-o,--output", options->take, "The take to write; must not exist yet")->required();
   command->add_option("--config", options->config,
                       "Configuration file; of [source], only frames and intrinsics count");
-  command->add_option("--frames", options->frames, "Frames A:B, from A up to but not including B");
+  command->add_option("--frames", options->frames, kFramesHelp);
   command->add_option("--budget", options->budget,
                       "Solver work per frame: \"paper\" or Gauss-Newton steps per level");
   command->add_option("--device", options->device,

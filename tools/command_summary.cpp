@@ -62,8 +62,8 @@ float mean(const std::vector<float>& values) {
 
 void print_last_mesh_frame(take::TakeReader& reader) {
   for (std::int64_t i = reader.frame_count() - 1; i >= 0; --i) {
-    if (reader.entry(i).has_mesh) {
-      fmt::print("{}\n", i);
+    if (const take::FrameEntry entry = reader.entry(i); entry.has_mesh) {
+      fmt::print("{}\n", entry.sequence);
       return;
     }
   }
@@ -165,7 +165,7 @@ void add_summary_command(CLI::App& app) {
       app.add_subcommand("summary", "What is in a take: frames by state, rate, times per stage, errors");
   command->add_option("take", options->take, "The take")->required();
   command->add_flag("--last-mesh-frame", options->last_mesh_frame,
-                    "Print only the index of the last frame that has a mesh");
+                    "Print only the number, in the source, of the last frame that has a mesh");
   command->callback([options] { run(*options); });
 }
 

@@ -3,18 +3,19 @@
 #include <fmt/format.h>
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <charconv>
 #include <cstdint>
+#include <iterator>
 #include <memory>
-#include <numeric>
 #include <string>
 #include <vector>
 
 #include "commands.hpp"
 #include "facet/error.hpp"
-#include "pipeline/frame_range.hpp"
 #include "progress.hpp"
 #include "sheet.hpp"
+#include "take_frames.hpp"
 
 namespace facet::tools {
 namespace {
@@ -53,18 +54,10 @@ std::vector<std::int64_t> chosen_frames(take::TakeReader& take, const std::strin
       at = end + 1;
     }
   } else {
-    const pipeline::FrameRange range = pipeline::parse_frame_range(text);
+    const std::vector<std::int64_t> any = frames_in_range(take, text);
     std::vector<std::int64_t> with_mesh;
-    std::vector<std::int64_t> any;
-    for (std::int64_t index = 0; index < take.frame_count(); ++index) {
-      const take::FrameEntry entry = take.entry(index);
-      if (entry.sequence >= range.first && entry.sequence < range.end) {
-        any.push_back(index);
-        if (entry.has_mesh) {
-          with_mesh.push_back(index);
-        }
-      }
-    }
+    std::copy_if(any.begin(), any.end(), std::back_inserter(with_mesh),
+                 [&](std::int64_t index) { return take.entry(index).has_mesh; });
     chosen = spread_evenly(with_mesh.empty() ? any : with_mesh, kDefaultRows);
   }
   if (chosen.empty() || chosen.size() > kMostRows) {
@@ -99,8 +92,10 @@ void add_view_command(CLI::App& app) {
       "view", "Draw a sheet of a take: input, coarse mesh, normals, shaded mesh, albedo, photometric error");
   command->add_option("take", options->take, "Take file")->required();
   command->add_option("-o,--output", options->sheet, "PNG to write")->required();
-  command->add_option("--frames", options->frames,
-                      "Frames as 0,50,100, or a range A:B of which five are drawn; default: the whole take");
+  command->add_option(
+      "--frames", options->frames,
+      "Frames of the source by number as in 0,50,100, or a range A:B without B, of which five "
+      "are drawn; default: the whole take");
   command->add_option("--video", options->video, "The video that the take was made from, where it has moved");
   command->callback([options] { run_view(*options); });
 }

@@ -1,0 +1,302 @@
+// `facet` as a user meets it: exit status, what it says, what it leaves behind.
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <chrono>
+#include <fstream>
+#include <thread>
+
+#include "camera/factory.hpp"
+#include "facet/error.hpp"
+#include "gpu/context.hpp"
+#include "simulation/lossless_video.hpp"
+#include "support/child_process.hpp"
+#include "support/mesh_frames.hpp"
+#include "support/paths.hpp"
+#include "support/videos.hpp"
+#include "take/reader.hpp"
+#include "take/recorder.hpp"
+
+namespace facet::tools {
+namespace {
+
+using test::Birth;
+using test::ChildProcess;
+using ::testing::AllOf;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::Not;
+
+class Command : public ::testing::Test {
+ protected:
+  /// Runs `facet` to its end.
+  int run(const std::vector<std::string>& arguments, const Birth& birth = {}) {
+    ChildProcess child(FACET_PROGRAM, arguments, folder_.path() / "log", birth);
+    const int status = child.wait();
+    output_ = child.output();
+    return status;
+  }
+  std::string file(const std::string& name) const { return (folder_.path() / name).string(); }
+  std::string file(const std::string& name, const std::string& content) const {
+    std::ofstream(file(name)) << content;
+    return file(name);
+  }
+
+  std::string grey_video(int frame_count) const {
+    test::write_grey_video(file("grey.mkv"), frame_count);
+    return file("grey.mkv");
+  }
+
+  /// A take of the source's frames 100 to 104; 102 has no face.
+  std::string take() const {
+    const auto subject = test::patch_subject();
+    take::TakeRecorder recorder({.file = file("some.take"),
+                                 .source = "elsewhere.mp4",
+                                 .software = "test",
+                                 .when_full = take::WhenFull::Wait,
+                                 .disk_reserve_bytes = 0});
+    recorder.start();
+    for (std::uint64_t sequence = 100; sequence < 105; ++sequence) {
+      recorder.record(std::make_shared<mesh::MeshFrame>(
+          sequence == 102 ? test::searching_frame(sequence) : test::patch_frame(sequence, subject, nullptr)));
+    }
+    EXPECT_EQ(recorder.stop().state, take::RecorderState::Finished);
+    return file("some.take");
+  }
+
+  std::vector<std::string> files_in(const std::string& name) const {
+    std::vector<std::string> names;
+    for (const auto& entry : std::filesystem::directory_iterator(file(name))) {
+      names.push_back(entry.path().filename().string());
+    }
+    std::sort(names.begin(), names.end());
+    return names;
+  }
+
+  test::TemporaryFolder folder_;
+  std::string output_;
+};
+
+/// The same where the face model, the landmark nets and a clip are there.
+class CommandWithAssets : public Command {
+ protected:
+  void SetUp() override {
+    for (const auto& needed : {test::default_model(), std::filesystem::path(clip()),
+                               test::assets() / "mediapipe" / "face_mesh_solution_packed_assets.data"}) {
+      if (!std::filesystem::exists(needed)) {
+        GTEST_SKIP() << needed << " is not there: packaging/prepare makes it";
+      }
+    }
+  }
+  static std::string clip() { return (test::assets() / "video" / "cap12_edit.mp4").string(); }
+
+  /// `facet process` with coarse meshes alone.
+  int process(const std::string& video, const std::vector<std::string>& more = {}) {
+    std::vector<std::string> arguments = {"process", video, "-o", file("new.take"), "--device", "none"};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return run(arguments);
+  }
+  bool take_exists() const { return std::filesystem::exists(file("new.take")); }
+};
+
+TEST_F(Command, WrongUsageIsStatus2AndSaysWhatIsAllowed) {
+  EXPECT_EQ(run({}), 2);
+  EXPECT_THAT(output_, HasSubstr("--help"));
+  EXPECT_EQ(run({"proces"}), 2);
+  EXPECT_EQ(run({"process"}), 2);
+  EXPECT_THAT(output_, HasSubstr("input is required"));
+  EXPECT_EQ(run({"process", "a.mp4"}), 2);
+  EXPECT_THAT(output_, HasSubstr("--output is required"));
+  EXPECT_EQ(run({"process", "a.mp4", "-o", file("new.take"), "--frames", "20:10"}), 2);
+  EXPECT_THAT(output_, AllOf(HasSubstr("'20:10'"), HasSubstr("write A:B")));
+  EXPECT_EQ(run({"process", "a.mp4", "-o", file("new.take"), "--budget", "fast"}), 2);
+  EXPECT_THAT(output_, AllOf(HasSubstr("--budget fast"), HasSubstr("1 to 100")));
+  EXPECT_EQ(run({"process", "a.mp4", "-o", file("new.take"), "--config",
+                 file("bad.toml", "[gpu]\ndevise = \"x\"\n")}),
+            2);
+  EXPECT_THAT(output_, AllOf(HasSubstr("bad.toml:2: gpu.devise"), HasSubstr("did you mean 'device'?")));
+}
+
+TEST_F(Command, ATakeThatIsNoneIsStatus3) {
+  const std::string foreign = file("foreign.take", std::string(5000, 'x'));
+  const std::string empty = file("empty.take", "");
+  for (const std::string& broken : {foreign, empty, file("missing.take")}) {
+    for (const std::vector<std::string>& command :
+         {std::vector<std::string>{"summary", broken},
+          {"view", broken, "-o", file("sheet.png")},
+          {"export", broken, "--format", "ply", "-o", file("out")}}) {
+      EXPECT_EQ(run(command), 3) << command[0];
+      EXPECT_THAT(output_, HasSubstr(broken)) << command[0];
+    }
+  }
+  EXPECT_FALSE(std::filesystem::exists(file("out")));
+}
+
+TEST_F(Command, ExportNamesFramesByTheirNumberInTheSource) {
+  const std::string some = take();
+  EXPECT_EQ(run({"export", some, "--format", "ply", "-o", file("all")}), 0) << output_;
+  EXPECT_THAT(files_in("all"),
+              ElementsAre("frame_000100.ply", "frame_000101.ply", "frame_000103.ply", "frame_000104.ply"));
+  EXPECT_THAT(output_, HasSubstr("left out: 102"));
+  EXPECT_EQ(run({"export", some, "--format", "glb", "--frames", "101:103", "-o", file("part")}), 0);
+  EXPECT_THAT(files_in("part"), ElementsAre("frame_000101.glb"));
+  EXPECT_EQ(run({"export", some, "--format", "obj", "--frames", "104:105", "-o", file("one.obj")}), 0);
+  EXPECT_TRUE(std::filesystem::is_regular_file(file("one.obj")));
+  EXPECT_EQ(run({"export", some, "--format", "ply", "--frames", "0:5", "-o", file("none")}), 2);
+  EXPECT_THAT(output_, AllOf(HasSubstr(some), HasSubstr("100 to 104")));
+  EXPECT_EQ(run({"summary", "--last-mesh-frame", some}), 0);
+  EXPECT_EQ(output_, "104\n");
+}
+
+TEST_F(Command, ViewAndExportMeanTheSameFrames) {
+  const std::string some = take();
+  EXPECT_EQ(run({"view", some, "--frames", "103:105", "-o", file("sheet.png")}), 0) << output_;
+  EXPECT_THAT(output_, HasSubstr("2 frames of"));
+  EXPECT_EQ(run({"view", some, "--frames", "0:5", "-o", file("sheet.png")}), 2);
+  EXPECT_THAT(output_, HasSubstr("100 to 104"));
+}
+
+TEST_F(Command, ABrokenOffExportLeavesNothingHalfWritten) {
+  const std::string some = take();
+  for (const int signal : {SIGTERM, SIGINT}) {
+    const Birth birth{.environment = {}, .pending_signal = signal};
+    EXPECT_EQ(run({"export", some, "--format", "jsonl", "-o", file("signals.jsonl")}, birth), 128 + signal);
+    EXPECT_THAT(output_, AllOf(HasSubstr("broken off"), HasSubstr("signals.jsonl")));
+    EXPECT_EQ(run({"export", some, "--format", "ply", "-o", file("meshes")}, birth), 128 + signal);
+    EXPECT_THAT(output_, AllOf(HasSubstr("meshes' holds 0 of the 5 frames")));
+    EXPECT_TRUE(files_in("meshes").empty());
+  }
+  EXPECT_THAT(files_in("."), ElementsAre("log", "meshes", "some.take")) << "no .part file";
+}
+
+TEST_F(CommandWithAssets, AVideoThatCannotBeReadIsStatus3) {
+  const std::string whole = clip();
+  const std::string cut = file("cut.mp4");
+  std::filesystem::copy_file(whole, cut);
+  std::filesystem::permissions(cut, std::filesystem::perms::owner_all);
+  std::filesystem::resize_file(cut, 1000);
+  const std::string without_frames = file("without-frames.mkv");
+  test::write_grey_video(without_frames, 3);
+  test::cut_before_first_frame(without_frames);
+  for (const auto& [video, advice] : {std::pair{file("missing.mp4"), "no such file"},
+                                      {file("."), "is a folder"},
+                                      {file("empty.mp4", ""), "the file is empty"},
+                                      {file("noise.mp4", std::string(5000, 'x')), "is the file complete?"},
+                                      {cut, "is the file complete?"},
+                                      {without_frames, "holds no frame"}}) {
+    EXPECT_EQ(process(video), 3) << video;
+    EXPECT_THAT(output_, AllOf(HasSubstr(video), HasSubstr(advice)));
+    EXPECT_FALSE(take_exists()) << video;
+  }
+  EXPECT_EQ(process(grey_video(3), {"--frames", "5:"}), 3);
+  EXPECT_THAT(output_, AllOf(HasSubstr("grey.mkv"), HasSubstr("choose another with --frames")));
+  EXPECT_FALSE(take_exists());
+}
+
+TEST_F(CommandWithAssets, ATruncatedVideoGivesWhatItHoldsWithAWarning) {
+  const std::string cut = file("cut.mkv");
+  {
+    const auto source = camera::open_camera({.kind = "file", .path = clip()});
+    source->start();
+    simulation::LosslessVideo video(cut, 400, 300, 25);
+    Frame frame;
+    for (int f = 0; f < 40 && source->next(frame, std::chrono::seconds(10)) == CaptureOutcome::Delivered;
+         ++f) {
+      video.append(render::to_picture(frame));
+    }
+    video.finish();
+  }
+  std::filesystem::resize_file(cut, std::filesystem::file_size(cut) * 3 / 4);
+  EXPECT_EQ(process(cut), 0) << output_;
+  EXPECT_THAT(output_, AllOf(HasSubstr("warning: "), HasSubstr("cut.mkv")));
+  const take::TakeReader reader(file("new.take"));
+  EXPECT_GT(reader.frame_count(), 15);
+  EXPECT_LT(reader.frame_count(), 40);
+}
+
+TEST_F(CommandWithAssets, NoFaceIsStatus4) {
+  const std::string video = grey_video(10);
+  EXPECT_EQ(process(video), 4);
+  EXPECT_THAT(output_, AllOf(HasSubstr(video), HasSubstr("no face found in the 10 frames"),
+                             HasSubstr("give a video in which one face")));
+  EXPECT_FALSE(take_exists());
+}
+
+TEST_F(CommandWithAssets, ForeignModelOrNetsAreStatus3) {
+  const std::string foreign = file("foreign.facemodel", std::string(5000, 'x'));
+  EXPECT_EQ(process(clip(), {"--config", file("a.toml", fmt::format("[model]\npath = \"{}\"\n", foreign))}),
+            3);
+  EXPECT_THAT(output_, HasSubstr(foreign));
+  EXPECT_EQ(process(clip(), {"--config", file("b.toml", "[model]\nlandmark_assets = \"a.toml\"\n")}), 3);
+  EXPECT_THAT(output_, HasSubstr(file("a.toml")));
+  EXPECT_FALSE(take_exists());
+}
+
+TEST_F(CommandWithAssets, ATakeIsNeverOverwritten) {
+  file("new.take", "dear");
+  EXPECT_EQ(process(clip(), {"--frames", ":5"}), 6);
+  EXPECT_THAT(output_, AllOf(HasSubstr("new.take"), HasSubstr("choose another name")));
+  EXPECT_EQ(std::filesystem::file_size(file("new.take")), 4U);
+}
+
+TEST_F(CommandWithAssets, NoVulkanDeviceIsStatus5) {
+  const std::vector<std::string> process = {"process", clip(), "-o", file("new.take"), "--frames", ":5"};
+  std::vector<std::string> named = process;
+  named.insert(named.end(), {"--device", "No Such Device"});
+  EXPECT_EQ(run(named), 5);
+  EXPECT_THAT(output_, HasSubstr("No Such Device"));
+
+  // A loader without drivers, under the variable's old and new name.
+  const Birth no_driver{
+      .environment = {"VK_ICD_FILENAMES=/nowhere/icd.json", "VK_DRIVER_FILES=/nowhere/icd.json"},
+      .pending_signal = 0};
+  EXPECT_EQ(run(process, no_driver), 5);
+  EXPECT_THAT(output_, AllOf(HasSubstr("no Vulkan device"), HasSubstr("apt install")));
+
+  // A loader that cannot be loaded: a file of its name stands before it.
+  file("libvulkan.so.1", "no library");
+  const Birth no_loader{.environment = {"LD_LIBRARY_PATH=" + folder_.path().string()}, .pending_signal = 0};
+  EXPECT_EQ(run(process, no_loader), 5);
+  EXPECT_THAT(output_, AllOf(HasSubstr("no Vulkan loader"), HasSubstr("apt install")));
+  EXPECT_FALSE(take_exists());
+}
+
+TEST_F(CommandWithAssets, BrokenOffBeforeTheFirstMeshLeavesNothing) {
+  ChildProcess child(FACET_PROGRAM, {"process", clip(), "-o", file("new.take"), "--device", "none"},
+                     folder_.path() / "log", {.environment = {}, .pending_signal = SIGTERM});
+  EXPECT_EQ(child.wait(), 128 + SIGTERM);
+  EXPECT_THAT(child.output(), HasSubstr("nothing is left"));
+  EXPECT_FALSE(take_exists());
+}
+
+TEST_F(CommandWithAssets, ABrokenOffTakeIsWhole) {
+  try {
+    gpu::list_devices();
+  } catch (const Error& error) {
+    GTEST_SKIP() << error.what();
+  }
+  // The whole clip takes a minute or more: the signal comes early in it.
+  ChildProcess child(FACET_PROGRAM, {"process", clip(), "-o", file("new.take"), "--budget", "paper"},
+                     folder_.path() / "log");
+  const auto recorded = [&] {
+    try {
+      return take::TakeReader(file("new.take")).frame_count();
+    } catch (const Error&) {
+      return std::int64_t{0};  // not made yet
+    }
+  };
+  while (child.running() && recorded() < 5) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  }
+  child.send(SIGINT);
+  EXPECT_EQ(child.wait(), 128 + SIGINT) << child.output();
+  EXPECT_THAT(child.output(), AllOf(HasSubstr("broken off"), HasSubstr("new.take")));
+  const take::TakeReader reader(file("new.take"));
+  EXPECT_TRUE(reader.info().closed);
+  EXPECT_GE(reader.frame_count(), 5);
+}
+
+}  // namespace
+}  // namespace facet::tools

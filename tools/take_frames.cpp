@@ -1,0 +1,31 @@
+#include "take_frames.hpp"
+
+#include <fmt/format.h>
+
+#include "facet/error.hpp"
+#include "pipeline/frame_range.hpp"
+
+namespace facet::tools {
+
+std::vector<std::int64_t> frames_in_range(take::TakeReader& take, const std::string& text) {
+  const pipeline::FrameRange range = pipeline::parse_frame_range(text);
+  std::vector<std::int64_t> indices;
+  for (std::int64_t index = 0; index < take.frame_count(); ++index) {
+    const std::uint64_t sequence = take.entry(index).sequence;
+    if (sequence >= range.first && sequence < range.end) {
+      indices.push_back(index);
+    }
+  }
+  if (!indices.empty()) {
+    return indices;
+  }
+  const std::string file = take.info().file.string();
+  if (take.frame_count() == 0) {
+    throw Error(ErrorKind::Usage, fmt::format("take '{}' has no frames: nothing was recorded into it", file));
+  }
+  throw Error(ErrorKind::Usage,
+              fmt::format("--frames {} selects nothing: take '{}' has the source's frames {} to {}", text,
+                          file, take.entry(0).sequence, take.entry(take.frame_count() - 1).sequence));
+}
+
+}  // namespace facet::tools
