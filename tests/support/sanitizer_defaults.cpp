@@ -1,5 +1,5 @@
-// What the sanitizers do not report in any test program: libraries that are not ours and not built for them.
-// Compiled into every test; LSAN_OPTIONS and TSAN_OPTIONS add to it.
+// What the sanitizers do not report: libraries that are not ours and not built for them.
+// Compiled into every test and into the programs that tests run; LSAN_OPTIONS and TSAN_OPTIONS add to it.
 
 #ifdef FACET_SANITIZED
 
