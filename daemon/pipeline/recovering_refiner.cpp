@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "facet/error.hpp"
+#include "gpu/context.hpp"
 
 namespace facet::pipeline {
 namespace {
@@ -68,7 +69,17 @@ const std::string& RecoveringRefiner::refine(const refine::RefineInput& input, r
   if (stage_ == nullptr) {
     return reason_;
   }
-  switch (stage_->refine(input, output)) {
+  refine::RefineOutcome outcome = refine::RefineOutcome::DeviceLost;
+  try {
+    outcome = stage_->refine(input, output);
+  } catch (const gpu::DeviceLostError& error) {
+    output.failure = error.what();
+  } catch (const Error& error) {
+    // A first picture of its size finds no room on the device.
+    refuse(error.what());
+    return reason_;
+  }
+  switch (outcome) {
     case refine::RefineOutcome::Refined:
       reason_.clear();
       break;
@@ -80,6 +91,16 @@ const std::string& RecoveringRefiner::refine(const refine::RefineInput& input, r
       break;
   }
   return reason_;
+}
+
+void RecoveringRefiner::refuse(const std::string& reason) {
+  const std::string said =
+      fmt::format("no room for pictures of this size on {} ({}): use a smaller picture or another device",
+                  device_, reason);
+  if (said != reason_) {
+    messages_.warning(said);
+    reason_ = said;
+  }
 }
 
 void RecoveringRefiner::lose(const std::string& reason) {

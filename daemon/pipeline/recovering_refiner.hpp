@@ -46,6 +46,7 @@ class RecoveringRefiner {
   void request_stop();
 
  private:
+  void refuse(const std::string& reason);
   void lose(const std::string& reason);
   void adopt_reopened();
   void reopen(refine::SubjectSetup subject);

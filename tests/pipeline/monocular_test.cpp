@@ -15,6 +15,7 @@ using mesh::TrackingState;
 using refine::RefineOutcome;
 using test::CollectingSink;
 using test::Script;
+using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 
@@ -198,6 +199,22 @@ TEST_F(Monocular, ANumericalFailureCostsTheDetailOfOneFrame) {
   EXPECT_TRUE(frames[4]->displacements_mm.empty());
   EXPECT_EQ(frames[4]->control_vertices_mm.cols(), script_.model->vertex_count());
   EXPECT_FALSE(frames[5]->degraded);
+}
+
+TEST_F(Monocular, APictureTooLargeForTheDeviceGivesACoarseMesh) {
+  script_.no_room_from = 7;
+  const PipelineStatus status = run();
+  EXPECT_EQ(status.state, PipelineState::Ended);
+  EXPECT_EQ(status.mesh_frames, 10U);
+  EXPECT_EQ(status.refined_frames, 7U);
+  EXPECT_EQ(status.degraded_frames, 3U);
+  EXPECT_THAT(status.degraded_reason,
+              AllOf(HasSubstr("scripted GPU"), HasSubstr("too large"), HasSubstr("use a smaller picture")));
+  int warnings = 0;
+  for (const Messages::Message& message : pipeline_->take_messages()) {
+    warnings += message.warning ? 1 : 0;
+  }
+  EXPECT_EQ(warnings, 1) << "said once, not with every frame";
 }
 
 TEST_F(Monocular, ALostDeviceIsReopenedWhileFramesStayCoarse) {

@@ -117,6 +117,9 @@ class ScriptedRefiner final : public pipeline::RefineStage {
     if (std::exchange(restarted_, false)) {
       script_.restarted_before.push_back(input.image.sequence);
     }
+    if (input.image.sequence >= script_.no_room_from) {
+      throw Error(ErrorKind::NoDevice, "scripted: too large");
+    }
     const refine::RefineOutcome outcome = script_.outcome_of(input.image.sequence);
     output.failure = outcome == refine::RefineOutcome::Refined ? "" : "scripted failure";
     output.displacements_mm.assign(vertex_count_, 0.125F);

@@ -59,8 +59,9 @@ struct Script {
   // The refiner.
   bool has_refiner = true;
   std::function<refine::RefineOutcome(std::uint64_t sequence)> outcome_of;
-  Gate refiner_gate;                  ///< before every frame
-  std::atomic<int> failing_opens{0};  ///< so many attempts to open fail
+  std::uint64_t no_room_from = ~0ULL;  ///< sequence from which on the device has no room for the picture
+  Gate refiner_gate;                   ///< before every frame
+  std::atomic<int> failing_opens{0};   ///< so many attempts to open fail
   std::atomic<int> opens{0};
   std::atomic<int> subjects_set{0};
   std::vector<std::uint64_t> restarted_before;  ///< sequences of the frames refined first after a restart

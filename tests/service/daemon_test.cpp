@@ -14,6 +14,7 @@
 #include "service/control_client.hpp"
 #include "support/child_process.hpp"
 #include "support/paths.hpp"
+#include "support/small_disk.hpp"
 #include "support/videos.hpp"
 #include "take/reader.hpp"
 
@@ -257,6 +258,25 @@ TEST_F(DaemonWithAssets, RecordsOnCommand) {
     EXPECT_EQ(entry.path().extension(), ".take") << "takes are closed, nothing is left beside them";
     EXPECT_TRUE(take::TakeReader(entry.path()).info().closed);
   }
+}
+
+TEST_F(DaemonWithAssets, AFullDiskEndsTheTakeAndNothingElse) {
+  const test::SmallDisk disk(folder_.path() / "takes");
+  if (!disk.mounted()) {
+    GTEST_SKIP() << "mounting a small tmpfs needs root";
+  }
+  const auto daemon = start(configure(looped() + "\n[hierarchy]\nmax_levels = 1"));
+  await(*daemon, is_running);
+  ask("record.start", {{"name", "full"}});
+  const json status = await(*daemon, [](const json& now) { return now["recording"].is_null(); });
+  EXPECT_THAT(daemon->output(), AllOf(HasSubstr("recording ended by itself"), HasSubstr("free some space")));
+  const auto processed = status["frames"]["processed"].get<std::uint64_t>();
+  await(*daemon, [&](const json& now) { return now["frames"]["processed"] > processed; });
+  daemon->send(SIGTERM);
+  expect_clean_end(*daemon);
+  const take::TakeReader reader(folder_.path() / "takes/full.take");
+  EXPECT_GT(reader.frame_count(), 0);
+  EXPECT_THAT(reader.info().end_reason, HasSubstr("disk nearly full"));
 }
 
 TEST_F(DaemonWithAssets, CoarseOnlyIsSaid) {

@@ -269,6 +269,26 @@ TEST_F(Server, SlowReaderLosesWholeFramesAndHarmsNobody) {
   EXPECT_EQ(received + dropped, kFrames);
 }
 
+TEST_F(Server, AMeshThatNoReaderWouldAcceptIsNotSent) {
+  start();
+  StreamClient client(path, wanted(Profile::Displacements));
+  wait_for_subscribers(1);
+  auto too_big = std::make_shared<mesh::Subject>(*subject);
+  too_big->id = 1;
+  too_big->identity.resize(kMaxCoefficients + 1);
+  auto frame = test::patch_frame(1, too_big, albedo);
+  server->publish(std::make_shared<mesh::MeshFrame>(std::move(frame)));
+  DecodedFrame got;
+  ASSERT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
+  EXPECT_EQ(got.frame.subject, nullptr);
+  EXPECT_TRUE(got.frame.degraded);
+  EXPECT_THAT(got.frame.degraded_reason, HasSubstr("smaller model"));
+  publish(2);
+  ASSERT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
+  EXPECT_FALSE(got.frame.degraded) << "the next subject is none the worse";
+  EXPECT_EQ(got.frame.subject->id, subject->id);
+}
+
 TEST_F(Server, ReaderThatNeverReadsHoldsNothingUp) {
   start();
   RawPeer deaf(path);

@@ -1,6 +1,5 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <sys/mount.h>
 #include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -14,6 +13,7 @@
 #include "facet/error.hpp"
 #include "record_take.hpp"
 #include "support/paths.hpp"
+#include "support/small_disk.hpp"
 #include "take/reader.hpp"
 #include "take/recorder.hpp"
 
@@ -289,29 +289,8 @@ TEST_F(Recorder, FileSizeLimitStopsTheRecordingAndKeepsTheTake) {
   expect_readable(file);
 }
 
-/// A file system of a few MiB; only root can have one.
-class SmallDisk {
- public:
-  explicit SmallDisk(const std::filesystem::path& where) : where_(where) {
-    std::filesystem::create_directories(where);
-    mounted_ = ::mount("tmpfs", where.c_str(), "tmpfs", 0, "size=4m") == 0;
-  }
-  ~SmallDisk() {
-    if (mounted_) {
-      ::umount(where_.c_str());
-    }
-  }
-  SmallDisk(const SmallDisk&) = delete;
-  SmallDisk& operator=(const SmallDisk&) = delete;
-  bool mounted() const { return mounted_; }
-
- private:
-  std::filesystem::path where_;
-  bool mounted_ = false;
-};
-
 TEST_F(Recorder, FullDiskStopsTheRecordingAndKeepsTheTake) {
-  const SmallDisk disk(folder.path() / "disk");
+  const test::SmallDisk disk(folder.path() / "disk");
   if (!disk.mounted()) {
     GTEST_SKIP() << "mounting a small tmpfs needs root";
   }
@@ -324,7 +303,7 @@ TEST_F(Recorder, FullDiskStopsTheRecordingAndKeepsTheTake) {
 }
 
 TEST_F(Recorder, ReserveStopsTheRecordingInTimeToCloseIt) {
-  const SmallDisk disk(folder.path() / "disk");
+  const test::SmallDisk disk(folder.path() / "disk");
   if (!disk.mounted()) {
     GTEST_SKIP() << "mounting a small tmpfs needs root";
   }
