@@ -216,6 +216,29 @@ TEST_F(CommandWithAssets, ATruncatedVideoGivesWhatItHoldsWithAWarning) {
   EXPECT_LT(reader.frame_count(), 40);
 }
 
+TEST_F(CommandWithAssets, GreyOddAndRotatedPicturesAreProcessed) {
+  if (std::system("command -v ffmpeg >/dev/null 2>&1") != 0) {
+    GTEST_SKIP() << "the ffmpeg program is not installed";
+  }
+  const auto make = [&](const std::string& from, const std::string& how, const std::string& name) {
+    const std::string command =
+        fmt::format("ffmpeg -nostdin -v error -y -i '{}' {} '{}'", from, how, file(name));
+    EXPECT_EQ(std::system(command.c_str()), 0) << command;
+    return file(name);
+  };
+  const std::string sideways = make(clip(), "-frames:v 6 -vf transpose=1 -c:v mpeg4 -q:v 2", "sideways.mp4");
+  for (const std::string& video :
+       {make(clip(), "-frames:v 6 -vf format=gray -c:v ffv1", "grey-face.mkv"),
+        make(clip(), "-frames:v 6 -vf crop=397:297:1:1,format=yuv444p -c:v ffv1", "odd.mkv"),
+        make(sideways, "-c copy -metadata:s:v:0 rotate=90", "rotated.mp4")}) {
+    EXPECT_EQ(process(video), 0) << video << output_;
+    EXPECT_EQ(take::TakeReader(file("new.take")).info().mesh_frame_count, 6) << video;
+    std::filesystem::remove(file("new.take"));
+  }
+  EXPECT_EQ(process(make(clip(), "-frames:v 6 -vf scale=16:16 -c:v ffv1", "tiny.mkv")), 4);
+  EXPECT_THAT(output_, HasSubstr("tiny.mkv"));
+}
+
 TEST_F(CommandWithAssets, NoFaceIsStatus4) {
   const std::string video = grey_video(10);
   EXPECT_EQ(process(video), 4);
