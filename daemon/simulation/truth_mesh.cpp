@@ -24,16 +24,17 @@ static_assert(std::endian::native == std::endian::little, "PLY files are written
 
 constexpr std::size_t kMaxElements = 50'000'000;  // more than any mesh of ours; keeps sizes far from overflow
 
+// Plain arrays: a call of a std::array's member would take the packed array for an aligned one.
 #pragma pack(push, 1)
 struct PlyVertex {
-  std::array<float, 3> position;
-  std::array<float, 3> normal;
-  std::array<float, 3> albedo;
-  std::array<std::uint8_t, 3> srgb;
+  float position[3];
+  float normal[3];
+  float albedo[3];
+  std::uint8_t srgb[3];
 };
 struct PlyFace {
   std::uint8_t count;
-  std::array<std::int32_t, 3> corners;
+  std::int32_t corners[3];
 };
 #pragma pack(pop)
 static_assert(sizeof(PlyVertex) == 39 && sizeof(PlyFace) == 13);

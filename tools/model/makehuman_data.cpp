@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <cctype>
 #include <fstream>
+#include <iterator>
 #include <nlohmann/json.hpp>
 #include <numeric>
 
@@ -34,12 +35,16 @@ constexpr const char* kHint = "Run packaging/fetch-assets again.";
   throw Error(ErrorKind::UnreadableInput, fmt::format("{}: {}. {}", file.string(), what, kHint));
 }
 
-json read_json(const std::filesystem::path& file) {
-  std::ifstream in(file);
+std::string read_text(const std::filesystem::path& file) {
+  std::ifstream in(file, std::ios::binary);
   if (!in) {
     fail(file, "can't open it");
   }
-  json document = json::parse(in, nullptr, false);
+  return {std::istreambuf_iterator<char>(in), {}};
+}
+
+json parse_json(std::string_view text, const std::filesystem::path& file) {
+  json document = json::parse(text, nullptr, false);
   if (document.is_discarded()) {
     fail(file, "not valid JSON");
   }
@@ -48,20 +53,22 @@ json read_json(const std::filesystem::path& file) {
 
 }  // namespace
 
-MakeHumanMesh read_makehuman_mesh(const std::filesystem::path& file) {
+MakeHumanMesh parse_makehuman_mesh(std::string_view text, const std::filesystem::path& file,
+                                   std::size_t vertex_count) {
   constexpr int kQuadMaterialUv = 11;  // face type bits: quad, material, one texture coordinate per corner
   constexpr std::size_t kFaceNumbers = 10;
   MakeHumanMesh mesh;
   try {
-    const json document = read_json(file);
+    const json document = parse_json(text, file);
     const auto vertices = document.at("vertices").get<std::vector<double>>();
     const auto faces = document.at("faces").get<std::vector<int>>();
     const auto uvs = document.at("uvs").at(0).get<std::vector<float>>();
-    if (vertices.size() != 3 * kVertices || faces.size() % kFaceNumbers != 0 || uvs.size() % 2 != 0) {
+    if (vertices.size() != 3 * vertex_count || faces.size() % kFaceNumbers != 0 || uvs.size() % 2 != 0) {
       fail(file, fmt::format("{} vertex and {} face numbers are not those of the base mesh", vertices.size(),
                              faces.size()));
     }
-    mesh.vertices_dm = Eigen::Map<const Eigen::Matrix3Xd>(vertices.data(), 3, kVertices);
+    mesh.vertices_dm =
+        Eigen::Map<const Eigen::Matrix3Xd>(vertices.data(), 3, static_cast<Eigen::Index>(vertex_count));
     mesh.texture_coordinates =
         Eigen::Map<const Eigen::Matrix2Xf>(uvs.data(), 2, static_cast<Eigen::Index>(uvs.size() / 2));
     for (const json& material : document.at("materials")) {
@@ -79,7 +86,7 @@ MakeHumanMesh read_makehuman_mesh(const std::filesystem::path& file) {
       for (int corner = 0; corner < 4; ++corner) {
         const int vertex = face[1 + corner];
         const int uv = face[6 + corner];
-        if (vertex < 0 || vertex >= static_cast<int>(kVertices) || uv < 0 ||
+        if (vertex < 0 || vertex >= static_cast<int>(vertex_count) || uv < 0 ||
             uv >= mesh.texture_coordinates.cols()) {
           fail(file, fmt::format("face {} names a vertex that is not there", q));
         }
@@ -93,33 +100,44 @@ MakeHumanMesh read_makehuman_mesh(const std::filesystem::path& file) {
   return mesh;
 }
 
-MakeHumanTargets::MakeHumanTargets(const std::filesystem::path& folder) {
-  const auto list_file = folder / "src/json/targets/target-list.json";
+MakeHumanMesh read_makehuman_mesh(const std::filesystem::path& file) {
+  return parse_makehuman_mesh(read_text(file), file, kVertices);
+}
+
+MakeHumanRows parse_makehuman_target_list(std::string_view text, const std::filesystem::path& file,
+                                          std::size_t target_count) {
   std::vector<std::string> names;
   try {
-    const json document = read_json(list_file);
+    const json document = parse_json(text, file);
     for (const auto& [key, value] : document.at("targets").items()) {
       std::string name = key;
       std::transform(name.begin(), name.end(), name.begin(), [](unsigned char c) { return std::tolower(c); });
       names.push_back(std::move(name));
     }
   } catch (const json::exception& error) {
-    fail(list_file, fmt::format("unexpected contents: {}", error.what()));
+    fail(file, fmt::format("unexpected contents: {}", error.what()));
   }
-  if (names.size() != kTargets) {
-    fail(list_file, fmt::format("it lists {} targets and should list {}", names.size(), kTargets));
+  if (names.size() != target_count) {
+    fail(file, fmt::format("it lists {} targets and should list {}", names.size(), target_count));
   }
   // The rows of targets.bin follow the lower-cased names in the order of their bytes.
   std::sort(names.begin(), names.end());
   constexpr std::string_view kPrefix = "data/targets/";
   constexpr std::string_view kSuffix = ".target";
+  MakeHumanRows rows;
   for (std::size_t row = 0; row < names.size(); ++row) {
-    std::string& name = names[row];
+    const std::string& name = names[row];
     if (name.size() <= kPrefix.size() + kSuffix.size()) {
-      fail(list_file, fmt::format("'{}' is not a target's name", name));
+      fail(file, fmt::format("'{}' is not a target's name", name));
     }
-    rows_[name.substr(kPrefix.size(), name.size() - kPrefix.size() - kSuffix.size())] = row;
+    rows[name.substr(kPrefix.size(), name.size() - kPrefix.size() - kSuffix.size())] = row;
   }
+  return rows;
+}
+
+MakeHumanTargets::MakeHumanTargets(const std::filesystem::path& folder) {
+  const auto list_file = folder / "src/json/targets/target-list.json";
+  rows_ = parse_makehuman_target_list(read_text(list_file), list_file, kTargets);
 
   const auto file = folder / "public/data/targets/targets.bin";
   const int descriptor = ::open(file.c_str(), O_RDONLY | O_CLOEXEC);

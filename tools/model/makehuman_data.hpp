@@ -24,8 +24,20 @@ struct MakeHumanMesh {
   std::vector<std::string> group_names;
 };
 
+/// The mesh of vertex_count vertices in a model file's text; "file" names it in messages. Throws
+/// Error(UnreadableInput) that says what is wrong.
+MakeHumanMesh parse_makehuman_mesh(std::string_view text, const std::filesystem::path& file,
+                                   std::size_t vertex_count);
 /// Throws Error(UnreadableInput) naming the file and what is wrong in it.
 MakeHumanMesh read_makehuman_mesh(const std::filesystem::path& file);
+
+/// Row of a target in targets.bin by its name, for example "nose/nose-hump-morehump", in lower case.
+using MakeHumanRows = std::map<std::string, std::size_t, std::less<>>;
+
+/// The rows of target_count targets from the text of their list; "file" names it in messages. Throws
+/// Error(UnreadableInput) that says what is wrong.
+MakeHumanRows parse_makehuman_target_list(std::string_view text, const std::filesystem::path& file,
+                                          std::size_t target_count);
 
 /// The displacement targets of the package: 16-bit rows, one per target, mapped from the file. One thread.
 class MakeHumanTargets {
@@ -36,7 +48,6 @@ class MakeHumanTargets {
   MakeHumanTargets(const MakeHumanTargets&) = delete;
   MakeHumanTargets& operator=(const MakeHumanTargets&) = delete;
 
-  /// name: for example "nose/nose-hump-morehump", in lower case.
   bool has(std::string_view name) const { return rows_.find(name) != rows_.end(); }
   /// Names that begin with the prefix, sorted.
   std::vector<std::string> names(std::string_view prefix) const;
@@ -45,7 +56,7 @@ class MakeHumanTargets {
   Eigen::Matrix3Xd displacements_dm(std::string_view name, const std::vector<int>& vertices) const;
 
  private:
-  std::map<std::string, std::size_t, std::less<>> rows_;
+  MakeHumanRows rows_;
   const std::int16_t* values_ = nullptr;
   std::size_t mapped_bytes_ = 0;
 };
