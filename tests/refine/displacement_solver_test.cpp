@@ -135,7 +135,8 @@ TEST_F(DisplacementSolverTest, SaysWhenTheNumbersAreGone) {
 }
 
 TEST_F(DisplacementSolverTest, RefusesArraysOfTheWrongLength) {
-  DisplacementProblem problem = to_gpu(test::make_problem(3, 3, 61));
+  const test::SmallProblem small = test::make_problem(3, 3, 61);
+  DisplacementProblem problem = to_gpu(small);
   problem.start_mm.pop_back();
   DisplacementSolver solver(context());
   EXPECT_THROW(solver.load(problem, {}), Error);

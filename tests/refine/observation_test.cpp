@@ -40,7 +40,7 @@ Frame random_frame(int width, int height, unsigned seed) {
   out.stride_bytes = static_cast<std::size_t>(width) * 4 + 12;
   auto pixels = std::make_shared<std::uint8_t[]>(out.stride_bytes * static_cast<std::size_t>(height));
   for (std::size_t i = 0; i < out.stride_bytes * static_cast<std::size_t>(height); ++i) {
-    pixels[i] = static_cast<std::uint8_t>(value(random));
+    pixels.get()[i] = static_cast<std::uint8_t>(value(random));
   }
   out.pixels = pixels;
   return out;

@@ -224,10 +224,10 @@ Frame render(const Scene& scene) {
       const float value = std::clamp(linear[i][channel], 0.0F, 1.0F);
       const float srgb = value <= 0.0031308F ? 12.92F * value : 1.055F * std::pow(value, 1 / 2.4F) - 0.055F;
       const float counts = 255 * srgb + (scene.noise > 0 ? scene.noise * noise(random) : 0.0F);
-      pixels[i * 4 + static_cast<std::size_t>(channel)] =
+      pixels.get()[i * 4 + static_cast<std::size_t>(channel)] =
           static_cast<std::uint8_t>(std::lround(std::clamp(counts, 0.0F, 255.0F)));
     }
-    pixels[i * 4 + 3] = 255;
+    pixels.get()[i * 4 + 3] = 255;
   }
   Frame out;
   out.width_px = scene.image_width_px;
