@@ -77,16 +77,25 @@ function(facet_room name)
   endif()
 endfunction()
 
-# facet_test(<room> SOURCES <files> [ROOMS <rooms>] [LIBS <external>]): one gtest program test_<room>, each case a ctest.
-# ctest runs each with the Vulkan validation layers on, where they are installed.
+# facet_test(<room> SOURCES <files> [ROOMS <rooms>] [LIBS <external>] [TOGETHER <suites>]): one gtest program test_<room>,
+# each case a ctest; of the suites named after TOGETHER, whose cases share something that takes long to make, each
+# suite is one. ctest runs each with the Vulkan validation layers on, where they are installed.
 function(facet_test name)
-  cmake_parse_arguments(ARG "" "" "SOURCES;ROOMS;LIBS" ${ARGN})
+  cmake_parse_arguments(ARG "" "" "SOURCES;ROOMS;LIBS;TOGETHER" ${ARGN})
   list(TRANSFORM ARG_ROOMS PREPEND "facet_")
   add_executable(test_${name} ${ARG_SOURCES})
   target_link_libraries(test_${name} PRIVATE facet_options facet_test_support ${ARG_ROOMS} ${ARG_LIBS} GTest::gtest GTest::gmock GTest::gtest_main)
   facet_precompiled(test_${name})
-  gtest_discover_tests(test_${name} TEST_PREFIX "${name}." DISCOVERY_MODE PRE_TEST WORKING_DIRECTORY "${CMAKE_SOURCE_DIR}"
-                       DISCOVERY_TIMEOUT 120 PROPERTIES TIMEOUT 900 ENVIRONMENT FACET_VULKAN_VALIDATION=1)
+  set(properties TIMEOUT 900 ENVIRONMENT FACET_VULKAN_VALIDATION=1)
+  list(TRANSFORM ARG_TOGETHER APPEND ".*" OUTPUT_VARIABLE together)
+  list(JOIN together ":" together)
+  string(REGEX REPLACE "^(.+)$" "TEST_FILTER;-\\1" filter "${together}")
+  gtest_discover_tests(test_${name} TEST_PREFIX "${name}." ${filter} DISCOVERY_MODE PRE_TEST
+                       WORKING_DIRECTORY "${CMAKE_SOURCE_DIR}" DISCOVERY_TIMEOUT 120 PROPERTIES ${properties})
+  foreach(suite ${ARG_TOGETHER})
+    add_test(NAME ${name}.${suite} COMMAND test_${name} "--gtest_filter=${suite}.*" WORKING_DIRECTORY "${CMAKE_SOURCE_DIR}")
+    set_tests_properties(${name}.${suite} PROPERTIES SKIP_REGULAR_EXPRESSION "\\[  SKIPPED \\]" ${properties})
+  endforeach()
 endfunction()
 
 add_custom_target(fuzzers)
