@@ -175,8 +175,8 @@ TEST(Golden, FramesOfVersion1) {
   EXPECT_EQ(got.frame.expression, sent.expression);
 }
 
-// The fuzzer's seeds: each kind of message, of the subject that the fuzzer knows.
-TEST(Golden, SeedsOfTheFuzzerAreSoundMessages) {
+// The fuzzer's seeds: each kind of message, of the subject that the fuzzer knows, and some broken ones.
+TEST(Golden, SeedsOfTheFuzzerAreWhatTheirNamesSay) {
   const std::filesystem::path corpus =
       std::filesystem::path(FACET_SOURCE_DIR) / "tests/fuzz/corpus/stream_message";
   if (writes_golden()) {
@@ -196,6 +196,10 @@ TEST(Golden, SeedsOfTheFuzzerAreSoundMessages) {
   }
   int seeds = 0;
   for (const auto& entry : std::filesystem::directory_iterator(corpus)) {
+    if (entry.path().filename().string().starts_with("broken")) {
+      EXPECT_THROW(message_type(read_file(entry.path())), Error) << entry.path();
+      continue;
+    }
     EXPECT_NE(message_type(read_file(entry.path())), MessageType::Unknown) << entry.path();
     ++seeds;
   }
