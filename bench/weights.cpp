@@ -44,6 +44,7 @@ struct Options {
   std::string coarse = "tracker";
   std::string albedo = "learned";
   std::string device = "auto";
+  bool reach = false;
 };
 
 /// A setting of the refiner by name.
@@ -58,6 +59,8 @@ void set(RefinerConfig& config, const std::string& name, float value) {
     config.weights.displacement_hierarchy = value;
   } else if (name == "w5") {
     config.weights.displacement_coarse = value;
+  } else if (name == "fold") {
+    config.fold_slope = value;
   } else if (name == "robust") {
     config.robust_scale = value;
   } else if (name == "metric") {
@@ -75,9 +78,10 @@ void set(RefinerConfig& config, const std::string& name, float value) {
   } else if (name == "paper") {
     config.paper_budget = value != 0;
   } else {
-    throw Error(ErrorKind::Usage, fmt::format("no setting {}; there are w1 to w5, robust, metric, steps, "
-                                              "pcg, albedo_frames, fine_albedo, hierarchical, paper",
-                                              name));
+    throw Error(ErrorKind::Usage,
+                fmt::format("no setting {}; there are w1 to w5, fold, robust, metric, steps, "
+                            "pcg, albedo_frames, fine_albedo, hierarchical, paper",
+                            name));
   }
 }
 
@@ -148,6 +152,7 @@ void track(const facet::face::FaceModel& model, const Options& options, const st
       break;
     }
   }
+  first_pass.settle_subject();
   if (!first_pass.subject()) {
     throw Error(ErrorKind::NoFace, fmt::format("{}: the tracker found no face", sequence.name));
   }
@@ -239,7 +244,7 @@ facet::tools::Comparison compare_aligned(facet::tools::Reconstruction mesh, cons
   return facet::tools::compare(mesh, *measured.truth, facet::tools::Alignment::None);
 }
 
-/// The true albedo at the finest vertices, as far as the coarse mesh lies on the truth.
+/// The true albedo at the finest vertices, at the truth's points nearest to the aligned coarse mesh.
 std::shared_ptr<const facet::mesh::Albedo> true_albedo(const facet::tools::Reconstruction& coarse,
                                                        const MeasuredFrame& frame) {
   auto out = std::make_shared<facet::mesh::Albedo>();
@@ -247,7 +252,8 @@ std::shared_ptr<const facet::mesh::Albedo> true_albedo(const facet::tools::Recon
   constexpr float kReachMm = 50;
   const facet::simulation::TruthMesh& truth = frame.truth->mesh();
   for (Eigen::Index v = 0; v < coarse.vertices_mm.cols(); ++v) {
-    const auto closest = frame.truth->caster().closest_point(coarse.vertices_mm.col(v), kReachMm);
+    const auto closest = frame.truth->caster().closest_point(
+        frame.truth_from_camera * Eigen::Vector3f(coarse.vertices_mm.col(v)), kReachMm);
     const Eigen::Vector3f rho = closest.triangle < 0
                                     ? Eigen::Vector3f(Eigen::Vector3f::Constant(0.4F))
                                     : facet::render::interpolate(truth.triangles, closest.triangle,
@@ -373,6 +379,62 @@ void try_setting(facet::gpu::Context& context, const facet::face::FaceModel& mod
   std::fflush(stdout);
 }
 
+/// Displacements that reach the truth along the coarse normals, each smoothed over its ring `rounds` times.
+std::vector<float> true_displacements(const Sequence& sequence, const TrackedFrame& frame,
+                                      const MeasuredFrame& measured, int rounds) {
+  const facet::tools::Reconstruction coarse = reconstruct(sequence, frame, {});
+  const facet::simulation::Similarity& to_truth = measured.truth_from_camera;
+  const float bound_mm = RefinerConfig().displacement_bound_mm;
+  std::vector<float> displacements_mm(static_cast<std::size_t>(coarse.vertices_mm.cols()), 0.0F);
+  for (const std::int32_t v : measured.vertices) {
+    const Eigen::Vector3f at = to_truth * Eigen::Vector3f(coarse.vertices_mm.col(v));
+    const Eigen::Vector3f normal = to_truth.rotation * coarse.normals.col(v);
+    const auto outwards = measured.truth->caster().first_hit(at, normal);
+    const auto inwards = measured.truth->caster().first_hit(at, -normal);
+    const bool is_inside =
+        outwards.triangle >= 0 && (inwards.triangle < 0 || outwards.distance_mm < inwards.distance_mm);
+    if (is_inside || inwards.triangle >= 0) {
+      const float reach_mm = (is_inside ? outwards.distance_mm : -inwards.distance_mm) / to_truth.scale;
+      displacements_mm[static_cast<std::size_t>(v)] = std::abs(reach_mm) < bound_mm ? reach_mm : 0;
+    }
+  }
+  const facet::mesh::OneRings& rings = sequence.subject->hierarchy->finest().one_rings;
+  for (int round = 0; round < rounds; ++round) {
+    std::vector<float> smoother = displacements_mm;
+    for (std::size_t v = 0; v < smoother.size(); ++v) {
+      const auto first = static_cast<std::size_t>(rings.offsets[v]);
+      const auto end = static_cast<std::size_t>(rings.offsets[v + 1]);
+      float sum = 0;
+      for (std::size_t k = first; k < end; ++k) {
+        sum += displacements_mm[static_cast<std::size_t>(rings.neighbours[k])];
+      }
+      smoother[v] = 0.5F * displacements_mm[v] + 0.5F * sum / static_cast<float>(end - first);
+    }
+    displacements_mm = std::move(smoother);
+  }
+  return displacements_mm;
+}
+
+/// What displacements along the normals could reach, and at which width of smoothing it is lost.
+void print_reach(const std::vector<Sequence>& sequences) {
+  for (const int rounds : {0, 10, 40, 160, 640}) {
+    fmt::print("reach, smoothed {:<6}", rounds);
+    for (const Sequence& sequence : sequences) {
+      facet::tools::FigureSum sum;
+      for (const auto& [k, measured] : sequence.measured) {
+        const TrackedFrame& frame = sequence.frames[k];
+        const auto mesh = reconstruct(sequence, frame, true_displacements(sequence, frame, measured, rounds));
+        sum.add(static_cast<std::int64_t>(k), measured.vertices, compare_aligned(mesh, measured), 0);
+      }
+      const facet::tools::Figures figures = sum.figures();
+      fmt::print(" {:6.2f} {:+6.1f}% {:+6.1f}%", figures.normal_error_deg,
+                 100 * (figures.normal_error_deg / sequence.coarse.normal_error_deg - 1),
+                 100 * (figures.mean_mm / sequence.coarse.mean_mm - 1));
+    }
+    fmt::print("\n");
+  }
+}
+
 void run(const Options& options) {
   RefinerConfig base;
   for (const std::string& text : options.base) {
@@ -398,6 +460,9 @@ void run(const Options& options) {
       "mesh.\nThen: both changes averaged, photometric rms, rms change of displacements per frame (mm), "
       "device "
       "ms per frame.\n\n");
+  if (options.reach) {
+    print_reach(sequences);
+  }
   try_setting(context, model, sequences, base, "base");
   for (const Setting& sweep : sweeps) {
     for (const float value : sweep.values) {
@@ -428,6 +493,10 @@ int main(int argc, char** argv) {
       ->check(CLI::IsMember({"learned", "truth"}))
       ->capture_default_str();
   app.add_option("--min-edge-px", options.min_edge_px, "Of the hierarchy")->capture_default_str();
+  app.add_flag(
+      "--reach", options.reach,
+      "First what displacements could reach at best: the truth's own along the coarse normals, whole and "
+      "smoothed");
   app.add_option("--model", options.model, "Face model file")->capture_default_str();
   app.add_option("--device", options.device, "GPU, by part of its name")->capture_default_str();
   CLI11_PARSE(app, argc, argv);

@@ -16,6 +16,7 @@ SolvePush push_of(const LevelTopology& topology, const DisplacementOptions& opti
   push.coarse_weight = options.coarse_weight;
   push.robust_scale = options.robust_scale;
   push.bound_mm = options.bound_mm;
+  push.fold_slope = options.fold_slope;
   return push;
 }
 
@@ -104,6 +105,7 @@ void DisplacementKernels::record(gpu::Batch& batch, const LevelTopology& topolog
                      {{"vertex_rings", topology.vertex_rings.view},
                       {"ring_groups", topology.ring_groups.view},
                       {"normals", state.normals.view},
+                      {"bends", scratch.bends.view},
                       {"jacobian_rows", scratch.jacobian_rows.view},
                       {"searches", scratch.searches.view},
                       {"sums_so_far", scratch.sums.view},

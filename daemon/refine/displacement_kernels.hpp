@@ -17,6 +17,7 @@ struct DisplacementOptions {
   float hierarchy_weight = 0;  ///< w4; pass 0 at the coarsest refined level
   float coarse_weight = 0;     ///< w5, per mm^2
   float robust_scale = 0;      ///< Tukey's bound on relative residuals; 0: plain squares
+  float fold_slope = 0;        ///< bend at which w3 begins to spare a fold; 0: plain squares
   float bound_mm = 6;          ///< displacements are held within +- this
   int gauss_newton_steps = 2;
   int pcg_iterations = 7;

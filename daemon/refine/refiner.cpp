@@ -48,6 +48,7 @@ DisplacementOptions displacement_options(const RefinerConfig& config, bool has_p
   out.hierarchy_weight = has_prior ? config.weights.displacement_hierarchy : 0;
   out.coarse_weight = config.weights.displacement_coarse;
   out.robust_scale = config.robust_scale;
+  out.fold_slope = config.fold_slope;
   out.bound_mm = config.displacement_bound_mm;
   out.gauss_newton_steps = config.paper_budget ? kPaperGaussNewtonSteps : config.gauss_newton_steps;
   out.pcg_iterations = config.paper_budget ? kPaperPcgIterations : config.pcg_iterations;

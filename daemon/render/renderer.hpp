@@ -77,6 +77,10 @@ class Raycaster {
 /// all are done. work must be safe to call from two threads at once and must not throw.
 void for_each_row(int row_count, const std::function<void(int)>& work);
 
+/// The part of the hemisphere over each vertex (cosine-weighted, 0 to 1) that is free within 25 mm, a
+/// nostril's size; 1 at a vertex of no triangle. Returns [1][vertex_count]. Runs on up to two threads.
+Eigen::MatrixXf openness(const mesh::Vertices& vertices_mm, const mesh::Triangles& triangles);
+
 /// Values of a per-vertex field at the hits: [rows of field][height_px * width_px], 0 where nothing is hit.
 /// field [any][vertex_count].
 Eigen::MatrixXf interpolate(const HitImage& hits, const mesh::Triangles& triangles,

@@ -1,5 +1,6 @@
 #include <fmt/format.h>
 
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <thread>
@@ -105,6 +106,37 @@ Picture render_surface(const Raycaster& surface, const CameraIntrinsics& camera,
     }
   });
   return picture;
+}
+
+Eigen::MatrixXf openness(const mesh::Vertices& vertices_mm, const mesh::Triangles& triangles) {
+  constexpr int kRays = 64;
+  constexpr float kReach_mm = 25;
+  constexpr float kLift_mm = 0.3F;
+  const Raycaster caster(vertices_mm, triangles);
+  Eigen::Matrix3Xf normals;
+  mesh::vertex_normals(vertices_mm, triangles, normals);
+  Eigen::MatrixXf open_part(1, vertices_mm.cols());
+  for_each_row(static_cast<int>(vertices_mm.cols()), [&](int v) {
+    const Eigen::Vector3f normal = normals.col(v);
+    if (normal.isZero()) {  // a vertex of no triangle
+      open_part(0, v) = 1;
+      return;
+    }
+    const Eigen::Vector3f u = normal.unitOrthogonal();
+    const Eigen::Vector3f w = normal.cross(u);
+    const Eigen::Vector3f from = vertices_mm.col(v) + kLift_mm * normal;
+    float open = 0;
+    for (int ray = 0; ray < kRays; ++ray) {  // cosine-weighted, a spiral over the disc
+      const float part = (static_cast<float>(ray) + 0.5F) / kRays;
+      const float turn = static_cast<float>(ray) * 2.39996F;  // the golden angle
+      const float radius = std::sqrt(part);
+      const Eigen::Vector3f direction =
+          radius * std::cos(turn) * u + radius * std::sin(turn) * w + std::sqrt(1 - part) * normal;
+      open += caster.occluded(from, from + kReach_mm * direction, 0) ? 0.0F : 1.0F;
+    }
+    open_part(0, v) = open / kRays;
+  });
+  return open_part;
 }
 
 }  // namespace facet::render

@@ -278,6 +278,7 @@ void read_refiner(Section section, refine::RefinerConfig& refiner) {
   section.read_integer("pcg_iterations", refiner.pcg_iterations, 1, 1000);
   section.read_integer("albedo_frames", refiner.albedo_frames, 1, 10'000);
   section.read_number("robust_scale", refiner.robust_scale, 0, 1000);
+  section.read_number("fold_slope", refiner.fold_slope, 0, 1000);
   section.read_number("displacement_bound_mm", refiner.displacement_bound_mm, 0.01, 1000);
   Section weights = section.section("weights");
   constexpr double kMostWeight = 1e9;

@@ -49,38 +49,6 @@ Eigen::MatrixXf region_weights(const face::FaceModel& model,
   return weights;
 }
 
-/// The part of the hemisphere over each vertex that is free within a nostril's size.
-Eigen::MatrixXf find_openness(const mesh::Vertices& vertices_mm, const mesh::Triangles& triangles) {
-  constexpr int kRays = 64;
-  constexpr float kReach_mm = 25;
-  constexpr float kLift_mm = 0.3F;
-  const render::Raycaster caster(vertices_mm, triangles);
-  Eigen::Matrix3Xf normals;
-  mesh::vertex_normals(vertices_mm, triangles, normals);
-  Eigen::MatrixXf openness(1, vertices_mm.cols());
-  render::for_each_row(static_cast<int>(vertices_mm.cols()), [&](int v) {
-    const Vector3f normal = normals.col(v);
-    if (normal.isZero()) {  // a vertex of an eyeball, which is not in this mesh
-      openness(0, v) = 1;
-      return;
-    }
-    const Vector3f u = normal.unitOrthogonal();
-    const Vector3f w = normal.cross(u);
-    const Vector3f from = vertices_mm.col(v) + kLift_mm * normal;
-    float open = 0;
-    for (int ray = 0; ray < kRays; ++ray) {  // cosine-weighted, a spiral over the disc
-      const float part = (static_cast<float>(ray) + 0.5F) / kRays;
-      const float turn = static_cast<float>(ray) * 2.39996F;  // the golden angle
-      const float radius = std::sqrt(part);
-      const Vector3f direction =
-          radius * std::cos(turn) * u + radius * std::sin(turn) * w + std::sqrt(1 - part) * normal;
-      open += caster.occluded(from, from + kReach_mm * direction, 0) ? 0.0F : 1.0F;
-    }
-    openness(0, v) = open / kRays;
-  });
-  return openness;
-}
-
 mesh::Triangles split_quads(const mesh::Quads& quads) {
   mesh::Triangles triangles(3, 2 * quads.cols());
   for (Eigen::Index q = 0; q < quads.cols(); ++q) {
@@ -290,7 +258,7 @@ VirtualActor::VirtualActor(const face::FaceModel& model, std::uint64_t seed, boo
   }
   without_eyeballs = mesh::Quads(without_eyeballs.leftCols(kept));
   zones.openness =
-      push_to_finest(*hierarchy_, find_openness(basis_.neutral_mm, split_quads(without_eyeballs)))
+      push_to_finest(*hierarchy_, render::openness(basis_.neutral_mm, split_quads(without_eyeballs)))
           .row(0)
           .transpose();
 

@@ -53,7 +53,9 @@ class SubjectTracker {
                  const SubjectTrackerConfig& config);
 
   /// The next frame of a sequence. face: null where none was found; acquired: it was found afresh and may be
-  /// another one than in the last frame. timestamp_ns must not decrease. Valid until the next call.
+  /// another one than in the last frame. timestamp_ns: on the source's own clock (Frame::media_time_ns),
+  /// never decreasing, so that a result does not depend on how fast frames are worked off. Valid until the
+  /// next call.
   const SubjectFrame& process(const FaceLandmarks* face, bool acquired, int width_px, int height_px,
                               std::int64_t timestamp_ns);
 

@@ -55,7 +55,7 @@ struct Tracker::Impl {
     const Clock::time_point start = Clock::now();
     const SubjectFrame& subject =
         subject_tracker.process(landmarks.found ? &landmarks.face : nullptr, landmarks.acquired,
-                                frame.width_px, frame.height_px, frame.timestamp_ns);
+                                frame.width_px, frame.height_px, frame.media_time_ns);
     result.detect_ms += landmarks.detect_ms;
     result.landmarks_ms += landmarks.landmarks_ms;
     result.fit_ms += milliseconds_since(start);

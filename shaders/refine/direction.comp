@@ -14,6 +14,7 @@ layout(push_constant) uniform Push {
 uniform isamplerBuffer vertex_rings;
 uniform isamplerBuffer ring_groups;
 uniform samplerBuffer normals;
+uniform samplerBuffer bends;
 uniform samplerBuffer jacobian_rows;  // [group_count] four entries
 uniform samplerBuffer searches;       // [vertex_count + 1] z, p of the iteration before
 uniform samplerBuffer sums_so_far;
@@ -48,10 +49,10 @@ void main() {
     vec2 search = texelFetch(searches, int(i)).xy;
     float own = search.x + beta * search.y;
     float inverse_spacing = 1 / texelFetch(normals, int(i)).w;
-    float inverse_size = 1 / float(size);
-    float bend = (own - sum * inverse_size) * inverse_spacing;
-    products[i] = vec2(data, push.smooth_weight * bend * inverse_spacing * inverse_size);
-    curvature += data * data + push.smooth_weight * bend * bend +
+    float stiffness = texelFetch(bends, int(i)).y * float(size);
+    float bend = own * float(size) - sum;
+    products[i] = vec2(data, stiffness * bend / float(size));
+    curvature += data * data + stiffness * bend * bend / float(size) +
                  (push.hierarchy_weight * inverse_spacing * inverse_spacing + push.coarse_weight) * own * own;
   }
   float total = workgroup_sum(vec4(curvature, 0, 0, 0)).x;

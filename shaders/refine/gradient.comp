@@ -94,9 +94,10 @@ void main() {
     vec4 state = vec4(0);
     if (is_free(ring)) {
       float inverse_square = 1 / (own_normal.w * own_normal.w);
-      float own_bend = texelFetch(bends, int(i)).x * float(size);
+      vec2 own_bends = texelFetch(bends, int(i)).xy;
+      float own_bend = own_bends.x * float(size);
       state.w = push.hierarchy_weight * inverse_square + push.coarse_weight;
-      float diagonal = data_diagonal + push.smooth_weight * inverse_square + bend_diagonal + state.w;
+      float diagonal = data_diagonal + own_bends.y * float(size * size) + bend_diagonal + state.w;
       state.x = data - (own_bend - bend_sum) +
                 push.hierarchy_weight * inverse_square * (texelFetch(priors, int(i)).x - own.w) -
                 push.coarse_weight * own.w;

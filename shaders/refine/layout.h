@@ -50,8 +50,9 @@ struct SolvePush {
   float coarse_weight;     // w5
   float robust_scale;      // Tukey's bound on relative residuals, 0: plain squares
   float bound_mm;          // displacements are held within +- this
+  float fold_slope;        // bend at which a fold begins to be spared by w3, 0: never
 };
-FACET_LAYOUT_SIZE(SolvePush, 36)
+FACET_LAYOUT_SIZE(SolvePush, 40)
 
 struct LevelPush {
   uint vertex_count;

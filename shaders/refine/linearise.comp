@@ -65,9 +65,10 @@ void main() {
     float inverse_spacing = 1 / own_normal.w;
     float inverse_size = 1 / float(size);
     float bend = (own.w - sum * inverse_size) * inverse_spacing;
-    float bend_scale = push.smooth_weight * inverse_spacing * inverse_size;
+    float smooth_weight = push.smooth_weight * fold_weight(bend * bend, push.fold_slope);
+    float bend_scale = smooth_weight * inverse_spacing * inverse_size;
     float beyond = (texelFetch(priors, int(i)).x - own.w) * inverse_spacing;
-    energy += push.smooth_weight * bend * bend + push.hierarchy_weight * beyond * beyond +
+    energy += push.smooth_weight * fold_loss(bend * bend, push.fold_slope) + push.hierarchy_weight * beyond * beyond +
               push.coarse_weight * own.w * own.w;
 
     vec4 slope = vec4(0);

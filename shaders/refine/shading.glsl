@@ -36,3 +36,13 @@ float tukey_loss(float square, float scale) {
   t = t < 0 ? 0 : t;
   return scale * scale / 3 * (1 - t * t * t);
 }
+
+// Weight and loss of a squared bend: quadratic when small, linear beyond `slope`, so that folds stay sharp
+// (Charbonnier). slope 0: plain squares.
+float fold_weight(float square, float slope) {
+  return slope > 0 ? inversesqrt(1 + square / (slope * slope)) : 1;
+}
+
+float fold_loss(float square, float slope) {
+  return slope > 0 ? 2 * slope * slope * (sqrt(1 + square / (slope * slope)) - 1) : square;
+}

@@ -35,6 +35,7 @@ DisplacementOptions options_of(const reference::Problem& problem, int steps, int
   out.hierarchy_weight = static_cast<float>(problem.hierarchy_weight);
   out.coarse_weight = static_cast<float>(problem.coarse_weight);
   out.robust_scale = static_cast<float>(problem.robust_scale);
+  out.fold_slope = static_cast<float>(problem.fold_slope);
   out.gauss_newton_steps = steps;
   out.pcg_iterations = iterations;
   return out;

@@ -78,6 +78,7 @@ SmallProblem make_problem(int columns, int rows, unsigned seed, int level) {
   problem.hierarchy_weight = 0.01;
   problem.coarse_weight = 0.002;
   problem.robust_scale = 0.6;
+  problem.fold_slope = 0.1;
   return out;
 }
 

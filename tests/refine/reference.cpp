@@ -116,9 +116,20 @@ double tukey_loss(double residual, double scale) {
   return scale * scale / 3 * (1 - t * t * t);
 }
 
+double fold_weight(double bend, double slope) {
+  return slope > 0 ? 1 / std::sqrt(1 + bend * bend / (slope * slope)) : 1;
+}
+
+double fold_loss(double bend, double slope) {
+  return slope > 0 ? 2 * slope * slope * (std::sqrt(1 + bend * bend / (slope * slope)) - 1) : bend * bend;
+}
+
 Eigen::VectorXd step_weights(const Problem& problem, const Eigen::VectorXd& displacements_mm) {
-  Eigen::VectorXd out = Eigen::VectorXd::Zero(problem.vertex_count());
-  for (Eigen::Index i = 0; i < out.size(); ++i) {
+  const Eigen::Index count = problem.vertex_count();
+  Eigen::VectorXd out = Eigen::VectorXd::Zero(2 * count);
+  for (Eigen::Index i = 0; i < count; ++i) {
+    const double bend = graph_laplacian(*problem.rings, displacements_mm, i) / problem.spacing_mm[i];
+    out[count + i] = problem.smooth_weight * fold_weight(bend, problem.fold_slope);
     if (problem.data_weight[i] > 0) {
       const Eigen::Vector3d normal = displaced_normal(problem, displacements_mm, i).normalized();
       const double residual =
@@ -140,7 +151,8 @@ double energy(const Problem& problem, const Eigen::VectorXd& displacements_mm) {
     }
     const double bend = graph_laplacian(*problem.rings, displacements_mm, i) / problem.spacing_mm[i];
     const double detail = (problem.prolonged_mm[i] - displacements_mm[i]) / problem.spacing_mm[i];
-    sum += problem.smooth_weight * bend * bend + problem.hierarchy_weight * detail * detail +
+    sum += problem.smooth_weight * fold_loss(bend, problem.fold_slope) +
+           problem.hierarchy_weight * detail * detail +
            problem.coarse_weight * displacements_mm[i] * displacements_mm[i];
   }
   return sum;
@@ -159,7 +171,7 @@ Eigen::VectorXd residuals(const Problem& problem, const Eigen::VectorXd& displac
     }
     const double spacing = problem.spacing_mm[i];
     out[3 * count + i] =
-        -std::sqrt(problem.smooth_weight) * graph_laplacian(*problem.rings, displacements_mm, i) / spacing;
+        -std::sqrt(weights[count + i]) * graph_laplacian(*problem.rings, displacements_mm, i) / spacing;
     out[4 * count + i] =
         std::sqrt(problem.hierarchy_weight) * (problem.prolonged_mm[i] - displacements_mm[i]) / spacing;
     out[5 * count + i] = -std::sqrt(problem.coarse_weight) * displacements_mm[i];
@@ -205,7 +217,7 @@ Eigen::SparseMatrix<double> jacobian(const Problem& problem, const Eigen::Vector
       }
     }
     const double spacing = problem.spacing_mm[i];
-    const double bend = std::sqrt(problem.smooth_weight) / spacing;
+    const double bend = std::sqrt(weights[count + i]) / spacing;
     add(3 * count + i, i, bend);
     for (Eigen::Index k = 0; k < ring.size; ++k) {
       add(3 * count + i, ring.vertices[k], -bend / static_cast<double>(ring.size));

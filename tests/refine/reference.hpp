@@ -41,6 +41,7 @@ struct Problem {
   double hierarchy_weight = 0;   ///< w4, on (pd_i - d_i) / spacing_i
   double coarse_weight = 0;      ///< w5, on d_i in mm
   double robust_scale = 0;       ///< Tukey's bound on |I - R|, weighted; 0: plain squares
+  double fold_slope = 0;         ///< bend from which on w3 grows linearly; 0: plain squares
 
   Eigen::Index vertex_count() const { return vertices_mm.cols(); }
 };
@@ -67,7 +68,13 @@ double tukey_weight(double residual, double scale);
 /// Tukey's loss, near r^2 for small r, at most scale^2 / 3; r^2 where scale is 0.
 double tukey_loss(double residual, double scale);
 
-/// Weights that the data rows carry in one Gauss-Newton step: data_weight times Tukey's weight at d.
+/// Charbonnier's weight and loss of a bend: near 1 and bend^2 where it is small, slope / bend and 2 slope
+/// bend where it is large.
+double fold_weight(double bend, double slope);
+double fold_loss(double bend, double slope);
+
+/// Weights in one Gauss-Newton step, [2K]: of the data rows, data_weight times Tukey's weight at d; then of
+/// the smoothness rows, w3 times the fold weight at d.
 Eigen::VectorXd step_weights(const Problem& problem, const Eigen::VectorXd& displacements_mm);
 
 /// E(d) of eq. 6.

@@ -78,9 +78,18 @@ TEST(RefineReference, GaussNewtonLowersTheEnergyToAStationaryPoint) {
   }
 }
 
+TEST(RefineReference, FoldWeightIsTheSlopeOfItsLoss) {
+  constexpr double kStep = 1e-6;
+  for (const double bend : {0.001, 0.02, 0.3}) {
+    const double slope = (fold_loss(bend + kStep, 0.02) - fold_loss(bend - kStep, 0.02)) / (2 * kStep);
+    EXPECT_NEAR(2 * bend * fold_weight(bend, 0.02), slope, 1e-8);
+  }
+}
+
 TEST(RefineReference, EnergyIsTheSumOfSquaredResiduals) {
   test::SmallProblem small = test::make_problem(5, 6, 29);
   small.problem.robust_scale = 0;
+  small.problem.fold_slope = 0;
   const auto weights = step_weights(small.problem, small.start_mm);
   const double expected = residuals(small.problem, small.start_mm, weights).squaredNorm();
   EXPECT_NEAR(energy(small.problem, small.start_mm), expected, 1e-12 * expected);

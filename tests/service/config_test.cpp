@@ -69,6 +69,7 @@ TEST(Config, SampleShowsEveryKeyWithItsDefault) {
   EXPECT_EQ(refiner.pcg_iterations, expected.pcg_iterations);
   EXPECT_EQ(refiner.albedo_frames, expected.albedo_frames);
   EXPECT_EQ(refiner.robust_scale, expected.robust_scale);
+  EXPECT_EQ(refiner.fold_slope, expected.fold_slope);
   EXPECT_EQ(refiner.displacement_bound_mm, expected.displacement_bound_mm);
   EXPECT_EQ(refiner.weights.lighting_temporal, expected.weights.lighting_temporal);
   EXPECT_EQ(refiner.weights.albedo_smooth, expected.weights.albedo_smooth);

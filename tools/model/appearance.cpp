@@ -16,6 +16,8 @@ constexpr double kHairlineMm = 66;      // above it, hair on most heads
 constexpr double kTempleDepthMm = -48;  // behind it, in front of the ears, hair or the ear itself
 constexpr double kLipRingsMm = 16;      // the lips' height above and below their seam at the mid-line
 constexpr int kLipRings = 7;            // of quads, from the seam to the vermilion border
+constexpr int kRimRings = 2;            // of quads, from the seam of lids and lips over their rims
+constexpr float kHollow = 0.3F;         // less of the hemisphere is open in nostrils
 constexpr double kIrisAngleRad = 0.42;  // 6 mm of iris on a 14 mm eyeball
 
 struct Brow {
@@ -67,12 +69,13 @@ std::vector<std::uint8_t> find_regions(const HeadMesh& head, const Eigen::Matrix
     lip_half_width_mm = std::max(lip_half_width_mm, std::abs(mean_mm(0, v)));
     lip_seam_y_mm += mean_mm(1, v) / static_cast<double>(head.lip_seam.size());
   }
-  std::vector<std::uint8_t> lid_seam(head.part.size(), 0);
-  for (const auto* seam : {&head.left_lid_seam, &head.right_lid_seam}) {
-    for (const int v : *seam) {
-      lid_seam[static_cast<std::size_t>(v)] = 1;
-    }
-  }
+  // Shading says nothing of the lids' and lips' rims, with lashes, wet edges and the shadow between them, nor
+  // of nostrils.
+  std::vector<int> rims = head.lip_seam;
+  rims.insert(rims.end(), head.left_lid_seam.begin(), head.left_lid_seam.end());
+  rims.insert(rims.end(), head.right_lid_seam.begin(), head.right_lid_seam.end());
+  const std::vector<int> rim_ring = ring_distance(head.quads, head.vertex_count(), rims, kRimRings);
+  const Eigen::MatrixXf openness = render::openness(mean_mm.cast<float>(), split_quads(head.quads));
   const Brow brow;
   std::vector<std::uint8_t> regions(head.part.size(), 0);
   for (std::size_t v = 0; v < regions.size(); ++v) {
@@ -86,7 +89,8 @@ std::vector<std::uint8_t> find_regions(const HeadMesh& head, const Eigen::Matrix
                          std::abs(p.y() - brow_height_mm(brow, across)) < brow.half_width_mm;
     const bool scalp = skin && (ear[v] != 0 || p.y() > kHairlineMm || p.z() < kTempleDepthMm);
     const bool boundary = head.on_boundary[v] != 0;
-    const bool refinable = skin && !scalp && !boundary && lid_seam[v] == 0;
+    const bool refinable =
+        skin && !scalp && !boundary && rim_ring[v] < 0 && openness(0, static_cast<Eigen::Index>(v)) > kHollow;
     const auto mark = [&](bool is, Region region) {
       regions[v] = static_cast<std::uint8_t>(regions[v] | (is ? static_cast<std::uint8_t>(region) : 0));
     };
