@@ -10,6 +10,7 @@
 #include <iterator>
 #include <vector>
 
+#include "facet/error.hpp"
 #include "stream/decoder.hpp"
 #include "stream/encoder.hpp"
 #include "support/mesh_frames.hpp"
