@@ -4,6 +4,8 @@
 
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
 
 #include "commands.hpp"
 #include "daemon_options.hpp"
@@ -37,6 +39,20 @@ void print_stages(const json& stages) {
   }
 }
 
+void print_camera(const json& camera) {
+  const std::string reason = camera["reason"];
+  fmt::print("camera        {}{}\n", camera["state"].get<std::string>(), reason.empty() ? "" : ": " + reason);
+  std::vector<std::string> counts;
+  for (const CameraCount& count : kCameraCounts) {
+    if (const std::uint64_t value = camera["frames"][count.name]; value > 0) {
+      counts.push_back(fmt::format("{} {}", value, count.name));
+    }
+  }
+  if (!counts.empty()) {
+    fmt::print("              {}\n", fmt::join(counts, ", "));
+  }
+}
+
 void print(const json& status) {
   const json& source = status["source"];
   const json& frames = status["frames"];
@@ -49,6 +65,7 @@ void print(const json& status) {
   fmt::print("source        {} ({} x {} px, {:.2f} Hz{})\n", source["name"].get<std::string>(),
              source["width_px"].get<int>(), source["height_px"].get<int>(), source["rate_hz"].get<double>(),
              source["live"].get<bool>() ? ", live" : "");
+  print_camera(status["camera"]);
   const auto count = [&](const char* which) { return frames[which].get<std::uint64_t>(); };
   fmt::print(
       "frames        {} captured, {} dropped, {} handed out: {} with a mesh, {} refined, {} degraded\n",

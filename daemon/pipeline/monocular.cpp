@@ -82,6 +82,10 @@ struct MonocularPipeline::Impl {
   PipelineStatus shown;  ///< guarded by shown_mutex
   Figures figures;       ///< guarded by shown_mutex
 
+  // facet-capture only.
+  CameraState camera_state = CameraState::Idle;
+  std::string camera_reason;
+
   // facet-track only.
   std::uint64_t next_sequence = 0;
   std::uint32_t identity_count = 0;  ///< TrackResult::subject that `identity` belongs to
@@ -101,6 +105,7 @@ struct MonocularPipeline::Impl {
   void capture();
   void capture_until_end();
   void note_early_end(const std::string& error);
+  void note_camera();
   bool take(Captured&& item);
   void track();
   void track_one(Captured&& item);
@@ -162,6 +167,7 @@ void MonocularPipeline::Impl::capture_until_end() {
     Captured item;
     const Clock::time_point begun = Clock::now();
     const CaptureOutcome outcome = stages.camera->next(item.frame, kCaptureTimeout);
+    note_camera();
     if (outcome == CaptureOutcome::Failed) {
       source_failure.emplace(ErrorKind::UnreadableInput, stages.camera->last_error());
       return;
@@ -196,6 +202,24 @@ void MonocularPipeline::Impl::note_early_end(const std::string& error) {
     messages.warning(error);
     const std::lock_guard lock(shown_mutex);
     shown.reason = error;
+  }
+}
+
+/// Says in the log what became of a live source.
+void MonocularPipeline::Impl::note_camera() {
+  if (!source.live) {
+    return;
+  }
+  const CameraStatus now = stages.camera->status();
+  if (now.state == camera_state && now.reason == camera_reason) {
+    return;
+  }
+  camera_state = now.state;
+  camera_reason = now.reason;
+  if (now.reason.empty()) {
+    messages.info(fmt::format("camera {}", to_string(now.state)));
+  } else {
+    messages.warning(fmt::format("camera {}: {}", to_string(now.state), now.reason));
   }
 }
 
@@ -399,6 +423,7 @@ bool MonocularPipeline::finished() const {
 PipelineStatus MonocularPipeline::status() const {
   const std::lock_guard lock(impl_->shown_mutex);
   PipelineStatus status = impl_->shown;
+  status.camera = impl_->stages.camera->status();
   impl_->figures.fill(status);
   return status;
 }

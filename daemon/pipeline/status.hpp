@@ -51,6 +51,7 @@ struct PipelineStatus {
   std::string reason;  ///< for people: why it Failed, or what the source said when it Ended early
   ErrorKind failure_kind = ErrorKind::Internal;  ///< where Failed; UnreadableInput: it was the source
   CameraInfo source;
+  CameraStatus camera;         ///< how the source does now
   std::string device;          ///< of the refinement, for people; empty while there is none
   std::uint64_t captured = 0;  ///< frames that the source produced, within the range asked for
   std::uint64_t dropped =

@@ -16,6 +16,18 @@ namespace facet::service {
 
 using nlohmann::json;
 
+namespace {
+
+json to_json(const CameraStatus& camera) {
+  json counts = json::object();
+  for (const CameraCount& count : kCameraCounts) {
+    counts[count.name] = camera.counters.*count.value;
+  }
+  return {{"state", to_string(camera.state)}, {"reason", camera.reason}, {"frames", std::move(counts)}};
+}
+
+}  // namespace
+
 json to_json(const pipeline::PipelineStatus& status) {
   json stages = json::object();
   for (std::size_t s = 0; s < pipeline::kStages.size(); ++s) {
@@ -30,6 +42,7 @@ json to_json(const pipeline::PipelineStatus& status) {
         {"height_px", status.source.height_px},
         {"rate_hz", status.source.rate_hz},
         {"live", status.source.live}}},
+      {"camera", to_json(status.camera)},
       {"frames",
        {{"captured", status.captured},
         {"dropped", status.dropped},

@@ -6,6 +6,7 @@
 #include <exception>
 #include <mutex>
 #include <string>
+#include <utility>
 
 namespace facet::simulation {
 namespace {
@@ -31,20 +32,29 @@ class SimulatedCamera final : public Camera {
             .intrinsics = studio_.camera()};
   }
 
+  CameraStatus status() const override {
+    const std::lock_guard lock(mutex_);
+    return status_;
+  }
+
   void start() override {
     running_ = true;
     start_ns_ = monotonic_ns();
+    set_state(CameraState::Opening);
   }
 
   CaptureOutcome next(Frame& out, std::chrono::milliseconds /*timeout*/) override {
-    if (!running_ || next_index_ >= studio_.config().frame_count) {
+    if (!running_) {
+      return CaptureOutcome::EndOfStream;
+    }
+    if (next_index_ >= studio_.config().frame_count) {
+      set_state(CameraState::Ended);
       return CaptureOutcome::EndOfStream;
     }
     try {
       out = render::to_frame(studio_.render(next_index_, nullptr).picture);
     } catch (const std::exception& failure) {
-      const std::lock_guard lock(mutex_);
-      last_error_ = failure.what();
+      set_state(CameraState::Failing, failure.what());
       return CaptureOutcome::Failed;
     }
     constexpr std::int64_t kSecond_ns = 1'000'000'000;
@@ -52,23 +62,32 @@ class SimulatedCamera final : public Camera {
     out.media_time_ns = next_index_ * kSecond_ns / studio_.config().rate_hz;
     out.timestamp_ns = std::max(start_ns_ + out.media_time_ns, monotonic_ns());
     ++next_index_;
+    const std::lock_guard lock(mutex_);
+    status_.state = CameraState::Streaming;
+    ++status_.counters.delivered;
     return CaptureOutcome::Delivered;
   }
 
-  void stop() override { running_ = false; }
-
-  std::string last_error() const override {
-    const std::lock_guard lock(mutex_);
-    return last_error_;
+  void stop() override {
+    running_ = false;
+    set_state(CameraState::Idle);
   }
 
+  std::string last_error() const override { return status().reason; }
+
  private:
+  void set_state(CameraState state, std::string reason = {}) {
+    const std::lock_guard lock(mutex_);
+    status_.state = state;
+    status_.reason = std::move(reason);
+  }
+
   Studio studio_;
   bool running_ = false;
   int next_index_ = 0;
   std::int64_t start_ns_ = 0;
   mutable std::mutex mutex_;
-  std::string last_error_;  // guarded by mutex_
+  CameraStatus status_;  // guarded by mutex_
 };
 
 }  // namespace

@@ -10,6 +10,7 @@
 #include <thread>
 #include <vector>
 
+#include "camera/pixel_buffers.hpp"
 #include "facet/error.hpp"
 
 extern "C" {
@@ -24,9 +25,6 @@ namespace facet::camera {
 namespace {
 
 constexpr int kMaxSide_px = 16384;
-/// Frames of other formats are converted with this many bytes between rows a multiple of: what swscale's
-/// vector code likes.
-constexpr int kRowAlignment_bytes = 64;
 constexpr std::int64_t kSecond_ns = 1'000'000'000;
 /// A recorded file can't tell its rate: what browsers and players assume.
 constexpr double kDefaultRate_hz = 25.0;
@@ -82,55 +80,20 @@ int quarter_turns(const AVStream& stream) {
   return static_cast<int>((turns % 4 + 4) % 4);
 }
 
-/// Pixel buffers that come back when their last reader lets go of them; it outlives the camera while readers
-/// hold frames.
-class BufferPool : public std::enable_shared_from_this<BufferPool> {
- public:
-  /// Any thread. Costs one small control block a frame once as many buffers exist as are in use at a time.
-  std::shared_ptr<std::uint8_t[]> take(std::size_t size_bytes) {
-    Buffer buffer;
-    {
-      const std::scoped_lock lock(mutex_);
-      if (!free_.empty()) {
-        buffer = std::move(free_.back());
-        free_.pop_back();
-      }
-    }
-    if (buffer == nullptr) {
-      buffer.reset(
-          static_cast<std::uint8_t*>(::operator new[](size_bytes, std::align_val_t{kRowAlignment_bytes})));
-    }
-    return {buffer.release(), [pool = shared_from_this()](std::uint8_t* bytes) { pool->give_back(bytes); }};
-  }
-
- private:
-  struct Free {
-    void operator()(std::uint8_t* bytes) const {
-      ::operator delete[](bytes, std::align_val_t{kRowAlignment_bytes});
-    }
-  };
-  using Buffer = std::unique_ptr<std::uint8_t[], Free>;
-
-  void give_back(std::uint8_t* bytes) {
-    const std::scoped_lock lock(mutex_);
-    free_.emplace_back(bytes);
-  }
-
-  std::mutex mutex_;
-  std::vector<Buffer> free_;  // every buffer of one camera has one size
-};
-
 class VideoFile final : public Camera {
  public:
   explicit VideoFile(const CameraConfig& config);
 
   CameraInfo info() const override { return info_; }
+  CameraStatus status() const override;
   void start() override;
   CaptureOutcome next(Frame& out, std::chrono::milliseconds timeout) override;
-  void stop() override { stopped_ = true; }
+  void stop() override;
   std::string last_error() const override;
 
  private:
+  CaptureOutcome next_frame(Frame& out, std::chrono::milliseconds timeout);
+  void set_state(CameraState state, std::string reason = {});
   enum class Decoded { Frame, End, Failed };
   Decoded decode();
   bool rewind();
@@ -144,7 +107,7 @@ class VideoFile final : public Camera {
   std::unique_ptr<AVFrame, FrameDeleter> frame_{av_frame_alloc()};
   std::unique_ptr<AVPacket, PacketDeleter> packet_{av_packet_alloc()};
   std::unique_ptr<SwsContext, ScalerDeleter> scaler_;
-  std::shared_ptr<BufferPool> pool_ = std::make_shared<BufferPool>();
+  std::shared_ptr<PixelBuffers> pool_ = std::make_shared<PixelBuffers>();
   std::vector<std::uint8_t> unrotated_;  // only where the file asks for a rotation
 
   int stream_index_ = -1;
@@ -166,8 +129,9 @@ class VideoFile final : public Camera {
   std::int64_t period_ns_ = 0;
   std::int64_t clock_start_ns_ = 0;
 
-  mutable std::mutex error_mutex_;
-  std::string error_;
+  mutable std::mutex shown_mutex_;
+  std::string error_;    // guarded by shown_mutex_
+  CameraStatus status_;  // guarded by shown_mutex_
 };
 
 VideoFile::VideoFile(const CameraConfig& config) : config_(config) {
@@ -277,15 +241,32 @@ void VideoFile::start() {
   }
   started_ = true;
   clock_start_ns_ = monotonic_ns();
+  set_state(CameraState::Opening);
+}
+
+void VideoFile::stop() {
+  stopped_ = true;
+  set_state(CameraState::Idle);
+}
+
+CameraStatus VideoFile::status() const {
+  const std::scoped_lock lock(shown_mutex_);
+  return status_;
+}
+
+void VideoFile::set_state(CameraState state, std::string reason) {
+  const std::scoped_lock lock(shown_mutex_);
+  status_.state = state;
+  status_.reason = std::move(reason);
 }
 
 std::string VideoFile::last_error() const {
-  const std::scoped_lock lock(error_mutex_);
+  const std::scoped_lock lock(shown_mutex_);
   return error_;
 }
 
 void VideoFile::set_error(std::string text) {
-  const std::scoped_lock lock(error_mutex_);
+  const std::scoped_lock lock(shown_mutex_);
   error_ = std::move(text);
 }
 
@@ -394,10 +375,8 @@ bool VideoFile::deliver(Frame& out) {
   sws_setColorspaceDetails(scaler_.get(), sws_getCoefficients(matrix), full_range ? 1 : 0,
                            sws_getCoefficients(SWS_CS_DEFAULT), 1, 0, 1 << 16, 1 << 16);
 
-  const int stride =
-      (info_.width_px * 4 + kRowAlignment_bytes - 1) / kRowAlignment_bytes * kRowAlignment_bytes;
-  const int scaled_stride =
-      (scaled_width_px_ * 4 + kRowAlignment_bytes - 1) / kRowAlignment_bytes * kRowAlignment_bytes;
+  const int stride = rgba_stride_bytes(info_.width_px);
+  const int scaled_stride = rgba_stride_bytes(scaled_width_px_);
   auto buffer = pool_->take(static_cast<std::size_t>(stride) * static_cast<std::size_t>(info_.height_px));
   std::uint8_t* scaled = buffer.get();
   if (turns_ != 0) {
@@ -448,7 +427,26 @@ bool VideoFile::deliver(Frame& out) {
 }
 
 CaptureOutcome VideoFile::next(Frame& out, std::chrono::milliseconds timeout) {
-  if (!started_ || stopped_ || at_end_) {
+  if (!started_ || stopped_) {
+    return CaptureOutcome::EndOfStream;
+  }
+  const CaptureOutcome outcome = next_frame(out, timeout);
+  if (outcome == CaptureOutcome::EndOfStream) {
+    set_state(CameraState::Ended);
+  } else if (outcome == CaptureOutcome::Failed) {
+    set_state(CameraState::Failing, last_error());
+  } else if (outcome == CaptureOutcome::Delivered) {
+    const std::scoped_lock lock(shown_mutex_);
+    status_.state = CameraState::Streaming;
+    ++status_.counters.delivered;
+    status_.counters.damaged += out.corrupt ? 1 : 0;
+    status_.counters.skipped = decoded_count_ - status_.counters.delivered;
+  }
+  return outcome;
+}
+
+CaptureOutcome VideoFile::next_frame(Frame& out, std::chrono::milliseconds timeout) {
+  if (at_end_) {
     return CaptureOutcome::EndOfStream;
   }
   const std::int64_t deadline_ns =

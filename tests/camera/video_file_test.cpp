@@ -79,8 +79,12 @@ TEST_F(VideoFileTest, DeliversEveryFrameOfAFileInOrderWithItsTimes) {
   EXPECT_EQ(camera->info().height_px, 48);
   EXPECT_DOUBLE_EQ(camera->info().rate_hz, 25);
   EXPECT_FALSE(camera->info().live);
+  EXPECT_EQ(camera->status().state, CameraState::Opening);
   const auto frames = all_frames(*camera);
   ASSERT_EQ(frames.size(), 50U);
+  EXPECT_EQ(camera->status().state, CameraState::Ended);
+  EXPECT_EQ(camera->status().counters.delivered, 50U);
+  EXPECT_EQ(camera->status().counters.skipped, 0U);
   for (std::size_t i = 0; i < frames.size(); ++i) {
     EXPECT_EQ(frames[i].sequence, i);
     EXPECT_NEAR(static_cast<double>(frames[i].media_time_ns), 40e6 * static_cast<double>(i), 1e6);

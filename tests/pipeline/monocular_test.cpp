@@ -374,6 +374,23 @@ TEST_F(Monocular, StopsWhileNothingComes) {
   EXPECT_TRUE(script_.camera_stopped);
 }
 
+TEST_F(Monocular, SaysWhatBecomesOfALiveCamera) {
+  script_.live = true;
+  script_.camera_changes = {{0, {CameraState::Absent, "scripted: unplugged", {}}},
+                            {4, {CameraState::Streaming, "", {}}}};
+  const PipelineStatus status = run();
+  EXPECT_EQ(status.state, PipelineState::Ended);
+  EXPECT_EQ(status.camera.state, CameraState::Streaming);
+  std::vector<std::string> said;
+  for (const Messages::Message& message : pipeline_->take_messages()) {
+    if (message.text.starts_with("camera")) {
+      EXPECT_EQ(message.warning, said.empty());
+      said.push_back(message.text);
+    }
+  }
+  EXPECT_THAT(said, testing::ElementsAre("camera absent: scripted: unplugged", "camera streaming"));
+}
+
 TEST_F(Monocular, StopsWhileEveryStageIsBusy) {
   script_.frame_count = ~0ULL;
   script_.refiner_gate.set(false);

@@ -23,6 +23,10 @@ class ScriptedCamera final : public Camera {
     info.frame_count = script_.frame_count;
     return info;
   }
+  CameraStatus status() const override {
+    const std::lock_guard lock(script_.camera_status_mutex);
+    return script_.camera_status;
+  }
   void start() override {
     if (script_.throws_at_start) {
       throw Error(ErrorKind::UnreadableInput, "scripted: cannot start");
@@ -31,6 +35,13 @@ class ScriptedCamera final : public Camera {
   CaptureOutcome next(Frame& out, std::chrono::milliseconds timeout) override {
     if (script_.silent) {
       std::this_thread::sleep_for(timeout);
+      return CaptureOutcome::Timeout;
+    }
+    const auto change = script_.camera_changes.find(next_);
+    if (change != script_.camera_changes.end()) {
+      const std::lock_guard lock(script_.camera_status_mutex);
+      script_.camera_status = change->second;
+      script_.camera_changes.erase(change);
       return CaptureOutcome::Timeout;
     }
     script_.camera_gate.pass();

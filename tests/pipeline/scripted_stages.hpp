@@ -3,6 +3,7 @@
 #include <atomic>
 #include <condition_variable>
 #include <functional>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <string>
@@ -43,8 +44,11 @@ struct Script {
   std::string end_note;              ///< what the camera says was wrong when it is at its end
   std::uint64_t corrupt_at = ~0ULL;  ///< sequence of a damaged image
   bool throws_at_start = false;
-  bool silent = false;  ///< nothing ever comes
-  Gate camera_gate;     ///< before every frame
+  bool silent = false;                                   ///< nothing ever comes
+  std::map<std::uint64_t, CameraStatus> camera_changes;  ///< before the frame of that sequence
+  std::mutex camera_status_mutex;
+  CameraStatus camera_status;  ///< guarded by camera_status_mutex
+  Gate camera_gate;            ///< before every frame
   std::atomic<bool> camera_stopped{false};
 
   // The tracker.

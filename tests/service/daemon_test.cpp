@@ -237,6 +237,8 @@ TEST_F(DaemonWithAssets, RecordsOnCommand) {
   const auto daemon = start(configure(looped()));
   const json status = await(*daemon, is_running);
   EXPECT_EQ(status["source"]["width_px"], 400);
+  EXPECT_EQ(status["camera"]["state"], "streaming");
+  EXPECT_GT(status["camera"]["frames"]["delivered"], 0);
   EXPECT_EQ(status["recording"], nullptr);
   EXPECT_THROW(ask("record.stop"), Error);
   EXPECT_EQ(ask("record.start", {{"name", "first"}})["file"], (folder_.path() / "takes/first.take").string());
