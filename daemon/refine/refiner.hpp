@@ -22,7 +22,7 @@ struct Weights {
   float albedo_smooth = 2000.0F;        ///< w2, eq. 4, against a vertex of mean brightness
   float displacement_smooth = 10.0F;    ///< w3, eq. 6, of the squared slope (L d) / spacing
   float displacement_hierarchy = 0.3F;  ///< w4, eq. 6, of the squared slope (pd - d) / spacing
-  float displacement_coarse = 0.001F;   ///< w5, eq. 6, of d^2 in mm^2
+  float displacement_coarse = 0.004F;   ///< w5, eq. 6, of d^2 in mm^2
 };
 
 struct RefinerConfig {
@@ -44,7 +44,7 @@ struct RefinerConfig {
   float metric_floor = 0.1F;
   /// Bend (L d / spacing) from which on the smoothness term w3 grows linearly instead of quadratically: folds
   /// stay sharp where skin between them is kept quiet. 0: plain squares as in the paper.
-  float fold_slope = 0.02F;
+  float fold_slope = 0.05F;
   /// Displacements are held within +- this: three times the coarse mesh's mean error. More is no wrinkle.
   float displacement_bound_mm = 6;
   bool record_energies = false;  ///< fill RefineOutput::energies: for convergence plots
