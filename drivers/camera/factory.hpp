@@ -1,24 +1,49 @@
 #pragma once
 
+#include <array>
+#include <chrono>
 #include <filesystem>
 #include <memory>
+#include <optional>
+#include <string>
 
 #include "facet/camera.hpp"
 
 namespace facet::camera {
 
-/// Which source, and how it behaves. Kinds: "file" (any video or picture that FFmpeg reads).
+/// A device of V4L2 and how it is set. Without a value a control is regulated by the device itself, where it
+/// can.
+struct V4l2Config {
+  std::filesystem::path device{};  ///< such as /dev/v4l/by-path/..., which names a socket, or /dev/video0
+  std::string format = "auto";     ///< one of kV4l2Formats
+  int width_px = 1280;
+  int height_px = 720;
+  double rate_hz = 30;
+  std::optional<int> exposure_us{};
+  std::optional<int> gain{};                    ///< in units of the device
+  std::optional<int> white_balance_k{};         ///< colour temperature
+  unsigned buffers = 4;                         ///< that the driver fills in turn
+  std::chrono::milliseconds stall_after{2000};  ///< without a frame: the device is started anew
+};
+
+/// "auto": the first of those after it that has size and rate.
+inline constexpr std::array kV4l2Formats = {"auto", "YUYV", "NV12", "MJPEG", "GREY", "Y16", "Y10"};
+
+/// Which source, and how it behaves. Kinds: "file" (any video or picture that FFmpeg reads), "v4l2" (a camera
+/// of the Linux kernel).
 struct CameraConfig {
   std::string kind = "file";
   std::filesystem::path path{};  ///< file: the video
   bool paced = false;  ///< file: deliver at the recorded rate and skip what the reader is too slow for, like
                        ///< a live camera
   bool loop = false;   ///< file: start over at the end; sequence and times go on
+  V4l2Config v4l2{};
 };
 
-/// Opens a source; throws Error(Usage) for an unknown kind, Error(UnreadableInput) naming the file or device
-/// and what is wrong with it. A new kind of camera is one more file in this folder and one more line in this
-/// function.
+/// Opens a source; throws Error(Usage) for an unknown kind or a device that can't do what is asked, naming
+/// what it can, and Error(UnreadableInput) naming the file and what is wrong with it. A device that is absent
+/// or fails is no error: see CameraStatus. A new kind of camera is one more file in this folder and one more
+/// line in this function.
 std::unique_ptr<Camera> open_camera(const CameraConfig& config);
 
 }  // namespace facet::camera

@@ -1,0 +1,115 @@
+#pragma once
+
+#include <linux/videodev2.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "camera/factory.hpp"
+#include "camera/pixel_conversion.hpp"
+#include "camera/v4l2_kernel.hpp"
+
+namespace facet::camera {
+
+/// Why a device can't be used now; the message names it.
+struct DeviceFault : std::runtime_error {
+  enum class Kind {
+    Absent,      ///< no such device, or it went away
+    Failing,     ///< it is there and refuses
+    Unsuitable,  ///< it can't do what the configuration asks; the message says what it can
+  };
+  DeviceFault(Kind given, const std::string& message) : std::runtime_error(message), kind(given) {}
+  Kind kind;
+};
+
+/// What a device says that it offers in one pixel format at one size or range of sizes.
+struct V4l2Mode {
+  std::uint32_t fourcc = 0;
+  int min_width_px = 0;
+  int min_height_px = 0;
+  int max_width_px = 0;  ///< the same as the least where there is no range
+  int max_height_px = 0;
+  std::vector<std::pair<double, double>> rates_hz;  ///< least and most, equal where there is no range; empty:
+                                                    ///< the driver does not tell
+};
+
+/// For people, such as "YUYV 640x480 at 30, 15 Hz; MJPG 1280x720 at 30 Hz".
+std::string describe(const std::vector<V4l2Mode>& modes);
+
+/// One open V4L2 capture device. One thread. Everything throws DeviceFault where the device does not do it.
+class V4l2Device {
+ public:
+  /// Opens the device and reads what it offers.
+  V4l2Device(V4l2Kernel& kernel, const std::string& path);
+  /// Ends the stream and closes.
+  ~V4l2Device();
+  V4l2Device(const V4l2Device&) = delete;
+  V4l2Device& operator=(const V4l2Device&) = delete;
+
+  const std::string& card() const { return card_; }
+  const std::vector<V4l2Mode>& modes() const { return modes_; }
+
+  /// Throws Unsuitable where the device can't do it; changes nothing in the device.
+  void check(const V4l2Config& config) const;
+
+  /// Sets format, rate and controls, hands the driver its buffers and begins the stream.
+  void start(const V4l2Config& config);
+
+  struct Format {
+    std::optional<PixelLayout> layout;  ///< none: JPEG
+    ColourCoding coding;
+    std::size_t stride_bytes = 0;
+    std::size_t least_bytes = 0;  ///< that a whole picture has; JPEG: 1
+  };
+  const Format& format() const { return format_; }         ///< once started
+  std::int64_t started_ns() const { return started_ns_; }  ///< CLOCK_MONOTONIC just before the stream began
+  unsigned buffer_count() const { return static_cast<unsigned>(buffers_.size()); }
+
+  /// Waits for a filled buffer, until `until_ns` at most.
+  void wait(std::int64_t until_ns);
+  /// The oldest filled buffer; nothing where there is none.
+  std::optional<v4l2_buffer> dequeue();
+  /// What a dequeued buffer holds; empty where its size is impossible. Valid until it is queued again.
+  std::span<const std::uint8_t> payload(const v4l2_buffer& buffer) const;
+  void queue(std::uint32_t index);
+
+ private:
+  struct Mapping {
+    void* start;
+    std::size_t length;
+  };
+
+  void close();
+  /// Carries out a request; false where the driver does not know it or says that the list is at its end.
+  bool ask(unsigned long request, void* argument, const char* what) const;
+  /// The same for requests that every device must carry out.
+  void demand(unsigned long request, void* argument, const char* what) const;
+  [[noreturn]] void fail(int error, const std::string& what) const;
+  [[noreturn]] void refuse(const std::string& what) const;
+
+  void read_modes();
+  void read_sizes(std::uint32_t fourcc);
+  void read_rates(V4l2Mode& mode) const;
+  std::uint32_t choose(const V4l2Config& config) const;
+  void set_format(const V4l2Config& config);
+  void set_rate(const V4l2Config& config) const;
+  void map_buffers(unsigned count);
+
+  V4l2Kernel& kernel_;
+  std::string path_;
+  std::string card_;
+  int fd_ = -1;
+  bool streaming_ = false;
+  std::int64_t started_ns_ = 0;
+  std::vector<V4l2Mode> modes_;
+  Format format_;
+  std::vector<Mapping> buffers_;
+};
+
+}  // namespace facet::camera
