@@ -1,0 +1,67 @@
+#include "capture/frame_set_assembler.hpp"
+
+#include <algorithm>
+#include <utility>
+
+namespace facet::capture {
+
+std::int64_t monotonic_now_ns() {
+  return std::chrono::steady_clock::now().time_since_epoch().count();
+}
+
+FrameSetAssembler::FrameSetAssembler(const CaptureConfig& config, std::function<std::int64_t()> now_ns)
+    : now_ns_(std::move(now_ns)), matcher_(config) {}
+
+void FrameSetAssembler::fired(std::uint64_t slot, std::int64_t fired_ns) {
+  const std::lock_guard lock(mutex_);
+  matcher_.fired(slot, fired_ns);
+  changed_.notify_one();
+}
+
+void FrameSetAssembler::push(std::size_t camera, Frame frame) {
+  const std::lock_guard lock(mutex_);
+  matcher_.push(camera, std::move(frame), now_ns_());
+  changed_.notify_one();
+}
+
+void FrameSetAssembler::set_streaming(std::size_t camera, bool streaming) {
+  const std::lock_guard lock(mutex_);
+  matcher_.set_streaming(camera, streaming);
+  changed_.notify_one();
+}
+
+FrameSetAssembler::Outcome FrameSetAssembler::next(FrameSet& out, std::chrono::milliseconds timeout) {
+  std::fill(out.frames.begin(), out.frames.end(), Frame{});
+  const auto give_up = std::chrono::steady_clock::now() + timeout;
+  std::unique_lock lock(mutex_);
+  while (!closed_) {
+    const std::int64_t now_ns = now_ns_();
+    matcher_.advance(now_ns);
+    if (matcher_.take(out, now_ns)) {
+      return Outcome::Delivered;
+    }
+    const auto now = std::chrono::steady_clock::now();
+    if (now >= give_up) {
+      return Outcome::Timeout;
+    }
+    auto wake = give_up;
+    if (const auto deadline_ns = matcher_.next_deadline_ns()) {
+      wake = std::min(wake, now + std::chrono::nanoseconds(*deadline_ns - now_ns));
+    }
+    changed_.wait_until(lock, wake);
+  }
+  return Outcome::Closed;
+}
+
+void FrameSetAssembler::close() {
+  const std::lock_guard lock(mutex_);
+  closed_ = true;
+  changed_.notify_all();
+}
+
+CaptureStatistics FrameSetAssembler::statistics() const {
+  const std::lock_guard lock(mutex_);
+  return matcher_.statistics();
+}
+
+}  // namespace facet::capture
