@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "camera/factory.hpp"
+#include "camera/v4l2_camera.hpp"
 #include "commands.hpp"
 #include "face/face_model.hpp"
 #include "facet/assets.hpp"
@@ -104,13 +105,27 @@ void check_model(Report& report, const service::Config& config) {
 }
 
 void check_source(Report& report, const service::Config& config) {
-  if (config.pipeline.source.kind == "file" && config.pipeline.source.path.empty()) {
-    report.say(Verdict::Note, "source", "none is configured", "set source.path in the configuration");
+  for (const camera::V4l2Description& device : camera::list_v4l2_devices()) {
+    report.say(Verdict::Note, "camera",
+               device.card.empty() ? device.modes
+                                   : fmt::format("{} ({}): {}", device.path, device.card, device.modes));
+  }
+  const camera::CameraConfig& source = config.pipeline.source;
+  if (source.kind == "file" ? source.path.empty() : source.v4l2.device.empty()) {
+    report.say(Verdict::Note, "source", "none is configured",
+               fmt::format("set source.{} in the configuration", source.kind == "file" ? "path" : "device"));
     return;
   }
   try {
     const auto camera = camera::open_camera(config.pipeline.source);
     const CameraInfo info = camera->info();
+    if (const CameraStatus status = camera->status(); status.state != CameraState::Idle) {
+      report.bad(ErrorKind::Unavailable, "source", status.reason,
+                 status.state == CameraState::Absent
+                     ? "plug the camera in, or set source.device; facetd waits for it"
+                     : "facetd tries again until it works");
+      return;
+    }
     report.say(
         Verdict::Good, "source",
         fmt::format("{}: {}x{} px at {:.3g} Hz", info.name, info.width_px, info.height_px, info.rate_hz));

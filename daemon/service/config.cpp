@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <array>
+#include <chrono>
 #include <cmath>
 #include <fstream>
 #include <iterator>
@@ -119,13 +120,14 @@ class Section {
     }
   }
 
-  void read_number(const std::string& key, float& value, double least, double most) {
+  template <typename Number>
+  void read_number(const std::string& key, Number& value, double least, double most) {
     if (const toml::node* node = find(key)) {
       const std::optional<double> found = node->is_number() ? node->value<double>() : std::nullopt;
       if (!found || !(*found >= least && *found <= most)) {
         fail(node, key, fmt::format("must be a number from {} to {}", least, most));
       }
-      value = static_cast<float>(*found);
+      value = static_cast<Number>(*found);
     }
   }
 
@@ -152,6 +154,16 @@ class Section {
       fail(node, key, wanted);
     }
     return static_cast<std::size_t>(at - allowed.begin());
+  }
+
+  /// Refuses the keys that are there, with the reason.
+  template <std::size_t Count>
+  void refuse(const std::array<const char*, Count>& keys, const std::string& why) const {
+    for (const char* key : keys) {
+      if (const toml::node* node = table_ != nullptr ? table_->get(key) : nullptr) {
+        fail(node, key, why);
+      }
+    }
   }
 
   /// The raw value, for keys whose type is not one of the above.
@@ -227,15 +239,58 @@ void read_intrinsics(Section section, std::optional<CameraIntrinsics>& intrinsic
   intrinsics = given;
 }
 
+/// A control that the device regulates by itself, or a value for it.
+void read_regulated(Section& section, const std::string& key, std::optional<int>& value, int least,
+                    int most) {
+  if (const toml::node* node = section.find(key)) {
+    const std::optional<std::int64_t> found = node->value_exact<std::int64_t>();
+    if (node->value_exact<std::string>() == "auto") {
+      value.reset();
+    } else if (found && *found >= least && *found <= most) {
+      value = static_cast<int>(*found);
+    } else {
+      section.fail(node, key, fmt::format("must be \"auto\" or a whole number from {} to {}", least, most));
+    }
+  }
+}
+
+/// What a camera can do is checked when it is opened; here, what no camera can.
+void read_v4l2(Section& section, camera::V4l2Config& v4l2) {
+  section.read("device", v4l2.device);
+  if (const auto format = section.read_choice("format", camera::kV4l2Formats)) {
+    v4l2.format = camera::kV4l2Formats.at(*format);
+  }
+  section.read_integer("width_px", v4l2.width_px, 16, 16384);
+  section.read_integer("height_px", v4l2.height_px, 16, 16384);
+  section.read_number("rate_hz", v4l2.rate_hz, 1, 1000);
+  read_regulated(section, "exposure_us", v4l2.exposure_us, 1, 10'000'000);
+  read_regulated(section, "gain", v4l2.gain, -1'000'000, 1'000'000);
+  read_regulated(section, "white_balance_k", v4l2.white_balance_k, 1000, 20'000);
+  section.read_integer("buffers", v4l2.buffers, 2, 32);
+  std::int64_t stall_after_ms = v4l2.stall_after.count();
+  section.read_integer("stall_after_ms", stall_after_ms, 100, 3'600'000);
+  v4l2.stall_after = std::chrono::milliseconds(stall_after_ms);
+}
+
 void read_source(Section section, Config& config) {
-  constexpr std::array kKinds = {"file"};
+  constexpr std::array kKinds = {"file", "v4l2"};
+  constexpr std::array kFileKeys = {"path", "paced", "loop"};
+  constexpr std::array kV4l2Keys = {"device",  "format",        "width_px", "height_px",
+                                    "rate_hz", "exposure_us",   "gain",     "white_balance_k",
+                                    "buffers", "stall_after_ms"};
   pipeline::MonocularConfig& pipeline = config.pipeline;
   if (const auto kind = section.read_choice("kind", kKinds)) {
     pipeline.source.kind = kKinds.at(*kind);
   }
+  if (pipeline.source.kind == "file") {
+    section.refuse(kV4l2Keys, "is for source.kind = \"v4l2\"; the kind of this source is \"file\"");
+  } else {
+    section.refuse(kFileKeys, "is for source.kind = \"file\"; the kind of this source is \"v4l2\"");
+  }
   section.read("path", pipeline.source.path);
   section.read("paced", pipeline.source.paced);
   section.read("loop", pipeline.source.loop);
+  read_v4l2(section, pipeline.source.v4l2);
   if (const toml::node* node = section.find("frames")) {
     try {
       pipeline.frames = pipeline::parse_frame_range(section.text(*node, "frames", kAnyText));
@@ -385,7 +440,14 @@ Config load_config(const std::filesystem::path& file) {
 }
 
 void require_source(const Config& config, const std::filesystem::path& file) {
-  if (config.pipeline.source.path.empty()) {
+  const camera::CameraConfig& source = config.pipeline.source;
+  if (source.kind == "v4l2" && source.v4l2.device.empty()) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("{}: source.device is missing: name the camera that faces come from, such as "
+                            "/dev/v4l/by-path/...; `facet doctor` lists them",
+                            file.string()));
+  }
+  if (source.kind == "file" && source.path.empty()) {
     throw Error(
         ErrorKind::Usage,
         fmt::format("{}: source.path is missing: name the video file that faces come from", file.string()));

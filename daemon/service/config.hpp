@@ -27,7 +27,7 @@ struct TakesConfig {
 /// All that a configuration file says; defaults are those of config/facet.toml. Running state is elsewhere
 /// (Service).
 struct Config {
-  pipeline::MonocularConfig pipeline;  ///< source.path empty: not given
+  pipeline::MonocularConfig pipeline;  ///< source.path or source.v4l2.device empty: not given
   bool exit_at_end = false;            ///< or where the source fails
   bool wait_for_reader = false;
   stream::StreamServerConfig stream;

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <chrono>
 #include <fstream>
 #include <iterator>
 #include <regex>
@@ -41,6 +42,15 @@ TEST(Config, EmptyFileIsTheDefault) {
   EXPECT_EQ(config.stream.socket, "/run/facet/stream.sock");
   EXPECT_EQ(config.log_level, LogLevel::Info);
   EXPECT_FALSE(config.pipeline.tracker.intrinsics.has_value());
+}
+
+/// The sample's [source] as it is for a camera: the keys of files taken out, those of cameras let in.
+std::string camera_sample() {
+  std::string text = sample();
+  text = text.substr(0, text.find("#[source.intrinsics]"));
+  text = std::regex_replace(text, std::regex("\nkind = \"file\""), "\nkind = \"v4l2\"");
+  text = std::regex_replace(text, std::regex("\n(path|paced|loop) = [^\n]*"), "");
+  return std::regex_replace(text, std::regex("\n#([a-z0-9_]+ = )"), "\n$1");
 }
 
 /// The sample shows every key, and what it shows is the default.
@@ -99,6 +109,74 @@ TEST(Config, SampleShowsEveryKeyWithItsDefault) {
   }
 }
 
+TEST(Config, SampleShowsEveryKeyOfACameraWithItsDefault) {
+  const Config config = parse_config(camera_sample(), "/sample/facet.toml");
+  EXPECT_EQ(config.pipeline.source.kind, "v4l2");
+  const camera::V4l2Config& shown = config.pipeline.source.v4l2;
+  const camera::V4l2Config defaults;
+  EXPECT_THAT(shown.device.string(), StartsWith("/dev/v4l/by-path/"));
+  EXPECT_EQ(shown.format, defaults.format);
+  EXPECT_EQ(shown.width_px, defaults.width_px);
+  EXPECT_EQ(shown.height_px, defaults.height_px);
+  EXPECT_EQ(shown.rate_hz, defaults.rate_hz);
+  EXPECT_EQ(shown.exposure_us, defaults.exposure_us);
+  EXPECT_EQ(shown.gain, defaults.gain);
+  EXPECT_EQ(shown.white_balance_k, defaults.white_balance_k);
+  EXPECT_EQ(shown.buffers, defaults.buffers);
+  EXPECT_EQ(shown.stall_after, defaults.stall_after);
+}
+
+TEST(Config, ReadsACamera) {
+  const Config config = parse_config(R"(
+[source]
+kind = "v4l2"
+device = "/dev/video2"
+format = "MJPEG"
+width_px = 1920
+height_px = 1080
+rate_hz = 29.97
+exposure_us = 8000
+gain = 12
+white_balance_k = 4600
+buffers = 6
+stall_after_ms = 500
+)",
+                                     "/etc/facet/facet.toml");
+  const camera::V4l2Config& v4l2 = config.pipeline.source.v4l2;
+  EXPECT_EQ(v4l2.device, "/dev/video2");
+  EXPECT_EQ(v4l2.format, "MJPEG");
+  EXPECT_EQ(v4l2.width_px, 1920);
+  EXPECT_EQ(v4l2.height_px, 1080);
+  EXPECT_EQ(v4l2.rate_hz, 29.97);
+  EXPECT_EQ(v4l2.exposure_us, 8000);
+  EXPECT_EQ(v4l2.gain, 12);
+  EXPECT_EQ(v4l2.white_balance_k, 4600);
+  EXPECT_EQ(v4l2.buffers, 6U);
+  EXPECT_EQ(v4l2.stall_after, std::chrono::milliseconds(500));
+  require_source(config, "facet.toml");
+}
+
+TEST(Config, ErrorsOfACamera) {
+  const std::string camera = "[source]\nkind = \"v4l2\"\n";
+  EXPECT_THAT(error_of(camera + "format = \"RGB\""),
+              AllOf(StartsWith("/etc/facet/facet.toml:3: source.format: "),
+                    HasSubstr("\"auto\", \"YUYV\", \"NV12\", \"MJPEG\", \"GREY\", \"Y16\", \"Y10\"")));
+  EXPECT_THAT(error_of(camera + "exposure_us = \"long\""),
+              HasSubstr("source.exposure_us: must be \"auto\" or a whole number from 1 to 10000000"));
+  EXPECT_THAT(error_of(camera + "exposure_us = 0"), HasSubstr("from 1 to 10000000"));
+  EXPECT_THAT(error_of(camera + "gain = 0.5"), HasSubstr("source.gain: must be \"auto\" or a whole number"));
+  EXPECT_THAT(error_of(camera + "white_balance_k = 999"), HasSubstr("from 1000 to 20000"));
+  EXPECT_THAT(error_of(camera + "width_px = 15"), HasSubstr("a whole number from 16 to 16384"));
+  EXPECT_THAT(error_of(camera + "rate_hz = 0"), HasSubstr("a number from 1 to 1000"));
+  EXPECT_THAT(error_of(camera + "buffers = 1"), HasSubstr("from 2 to 32"));
+  EXPECT_THAT(error_of(camera + "stall_after_ms = 0"), HasSubstr("from 100 to 3600000"));
+  EXPECT_THAT(error_of(camera + "devise = \"/dev/video0\""), HasSubstr("did you mean 'device'?"));
+  EXPECT_THAT(error_of(camera + "path = \"a.mp4\""),
+              AllOf(HasSubstr("source.path: is for source.kind = \"file\""), HasSubstr("is \"v4l2\"")));
+  EXPECT_THAT(error_of("[source]\ngain = 3"), HasSubstr("source.gain: is for source.kind = \"v4l2\""));
+  EXPECT_THROW(require_source(parse_config(camera, "facet.toml"), "facet.toml"), Error);
+}
+
 TEST(Config, ReadsEveryKindOfValue) {
   const Config config = parse_config(R"(
 [source]
@@ -147,8 +225,9 @@ level = "debug"
 TEST(Config, ErrorsNameFileLineKeyAndWhatIsAllowed) {
   EXPECT_THAT(error_of("[source]\npaced = 1"),
               AllOf(StartsWith("/etc/facet/facet.toml:2: source.paced: "), HasSubstr("true or false")));
-  EXPECT_THAT(error_of("\n[source]\nkind = \"webcam\""),
-              AllOf(StartsWith("/etc/facet/facet.toml:3: source.kind: "), HasSubstr("one of: \"file\"")));
+  EXPECT_THAT(
+      error_of("\n[source]\nkind = \"webcam\""),
+      AllOf(StartsWith("/etc/facet/facet.toml:3: source.kind: "), HasSubstr("one of: \"file\", \"v4l2\"")));
   EXPECT_THAT(error_of("[source]\nframes = \"20:10\""), HasSubstr("facet.toml:2: source.frames: "));
   EXPECT_THAT(error_of("[source]\npath = \"\""), HasSubstr("source.path: must be a path"));
   EXPECT_THAT(error_of("[source]\npath = 3"), HasSubstr("source.path: must be a path"));

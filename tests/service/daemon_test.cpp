@@ -283,6 +283,19 @@ TEST_F(DaemonWithAssets, AFullDiskEndsTheTakeAndNothingElse) {
   EXPECT_THAT(reader.info().end_reason, HasSubstr("disk nearly full"));
 }
 
+TEST_F(DaemonWithAssets, ACameraThatIsNotThereIsAwaited) {
+  const auto daemon = start(configure("kind = \"v4l2\"\ndevice = \"/dev/there-is-no-such-video-device\""));
+  const json status = await(*daemon, [](const json& now) {
+    return now["state"] == "running" && now["camera"]["state"] == "absent";
+  });
+  EXPECT_THAT(status["camera"]["reason"].get<std::string>(), HasSubstr("no such device"));
+  EXPECT_EQ(status["source"]["width_px"], 1280);
+  EXPECT_EQ(status["camera"]["frames"]["delivered"], 0);
+  await(*daemon, [&](const json&) { return daemon->output().find("camera absent") != std::string::npos; });
+  daemon->send(SIGTERM);
+  expect_clean_end(*daemon);
+}
+
 TEST_F(DaemonWithAssets, CoarseOnlyIsSaid) {
   const auto daemon = start(configure(looped()));
   const json status = await(*daemon, [](const json& now) { return now["frames"]["degraded"] > 0; });
