@@ -206,6 +206,8 @@ std::optional<Refusal> FrameSetMatcher::judge_sequence(std::size_t camera, const
     return before && sequence_distance(before->sequence, step.sequence) == 0;
   };
   if (same_number(state.trusted) || same_number(state.doubted)) {
+    // The same number at another time: the device began to count anew.
+    match.in_step = match.in_step && state.trusted->firing == firing_number;
     return Refusal::Duplicate;
   }
   if (!triggered()) {
