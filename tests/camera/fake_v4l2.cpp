@@ -73,7 +73,7 @@ void FakeV4l2::step(std::int64_t until_ns) {
 void FakeV4l2::fill() {
   const bool at_start = (buffer_flags & V4L2_BUF_FLAG_TSTAMP_SRC_MASK) == V4L2_BUF_FLAG_TSTAMP_SRC_SOE;
   Filled filled{std::vector<std::uint8_t>(format_.sizeimage), buffer_flags, sequence_++,
-                now_ns + stamp_offset_ns - (at_start ? period_ns : 0), false};
+                now_ns + stamp_offset_ns - (at_start ? period_ns : 0)};
   if (on_fill) {
     on_fill(filled);
   }
@@ -87,7 +87,7 @@ void FakeV4l2::fill() {
   std::copy_n(filled.bytes.begin(), std::min(filled.bytes.size(), buffer.memory.size()),
               buffer.memory.begin());
   buffer.filled = {};
-  buffer.filled.index = index;
+  buffer.filled.index = filled.wrong_index ? 1000 : index;
   buffer.filled.type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
   buffer.filled.bytesused = static_cast<std::uint32_t>(filled.bytes.size());
   buffer.filled.flags = filled.flags;
@@ -112,6 +112,7 @@ int FakeV4l2::open(const std::string& wanted) {
 
 void FakeV4l2::close(int fd) {
   EXPECT_EQ(open_.erase(fd), 1U) << "closed twice";
+  EXPECT_TRUE(fd != streaming_fd_ || gone_.count(fd) != 0) << "closed with its stream on";
   gone_.erase(fd);
   if (fd == owner_fd_) {
     EXPECT_EQ(mapped, 0) << "closed with its buffers mapped";

@@ -40,7 +40,8 @@ class FakeV4l2 final : public camera::V4l2Kernel {
     std::uint32_t flags;
     std::uint32_t sequence;
     std::int64_t stamp_ns;
-    bool dropped;  ///< counted, but not put into a buffer
+    bool dropped = false;      ///< counted, but not put into a buffer
+    bool wrong_index = false;  ///< the driver names a buffer that it does not have
   };
 
   FakeV4l2();
