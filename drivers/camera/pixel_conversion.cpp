@@ -43,14 +43,23 @@ struct Matrix {
 template <int LumaStep, int ChromaStep>
 void convert_row(const Matrix& matrix, const std::uint8_t* luma, const std::uint8_t* cb,
                  const std::uint8_t* cr, int width_px, std::uint8_t* rgba) {
-  for (int x = 0; x < width_px; ++x) {
-    const int y = (luma[x * LumaStep] - matrix.black) * matrix.y;
-    const int u = cb[x / 2 * ChromaStep] - 128;
-    const int v = cr[x / 2 * ChromaStep] - 128;
-    rgba[4 * x] = to_byte(y + matrix.rv * v);
-    rgba[4 * x + 1] = to_byte(y - matrix.gu * u - matrix.gv * v);
-    rgba[4 * x + 2] = to_byte(y + matrix.bu * u);
-    rgba[4 * x + 3] = 255;
+  for (int x = 0; x < width_px; x += 2) {
+    const int u = *cb - 128;
+    const int v = *cr - 128;
+    const int red = matrix.rv * v;
+    const int green = -matrix.gu * u - matrix.gv * v;
+    const int blue = matrix.bu * u;
+    for (int pixel = 0; pixel < std::min(2, width_px - x); ++pixel) {
+      const int y = (*luma - matrix.black) * matrix.y;
+      rgba[0] = to_byte(y + red);
+      rgba[1] = to_byte(y + green);
+      rgba[2] = to_byte(y + blue);
+      rgba[3] = 255;
+      luma += LumaStep;
+      rgba += 4;
+    }
+    cb += ChromaStep;
+    cr += ChromaStep;
   }
 }
 
@@ -75,7 +84,9 @@ struct GreyScale {
 
 void convert_grey_words(const GreyScale& scale, const std::uint8_t* words, int width_px, std::uint8_t* rgba) {
   for (int x = 0; x < width_px; ++x) {
-    write_grey(rgba + 4 * x, scale(words[2 * x] | words[2 * x + 1] << 8));
+    write_grey(rgba, scale(words[0] | words[1] << 8));
+    words += 2;
+    rgba += 4;
   }
 }
 
@@ -126,7 +137,8 @@ void convert_to_rgba(PixelLayout layout, const ColourCoding& coding, const std::
       }
       case PixelLayout::Grey:
         for (int x = 0; x < width_px; ++x) {
-          write_grey(out + 4 * x, eight_bits[row[x]]);
+          write_grey(out, eight_bits[row[x]]);
+          out += 4;
         }
         break;
       case PixelLayout::Y10:
