@@ -400,7 +400,7 @@ bool VideoFile::deliver(Frame& out) {
           from_x = scaled_width_px_ - 1 - y;
           from_y = x;
         }
-        std::memcpy(row + 4 * x,
+        std::memcpy(row + 4 * static_cast<std::ptrdiff_t>(x),
                     scaled + static_cast<std::ptrdiff_t>(from_y) * scaled_stride +
                         4 * static_cast<std::ptrdiff_t>(from_x),
                     4);
