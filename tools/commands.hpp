@@ -24,5 +24,6 @@ void add_reset_identity_command(CLI::App& app);
 void add_shutdown_command(CLI::App& app);
 void add_status_command(CLI::App& app);
 void add_takes_command(CLI::App& app);
+void add_trigger_diagram_command(CLI::App& app);
 
 }  // namespace facet::tools

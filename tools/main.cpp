@@ -43,6 +43,7 @@ int main(int argc, char** argv) {
   add_shutdown_command(app);
   add_status_command(app);
   add_takes_command(app);
+  add_trigger_diagram_command(app);
 
   try {
     app.parse(argc, argv);
