@@ -270,7 +270,9 @@ Eigen::VectorXd pcg(const Eigen::SparseMatrix<double>& jacobian, const Eigen::Ve
   Eigen::VectorXd z = inverse_diagonal.cwiseProduct(r);
   Eigen::VectorXd p = z;
   double rz = r.dot(z);
-  for (int k = 0; k < iterations && rz > 0; ++k) {
+  // Beyond double precision: further steps divide what has underflowed.
+  const double least = 1e-30 * rz;
+  for (int k = 0; k < iterations && rz > least; ++k) {
     const Eigen::VectorXd jp = jacobian * p;
     const double alpha = rz / jp.squaredNorm();
     x += alpha * p;
