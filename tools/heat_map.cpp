@@ -75,8 +75,9 @@ render::Picture HeatMap::picture() const {
                  column < 3 ? fmt::format("{} mm", kLargest_mm) : fmt::format("{} deg", kLargest_deg));
     }
     for (int row = 0; row < rows; ++row) {
-      render::paste(picture, cells_[static_cast<std::size_t>(row * columns + column)], x,
-                    kHeader_px + row * (kCellHeight_px + kGap_px));
+      render::paste(
+          picture, cells_[static_cast<std::size_t>(row) * kColumns.size() + static_cast<std::size_t>(column)],
+          x, kHeader_px + row * (kCellHeight_px + kGap_px));
     }
   }
   return picture;

@@ -19,7 +19,6 @@ namespace {
 using face::FaceModel;
 using face::LandmarkAnchor;
 using face::Region;
-using track::LandmarkGroup;
 
 constexpr int kPictureSize = 640;
 constexpr float kPictureFieldMm =
@@ -189,11 +188,13 @@ std::optional<LandmarkAnchor> nearest_to_ray(const render::Raycaster& caster,
                                              const Eigen::Vector3f& direction, float depth_mm) {
   constexpr float kSearchMm = 150;  // before and behind the picture's target
   constexpr float kStepMm = 5;
+  constexpr int kSteps = static_cast<int>(2 * kSearchMm / kStepMm);
   constexpr float kReachMm = 40;  // a landmark farther from the surface is no landmark of this face
   constexpr int kProjections = 25;
   float best_mm = kReachMm;
   float best_along_mm = 0;
-  for (float along_mm = depth_mm - kSearchMm; along_mm < depth_mm + kSearchMm; along_mm += kStepMm) {
+  for (int step = 0; step < kSteps; ++step) {
+    const float along_mm = depth_mm - kSearchMm + static_cast<float>(step) * kStepMm;
     const auto closest = caster.closest_point(along_mm * direction, best_mm);
     if (closest.triangle >= 0 && closest.distance_mm < best_mm) {
       best_mm = closest.distance_mm;

@@ -209,6 +209,7 @@ std::vector<render::Picture> read_makehuman_skins(const std::filesystem::path& f
   }
   std::sort(files.begin(), files.end());
   std::vector<render::Picture> pictures;
+  pictures.reserve(files.size());
   for (const auto& file : files) {
     pictures.push_back(render::read_image(file));
   }
