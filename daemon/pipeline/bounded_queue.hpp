@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <condition_variable>
 #include <cstddef>
 #include <mutex>
@@ -9,16 +10,21 @@
 namespace facet::pipeline {
 
 /// Frames on their way from one thread to the next: one thread pushes, one pops. Locks are held for a move
-/// only. After close nothing goes in, what is inside comes out, then pop says that it is over.
+/// only. After close nothing goes in, what is inside comes out, then pop says that it is over. Whoever waits
+/// is woken every kIdlePeriod to call `idle`, under the lock: it says that the thread is alive.
 template <typename Item>
 class BoundedQueue {
  public:
+  static constexpr std::chrono::milliseconds kIdlePeriod{250};
+  static constexpr auto kNoIdle = [] {};
+
   explicit BoundedQueue(std::size_t capacity) : slots_(capacity) {}
 
   /// Waits for room. Returns false once closed.
-  bool push(Item&& item) {
+  template <typename Idle = decltype(kNoIdle)>
+  bool push(Item&& item, const Idle& idle = kNoIdle) {
     std::unique_lock lock(mutex_);
-    changed_.wait(lock, [&] { return closed_ || count_ < slots_.size(); });
+    wait(lock, idle, [&] { return closed_ || count_ < slots_.size(); });
     return put(std::move(item));
   }
 
@@ -33,9 +39,10 @@ class BoundedQueue {
   }
 
   /// Waits for an item. Returns false once closed and empty.
-  bool pop(Item& item) {
+  template <typename Idle = decltype(kNoIdle)>
+  bool pop(Item& item, const Idle& idle = kNoIdle) {
     std::unique_lock lock(mutex_);
-    changed_.wait(lock, [&] { return closed_ || count_ > 0; });
+    wait(lock, idle, [&] { return closed_ || count_ > 0; });
     if (count_ == 0) {
       return false;
     }
@@ -45,9 +52,10 @@ class BoundedQueue {
   }
 
   /// Waits until everything was popped. Returns false once closed.
-  bool wait_until_empty() {
+  template <typename Idle = decltype(kNoIdle)>
+  bool wait_until_empty(const Idle& idle = kNoIdle) {
     std::unique_lock lock(mutex_);
-    changed_.wait(lock, [&] { return closed_ || count_ == 0; });
+    wait(lock, idle, [&] { return closed_ || count_ == 0; });
     return !closed_;
   }
 
@@ -58,6 +66,13 @@ class BoundedQueue {
   }
 
  private:
+  template <typename Idle, typename Ready>
+  void wait(std::unique_lock<std::mutex>& lock, const Idle& idle, const Ready& ready) {
+    while (!changed_.wait_for(lock, kIdlePeriod, ready)) {
+      idle();
+    }
+  }
+
   bool put(Item&& item) {
     if (closed_) {
       return false;

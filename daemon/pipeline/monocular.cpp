@@ -72,6 +72,7 @@ struct MonocularPipeline::Impl {
 
   // Shared by the threads.
   Messages messages;
+  Progress progress;
   std::atomic<bool> stopping{false};
   std::atomic<bool> wants_new_identity{false};
   std::atomic<int> threads_at_work{0};
@@ -98,7 +99,7 @@ struct MonocularPipeline::Impl {
   std::uint32_t subject_count = 0;  ///< TrackResult::subject that `subject` was built for
   bool face_was_away = false;       ///< since the last frame with a mesh
 
-  void begin(const char* name, void (Impl::*work)());
+  void begin(Worker worker, void (Impl::*work)());
   void fail(ErrorKind kind, const std::string& what);
   void set_state(PipelineState state);
 
@@ -117,10 +118,11 @@ struct MonocularPipeline::Impl {
   void hand_out(Tracked& item);
 };
 
-void MonocularPipeline::Impl::begin(const char* name, void (Impl::*work)()) {
+void MonocularPipeline::Impl::begin(Worker worker, void (Impl::*work)()) {
   ++threads_at_work;
-  threads.emplace_back([this, name, work] {
-    ::pthread_setname_np(::pthread_self(), name);
+  progress.beat(worker);
+  threads.emplace_back([this, worker, work] {
+    ::pthread_setname_np(::pthread_self(), to_string(worker));
     try {
       (this->*work)();
     } catch (const Error& error) {
@@ -128,6 +130,7 @@ void MonocularPipeline::Impl::begin(const char* name, void (Impl::*work)()) {
     } catch (const std::exception& error) {
       fail(ErrorKind::Internal, error.what());
     }
+    progress.end(worker);
     --threads_at_work;
   });
 }
@@ -164,6 +167,7 @@ void MonocularPipeline::Impl::capture() {
 
 void MonocularPipeline::Impl::capture_until_end() {
   while (!stopping) {
+    progress.beat(Worker::Capture);
     Captured item;
     const Clock::time_point begun = Clock::now();
     const CaptureOutcome outcome = stages.camera->next(item.frame, kCaptureTimeout);
@@ -224,20 +228,26 @@ void MonocularPipeline::Impl::note_camera() {
 }
 
 bool MonocularPipeline::Impl::take(Captured&& item) {
-  return source.live ? captured.push_newest(std::move(item)) : captured.push(std::move(item));
+  return source.live ? captured.push_newest(std::move(item))
+                     : captured.push(std::move(item), [this] { progress.beat(Worker::Capture); });
 }
 
 void MonocularPipeline::Impl::track() {
   set_state(PipelineState::Preparing);
-  stages.coarse->prepare(stopping);
+  const auto beat = [this] { progress.beat(Worker::Track); };
+  stages.coarse->prepare([&] {
+    beat();
+    return !stopping;
+  });
   set_state(PipelineState::Running);
   next_sequence = options.frames.first;
   // A frame is taken only when the GPU has begun the one before: what waits is the newest, not a tracked one.
-  while (!stopping && tracked.wait_until_empty()) {
+  while (!stopping && tracked.wait_until_empty(beat)) {
     Captured item;
-    if (!captured.pop(item)) {
+    if (!captured.pop(item, beat)) {
       break;
     }
+    beat();
     if (wants_new_identity.exchange(false)) {
       stages.coarse->reset_identity();
     }
@@ -263,7 +273,7 @@ void MonocularPipeline::Impl::track_one(Captured&& item) {
   tracked_item.identity = identity;
   fill(*tracked_item.mesh, item, result);
   tracked_item.captured = std::move(item);
-  tracked.push(std::move(tracked_item));
+  tracked.push(std::move(tracked_item), [this] { progress.beat(Worker::Track); });
 }
 
 void MonocularPipeline::Impl::fill(mesh::MeshFrame& mesh, const Captured& item,
@@ -294,7 +304,9 @@ void MonocularPipeline::Impl::fill(mesh::MeshFrame& mesh, const Captured& item,
 
 void MonocularPipeline::Impl::refine() {
   Tracked item;
-  while (tracked.pop(item)) {
+  const auto beat = [this] { progress.beat(Worker::Refine); };
+  while (tracked.pop(item, beat)) {
+    beat();
     if (stopping) {
       continue;  // what was tracked when the stop came is let go
     }
@@ -396,9 +408,9 @@ MonocularPipeline::~MonocularPipeline() {
 
 void MonocularPipeline::start() {
   impl_->set_state(PipelineState::Preparing);
-  impl_->begin("facet-refine", &Impl::refine);
-  impl_->begin("facet-track", &Impl::track);
-  impl_->begin("facet-capture", &Impl::capture);
+  impl_->begin(Worker::Refine, &Impl::refine);
+  impl_->begin(Worker::Track, &Impl::track);
+  impl_->begin(Worker::Capture, &Impl::capture);
 }
 
 void MonocularPipeline::request_stop() {
@@ -426,6 +438,10 @@ PipelineStatus MonocularPipeline::status() const {
   status.camera = impl_->stages.camera->status();
   impl_->figures.fill(status);
   return status;
+}
+
+std::optional<Progress::Silence> MonocularPipeline::longest_silence() const {
+  return impl_->progress.longest_silence();
 }
 
 void MonocularPipeline::reset_identity() {

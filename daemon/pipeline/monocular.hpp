@@ -1,10 +1,12 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "pipeline/mesh_sink.hpp"
 #include "pipeline/messages.hpp"
+#include "pipeline/progress.hpp"
 #include "pipeline/recovering_refiner.hpp"
 #include "pipeline/stages.hpp"
 #include "pipeline/status.hpp"
@@ -52,6 +54,10 @@ class MonocularPipeline {
 
   /// Any thread; takes a lock that is held for copying a few hundred bytes.
   PipelineStatus status() const;
+
+  /// The thread that was silent for the longest time; none before start and once all have ended. Waits of one
+  /// thread for another are not silence, the helper `facet-regpu` is not looked at. Any thread.
+  std::optional<Progress::Silence> longest_silence() const;
 
   /// Identity and focal length are estimated anew from the next good frames. Any thread.
   void reset_identity();

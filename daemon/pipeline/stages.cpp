@@ -21,7 +21,7 @@ class TrackerStage final : public CoarseStage {
   TrackerStage(std::shared_ptr<const face::FaceModel> model, const MonocularConfig& config, bool recorded)
       : model_(std::move(model)), config_(config), recorded_(recorded), tracker_(make_tracker()) {}
 
-  void prepare(const std::atomic<bool>& stop) override {
+  void prepare(const std::function<bool()>& go_on) override {
     if (!recorded_) {
       return;
     }
@@ -31,7 +31,7 @@ class TrackerStage final : public CoarseStage {
     camera->start();
     const auto ahead = make_tracker();
     Frame frame;
-    for (std::uint64_t seen = 0; seen < kMostFramesAhead && !stop && !ahead->subject();) {
+    for (std::uint64_t seen = 0; seen < kMostFramesAhead && !ahead->subject() && go_on();) {
       const CaptureOutcome outcome = camera->next(frame, std::chrono::milliseconds(100));
       if (outcome == CaptureOutcome::Timeout) {
         continue;

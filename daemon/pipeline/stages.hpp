@@ -1,6 +1,5 @@
 #pragma once
 
-#include <atomic>
 #include <functional>
 #include <memory>
 #include <string>
@@ -22,8 +21,9 @@ class CoarseStage {
   virtual ~CoarseStage() = default;
 
   /// Called once before the first frame: a recorded source may be looked at ahead, so that its first frames
-  /// have meshes too. Returns early where `stop` becomes true.
-  virtual void prepare(const std::atomic<bool>& stop) = 0;
+  /// have meshes too. Asks `go_on` before each frame, which also says that it gets on; returns early where
+  /// the answer is no.
+  virtual void prepare(const std::function<bool()>& go_on) = 0;
   /// As track::Tracker::process.
   virtual const track::TrackResult& process(const Frame& frame) = 0;
   /// As track::Tracker::reset_identity.

@@ -53,9 +53,10 @@ Caller caller_at(int fd, const std::filesystem::path& socket) {
 
 }  // namespace
 
-ControlServer::ControlServer(const ControlConfig& config, ControlMethods methods)
+ControlServer::ControlServer(const ControlConfig& config, ControlMethods methods,
+                             stream::FileDescriptor passed)
     : methods_(std::move(methods)),
-      listening_(config.socket, config.access),
+      listening_(config.socket, config.access, std::move(passed)),
       epoll_(::epoll_create1(EPOLL_CLOEXEC)),
       spare_(open_spare()) {
   epoll_event event{};

@@ -18,8 +18,8 @@ namespace facet::service {
 /// peer's credentials. A client that asks and doesn't read is dropped.
 class ControlServer {
  public:
-  /// Binds the socket; errors as ListeningSocket.
-  ControlServer(const ControlConfig& config, ControlMethods methods);
+  /// Binds the socket, or takes the one passed; errors as ListeningSocket.
+  ControlServer(const ControlConfig& config, ControlMethods methods, stream::FileDescriptor passed = {});
   ~ControlServer();
   ControlServer(const ControlServer&) = delete;
   ControlServer& operator=(const ControlServer&) = delete;

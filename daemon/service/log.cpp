@@ -2,11 +2,18 @@
 
 #include <fmt/format.h>
 #include <sys/stat.h>
+#include <sys/uio.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <cstdlib>
 #include <string>
+#include <vector>
+
+// The place in the source is no use to whoever reads the journal.
+#define SD_JOURNAL_SUPPRESS_LOCATION
+#include <systemd/sd-journal.h>
 
 namespace facet::service {
 namespace {
@@ -26,21 +33,46 @@ bool stderr_is_journal() {
          fmt::format("{}:{}", status.st_dev, status.st_ino) == named;
 }
 
+/// sd_journal_sendv(3) keeps silent where there is no journal, as for a service with a root folder of its
+/// own.
+bool journal_takes_entries() {
+  return ::access("/run/systemd/journal/socket", W_OK) == 0;
+}
+
+bool send_to_journal(int priority, const std::string& message, Log::Fields fields) {
+  std::vector<std::string> texts = {"MESSAGE=" + message, fmt::format("PRIORITY={}", priority),
+                                    "SYSLOG_IDENTIFIER=facetd"};
+  for (const auto& [name, value] : fields) {
+    texts.push_back(fmt::format("{}={}", name, value));
+  }
+  std::vector<iovec> parts;
+  parts.reserve(texts.size());
+  for (std::string& text : texts) {
+    parts.push_back({text.data(), text.size()});
+  }
+  return ::sd_journal_sendv(parts.data(), static_cast<int>(parts.size())) == 0;
+}
+
 }  // namespace
 
-Log::Log(LogLevel level) : level_(level), to_journal_(stderr_is_journal()) {}
+Log::Log(LogLevel level)
+    : level_(level),
+      to_journal_(stderr_is_journal()),
+      takes_entries_(to_journal_ && journal_takes_entries()) {}
 
-void Log::write(LogLevel level, std::string_view message) const {
+void Log::write(LogLevel level, std::string_view message, Fields fields) const {
   if (level > level_) {
     return;
   }
   const LevelText& text = kLevels.at(static_cast<std::size_t>(level));
-  std::string line =
-      to_journal_ ? fmt::format("<{}>", text.journal_priority) : fmt::format("facetd: {}: ", text.name);
-  for (const char character : message) {
-    // One message is one line, whatever a file name holds.
-    line += character == '\n' ? ' ' : character;
+  std::string line(message);
+  // One message is one line, whatever a file name holds.
+  std::replace(line.begin(), line.end(), '\n', ' ');
+  if (takes_entries_ && send_to_journal(text.journal_priority, line, fields)) {
+    return;
   }
+  line.insert(
+      0, to_journal_ ? fmt::format("<{}>", text.journal_priority) : fmt::format("facetd: {}: ", text.name));
   line += '\n';
   // One write keeps lines of several threads apart. A log that nobody takes is no reason to stop.
   [[maybe_unused]] const ssize_t ignored = ::write(STDERR_FILENO, line.data(), line.size());

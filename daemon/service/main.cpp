@@ -9,6 +9,7 @@
 
 #include "facet/error.hpp"
 #include "service/config.hpp"
+#include "service/default_paths.hpp"
 #include "service/log.hpp"
 #include "service/service.hpp"
 
@@ -44,10 +45,9 @@ int main(int argc, char** argv) {
       "configuration,\n"
       "3 unreadable source, model or configuration, 5 no usable Vulkan device, 6 cannot write or socket path "
       "taken.\nA source that ends or fails while the daemon runs ends it only with source.exit_at_end.");
-  std::string file;
+  std::string file = facet::service::default_config_file().string();
   bool check_only = false;
-  app.add_option("--config", file, "The configuration file (TOML); config/facet.toml is a documented sample")
-      ->required();
+  app.add_option("--config", file, "The configuration file (TOML), see facet.toml(5)")->capture_default_str();
   app.add_flag("--check-config", check_only, "Only check the configuration file");
   facet::service::Log log;
   try {

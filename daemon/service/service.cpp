@@ -19,6 +19,7 @@
 #include "pipeline/stream_sink.hpp"
 #include "pipeline/take_sink.hpp"
 #include "service/control_server.hpp"
+#include "service/service_manager.hpp"
 #include "service/stage_opener.hpp"
 #include "service/status_report.hpp"
 #include "stream/server.hpp"
@@ -33,6 +34,8 @@ using nlohmann::json;
 constexpr std::chrono::milliseconds kLoopPeriod{100};
 /// The same while a reader is being waited for: until then nothing moves.
 constexpr std::chrono::milliseconds kImpatientPeriod{10};
+/// How often the service manager is told how the daemon does, where that changes.
+constexpr std::chrono::seconds kStatusPeriod{2};
 /// How long a stop waits for threads that a driver holds; with the stream's farewells it stays below a
 /// second.
 constexpr std::chrono::milliseconds kStopPatience{600};
@@ -86,7 +89,10 @@ struct Service::Impl {
 
   Config config;
   Log& log;
+  ServiceManager manager;
+  PassedSockets passed = take_passed_sockets();
   Clock::time_point started = Clock::now();
+  Clock::time_point told;  ///< the service manager, how the daemon does
   stream::FileDescriptor signals;
   std::optional<stream::StreamServer> stream;
   std::optional<ControlServer> control;
@@ -111,6 +117,7 @@ struct Service::Impl {
   void start_when_awaited();
   void begin_take(const std::string& name);
   void log_take(const take::RecorderStatus& take) const;
+  void tell_manager();
   void look_after();
   void look_after_take();
   void look_after_pipeline();
@@ -120,11 +127,12 @@ struct Service::Impl {
 Service::Impl::Impl(const Config& given, Log& given_log)
     : config(given),
       log(given_log),
+      manager(given_log),
       signals(open_signals()),
-      stream(named(given.stream)),
+      stream(std::in_place, named(given.stream), std::move(passed.stream)),
       stream_sink(*stream) {
   check_takes_folder(config.takes.folder);
-  control.emplace(config.control, methods());
+  control.emplace(config.control, methods(), std::move(passed.control));
 }
 
 ControlMethods Service::Impl::methods() {
@@ -202,16 +210,18 @@ void Service::Impl::begin_take(const std::string& name) {
   recorder.disk_reserve_bytes = config.takes.disk_reserve_bytes;
   recorder.compression_level = config.takes.compression_level;
   takes.begin(recorder);
-  log.info(fmt::format("recording {}", recorder.file.string()));
+  log.info(fmt::format("recording {}", recorder.file.string()),
+           {{"FACET_EVENT", "take-begun"}, {"FACET_TAKE", recorder.file.string()}});
 }
 
 void Service::Impl::log_take(const take::RecorderStatus& take) const {
   const std::string text = fmt::format("take {}: {} frames, {} not recorded, {:.1f} MB", take.file.string(),
                                        take.frames, take.dropped, static_cast<double>(take.bytes) / 1e6);
   if (take.state == take::RecorderState::Failed) {
-    log.error(fmt::format("{}; recording ended by itself: {}", text, take.reason));
+    log.error(fmt::format("{}; recording ended by itself: {}", text, take.reason),
+              {{"FACET_EVENT", "take-failed"}, {"FACET_TAKE", take.file.string()}});
   } else {
-    log.info(text);
+    log.info(text, {{"FACET_EVENT", "take-ended"}, {"FACET_TAKE", take.file.string()}});
   }
 }
 
@@ -256,6 +266,7 @@ void Service::Impl::begin_pipeline() {
   if (config.wait_for_reader) {
     log.info("waiting for a reader of the stream");
   }
+  manager.ready();
 }
 
 void Service::Impl::start_when_awaited() {
@@ -267,7 +278,7 @@ void Service::Impl::start_when_awaited() {
   }
   pipeline->start();
   running = true;
-  log.info("running");
+  log.info("running", {{"FACET_EVENT", "running"}, {"FACET_SOURCE", source.name}});
 }
 
 void Service::Impl::look_after_take() {
@@ -279,10 +290,11 @@ void Service::Impl::look_after_take() {
 
 void Service::Impl::look_after_pipeline() {
   for (const pipeline::Messages::Message& message : pipeline->take_messages()) {
+    const Log::Fields fields = {{"FACET_EVENT", "pipeline"}, {"FACET_SOURCE", source.name}};
     if (message.warning) {
-      log.warning(message.text);
+      log.warning(message.text, fields);
     } else {
-      log.info(message.text);
+      log.info(message.text, fields);
     }
   }
   const pipeline::PipelineStatus now = pipeline->status();
@@ -292,7 +304,7 @@ void Service::Impl::look_after_pipeline() {
   }
   end_seen = true;
   if (failed) {
-    log.error(now.reason);
+    log.error(now.reason, {{"FACET_EVENT", "failed"}, {"FACET_SOURCE", source.name}});
   }
   log.info(fmt::format("{}: {} frames, {} with a mesh, {} refined, {} dropped",
                        failed ? "until then" : "the source is at its end", now.processed, now.mesh_frames,
@@ -303,6 +315,35 @@ void Service::Impl::look_after_pipeline() {
   if (config.exit_at_end || (failed && !source_failed)) {
     exit_status = failed ? static_cast<int>(now.failure_kind) : 0;
   }
+}
+
+/// How the daemon does, in a line.
+void Service::Impl::tell_manager() {
+  if (Clock::now() - told < kStatusPeriod) {
+    return;
+  }
+  told = Clock::now();
+  if (!pipeline) {
+    manager.status("opening source, model and GPU");
+    return;
+  }
+  if (!running) {
+    manager.status("waiting for a reader of the stream");
+    return;
+  }
+  const pipeline::PipelineStatus now = pipeline->status();
+  std::string text = pipeline::to_string(now.state);
+  if (now.state == pipeline::PipelineState::Running) {
+    text += fmt::format(": source {}, {}, {:.1f} frames/s", to_string(now.camera.state),
+                        mesh::to_string(now.tracking), now.frames_per_second);
+  }
+  for (const std::string& reason : {now.reason, now.camera.reason}) {
+    text += reason.empty() ? "" : "; " + reason;
+  }
+  if (const auto take = takes.status()) {
+    text += fmt::format("; recording {}", take->file.stem().string());
+  }
+  manager.status(text);
 }
 
 void Service::Impl::look_after() {
@@ -319,6 +360,8 @@ void Service::Impl::look_after() {
   if (running) {
     look_after_pipeline();
   }
+  tell_manager();
+  manager.look_after(running ? pipeline->longest_silence() : std::nullopt);
   if (stopping && !exit_status) {
     exit_status = 0;
   }
@@ -326,6 +369,7 @@ void Service::Impl::look_after() {
 
 /// Phase one: everybody is told. Phase two: takes are closed, sockets removed, threads joined.
 void Service::Impl::finish() {
+  manager.stopping();
   const Clock::time_point patience = Clock::now() + kStopPatience;
   if (pipeline) {
     pipeline->request_stop();
@@ -357,14 +401,16 @@ int Service::run() {
   try {
     impl.stream->start();
     impl.log.info(fmt::format("{}: stream on {}, control on {}", software_name(),
-                              impl.config.stream.socket.string(), impl.config.control.socket.string()));
+                              impl.config.stream.socket.string(), impl.config.control.socket.string()),
+                  {{"FACET_EVENT", "started"}, {"FACET_VERSION", FACET_VERSION}});
     impl.opener.emplace(impl.config.pipeline);
     while (!impl.exit_status) {
       impl.wait_for_events();
       impl.look_after();
     }
   } catch (const Error& error) {
-    impl.log.error(error.what());
+    impl.log.error(error.what(), {{"FACET_EVENT", "failed"}});
+    impl.manager.status(error.what());
     impl.exit_status = static_cast<int>(error.kind());
   }
   impl.finish();

@@ -19,11 +19,15 @@ namespace facet::service {
 /// SIGTERM, SIGINT, SIGHUP and the control method "shutdown" end it within a second in every state: takes are
 /// closed and sockets removed; a frame that the GPU or a driver still holds then is abandoned with the
 /// process.
+///
+/// A service manager (systemd) is told when source, model and GPU are open (READY), how the daemon does
+/// (STATUS) and that it ends (STOPPING); its watchdog is fed as long as no thread of the pipeline hangs.
 class Service {
  public:
-  /// Binds the sockets. Throws Error(Storage) where a socket's path is taken or the takes' folder can't be
-  /// written, Error(Usage) where a group does not exist. Blocks the signals above in the calling thread,
-  /// which must be the process's only one. `log` outlives the service.
+  /// Binds the sockets, or takes those that the service manager passes. Throws Error(Storage) where a
+  /// socket's path is taken or the takes' folder can't be written, Error(Usage) where a group does not exist.
+  /// Blocks the signals above in the calling thread, which must be the process's only one. `log` outlives the
+  /// service.
   Service(const Config& config, Log& log);
   ~Service();
   Service(const Service&) = delete;

@@ -76,9 +76,9 @@ FileDescriptor open_spare() {
 }  // namespace
 
 struct StreamServer::Impl {
-  explicit Impl(const StreamServerConfig& given)
+  Impl(const StreamServerConfig& given, FileDescriptor passed)
       : config(given),
-        listening(std::in_place, given.socket, given.access),
+        listening(std::in_place, given.socket, given.access, std::move(passed)),
         socket_path(given.socket),
         wake(open_checked(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK), "eventfd")),
         epoll(open_checked(::epoll_create1(EPOLL_CLOEXEC), "epoll")),
@@ -511,7 +511,8 @@ void StreamServer::Impl::run() {
   show_statistics();
 }
 
-StreamServer::StreamServer(const StreamServerConfig& config) : impl_(std::make_unique<Impl>(config)) {}
+StreamServer::StreamServer(const StreamServerConfig& config, FileDescriptor passed)
+    : impl_(std::make_unique<Impl>(config, std::move(passed))) {}
 
 StreamServer::~StreamServer() {
   stop();

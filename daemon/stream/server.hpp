@@ -52,7 +52,8 @@ struct StreamStatistics {
 /// reader in the middle of an older one.
 class StreamServer {
  public:
-  explicit StreamServer(const StreamServerConfig& config);
+  /// passed: a socket that the service manager listens on, see ListeningSocket.
+  explicit StreamServer(const StreamServerConfig& config, FileDescriptor passed = {});
   ~StreamServer();
   StreamServer(const StreamServer&) = delete;
   StreamServer& operator=(const StreamServer&) = delete;
@@ -66,7 +67,8 @@ class StreamServer {
   /// First phase of stopping: readers get Goodbye, nothing new is sent. Any thread, returns at once;
   /// idempotent.
   void request_stop();
-  /// Second phase: waits for the thread (100 ms at most for the farewells) and removes the socket.
+  /// Second phase: waits for the thread (100 ms at most for the farewells) and removes the socket that was
+  /// bound here.
   /// Idempotent; the destructor calls both.
   void stop();
 

@@ -1,5 +1,6 @@
 #include "stream/unix_socket.hpp"
 
+#include <fcntl.h>
 #include <fmt/format.h>
 #include <grp.h>
 #include <sys/socket.h>
@@ -142,6 +143,38 @@ void set_access(const std::filesystem::path& path, const SocketAccess& access) {
   }
 }
 
+int socket_option(int fd, int option) {
+  int value = 0;
+  socklen_t size = sizeof(value);
+  return ::getsockopt(fd, SOL_SOCKET, option, &value, &size) == 0 ? value : -1;
+}
+
+/// Throws where a socket that somebody else bound is not what it must be; else makes it non-blocking.
+void check_passed(int fd, const std::filesystem::path& path) {
+  sockaddr_un address{};
+  // One byte is kept back: a path of full length is not terminated.
+  socklen_t size = sizeof(address) - 1;
+  if (socket_option(fd, SO_DOMAIN) != AF_UNIX || socket_option(fd, SO_TYPE) != SOCK_STREAM ||
+      socket_option(fd, SO_ACCEPTCONN) != 1 ||
+      ::getsockname(fd, reinterpret_cast<sockaddr*>(&address), &size) != 0) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("what the service manager passes for '{}' is not a listening Unix stream socket: "
+                            "its unit needs ListenStream= and Accept=no",
+                            path.string()));
+  }
+  const std::filesystem::path bound = address.sun_path;
+  if (std::filesystem::absolute(bound).lexically_normal() !=
+      std::filesystem::absolute(path).lexically_normal()) {
+    throw Error(
+        ErrorKind::Usage,
+        fmt::format("the configuration names the socket '{}', but the service manager listens on '{}': "
+                    "set ListenStream= of its socket unit, or the configuration, to the other's path",
+                    path.string(), bound.string()));
+  }
+  ::fcntl(fd, F_SETFL, ::fcntl(fd, F_GETFL) | O_NONBLOCK);
+  ::fcntl(fd, F_SETFD, FD_CLOEXEC);
+}
+
 }  // namespace
 
 void FileDescriptor::reset(int fd) {
@@ -151,12 +184,19 @@ void FileDescriptor::reset(int fd) {
   fd_ = fd;
 }
 
-ListeningSocket::ListeningSocket(const std::filesystem::path& path, const SocketAccess& access)
+ListeningSocket::ListeningSocket(const std::filesystem::path& path, const SocketAccess& access,
+                                 FileDescriptor passed)
     : path_(path) {
+  if (passed) {
+    check_passed(passed.get(), path);
+    fd_ = std::move(passed);
+    return;
+  }
   const sockaddr_un address = address_of(path, ErrorKind::Usage);
   clear_stale(path, address);
   fd_ = make_socket(SOCK_NONBLOCK);
   bind_to(fd_.get(), path, address);
+  owns_path_ = true;
   // Until listen, every connect is refused: nobody comes in before the permissions stand.
   try {
     struct stat status {};
@@ -177,7 +217,8 @@ ListeningSocket::ListeningSocket(const std::filesystem::path& path, const Socket
 
 ListeningSocket::~ListeningSocket() {
   struct stat status {};
-  if (::lstat(path_.c_str(), &status) == 0 && status.st_dev == device_ && status.st_ino == inode_) {
+  if (owns_path_ && ::lstat(path_.c_str(), &status) == 0 && status.st_dev == device_ &&
+      status.st_ino == inode_) {
     ::unlink(path_.c_str());
   }
 }

@@ -37,15 +37,19 @@ struct SocketAccess {
   std::string group;  ///< name; empty: the process's own
 };
 
-/// A listening Unix stream socket that owns its path: the destructor removes the path if it is still the
-/// socket that was made here.
+/// A listening Unix stream socket. One that was bound here owns its path: the destructor removes the path if
+/// it is still this socket.
 class ListeningSocket {
  public:
   /// Binds and listens, non-blocking. A socket file that nobody listens on any more is replaced. Throws
   /// Error(Storage) where the path is taken (by a running server or by another kind of file), its folder is
   /// missing or closed to us, or the path is too long, and Error(Usage) where the group does not exist or we
   /// are not in it. Nobody can connect before mode and group are set.
-  ListeningSocket(const std::filesystem::path& path, const SocketAccess& access);
+  ///
+  /// passed: where given, this listening socket is used instead of a new one; whoever bound it (the service
+  /// manager) owns its path, mode and group. Throws Error(Usage) where it is no listening Unix stream socket
+  /// or its path is not `path`.
+  ListeningSocket(const std::filesystem::path& path, const SocketAccess& access, FileDescriptor passed = {});
   ~ListeningSocket();
   ListeningSocket(const ListeningSocket&) = delete;
   ListeningSocket& operator=(const ListeningSocket&) = delete;
@@ -56,6 +60,7 @@ class ListeningSocket {
  private:
   std::filesystem::path path_;
   FileDescriptor fd_;
+  bool owns_path_ = false;
   std::uint64_t device_ = 0;
   std::uint64_t inode_ = 0;
 };

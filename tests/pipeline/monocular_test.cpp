@@ -3,9 +3,12 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <array>
 #include <set>
 #include <thread>
+#include <utility>
 
+#include "pipeline/bounded_queue.hpp"
 #include "scripted_stages.hpp"
 
 namespace facet::pipeline {
@@ -415,6 +418,58 @@ TEST_F(Monocular, StopsTwiceAndFromSeveralThreads) {
   pipeline_->stop();
   pipeline_->stop();
   EXPECT_EQ(pipeline_->status().state, PipelineState::Stopped);
+}
+
+/// Waits until some worker was silent for longer than any wait for another one may be.
+Progress::Silence await_silence(const MonocularPipeline& pipeline) {
+  for (;;) {
+    const auto silence = pipeline.longest_silence();
+    if (silence && silence->length > 4 * BoundedQueue<int>::kIdlePeriod) {
+      return *silence;
+    }
+    std::this_thread::sleep_for(std::chrono::milliseconds(5));
+  }
+}
+
+TEST_F(Monocular, AHungThreadIsSilentAndThoseThatWaitForItAreNot) {
+  const std::array<std::pair<Worker, test::Gate*>, 3> hangs{{{Worker::Capture, &script_.camera_gate},
+                                                             {Worker::Track, &script_.tracker_gate},
+                                                             {Worker::Refine, &script_.refiner_gate}}};
+  script_.frame_count = 1000;
+  for (const auto& [worker, gate] : hangs) {
+    script_.live = worker != Worker::Refine;  // a recorded source waits for room meanwhile
+    MonocularPipeline& pipeline = make();
+    EXPECT_FALSE(pipeline.longest_silence());
+    gate->set(false);
+    pipeline.start();
+    EXPECT_EQ(await_silence(pipeline).worker, worker) << to_string(worker);
+    gate->set(true);
+    await_end();
+    EXPECT_FALSE(pipeline.longest_silence()) << "no thread is at work any more";
+  }
+}
+
+TEST_F(Monocular, ASilentCameraIsNotAHungThread) {
+  script_.live = true;
+  script_.silent = true;
+  MonocularPipeline& pipeline = make();
+  pipeline.start();
+  const auto begun = std::chrono::steady_clock::now();
+  while (std::chrono::steady_clock::now() - begun < 6 * BoundedQueue<int>::kIdlePeriod) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));
+  }
+  // Well below the time that has passed; how exactly a busy machine wakes threads is not the matter.
+  EXPECT_LT(pipeline.longest_silence()->length, 4 * BoundedQueue<int>::kIdlePeriod);
+  pipeline.stop();
+}
+
+TEST_F(Monocular, ALookAheadGetsOn) {
+  script_.prepare_waits_for_stop = true;
+  MonocularPipeline& pipeline = make();
+  pipeline.start();
+  std::this_thread::sleep_for(6 * BoundedQueue<int>::kIdlePeriod);
+  EXPECT_LT(pipeline.longest_silence()->length, 4 * BoundedQueue<int>::kIdlePeriod);
+  pipeline.stop();
 }
 
 }  // namespace

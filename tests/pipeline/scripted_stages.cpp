@@ -87,9 +87,9 @@ class ScriptedTracker final : public pipeline::CoarseStage {
     result_.camera_from_head.linear() = Eigen::Vector3f(1, -1, -1).asDiagonal();
     result_.camera_from_head.translation() << 0, 0, 600;
   }
-  void prepare(const std::atomic<bool>& stop) override {
+  void prepare(const std::function<bool()>& go_on) override {
     script_.preparing = true;
-    while (script_.prepare_waits_for_stop && !stop) {
+    while (script_.prepare_waits_for_stop && go_on()) {
       std::this_thread::sleep_for(std::chrono::milliseconds(1));
     }
   }

@@ -1,5 +1,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/socket.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -51,6 +52,31 @@ TEST_F(UnixSocket, StaleSocketIsReplaced) {
   ASSERT_TRUE(std::filesystem::is_socket(kept));
   const ListeningSocket listening(kept, {});
   EXPECT_TRUE(connect_unix(kept));
+}
+
+TEST_F(UnixSocket, APassedSocketIsUsedAndItsPathLeftAlone) {
+  ListeningSocket manager(path, {});
+  {
+    const ListeningSocket passed(path.parent_path() / "." / path.filename(), {},
+                                 FileDescriptor(::dup(manager.fd())));
+    EXPECT_NE(passed.fd(), manager.fd());
+    EXPECT_TRUE(connect_unix(path));
+    EXPECT_TRUE(FileDescriptor(::accept(passed.fd(), nullptr, nullptr)));
+    EXPECT_EQ(::accept(passed.fd(), nullptr, nullptr), -1) << "it doesn't block";
+  }
+  EXPECT_TRUE(connect_unix(path)) << "it belongs to the one who passed it";
+}
+
+TEST_F(UnixSocket, APassedSocketMustBeTheOneThatIsConfigured) {
+  const ListeningSocket manager(path, {});
+  expect_error(ErrorKind::Usage, path.string(), [&] {
+    const ListeningSocket other(folder.path() / "other.sock", {}, FileDescriptor(::dup(manager.fd())));
+  });
+  expect_error(ErrorKind::Usage, "not a listening Unix stream socket", [&] {
+    const ListeningSocket silent(path, {}, FileDescriptor(::socket(AF_UNIX, SOCK_STREAM, 0)));
+  });
+  expect_error(ErrorKind::Usage, "not a listening Unix stream socket",
+               [&] { const ListeningSocket file(path, {}, FileDescriptor(::dup(STDERR_FILENO))); });
 }
 
 TEST_F(UnixSocket, RunningServersSocketIsLeftAlone) {

@@ -20,11 +20,17 @@ struct Birth {
   int pending_signal = 0;  ///< blocked and pending when the program begins: it comes at the first look
 };
 
+/// Listening sockets that a child gets as a service manager passes them.
+struct Passed {
+  std::vector<int> sockets{};
+  std::string names{};  ///< "a:b" (LISTEN_FDNAMES)
+};
+
 /// A program run as a child, its output in a file; killed at the end of the scope where it still runs.
 class ChildProcess {
  public:
   ChildProcess(const std::string& program, const std::vector<std::string>& arguments,
-               const std::filesystem::path& output, Birth birth = {})
+               const std::filesystem::path& output, Birth birth = {}, const Passed& passed = {})
       : output_(output) {
     std::vector<std::string> words = arguments;
     words.insert(words.begin(), program);
@@ -44,6 +50,9 @@ class ChildProcess {
         sigaddset(&set, birth.pending_signal);
         ::sigprocmask(SIG_BLOCK, &set, nullptr);
         ::raise(birth.pending_signal);
+      }
+      if (!passed.sockets.empty()) {
+        pass(passed);
       }
       const int file = ::open(output.c_str(), O_WRONLY | O_CREAT | O_TRUNC, 0644);
       ::dup2(file, STDOUT_FILENO);
@@ -87,6 +96,22 @@ class ChildProcess {
   }
 
  private:
+  static void pass(const Passed& passed) {
+    constexpr int kFirst = 3;    // SD_LISTEN_FDS_START
+    constexpr int kAside = 100;  // where none of them is in another's way
+    const int count = static_cast<int>(passed.sockets.size());
+    for (int s = 0; s < count; ++s) {
+      ::dup2(passed.sockets[static_cast<std::size_t>(s)], kAside + s);
+    }
+    for (int s = 0; s < count; ++s) {
+      ::dup2(kAside + s, kFirst + s);
+      ::close(kAside + s);
+    }
+    ::setenv("LISTEN_PID", std::to_string(::getpid()).c_str(), 1);
+    ::setenv("LISTEN_FDS", std::to_string(count).c_str(), 1);
+    ::setenv("LISTEN_FDNAMES", passed.names.c_str(), 1);
+  }
+
   std::filesystem::path output_;
   pid_t pid_ = -1;
   int status_ = 0;
