@@ -22,6 +22,7 @@
 #include "gpu/context.hpp"
 #include "service/config.hpp"
 #include "service/control_client.hpp"
+#include "service/default_paths.hpp"
 #include "stream/unix_socket.hpp"
 #include "track/landmark_assets.hpp"
 
@@ -198,7 +199,8 @@ void check_daemon(Report& report, const service::Config& config) {
   }
 }
 
-void run(const std::string& config_file) {
+void run(const std::string& given_file) {
+  const std::string config_file = given_file.empty() ? service::installed_config_file() : given_file;
   Report report;
   service::Config config = service::default_config();
   if (!config_file.empty()) {
@@ -232,7 +234,9 @@ void add_doctor_command(CLI::App& app) {
   auto config_file = std::make_shared<std::string>();
   CLI::App* command =
       app.add_subcommand("doctor", "Check Vulkan, face model, source, sockets and disk; say what to do");
-  command->add_option("--config", *config_file, "The daemon's configuration file");
+  command->add_option("--config", *config_file,
+                      "The daemon's configuration file (default " + service::default_config_file().string() +
+                          ", where it exists)");
   command->callback([config_file] { run(*config_file); });
 }
 

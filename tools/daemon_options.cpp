@@ -5,16 +5,18 @@
 
 #include "service/config.hpp"
 #include "service/control_client.hpp"
+#include "service/default_paths.hpp"
 
 namespace facet::tools {
 
 std::shared_ptr<DaemonOptions> add_daemon_options(CLI::App& command) {
   auto options = std::make_shared<DaemonOptions>();
-  auto* socket = command.add_option(
-      "--socket", options->socket,
-      "Control socket of the daemon (default " + service::ControlConfig().socket.string() + ")");
+  auto* socket = command.add_option("--socket", options->socket,
+                                    "Control socket of the daemon (default: that of the configuration)");
   command
-      .add_option("--config", options->config, "The daemon's configuration, which names its control socket")
+      .add_option("--config", options->config,
+                  "The daemon's configuration, which names its control socket (default " +
+                      service::default_config_file().string() + ", where it exists)")
       ->excludes(socket);
   return options;
 }
@@ -23,8 +25,8 @@ nlohmann::json call_daemon(const DaemonOptions& options, const std::string& meth
                            const nlohmann::json& params) {
   std::filesystem::path socket = options.socket;
   if (socket.empty()) {
-    const service::Config config =
-        options.config.empty() ? service::default_config() : service::load_config(options.config);
+    const std::string file = options.config.empty() ? service::installed_config_file() : options.config;
+    const service::Config config = file.empty() ? service::default_config() : service::load_config(file);
     socket = config.control.socket;
   }
   return service::ControlClient(socket).call(method, params);

@@ -13,7 +13,7 @@ namespace facet::tools {
 /// Which daemon a command talks to: the options of every such command.
 struct DaemonOptions {
   std::string socket;  ///< empty: that of the configuration
-  std::string config;  ///< empty: the defaults
+  std::string config;  ///< empty: the installed one, where there is one, else the defaults
 };
 
 /// Adds --socket and --config to a subcommand.
