@@ -5,6 +5,7 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <cstddef>
 #include <filesystem>
 #include <memory>
 #include <nlohmann/json.hpp>
@@ -105,11 +106,34 @@ void check_model(Report& report, const service::Config& config) {
   }
 }
 
+/// What a camera offers, a line for each format that can be read; it may offer hundreds of modes in others.
+void say_camera(Report& report, const camera::V4l2Description& device) {
+  if (device.card.empty()) {
+    report.say(Verdict::Note, "camera", device.modes);
+    return;
+  }
+  report.say(Verdict::Note, "camera", fmt::format("{} ({})", device.path, device.card));
+  const std::string separator = "; ";
+  for (const char* format : camera::kV4l2Formats) {
+    const std::string name = fmt::format("{} ", format);
+    std::string sizes;
+    for (std::size_t begin = 0; begin < device.modes.size();) {
+      const std::size_t end = std::min(device.modes.find(separator, begin), device.modes.size());
+      if (device.modes.compare(begin, name.size(), name) == 0) {
+        sizes += (sizes.empty() ? "" : separator) +
+                 device.modes.substr(begin + name.size(), end - begin - name.size());
+      }
+      begin = end + separator.size();
+    }
+    if (!sizes.empty()) {
+      fmt::print("      {:<16} {:<6} {}\n", "", format, sizes);
+    }
+  }
+}
+
 void check_source(Report& report, const service::Config& config) {
   for (const camera::V4l2Description& device : camera::list_v4l2_devices()) {
-    report.say(Verdict::Note, "camera",
-               device.card.empty() ? device.modes
-                                   : fmt::format("{} ({}): {}", device.path, device.card, device.modes));
+    say_camera(report, device);
   }
   const camera::CameraConfig& source = config.pipeline.source;
   if (source.kind == "file" ? source.path.empty() : source.v4l2.device.empty()) {
