@@ -13,6 +13,7 @@
 #include "commands.hpp"
 #include "facet/error.hpp"
 #include "progress.hpp"
+#include "set_pictures.hpp"
 #include "stop_signals.hpp"
 #include "take/export.hpp"
 #include "take/output_file.hpp"
@@ -152,6 +153,30 @@ int export_signals(take::TakeReader& reader, const Selection& selection, const E
   return 0;
 }
 
+/// Returns the signal that broke it off, or 0.
+int export_pictures(take::TakeReader& reader, const Selection& selection, const ExportOptions& options,
+                    const StopSignals& signals) {
+  make_folder(options.output);
+  Progress progress("Exporting", selection.size());
+  std::size_t written = 0;
+  for (const std::int64_t index : selection) {
+    if (const int signal = signals.pending(); signal != 0) {
+      fmt::print(stderr, "facet: broken off: '{}' holds {} pictures\n", options.output, written);
+      return signal;
+    }
+    const auto frame = reader.frame(index);
+    written += frame->images != nullptr ? write_set_pictures(*frame->images, options.output) : 0;
+    progress.advance();
+  }
+  progress.finish();
+  if (written == 0) {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("'{}' holds no pictures: they are recorded in mode \"frames\"", options.take));
+  }
+  fmt::print("{}: {} pictures of {} frames\n", options.output, written, selection.size());
+  return 0;
+}
+
 void run_export(const ExportOptions& options) {
   take::TakeReader reader(options.take);
   const take::TakeInfo& info = reader.info();
@@ -162,6 +187,7 @@ void run_export(const ExportOptions& options) {
   const Selection selection = frames_in_range(reader, options.frames);
   const StopSignals signals;
   const int broken_off_by = options.format == "jsonl" ? export_signals(reader, selection, options, signals)
+                            : options.format == "png" ? export_pictures(reader, selection, options, signals)
                                                       : export_meshes(reader, selection, options, signals);
   if (broken_off_by != 0) {
     signals.die_of(broken_off_by);
@@ -172,16 +198,16 @@ void run_export(const ExportOptions& options) {
 
 void add_export_command(CLI::App& app) {
   auto options = std::make_shared<ExportOptions>();
-  CLI::App* command =
-      app.add_subcommand("export", "Write meshes (PLY, OBJ, GLB) or signals (JSON lines) of a take");
+  CLI::App* command = app.add_subcommand(
+      "export", "Write meshes (PLY, OBJ, GLB), signals (JSON lines) or pictures of a take");
   command->add_option("TAKE", options->take, "Take file")->required();
   command
       ->add_option(
           "--format", options->format,
           "ply, obj: camera frame, mm, x right, y down, z forward; glb: metres, y up; jsonl: one object per "
-          "frame")
+          "frame; png: the cameras' pictures, where they were recorded")
       ->required()
-      ->check(CLI::IsMember({"ply", "obj", "glb", "jsonl"}));
+      ->check(CLI::IsMember({"ply", "obj", "glb", "jsonl", "png"}));
   command->add_option("--frames", options->frames, kFramesHelp);
   command->add_option("--level", options->level, "coarse: the tracked mesh; finest: the refined one")
       ->capture_default_str()

@@ -39,9 +39,17 @@ void print_stages(const json& stages) {
   }
 }
 
-void print_camera(const json& camera) {
+void print_source(const json& source) {
+  fmt::print("source        {} ({} x {} px, {:.2f} Hz{})\n", source["name"].get<std::string>(),
+             source["width_px"].get<int>(), source["height_px"].get<int>(), source["rate_hz"].get<double>(),
+             source["live"].get<bool>() ? ", live" : "");
+}
+
+/// name: of a rig's camera, with a colon.
+void print_camera(const json& camera, const std::string& name = "") {
   const std::string reason = camera["reason"];
-  fmt::print("camera        {}{}\n", camera["state"].get<std::string>(), reason.empty() ? "" : ": " + reason);
+  fmt::print("camera        {}{}{}\n", name, camera["state"].get<std::string>(),
+             reason.empty() ? "" : ": " + reason);
   std::vector<std::string> counts;
   for (const CameraCount& count : kCameraCounts) {
     if (const std::uint64_t value = camera["frames"][count.name]; value > 0) {
@@ -53,19 +61,79 @@ void print_camera(const json& camera) {
   }
 }
 
+void print_match(const json& sets) {
+  std::string refused;
+  for (const auto& [cause, count] : sets["refused"].items()) {
+    if (count.get<std::uint64_t>() > 0) {
+      refused +=
+          fmt::format("{} {} {}", refused.empty() ? "; refused" : ",", count.get<std::uint64_t>(), cause);
+    }
+  }
+  fmt::print("              {}: in {} sets, missing in {}{}\n",
+             sets["in_step"].get<bool>() ? "in step" : "OUT OF STEP", sets["in_sets"].get<std::uint64_t>(),
+             sets["missing"].get<std::uint64_t>(), refused);
+  fmt::print("              {:.0f} us behind the trigger, jitter {:.0f} us, {:.1f} ms on the way\n",
+             sets["offset_us"].get<double>(), sets["jitter_us"].get<double>(),
+             sets["transport_us"].get<double>() / 1000);
+}
+
+void print_trigger(const json& trigger) {
+  if (trigger.is_null()) {
+    fmt::print("trigger       none: the cameras run freely\n");
+    return;
+  }
+  const auto count = [&](const char* which) { return trigger[which].get<std::uint64_t>(); };
+  const std::string reason = trigger["reason"];
+  fmt::print("trigger       {}{}\n", trigger["state"].get<std::string>(),
+             reason.empty() ? "" : ": " + reason);
+  fmt::print("              {} slots fired, {} dropped; {} edges, {} late (worst {:.0f} us)\n",
+             count("slots_fired"), count("slots_dropped"), count("edges"), count("edges_late"),
+             trigger["worst_late_us"].get<double>());
+  if (count("edges_proven") + count("edges_missing") + count("edges_stray") > 0) {
+    fmt::print("              read back: {} edges proven, {} missing, {} stray\n", count("edges_proven"),
+               count("edges_missing"), count("edges_stray"));
+  }
+  fmt::print("              scheduling: {}\n", trigger["scheduling"].get<std::string>());
+}
+
+void print_rig(const json& rig) {
+  for (const json& camera : rig["cameras"]) {
+    print_camera(camera, camera["name"].get<std::string>() + ": ");
+    print_match(camera["sets"]);
+  }
+  print_trigger(rig["trigger"]);
+  const json& sets = rig["sets"];
+  const auto count = [&](const char* which) { return sets[which].get<std::uint64_t>(); };
+  fmt::print("frame sets    {} slots: {} complete, {} incomplete, {} dropped; worst skew {:.0f} us\n",
+             count("slots"), count("complete"), count("incomplete"), count("dropped"),
+             sets["worst_skew_us"].get<double>());
+}
+
+/// What only meshes have.
+void print_refinement(const json& status) {
+  const std::string gpu = status["gpu"];
+  fmt::print("gpu           {}\n", gpu.empty() ? "none" : gpu);
+  fmt::print("mesh          {} vertices on the finest of {} levels\n",
+             status["mesh"]["finest_vertices"].get<int>(), status["mesh"]["levels"].get<int>());
+  fmt::print("photometric   {:.4f} mean rms error (linear light, 0 to 1)\n",
+             status["photometric_rms"].get<double>());
+}
+
 void print(const json& status) {
-  const json& source = status["source"];
+  const bool of_rig = !status["rig"].is_null();
   const json& frames = status["frames"];
   fmt::print("facetd        {} (process {}), up {:.0f} s, {:.0f} MB in memory\n",
              status["version"].get<std::string>(), status["pid"].get<int>(), status["uptime_s"].get<double>(),
              status["resident_bytes"].get<double>() / 1e6);
   const std::string reason = status["reason"];
-  fmt::print("state         {}, {}{}\n", status["state"].get<std::string>(),
-             status["tracking"].get<std::string>(), reason.empty() ? "" : ": " + reason);
-  fmt::print("source        {} ({} x {} px, {:.2f} Hz{})\n", source["name"].get<std::string>(),
-             source["width_px"].get<int>(), source["height_px"].get<int>(), source["rate_hz"].get<double>(),
-             source["live"].get<bool>() ? ", live" : "");
-  print_camera(status["camera"]);
+  fmt::print("state         {}{}{}\n", status["state"].get<std::string>(),
+             of_rig ? "" : ", " + status["tracking"].get<std::string>(), reason.empty() ? "" : ": " + reason);
+  if (of_rig) {
+    print_rig(status["rig"]);
+  } else {
+    print_source(status["source"]);
+    print_camera(status["camera"]);
+  }
   const auto count = [&](const char* which) { return frames[which].get<std::uint64_t>(); };
   fmt::print(
       "frames        {} captured, {} dropped, {} handed out: {} with a mesh, {} refined, {} degraded\n",
@@ -75,12 +143,9 @@ void print(const json& status) {
     fmt::print("degraded      the last one because: {}\n", status["degraded_reason"].get<std::string>());
   }
   fmt::print("rate          {:.2f} frames per second\n", status["frames_per_second"].get<double>());
-  const std::string gpu = status["gpu"];
-  fmt::print("gpu           {}\n", gpu.empty() ? "none" : gpu);
-  fmt::print("mesh          {} vertices on the finest of {} levels\n",
-             status["mesh"]["finest_vertices"].get<int>(), status["mesh"]["levels"].get<int>());
-  fmt::print("photometric   {:.4f} mean rms error (linear light, 0 to 1)\n",
-             status["photometric_rms"].get<double>());
+  if (!of_rig) {
+    print_refinement(status);
+  }
   fmt::print("stream        {}: {} readers\n", status["stream"]["socket"].get<std::string>(),
              status["stream"]["readers"].size());
   for (const json& reader : status["stream"]["readers"]) {

@@ -16,6 +16,7 @@
 
 #include "commands.hpp"
 #include "facet/error.hpp"
+#include "set_pictures.hpp"
 #include "stream/client.hpp"
 #include "take/export.hpp"
 
@@ -30,6 +31,7 @@ struct WatchOptions {
   std::uint64_t frames = 0;
   bool json = false;
   std::string save_last;
+  std::string save_images;
   double wait_s = 0;
 };
 
@@ -146,6 +148,17 @@ std::unique_ptr<stream::StreamClient> connect(const WatchOptions& options,
   }
 }
 
+void save_images(const FrameSet* set, const std::filesystem::path& folder) {
+  if (set == nullptr) {
+    throw Error(ErrorKind::Unavailable,
+                "no frame with pictures came: facetd passes them on in mode \"frames\"");
+  }
+  std::error_code error;
+  std::filesystem::create_directories(folder, error);
+  const std::size_t written = write_set_pictures(*set, folder);
+  fmt::print(stderr, "{}: {} pictures of slot {}\n", folder.string(), written, set->slot);
+}
+
 void save_mesh(const std::shared_ptr<const mesh::MeshFrame>& frame, const std::filesystem::path& file) {
   if (frame == nullptr) {
     throw Error(ErrorKind::NoFace,
@@ -166,11 +179,13 @@ void run_watch(const WatchOptions& options) {
   subscription.profile =
       options.save_last.empty() ? stream::Profile::Signals : stream::Profile::Displacements;
   subscription.client = "facet watch";
+  subscription.want_images = !options.save_images.empty();
   const auto client = connect(options, subscription);
 
   LiveLine line;
   Window window;
   std::shared_ptr<mesh::MeshFrame> last_with_mesh;
+  std::shared_ptr<const FrameSet> last_images;
   std::uint64_t received = 0;
   auto last_arrival = Clock::now();
   stream::DecodedFrame got;
@@ -195,6 +210,7 @@ void run_watch(const WatchOptions& options) {
       line.show(line_text(got.frame, window, client->dropped()));
     }
     ++received;
+    last_images = got.frame.images != nullptr ? got.frame.images : last_images;
     if (!options.save_last.empty() && take::has_mesh(got.frame)) {
       last_with_mesh = std::make_shared<mesh::MeshFrame>(std::move(got.frame));
     }
@@ -204,6 +220,9 @@ void run_watch(const WatchOptions& options) {
              static_cast<double>(client->bytes_received()) * 1e-6);
   if (!options.save_last.empty()) {
     save_mesh(last_with_mesh, options.save_last);
+  }
+  if (!options.save_images.empty()) {
+    save_images(last_images.get(), options.save_images);
   }
   if (received < options.frames) {
     throw Error(ErrorKind::Unavailable, fmt::format("the stream ended after {} of {} frames: {}", received,
@@ -225,6 +244,8 @@ void add_watch_command(CLI::App& app) {
   command->add_flag("--json", options->json, "One JSON object per frame, as `facet export --format jsonl`");
   command->add_option("--save-last", options->save_last,
                       "At the end write the newest frame with a mesh to this .ply, .obj or .glb file");
+  command->add_option("--save-images", options->save_images,
+                      "At the end write the newest pictures of the cameras into this folder");
   command->add_option("--wait", options->wait_s, "Seconds to go on trying while facetd is not there yet")
       ->capture_default_str()
       ->check(CLI::Range(0.0, 86400.0));

@@ -55,11 +55,14 @@ FrameSetMatcher::FrameSetMatcher(const CaptureConfig& config)
     open.set.frames.resize(cameras_.size());
   }
   statistics_.cameras.resize(cameras_.size());
+  std::vector<std::string> names;
   for (std::size_t i = 0; i < cameras_.size(); ++i) {
     cameras_[i].nominal_offset_ns = triggered() ? config.cameras[i].latency_ns : 0;
     statistics_.cameras[i].name = config.cameras[i].name;
     statistics_.cameras[i].offset_ns = static_cast<double>(cameras_[i].nominal_offset_ns);
+    names.push_back(config.cameras[i].name);
   }
+  camera_names_ = std::make_shared<const std::vector<std::string>>(std::move(names));
 }
 
 void FrameSetMatcher::fired(std::uint64_t slot, std::int64_t fired_ns) {
@@ -278,7 +281,7 @@ void FrameSetMatcher::learn(std::size_t camera, const Pending& pending, std::uin
   const auto offset_ns = static_cast<double>(pending.frame.timestamp_ns - firing(firing_number).fired_ns);
   const double residual_ns = offset_ns - match.offset_ns;
   const auto nominal_ns = static_cast<double>(state.nominal_offset_ns);
-  const double reach_ns = triggered() ? static_cast<double>(config_.period_ns / 4) : 1e18;
+  const double reach_ns = triggered() ? 0.25 * static_cast<double>(config_.period_ns) : 1e18;
   const double wanted_ns = match.offset_ns + kMean * residual_ns;
   match.offset_ns = std::clamp(wanted_ns, nominal_ns - reach_ns, nominal_ns + reach_ns);
   match.offset_odd = match.offset_ns != wanted_ns;
@@ -381,6 +384,7 @@ bool FrameSetMatcher::take(FrameSet& out, std::int64_t now_ns) {
   std::swap(out, open_set(0).set);
   first_open_ = (first_open_ + 1) % open_.size();
   --open_count_;
+  out.camera_names = camera_names_;
   finish(out);
   return true;
 }

@@ -2,7 +2,9 @@
 
 #include <array>
 #include <cstdint>
+#include <memory>
 #include <optional>
+#include <string>
 #include <vector>
 
 #include "capture/frame_set.hpp"
@@ -112,6 +114,7 @@ class FrameSetMatcher {
   std::size_t open_count_ = 0;
   std::size_t reference_ = 0;  ///< free-running: the camera whose frames are the slots
   CaptureStatistics statistics_;
+  std::shared_ptr<const std::vector<std::string>> camera_names_;
 };
 
 }  // namespace facet::capture

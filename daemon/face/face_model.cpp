@@ -136,7 +136,8 @@ std::vector<Eigen::MatrixXf> FaceModel::core_at(std::span<const int> landmark_in
   std::vector<Eigen::MatrixXf> rows;
   rows.reserve(landmark_indices.size());
   for (const int index : landmark_indices) {
-    Eigen::MatrixXf& at = rows.emplace_back(Eigen::MatrixXf::Zero(3 * identity_modes, expression_modes));
+    Eigen::MatrixXf& at =
+        rows.emplace_back(Eigen::MatrixXf::Zero(Eigen::Index{3} * identity_modes, expression_modes));
     const LandmarkAnchor& anchor = landmarks.at(static_cast<std::size_t>(index));
     for (std::size_t corner = 0; corner < 3; ++corner) {
       if (anchor.weights[corner] == 0.0F) {
@@ -144,7 +145,8 @@ std::vector<Eigen::MatrixXf> FaceModel::core_at(std::span<const int> landmark_in
       }
       for (int i = 0; i < identity_modes; ++i) {
         for (int e = 0; e < expression_modes; ++e) {
-          at.block<3, 1>(3 * i, e) += anchor.weights[corner] * core_row(i, e).col(anchor.vertices[corner]);
+          at.block<3, 1>(Eigen::Index{3} * i, e) +=
+              anchor.weights[corner] * core_row(i, e).col(anchor.vertices[corner]);
         }
       }
     }

@@ -457,7 +457,7 @@ FaceModel FaceModel::parse(std::span<const std::byte> bytes, const std::string& 
           fmt::format("chunk '{}' holds {} bytes and should hold {}", tag, chunks.raw(tag).size(), expected));
     }
   };
-  raw_size("QUAD", counts.quads * 4 * sizeof(std::int32_t));
+  raw_size("QUAD", 4 * sizeof(std::int32_t) * counts.quads);
   raw_size("TEXC", vertices * 2 * sizeof(float));
   model.control.quads.resize(4, counts.quads);
   chunks.read("QUAD", model.control.quads.data(), static_cast<std::size_t>(model.control.quads.size()));

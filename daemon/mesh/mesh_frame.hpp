@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "facet/frame.hpp"
+#include "facet/frame_set.hpp"
 #include "mesh/hierarchy.hpp"
 
 namespace facet::mesh {
@@ -62,6 +62,7 @@ struct MeshFrame {
   bool degraded = false;  ///< something failed for this frame (GPU lost, corrupt image): see degraded_reason
   std::string degraded_reason;
   CameraIntrinsics camera;
+  std::shared_ptr<const FrameSet> images;  ///< what the cameras saw; null where pictures are not passed on
 
   // The rest is empty unless state is Tracking.
   std::shared_ptr<const Subject> subject;

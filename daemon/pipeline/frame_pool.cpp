@@ -1,30 +1,9 @@
 #include "pipeline/frame_pool.hpp"
 
+#include <algorithm>
 #include <utility>
 
 namespace facet::pipeline {
-
-FramePool::FramePool() : shelf_(std::make_shared<Shelf>()) {}
-
-std::shared_ptr<mesh::MeshFrame> FramePool::take() {
-  std::unique_ptr<mesh::MeshFrame> frame;
-  {
-    const std::lock_guard lock(shelf_->mutex);
-    if (!shelf_->frames.empty()) {
-      frame = std::move(shelf_->frames.back());
-      shelf_->frames.pop_back();
-    }
-  }
-  if (frame == nullptr) {
-    frame = std::make_unique<mesh::MeshFrame>();
-  }
-  return {frame.release(), [shelf = shelf_](mesh::MeshFrame* used) {
-            std::unique_ptr<mesh::MeshFrame> back(used);
-            clear(*back);
-            const std::lock_guard lock(shelf->mutex);
-            shelf->frames.push_back(std::move(back));
-          }};
-}
 
 void clear(mesh::MeshFrame& frame) {
   mesh::MeshFrame empty;
@@ -40,6 +19,13 @@ void clear(mesh::MeshFrame& frame) {
   empty.confidence.clear();
   empty.control_vertices_mm.swap(frame.control_vertices_mm);
   frame = std::move(empty);
+}
+
+void clear(FrameSet& set) {
+  FrameSet empty;
+  std::fill(set.frames.begin(), set.frames.end(), Frame{});
+  empty.frames = std::move(set.frames);
+  set = std::move(empty);
 }
 
 }  // namespace facet::pipeline

@@ -28,6 +28,9 @@ constexpr std::size_t kRecordedQueue = 4;
 /// A live frame waits for the tracker alone; the next one replaces it.
 constexpr std::size_t kLiveQueue = 1;
 
+/// The workers, as Progress counts them.
+enum Worker : std::size_t { kCapture, kTrack, kRefine };
+
 struct Captured {
   Frame frame;
   Clock::time_point delivered;
@@ -72,7 +75,7 @@ struct MonocularPipeline::Impl {
 
   // Shared by the threads.
   Messages messages;
-  Progress progress;
+  Progress progress{{"facet-capture", "facet-track", "facet-refine"}};
   std::atomic<bool> stopping{false};
   std::atomic<bool> wants_new_identity{false};
   std::atomic<int> threads_at_work{0};
@@ -122,7 +125,7 @@ void MonocularPipeline::Impl::begin(Worker worker, void (Impl::*work)()) {
   ++threads_at_work;
   progress.beat(worker);
   threads.emplace_back([this, worker, work] {
-    ::pthread_setname_np(::pthread_self(), to_string(worker));
+    ::pthread_setname_np(::pthread_self(), progress.name(worker).c_str());
     try {
       (this->*work)();
     } catch (const Error& error) {
@@ -167,7 +170,7 @@ void MonocularPipeline::Impl::capture() {
 
 void MonocularPipeline::Impl::capture_until_end() {
   while (!stopping) {
-    progress.beat(Worker::Capture);
+    progress.beat(kCapture);
     Captured item;
     const Clock::time_point begun = Clock::now();
     const CaptureOutcome outcome = stages.camera->next(item.frame, kCaptureTimeout);
@@ -229,12 +232,12 @@ void MonocularPipeline::Impl::note_camera() {
 
 bool MonocularPipeline::Impl::take(Captured&& item) {
   return source.live ? captured.push_newest(std::move(item))
-                     : captured.push(std::move(item), [this] { progress.beat(Worker::Capture); });
+                     : captured.push(std::move(item), [this] { progress.beat(kCapture); });
 }
 
 void MonocularPipeline::Impl::track() {
   set_state(PipelineState::Preparing);
-  const auto beat = [this] { progress.beat(Worker::Track); };
+  const auto beat = [this] { progress.beat(kTrack); };
   stages.coarse->prepare([&] {
     beat();
     return !stopping;
@@ -273,7 +276,7 @@ void MonocularPipeline::Impl::track_one(Captured&& item) {
   tracked_item.identity = identity;
   fill(*tracked_item.mesh, item, result);
   tracked_item.captured = std::move(item);
-  tracked.push(std::move(tracked_item), [this] { progress.beat(Worker::Track); });
+  tracked.push(std::move(tracked_item), [this] { progress.beat(kTrack); });
 }
 
 void MonocularPipeline::Impl::fill(mesh::MeshFrame& mesh, const Captured& item,
@@ -304,7 +307,7 @@ void MonocularPipeline::Impl::fill(mesh::MeshFrame& mesh, const Captured& item,
 
 void MonocularPipeline::Impl::refine() {
   Tracked item;
-  const auto beat = [this] { progress.beat(Worker::Refine); };
+  const auto beat = [this] { progress.beat(kRefine); };
   while (tracked.pop(item, beat)) {
     beat();
     if (stopping) {
@@ -408,9 +411,9 @@ MonocularPipeline::~MonocularPipeline() {
 
 void MonocularPipeline::start() {
   impl_->set_state(PipelineState::Preparing);
-  impl_->begin(Worker::Refine, &Impl::refine);
-  impl_->begin(Worker::Track, &Impl::track);
-  impl_->begin(Worker::Capture, &Impl::capture);
+  impl_->begin(kRefine, &Impl::refine);
+  impl_->begin(kTrack, &Impl::track);
+  impl_->begin(kCapture, &Impl::capture);
 }
 
 void MonocularPipeline::request_stop() {

@@ -1,31 +1,42 @@
 #pragma once
 
-#include <array>
 #include <atomic>
 #include <chrono>
+#include <cstddef>
 #include <cstdint>
 #include <optional>
+#include <string>
+#include <utility>
+#include <vector>
 
 namespace facet::pipeline {
 
-/// The threads of a pipeline that must get on for it to be alive.
-enum class Worker { Capture, Track, Refine };
-
-/// When each worker was last seen to get on, for whoever must notice that one hangs. A worker says so with
-/// every piece of work and while it waits for another one (BoundedQueue wakes it for that), so that silence
-/// means one thing: it is stuck inside a piece of work, or is not run at all.
+/// When each worker (a thread that must get on for its pipeline to be alive) was last seen to get on, for
+/// whoever must notice that one hangs. A worker says so with every piece of work and while it waits for
+/// another one (BoundedQueue wakes it for that), so that silence means one thing: it is stuck inside a piece
+/// of work, or is not run at all.
 class Progress {
  public:
   struct Silence {
-    Worker worker = Worker::Capture;
+    std::string worker;  ///< name of its thread
     std::chrono::nanoseconds length{0};
   };
 
+  /// The names of the workers' threads; they are counted in this order.
+  explicit Progress(std::vector<std::string> workers)
+      : workers_(std::move(workers)), last_ns_(workers_.size()) {
+    for (std::size_t w = 0; w < workers_.size(); ++w) {
+      end(w);
+    }
+  }
+
+  const std::string& name(std::size_t worker) const { return workers_.at(worker); }
+
   /// It begins, or gets on. The worker's own thread, or the one that starts it; real-time safe.
-  void beat(Worker worker) { at(worker).store(now_ns(), std::memory_order_relaxed); }
+  void beat(std::size_t worker) { last_ns_.at(worker).store(now_ns(), std::memory_order_relaxed); }
 
   /// It has done its last work. The worker's own thread.
-  void end(Worker worker) { at(worker).store(kNotAtWork, std::memory_order_relaxed); }
+  void end(std::size_t worker) { last_ns_.at(worker).store(kNotAtWork, std::memory_order_relaxed); }
 
   /// The worker that was silent for the longest time; none where none is at work. Any thread.
   std::optional<Silence> longest_silence() const {
@@ -35,7 +46,7 @@ class Progress {
       const std::int64_t last = last_ns_[w].load(std::memory_order_relaxed);
       const std::chrono::nanoseconds length(now - last);
       if (last != kNotAtWork && (!longest || length > longest->length)) {
-        longest = Silence{static_cast<Worker>(w), length};
+        longest = Silence{workers_[w], length};
       }
     }
     return longest;
@@ -45,15 +56,9 @@ class Progress {
   static constexpr std::int64_t kNotAtWork = -1;
 
   static std::int64_t now_ns() { return std::chrono::steady_clock::now().time_since_epoch().count(); }
-  std::atomic<std::int64_t>& at(Worker worker) { return last_ns_.at(static_cast<std::size_t>(worker)); }
 
-  std::array<std::atomic<std::int64_t>, 3> last_ns_{kNotAtWork, kNotAtWork, kNotAtWork};  ///< CLOCK_MONOTONIC
+  std::vector<std::string> workers_;
+  std::vector<std::atomic<std::int64_t>> last_ns_;  ///< CLOCK_MONOTONIC
 };
-
-/// Name of a worker's thread.
-inline const char* to_string(Worker worker) {
-  constexpr std::array kNames = {"facet-capture", "facet-track", "facet-refine"};
-  return kNames.at(static_cast<std::size_t>(worker));
-}
 
 }  // namespace facet::pipeline

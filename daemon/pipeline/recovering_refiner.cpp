@@ -136,7 +136,7 @@ void RecoveringRefiner::adopt_reopened() {
   }
 }
 
-void RecoveringRefiner::reopen(refine::SubjectSetup subject) {
+void RecoveringRefiner::reopen(const refine::SubjectSetup& subject) {
   ::pthread_setname_np(::pthread_self(), "facet-regpu");
   std::chrono::milliseconds pause = pauses_.first;
   for (;;) {

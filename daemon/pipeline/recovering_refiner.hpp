@@ -49,7 +49,7 @@ class RecoveringRefiner {
   void refuse(const std::string& reason);
   void lose(const std::string& reason);
   void adopt_reopened();
-  void reopen(refine::SubjectSetup subject);
+  void reopen(const refine::SubjectSetup& subject);
   std::unique_ptr<RefineStage> try_open(const refine::SubjectSetup& subject);
 
   OpenRefiner open_;

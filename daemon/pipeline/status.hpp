@@ -4,9 +4,12 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <vector>
 
+#include "capture/frame_set.hpp"
 #include "facet/camera.hpp"
 #include "facet/error.hpp"
+#include "facet/trigger.hpp"
 #include "mesh/mesh_frame.hpp"
 
 namespace facet::pipeline {
@@ -45,15 +48,30 @@ inline constexpr std::array kStages = {
     Stage{"latency", &mesh::StageTimes::latency_ms},
 };
 
+struct RigCameraStatus {
+  std::string name;  ///< in the rig
+  CameraInfo info;
+  CameraStatus status;
+};
+
+/// Several cameras and what fires them.
+struct RigStatus {
+  std::vector<RigCameraStatus> cameras;
+  std::optional<TriggerStatus> trigger;  ///< none where the cameras run freely
+  std::uint64_t triggers_opened = 0;     ///< more than 1: lines were lost and taken again
+  capture::CaptureStatistics sets;
+};
+
 /// What the pipeline has done and how it does now. A snapshot.
 struct PipelineStatus {
   PipelineState state = PipelineState::Idle;
   std::string reason;  ///< for people: why it Failed, or what the source said when it Ended early
   ErrorKind failure_kind = ErrorKind::Internal;  ///< where Failed; UnreadableInput: it was the source
   CameraInfo source;
-  CameraStatus camera;         ///< how the source does now
-  std::string device;          ///< of the refinement, for people; empty while there is none
-  std::uint64_t captured = 0;  ///< frames that the source produced, within the range asked for
+  CameraStatus camera;           ///< how the source does now
+  std::optional<RigStatus> rig;  ///< in place of source and camera where there are several
+  std::string device;            ///< of the refinement, for people; empty while there is none
+  std::uint64_t captured = 0;    ///< frames that the source produced, within the range asked for
   std::uint64_t dropped =
       0;  ///< of these, frames that no stage saw: the stages are slower than a live source
   std::uint64_t processed = 0;       ///< frames handed out

@@ -78,6 +78,7 @@ Picture render_surface(const Raycaster& surface, const CameraIntrinsics& camera,
   }
   const auto offsets = sample_offsets_px(rays_per_pixel);
   std::vector<HitImage> casts;
+  casts.reserve(offsets.size());
   for (const auto& offset : offsets) {
     casts.push_back(surface.cast(camera, offset));
   }

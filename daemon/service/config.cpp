@@ -86,6 +86,43 @@ class Section {
     return {document_, node != nullptr ? node->as_table() : nullptr, full(key)};
   }
 
+  /// The tables of an array [[key]]. One that is not in the file stands for its keys (config_keys).
+  std::vector<Section> sections(const std::string& key) {
+    const toml::node* node = find(key, false);
+    std::vector<Section> found;
+    if (node == nullptr) {
+      found.push_back({document_, nullptr, full(key)});
+      return found;
+    }
+    const toml::array* array = node->as_array();
+    if (array == nullptr || !array->is_homogeneous<toml::table>()) {
+      fail(node, key, "must be sections in double square brackets");
+    }
+    for (const toml::node& table : *array) {
+      found.push_back({document_, table.as_table(), full(key)});
+    }
+    return found;
+  }
+
+  /// A list of texts.
+  void read(const std::string& key, std::vector<std::string>& value) {
+    if (const toml::node* node = find(key)) {
+      value = texts(*node, key);
+    }
+  }
+
+  std::vector<std::string> texts(const toml::node& node, const std::string& key) const {
+    const toml::array* array = node.as_array();
+    std::vector<std::string> found;
+    for (std::size_t i = 0; array != nullptr && i < array->size(); ++i) {
+      found.push_back(text(*array->get(i), key, "a list of texts in quotes"));
+    }
+    if (array == nullptr) {
+      fail(&node, key, "must be a list of texts in quotes");
+    }
+    return found;
+  }
+
   void read(const std::string& key, std::string& value) {
     if (const toml::node* node = find(key)) {
       value = text(*node, key, kAnyText);
@@ -272,12 +309,12 @@ void read_v4l2(Section& section, camera::V4l2Config& v4l2) {
   v4l2.stall_after = std::chrono::milliseconds(stall_after_ms);
 }
 
+constexpr std::array kFileKeys = {"path", "paced", "loop"};
+constexpr std::array kV4l2Keys = {"device",      "format", "width_px",        "height_px", "rate_hz",
+                                  "exposure_us", "gain",   "white_balance_k", "buffers",   "stall_after_ms"};
+
 void read_source(Section section, Config& config) {
   constexpr std::array kKinds = {"file", "v4l2"};
-  constexpr std::array kFileKeys = {"path", "paced", "loop"};
-  constexpr std::array kV4l2Keys = {"device",  "format",        "width_px", "height_px",
-                                    "rate_hz", "exposure_us",   "gain",     "white_balance_k",
-                                    "buffers", "stall_after_ms"};
   pipeline::MonocularConfig& pipeline = config.pipeline;
   if (const auto kind = section.read_choice("kind", kKinds)) {
     pipeline.source.kind = kKinds.at(*kind);
@@ -302,6 +339,149 @@ void read_source(Section section, Config& config) {
   section.read("wait_for_reader", config.wait_for_reader);
   read_intrinsics(section.section("intrinsics"), pipeline.tracker.intrinsics);
   section.finish();
+}
+
+constexpr std::int64_t kMicrosecond_ns = 1000;
+
+void read_us(Section& section, const std::string& key, std::int64_t& value_ns, std::int64_t least_us,
+             std::int64_t most_us) {
+  std::int64_t value_us = value_ns / kMicrosecond_ns;
+  section.read_integer(key, value_us, least_us, most_us);
+  value_ns = value_us * kMicrosecond_ns;
+}
+
+/// Values that depend on one another are checked by pipeline::check, once all of them are known.
+void read_camera(Section section, std::vector<pipeline::RigCamera>& cameras) {
+  constexpr std::array kKinds = {"file", "v4l2", pipeline::kSimulatedCamera};
+  constexpr std::array kNotSimulated = {"device",          "format",  "exposure_us",   "gain",
+                                        "white_balance_k", "buffers", "stall_after_ms"};
+  pipeline::RigCamera camera;
+  camera.source.kind = "v4l2";
+  section.read("name", camera.name);
+  if (const auto kind = section.read_choice("kind", kKinds)) {
+    camera.source.kind = kKinds.at(*kind);
+  }
+  const std::string& kind = camera.source.kind;
+  if (kind == "file") {
+    section.refuse(kV4l2Keys, "is not for a camera of kind \"file\"");
+  } else {
+    section.refuse(kFileKeys, "is for a camera of kind \"file\"; the kind of this one is \"" + kind + "\"");
+  }
+  if (kind == pipeline::kSimulatedCamera) {
+    section.refuse(kNotSimulated, "is not for a camera of kind \"simulated\"");
+  }
+  section.read("path", camera.source.path);
+  section.read("loop", camera.source.loop);
+  read_v4l2(section, camera.source.v4l2);
+  read_us(section, "latency_us", camera.latency_ns, -1'000'000, 1'000'000);
+  section.finish();
+  if (!section.given()) {
+    return;
+  }
+  if (kind == "v4l2" && camera.source.v4l2.device.empty()) {
+    section.fail(section.node(), "device", "is missing: `facet doctor` lists the cameras");
+  }
+  if (kind == "file" && camera.source.path.empty()) {
+    section.fail(section.node(), "path", "is missing: name a video file");
+  }
+  cameras.push_back(std::move(camera));
+}
+
+void read_trigger_line(Section section, pipeline::RigConfig& rig) {
+  constexpr std::array kRoles = {"camera", "projector"};
+  constexpr std::array kDrives = {"push-pull", "open-drain", "open-source"};
+  TriggerLine line;
+  trigger::GpioOutput output;
+  trigger::GpioReadBack read_back;
+  section.read("name", line.name);
+  if (const auto role = section.read_choice("role", kRoles)) {
+    line.role = static_cast<LineRole>(*role);
+  }
+  section.read("active_low", line.active_low);
+  section.read("rest_active", line.safe_active);
+  read_us(section, "pulse_us", line.pulse_ns, 0, 1'000'000);
+  section.read("chip", output.chip);
+  section.read("line", output.line);
+  if (const auto drive = section.read_choice("drive", kDrives)) {
+    output.drive = static_cast<trigger::LineDrive>(*drive);
+  }
+  section.read("read_back_chip", read_back.chip);
+  section.read("read_back_line", read_back.line);
+  section.read("read_back_active_low", read_back.active_low);
+  section.finish();
+  if (!section.given()) {
+    return;
+  }
+  output.name = read_back.name = line.name;
+  if (rig.trigger == pipeline::TriggerKind::Gpio && (output.chip.empty() || output.line.empty())) {
+    section.fail(section.node(), "chip", "a line of a GPIO trigger needs chip and line");
+  }
+  rig.program.lines.push_back(line);
+  rig.gpio.outputs.push_back(output);
+  if (!read_back.line.empty()) {
+    read_back.chip = read_back.chip.empty() ? output.chip : read_back.chip;
+    rig.gpio.read_backs.push_back(read_back);
+  }
+}
+
+/// Lists of the projector lines that are active in one slot after the other.
+void read_patterns(Section& section, TriggerProgram& program) {
+  const toml::node* node = section.find("patterns");
+  program.patterns = {0};
+  if (node == nullptr) {
+    return;
+  }
+  const toml::array* slots = node->as_array();
+  if (slots == nullptr || slots->empty() || slots->size() > 65536) {
+    section.fail(node, "patterns", "must be a list of 1 to 65536 lists of projector lines");
+  }
+  program.patterns.clear();
+  for (const toml::node& slot : *slots) {
+    LineMask active = 0;
+    for (const std::string& name : section.texts(slot, "patterns")) {
+      const auto at = std::find_if(program.lines.begin(), program.lines.end(),
+                                   [&](const TriggerLine& line) { return line.name == name; });
+      if (at == program.lines.end()) {
+        section.fail(&slot, "patterns", fmt::format("there is no trigger line '{}'", name));
+      }
+      active |= LineMask{1} << (at - program.lines.begin());
+    }
+    program.patterns.push_back(active);
+  }
+}
+
+void read_trigger(Section section, pipeline::RigConfig& rig) {
+  constexpr std::array kKinds = {"none", "virtual", "gpio"};
+  if (const auto kind = section.read_choice("kind", kKinds)) {
+    rig.trigger = static_cast<pipeline::TriggerKind>(*kind);
+  }
+  TriggerProgram& program = rig.program;
+  program.exposure_ns = 5'000'000;
+  section.read_number("slots_per_second", program.slots_per_second, 1, 1000);
+  read_us(section, "settle_us", program.settle_ns, 0, 1'000'000);
+  read_us(section, "exposure_us", program.exposure_ns, 1, 1'000'000);
+  read_us(section, "tolerance_us", program.tolerance_ns, 1, 1'000'000);
+  section.read("real_time", rig.gpio.thread.real_time);
+  section.read_integer("priority", rig.gpio.thread.priority, 1, 99);
+  section.read("edge_log", rig.edge_log);
+  for (Section& line : section.sections("line")) {
+    read_trigger_line(line, rig);
+  }
+  if (rig.program.lines.size() > kMaxTriggerLines) {
+    section.fail(section.node(), "line", fmt::format("there are more than {}", kMaxTriggerLines));
+  }
+  read_patterns(section, program);
+  section.finish();
+}
+
+void read_rig(Section& root, Config& config) {
+  for (Section& camera : root.sections("camera")) {
+    read_camera(camera, config.rig.cameras);
+  }
+  read_trigger(root.section("trigger"), config.rig);
+  Section sets = root.section("sets");
+  sets.read_integer("deadline_ms", config.rig.deadline_ms, 0, 60'000);
+  sets.finish();
 }
 
 void read_tracker(Section section, track::TrackerConfig& tracker) {
@@ -373,7 +553,12 @@ void read_takes(Section section, TakesConfig& takes) {
 
 void read_all(Document& document, Config& config) {
   Section root(document, &document.root(), "");
+  constexpr std::array kModes = {"monocular", "frames"};
+  if (const auto mode = root.read_choice("mode", kModes)) {
+    config.mode = static_cast<Mode>(*mode);
+  }
   read_source(root.section("source"), config);
+  read_rig(root, config);
   Section model = root.section("model");
   model.read("path", config.pipeline.model_file);
   model.read("landmark_assets", config.pipeline.tracker.landmark_assets);
@@ -440,6 +625,14 @@ Config load_config(const std::filesystem::path& file) {
 }
 
 void require_source(const Config& config, const std::filesystem::path& file) {
+  if (config.mode == Mode::Frames) {
+    try {
+      pipeline::check(config.rig);
+    } catch (const Error& error) {
+      throw Error(ErrorKind::Usage, fmt::format("{}: {}", file.string(), error.what()));
+    }
+    return;
+  }
   const camera::CameraConfig& source = config.pipeline.source;
   if (source.kind == "v4l2" && source.v4l2.device.empty()) {
     throw Error(ErrorKind::Usage,

@@ -6,6 +6,7 @@
 #include <string_view>
 #include <vector>
 
+#include "pipeline/frames_config.hpp"
 #include "pipeline/monocular_config.hpp"
 #include "service/log.hpp"
 #include "stream/server.hpp"
@@ -24,10 +25,17 @@ struct TakesConfig {
   std::string record_at_start;  ///< name of a take that begins with the first frame; empty: none
 };
 
+enum class Mode {
+  Monocular,  ///< one source, refined meshes
+  Frames,     ///< the pictures of several cameras, no meshes
+};
+
 /// All that a configuration file says; defaults are those of config/facet.toml. Running state is elsewhere
 /// (Service).
 struct Config {
+  Mode mode = Mode::Monocular;
   pipeline::MonocularConfig pipeline;  ///< source.path or source.v4l2.device empty: not given
+  pipeline::RigConfig rig;             ///< mode Frames
   bool exit_at_end = false;            ///< or where the source fails
   bool wait_for_reader = false;
   stream::StreamServerConfig stream;
@@ -47,7 +55,7 @@ Config load_config(const std::filesystem::path& file);
 /// The same for text; `file` is for messages and for relative paths.
 Config parse_config(std::string_view text, const std::filesystem::path& file);
 
-/// Throws Error(Usage) where the configuration lacks what a daemon needs: a source.
+/// Throws Error(Usage) where the configuration lacks what a daemon needs: a source, or a rig that can be.
 void require_source(const Config& config, const std::filesystem::path& file);
 
 /// Every key that a configuration file may have, as "section.key".

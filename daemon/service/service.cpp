@@ -13,8 +13,10 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <utility>
+#include <variant>
 
 #include "facet/error.hpp"
+#include "pipeline/frames.hpp"
 #include "pipeline/monocular.hpp"
 #include "pipeline/stream_sink.hpp"
 #include "pipeline/take_sink.hpp"
@@ -36,6 +38,8 @@ constexpr std::chrono::milliseconds kLoopPeriod{100};
 constexpr std::chrono::milliseconds kImpatientPeriod{10};
 /// How often the service manager is told how the daemon does, where that changes.
 constexpr std::chrono::seconds kStatusPeriod{2};
+/// Frame sets with their pictures that wait for the disk.
+constexpr int kQueuedSets = 16;
 /// How long a stop waits for threads that a driver holds; with the stream's farewells it stays below a
 /// second.
 constexpr std::chrono::milliseconds kStopPatience{600};
@@ -99,8 +103,9 @@ struct Service::Impl {
   pipeline::StreamSink stream_sink;
   pipeline::TakeSink takes;
   std::optional<StageOpener> opener;
-  std::optional<pipeline::MonocularPipeline> pipeline;
-  CameraInfo source;
+  std::unique_ptr<pipeline::Pipeline> pipeline;
+  std::string source_name;
+  bool live = false;               ///< the source goes on while nobody reads
   bool running = false;            ///< the pipeline was started
   bool stopping = false;           ///< somebody asked for the end
   bool end_seen = false;           ///< the pipeline's end was logged
@@ -114,6 +119,8 @@ struct Service::Impl {
   void wait_for_events();
   void read_signals();
   void begin_pipeline();
+  void make_pipeline(pipeline::Stages stages);
+  void make_pipeline(pipeline::Rig rig);
   void start_when_awaited();
   void begin_take(const std::string& name);
   void log_take(const take::RecorderStatus& take) const;
@@ -204,9 +211,13 @@ json Service::Impl::record_stop() {
 void Service::Impl::begin_take(const std::string& name) {
   take::TakeRecorderConfig recorder;
   recorder.file = take::take_path(config.takes.folder, name);
-  recorder.source = source.name;
+  recorder.source = source_name;
   recorder.software = software_name();
-  recorder.when_full = source.live ? take::WhenFull::Drop : take::WhenFull::Wait;
+  recorder.when_full = live ? take::WhenFull::Drop : take::WhenFull::Wait;
+  if (config.mode == Mode::Frames) {
+    recorder.with_images = true;
+    recorder.queue_frames = kQueuedSets;
+  }
   recorder.disk_reserve_bytes = config.takes.disk_reserve_bytes;
   recorder.compression_level = config.takes.compression_level;
   takes.begin(recorder);
@@ -244,10 +255,10 @@ void Service::Impl::read_signals() {
   }
 }
 
-void Service::Impl::begin_pipeline() {
-  pipeline::Stages stages = opener->take();
-  opener.reset();
-  source = stages.camera->info();
+void Service::Impl::make_pipeline(pipeline::Stages stages) {
+  const CameraInfo source = stages.camera->info();
+  source_name = source.name;
+  live = source.live;
   log.info(fmt::format("source {}: {} x {} px, {:.2f} Hz{}", source.name, source.width_px, source.height_px,
                        source.rate_hz, source.live ? ", live" : ""));
   if (stages.refiner != nullptr) {
@@ -255,10 +266,32 @@ void Service::Impl::begin_pipeline() {
   } else {
     log.warning("refinement off (gpu.device = \"none\"): meshes are coarse and marked as degraded");
   }
-  pipeline.emplace(
+  pipeline = std::make_unique<pipeline::MonocularPipeline>(
       std::move(stages),
       pipeline::MonocularPipeline::Options{config.pipeline.hierarchy, config.pipeline.frames, {}},
       std::vector<pipeline::MeshSink*>{&stream_sink, &takes});
+}
+
+void Service::Impl::make_pipeline(pipeline::Rig rig) {
+  live = true;
+  for (std::size_t i = 0; i < rig.cameras.size(); ++i) {
+    const CameraInfo camera = rig.cameras[i]->info();
+    source_name += (i == 0 ? "" : ", ") + rig.config.cameras[i].name;
+    log.info(fmt::format("camera {}: {}, {} x {} px, {:.2f} Hz", rig.config.cameras[i].name, camera.name,
+                         camera.width_px, camera.height_px, camera.rate_hz));
+  }
+  log.info(rig.open_trigger
+               ? fmt::format("trigger: {} lines, {:.2f} slots a second", rig.config.program.lines.size(),
+                             rig.config.program.slots_per_second)
+               : std::string("no trigger: the cameras run freely"));
+  pipeline = std::make_unique<pipeline::FramesPipeline>(
+      std::move(rig), std::vector<pipeline::MeshSink*>{&stream_sink, &takes});
+}
+
+void Service::Impl::begin_pipeline() {
+  std::visit([this](auto&& opened) { make_pipeline(std::forward<decltype(opened)>(opened)); },
+             opener->take());
+  opener.reset();
   if (!config.takes.record_at_start.empty()) {
     // A daemon that is started again must not stumble over its own earlier take.
     begin_take(take::free_take_name(config.takes.folder, config.takes.record_at_start));
@@ -278,7 +311,7 @@ void Service::Impl::start_when_awaited() {
   }
   pipeline->start();
   running = true;
-  log.info("running", {{"FACET_EVENT", "running"}, {"FACET_SOURCE", source.name}});
+  log.info("running", {{"FACET_EVENT", "running"}, {"FACET_SOURCE", source_name}});
 }
 
 void Service::Impl::look_after_take() {
@@ -290,7 +323,7 @@ void Service::Impl::look_after_take() {
 
 void Service::Impl::look_after_pipeline() {
   for (const pipeline::Messages::Message& message : pipeline->take_messages()) {
-    const Log::Fields fields = {{"FACET_EVENT", "pipeline"}, {"FACET_SOURCE", source.name}};
+    const Log::Fields fields = {{"FACET_EVENT", "pipeline"}, {"FACET_SOURCE", source_name}};
     if (message.warning) {
       log.warning(message.text, fields);
     } else {
@@ -304,7 +337,7 @@ void Service::Impl::look_after_pipeline() {
   }
   end_seen = true;
   if (failed) {
-    log.error(now.reason, {{"FACET_EVENT", "failed"}, {"FACET_SOURCE", source.name}});
+    log.error(now.reason, {{"FACET_EVENT", "failed"}, {"FACET_SOURCE", source_name}});
   }
   log.info(fmt::format("{}: {} frames, {} with a mesh, {} refined, {} dropped",
                        failed ? "until then" : "the source is at its end", now.processed, now.mesh_frames,
@@ -333,7 +366,18 @@ void Service::Impl::tell_manager() {
   }
   const pipeline::PipelineStatus now = pipeline->status();
   std::string text = pipeline::to_string(now.state);
-  if (now.state == pipeline::PipelineState::Running) {
+  if (now.rig) {
+    text += fmt::format(": {:.1f} sets/s, {} of {} incomplete", now.frames_per_second,
+                        now.rig->sets.incomplete, now.processed);
+    for (const pipeline::RigCameraStatus& camera : now.rig->cameras) {
+      if (!camera.status.reason.empty()) {
+        text += fmt::format("; camera {}: {}", camera.name, camera.status.reason);
+      }
+    }
+    if (now.rig->trigger && !now.rig->trigger->reason.empty()) {
+      text += fmt::format("; trigger: {}", now.rig->trigger->reason);
+    }
+  } else if (now.state == pipeline::PipelineState::Running) {
     text += fmt::format(": source {}, {}, {:.1f} frames/s", to_string(now.camera.state),
                         mesh::to_string(now.tracking), now.frames_per_second);
   }
@@ -403,7 +447,7 @@ int Service::run() {
     impl.log.info(fmt::format("{}: stream on {}, control on {}", software_name(),
                               impl.config.stream.socket.string(), impl.config.control.socket.string()),
                   {{"FACET_EVENT", "started"}, {"FACET_VERSION", FACET_VERSION}});
-    impl.opener.emplace(impl.config.pipeline);
+    impl.opener.emplace(impl.config);
     while (!impl.exit_status) {
       impl.wait_for_events();
       impl.look_after();

@@ -82,7 +82,7 @@ std::chrono::microseconds ServiceManager::patience() const {
 void ServiceManager::look_after(const std::optional<pipeline::Progress::Silence>& silence) {
   const bool hung = silence && silence->length > patience();
   if (hung && !hung_) {
-    const char* thread = pipeline::to_string(silence->worker);
+    const std::string& thread = silence->worker;
     log_.error(fmt::format("{} hangs: nothing from it for {:.1f} s{}", thread,
                            std::chrono::duration<double>(silence->length).count(),
                            watchdog_ ? "; the watchdog is not fed until it gets on" : ""),

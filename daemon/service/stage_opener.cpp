@@ -15,10 +15,10 @@ struct StageOpener::Result {
   stream::FileDescriptor wake{::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)};
   std::atomic<bool> done{false};
   std::exception_ptr error;  ///< written before done
-  pipeline::Stages stages;   ///< written before done
+  Opened opened;             ///< written before done
 };
 
-StageOpener::StageOpener(const pipeline::MonocularConfig& config) : result_(std::make_shared<Result>()) {
+StageOpener::StageOpener(const Config& config) : result_(std::make_shared<Result>()) {
   if (!result_->wake) {
     throw Error(ErrorKind::Internal, "cannot make an eventfd: too many open files");
   }
@@ -26,7 +26,11 @@ StageOpener::StageOpener(const pipeline::MonocularConfig& config) : result_(std:
   thread_ = std::thread([result = result_, config] {
     ::pthread_setname_np(::pthread_self(), "facet-open");
     try {
-      result->stages = pipeline::open_stages(config);
+      if (config.mode == Mode::Frames) {
+        result->opened = pipeline::open_rig(config.rig);
+      } else {
+        result->opened = pipeline::open_stages(config.pipeline);
+      }
     } catch (...) {
       result->error = std::current_exception();
     }
@@ -48,11 +52,11 @@ bool StageOpener::done() const {
   return result_->done;
 }
 
-pipeline::Stages StageOpener::take() {
+Opened StageOpener::take() {
   if (result_->error != nullptr) {
     std::rethrow_exception(result_->error);
   }
-  return std::move(result_->stages);
+  return std::move(result_->opened);
 }
 
 }  // namespace facet::service

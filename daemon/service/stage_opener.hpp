@@ -4,19 +4,25 @@
 #include <optional>
 #include <string>
 #include <thread>
+#include <variant>
 
 #include "facet/error.hpp"
+#include "pipeline/frames.hpp"
 #include "pipeline/stages.hpp"
+#include "service/config.hpp"
 #include "stream/unix_socket.hpp"
 
 namespace facet::service {
 
-/// Opens the pipeline's stages on the thread `facet-open`, which can't be broken off: models are read,
-/// drivers loaded and kernels compiled meanwhile. One thread uses this object.
+/// What a pipeline of either mode is made of.
+using Opened = std::variant<pipeline::Stages, pipeline::Rig>;
+
+/// Opens the pipeline's stages or devices on the thread `facet-open`, which can't be broken off: models are
+/// read, drivers loaded and kernels compiled meanwhile. One thread uses this object.
 class StageOpener {
  public:
   /// Begins at once.
-  explicit StageOpener(const pipeline::MonocularConfig& config);
+  explicit StageOpener(const Config& config);
   /// Waits for the thread.
   ~StageOpener();
   StageOpener(const StageOpener&) = delete;
@@ -26,8 +32,8 @@ class StageOpener {
   int fd() const;
   bool done() const;
 
-  /// The stages, once. Throws what open_stages threw. Only when done().
-  pipeline::Stages take();
+  /// Once. Throws what open_stages or open_rig threw. Only when done().
+  Opened take();
 
  private:
   struct Result;

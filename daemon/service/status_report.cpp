@@ -26,6 +26,70 @@ json to_json(const CameraStatus& camera) {
   return {{"state", to_string(camera.state)}, {"reason", camera.reason}, {"frames", std::move(counts)}};
 }
 
+json to_json(const CameraInfo& info) {
+  return {{"name", info.name},
+          {"width_px", info.width_px},
+          {"height_px", info.height_px},
+          {"rate_hz", info.rate_hz},
+          {"live", info.live}};
+}
+
+json to_json(const capture::CameraMatch& match) {
+  json refused = json::object();
+  for (std::size_t cause = 0; cause < capture::kRefusals.size(); ++cause) {
+    refused[capture::kRefusals.at(cause)] = match.refused.at(cause);
+  }
+  return {{"in_step", match.in_step},
+          {"in_sets", match.in_sets},
+          {"missing", match.missing},
+          {"refused", std::move(refused)},
+          {"offset_us", match.offset_ns * 1e-3},
+          {"jitter_us", match.jitter_ns * 1e-3},
+          {"worst_us", match.worst_ns * 1e-3},
+          {"skew_us", match.skew_ns * 1e-3},
+          {"transport_us", match.transport_ns * 1e-3}};
+}
+
+json to_json(const TriggerStatus& trigger) {
+  return {{"state", to_string(trigger.state)},
+          {"reason", trigger.reason},
+          {"real_time", trigger.real_time},
+          {"scheduling", trigger.scheduling},
+          {"slots_fired", trigger.slots_fired},
+          {"slots_dropped", trigger.slots_dropped},
+          {"edges", trigger.edges},
+          {"edges_late", trigger.edges_late},
+          {"worst_late_us", static_cast<double>(trigger.worst_late_ns) * 1e-3},
+          {"edges_proven", trigger.edges_proven},
+          {"edges_missing", trigger.edges_missing},
+          {"edges_stray", trigger.edges_stray},
+          {"events_lost", trigger.events_lost}};
+}
+
+json to_json(const pipeline::RigStatus& rig) {
+  json cameras = json::array();
+  for (std::size_t i = 0; i < rig.cameras.size(); ++i) {
+    json camera = to_json(rig.cameras[i].status);
+    camera["name"] = rig.cameras[i].name;
+    camera["source"] = to_json(rig.cameras[i].info);
+    camera["sets"] = to_json(rig.sets.cameras.at(i));
+    cameras.push_back(std::move(camera));
+  }
+  json trigger = rig.trigger ? to_json(*rig.trigger) : json(nullptr);
+  if (rig.trigger) {
+    trigger["opened"] = rig.triggers_opened;
+  }
+  return {{"cameras", std::move(cameras)},
+          {"trigger", std::move(trigger)},
+          {"sets",
+           {{"slots", rig.sets.slots},
+            {"complete", rig.sets.complete},
+            {"incomplete", rig.sets.incomplete},
+            {"dropped", rig.sets.dropped},
+            {"odd_slots", rig.sets.odd_slots},
+            {"worst_skew_us", static_cast<double>(rig.sets.worst_skew_ns) * 1e-3}}}};
+}
+
 }  // namespace
 
 json to_json(const pipeline::PipelineStatus& status) {
@@ -36,13 +100,9 @@ json to_json(const pipeline::PipelineStatus& status) {
   }
   return {
       {"reason", status.reason},
-      {"source",
-       {{"name", status.source.name},
-        {"width_px", status.source.width_px},
-        {"height_px", status.source.height_px},
-        {"rate_hz", status.source.rate_hz},
-        {"live", status.source.live}}},
-      {"camera", to_json(status.camera)},
+      {"source", status.rig ? json(nullptr) : to_json(status.source)},
+      {"camera", status.rig ? json(nullptr) : to_json(status.camera)},
+      {"rig", status.rig ? to_json(*status.rig) : json(nullptr)},
       {"frames",
        {{"captured", status.captured},
         {"dropped", status.dropped},

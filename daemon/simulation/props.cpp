@@ -86,9 +86,9 @@ Surface make_eyeball(float radius_mm, const Eigen::Vector3f& iris, std::uint64_t
   constexpr float kPupil_mm = 2.1F;
   const Noise fibres(seed, 61);
   Surface eye;
-  eye.vertices_mm.resize(3, kRings * kAround);
-  eye.albedo.resize(3, kRings * kAround);
-  eye.materials.assign(kRings * kAround, Material::Eye);
+  eye.vertices_mm.resize(3, Eigen::Index{kRings} * kAround);
+  eye.albedo.resize(3, Eigen::Index{kRings} * kAround);
+  eye.materials.assign(std::size_t{kRings} * kAround, Material::Eye);
   for (int ring = 0; ring < kRings; ++ring) {
     // Rings lie closer round the iris, which is all that is seen.
     const float part = static_cast<float>(ring) / (kRings - 1);
@@ -130,9 +130,9 @@ Surface make_teeth(const Anatomy& anatomy, bool upper) {
   const float edge_y = middle.y() + (upper ? 0.5F : -1.5F);
   const float direction = upper ? 1.0F : -1.0F;  // from the cutting edge to the gum
   Surface teeth;
-  teeth.vertices_mm.resize(3, kRows * kColumns);
-  teeth.albedo.resize(3, kRows * kColumns);
-  teeth.materials.assign(kRows * kColumns, Material::Tooth);
+  teeth.vertices_mm.resize(3, Eigen::Index{kRows} * kColumns);
+  teeth.albedo.resize(3, Eigen::Index{kRows} * kColumns);
+  teeth.materials.assign(std::size_t{kRows} * kColumns, Material::Tooth);
   for (int row = 0; row < kRows; ++row) {
     const float height_mm = 13.0F * static_cast<float>(upper ? row : kRows - 1 - row) / (kRows - 1);
     for (int column = 0; column < kColumns; ++column) {
@@ -179,10 +179,10 @@ Torso make_torso(const Anatomy& anatomy, const Complexion& complexion, std::uint
                                          {chin_y - 420, 215, 120, neck_z - 8}}};
   Torso torso;
   Surface& surface = torso.surface;
-  surface.vertices_mm.resize(3, kRows * kAround);
-  surface.albedo.resize(3, kRows * kAround);
-  surface.materials.resize(kRows * kAround);
-  torso.hold.resize(kRows * kAround);
+  surface.vertices_mm.resize(3, Eigen::Index{kRows} * kAround);
+  surface.albedo.resize(3, Eigen::Index{kRows} * kAround);
+  surface.materials.resize(std::size_t{kRows} * kAround);
+  torso.hold.resize(std::size_t{kRows} * kAround);
   for (int row = 0; row < kRows; ++row) {
     const float at = static_cast<float>(row) / (kRows - 1) * static_cast<float>(sections.size() - 1);
     const auto low = std::min(static_cast<std::size_t>(at), sections.size() - 2);
@@ -232,7 +232,7 @@ Surface make_glasses(const Anatomy& anatomy, std::uint64_t seed) {
       const float s = std::sin(turn);
       const float x = half_width_mm * std::copysign(std::pow(std::abs(c), 2 / squareness), c);
       const float y = half_height_mm * std::copysign(std::pow(std::abs(s), 2 / squareness), s);
-      rim.push_back(centre + Vector3f(x, y, -0.006F * (x + sign * 8) * (x + sign * 8)));
+      rim.emplace_back(centre + Vector3f(x, y, -0.006F * (x + sign * 8) * (x + sign * 8)));
     }
     append(glasses, tube(rim, true, radius_mm));
     std::vector<Vector3f> temple;

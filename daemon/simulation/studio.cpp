@@ -49,6 +49,7 @@ Eigen::Matrix3Xf make_background(const StudioConfig& config) {
     Vector3f colour;
   };
   std::vector<Blob> blobs;
+  blobs.reserve(6);
   for (int k = 0; k < 6; ++k) {
     blobs.push_back(
         {random.uniform(),

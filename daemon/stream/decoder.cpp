@@ -9,6 +9,7 @@
 
 #include "facet/error.hpp"
 #include "facet_generated.h"
+#include "stream/image_codec.hpp"
 
 namespace facet::stream {
 namespace {
@@ -18,7 +19,7 @@ using WireVector = flatbuffers::Vector<T>;
 
 // Depth and number of tables of a genuine message: Message > Body > Hierarchy > Level > Stencils.
 constexpr flatbuffers::uoffset_t kMaxDepth = 8;
-constexpr flatbuffers::uoffset_t kMaxTables = 64;
+constexpr flatbuffers::uoffset_t kMaxTables = kMaxCameras + 16;
 
 [[noreturn]] void reject(const char* what) {
   throw Error(ErrorKind::UnreadableInput, fmt::format("damaged or foreign message: {}", what));
@@ -342,6 +343,7 @@ Subscription decode_subscription(std::span<const std::uint8_t> message) {
   out.profile = static_cast<Profile>(body.profile());
   out.want_albedo = body.want_albedo();
   out.client = text(body.client(), kMaxNameBytes, "subscription: client");
+  out.want_images = body.want_images();
   return out;
 }
 
@@ -437,6 +439,9 @@ void decode_frame(std::span<const std::uint8_t> message, std::shared_ptr<const m
       frame.albedo = std::move(albedo);
     }
     decode_mesh_part(body, decoded);
+  }
+  if (body.frame_set() != nullptr) {
+    frame.images = read_frame_set(*body.frame_set());
   }
   out = std::move(decoded);
 }

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "facet_generated.h"
+#include "stream/image_codec.hpp"
 
 namespace facet::stream {
 namespace {
@@ -17,6 +18,8 @@ using flatbuffers::Offset;
 
 constexpr std::size_t kInitialBufferBytes = 1U << 20;
 constexpr float kInt16Max = 32767.0F;
+/// What a message has for pictures beside the largest mesh that it may hold.
+constexpr std::size_t kMaxPixelBytes = kMaxMessageBytes - (16U << 20);
 
 std::span<const std::uint8_t> finish(FlatBufferBuilder& builder, wire::Body type, Offset<void> body) {
   wire::FinishMessageBuffer(builder, wire::CreateMessage(builder, type, body));
@@ -196,6 +199,7 @@ struct Encoder::Impl {
     Offset<wire::FixedPoint> vertices;
     Offset<flatbuffers::Vector<std::int16_t>> normals;
     Offset<flatbuffers::Vector<std::uint8_t>> confidence;
+    Offset<wire::FrameSet> frame_set;
   };
 
   void geometry_parts(const mesh::MeshFrame& frame, Profile profile, Parts& parts);
@@ -226,7 +230,7 @@ std::span<const std::uint8_t> Encoder::subscription(const Subscription& subscrip
   const auto client = bounded_string(builder, subscription.client, kMaxNameBytes);
   const auto body = wire::CreateSubscribe(builder, subscription.protocol_version,
                                           static_cast<wire::Profile>(subscription.profile),
-                                          subscription.want_albedo, client);
+                                          subscription.want_albedo, client, subscription.want_images);
   return finish(builder, wire::Body::Subscribe, body.Union());
 }
 
@@ -331,7 +335,8 @@ void Encoder::Impl::geometry_parts(const mesh::MeshFrame& frame, Profile profile
                  [](float value) { return to_int16(value * kInt16Max); });
 }
 
-std::span<const std::uint8_t> Encoder::frame(const mesh::MeshFrame& frame, Profile profile) {
+std::span<const std::uint8_t> Encoder::frame(const mesh::MeshFrame& frame, Profile profile,
+                                             bool with_pixels) {
   FlatBufferBuilder& builder = impl_->builder;
   builder.Clear();
   bool with_mesh = carries_mesh(frame);
@@ -344,6 +349,12 @@ std::span<const std::uint8_t> Encoder::frame(const mesh::MeshFrame& frame, Profi
       degraded_reason = fault;
     }
   }
+  if (with_pixels && frame.images != nullptr && pixel_bytes(*frame.images) > kMaxPixelBytes) {
+    with_pixels = false;
+    degraded = true;
+    degraded_reason =
+        "pictures left out: together they are larger than a message may be (64 MiB): use smaller pictures";
+  }
 
   Impl::Parts parts;
   parts.degraded_reason = bounded_string(builder, degraded_reason, kMaxTextBytes);
@@ -351,6 +362,9 @@ std::span<const std::uint8_t> Encoder::frame(const mesh::MeshFrame& frame, Profi
   parts.landmarks_px = impl_->landmarks(frame.landmarks_px);
   if (with_mesh) {
     impl_->geometry_parts(frame, profile, parts);
+  }
+  if (frame.images != nullptr && !frame.images->frames.empty()) {
+    parts.frame_set = write_frame_set(builder, *frame.images, with_pixels);
   }
 
   const CameraIntrinsics& intrinsics = frame.camera;
@@ -383,6 +397,7 @@ std::span<const std::uint8_t> Encoder::frame(const mesh::MeshFrame& frame, Profi
     table.add_normals(parts.normals);
     table.add_confidence(parts.confidence);
   }
+  table.add_frame_set(parts.frame_set);
   return finish(builder, wire::Body::Frame, table.Finish().Union());
 }
 

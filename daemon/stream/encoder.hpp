@@ -38,7 +38,11 @@ class Encoder {
   /// A frame without a subject, or with one that has a subject_fault, carries no geometry in any profile; the
   /// latter is degraded and says why. Profile Vertices rebuilds the finest mesh
   /// here (mesh::rebuild_finest): do it in the server's thread.
-  std::span<const std::uint8_t> frame(const mesh::MeshFrame& frame, Profile profile);
+  ///
+  /// MeshFrame::images go with it, their pixels only with `with_pixels`, grey ones in one channel. Pictures
+  /// that would make the message too long come without pixels; the frame is degraded and says so.
+  std::span<const std::uint8_t> frame(const mesh::MeshFrame& frame, Profile profile,
+                                      bool with_pixels = false);
 
  private:
   struct Impl;

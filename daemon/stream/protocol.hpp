@@ -31,6 +31,7 @@ inline constexpr std::uint32_t kMaxLevels = 12;
 inline constexpr std::uint32_t kMaxStencilEntriesPerRow = 64;  ///< on average over a level
 inline constexpr std::uint32_t kMaxCoefficients = 1024;        ///< identity or expression
 inline constexpr std::uint32_t kMaxLandmarks = 4096;
+inline constexpr std::uint32_t kMaxImagePx = 16384;  ///< width and height
 inline constexpr std::size_t kMaxNameBytes = 64;
 inline constexpr std::size_t kMaxTextBytes = 1024;  ///< degraded_reason, goodbye reason, server
 
@@ -61,6 +62,7 @@ struct Subscription {
   Profile profile = Profile::Displacements;
   bool want_albedo = true;
   std::string client;  ///< for people, kMaxNameBytes at most
+  bool want_images = false;
 };
 
 struct Dropped {

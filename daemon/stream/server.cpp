@@ -116,8 +116,8 @@ struct StreamServer::Impl {
   std::uint64_t current_number = 0;              ///< publications up to and with current
   std::shared_ptr<const mesh::Subject> subject;  ///< of the newest frame that had one
   std::shared_ptr<const mesh::Albedo> albedo;    ///< likewise, of that subject
-  std::array<std::shared_ptr<const Packet>, kProfileCount>
-      frame_packets;  ///< of current, made when asked for
+  /// Of current, made when asked for: without pixels, then with them.
+  std::array<std::array<std::shared_ptr<const Packet>, kProfileCount>, 2> frame_packets;
   std::array<std::shared_ptr<const Packet>, kProfileCount> subject_packets;  ///< of subject
   std::shared_ptr<const Packet> albedo_packet;                               ///< of albedo
 
@@ -134,7 +134,7 @@ struct StreamServer::Impl {
   void pump(Reader& reader);
   bool send_outgoing(Reader& reader);
   std::shared_ptr<const Packet> next_packet(Reader& reader);
-  std::shared_ptr<const Packet> frame_packet(Profile profile);
+  std::shared_ptr<const Packet> frame_packet(const Subscription& subscription);
   void arm(Reader& reader, bool waits_for_room);
   void remove_gone();
   void farewell();
@@ -172,7 +172,7 @@ void StreamServer::Impl::take_newest() {
   statistics.published = number;
   current_number = number;
   current = std::move(frame);
-  frame_packets.fill(nullptr);
+  frame_packets = {};
   if (current->subject == nullptr || !subject_fault(*current->subject).empty()) {
     return;
   }
@@ -328,10 +328,11 @@ void StreamServer::Impl::refuse(Reader& reader, const std::string& why) {
   reader.gone = true;
 }
 
-std::shared_ptr<const Packet> StreamServer::Impl::frame_packet(Profile profile) {
-  auto& cached = frame_packets[static_cast<std::size_t>(profile)];
+std::shared_ptr<const Packet> StreamServer::Impl::frame_packet(const Subscription& subscription) {
+  const bool with_pixels = subscription.want_images && current->images != nullptr;
+  auto& cached = frame_packets.at(with_pixels ? 1 : 0).at(static_cast<std::size_t>(subscription.profile));
   if (cached == nullptr) {
-    cached = packet(encoder.frame(*current, profile));
+    cached = packet(encoder.frame(*current, subscription.profile, with_pixels));
     statistics.encoded_bytes += cached->bytes.size();
   }
   return cached;
@@ -379,7 +380,7 @@ std::shared_ptr<const Packet> StreamServer::Impl::next_packet(Reader& reader) {
   reader.last_number = current_number;
   reader.dropped_since_frame = 0;
   reader.outgoing_is_frame = true;
-  return frame_packet(profile);
+  return frame_packet(reader.subscription);
 }
 
 /// Sends what the socket takes of the outgoing message. Returns true once it is all sent.

@@ -31,7 +31,7 @@ class BufferWriter {
  public:
   template <typename T>
   int add(std::span<const T> values, const char* type, int component_type, std::size_t count, int target,
-          Json extra = Json::object()) {
+          const Json& extra = Json::object()) {
     const std::size_t offset = bytes_.size();
     const auto raw = std::as_bytes(values);
     bytes_.resize(offset + raw.size());
@@ -46,8 +46,8 @@ class BufferWriter {
     return static_cast<int>(accessors_.size()) - 1;
   }
   int add_floats(std::span<const float> values, const char* type, std::size_t count,
-                 Json extra = Json::object()) {
-    return add(values, type, kComponentFloat, count, kTargetVertices, std::move(extra));
+                 const Json& extra = Json::object()) {
+    return add(values, type, kComponentFloat, count, kTargetVertices, extra);
   }
 
   const Json& views() const { return views_; }

@@ -39,6 +39,30 @@ Json stage_json(const mesh::StageTimes& times) {
           {"readback", times.readback_ms},   {"latency", times.latency_ms}};
 }
 
+Json frame_set_json(const FrameSet& set) {
+  Json images = Json::array();
+  Json missing = Json::array();
+  for (std::size_t i = 0; i < set.frames.size(); ++i) {
+    const std::string& name = set.camera_names->at(i);
+    if ((set.missing >> i & 1) != 0) {
+      missing.push_back(name);
+      continue;
+    }
+    const Frame& frame = set.frames[i];
+    images.push_back({{"camera", name},
+                      {"sequence", frame.sequence},
+                      {"timestamp_ns", frame.timestamp_ns},
+                      {"corrupt", frame.corrupt},
+                      {"width", frame.width_px},
+                      {"height", frame.height_px}});
+  }
+  return {{"slot", set.slot},
+          {"trigger_ns", set.trigger_ns},
+          {"skew_ns", set.skew_ns},
+          {"missing", std::move(missing)},
+          {"images", std::move(images)}};
+}
+
 }  // namespace
 
 std::string frame_json(const mesh::MeshFrame& frame, std::int64_t index) {
@@ -64,6 +88,9 @@ std::string frame_json(const mesh::MeshFrame& frame, std::int64_t index) {
   out["reprojection_px"] = frame.reprojection_px;
   out["photometric_rms"] = meshed ? Json(frame.photometric_rms) : Json(nullptr);
   out["stage_ms"] = stage_json(frame.stage_ms);
+  if (frame.images != nullptr) {
+    out["frame_set"] = frame_set_json(*frame.images);
+  }
   // A reason from a driver may hold any bytes.
   return out.dump(-1, ' ', false, Json::error_handler_t::replace);
 }

@@ -309,6 +309,7 @@ std::vector<std::shared_ptr<const mesh::Subject>> TakeReader::subjects() {
       ids.push_back(id_from(select.column_int64(0)));
     }
     std::vector<std::shared_ptr<const mesh::Subject>> out;
+    out.reserve(ids.size());
     for (const std::uint64_t id : ids) {
       out.push_back(impl_->subject(id));
     }

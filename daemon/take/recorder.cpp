@@ -87,7 +87,8 @@ const char* to_string(RecorderState state) {
 class TakeWriter {
  public:
   explicit TakeWriter(const TakeRecorderConfig& config)
-      : compressor_(config.compression_level),
+      : with_images_(config.with_images),
+        compressor_(config.compression_level),
         database_(config.file, Database::Mode::ReadWrite),
         schema_(make_schema(config)),
         insert_subject_(database_, "INSERT OR IGNORE INTO subject(id, data) VALUES(?, ?)"),
@@ -115,6 +116,7 @@ class TakeWriter {
  private:
   bool make_schema(const TakeRecorderConfig& config);
 
+  bool with_images_;
   stream::Encoder encoder_;
   BlobCompressor compressor_;
   Database database_;
@@ -173,7 +175,7 @@ std::size_t TakeWriter::write(const mesh::MeshFrame& frame, std::int64_t number,
     insert_albedo_.run();
     albedo_version_ = frame.albedo->version;
   }
-  const auto message = encoder_.frame(frame, stream::Profile::Displacements);
+  const auto message = encoder_.frame(frame, stream::Profile::Displacements, with_images_);
   has_mesh = stream::frame_references(message).subject_id != 0;
   insert_frame_.bind(1, number);
   insert_frame_.bind(2, stored_id(frame.sequence));

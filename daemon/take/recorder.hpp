@@ -25,6 +25,7 @@ struct TakeRecorderConfig {
   /// Recording stops with a reason while this much of the disk is still free, bytes.
   std::uint64_t disk_reserve_bytes = 256ULL << 20;
   int compression_level = 1;  ///< of zstd, 1 to 19
+  bool with_images = false;   ///< the pictures of MeshFrame::images too, losslessly
 };
 
 enum class RecorderState {

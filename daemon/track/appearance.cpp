@@ -6,7 +6,8 @@
 namespace facet::track {
 
 void measure_appearance(const Frame& frame, const FaceLandmarks& face, Eigen::VectorXf& brightness) {
-  constexpr int samples = 5;                  ///< per axis
+  constexpr int samples = 5;  ///< per axis
+  constexpr int middle = samples / 2;
   constexpr float patch_interocular = 0.16F;  ///< side of the patch averaged round a landmark
   const float step = patch_interocular * face.interocular_px / (samples - 1);
   const auto last_x = static_cast<float>(frame.width_px - 1);
@@ -15,10 +16,10 @@ void measure_appearance(const Frame& frame, const FaceLandmarks& face, Eigen::Ve
   for (int i = 0; i < landmark_count; ++i) {
     float sum = 0;
     for (int row = 0; row < samples; ++row) {
-      const float y = face.points_px(1, i) + static_cast<float>(row - samples / 2) * step;
+      const float y = face.points_px(1, i) + static_cast<float>(row - middle) * step;
       const std::uint8_t* pixels = frame.row(static_cast<int>(std::clamp(y + 0.5F, 0.0F, last_y)));
       for (int column = 0; column < samples; ++column) {
-        const float x = face.points_px(0, i) + static_cast<float>(column - samples / 2) * step;
+        const float x = face.points_px(0, i) + static_cast<float>(column - middle) * step;
         const std::uint8_t* pixel = pixels + 4 * static_cast<std::size_t>(std::clamp(x + 0.5F, 0.0F, last_x));
         sum += 0.299F * pixel[0] + 0.587F * pixel[1] + 0.114F * pixel[2];
       }

@@ -9,7 +9,7 @@ namespace facet::track {
 namespace {
 
 constexpr std::size_t floats_per_vertex = 5;  ///< x, y, z, u, v
-constexpr std::size_t max_indices = 3 * 4096;
+constexpr std::size_t max_indices = std::size_t{3} * 4096;
 
 enum class WireType : unsigned { Varint = 0, Fixed64 = 1, Bytes = 2, Fixed32 = 5 };
 

@@ -14,7 +14,7 @@ constexpr int input_side = 192;
 LandmarkNet::LandmarkNet(std::span<const std::uint8_t> tflite, const std::string& name)
     : network_(parse_tflite(tflite, name), name), sampler_(input_side) {
   if (network_.input_rows() != input_side || network_.input_columns() != input_side ||
-      network_.output_count() != 2 || network_.output(0).size() != 3 * landmark_count ||
+      network_.output_count() != 2 || network_.output(0).size() != std::size_t{3} * landmark_count ||
       network_.output(1).size() != 1) {
     throw Error(ErrorKind::UnreadableInput, name + ": not the 468-point face mesh net");
   }

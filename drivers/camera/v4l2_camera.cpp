@@ -56,6 +56,7 @@ class V4l2Camera final : public Camera {
   CameraStatus status() const override;
   void start() override;
   CaptureOutcome next(Frame& out, std::chrono::milliseconds timeout) override;
+  void restart(const std::string& why) override;
   void stop() override;
   std::string last_error() const override;
 
@@ -136,6 +137,12 @@ void V4l2Camera::start() {
   if (!started_) {
     started_ = true;
     retry_ns_ = kernel_.monotonic_ns();
+  }
+}
+
+void V4l2Camera::restart(const std::string& why) {
+  if (device_ != nullptr) {
+    give_up(CameraState::Failing, fmt::format("{}: {}", config_.device.string(), why));
   }
 }
 

@@ -12,7 +12,7 @@ namespace facet::trigger {
 namespace {
 
 constexpr std::string_view kTitle = "facet-edges 1";
-constexpr std::size_t kMaxEvents = 1'000'000;
+constexpr std::size_t kMaxEvents = kMostLoggedEvents;
 constexpr std::array<std::string_view, 5> kKinds = {"edge", "seen", "missing", "dropped", "fired"};
 constexpr std::array<std::string_view, 2> kRoles = {"camera", "projector"};
 
@@ -76,11 +76,15 @@ std::string to_text(const EdgeLog& log) {
                         line.safe_active);
   }
   for (const TriggerEvent& event : log.events) {
-    text += fmt::format("{} {} {:d} {} {} {} {} {}\n", kKinds.at(static_cast<std::size_t>(event.kind)),
-                        event.line, event.active, event.slot, event.slot_count, event.planned_ns,
-                        event.actual_ns, event.call_ns);
+    text += to_text(event);
   }
   return text;
+}
+
+std::string to_text(const TriggerEvent& event) {
+  return fmt::format("{} {} {:d} {} {} {} {} {}\n", kKinds.at(static_cast<std::size_t>(event.kind)),
+                     event.line, event.active, event.slot, event.slot_count, event.planned_ns,
+                     event.actual_ns, event.call_ns);
 }
 
 EdgeLog parse_edge_log(std::string_view text, const std::string& file) {

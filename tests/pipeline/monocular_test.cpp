@@ -432,17 +432,17 @@ Progress::Silence await_silence(const MonocularPipeline& pipeline) {
 }
 
 TEST_F(Monocular, AHungThreadIsSilentAndThoseThatWaitForItAreNot) {
-  const std::array<std::pair<Worker, test::Gate*>, 3> hangs{{{Worker::Capture, &script_.camera_gate},
-                                                             {Worker::Track, &script_.tracker_gate},
-                                                             {Worker::Refine, &script_.refiner_gate}}};
+  const std::array<std::pair<std::string, test::Gate*>, 3> hangs{{{"facet-capture", &script_.camera_gate},
+                                                                  {"facet-track", &script_.tracker_gate},
+                                                                  {"facet-refine", &script_.refiner_gate}}};
   script_.frame_count = 1000;
   for (const auto& [worker, gate] : hangs) {
-    script_.live = worker != Worker::Refine;  // a recorded source waits for room meanwhile
+    script_.live = worker != "facet-refine";  // a recorded source waits for room meanwhile
     MonocularPipeline& pipeline = make();
     EXPECT_FALSE(pipeline.longest_silence());
     gate->set(false);
     pipeline.start();
-    EXPECT_EQ(await_silence(pipeline).worker, worker) << to_string(worker);
+    EXPECT_EQ(await_silence(pipeline).worker, worker);
     gate->set(true);
     await_end();
     EXPECT_FALSE(pipeline.longest_silence()) << "no thread is at work any more";

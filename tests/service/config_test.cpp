@@ -30,8 +30,8 @@ std::string error_of(const std::string& text) {
   return "no error";
 }
 
-std::string sample() {
-  std::ifstream file(std::filesystem::path(FACET_SOURCE_DIR) / "config/facet.toml");
+std::string sample(const std::string& name = "facet.toml") {
+  std::ifstream file(std::filesystem::path(FACET_SOURCE_DIR) / "config" / name);
   return {std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
 }
 
@@ -100,12 +100,14 @@ TEST(Config, SampleShowsEveryKeyWithItsDefault) {
   EXPECT_EQ(shown.takes.record_at_start, defaults.takes.record_at_start);
   EXPECT_EQ(shown.log_level, defaults.log_level);
 
+  // The sections of a rig have a sample of their own.
+  const std::string both = text + sample("booth.toml");
   for (const std::string& key : config_keys()) {
     const std::size_t dot = key.rfind('.');
     const std::regex line("(^|\n)#?" + key.substr(dot + 1) + " = ");
-    const std::size_t section = text.find("[" + key.substr(0, dot) + "]");
+    const std::size_t section = dot == std::string::npos ? 0 : both.find("[" + key.substr(0, dot) + "]");
     ASSERT_NE(section, std::string::npos) << key;
-    EXPECT_TRUE(std::regex_search(text.substr(section), line)) << key << " is not in config/facet.toml";
+    EXPECT_TRUE(std::regex_search(both.substr(section), line)) << key << " is in no sample";
   }
 }
 
@@ -124,6 +126,124 @@ TEST(Config, SampleShowsEveryKeyOfACameraWithItsDefault) {
   EXPECT_EQ(shown.white_balance_k, defaults.white_balance_k);
   EXPECT_EQ(shown.buffers, defaults.buffers);
   EXPECT_EQ(shown.stall_after, defaults.stall_after);
+}
+
+TEST(Config, SampleOfARigIsOneThatRuns) {
+  const Config config = parse_config(sample("booth.toml"), "/sample/booth.toml");
+  EXPECT_EQ(config.mode, Mode::Frames);
+  require_source(config, "/sample/booth.toml");
+  ASSERT_EQ(config.rig.cameras.size(), 2U);
+  EXPECT_EQ(config.rig.cameras[1].name, "right");
+  EXPECT_EQ(config.rig.cameras[1].source.kind, "simulated");
+  EXPECT_EQ(config.rig.trigger, pipeline::TriggerKind::Virtual);
+  EXPECT_EQ(config.rig.program.patterns, (std::vector<LineMask>{0b010, 0b100, 0}));
+  // What it shows is the default.
+  const Config bare = parse_config(
+      "mode = \"frames\"\n[[camera]]\nname = \"a\"\ndevice = \"/dev/video0\"\n"
+      "[trigger]\n[[trigger.line]]\nname = \"x\"",
+      "f.toml");
+  EXPECT_EQ(config.rig.cameras[0].latency_ns, bare.rig.cameras[0].latency_ns);
+  EXPECT_EQ(config.rig.program.slots_per_second, bare.rig.program.slots_per_second);
+  EXPECT_EQ(config.rig.program.settle_ns, bare.rig.program.settle_ns);
+  EXPECT_EQ(config.rig.program.exposure_ns, bare.rig.program.exposure_ns);
+  EXPECT_EQ(config.rig.program.tolerance_ns, bare.rig.program.tolerance_ns);
+  EXPECT_EQ(config.rig.gpio.thread.real_time, bare.rig.gpio.thread.real_time);
+  EXPECT_EQ(config.rig.gpio.thread.priority, bare.rig.gpio.thread.priority);
+  EXPECT_EQ(config.rig.deadline_ms, bare.rig.deadline_ms);
+  EXPECT_EQ(config.rig.program.lines[0].role, bare.rig.program.lines[0].role);
+  EXPECT_EQ(config.rig.program.lines[0].pulse_ns, bare.rig.program.lines[0].pulse_ns);
+}
+
+TEST(Config, ReadsARigOnGpioLines) {
+  const Config config = parse_config(R"(
+mode = "frames"
+[[camera]]
+name = "left"
+device = "/dev/video0"
+format = "GREY"
+latency_us = -300
+[[camera]]
+name = "right"
+device = "/dev/video2"
+[trigger]
+kind = "gpio"
+slots_per_second = 20
+settle_us = 1000
+exposure_us = 8000
+patterns = [["p1", "p2"], []]
+[[trigger.line]]
+name = "cams"
+chip = "gpiochip0"
+line = "17"
+active_low = true
+drive = "open-drain"
+pulse_us = 100
+read_back_line = "27"
+[[trigger.line]]
+name = "p1"
+role = "projector"
+chip = "gpiochip0"
+line = "22"
+rest_active = true
+[[trigger.line]]
+name = "p2"
+role = "projector"
+chip = "gpiochip1"
+line = "lamp"
+[sets]
+deadline_ms = 200
+)",
+                                     "/etc/facet/facet.toml");
+  require_source(config, "facet.toml");
+  const pipeline::RigConfig& rig = config.rig;
+  EXPECT_EQ(rig.cameras[0].source.v4l2.format, "GREY");
+  EXPECT_EQ(rig.cameras[0].latency_ns, -300'000);
+  EXPECT_EQ(rig.cameras[1].source.v4l2.device, "/dev/video2");
+  EXPECT_EQ(rig.trigger, pipeline::TriggerKind::Gpio);
+  EXPECT_EQ(rig.program.patterns, (std::vector<LineMask>{0b110, 0}));
+  EXPECT_EQ(rig.program.settle_ns, 1'000'000);
+  EXPECT_TRUE(rig.program.lines[0].active_low);
+  EXPECT_EQ(rig.program.lines[0].pulse_ns, 100'000);
+  EXPECT_TRUE(rig.program.lines[1].safe_active);
+  EXPECT_EQ(rig.program.lines[1].role, LineRole::Projector);
+  EXPECT_EQ(rig.gpio.outputs[0].drive, trigger::LineDrive::OpenDrain);
+  EXPECT_EQ(rig.gpio.outputs[2].line, "lamp");
+  ASSERT_EQ(rig.gpio.read_backs.size(), 1U);
+  EXPECT_EQ(rig.gpio.read_backs[0].name, "cams");
+  EXPECT_EQ(rig.gpio.read_backs[0].chip, "gpiochip0");
+  EXPECT_EQ(rig.deadline_ms, 200);
+}
+
+TEST(Config, ARigThatCannotBeIsToldByKey) {
+  const auto refusal = [](const std::string& text) -> std::string {
+    try {
+      require_source(parse_config("mode = \"frames\"\n" + text, "f.toml"), "f.toml");
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::Usage);
+      return error.what();
+    }
+    return "";
+  };
+  const std::string camera = "[[camera]]\nname = \"a\"\nkind = \"simulated\"\n";
+  EXPECT_EQ(refusal(camera), "");
+  EXPECT_THAT(refusal(""), HasSubstr("there is no camera"));
+  EXPECT_THAT(refusal("[camera]\nname = \"a\""), HasSubstr("double square brackets"));
+  EXPECT_THAT(refusal("[[camera]]\nname = \"a\""), HasSubstr("f.toml:2: camera.device: is missing"));
+  EXPECT_THAT(refusal("[[camera]]\nname = \"a\"\nkind = \"file\""), HasSubstr("camera.path: is missing"));
+  EXPECT_THAT(refusal(camera + "buffers = 3"), HasSubstr("f.toml:5: camera.buffers: is not for a camera"));
+  EXPECT_THAT(refusal(camera + "paht = \"x\""), HasSubstr("did you mean 'path'?"));
+  EXPECT_THAT(refusal(camera + camera), HasSubstr("two cameras are named 'a'"));
+  EXPECT_THAT(refusal(camera + "[trigger]\nkind = \"virtual\"\n"), HasSubstr("needs 1 to 64 lines"));
+  EXPECT_THAT(
+      refusal(camera + "[trigger]\nkind = \"virtual\"\npatterns = [[\"q\"]]\n[[trigger.line]]\nname = \"c\""),
+      HasSubstr("trigger.patterns: there is no trigger line 'q'"));
+  EXPECT_THAT(refusal(camera + "[trigger]\npatterns = \"q\"\n"),
+              HasSubstr("must be a list of 1 to 65536 lists"));
+  EXPECT_THAT(refusal(camera + "[trigger]\npatterns = [[1]]\n"),
+              HasSubstr("must be a list of texts in quotes"));
+  EXPECT_THAT(refusal("[[camera]]\nname = \"a\"\ndevice = \"/dev/video0\"\n[trigger]\nkind = \"gpio\"\n"
+                      "[[trigger.line]]\nname = \"c\"\nchip = \"gpiochip0\""),
+              HasSubstr("a line of a GPIO trigger needs chip and line"));
 }
 
 TEST(Config, ReadsACamera) {

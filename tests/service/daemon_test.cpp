@@ -5,18 +5,67 @@
 #include <gtest/gtest.h>
 #include <sys/stat.h>
 
+#include <array>
 #include <fstream>
 
 #include "daemon_fixture.hpp"
 #include "facet/error.hpp"
 #include "gpu/context.hpp"
 #include "service/default_paths.hpp"
+#include "simulation/simulated_rig.hpp"
+#include "stream/client.hpp"
 #include "support/small_disk.hpp"
 #include "support/videos.hpp"
 #include "take/reader.hpp"
 
 namespace facet::service {
 namespace {
+
+/// The sample of a rig runs as it is: simulated cameras on a virtual trigger, streamed and recorded.
+TEST_F(Daemon, ModeFramesHandsOutAndRecordsFrameSets) {
+  const auto sample = std::filesystem::path(FACET_SOURCE_DIR) / "config" / "booth.toml";
+  const auto config = folder_.path() / "facet.toml";
+  std::filesystem::copy_file(sample, config);
+  std::ofstream(config, std::ios::app)
+      << "[stream]\nsocket = \"stream.sock\"\n[control]\nsocket = \"control.sock\"\n[takes]\nfolder = "
+         "\"takes\"\ndisk_reserve_mb = 1\nrecord_at_start = \"sets\"\n";
+  const auto daemon = start(config.string());
+  const json status = await(
+      *daemon, [](const json& now) { return now["rig"].is_object() && now["rig"]["sets"]["complete"] > 30; });
+  ASSERT_TRUE(status.is_object());
+  EXPECT_EQ(status["state"], "running");
+  EXPECT_TRUE(status["camera"].is_null());
+  EXPECT_EQ(status["rig"]["cameras"][1]["name"], "right");
+  EXPECT_EQ(status["rig"]["cameras"][1]["state"], "streaming");
+  EXPECT_EQ(status["rig"]["trigger"]["state"], "running");
+  EXPECT_THROW(ask("identity.reset"), Error);
+
+  stream::Subscription subscription;
+  subscription.want_images = true;
+  subscription.profile = stream::Profile::Signals;
+  stream::StreamClient reader(folder_.path() / "stream.sock", subscription);
+  stream::DecodedFrame got;
+  ASSERT_EQ(reader.next(got, std::chrono::seconds(20)), stream::ReceiveOutcome::Received);
+  ASSERT_NE(got.frame.images, nullptr);
+  EXPECT_EQ(got.frame.images->frames.size(), 2U);
+
+  ask("shutdown");
+  expect_clean_end(*daemon);
+  take::TakeReader take(folder_.path() / "takes" / "sets.take");
+  EXPECT_TRUE(take.info().closed);
+  ASSERT_GT(take.frame_count(), 20);
+  for (std::int64_t index = 0; index < take.frame_count(); ++index) {
+    const auto set = take.frame(index)->images;
+    ASSERT_NE(set, nullptr);
+    for (const Frame& picture : set->frames) {
+      if (!picture.empty()) {
+        // Lines: cameras, stripes.a, stripes.b; patterns: a, b, blank.
+        constexpr std::array<std::uint64_t, 3> kLit = {0b010, 0b100, 0};
+        EXPECT_EQ(simulation::read_marker(picture, simulation::Marker::Lines), kLit.at(set->slot % 3));
+      }
+    }
+  }
+}
 
 TEST_F(Daemon, CommandLine) {
   std::string output;

@@ -168,10 +168,10 @@ TEST_F(Managed, ASourceAtItsEndIsNoHang) {
   expect_clean_end(*daemon);
 }
 
-class ManagedWorker : public Managed, public ::testing::WithParamInterface<pipeline::Worker> {};
+class ManagedWorker : public Managed, public ::testing::WithParamInterface<const char*> {};
 
 TEST_P(ManagedWorker, ItsHangIsNotFed) {
-  const std::string thread = pipeline::to_string(GetParam());
+  const std::string thread = GetParam();
   constexpr std::chrono::milliseconds kWatchdog{2000};
   const auto daemon = start(configure(looped()), birth(kWatchdog.count() * 1000));
   await(*daemon, is_running);
@@ -195,10 +195,9 @@ TEST_P(ManagedWorker, ItsHangIsNotFed) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Each, ManagedWorker,
-                         ::testing::Values(pipeline::Worker::Capture, pipeline::Worker::Track,
-                                           pipeline::Worker::Refine),
+                         ::testing::Values("facet-capture", "facet-track", "facet-refine"),
                          [](const auto& tested) {
-                           std::string name = pipeline::to_string(tested.param);
+                           std::string name = tested.param;
                            std::replace(name.begin(), name.end(), '-', '_');
                            return name;
                          });

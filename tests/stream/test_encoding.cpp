@@ -242,6 +242,101 @@ TEST_F(Encoding, NumbersThatAreNotFiniteBecomeZero) {
   EXPECT_NEAR(got.displacements_mm[7], sent.displacements_mm[7], kMaxErrorMm);
 }
 
+Frame picture(int width_px, int height_px, bool grey) {
+  Frame frame;
+  frame.sequence = 77;
+  frame.timestamp_ns = 123'456'789;
+  frame.width_px = width_px;
+  frame.height_px = height_px;
+  frame.stride_bytes = static_cast<std::size_t>(width_px) * 4 + 64;  // rows are padded
+  const std::size_t size = frame.stride_bytes * static_cast<std::size_t>(height_px);
+  auto pixels = std::make_shared<std::uint8_t[]>(size);
+  for (std::size_t i = 0; i < size; ++i) {
+    const std::size_t value = grey ? i / 4 : i;
+    pixels[i] = i % 4 == 3 ? std::uint8_t{255} : static_cast<std::uint8_t>(value * 37 % 251);
+  }
+  frame.pixels = std::move(pixels);
+  return frame;
+}
+
+std::shared_ptr<FrameSet> three_cameras() {
+  auto set = std::make_shared<FrameSet>();
+  set->slot = 4711;
+  set->trigger_ns = 123'000'000;
+  set->skew_ns = 250;
+  set->frames = {picture(21, 5, false), {}, picture(7, 9, true)};
+  set->frames[2].corrupt = true;
+  set->missing = 0b010;
+  set->camera_names =
+      std::make_shared<const std::vector<std::string>>(std::vector<std::string>{"left", "middle", "right"});
+  return set;
+}
+
+TEST_F(Encoding, PicturesComeBackPixelByPixel) {
+  mesh::MeshFrame frame = test::searching_frame(4711);
+  const auto sent = three_cameras();
+  frame.images = sent;
+  const auto message = copy(encoder.frame(frame, Profile::Signals, true));
+  DecodedFrame out;
+  decode_frame(message, nullptr, nullptr, out);
+  ASSERT_NE(out.frame.images, nullptr);
+  const FrameSet& got = *out.frame.images;
+  EXPECT_EQ(got.slot, sent->slot);
+  EXPECT_EQ(got.trigger_ns, sent->trigger_ns);
+  EXPECT_EQ(got.skew_ns, sent->skew_ns);
+  EXPECT_EQ(got.missing, sent->missing);
+  EXPECT_EQ(*got.camera_names, *sent->camera_names);
+  for (const std::size_t camera : {0U, 2U}) {
+    const Frame& a = sent->frames[camera];
+    const Frame& b = got.frames[camera];
+    EXPECT_EQ(b.sequence, a.sequence);
+    EXPECT_EQ(b.timestamp_ns, a.timestamp_ns);
+    EXPECT_EQ(b.corrupt, a.corrupt);
+    ASSERT_EQ(b.width_px, a.width_px);
+    ASSERT_EQ(b.height_px, a.height_px);
+    for (int y = 0; y < a.height_px; ++y) {
+      EXPECT_TRUE(std::equal(a.row(y), a.row(y) + 4 * a.width_px, b.row(y))) << "row " << y;
+    }
+  }
+  EXPECT_LT(message.size(), 21U * 5 * 3 + 7 * 9 + 600) << "a grey picture has one channel";
+
+  // Without pixels the rest stays.
+  decode_frame(copy(encoder.frame(frame, Profile::Signals)), nullptr, nullptr, out);
+  EXPECT_EQ(out.frame.images->missing, sent->missing);
+  EXPECT_TRUE(out.frame.images->frames[0].empty());
+  EXPECT_EQ(out.frame.images->frames[0].sequence, 77U);
+  EXPECT_EQ(out.frame.images->frames[0].width_px, 21);
+}
+
+TEST_F(Encoding, PicturesTooLargeForAMessageAreLeftOutWithAdvice) {
+  mesh::MeshFrame frame = test::searching_frame(1);
+  const auto set = three_cameras();
+  set->frames[0] = picture(4200, 4200, false);
+  frame.images = set;
+  const auto message = copy(encoder.frame(frame, Profile::Signals, true));
+  EXPECT_LT(message.size(), 4096U);
+  DecodedFrame out;
+  decode_frame(message, nullptr, nullptr, out);
+  EXPECT_TRUE(out.frame.degraded);
+  EXPECT_THAT(out.frame.degraded_reason, HasSubstr("use smaller pictures"));
+}
+
+TEST_F(Encoding, DamagedPicturesAreRejected) {
+  mesh::MeshFrame frame = test::searching_frame(4711);
+  frame.images = three_cameras();
+  const auto sound = copy(encoder.frame(frame, Profile::Signals, true));
+  std::mt19937 random(5);
+  int rejected = 0;
+  for (int trial = 0; trial < 2000; ++trial) {
+    auto bytes = sound;
+    bytes[random() % 400] = static_cast<std::uint8_t>(random());
+    DecodedFrame out;
+    rejected +=
+        rejection(bytes, [&](auto message) { decode_frame(message, nullptr, nullptr, out); }).empty() ? 0 : 1;
+  }
+  EXPECT_GT(rejected, 500);
+}
+
 TEST_F(Encoding, SmallMessagesComeBack) {
   Hello hello;
   hello.server = "facetd 1";

@@ -172,6 +172,35 @@ TEST_F(Server, LateReaderGetsSubjectAlbedoAndCurrentFrame) {
   EXPECT_EQ(client.dropped(), 0U) << "frames from before the connection are not lost ones";
 }
 
+TEST_F(Server, PicturesGoToThoseWhoWantThem) {
+  start();
+  Subscription with_images = wanted(Profile::Signals);
+  with_images.want_images = true;
+  StreamClient viewer(path, with_images);
+  StreamClient other(path, wanted(Profile::Signals));
+  wait_for_subscribers(2);
+  auto set = std::make_shared<FrameSet>();
+  set->slot = 5;
+  set->camera_names = std::make_shared<const std::vector<std::string>>(1, "left");
+  set->frames.resize(1);
+  set->frames[0].width_px = 2;
+  set->frames[0].height_px = 1;
+  set->frames[0].stride_bytes = 8;
+  set->frames[0].pixels = std::make_shared<std::uint8_t[]>(8);
+  auto frame = std::make_shared<mesh::MeshFrame>();
+  frame->sequence = 5;
+  frame->images = set;
+  server->publish(frame);
+  DecodedFrame got;
+  ASSERT_EQ(viewer.next(got, kPatience), ReceiveOutcome::Received);
+  ASSERT_NE(got.frame.images, nullptr);
+  EXPECT_FALSE(got.frame.images->frames[0].empty());
+  ASSERT_EQ(other.next(got, kPatience), ReceiveOutcome::Received);
+  ASSERT_NE(got.frame.images, nullptr);
+  EXPECT_EQ(got.frame.images->slot, 5U);
+  EXPECT_TRUE(got.frame.images->frames[0].empty());
+}
+
 TEST_F(Server, SubjectAndAlbedoAreSentAnewWhenTheyChange) {
   start();
   StreamClient client(path, wanted(Profile::Displacements));

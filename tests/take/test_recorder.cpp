@@ -57,6 +57,40 @@ TEST_F(Recorder, ClosedTakeIsOneFile) {
   EXPECT_TRUE(TakeReader(file).info().closed);
 }
 
+TEST_F(Recorder, PicturesAreRecordedWhereTheyAreWanted) {
+  auto set = std::make_shared<FrameSet>();
+  set->slot = 9;
+  set->camera_names = std::make_shared<const std::vector<std::string>>(1, "left");
+  set->frames.resize(1);
+  Frame& picture = set->frames[0];
+  picture.width_px = 2;
+  picture.height_px = 2;
+  picture.stride_bytes = 8;
+  const std::vector<std::uint8_t> pixels = {1, 2, 3, 255, 4, 5, 6, 255, 7, 8, 9, 255, 10, 11, 12, 255};
+  auto shared = std::make_shared<std::uint8_t[]>(pixels.size());
+  std::copy(pixels.begin(), pixels.end(), shared.get());
+  picture.pixels = std::move(shared);
+  auto frame = std::make_shared<mesh::MeshFrame>();
+  frame->images = set;
+  for (const bool with_images : {false, true}) {
+    TakeRecorderConfig config =
+        test::recorder_config(folder.path() / (with_images ? "with.take" : "without.take"));
+    config.with_images = with_images;
+    TakeRecorder recorder(config);
+    recorder.start();
+    recorder.record(frame);
+    EXPECT_EQ(recorder.stop().frames, 1U);
+    TakeReader reader(config.file);
+    const auto got = reader.frame(0)->images;
+    ASSERT_NE(got, nullptr);
+    EXPECT_EQ(got->slot, 9U);
+    ASSERT_EQ(got->frames[0].empty(), !with_images);
+    if (with_images) {
+      EXPECT_TRUE(std::equal(pixels.begin(), pixels.end(), got->frames[0].pixels.get()));
+    }
+  }
+}
+
 TEST_F(Recorder, ExistingFileIsNeverOverwritten) {
   std::ofstream(file) << "precious";
   EXPECT_THAT(storage_error([&] { const TakeRecorder recorder(test::recorder_config(file)); }),

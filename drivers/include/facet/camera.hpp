@@ -86,7 +86,7 @@ struct CameraInfo {
 };
 
 /// A source of frames. Life: open (a factory in drivers/camera, may throw Error) -> start -> next ... -> stop
-/// -> destroy. One thread calls start, next and stop; info, status and last_error may be called from any
+/// -> destroy. One thread calls start, next, restart and stop; info, status and last_error may be called from any
 /// thread once open.
 ///
 /// A live device may be absent, vanish, stall and come back at any time: these are states (status), `next`
@@ -109,6 +109,10 @@ class Camera {
   /// skips older ones (gaps show in Frame::sequence); a recorded one hands out every frame. May take longer
   /// than `timeout` where a driver takes long to open its device.
   virtual CaptureOutcome next(Frame& out, std::chrono::milliseconds timeout) = 0;
+
+  /// A live device is closed and opened anew by the next `next`; others do nothing. `why` becomes its reason
+  /// meanwhile.
+  virtual void restart(const std::string& /*why*/) {}
 
   /// Ends delivery; a `next` after it says EndOfStream. Idempotent.
   virtual void stop() = 0;

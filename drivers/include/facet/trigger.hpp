@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
@@ -64,6 +65,11 @@ enum class TriggerState {
   Running,  ///< slots are fired
   Failed,   ///< the lines can't be set any more; TriggerStatus::reason says why
 };
+
+constexpr const char* to_string(TriggerState state) {
+  constexpr std::array kNames = {"idle", "running", "failing"};
+  return kNames.at(static_cast<std::size_t>(state));
+}
 
 struct TriggerStatus {
   TriggerState state = TriggerState::Idle;

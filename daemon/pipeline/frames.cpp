@@ -1,0 +1,626 @@
+#include "pipeline/frames.hpp"
+
+#include <fmt/format.h>
+#include <pthread.h>
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <cmath>
+#include <condition_variable>
+#include <exception>
+#include <fstream>
+#include <mutex>
+#include <optional>
+#include <set>
+#include <string>
+#include <thread>
+#include <utility>
+
+#include "capture/frame_set_assembler.hpp"
+#include "facet/error.hpp"
+#include "pipeline/figures.hpp"
+#include "pipeline/frame_pool.hpp"
+#include "simulation/simulated_rig.hpp"
+#include "trigger/edge_log.hpp"
+#include "trigger/program.hpp"
+#include "trigger/virtual_trigger.hpp"
+
+namespace facet::pipeline {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+using namespace std::chrono_literals;
+
+/// How long a thread waits for a frame, an event or a set before it looks whether to stop.
+constexpr std::chrono::milliseconds kPatience{50};
+/// A camera that streams and is out of step for this long is restarted, then after twice as long ...
+constexpr Clock::duration kOutOfStepPatience = 5s;
+constexpr Clock::duration kLongestOutOfStepPatience = 60s;
+constexpr auto kLookPeriod = 1s;
+constexpr auto kFirstTriggerPause = 1s;
+constexpr auto kLongestTriggerPause = 10s;
+/// Rates of free-running cameras count as the same within this.
+constexpr double kRateTolerance = 0.01;
+
+/// The workers, as Progress counts them; the cameras follow one another.
+enum Worker : std::size_t { kSets, kEdges, kFirstCamera };
+
+std::vector<std::string> worker_names(std::size_t cameras) {
+  std::vector<std::string> names = {"facet-sets", "facet-edges"};
+  for (std::size_t camera = 0; camera < cameras; ++camera) {
+    names.push_back(fmt::format("facet-cam-{}", camera));
+  }
+  return names;
+}
+
+std::int64_t period_ns(double rate_hz) {
+  return std::llround(1e9 / rate_hz);
+}
+
+[[noreturn]] void refuse(const std::string& what) {
+  throw Error(ErrorKind::Usage, "rig: " + what);
+}
+
+capture::CaptureConfig capture_config(const RigConfig& config, double free_rate_hz) {
+  capture::CaptureConfig capture;
+  for (const RigCamera& camera : config.cameras) {
+    capture.cameras.push_back({camera.name, camera.latency_ns});
+  }
+  const bool triggered = config.trigger != TriggerKind::None;
+  capture.synchronisation =
+      triggered ? capture::Synchronisation::Triggered : capture::Synchronisation::FreeRunning;
+  capture.period_ns = period_ns(triggered ? config.program.slots_per_second : free_rate_hz);
+  capture.deadline_ns = config.deadline_ms > 0 ? std::int64_t{config.deadline_ms} * 1'000'000
+                                               : std::clamp<std::int64_t>(100'000'000, 6 * capture.period_ns,
+                                                                          32 * capture.period_ns);
+  return capture;
+}
+
+void check_camera(const RigCamera& camera, TriggerKind trigger) {
+  const bool plain = std::all_of(camera.name.begin(), camera.name.end(),
+                                 [](char c) { return c > ' ' && c <= '~' && c != '/'; });
+  if (camera.name.empty() || camera.name.size() > 64 || !plain) {
+    refuse(fmt::format("'{}' is no name of a camera: 1 to 64 visible characters without blank and slash",
+                       camera.name));
+  }
+  if (camera.source.kind == "file" && trigger != TriggerKind::None) {
+    refuse(
+        fmt::format("camera '{}' is a file, which no trigger fires: use [trigger] kind = \"none\" with files",
+                    camera.name));
+  }
+  if (camera.source.kind == kSimulatedCamera && trigger == TriggerKind::Gpio) {
+    refuse(fmt::format("camera '{}' is simulated and hangs on no GPIO line: use [trigger] kind = \"virtual\"",
+                       camera.name));
+  }
+}
+
+/// The rate of free-running cameras.
+double common_rate_hz(const Rig& rig) {
+  const double rate_hz = rig.cameras.front()->info().rate_hz;
+  for (std::size_t i = 0; i < rig.cameras.size(); ++i) {
+    const double other_hz = rig.cameras[i]->info().rate_hz;
+    if (!(other_hz > 0) || std::abs(other_hz - rate_hz) > kRateTolerance * rate_hz) {
+      refuse(
+          fmt::format("camera '{}' runs at {:.2f} Hz, camera '{}' at {:.2f} Hz: cameras without a trigger "
+                      "need one rate",
+                      rig.config.cameras[i].name, other_hz, rig.config.cameras.front().name, rate_hz));
+    }
+  }
+  return rate_hz;
+}
+
+capture::CaptureConfig capture_config(const Rig& rig) {
+  return capture_config(rig.config, rig.open_trigger ? 0 : common_rate_hz(rig));
+}
+
+/// Writes what the lines do, up to the most that a log holds.
+class EdgeLogFile {
+ public:
+  EdgeLogFile(std::filesystem::path path, const TriggerProgram& program) : path_(std::move(path)) {
+    if (!path_.empty()) {
+      out_.open(path_, std::ios::trunc);
+      out_ << trigger::to_text(trigger::EdgeLog{program.lines, {}});
+    }
+  }
+
+  /// What is to be told, once: the log can't be written, or is full.
+  std::optional<std::string> add(const TriggerEvent& event) {
+    if (path_.empty() || closed_) {
+      return std::nullopt;
+    }
+    out_ << trigger::to_text(event);
+    if (!out_) {
+      closed_ = true;
+      return fmt::format("edge log '{}' can't be written: check folder and disk", path_.string());
+    }
+    if (++events_ == trigger::kMostLoggedEvents) {
+      out_.close();
+      closed_ = true;
+      return fmt::format("edge log '{}' has {} events and is closed", path_.string(), events_);
+    }
+    return std::nullopt;
+  }
+
+  void flush() {
+    if (!path_.empty() && !closed_) {
+      out_.flush();
+    }
+  }
+
+ private:
+  std::filesystem::path path_;
+  std::ofstream out_;
+  std::size_t events_ = 0;
+  bool closed_ = false;
+};
+
+}  // namespace
+
+void check(const RigConfig& config) {
+  if (config.cameras.empty()) {
+    refuse("there is no camera: add a section [[camera]]");
+  }
+  std::set<std::string> names;
+  for (const RigCamera& camera : config.cameras) {
+    check_camera(camera, config.trigger);
+    if (!names.insert(camera.name).second) {
+      refuse(fmt::format("two cameras are named '{}'", camera.name));
+    }
+  }
+  if (config.trigger != TriggerKind::None) {
+    trigger::check(config.program);
+    capture::FrameSetMatcher{capture_config(config, 0)};
+  }
+}
+
+Rig open_rig(const RigConfig& config) {
+  check(config);
+  Rig rig;
+  rig.config = config;
+  const TriggerProgram& program = config.program;
+  const bool triggered = config.trigger != TriggerKind::None;
+  const auto room = std::make_shared<simulation::SimulatedRig>(
+      trigger::lines_of(program, LineRole::Camera), trigger::lines_of(program, LineRole::Projector));
+  for (const RigCamera& camera : config.cameras) {
+    if (camera.source.kind == kSimulatedCamera) {
+      const camera::V4l2Config& size = camera.source.v4l2;
+      rig.cameras.push_back(
+          room->camera({camera.name, size.width_px, size.height_px, size.rate_hz}, triggered));
+    } else {
+      camera::CameraConfig source = camera.source;
+      source.paced = true;  // a file takes the place of a live camera here
+      rig.cameras.push_back(camera::open_camera(source));
+    }
+  }
+  switch (config.trigger) {
+    case TriggerKind::None:
+      break;
+    case TriggerKind::Virtual:
+      rig.open_trigger = [config, room] {
+        trigger::VirtualTriggerOptions options;
+        options.thread = config.gpio.thread;
+        options.on_change = [room](LineMask active, std::int64_t time_ns) {
+          room->on_change(active, time_ns);
+        };
+        return trigger::make_virtual_trigger(config.program, std::move(options));
+      };
+      break;
+    case TriggerKind::Gpio:
+      rig.open_trigger = [config] { return trigger::open_gpio_trigger(config.program, config.gpio); };
+      break;
+  }
+  return rig;
+}
+
+struct FramesPipeline::Impl {
+  Impl(Rig given, std::vector<MeshSink*> given_sinks)
+      : rig(std::move(given)),
+        sinks(std::move(given_sinks)),
+        capture(capture_config(rig)),
+        assembler(capture),
+        progress(worker_names(rig.cameras.size())),
+        watched(rig.cameras.size()),
+        edge_log(rig.config.edge_log, rig.config.program) {}
+
+  // Set before the threads start.
+  Rig rig;
+  std::vector<MeshSink*> sinks;
+  capture::CaptureConfig capture;
+  std::vector<std::thread> threads;
+
+  // Shared by the threads.
+  Messages messages;
+  std::atomic<bool> stopping{false};
+  std::atomic<int> threads_at_work{0};
+  std::atomic<std::size_t> cameras_at_work{0};
+  capture::FrameSetAssembler assembler;
+  Progress progress;
+  mutable std::mutex mutex;
+  std::condition_variable stop_asked;  ///< for the pause between two attempts
+  PipelineStatus shown;                ///< guarded by mutex, as all below
+  Figures figures;
+  std::shared_ptr<Trigger> trigger;  ///< null while it can't be opened
+  std::string trigger_reason;        ///< why
+  std::uint64_t triggers_opened = 0;
+  std::optional<Error> source_failure;
+
+  // facet-sets only.
+  struct Watched {
+    bool in_step = true;
+    Clock::time_point since;  ///< when it was in step, or restarted
+    Clock::duration patience = kOutOfStepPatience;
+    std::atomic<bool> restart_wanted{false};  ///< shared with the camera's thread
+  };
+  std::vector<Watched> watched;
+  Clock::time_point next_look;
+  std::optional<std::int64_t> first_trigger_ns;
+  FramePool frames;
+  Pool<FrameSet> sets;
+
+  // facet-edges only.
+  EdgeLogFile edge_log;
+  std::uint64_t next_slot = 0;
+
+  void begin(std::size_t worker, std::function<void()> work);
+  void fail(ErrorKind kind, const std::string& what);
+  void set_state(PipelineState state);
+
+  void run_camera(std::size_t index);
+  void watch_camera(std::size_t index, CameraState& state, std::string& reason);
+  void run_trigger();
+  bool fire_until_failed(Trigger& lines);
+  void take_event(const TriggerEvent& event);
+  void show_trigger(std::shared_ptr<Trigger> now, const std::string& reason);
+  bool pause(Clock::duration duration);
+  void hand_out_sets();
+  void deliver(std::shared_ptr<FrameSet> set);
+  void look_after_steps();
+};
+
+void FramesPipeline::Impl::begin(std::size_t worker, std::function<void()> work) {
+  ++threads_at_work;
+  progress.beat(worker);
+  threads.emplace_back([this, worker, work = std::move(work)] {
+    ::pthread_setname_np(::pthread_self(), progress.name(worker).c_str());
+    try {
+      work();
+    } catch (const Error& error) {
+      fail(error.kind(), error.what());
+    } catch (const std::exception& error) {
+      fail(ErrorKind::Internal, error.what());
+    }
+    progress.end(worker);
+    --threads_at_work;
+  });
+}
+
+void FramesPipeline::Impl::fail(ErrorKind kind, const std::string& what) {
+  {
+    const std::lock_guard lock(mutex);
+    if (shown.state != PipelineState::Failed) {
+      shown.state = PipelineState::Failed;
+      shown.failure_kind = kind;
+      shown.reason = what;
+    }
+    stopping = true;
+  }
+  stop_asked.notify_all();
+  assembler.close();
+}
+
+/// The end is final: a thread that is late must not overwrite it.
+void FramesPipeline::Impl::set_state(PipelineState state) {
+  const std::lock_guard lock(mutex);
+  if (shown.state != PipelineState::Failed && shown.state != PipelineState::Ended &&
+      shown.state != PipelineState::Stopped) {
+    shown.state = state;
+  }
+}
+
+/// Tells the log and the assembler what became of a camera.
+void FramesPipeline::Impl::watch_camera(std::size_t index, CameraState& state, std::string& reason) {
+  const CameraStatus now = rig.cameras[index]->status();
+  if (now.state == state && now.reason == reason) {
+    return;
+  }
+  state = now.state;
+  reason = now.reason;
+  assembler.set_streaming(index, state == CameraState::Streaming);
+  const std::string& name = rig.config.cameras[index].name;
+  if (reason.empty()) {
+    messages.info(fmt::format("camera {} {}", name, to_string(state)));
+  } else {
+    messages.warning(fmt::format("camera {} {}: {}", name, to_string(state), reason));
+  }
+}
+
+void FramesPipeline::Impl::run_camera(std::size_t index) {
+  Camera& camera = *rig.cameras[index];
+  CameraState state = CameraState::Idle;
+  std::string reason;
+  assembler.set_streaming(index, false);
+  camera.start();
+  CaptureOutcome outcome = CaptureOutcome::Timeout;
+  while (!stopping && outcome != CaptureOutcome::Failed && outcome != CaptureOutcome::EndOfStream) {
+    Frame frame;
+    progress.beat(kFirstCamera + index);
+    outcome = camera.next(frame, kPatience);
+    watch_camera(index, state, reason);
+    if (outcome == CaptureOutcome::Delivered) {
+      assembler.push(index, std::move(frame));
+    }
+    if (watched[index].restart_wanted.exchange(false)) {
+      camera.restart("started anew: its pictures do not fit the trigger's slots");
+    }
+  }
+  if (outcome == CaptureOutcome::Failed) {
+    const std::lock_guard lock(mutex);
+    source_failure.emplace(ErrorKind::UnreadableInput, camera.last_error());
+  }
+  assembler.set_streaming(index, false);
+  camera.stop();
+  --cameras_at_work;
+}
+
+void FramesPipeline::Impl::show_trigger(std::shared_ptr<Trigger> now, const std::string& reason) {
+  const std::lock_guard lock(mutex);
+  triggers_opened += now != nullptr ? 1 : 0;
+  trigger = std::move(now);
+  trigger_reason = reason;
+}
+
+/// False where a stop was asked for.
+bool FramesPipeline::Impl::pause(Clock::duration duration) {
+  const Clock::time_point end = Clock::now() + duration;
+  std::unique_lock lock(mutex);
+  while (!stopping && Clock::now() < end) {
+    progress.beat(kEdges);
+    stop_asked.wait_until(lock, std::min(end, Clock::now() + kLookPeriod));
+  }
+  return !stopping;
+}
+
+void FramesPipeline::Impl::take_event(const TriggerEvent& event) {
+  next_slot = std::max(next_slot, event.slot + event.slot_count);
+  if (event.kind == TriggerEvent::Kind::Fired) {
+    assembler.fired(event.slot, event.actual_ns);
+  }
+  if (const auto note = edge_log.add(event)) {
+    messages.warning(*note);
+  }
+}
+
+/// True where the lines failed, false where a stop was asked for.
+bool FramesPipeline::Impl::fire_until_failed(Trigger& lines) {
+  lines.start(next_slot);
+  Clock::time_point next_flush = Clock::now() + kLookPeriod;
+  bool failed = false;
+  while (!stopping && !failed) {
+    TriggerEvent event;
+    progress.beat(kEdges);
+    if (lines.next(event, kPatience)) {
+      take_event(event);
+    } else {
+      failed = lines.status().state == TriggerState::Failed;
+    }
+    if (Clock::now() >= next_flush) {
+      edge_log.flush();
+      next_flush = Clock::now() + kLookPeriod;
+    }
+  }
+  lines.request_stop();
+  lines.stop();
+  for (TriggerEvent event; lines.next(event, 0ms);) {
+    take_event(event);
+  }
+  edge_log.flush();
+  return failed;
+}
+
+void FramesPipeline::Impl::run_trigger() {
+  Clock::duration wait = kFirstTriggerPause;
+  while (!stopping) {
+    std::string reason;
+    try {
+      const std::shared_ptr<Trigger> lines = rig.open_trigger();
+      show_trigger(lines, "");
+      messages.info("trigger running");
+      const Clock::time_point begun = Clock::now();
+      if (!fire_until_failed(*lines)) {
+        return;
+      }
+      reason = lines->status().reason;
+      wait = Clock::now() - begun > kLongestTriggerPause ? Clock::duration(kFirstTriggerPause) : wait;
+    } catch (const Error& error) {
+      if (error.kind() != ErrorKind::Unavailable) {
+        throw;
+      }
+      reason = error.what();
+    }
+    show_trigger(nullptr, reason);
+    progress.beat(kEdges);
+    messages.warning(fmt::format("trigger failing: {}", reason));
+    if (!pause(wait)) {
+      return;
+    }
+    wait = std::min<Clock::duration>(2 * wait, kLongestTriggerPause);
+  }
+}
+
+void FramesPipeline::Impl::deliver(std::shared_ptr<FrameSet> set) {
+  const std::shared_ptr<mesh::MeshFrame> frame = frames.take();
+  first_trigger_ns = first_trigger_ns.value_or(set->trigger_ns);
+  frame->sequence = set->slot;
+  frame->timestamp_ns = set->trigger_ns;
+  frame->media_time_ns = set->trigger_ns - *first_trigger_ns;
+  frame->control_vertices_mm.resize(3, 0);
+  if (!set->complete()) {
+    frame->degraded = true;
+    frame->degraded_reason = "no picture of camera";
+    for (std::size_t i = 0; i < rig.cameras.size(); ++i) {
+      if ((set->missing >> i & 1) != 0) {
+        frame->degraded_reason += " " + rig.config.cameras[i].name;
+      }
+    }
+  }
+  frame->stage_ms.latency_ms = static_cast<float>(capture::monotonic_now_ns() - set->trigger_ns) * 1e-6F;
+  frame->images = std::move(set);
+  for (MeshSink* sink : sinks) {
+    sink->deliver(frame);
+  }
+  const std::lock_guard lock(mutex);
+  ++shown.processed;
+  if (frame->degraded) {
+    ++shown.degraded_frames;
+    shown.degraded_reason = frame->degraded_reason;
+  }
+  figures.add(*frame, Clock::now());
+}
+
+/// Tells the log of cameras that stream and come into no set, and has them restarted.
+void FramesPipeline::Impl::look_after_steps() {
+  const Clock::time_point now = Clock::now();
+  if (now < next_look) {
+    return;
+  }
+  next_look = now + kLookPeriod;
+  const capture::CaptureStatistics statistics = assembler.statistics();
+  for (std::size_t i = 0; i < watched.size(); ++i) {
+    Watched& camera = watched[i];
+    const std::string& name = rig.config.cameras[i].name;
+    const bool streams = rig.cameras[i]->status().state == CameraState::Streaming;
+    if (!streams || statistics.cameras[i].in_step) {
+      if (!camera.in_step && streams) {
+        messages.info(fmt::format("camera {} is in step again", name));
+        camera.patience = kOutOfStepPatience;
+        camera.in_step = true;
+      }
+      camera.since = now;
+    } else if (now - camera.since >= camera.patience) {
+      messages.warning(fmt::format(
+          "camera {} is out of step with the trigger for {} s and is started anew; its pictures are left out",
+          name, std::chrono::duration_cast<std::chrono::seconds>(camera.patience).count()));
+      camera.in_step = false;
+      camera.since = now;
+      camera.patience = std::min(2 * camera.patience, kLongestOutOfStepPatience);
+      camera.restart_wanted = true;
+    }
+  }
+}
+
+void FramesPipeline::Impl::hand_out_sets() {
+  set_state(PipelineState::Running);
+  const auto last_wait = std::chrono::nanoseconds(2 * capture.deadline_ns);
+  Clock::time_point last_set = Clock::now();
+  std::shared_ptr<FrameSet> set = sets.take();
+  while (!stopping) {
+    progress.beat(kSets);
+    switch (assembler.next(*set, kPatience)) {
+      case capture::FrameSetAssembler::Outcome::Delivered:
+        last_set = Clock::now();
+        deliver(std::exchange(set, sets.take()));
+        break;
+      case capture::FrameSetAssembler::Outcome::Timeout:
+        if (cameras_at_work == 0 && Clock::now() - last_set > last_wait) {
+          const std::lock_guard lock(mutex);
+          if (source_failure) {
+            throw Error(*source_failure);
+          }
+          shown.state = PipelineState::Ended;
+          return;
+        }
+        break;
+      case capture::FrameSetAssembler::Outcome::Closed:
+        break;
+    }
+    look_after_steps();
+  }
+  set_state(PipelineState::Stopped);
+}
+
+FramesPipeline::FramesPipeline(Rig rig, std::vector<MeshSink*> sinks)
+    : impl_(std::make_unique<Impl>(std::move(rig), std::move(sinks))) {}
+
+FramesPipeline::~FramesPipeline() {
+  FramesPipeline::stop();
+}
+
+void FramesPipeline::start() {
+  Impl& impl = *impl_;
+  impl.set_state(PipelineState::Preparing);
+  impl.cameras_at_work = impl.rig.cameras.size();
+  impl.begin(kSets, [&impl] { impl.hand_out_sets(); });
+  for (std::size_t i = 0; i < impl.rig.cameras.size(); ++i) {
+    impl.begin(kFirstCamera + i, [&impl, i] { impl.run_camera(i); });
+  }
+  if (impl.rig.open_trigger) {
+    impl.begin(kEdges, [&impl] { impl.run_trigger(); });
+  }
+}
+
+void FramesPipeline::request_stop() {
+  {
+    const std::lock_guard lock(impl_->mutex);
+    impl_->stopping = true;
+  }
+  impl_->stop_asked.notify_all();
+  impl_->assembler.close();
+}
+
+void FramesPipeline::stop() {
+  request_stop();
+  for (std::thread& thread : impl_->threads) {
+    thread.join();
+  }
+  impl_->threads.clear();
+}
+
+bool FramesPipeline::finished() const {
+  return impl_->threads_at_work == 0;
+}
+
+PipelineStatus FramesPipeline::status() const {
+  Impl& impl = *impl_;
+  RigStatus rig;
+  for (std::size_t i = 0; i < impl.rig.cameras.size(); ++i) {
+    const Camera& camera = *impl.rig.cameras[i];
+    rig.cameras.push_back({impl.rig.config.cameras[i].name, camera.info(), camera.status()});
+  }
+  rig.sets = impl.assembler.statistics();
+  std::shared_ptr<Trigger> trigger;
+  PipelineStatus status;
+  {
+    const std::lock_guard lock(impl.mutex);
+    status = impl.shown;
+    impl.figures.fill(status);
+    trigger = impl.trigger;
+    rig.triggers_opened = impl.triggers_opened;
+    if (impl.rig.open_trigger) {
+      rig.trigger.emplace();
+      rig.trigger->state = impl.trigger_reason.empty() ? TriggerState::Idle : TriggerState::Failed;
+      rig.trigger->reason = impl.trigger_reason;
+    }
+  }
+  if (trigger != nullptr) {
+    rig.trigger = trigger->status();
+  }
+  status.captured = rig.sets.slots;
+  status.dropped = rig.sets.dropped;
+  status.rig = std::move(rig);
+  return status;
+}
+
+std::optional<Progress::Silence> FramesPipeline::longest_silence() const {
+  return impl_->progress.longest_silence();
+}
+
+void FramesPipeline::reset_identity() {
+  throw Error(ErrorKind::Usage, "mode \"frames\" makes no meshes: there is no identity to estimate");
+}
+
+std::vector<Messages::Message> FramesPipeline::take_messages() {
+  return impl_->messages.take();
+}
+
+}  // namespace facet::pipeline

@@ -1,0 +1,45 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "camera/factory.hpp"
+#include "facet/trigger.hpp"
+#include "trigger/gpio_trigger.hpp"
+
+namespace facet::pipeline {
+
+/// Kind of a camera that FramesPipeline makes itself (simulation::SimulatedRig); others are
+/// camera::open_camera's.
+inline constexpr const char* kSimulatedCamera = "simulated";
+
+struct RigCamera {
+  std::string name;             ///< unique
+  camera::CameraConfig source;  ///< kind "simulated": size and rate are those of source.v4l2
+  std::int64_t latency_ns = 0;  ///< capture::CaptureCamera::latency_ns
+};
+
+enum class TriggerKind {
+  None,     ///< the cameras run freely
+  Virtual,  ///< lines without wires, for simulated cameras
+  Gpio,
+};
+
+/// Several cameras, and what fires them.
+struct RigConfig {
+  std::vector<RigCamera> cameras;  ///< 1 to 64
+  double rate_hz = 30;             ///< of cameras that run freely; all of them
+  int deadline_ms = 0;             ///< for a set to become complete; 0: six periods, 100 ms at least
+  TriggerKind trigger = TriggerKind::None;
+  TriggerProgram program;
+  trigger::GpioTriggerConfig gpio;  ///< kind Gpio; its thread options count for Virtual too
+  std::filesystem::path edge_log;   ///< what the lines did is written there; empty: nowhere
+};
+
+/// Throws Error(Usage) where no rig is like that.
+void check(const RigConfig& config);
+
+}  // namespace facet::pipeline

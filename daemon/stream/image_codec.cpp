@@ -1,0 +1,170 @@
+#include "stream/image_codec.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cstring>
+#include <string>
+#include <vector>
+
+#include "facet/error.hpp"
+#include "stream/protocol.hpp"
+
+namespace facet::stream {
+namespace {
+
+using flatbuffers::FlatBufferBuilder;
+using flatbuffers::Offset;
+
+constexpr std::size_t kRgbaBytes = 4;
+
+std::size_t pixel_count(const Frame& frame) {
+  return static_cast<std::size_t>(frame.width_px) * static_cast<std::size_t>(frame.height_px);
+}
+
+/// Whether red, green and blue are the same everywhere. Most colour pictures say no within the first pixels.
+bool is_grey(const Frame& frame) {
+  for (int y = 0; y < frame.height_px; ++y) {
+    const std::uint8_t* row = frame.row(y);
+    unsigned difference = 0;
+    for (int x = 0; x < frame.width_px; ++x) {
+      const std::uint8_t* pixel = row + static_cast<std::size_t>(x) * kRgbaBytes;
+      difference |= static_cast<unsigned>(pixel[0] ^ pixel[1]) | static_cast<unsigned>(pixel[1] ^ pixel[2]);
+    }
+    if (difference != 0) {
+      return false;
+    }
+  }
+  return true;
+}
+
+std::size_t channel_count(const Frame& frame) {
+  return is_grey(frame) ? 1 : 3;
+}
+
+template <std::size_t Channels>
+void pack(const Frame& frame, std::uint8_t* out) {
+  for (int y = 0; y < frame.height_px; ++y) {
+    const std::uint8_t* row = frame.row(y);
+    for (int x = 0; x < frame.width_px; ++x) {
+      std::copy_n(row + static_cast<std::size_t>(x) * kRgbaBytes, Channels, out);
+      out += Channels;
+    }
+  }
+}
+
+Offset<wire::Image> write_image(FlatBufferBuilder& builder, const Frame& frame, std::size_t camera,
+                                bool with_pixels) {
+  Offset<flatbuffers::Vector<std::uint8_t>> pixels;
+  const std::size_t channels = with_pixels ? channel_count(frame) : 3;
+  if (with_pixels) {
+    std::uint8_t* out = nullptr;
+    pixels = builder.CreateUninitializedVector(pixel_count(frame) * channels, &out);
+    channels == 1 ? pack<1>(frame, out) : pack<3>(frame, out);
+  }
+  return wire::CreateImage(builder, static_cast<std::uint8_t>(camera), frame.sequence, frame.timestamp_ns,
+                           frame.corrupt, static_cast<std::uint16_t>(frame.width_px),
+                           static_cast<std::uint16_t>(frame.height_px), static_cast<std::uint8_t>(channels),
+                           pixels);
+}
+
+void require(bool holds, const char* what) {
+  if (!holds) {
+    throw Error(ErrorKind::UnreadableInput, std::string("damaged or foreign message: frame set: ") + what);
+  }
+}
+
+template <std::size_t Channels>
+void unpack(const std::uint8_t* in, std::size_t count, std::uint8_t* rgba) {
+  for (std::size_t i = 0; i < count; ++i) {
+    for (std::size_t channel = 0; channel < 3; ++channel) {
+      rgba[channel] = in[Channels == 1 ? 0 : channel];
+    }
+    rgba[3] = 255;
+    rgba += kRgbaBytes;
+    in += Channels;
+  }
+}
+
+Frame read_image(const wire::Image& image) {
+  require(image.width_px() > 0 && image.width_px() <= kMaxImagePx && image.height_px() > 0 &&
+              image.height_px() <= kMaxImagePx,
+          "size of an image");
+  require(image.channels() == 1 || image.channels() == 3, "channels of an image");
+  Frame frame;
+  frame.sequence = image.sequence();
+  frame.timestamp_ns = image.timestamp_ns();
+  frame.corrupt = image.corrupt();
+  frame.width_px = image.width_px();
+  frame.height_px = image.height_px();
+  frame.stride_bytes = static_cast<std::size_t>(image.width_px()) * kRgbaBytes;
+  if (image.pixels() == nullptr) {
+    return frame;
+  }
+  const std::size_t count = pixel_count(frame);
+  require(image.pixels()->size() == count * image.channels(), "number of an image's pixels");
+  auto pixels = std::make_shared<std::uint8_t[]>(count * kRgbaBytes);
+  image.channels() == 1 ? unpack<1>(image.pixels()->data(), count, pixels.get())
+                        : unpack<3>(image.pixels()->data(), count, pixels.get());
+  frame.pixels = std::move(pixels);
+  return frame;
+}
+
+}  // namespace
+
+std::size_t pixel_bytes(const FrameSet& set) {
+  std::size_t bytes = 0;
+  for (const Frame& frame : set.frames) {
+    bytes += frame.empty() ? 0 : pixel_count(frame) * 3;
+  }
+  return bytes;
+}
+
+Offset<wire::FrameSet> write_frame_set(FlatBufferBuilder& builder, const FrameSet& set, bool with_pixels) {
+  const std::size_t cameras = std::min(set.frames.size(), kMaxCameras);
+  std::array<Offset<flatbuffers::String>, kMaxCameras> names;
+  std::array<Offset<wire::Image>, kMaxCameras> images;
+  std::size_t image_count = 0;
+  for (std::size_t camera = 0; camera < cameras; ++camera) {
+    const std::string_view name = set.camera_names != nullptr && camera < set.camera_names->size()
+                                      ? std::string_view((*set.camera_names)[camera])
+                                      : std::string_view();
+    const std::string_view part = name.substr(0, kMaxNameBytes);
+    names.at(camera) = builder.CreateString(part.data(), part.size());
+    const Frame& frame = set.frames[camera];
+    if (!frame.empty() && frame.width_px <= static_cast<int>(kMaxImagePx) &&
+        frame.height_px <= static_cast<int>(kMaxImagePx)) {
+      images.at(image_count++) = write_image(builder, frame, camera, with_pixels);
+    }
+  }
+  const auto name_vector = builder.CreateVector(names.data(), cameras);
+  const auto image_vector = builder.CreateVector(images.data(), image_count);
+  return wire::CreateFrameSet(builder, set.slot, set.trigger_ns, set.skew_ns, name_vector, image_vector);
+}
+
+std::shared_ptr<const FrameSet> read_frame_set(const wire::FrameSet& set) {
+  require(set.cameras() != nullptr && set.cameras()->size() > 0 && set.cameras()->size() <= kMaxCameras,
+          "number of cameras");
+  auto out = std::make_shared<FrameSet>();
+  out->slot = set.slot();
+  out->trigger_ns = set.trigger_ns();
+  out->skew_ns = set.skew_ns();
+  std::vector<std::string> names;
+  for (const flatbuffers::String* name : *set.cameras()) {
+    require(name->size() <= kMaxNameBytes, "name of a camera");
+    names.push_back(name->str());
+  }
+  out->frames.resize(names.size());
+  out->missing = ~std::uint64_t{0} >> (kMaxCameras - names.size());
+  if (set.images() != nullptr) {
+    for (const wire::Image* image : *set.images()) {
+      const std::size_t camera = image->camera();
+      require(camera < names.size() && (out->missing >> camera & 1) != 0, "camera of an image");
+      out->frames[camera] = read_image(*image);
+      out->missing &= ~(std::uint64_t{1} << camera);
+    }
+  }
+  out->camera_names = std::make_shared<const std::vector<std::string>>(std::move(names));
+  return out;
+}
+
+}  // namespace facet::stream

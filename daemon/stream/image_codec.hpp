@@ -1,0 +1,22 @@
+#pragma once
+
+#include <cstddef>
+#include <memory>
+
+#include "facet/frame_set.hpp"
+#include "facet_generated.h"
+
+/// The pictures of a frame, as part of its message. For Encoder and decode_frame alone.
+namespace facet::stream {
+
+/// Bytes of the pixels as they would be written.
+std::size_t pixel_bytes(const FrameSet& set);
+
+flatbuffers::Offset<wire::FrameSet> write_frame_set(flatbuffers::FlatBufferBuilder& builder,
+                                                    const FrameSet& set, bool with_pixels);
+
+/// Throws Error(UnreadableInput) with the field that is wrong. A picture without pixels has a size and no
+/// pixels (Frame::empty).
+std::shared_ptr<const FrameSet> read_frame_set(const wire::FrameSet& set);
+
+}  // namespace facet::stream
