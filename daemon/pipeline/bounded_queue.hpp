@@ -65,6 +65,12 @@ class BoundedQueue {
     changed_.notify_all();
   }
 
+  /// Items that wait. Any thread.
+  std::size_t size() const {
+    const std::lock_guard lock(mutex_);
+    return count_;
+  }
+
  private:
   template <typename Idle, typename Ready>
   void wait(std::unique_lock<std::mutex>& lock, const Idle& idle, const Ready& ready) {
@@ -90,7 +96,7 @@ class BoundedQueue {
     return item;
   }
 
-  std::mutex mutex_;
+  mutable std::mutex mutex_;
   std::condition_variable changed_;
   std::vector<Item> slots_;  ///< guarded by mutex_, as all below
   std::size_t first_ = 0;

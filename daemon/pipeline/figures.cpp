@@ -52,6 +52,7 @@ void Figures::add(const mesh::MeshFrame& frame, std::chrono::steady_clock::time_
   for (std::size_t s = 0; s < kStages.size(); ++s) {
     if (const float time_ms = frame.stage_ms.*(kStages[s].time_ms); time_ms > 0) {
       stages_[s].add(time_ms);
+      histograms_[s].add(time_ms);
     }
   }
   if (!frame.displacements_mm.empty()) {
@@ -67,6 +68,7 @@ void Figures::fill(PipelineStatus& status) const {
   for (std::size_t s = 0; s < kStages.size(); ++s) {
     status.stages[s] = {stages_[s].mean(), stages_[s].quantile(0.95F)};
   }
+  status.histograms = histograms_;
   const float between_s = between_s_.mean();
   status.frames_per_second = between_s > 0 ? 1.0 / static_cast<double>(between_s) : 0.0;
   status.photometric_rms = photometric_rms_.mean();

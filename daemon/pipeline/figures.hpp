@@ -27,11 +27,12 @@ class Window {
 class Figures {
  public:
   void add(const mesh::MeshFrame& frame, std::chrono::steady_clock::time_point handed_out);
-  /// Fills frames_per_second, stages and photometric_rms.
+  /// Fills frames_per_second, stages, histograms and photometric_rms.
   void fill(PipelineStatus& status) const;
 
  private:
   std::array<Window, kStages.size()> stages_;
+  std::array<Histogram, kStages.size()> histograms_;
   Window photometric_rms_;
   Window between_s_;
   std::chrono::steady_clock::time_point last_;

@@ -440,6 +440,8 @@ PipelineStatus MonocularPipeline::status() const {
   PipelineStatus status = impl_->shown;
   status.camera = impl_->stages.camera->status();
   impl_->figures.fill(status);
+  status.queued_captured = impl_->captured.size();
+  status.queued_tracked = impl_->tracked.size();
   return status;
 }
 

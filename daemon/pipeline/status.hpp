@@ -48,6 +48,23 @@ inline constexpr std::array kStages = {
     Stage{"latency", &mesh::StageTimes::latency_ms},
 };
 
+/// How often a stage took how long since the start. Fixed memory.
+struct Histogram {
+  static constexpr std::array kBounds_ms = {1.0F,   2.0F,   5.0F,   10.0F,   20.0F,  50.0F,
+                                            100.0F, 200.0F, 500.0F, 1000.0F, 2000.0F};
+  std::array<std::uint64_t, kBounds_ms.size() + 1> counts{};  ///< [i]: up to kBounds_ms[i]; the last: beyond
+  double sum_ms = 0;
+
+  void add(float value_ms) {
+    std::size_t i = 0;
+    while (i < kBounds_ms.size() && !(value_ms <= kBounds_ms.at(i))) {
+      ++i;
+    }
+    ++counts.at(i);
+    sum_ms += static_cast<double>(value_ms);
+  }
+};
+
 struct RigCameraStatus {
   std::string name;  ///< in the rig
   CameraInfo info;
@@ -86,6 +103,9 @@ struct PipelineStatus {
   mesh::TrackingState tracking = mesh::TrackingState::Searching;  ///< of the last frame
   double frames_per_second = 0;                                   ///< handed out, over the last frames
   std::array<StageFigures, kStages.size()> stages;                ///< order of kStages
+  std::array<Histogram, kStages.size()> histograms;               ///< likewise, since the start
+  std::size_t queued_captured = 0;                                ///< frames that wait for the tracker
+  std::size_t queued_tracked = 0;                                 ///< and for the refinement
   float photometric_rms = 0;                                      ///< mean over the last refined frames
 };
 

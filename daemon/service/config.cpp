@@ -551,6 +551,20 @@ void read_takes(Section section, TakesConfig& takes) {
   section.finish();
 }
 
+void read_metrics(Section section, MetricsConfig& metrics) {
+  if (const toml::node* node = section.find("listen")) {
+    metrics.listen = section.text(*node, "listen", kAnyText);
+    const std::size_t colon = metrics.listen.rfind(':');
+    const std::string port = colon == std::string::npos ? "" : metrics.listen.substr(colon + 1);
+    const bool digits = !port.empty() && port.size() <= 5 &&
+                        std::all_of(port.begin(), port.end(), [](char c) { return c >= '0' && c <= '9'; });
+    if (!metrics.listen.empty() && (colon == 0 || !digits || std::stoi(port) > 65535)) {
+      section.fail(node, "listen", "must be \"ADDRESS:PORT\" such as \"127.0.0.1:9464\", or \"\" for none");
+    }
+  }
+  section.finish();
+}
+
 void read_all(Document& document, Config& config) {
   Section root(document, &document.root(), "");
   constexpr std::array kModes = {"monocular", "frames"};
@@ -572,6 +586,7 @@ void read_all(Document& document, Config& config) {
   read_stream(root.section("stream"), config.stream);
   read_control(root.section("control"), config.control);
   read_takes(root.section("takes"), config.takes);
+  read_metrics(root.section("metrics"), config.metrics);
   Section log = root.section("log");
   constexpr std::array kLevels = {"error", "warning", "info", "debug"};
   if (const auto level = log.read_choice("level", kLevels)) {

@@ -25,6 +25,10 @@ struct TakesConfig {
   std::string record_at_start;  ///< name of a take that begins with the first frame; empty: none
 };
 
+struct MetricsConfig {
+  std::string listen = "127.0.0.1:9464";  ///< "ADDRESS:PORT"; empty: off
+};
+
 enum class Mode {
   Monocular,  ///< one source, refined meshes
   Frames,     ///< the pictures of several cameras, no meshes
@@ -41,6 +45,7 @@ struct Config {
   stream::StreamServerConfig stream;
   ControlConfig control;
   TakesConfig takes;
+  MetricsConfig metrics;
   LogLevel log_level = LogLevel::Info;
 };
 

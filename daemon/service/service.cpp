@@ -6,6 +6,7 @@
 #include <unistd.h>
 
 #include <array>
+#include <atomic>
 #include <cerrno>
 #include <chrono>
 #include <csignal>
@@ -21,6 +22,7 @@
 #include "pipeline/stream_sink.hpp"
 #include "pipeline/take_sink.hpp"
 #include "service/control_server.hpp"
+#include "service/metrics.hpp"
 #include "service/service_manager.hpp"
 #include "service/stage_opener.hpp"
 #include "service/status_report.hpp"
@@ -105,14 +107,18 @@ struct Service::Impl {
   std::optional<StageOpener> opener;
   std::unique_ptr<pipeline::Pipeline> pipeline;
   std::string source_name;
-  bool live = false;               ///< the source goes on while nobody reads
-  bool running = false;            ///< the pipeline was started
-  bool stopping = false;           ///< somebody asked for the end
-  bool end_seen = false;           ///< the pipeline's end was logged
-  std::optional<int> exit_status;  ///< set: leave the loop
+  bool live = false;                     ///< the source goes on while nobody reads
+  std::optional<MetricsServer> metrics;  ///< once there is a pipeline; freed before it
+  std::atomic<bool> running{false};      ///< the pipeline was started
+  bool stopping = false;                 ///< somebody asked for the end
+  bool end_seen = false;                 ///< the pipeline's end was logged
+  std::optional<int> exit_status;        ///< set: leave the loop
 
   ControlMethods methods();
   json status();
+  std::string state(const pipeline::PipelineStatus& now) const;
+  void open_metrics();
+  MetricsSnapshot metrics_snapshot();
   json record_start(const json& params);
   json record_stop();
 
@@ -177,14 +183,43 @@ json Service::Impl::status() {
   answer["pid"] = ::getpid();
   answer["uptime_s"] = std::chrono::duration<double>(Clock::now() - started).count();
   answer["resident_bytes"] = resident_bytes();
-  answer["state"] = !pipeline  ? "starting"
-                    : !running ? "waiting for a reader"
-                               : pipeline::to_string(now.state);
+  answer["state"] = state(now);
   answer["stream"] = to_json(stream->statistics());
   answer["stream"]["socket"] = config.stream.socket.string();
   const auto take = takes.status();
   answer["recording"] = take ? to_json(*take) : json(nullptr);
   return answer;
+}
+
+std::string Service::Impl::state(const pipeline::PipelineStatus& now) const {
+  return !pipeline ? "starting" : !running ? "waiting for a reader" : pipeline::to_string(now.state);
+}
+
+/// On a thread of the metrics server, which lives no longer than the pipeline.
+MetricsSnapshot Service::Impl::metrics_snapshot() {
+  MetricsSnapshot now;
+  now.pipeline = pipeline->status();
+  now.state = state(now.pipeline);
+  now.uptime_s = std::chrono::duration<double>(Clock::now() - started).count();
+  now.resident_bytes = resident_bytes();
+  std::error_code ignored;
+  now.disk_free_bytes = std::filesystem::space(config.takes.folder, ignored).available;
+  now.stream = stream->statistics();
+  now.take = takes.status();
+  return now;
+}
+
+void Service::Impl::open_metrics() {
+  if (config.metrics.listen.empty()) {
+    return;
+  }
+  try {
+    metrics.emplace(config.metrics.listen, [this] { return metrics_snapshot(); });
+    log.info(fmt::format("metrics on http://{}:{}/metrics",
+                         config.metrics.listen.substr(0, config.metrics.listen.rfind(':')), metrics->port()));
+  } catch (const Error& error) {
+    log.warning(error.what());
+  }
 }
 
 json Service::Impl::record_start(const json& params) {
@@ -292,6 +327,7 @@ void Service::Impl::begin_pipeline() {
   std::visit([this](auto&& opened) { make_pipeline(std::forward<decltype(opened)>(opened)); },
              opener->take());
   opener.reset();
+  open_metrics();
   if (!config.takes.record_at_start.empty()) {
     // A daemon that is started again must not stumble over its own earlier take.
     begin_take(take::free_take_name(config.takes.folder, config.takes.record_at_start));
@@ -420,6 +456,7 @@ void Service::Impl::finish() {
   }
   takes.request_end();
   stream->request_stop();
+  metrics.reset();
   if (const auto take = takes.end()) {
     log_take(*take);
   }

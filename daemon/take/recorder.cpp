@@ -426,7 +426,9 @@ RecorderStatus TakeRecorder::stop() {
 
 RecorderStatus TakeRecorder::status() const {
   const std::lock_guard lock(impl_->mutex);
-  return impl_->shown;
+  RecorderStatus status = impl_->shown;
+  status.queued = impl_->queued;
+  return status;
 }
 
 std::filesystem::path take_path(const std::filesystem::path& folder, const std::string& name) {

@@ -44,6 +44,7 @@ struct RecorderStatus {
   std::uint64_t mesh_frames = 0;  ///< of these, with a mesh
   std::uint64_t dropped = 0;      ///< lost to a full queue, or after a failure
   std::uint64_t bytes = 0;        ///< of frame blobs committed
+  std::size_t queued = 0;         ///< waiting to be written
 };
 
 /// Writes one take: one SQLite file, committed every half second, so that a killed process or a full disk

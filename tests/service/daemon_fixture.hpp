@@ -46,7 +46,7 @@ class Daemon : public ::testing::Test {
         "[source]\n{}\n[model]\npath = \"{}\"\nlandmark_assets = \"{}\"\n[gpu]\ndevice = "
         "\"{}\"\n[stream]\nsocket = "
         "\"stream.sock\"\n[control]\nsocket = \"control.sock\"\n[takes]\nfolder = \"takes\"\ndisk_reserve_mb "
-        "= 1\n{}\n",
+        "= 1\n{}\n[metrics]\nlisten = \"\"\n",
         source, model.string(),
         (test::assets() / "mediapipe" / "face_mesh_solution_packed_assets.data").string(), device, takes);
     return file.string();

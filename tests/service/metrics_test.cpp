@@ -1,0 +1,157 @@
+#include "service/metrics.hpp"
+
+#include <arpa/inet.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <regex>
+#include <set>
+
+#include "daemon_fixture.hpp"
+#include "facet/error.hpp"
+
+namespace facet::service {
+namespace {
+
+/// The body of http://127.0.0.1:port/metrics; empty where nobody answers.
+std::string scrape(int port) {
+  const stream::FileDescriptor fd(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_port = htons(static_cast<std::uint16_t>(port));
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  if (::connect(fd.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)) != 0) {
+    return "";
+  }
+  const std::string request = "GET /metrics HTTP/1.0\r\n\r\n";
+  EXPECT_EQ(::send(fd.get(), request.data(), request.size(), MSG_NOSIGNAL), ssize_t(request.size()));
+  std::string answer;
+  std::array<char, 4096> piece{};
+  for (ssize_t count = 1; (count = ::recv(fd.get(), piece.data(), piece.size(), 0)) > 0;) {
+    answer.append(piece.data(), static_cast<std::size_t>(count));
+  }
+  const std::size_t body = answer.find("\r\n\r\n");
+  return body == std::string::npos ? "" : answer.substr(body + 4);
+}
+
+MetricsSnapshot snapshot() {
+  MetricsSnapshot now;
+  now.state = "running";
+  now.uptime_s = 12.5;
+  now.disk_free_bytes = 1000;
+  now.pipeline.captured = 100;
+  now.pipeline.dropped = 3;
+  now.pipeline.tracking = mesh::TrackingState::Tracking;
+  now.pipeline.histograms[3].add(1.5F);
+  now.pipeline.histograms[3].add(30);
+  now.pipeline.histograms[3].add(9000);
+  pipeline::RigStatus rig;
+  pipeline::RigCameraStatus camera;
+  camera.name = "left";
+  camera.status.state = CameraState::Stalled;
+  camera.status.counters.lost = 7;
+  rig.cameras.push_back(camera);
+  rig.trigger.emplace();
+  rig.trigger->slots_dropped = 2;
+  capture::CameraMatch match;
+  match.name = "left";
+  match.refused.at(static_cast<std::size_t>(capture::Refusal::TooLate)) = 5;
+  rig.sets.cameras.push_back(match);
+  rig.sets.incomplete = 9;
+  now.pipeline.rig = rig;
+  stream::ReaderStatistics reader;
+  reader.id = 4;
+  reader.client = "a \"game\"";
+  reader.frames_dropped = 6;
+  now.stream.readers.push_back(reader);
+  now.take.emplace();
+  now.take->bytes = 12345;
+  return now;
+}
+
+TEST(Metrics, TellWhatTheDaemonDoes) {
+  const MetricsServer server("127.0.0.1:0", snapshot);
+  const std::string text = scrape(server.port());
+  for (const char* line :
+       {"facet_state{state=\"running\"} 1", "facet_state{state=\"failed\"} 0", "facet_uptime_seconds 12.5",
+        "facet_disk_free_bytes 1000", "facet_frames_total{outcome=\"dropped\"} 3",
+        "facet_tracking_state{state=\"tracking\"} 1", "facet_stage_seconds_count{stage=\"fit\"} 3",
+        "facet_stage_seconds_bucket{stage=\"fit\",le=\"0.002\"} 1",
+        "facet_stage_seconds_bucket{stage=\"fit\",le=\"2\"} 2",
+        "facet_stage_seconds_bucket{stage=\"fit\",le=\"+Inf\"} 3",
+        "facet_camera_state{camera=\"left\",state=\"stalled\"} 1",
+        "facet_camera_frames_total{camera=\"left\",outcome=\"lost\"} 7",
+        "facet_camera_refused_total{camera=\"left\",cause=\"too_late\"} 5",
+        "facet_sets_total{outcome=\"incomplete\"} 9", "facet_trigger_slots_total{outcome=\"dropped\"} 2",
+        "facet_stream_reader_dropped_total{reader=\"4\",client=\"a \\\"game\\\"\"} 6", "facet_recording 1",
+        "facet_take_bytes 12345"}) {
+    EXPECT_THAT(text, HasSubstr(std::string(line) + "\n"));
+  }
+  EXPECT_THAT(text, HasSubstr("# TYPE facet_frames_total counter\n"));
+}
+
+TEST(Metrics, APortInUseIsNamed) {
+  const MetricsServer server("127.0.0.1:0", snapshot);
+  const std::string taken = "127.0.0.1:" + std::to_string(server.port());
+  try {
+    const MetricsServer second(taken, snapshot);
+    FAIL() << "two servers on one port";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::Unavailable);
+    EXPECT_THAT(error.what(), AllOf(HasSubstr(taken), HasSubstr("in use")));
+  }
+}
+
+/// Every metric of the dashboard and of the documentation is there, and every metric is documented.
+TEST(Metrics, DashboardAndDocumentationNameWhatIsThere) {
+  const MetricsServer server("127.0.0.1:0", snapshot);
+  const std::string text = scrape(server.port());
+  std::set<std::string> served;
+  const std::regex type("# TYPE (facet_[a-z_]+) ");
+  for (std::sregex_iterator at(text.begin(), text.end(), type), end; at != end; ++at) {
+    served.insert((*at)[1]);
+  }
+  EXPECT_GT(served.size(), 25U);
+  const auto read = [](const char* name) {
+    std::ifstream file(std::filesystem::path(FACET_SOURCE_DIR) / name);
+    return std::string{std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
+  };
+  const std::regex metric("facet_[a-z_]+");
+  const auto names_in = [&](const std::string& of) {
+    std::set<std::string> names;
+    for (std::sregex_iterator at(of.begin(), of.end(), metric), end; at != end; ++at) {
+      names.insert(std::regex_replace(at->str(), std::regex("_(bucket|count|sum)$"), ""));
+    }
+    return names;
+  };
+  const std::string dashboard = read("packaging/grafana-dashboard.json");
+  ASSERT_TRUE(nlohmann::json::accept(dashboard));
+  for (const std::string& name : names_in(dashboard)) {
+    EXPECT_TRUE(served.contains(name)) << name << " is on the dashboard and is not served";
+  }
+  EXPECT_EQ(names_in(read("docs/metrics.md")), served);
+}
+
+TEST_F(Daemon, ServesMetrics) {
+  const auto config = folder_.path() / "facet.toml";
+  std::filesystem::copy_file(std::filesystem::path(FACET_SOURCE_DIR) / "config" / "booth.toml", config);
+  std::ofstream(config, std::ios::app)
+      << "[stream]\nsocket = \"stream.sock\"\n[control]\nsocket = \"control.sock\"\n[takes]\nfolder = "
+         "\"takes\"\n[metrics]\nlisten = \"127.0.0.1:0\"\n";
+  const auto daemon = start(config.string());
+  await(*daemon, [](const json& now) { return now["state"] == "running"; });
+  std::smatch port;
+  const std::string log = daemon->output();
+  ASSERT_TRUE(std::regex_search(log, port, std::regex("metrics on http://127.0.0.1:([0-9]+)/metrics")))
+      << log;
+  EXPECT_THAT(scrape(std::stoi(port[1])), HasSubstr("facet_camera_state{camera=\"right\",state="));
+  ask("shutdown");
+  expect_clean_end(*daemon);
+}
+
+}  // namespace
+}  // namespace facet::service
