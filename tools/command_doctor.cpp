@@ -21,6 +21,7 @@
 #include "facet/assets.hpp"
 #include "facet/error.hpp"
 #include "gpu/context.hpp"
+#include "pipeline/frames.hpp"
 #include "service/config.hpp"
 #include "service/control_client.hpp"
 #include "service/default_paths.hpp"
@@ -131,10 +132,58 @@ void say_camera(Report& report, const camera::V4l2Description& device) {
   }
 }
 
-void check_source(Report& report, const service::Config& config) {
-  for (const camera::V4l2Description& device : camera::list_v4l2_devices()) {
-    say_camera(report, device);
+/// One camera that is open: what it is, or why it does not work.
+void say_open(Report& report, const std::string& what, const Camera& camera, const std::string& key) {
+  const CameraInfo info = camera.info();
+  const CameraStatus status = camera.status();
+  if (status.state == CameraState::Idle) {
+    report.say(
+        Verdict::Good, what,
+        fmt::format("{}: {}x{} px at {:.3g} Hz", info.name, info.width_px, info.height_px, info.rate_hz));
+    return;
   }
+  report.bad(ErrorKind::Unavailable, what, status.reason,
+             status.state == CameraState::Absent
+                 ? fmt::format("plug the camera in, or set {}; facetd waits for it", key)
+                 : "facetd tries again until it works");
+}
+
+/// Takes the lines for a moment, unless the daemon has them.
+void check_trigger(Report& report, const pipeline::Rig& rig, bool daemon_runs) {
+  const pipeline::RigConfig& config = rig.config;
+  if (!rig.open_trigger) {
+    report.say(Verdict::Good, "trigger", "none: the cameras run freely");
+    return;
+  }
+  const std::string program = fmt::format("{} lines, {:.4g} slots a second", config.program.lines.size(),
+                                          config.program.slots_per_second);
+  if (daemon_runs) {
+    report.say(Verdict::Note, "trigger", program + "; the daemon has the lines: see facet status");
+    return;
+  }
+  try {
+    rig.open_trigger();
+    report.say(Verdict::Good, "trigger", program + "; they can be had");
+  } catch (const Error& error) {
+    report.bad(error.kind(), "trigger", error.what(), "facetd tries again until it works");
+  }
+}
+
+void check_rig(Report& report, const service::Config& config) {
+  std::error_code ignored;
+  const bool daemon_runs = std::filesystem::exists(config.control.socket, ignored);
+  try {
+    const pipeline::Rig rig = pipeline::open_rig(config.rig);
+    for (std::size_t i = 0; i < rig.cameras.size(); ++i) {
+      say_open(report, "camera " + config.rig.cameras[i].name, *rig.cameras[i], "its device");
+    }
+    check_trigger(report, rig, daemon_runs);
+  } catch (const Error& error) {
+    report.bad(error.kind(), "rig", error.what());
+  }
+}
+
+void check_source(Report& report, const service::Config& config) {
   const camera::CameraConfig& source = config.pipeline.source;
   if (source.kind == "file" ? source.path.empty() : source.v4l2.device.empty()) {
     report.say(Verdict::Note, "source", "none is configured",
@@ -142,18 +191,7 @@ void check_source(Report& report, const service::Config& config) {
     return;
   }
   try {
-    const auto camera = camera::open_camera(config.pipeline.source);
-    const CameraInfo info = camera->info();
-    if (const CameraStatus status = camera->status(); status.state != CameraState::Idle) {
-      report.bad(ErrorKind::Unavailable, "source", status.reason,
-                 status.state == CameraState::Absent
-                     ? "plug the camera in, or set source.device; facetd waits for it"
-                     : "facetd tries again until it works");
-      return;
-    }
-    report.say(
-        Verdict::Good, "source",
-        fmt::format("{}: {}x{} px at {:.3g} Hz", info.name, info.width_px, info.height_px, info.rate_hz));
+    say_open(report, "source", *camera::open_camera(config.pipeline.source), "source.device");
   } catch (const Error& error) {
     report.bad(error.kind(), "source", error.what());
   }
@@ -240,9 +278,16 @@ void run(const std::string& given_file) {
   }
   report.say(Verdict::Good, "processor",
              fmt::format("{} cores", std::max(1U, std::thread::hardware_concurrency())));
-  check_vulkan(report, config.pipeline.gpu_device);
-  check_model(report, config);
-  check_source(report, config);
+  for (const camera::V4l2Description& device : camera::list_v4l2_devices()) {
+    say_camera(report, device);
+  }
+  if (config.mode == service::Mode::Frames) {
+    check_rig(report, config);
+  } else {
+    check_vulkan(report, config.pipeline.gpu_device);
+    check_model(report, config);
+    check_source(report, config);
+  }
   check_takes(report, config);
   check_daemon(report, config);
   if (report.first_fault()) {
@@ -256,8 +301,8 @@ void run(const std::string& given_file) {
 
 void add_doctor_command(CLI::App& app) {
   auto config_file = std::make_shared<std::string>();
-  CLI::App* command =
-      app.add_subcommand("doctor", "Check Vulkan, face model, source, sockets and disk; say what to do");
+  CLI::App* command = app.add_subcommand(
+      "doctor", "Check GPU, face model, cameras, trigger, sockets and disk; say what to do");
   command->add_option("--config", *config_file,
                       "The daemon's configuration file (default " + service::default_config_file().string() +
                           ", where it exists)");
