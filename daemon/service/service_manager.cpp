@@ -13,7 +13,8 @@
 namespace facet::service {
 namespace {
 
-/// A service manager that does not listen is no reason to stop.
+/// What comes of it is ignored: a service manager that is gone is no reason to stop. One that is there and
+/// does not read holds the caller up once its queue (512 messages under systemd) is full.
 void notify(const std::string& state) {
   ::sd_notify(0, state.c_str());
 }
@@ -91,6 +92,12 @@ void ServiceManager::look_after(const std::optional<pipeline::Progress::Silence>
     log_.info("the thread that hung gets on again", {{"FACET_EVENT", "hang-over"}});
   }
   hung_ = hung;
+  if (!silence || !watchdog_ || silence->length < *watchdog_) {
+    triggered_ = false;
+  } else if (!std::exchange(triggered_, true)) {
+    // It would bite anyway, as long after the last food.
+    notify("WATCHDOG=trigger");
+  }
   const Clock::time_point now = Clock::now();
   // Often enough that one late round of the loop does no harm.
   if (watchdog_ && !hung && now - fed_ >= *watchdog_ / 4) {

@@ -22,7 +22,8 @@ struct PassedSockets {
 PassedSockets take_passed_sockets();
 
 /// What the daemon tells its service manager (sd_notify(3)) and when it asks for its watchdog to be fed.
-/// Without a service manager nothing is sent. One thread, which must be the daemon's loop.
+/// Without a service manager nothing is sent. One thread, which must be the daemon's loop; blocks where the
+/// service manager has stopped reading.
 class ServiceManager {
  public:
   /// Reads NOTIFY_SOCKET and WATCHDOG_USEC. `log` outlives this object.
@@ -36,7 +37,8 @@ class ServiceManager {
 
   /// To be called with every round of the loop, with the pipeline's longest silence (none: no thread of it is
   /// at work, so that the loop's own round is progress enough). Feeds the watchdog unless that silence is
-  /// longer than patience(); logs once when a thread falls silent, and when it gets on again.
+  /// longer than patience(), and lets it bite once the silence is as long as the watchdog's time; logs once
+  /// when a thread falls silent, and when it gets on again.
   void look_after(const std::optional<pipeline::Progress::Silence>& silence);
 
   /// A thread silent for longer is hung: half the watchdog's time, 10 s where there is no watchdog.
@@ -49,6 +51,7 @@ class ServiceManager {
   std::optional<std::chrono::microseconds> watchdog_;  ///< kills after this time without food
   Clock::time_point fed_;
   bool hung_ = false;
+  bool triggered_ = false;
   std::string status_;
 };
 

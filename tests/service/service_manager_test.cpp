@@ -12,7 +12,9 @@
 #include <cerrno>
 #include <cstring>
 #include <future>
+#include <mutex>
 #include <optional>
+#include <thread>
 
 #include "daemon_fixture.hpp"
 #include "pipeline/progress.hpp"
@@ -26,36 +28,57 @@ using ::testing::Contains;
 using ::testing::Not;
 using ::testing::StartsWith;
 
-/// A service manager's socket: keeps what a daemon says.
+/// A service manager's socket: keeps what a daemon says. A thread reads all the time, as a service manager
+/// does: a daemon that is not listened to would wait.
 class NotifySocket {
  public:
   explicit NotifySocket(const std::filesystem::path& path)
-      : path_(path), fd_(::socket(AF_UNIX, SOCK_DGRAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0)) {
+      : path_(path), fd_(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0)) {
     sockaddr_un address{};
     address.sun_family = AF_UNIX;
     std::strncpy(address.sun_path, path.c_str(), sizeof(address.sun_path) - 1);
     EXPECT_EQ(::bind(fd_.get(), reinterpret_cast<sockaddr*>(&address), sizeof(address)), 0);
+    reader_ = std::thread([this] { read(); });
   }
+  ~NotifySocket() {
+    ::shutdown(fd_.get(), SHUT_RDWR);  // wakes the reader
+    reader_.join();
+  }
+  NotifySocket(const NotifySocket&) = delete;
+  NotifySocket& operator=(const NotifySocket&) = delete;
 
   std::string variable() const { return "NOTIFY_SOCKET=" + path_.string(); }
 
   /// Everything said so far, in order.
-  const std::vector<std::string>& said() {
-    std::array<char, 4096> text{};
-    for (ssize_t size = 0; (size = ::recv(fd_.get(), text.data(), text.size(), 0)) > 0;) {
-      said_.emplace_back(text.data(), static_cast<std::size_t>(size));
-    }
+  std::vector<std::string> said() const {
+    const std::lock_guard lock(mutex_);
     return said_;
   }
-  long count(const std::string& state) {
-    const auto& all = said();
-    return std::count(all.begin(), all.end(), state);
+  long count(const std::string& state) const {
+    const std::lock_guard lock(mutex_);
+    return std::count(said_.begin(), said_.end(), state);
+  }
+  /// Waits until a daemon that has ended was heard to the end.
+  void await_last_word() const {
+    while (count("STOPPING=1") == 0) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(5));
+    }
   }
 
  private:
+  void read() {
+    std::array<char, 4096> text{};
+    for (ssize_t size = 0; (size = ::recv(fd_.get(), text.data(), text.size(), 0)) > 0;) {
+      const std::lock_guard lock(mutex_);
+      said_.emplace_back(text.data(), static_cast<std::size_t>(size));
+    }
+  }
+
   std::filesystem::path path_;
   stream::FileDescriptor fd_;
-  std::vector<std::string> said_;
+  mutable std::mutex mutex_;
+  std::vector<std::string> said_;  ///< guarded by mutex_
+  std::thread reader_;
 };
 
 /// Holds one thread of a child process where it is, whatever it does or waits for, until the end of the
@@ -128,12 +151,13 @@ class Managed : public DaemonWithAssets {
 TEST_F(Managed, TellsThatItIsReadyHowItDoesAndThatItStops) {
   const auto daemon = start(configure(looped()), birth());
   await_that(*daemon, [&] {
-    const auto& said = manager_->said();
+    const auto said = manager_->said();
     return std::any_of(said.begin(), said.end(),
                        [](const auto& state) { return state.find("STATUS=running") == 0; });
   });
   daemon->send(SIGTERM);
   expect_clean_end(*daemon);
+  manager_->await_last_word();
   const std::vector<std::string> said = manager_->said();
   EXPECT_EQ(manager_->count("READY=1"), 1);
   EXPECT_THAT(said, Contains(AllOf(StartsWith("STATUS=running: source streaming, "), HasSubstr("frames/s"))));
@@ -144,15 +168,16 @@ TEST_F(Managed, TellsThatItIsReadyHowItDoesAndThatItStops) {
 TEST_F(Managed, IsNotReadyWhereItCannotStart) {
   std::string output;
   EXPECT_EQ(run({"--config", configure("path = \"none.mp4\"")}, output, birth()), 3);
+  manager_->await_last_word();
   EXPECT_EQ(manager_->count("READY=1"), 0);
   EXPECT_THAT(manager_->said(), Contains(AllOf(StartsWith("STATUS="), HasSubstr("none.mp4"))));
 }
 
 TEST_F(Managed, ACameraThatIsNotThereIsNoHang) {
   const auto daemon =
-      start(configure("kind = \"v4l2\"\ndevice = \"/dev/there-is-no-such-video-device\""), birth(1'000'000));
+      start(configure("kind = \"v4l2\"\ndevice = \"/dev/there-is-no-such-video-device\""), birth(3'000'000));
   await_that(*daemon, [&] { return manager_->count("READY=1") == 1; });
-  await_food(*daemon, 12);  // three times the watchdog's patience
+  await_food(*daemon, 8);  // twice the watchdog's time
   EXPECT_THAT(daemon->output(), Not(HasSubstr("hangs")));
   EXPECT_THAT(manager_->said(), Contains(AllOf(StartsWith("STATUS=running"), HasSubstr("source absent"))));
   daemon->send(SIGTERM);
@@ -161,9 +186,9 @@ TEST_F(Managed, ACameraThatIsNotThereIsNoHang) {
 
 TEST_F(Managed, ASourceAtItsEndIsNoHang) {
   const auto daemon =
-      start(configure(fmt::format("path = \"{}\"\nframes = \":4\"", clip().string())), birth(1'000'000));
+      start(configure(fmt::format("path = \"{}\"\nframes = \":4\"", clip().string())), birth(3'000'000));
   await(*daemon, [](const json& now) { return now["state"] == "ended"; });
-  await_food(*daemon, 12);
+  await_food(*daemon, 8);
   daemon->send(SIGTERM);
   expect_clean_end(*daemon);
 }
@@ -184,8 +209,8 @@ TEST_P(ManagedWorker, ItsHangIsNotFed) {
     ASSERT_TRUE(hung.held());
     await_that(*daemon, [&] { return daemon->output().find(thread + " hangs") != std::string::npos; });
     const long fed = manager_->count("WATCHDOG=1");
-    std::this_thread::sleep_for(kWatchdog);
-    EXPECT_EQ(manager_->count("WATCHDOG=1"), fed) << "a watchdog would bite";
+    await_that(*daemon, [&] { return manager_->count("WATCHDOG=trigger") == 1; });
+    EXPECT_EQ(manager_->count("WATCHDOG=1"), fed);
     EXPECT_EQ(ask("status")["state"], "running") << "the loop itself is well";
   }
   await_food(*daemon, 2);
