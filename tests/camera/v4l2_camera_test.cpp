@@ -377,8 +377,47 @@ TEST_F(V4l2CameraTest, FramesThatTheDeviceLeavesOutShowInTheTimes) {
   device_.run_until(device_.now_ns + 350 * kMillisecond_ns);
   device_.silent = false;
   EXPECT_EQ(next().sequence, 1U);
+  EXPECT_EQ(counters().omitted, 0U) << "it may have been stamped late";
+  EXPECT_EQ(next().sequence, 2U);
+  EXPECT_EQ(counters().omitted, 3U);
+  for (int i = 0; i < 20; ++i) {
+    next();
+  }
   EXPECT_EQ(counters().omitted, 3U);
   EXPECT_EQ(counters().lost, 0U);
+}
+
+TEST_F(V4l2CameraTest, ADeviceThatSlowsDownLeavesFramesOut) {
+  started();
+  next();
+  device_.period_ns = 150 * kMillisecond_ns;  // of 100
+  for (int i = 0; i < 101; ++i) {
+    next();
+  }
+  EXPECT_NEAR(static_cast<double>(counters().omitted), 50, 2);
+}
+
+TEST_F(V4l2CameraTest, TimesThatComeLateNowAndThenAreNoOmissions) {
+  // As a driver stamps whose thread runs on a busy machine: up to 0.6 periods late, the first one early.
+  device_.on_fill = [](test::FakeV4l2::Filled& filled) {
+    constexpr std::array kLate_ms = {0, 10, 55, 5, 40, 0, 60, 30};
+    filled.stamp_ns -= (70 - kLate_ms.at(filled.sequence % kLate_ms.size())) * kMillisecond_ns;
+  };
+  started();
+  for (int i = 0; i < 100; ++i) {
+    next();
+  }
+  EXPECT_EQ(counters().omitted, 0U);
+}
+
+TEST_F(V4l2CameraTest, ACameraThatIsALittleSlowerThanItSaysLeavesNothingOut) {
+  started();
+  next();
+  device_.period_ns = 100 * kMillisecond_ns + 100'000;
+  for (int i = 0; i < 2000; ++i) {
+    next();
+  }
+  EXPECT_EQ(counters().omitted, 0U);
 }
 
 TEST_F(V4l2CameraTest, TheDriversNumbersMayWrap) {
