@@ -2,12 +2,15 @@
 // device over a socket pair, so that its real driver uvcvideo is what programs see. Its pictures carry a
 // painted number.
 //
-//   usb_camera [--port N] [--lines FOLDER [--trigger] --pattern-lines N]
+//   usb_camera [--port N] [--lines FOLDER --pattern-lines N [--trigger LINE --exposure-ms T]]
 //     --port N            of the host controller, 0 to 7: one for each camera
 //     --lines FOLDER      of a simulated GPIO chip, such as /sys/devices/platform/gpio-sim.0/gpiochip0: what
 //     lines 0 to
 //                         N - 1 show at the start of a picture is its pattern
 //     --trigger LINE      a picture begins as this line of it rises; without it the camera runs free
+//     --exposure-ms T     how long the trigger's program holds the pattern: a camera that looks at the line
+//     later than
+//                         that misses the picture rather than show what came after
 //
 // Standard input steers it, a word a line:
 //   plug, unplug          at first it is unplugged
@@ -326,7 +329,8 @@ void swap_order(UsbipHeader& header) {
 /// The GPIO lines of a simulated chip, read where the simulator shows them.
 class WatchedLines {
  public:
-  WatchedLines(const std::string& folder, int pattern_lines, int trigger_line) {
+  WatchedLines(const std::string& folder, int pattern_lines, int trigger_line, double exposure_ms)
+      : exposure_ns_(static_cast<std::int64_t>(exposure_ms * 1e6)) {
     for (int line = 0; line < pattern_lines; ++line) {
       pattern_.push_back(open(folder, line));
     }
@@ -334,19 +338,34 @@ class WatchedLines {
       trigger_ = open(folder, trigger_line);
     }
   }
+
   bool triggers() const { return static_cast<bool>(trigger_); }
-  /// Whether the trigger has risen since the last look.
-  bool rose() {
-    const bool before = std::exchange(triggered_, level(trigger_));
-    return triggered_ && !before;
-  }
-  std::uint32_t pattern() const {
-    std::uint32_t bits = 0;
-    for (std::size_t i = 0; i < pattern_.size(); ++i) {
-      bits |= level(pattern_[i]) ? 1U << i : 0;
+
+  enum class Look { Rest, Fired, TooLate };
+  /// Whether the trigger has risen since the last look; reads the pattern where it has. Too late: that look
+  /// lies so far back that the pattern may be another exposure's.
+  Look look() {
+    const bool active = level(trigger_);
+    const bool rose = active && !triggered_;
+    triggered_ = active;
+    if (rose) {
+      read_pattern();
+      const bool certain = level(trigger_) && now_ns() - rested_ns_ < exposure_ns_;
+      return certain ? Look::Fired : Look::TooLate;
     }
-    return bits;
+    if (!active) {
+      rested_ns_ = now_ns();
+    }
+    return Look::Rest;
   }
+
+  void read_pattern() {
+    bits_ = 0;
+    for (std::size_t i = 0; i < pattern_.size(); ++i) {
+      bits_ |= level(pattern_[i]) ? 1U << i : 0;
+    }
+  }
+  std::uint32_t pattern() const { return bits_; }
 
  private:
   static Descriptor open(const std::string& folder, int line) {
@@ -362,9 +381,12 @@ class WatchedLines {
     return ::pread(file.get(), &letter, 1, 0) == 1 && letter == '1';
   }
 
+  std::int64_t exposure_ns_;
   std::vector<Descriptor> pattern_;
   Descriptor trigger_;
   bool triggered_ = false;
+  std::int64_t rested_ns_ = 0;  ///< when the trigger was last seen at rest
+  std::uint32_t bits_ = 0;
 };
 
 class UsbCamera {
@@ -448,18 +470,18 @@ class UsbCamera {
 
   /// Takes a picture when it is time for one.
   void begin_picture() {
-    const bool fired = lines_.triggers() && lines_.rose();
-    if (!streaming_ || frozen_ || sent_) {
-      missed_ += fired && streaming_ ? 1 : 0;
-      return;
-    }
     if (lines_.triggers()) {
-      if (!fired) {
+      const WatchedLines::Look look = lines_.look();
+      if (look == WatchedLines::Look::Rest || !streaming_) {
+        return;
+      }
+      if (look == WatchedLines::Look::TooLate || frozen_ || sent_) {
+        ++missed_;
         return;
       }
     } else {
       const std::int64_t now = now_ns();
-      if (now < due_ns_) {
+      if (!streaming_ || frozen_ || sent_ || now < due_ns_) {
         return;
       }
       // Late by more than a period: those between are missed.
@@ -467,6 +489,7 @@ class UsbCamera {
       missed_ += late;
       taken_ += static_cast<std::uint32_t>(late);
       due_ns_ += (late + 1) * period_ns();
+      lines_.read_pattern();
     }
     paint(picture_, kSizes[size_].width_px, kSizes[size_].height_px,
           {taken_++ & kPictureMask, lines_.pattern()});
@@ -735,7 +758,7 @@ class UsbCamera {
   // What happens next.
 
   void wait() {
-    constexpr std::int64_t kLookAtTrigger_ns = 200'000;
+    constexpr std::int64_t kLookAtTrigger_ns = 1'000'000;
     std::optional<timespec> timeout;
     if (streaming_ && !sent_ && !frozen_) {
       const std::int64_t left =
@@ -834,14 +857,16 @@ int run(int argc, char** argv) {
   std::string lines;
   int pattern_lines = 0;
   int trigger = -1;
+  double exposure_ms = 8;
   CLI::App app("A USB camera in software");
   app.add_option("--port", port)->check(CLI::Range(0, 7));
   app.add_option("--lines", lines);
   app.add_option("--pattern-lines", pattern_lines)->check(CLI::Range(0, 8));
   app.add_option("--trigger", trigger);
+  app.add_option("--exposure-ms", exposure_ms);
   CLI11_PARSE(app, argc, argv);
   try {
-    WatchedLines watched(lines, pattern_lines, trigger);
+    WatchedLines watched(lines, pattern_lines, trigger, exposure_ms);
     UsbCamera(port, watched).run();
   } catch (const std::exception& error) {
     fmt::print(stderr, "usb_camera: {}\n", error.what());

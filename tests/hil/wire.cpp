@@ -1,8 +1,8 @@
 // A wire between two lines of a simulated GPIO chip: what one is set to is what the other reads.
 //   wire FOLDER FROM TO [FROM TO]...    FOLDER: such as /sys/devices/platform/gpio-sim.0/gpiochip0; offsets
 //   of lines
-// Looks every 0.2 ms until it is killed; an output line of gpio-sim shows its level, and nothing tells of a
-// change.
+// Looks every millisecond until it is killed; an output line of gpio-sim shows its level, and nothing tells
+// of a change.
 
 #include <fcntl.h>
 #include <unistd.h>
@@ -65,6 +65,6 @@ int main(int argc, char** argv) {
         return 1;
       }
     }
-    std::this_thread::sleep_for(std::chrono::microseconds(200));
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
   }
 }
