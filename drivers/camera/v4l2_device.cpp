@@ -176,6 +176,12 @@ V4l2Device::V4l2Device(V4l2Kernel& kernel, const std::string& path) : kernel_(ke
                         ::strnlen(reinterpret_cast<const char*>(capability.card), sizeof capability.card));
     const std::uint32_t can = (capability.capabilities & V4L2_CAP_DEVICE_CAPS) != 0 ? capability.device_caps
                                                                                     : capability.capabilities;
+    constexpr std::uint32_t kWays = V4L2_CAP_STREAMING | V4L2_CAP_READWRITE | V4L2_CAP_EXT_PIX_FORMAT;
+    if ((can & ~kWays) == 0 || (can & ~kWays) == V4L2_CAP_VIDEO_OUTPUT) {
+      // v4l2loopback with exclusive_caps=1: nothing has written into it, or its writer is gone.
+      throw DeviceFault(DeviceFault::Kind::Failing,
+                        fmt::format("{}: gives no pictures: nothing writes into it", path_));
+    }
     if ((can & V4L2_CAP_VIDEO_CAPTURE) == 0 || (can & V4L2_CAP_STREAMING) == 0) {
       refuse("does not stream pictures into memory (a camera has further devices for other things)");
     }

@@ -801,6 +801,19 @@ TEST_F(V4l2CameraTest, ADeviceThatIsNoCameraIsRefused) {
   EXPECT_THAT(refusal(), HasSubstr("no video device"));
 }
 
+TEST_F(V4l2CameraTest, ALoopbackDeviceIsAwaitedUntilSomethingWritesIntoIt) {
+  for (const std::uint32_t direction : {V4L2_CAP_VIDEO_OUTPUT, 0}) {  // before the first writer, after it
+    device_.capabilities = direction | V4L2_CAP_STREAMING | V4L2_CAP_READWRITE | V4L2_CAP_EXT_PIX_FORMAT;
+    open();
+    EXPECT_EQ(status().state, CameraState::Failing);
+    camera_->start();
+    expect_fault(CameraState::Failing, "nothing writes into it");
+    device_.capabilities = V4L2_CAP_VIDEO_CAPTURE | V4L2_CAP_STREAMING;
+    Frame frame;
+    recover(frame);
+  }
+}
+
 TEST_F(V4l2CameraTest, AnotherCameraInItsPlaceThatCannotDoItIsAFault) {
   started();
   next();
