@@ -4,9 +4,9 @@
 //   closed_loop --chip NAME --camera DEVICE [--camera DEVICE]... [--rate HZ] [--edges FILE]
 //
 // Lines by offset: 0 to 7 show the slot's number modulo 256, 8 fires the cameras, 9 is wired to 8 and proves
-// its edges. Runs until the end of standard input or for --seconds. Prints JSON, one object a line: "wrong"
-// for every frame in the wrong set, "status" for each line of input and at the end. --edges: the trigger's
-// edge log of the first slots.
+// its edges. The first slot is fired once all cameras are open, with --no-wait at once. Runs until the end of
+// standard input or for --seconds. Prints JSON, one object a line: "wrong" for every frame in the wrong set,
+// "status" for each line of input and at the end. --edges: the trigger's edge log of the first slots.
 
 #include <fmt/format.h>
 #include <poll.h>
@@ -51,6 +51,7 @@ struct Options {
   int height_px = 240;
   double seconds = 1e6;
   std::string edges;
+  bool wait = true;
 };
 
 /// Slot n shows n modulo 256 on lines 0 to 7 while line 8 fires the cameras.
@@ -111,7 +112,7 @@ class ClosedLoop {
       threads.emplace_back([this, i] { read_camera(i); });
     }
     // A camera that has not begun to stream misses nothing yet.
-    while (!stop_ && !all_stream()) {
+    while (options_.wait && !all_stream()) {
       std::this_thread::sleep_for(10ms);
     }
     trigger_->start(0);
@@ -307,6 +308,7 @@ int run(int argc, char** argv) {
   app.add_option("--height", options.height_px);
   app.add_option("--seconds", options.seconds);
   app.add_option("--edges", options.edges);
+  app.add_flag("!--no-wait", options.wait);
   CLI11_PARSE(app, argc, argv);
   try {
     ClosedLoop(options).run();

@@ -11,6 +11,7 @@ from pathlib import Path
 HOST = Path("/host")
 BIN = HOST / "bin"
 RESULTS = HOST / "results"
+USB_CAMERA = "/dev/v4l/by-path/platform-vhci_hcd.0-usb-0:1:1.0-video-index0"  # on the first port
 
 _tests = []
 _figures = {}
@@ -97,6 +98,37 @@ def now_ns():
     return time.monotonic_ns()
 
 
+class Chip:
+    """A simulated GPIO chip."""
+
+    def __init__(self, name, lines):
+        self.config = Path("/sys/kernel/config/gpio-sim") / name
+        bank = self.config / "bank0"
+        bank.mkdir(parents=True)
+        (bank / "num_lines").write_text(str(lines))
+        self.make_live()
+
+    def make_live(self):
+        (self.config / "live").write_text("1")
+        self.name = (self.config / "bank0/chip_name").read_text().strip()
+        self.folder = Path("/sys/devices/platform") / (self.config / "dev_name").read_text().strip() / self.name
+
+    def remove(self):
+        """As if it were unplugged, whoever holds its lines."""
+        (self.config / "live").write_text("0")
+
+    def level(self, line):
+        return int((self.folder / f"sim_gpio{line}/value").read_text())
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.remove()
+        (self.config / "bank0").rmdir()
+        self.config.rmdir()
+
+
 class Lines:
     """A program that speaks JSON lines, and takes lines on standard input."""
 
@@ -141,6 +173,32 @@ class Lines:
         if self.process.poll() is None:
             self.process.kill()
             self.process.wait()
+
+
+class Camera(Lines):
+    """The emulated USB camera, plugged in where not said otherwise."""
+
+    def __init__(self, plugged=True, port=0):
+        super().__init__("usb_camera", f"--port={port}")
+        if plugged:
+            self.plug()
+            device = USB_CAMERA.replace("usb-0:1:", f"usb-0:{port + 1}:")
+            wait_until(Path(device).exists, 10, f"no {device}")
+
+    def plug(self):
+        since = len(self.lines)
+        self.tell("plug")
+        return self.wait_for("plugged", since=since)["time_ns"]
+
+    def unplug(self):
+        since = len(self.lines)
+        self.tell("unplug")
+        return self.wait_for("unplugged", since=since)["time_ns"]
+
+    def status(self):
+        since = len(self.lines)
+        self.tell("status")
+        return self.wait_for("status", since=since)
 
 
 class Probe(Lines):

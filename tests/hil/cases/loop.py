@@ -4,36 +4,22 @@ import os
 import time
 
 import guest
-from guest import BIN, Lines, Path, check, figure, full, run, test
+from guest import BIN, Chip, Lines, Path, check, figure, full, run, test
 
 CAMERAS = [f"/dev/v4l/by-path/platform-vhci_hcd.0-usb-0:{port + 1}:1.0-video-index0" for port in range(2)]
-SIMULATOR = Path("/sys/kernel/config/gpio-sim/booth")
-LINES = 10  # 8 of the pattern, the trigger, its read-back
-
-
-def make_chip():
-    """A simulated chip; its name and the folder of its lines."""
-    bank = SIMULATOR / "bank0"
-    bank.mkdir(parents=True)
-    (bank / "num_lines").write_text(str(LINES))
-    (SIMULATOR / "live").write_text("1")
-    chip = (bank / "chip_name").read_text().strip()
-    return chip, Path("/sys/devices/platform") / (SIMULATOR / "dev_name").read_text().strip() / chip
-
-
 class Booth:
     """Cameras that watch the chip's lines, the wire that proves the trigger's edges, and the program that is looked at."""
 
     def __init__(self, cameras, rate, *options):
         # Cameras and wires wait for no processor: below the trigger's thread, above all else.
         urgent = {"preexec_fn": lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(30))}
-        self.cameras = [Lines("usb_camera", f"--port={port}", f"--lines={FOLDER}", "--pattern-lines=8", "--trigger=8",
+        self.cameras = [Lines("usb_camera", f"--port={port}", f"--lines={CHIP.folder}", "--pattern-lines=8", "--trigger=8",
                               f"--exposure-ms={500 / rate}", **urgent) for port in range(cameras)]
         for camera, device in zip(self.cameras, CAMERAS):
             camera.tell("plug")
             guest.wait_until(Path(device).exists, 10, f"no {device}")
-        self.wire = guest.subprocess.Popen([BIN / "wire", FOLDER, "8", "9"], **urgent)
-        self.loop = Lines("closed_loop", f"--chip={CHIP}", f"--rate={rate}", *options,
+        self.wire = guest.subprocess.Popen([BIN / "wire", CHIP.folder, "8", "9"], **urgent)
+        self.loop = Lines("closed_loop", f"--chip={CHIP.name}", f"--rate={rate}", *options,
                           *(f"--camera={device}" for device in CAMERAS[:cameras]))
 
     def __enter__(self):
@@ -135,16 +121,15 @@ def the_chip_is_removed():
     """The trigger fails with a reason; the cameras go on."""
     with Booth(1, 15) as booth:
         guest.wait_until(lambda: booth.status()["sets_complete"] > 10, 20, lambda: f"no sets: {booth.status()}")
-        # configfs lets a live chip go, whoever holds its lines.
-        (SIMULATOR / "live").write_text("0")
+        CHIP.remove()
         failed = guest.wait_until(lambda: booth.status()["trigger"] != "works" and booth.status(), 10, "the trigger goes on")
         figure("reason", failed["trigger"])
         check("cameras" in failed["trigger"] or "bit" in failed["trigger"], failed["trigger"])
         end = booth.loop.end()
         check(end["wrong"] == 0, f"{end['wrong']} frames stand in the wrong set")
-    (SIMULATOR / "live").write_text("1")
+    CHIP.make_live()
 
 
 run("modprobe", "-a", "gpio-sim", "vhci_hcd", "uvcvideo")
-CHIP, FOLDER = make_chip()
+CHIP = Chip("booth", 10)  # 8 lines of the pattern, the trigger, its read-back
 guest.main()

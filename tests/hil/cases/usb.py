@@ -2,34 +2,9 @@
 import time
 
 import guest
-from guest import Lines, Probe, check, check_counted, check_frames_in_order, figure, full, run, test
+from guest import Camera, Probe, check, check_counted, check_frames_in_order, figure, full, run, test
 
-DEVICE = "/dev/v4l/by-path/platform-vhci_hcd.0-usb-0:1:1.0-video-index0"
-
-
-class Camera(Lines):
-    """The emulated device, plugged in where not said otherwise."""
-
-    def __init__(self, plugged=True, port=0):
-        super().__init__("usb_camera", f"--port={port}")
-        if plugged:
-            self.plug()
-            guest.wait_until(guest.Path(DEVICE).exists, 10, f"no {DEVICE}")
-
-    def plug(self):
-        since = len(self.lines)
-        self.tell("plug")
-        return self.wait_for("plugged", since=since)["time_ns"]
-
-    def unplug(self):
-        since = len(self.lines)
-        self.tell("unplug")
-        return self.wait_for("unplugged", since=since)["time_ns"]
-
-    def status(self):
-        since = len(self.lines)
-        self.tell("status")
-        return self.wait_for("status", since=since)
+DEVICE = guest.USB_CAMERA
 
 
 def streaming(rate=30, width=320, height=240, **options):
