@@ -18,6 +18,7 @@
 //   error                 the next picture is marked as bad
 //   short                 the next picture ends half way
 //   stall                 the endpoint answers once with an error
+//   garbage               the next picture's bytes are noise
 //   skip N                the next N pictures are taken, and not sent
 //   status                prints {"event":"status", ...}
 // It prints {"event":...,"time_ns":...} for plugged, unplugged and streaming (the driver began),
@@ -29,8 +30,6 @@
 #include <arpa/inet.h>
 #include <fcntl.h>
 #include <fmt/format.h>
-#include <linux/usb/ch9.h>
-#include <linux/usb/video.h>
 #include <poll.h>
 #include <sys/socket.h>
 #include <sys/uio.h>
@@ -42,11 +41,13 @@
 #include <cerrno>
 #include <chrono>
 #include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <ctime>
 #include <deque>
 #include <map>
 #include <optional>
+#include <random>
 #include <span>
 #include <stdexcept>
 #include <string>
@@ -55,6 +56,10 @@
 #include <vector>
 
 #include "painted_number.hpp"
+#include "usb_descriptors.hpp"
+
+// After <cstdio>, which it needs and does not name.
+#include <jpeglib.h>
 
 namespace facet::hil {
 namespace {
@@ -99,207 +104,6 @@ class Descriptor {
  private:
   int fd_ = -1;
 };
-
-/// Little-endian bytes of descriptors.
-class Bytes {
- public:
-  Bytes& u8(std::initializer_list<int> values) {
-    for (const int value : values) {
-      data_.push_back(static_cast<std::uint8_t>(value));
-    }
-    return *this;
-  }
-  Bytes& u16(unsigned value) { return little_endian(value, 2); }
-  Bytes& u32(std::uint32_t value) { return little_endian(value, 4); }
-  Bytes& text(const std::string& letters) {
-    data_.insert(data_.end(), letters.begin(), letters.end());
-    return *this;
-  }
-  Bytes& add(const Bytes& other) {
-    data_.insert(data_.end(), other.data_.begin(), other.data_.end());
-    return *this;
-  }
-  std::size_t size() const { return data_.size(); }
-  const std::vector<std::uint8_t>& data() const { return data_; }
-
- private:
-  Bytes& little_endian(std::uint32_t value, int bytes) {
-    for (int i = 0; i < bytes; ++i) {
-      data_.push_back(static_cast<std::uint8_t>(value >> 8 * i));
-    }
-    return *this;
-  }
-  std::vector<std::uint8_t> data_;
-};
-
-std::uint32_t read_little_endian(std::span<const std::uint8_t> data, std::size_t at, int bytes) {
-  std::uint32_t value = 0;
-  for (int i = 0; i < bytes; ++i) {
-    value |= std::uint32_t{data[at + static_cast<std::size_t>(i)]} << 8 * i;
-  }
-  return value;
-}
-
-// What the device is.
-
-struct Size {
-  int width_px;
-  int height_px;
-};
-constexpr std::array kSizes = {Size{640, 480}, Size{320, 240}, Size{1280, 720}};
-constexpr std::array kRates_hz = {60, 30, 15};
-constexpr std::uint32_t kIntervalUnit_hz = 10'000'000;
-constexpr int kControlInterface = 0;
-constexpr int kStreamingInterface = 1;
-constexpr int kEndpoint = 1;
-constexpr int kPacketBytes = 512;
-/// One USB request of uvcvideo at most: 32 packets.
-constexpr std::size_t kPayloadBytes = 32 * kPacketBytes;
-constexpr std::size_t kPayloadHeaderBytes = 2;
-constexpr int kCameraTerminal = 1;
-constexpr int kProcessingUnit = 2;
-constexpr int kOutputTerminal = 3;
-constexpr const char* kVendor = "Facet";
-constexpr const char* kProduct = "Simulated Camera";
-
-Bytes device_descriptor(int serial) {
-  // Class "miscellaneous, interface association"; vendor 1d6b:0102 of the Linux Foundation is its webcam
-  // gadget's.
-  return Bytes()
-      .u8({USB_DT_DEVICE_SIZE, USB_DT_DEVICE})
-      .u16(0x0200)
-      .u8({USB_CLASS_MISC, 2, 1, 64})
-      .u16(0x1d6b)
-      .u16(0x0102)
-      .u16(static_cast<unsigned>(serial))
-      .u8({1, 2, 3, 1});
-}
-
-Bytes interface_descriptor(int number, int endpoints, int subclass) {
-  return Bytes().u8(
-      {USB_DT_INTERFACE_SIZE, USB_DT_INTERFACE, number, 0, endpoints, USB_CLASS_VIDEO, subclass, 0, 0});
-}
-
-/// A class-specific interface descriptor: its length and type come before its content.
-Bytes class_specific(const Bytes& content) {
-  return Bytes().u8({static_cast<int>(content.size()) + 2, USB_DT_CS_INTERFACE}).add(content);
-}
-
-Bytes control_descriptors() {
-  // Camera: mode of exposure (bit 1) and its time (bit 3). Processing: brightness (0), white balance
-  // temperature (6) and its automatic (12), gain (9).
-  const Bytes units =
-      Bytes()
-          .add(class_specific(Bytes()
-                                  .u8({UVC_VC_INPUT_TERMINAL, kCameraTerminal})
-                                  .u16(UVC_ITT_CAMERA)
-                                  .u8({0, 0})
-                                  .u16(0)
-                                  .u16(0)
-                                  .u16(0)
-                                  .u8({3, 1 << 1 | 1 << 3, 0, 0})))
-          .add(class_specific(Bytes()
-                                  .u8({UVC_VC_PROCESSING_UNIT, kProcessingUnit, kCameraTerminal})
-                                  .u16(0)
-                                  .u8({2, 1 << 0 | 1 << 6, 1 << 1 | 1 << 4, 0})))
-          .add(class_specific(Bytes()
-                                  .u8({UVC_VC_OUTPUT_TERMINAL, kOutputTerminal})
-                                  .u16(UVC_TT_STREAMING)
-                                  .u8({0, kProcessingUnit, 0})));
-  constexpr unsigned kHeaderBytes = 13;
-  const Bytes header = class_specific(Bytes()
-                                          .u8({UVC_VC_HEADER})
-                                          .u16(0x0100)
-                                          .u16(kHeaderBytes + static_cast<unsigned>(units.size()))
-                                          .u32(48'000'000)
-                                          .u8({1, kStreamingInterface}));
-  return Bytes().add(header).add(units);
-}
-
-Bytes streaming_descriptors() {
-  Bytes formats;
-  // YUYV by its GUID; 16 bits a pixel.
-  formats.add(
-      class_specific(Bytes()
-                         .u8({UVC_VS_FORMAT_UNCOMPRESSED, 1, static_cast<int>(kSizes.size())})
-                         .text("YUY2")
-                         .u8({0, 0, 0x10, 0, 0x80, 0, 0, 0xaa, 0, 0x38, 0x9b, 0x71, 16, 1, 0, 0, 0, 0})));
-  int index = 0;
-  for (const auto& [width, height] : kSizes) {
-    const auto bytes = static_cast<std::uint32_t>(width * height * 2);
-    Bytes frame = Bytes()
-                      .u8({UVC_VS_FRAME_UNCOMPRESSED, ++index, 0})
-                      .u16(static_cast<unsigned>(width))
-                      .u16(static_cast<unsigned>(height))
-                      .u32(bytes * 8 * kRates_hz.back())
-                      .u32(bytes * 8 * kRates_hz.front())
-                      .u32(bytes)
-                      .u32(kIntervalUnit_hz / kRates_hz.front())
-                      .u8({static_cast<int>(kRates_hz.size())});
-    for (const int rate : kRates_hz) {
-      frame.u32(kIntervalUnit_hz / static_cast<std::uint32_t>(rate));
-    }
-    formats.add(class_specific(frame));
-  }
-  formats.add(class_specific(Bytes().u8({UVC_VS_COLORFORMAT, 1, 1, 4})));
-  constexpr unsigned kHeaderBytes = 14;
-  const Bytes header = class_specific(Bytes()
-                                          .u8({UVC_VS_INPUT_HEADER, 1})
-                                          .u16(kHeaderBytes + static_cast<unsigned>(formats.size()))
-                                          .u8({USB_DIR_IN | kEndpoint, 0, kOutputTerminal, 0, 0, 0, 1, 0}));
-  return Bytes().add(header).add(formats);
-}
-
-Bytes configuration_descriptor() {
-  const Bytes rest =
-      Bytes()
-          .u8({8, USB_DT_INTERFACE_ASSOCIATION, 0, 2, USB_CLASS_VIDEO, UVC_SC_VIDEO_INTERFACE_COLLECTION, 0,
-               0})
-          .add(interface_descriptor(kControlInterface, 0, UVC_SC_VIDEOCONTROL))
-          .add(control_descriptors())
-          .add(interface_descriptor(kStreamingInterface, 1, UVC_SC_VIDEOSTREAMING))
-          .add(streaming_descriptors())
-          .u8({USB_DT_ENDPOINT_SIZE, USB_DT_ENDPOINT, USB_DIR_IN | kEndpoint, USB_ENDPOINT_XFER_BULK})
-          .u16(kPacketBytes)
-          .u8({0});
-  return Bytes()
-      .u8({USB_DT_CONFIG_SIZE, USB_DT_CONFIG})
-      .u16(USB_DT_CONFIG_SIZE + static_cast<unsigned>(rest.size()))
-      .u8({2, 1, 0, USB_CONFIG_ATT_ONE, 250})
-      .add(rest);
-}
-
-Bytes string_descriptor(int index, const std::string& serial) {
-  if (index == 0) {
-    return Bytes().u8({4, USB_DT_STRING}).u16(0x0409);  // English
-  }
-  const std::array<std::string, 3> texts = {kVendor, kProduct, serial};
-  const std::string& text = texts.at(static_cast<std::size_t>(index) - 1);
-  Bytes bytes = Bytes().u8({static_cast<int>(2 + 2 * text.size()), USB_DT_STRING});
-  for (const char letter : text) {
-    bytes.u16(static_cast<unsigned char>(letter));
-  }
-  return bytes;
-}
-
-/// A value that the driver may read and set.
-struct Control {
-  int bytes;
-  std::uint32_t minimum;
-  std::uint32_t maximum;
-  std::uint32_t resolution;
-  std::uint32_t value;
-};
-
-/// By unit and selector. The mode of exposure has one bit a mode: manual (1) and aperture priority (8).
-std::map<std::pair<int, int>, Control> controls() {
-  return {{{kCameraTerminal, UVC_CT_AE_MODE_CONTROL}, {1, 1, 8, 1 | 8, 8}},
-          {{kCameraTerminal, UVC_CT_EXPOSURE_TIME_ABSOLUTE_CONTROL}, {4, 1, 5000, 1, 156}},
-          {{kProcessingUnit, UVC_PU_BRIGHTNESS_CONTROL}, {2, 0, 255, 1, 128}},
-          {{kProcessingUnit, UVC_PU_GAIN_CONTROL}, {2, 0, 100, 1, 10}},
-          {{kProcessingUnit, UVC_PU_WHITE_BALANCE_TEMPERATURE_CONTROL}, {2, 2800, 6500, 10, 4600}},
-          {{kProcessingUnit, UVC_PU_WHITE_BALANCE_TEMPERATURE_AUTO_CONTROL}, {1, 0, 1, 1, 1}}};
-}
 
 // The wire to the host controller.
 
@@ -391,7 +195,9 @@ class WatchedLines {
 
 class UsbCamera {
  public:
-  UsbCamera(int port, WatchedLines& lines) : port_(port), lines_(lines) { select(0, kRates_hz.front()); }
+  UsbCamera(int port, WatchedLines& lines) : port_(port), lines_(lines) {
+    select(kYuyv, 0, kRates_hz.front());
+  }
 
   /// Until the end of standard input.
   void run() {
@@ -447,7 +253,8 @@ class UsbCamera {
 
   // Pictures.
 
-  void select(std::size_t size, int rate_hz) {
+  void select(int format, std::size_t size, int rate_hz) {
+    format_ = format;
     size_ = size;
     rate_hz_ = rate_hz;
     const auto& [width, height] = kSizes.at(size);
@@ -497,7 +304,49 @@ class UsbCamera {
       --skip_;
       return;
     }
+    if (format_ == kMjpeg) {
+      compress();
+    } else {
+      bytes_ = picture_;
+    }
+    if (std::exchange(garbage_, false)) {
+      std::generate(bytes_.begin(), bytes_.end(), [noise = std::minstd_rand()]() mutable {
+        return static_cast<std::uint8_t>(noise() >> 8);
+      });
+    }
     sent_ = 0;
+  }
+
+  /// The picture as JPEG, of which the painted cells are whole blocks.
+  void compress() {
+    const auto& [width, height] = kSizes[size_];
+    jpeg_compress_struct jpeg{};
+    jpeg_error_mgr errors{};
+    jpeg.err = jpeg_std_error(&errors);
+    jpeg_create_compress(&jpeg);
+    unsigned char* data = nullptr;
+    unsigned long size = 0;
+    jpeg_mem_dest(&jpeg, &data, &size);
+    jpeg.image_width = static_cast<JDIMENSION>(width);
+    jpeg.image_height = static_cast<JDIMENSION>(height);
+    jpeg.input_components = 1;  // all pictures are grey
+    jpeg.in_color_space = JCS_GRAYSCALE;
+    jpeg_set_defaults(&jpeg);
+    jpeg.dct_method = JDCT_FASTEST;
+    jpeg_start_compress(&jpeg, TRUE);
+    std::vector<std::uint8_t> row(static_cast<std::size_t>(width));
+    while (jpeg.next_scanline < jpeg.image_height) {
+      const std::size_t begin = std::size_t{jpeg.next_scanline} * row.size() * 2;
+      for (std::size_t x = 0; x < row.size(); ++x) {
+        row[x] = picture_[begin + 2 * x];
+      }
+      JSAMPROW rows = row.data();
+      jpeg_write_scanlines(&jpeg, &rows, 1);
+    }
+    jpeg_finish_compress(&jpeg);
+    bytes_.assign(data, data + size);
+    std::free(data);
+    jpeg_destroy_compress(&jpeg);
   }
 
   /// Answers the driver's requests with what is left of the picture.
@@ -510,7 +359,7 @@ class UsbCamera {
         answer(request.sequence, -EPIPE, {}, 0, true);
         continue;
       }
-      const std::size_t end = short_ ? picture_.size() / 2 : picture_.size();
+      const std::size_t end = short_ ? bytes_.size() / 2 : bytes_.size();
       const std::size_t count =
           std::min(end - *sent_, std::min(request.length, kPayloadBytes) - kPayloadHeaderBytes);
       const bool last = *sent_ + count == end;
@@ -518,7 +367,7 @@ class UsbCamera {
           kPayloadHeaderBytes,
           static_cast<std::uint8_t>(UVC_STREAM_EOH | (odd_ ? UVC_STREAM_FID : 0) |
                                     (last ? UVC_STREAM_EOF : 0) | (error_ ? UVC_STREAM_ERR : 0))};
-      answer(request.sequence, 0, header, 0, true, std::span(picture_).subspan(*sent_, count));
+      answer(request.sequence, 0, header, 0, true, std::span(bytes_).subspan(*sent_, count));
       *sent_ += count;
       if (last) {
         sent_.reset();
@@ -669,7 +518,7 @@ class UsbCamera {
   Bytes probe() const {
     return Bytes()
         .u16(1)
-        .u8({1, static_cast<int>(size_) + 1})
+        .u8({format_, static_cast<int>(size_) + 1})
         .u32(kIntervalUnit_hz / static_cast<std::uint32_t>(rate_hz_))
         .u16(0)
         .u16(0)
@@ -730,6 +579,7 @@ class UsbCamera {
   }
 
   bool write_control(const usb_ctrlrequest& setup, std::span<const std::uint8_t> data) {
+    constexpr std::size_t kFormatAt = 2;
     constexpr std::size_t kFrameAt = 3;
     constexpr std::size_t kIntervalAt = 4;
     const int selector = setup.wValue >> 8;
@@ -744,7 +594,7 @@ class UsbCamera {
       for (const int offered : kRates_hz) {
         rate = kIntervalUnit_hz / static_cast<std::uint32_t>(offered) <= interval ? offered : rate;
       }
-      select(frame - 1, rate);
+      select(data[kFormatAt] == kMjpeg ? kMjpeg : kYuyv, frame - 1, rate);
       return true;
     }
     const auto found = controls_.find({setup.wIndex >> 8, selector});
@@ -803,6 +653,8 @@ class UsbCamera {
       error_ = true;
     } else if (command == "short") {
       short_ = true;
+    } else if (command == "garbage") {
+      garbage_ = true;
     } else if (command == "stall") {
       stall_ = true;
     } else if (command.starts_with("skip ")) {
@@ -836,7 +688,9 @@ class UsbCamera {
 
   std::size_t size_ = 0;
   int rate_hz_ = 0;
-  std::vector<std::uint8_t> picture_;
+  int format_ = kYuyv;
+  std::vector<std::uint8_t> picture_;  ///< YUYV
+  std::vector<std::uint8_t> bytes_;    ///< what is sent of it
   bool streaming_ = false;
   std::int64_t due_ns_ = 0;          ///< the next picture, when free-running
   std::optional<std::size_t> sent_;  ///< bytes of the picture that is under way
@@ -848,6 +702,7 @@ class UsbCamera {
   bool frozen_ = false;
   bool error_ = false;
   bool short_ = false;
+  bool garbage_ = false;
   bool stall_ = false;
   int skip_ = 0;
 };

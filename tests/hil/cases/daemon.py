@@ -195,7 +195,7 @@ def a_wrong_configuration_names_what_the_camera_has():
     with Camera() as camera, Daemon(width_px=100) as daemon:
         check(daemon.process.wait(30) == 2, f"facetd ended with {daemon.process.returncode}")
         figure("it says", next((line for line in daemon.said().splitlines() if "source.format" in line), "nothing"))
-        check("YUYV 640x480, 320x240, 1280x720 at 60, 30, 15 Hz" in daemon.said(), daemon.said())
+        check("YUYV, MJPEG 640x480, 320x240, 1280x720 at 60, 30, 15 Hz" in daemon.said(), daemon.said())
         camera.end()
 
 

@@ -110,6 +110,23 @@ def short_frames():
 
 
 @test
+def motion_jpeg():
+    """Whole pictures; one cut short, which is delivered as damaged; noise, which is none."""
+    with Camera() as camera, streaming(rate=15, format="MJPEG") as probe:
+        frames = probe.wait_frames(20)
+        check(not any(frame["corrupt"] for frame in frames), "a whole picture is damaged")
+        for fault in ("short", "garbage", "short", "garbage"):
+            camera.tell(fault)
+            probe.wait_frames(5)
+        end = probe.end()
+        camera.end()
+    check_pictures(probe.frames())
+    figure("counted", [f"{name} {end[name]}" for name in ("lost", "damaged", "undecodable")])
+    check(end["damaged"] == 2 and end["undecodable"] == 2, f"{end['damaged']} damaged, {end['undecodable']} undecodable")
+    check_counted(end, "damaged", "undecodable")
+
+
+@test
 def frames_skipped_in_the_device():
     """Nothing but the times tells of these."""
     with Camera() as camera, streaming() as probe:
