@@ -75,6 +75,7 @@ class V4l2Camera final : public Camera {
   Arrived examine(const v4l2_buffer& buffer);
   std::uint32_t advance_sequence(std::uint32_t driver_sequence);
   std::optional<std::int64_t> driver_time_ns(const v4l2_buffer& buffer, std::int64_t now_ns);
+  void count_omitted(std::int64_t passed_ns, std::uint32_t step);
   bool is_stale(const v4l2_buffer& buffer) const;
   bool convert(const Arrived& arrived, Frame& out);
   void note_delivery(const Arrived& arrived, const Frame& frame);
@@ -102,6 +103,7 @@ class V4l2Camera final : public Camera {
   std::optional<std::uint64_t> sequence_;         ///< of the newest buffer
   std::optional<std::uint32_t> driver_sequence_;  ///< of the newest buffer of this stream
   std::optional<std::int64_t> driver_stamp_ns_;   ///< of the newest buffer of this stream
+  double lag_ = 0;                                ///< of the newest buffer's time, see count_omitted
   unsigned seen_ = 0;                             ///< buffers of this stream
   std::int64_t timestamp_ns_ = 0;                 ///< of the newest delivered frame
   std::int64_t first_timestamp_ns_ = 0;
@@ -232,6 +234,7 @@ bool V4l2Camera::reopen(std::int64_t deadline_ns) {
   device_ = std::move(device);
   driver_sequence_.reset();
   driver_stamp_ns_.reset();
+  lag_ = 0;
   seen_ = 0;
   first_of_stream_ = true;
   last_life_ns_ = kernel_.monotonic_ns();
@@ -280,12 +283,9 @@ V4l2Camera::Arrived V4l2Camera::examine(const v4l2_buffer& buffer) {
   const std::uint32_t step = advance_sequence(buffer.sequence);
   const std::optional<std::int64_t> driver_ns = driver_time_ns(buffer, now_ns);
   if (driver_ns && driver_stamp_ns_) {
-    const double periods =
-        static_cast<double>(*driver_ns - *driver_stamp_ns_) / static_cast<double>(period_ns_);
-    const double missing = std::round(periods) - static_cast<double>(step);
-    if (missing > 0) {
-      count(&CameraCounters::omitted, static_cast<std::uint64_t>(missing));
-    }
+    count_omitted(*driver_ns - *driver_stamp_ns_, step);
+  } else {
+    lag_ = 0;
   }
   driver_stamp_ns_ = driver_ns;
 
@@ -349,6 +349,22 @@ std::optional<std::int64_t> V4l2Camera::driver_time_ns(const v4l2_buffer& buffer
   // Drivers that do not say their clock use that of the day.
   const std::int64_t converted_ns = *stamp - (kernel_.realtime_ns() - now_ns);
   return fits(converted_ns) ? std::optional(std::min(converted_ns, now_ns)) : std::nullopt;
+}
+
+/// Counts what the device left out in silence: the times go on, the numbers don't. `lag_` is by how many
+/// periods the times are behind the numbers, since they were least so. A driver that stamps some frames late
+/// makes it rise and fall; a frame is missing where two in a row lag by almost a period.
+void V4l2Camera::count_omitted(std::int64_t passed_ns, std::uint32_t step) {
+  constexpr double kWhole = 0.75;       // of a period is taken for one
+  constexpr double kForgotten = 0.002;  // of a period with each frame: clocks differ
+  const double lag_before = lag_;
+  const double periods = static_cast<double>(passed_ns) / static_cast<double>(period_ns_);
+  lag_ = std::max(0.0, lag_ + periods - static_cast<double>(step) - kForgotten);
+  const double missing = std::floor(std::min(lag_before, lag_) + 1 - kWhole);
+  if (missing >= 1) {
+    count(&CameraCounters::omitted, static_cast<std::uint64_t>(missing));
+    lag_ -= missing;
+  }
 }
 
 /// Whether the buffer was filled before the stream began. A device has as many of these as buffers at most;
@@ -427,7 +443,7 @@ std::vector<V4l2Description> list_v4l2_devices(const std::filesystem::path& fold
     const std::string path = entry->path().string();
     try {
       const V4l2Device device(kernel, path);
-      found.push_back({path, device.card(), describe(device.modes())});
+      found.push_back({path, device.card(), device.offer()});
     } catch (const DeviceFault& fault) {
       if (fault.kind == DeviceFault::Kind::Failing) {
         found.push_back({path, "", fault.what()});

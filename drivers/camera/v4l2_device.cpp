@@ -9,6 +9,7 @@
 #include <cerrno>
 #include <cmath>
 #include <cstring>
+#include <set>
 
 #include "camera/v4l2_controls.hpp"
 
@@ -47,12 +48,13 @@ std::string format_name(std::uint32_t fourcc) {
   if (const KnownFormat* known = find_format(fourcc)) {
     return known->name;
   }
+  constexpr std::uint32_t kBigEndian = 1U << 31;
   std::string name;
   for (int i = 0; i < 4; ++i) {
     const char letter = static_cast<char>(fourcc >> 8 * i & 0x7F);
-    name += letter > ' ' ? letter : '?';
+    name += letter > ' ' ? std::string(1, letter) : "";
   }
-  return name;
+  return (fourcc & kBigEndian) != 0 ? name + "-BE" : name;
 }
 
 std::string describe_error(int error) {
@@ -88,20 +90,42 @@ bool has_rate(const V4l2Mode& mode, double rate_hz) {
          });
 }
 
-std::string describe(const V4l2Mode& mode) {
-  std::string text = format_name(mode.fourcc);
-  if (mode.max_width_px > 0) {
-    text += fmt::format(" {}x{}", mode.min_width_px, mode.min_height_px);
-    if (mode.max_width_px != mode.min_width_px || mode.max_height_px != mode.min_height_px) {
-      text += fmt::format(" to {}x{}", mode.max_width_px, mode.max_height_px);
-    }
+std::string describe_size(const V4l2Mode& mode) {
+  if (mode.max_width_px == 0) {
+    return "any size";
   }
+  std::string text = fmt::format("{}x{}", mode.min_width_px, mode.min_height_px);
+  if (mode.max_width_px != mode.min_width_px || mode.max_height_px != mode.min_height_px) {
+    text += fmt::format(" to {}x{}", mode.max_width_px, mode.max_height_px);
+  }
+  return text;
+}
+
+std::string describe_rates(const V4l2Mode& mode) {
   std::vector<std::string> rates;
   for (const auto& [least, most] : mode.rates_hz) {
     rates.push_back(least == most ? fmt::format("{:.4g}", least)
                                   : fmt::format("{:.4g} to {:.4g}", least, most));
   }
-  return rates.empty() ? text : text + fmt::format(" at {} Hz", fmt::join(rates, ", "));
+  return rates.empty() ? "" : fmt::format(" at {} Hz", fmt::join(rates, ", "));
+}
+
+/// The sizes and rates of one format; sizes with the same rates stand together.
+std::string describe_format(const std::vector<V4l2Mode>& modes, std::uint32_t fourcc) {
+  std::string text;
+  std::string rates;
+  for (const V4l2Mode& mode : modes) {
+    if (mode.fourcc != fourcc) {
+      continue;
+    }
+    const std::string its_rates = describe_rates(mode);
+    if (!text.empty()) {
+      text += its_rates == rates ? ", " : rates + "; ";
+    }
+    text += describe_size(mode);
+    rates = its_rates;
+  }
+  return text + rates;
 }
 
 /// Kr and Kb of the matrix that the driver names, or that its colour space implies
@@ -138,15 +162,6 @@ v4l2_buffer new_buffer(std::uint32_t index = 0) {
 
 }  // namespace
 
-std::string describe(const std::vector<V4l2Mode>& modes) {
-  std::vector<std::string> texts;
-  texts.reserve(modes.size());
-  for (const V4l2Mode& mode : modes) {
-    texts.push_back(describe(mode));
-  }
-  return fmt::format("{}", fmt::join(texts, "; "));
-}
-
 V4l2Device::V4l2Device(V4l2Kernel& kernel, const std::string& path) : kernel_(kernel), path_(path) {
   fd_ = kernel_.open(path);
   if (fd_ < 0) {
@@ -161,6 +176,12 @@ V4l2Device::V4l2Device(V4l2Kernel& kernel, const std::string& path) : kernel_(ke
                         ::strnlen(reinterpret_cast<const char*>(capability.card), sizeof capability.card));
     const std::uint32_t can = (capability.capabilities & V4L2_CAP_DEVICE_CAPS) != 0 ? capability.device_caps
                                                                                     : capability.capabilities;
+    constexpr std::uint32_t kWays = V4L2_CAP_STREAMING | V4L2_CAP_READWRITE | V4L2_CAP_EXT_PIX_FORMAT;
+    if ((can & ~kWays) == 0 || (can & ~kWays) == V4L2_CAP_VIDEO_OUTPUT) {
+      // v4l2loopback with exclusive_caps=1: nothing has written into it, or its writer is gone.
+      throw DeviceFault(DeviceFault::Kind::Failing,
+                        fmt::format("{}: gives no pictures: nothing writes into it", path_));
+    }
     if ((can & V4L2_CAP_VIDEO_CAPTURE) == 0 || (can & V4L2_CAP_STREAMING) == 0) {
       refuse("does not stream pictures into memory (a camera has further devices for other things)");
     }
@@ -222,7 +243,11 @@ void V4l2Device::read_modes() {
   v4l2_fmtdesc format{};
   format.type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
   while (format.index < kLongestList && ask(VIDIOC_ENUM_FMT, &format, "VIDIOC_ENUM_FMT")) {
-    read_sizes(format.pixelformat);
+    if (find_format(format.pixelformat) != nullptr) {
+      read_sizes(format.pixelformat);
+    } else {
+      unread_formats_.push_back(format_name(format.pixelformat));
+    }
     ++format.index;
   }
 }
@@ -267,10 +292,44 @@ void V4l2Device::read_rates(V4l2Mode& mode) const {
   }
 }
 
+std::string V4l2Device::offer() const {
+  constexpr std::size_t kNamed = 6;
+  // Formats with the same sizes and rates stand together, in the order of the device.
+  std::vector<std::pair<std::string, std::string>> formats;  // what is offered, names
+  std::set<std::uint32_t> seen;
+  for (const V4l2Mode& mode : modes_) {
+    const std::string name = format_name(mode.fourcc);
+    if (!seen.insert(mode.fourcc).second) {
+      continue;
+    }
+    const std::string text = describe_format(modes_, mode.fourcc);
+    const auto same =
+        std::find_if(formats.begin(), formats.end(), [&](const auto& other) { return other.first == text; });
+    if (same == formats.end()) {
+      formats.emplace_back(text, name);
+    } else {
+      same->second += ", " + name;
+    }
+  }
+  std::vector<std::string> parts;
+  for (const auto& [text, names] : formats) {
+    parts.push_back(names + " " + text);
+  }
+  if (!unread_formats_.empty()) {
+    const auto end =
+        unread_formats_.begin() + static_cast<std::ptrdiff_t>(std::min(kNamed, unread_formats_.size()));
+    const std::size_t more = unread_formats_.size() - std::min(kNamed, unread_formats_.size());
+    parts.push_back(fmt::format("{}{}, which Facet does not read",
+                                fmt::join(unread_formats_.begin(), end, ", "),
+                                more > 0 ? fmt::format(" and {} more", more) : ""));
+  }
+  return parts.empty() ? "no pixel format yet" : fmt::format("{}", fmt::join(parts, "; "));
+}
+
 std::uint32_t V4l2Device::choose(const V4l2Config& config) const {
-  if (modes_.empty()) {
+  if (modes_.empty() && unread_formats_.empty()) {
     // As v4l2loopback does until something writes into it.
-    throw DeviceFault(DeviceFault::Kind::Failing, fmt::format("{}: offers no pixel format yet", path_));
+    throw DeviceFault(DeviceFault::Kind::Failing, fmt::format("{}: offers {}", path_, offer()));
   }
   for (const KnownFormat& format : kKnownFormats) {
     if (config.format != "auto" && config.format != format.name) {
@@ -286,7 +345,7 @@ std::uint32_t V4l2Device::choose(const V4l2Config& config) const {
     }
   }
   refuse(fmt::format("source.format \"{}\" at {}x{} px and {:.4g} Hz is not among what the device has: {}",
-                     config.format, config.width_px, config.height_px, config.rate_hz, describe(modes_)));
+                     config.format, config.width_px, config.height_px, config.rate_hz, offer()));
 }
 
 void V4l2Device::check(const V4l2Config& config) const {
@@ -329,7 +388,7 @@ void V4l2Device::set_format(const V4l2Config& config) {
       static_cast<int>(pixels.height) != config.height_px) {
     refuse(fmt::format("gives {} {}x{} px instead of {} {}x{} px; it has: {}",
                        format_name(pixels.pixelformat), pixels.width, pixels.height, format_name(fourcc),
-                       config.width_px, config.height_px, describe(modes_)));
+                       config.width_px, config.height_px, offer()));
   }
   if (pixels.field != V4L2_FIELD_NONE && pixels.field != V4L2_FIELD_ANY) {
     refuse("gives half pictures (interlaced), which can't be used");
@@ -359,7 +418,7 @@ void V4l2Device::set_rate(const V4l2Config& config) const {
   const double given_hz = rate_of(parameters.parm.capture.timeperframe);
   if (given_hz > 0 && std::abs(given_hz - config.rate_hz) > kRateTolerance * config.rate_hz) {
     refuse(fmt::format("gives {:.4g} Hz instead of source.rate_hz = {:.4g}; it has: {}", given_hz,
-                       config.rate_hz, describe(modes_)));
+                       config.rate_hz, offer()));
   }
 }
 

@@ -28,7 +28,8 @@ struct DeviceFault : std::runtime_error {
   Kind kind;
 };
 
-/// What a device says that it offers in one pixel format at one size or range of sizes.
+/// What a device says that it offers in one pixel format at one size or range of sizes (0: it tells no
+/// sizes).
 struct V4l2Mode {
   std::uint32_t fourcc = 0;
   int min_width_px = 0;
@@ -38,9 +39,6 @@ struct V4l2Mode {
   std::vector<std::pair<double, double>> rates_hz;  ///< least and most, equal where there is no range; empty:
                                                     ///< the driver does not tell
 };
-
-/// For people, such as "YUYV 640x480 at 30, 15 Hz; MJPG 1280x720 at 30 Hz".
-std::string describe(const std::vector<V4l2Mode>& modes);
 
 /// One open V4L2 capture device. One thread. Everything throws DeviceFault where the device does not do it.
 class V4l2Device {
@@ -53,7 +51,9 @@ class V4l2Device {
   V4l2Device& operator=(const V4l2Device&) = delete;
 
   const std::string& card() const { return card_; }
-  const std::vector<V4l2Mode>& modes() const { return modes_; }
+  /// What it offers, for people, such as "YUYV, NV12 640x480, 320x240 at 30, 15 Hz; H264, which Facet does
+  /// not read".
+  std::string offer() const;
 
   /// Throws Unsuitable where the device can't do it; changes nothing in the device.
   void check(const V4l2Config& config) const;
@@ -107,7 +107,8 @@ class V4l2Device {
   int fd_ = -1;
   bool streaming_ = false;
   std::int64_t started_ns_ = 0;
-  std::vector<V4l2Mode> modes_;
+  std::vector<V4l2Mode> modes_;              ///< of the formats that can be read
+  std::vector<std::string> unread_formats_;  ///< names of the others
   Format format_;
   std::vector<Mapping> buffers_;
 };

@@ -60,6 +60,9 @@ void FakeV4l2::step(std::int64_t until_ns) {
     next_ns = std::min(next_ns, std::max(now_ns, actions_.begin()->first));
   }
   now_ns = next_ns;
+  while (silent && next_frame_ns_ <= now_ns) {
+    next_frame_ns_ += period_ns;  // left out, not put off
+  }
   if (!actions_.empty() && actions_.begin()->first <= now_ns) {
     const auto action = std::move(actions_.begin()->second);
     actions_.erase(actions_.begin());

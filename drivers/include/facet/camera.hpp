@@ -37,12 +37,12 @@ constexpr const char* to_string(CameraState state) {
 /// Frames since the source was opened, by what became of them.
 struct CameraCounters {
   std::uint64_t delivered = 0;
-  std::uint64_t skipped = 0;    ///< a newer one had come before it was asked for
-  std::uint64_t lost = 0;       ///< the driver's sequence numbers leave them out
-  std::uint64_t omitted = 0;    ///< the numbers go on, yet a frame period or more lies between two times: the
-                                ///< device left them out or slowed down
-  std::uint64_t damaged = 0;    ///< delivered as corrupt: the driver or the decoder says so
-  std::uint64_t truncated = 0;  ///< fewer bytes than the picture has; not delivered
+  std::uint64_t skipped = 0;  ///< a newer one had come before it was asked for
+  std::uint64_t lost = 0;     ///< the driver's sequence numbers leave them out
+  std::uint64_t omitted = 0;  ///< the numbers go on, yet the times lag behind by a frame period or more: the
+                              ///< device left them out or slowed down; counted with the frame after
+  std::uint64_t damaged = 0;  ///< delivered as corrupt: the driver or the decoder says so
+  std::uint64_t truncated = 0;    ///< fewer bytes than the picture has; not delivered
   std::uint64_t undecodable = 0;  ///< no picture of the size agreed on; not delivered
   std::uint64_t stale = 0;        ///< exposed before the stream was started; not delivered
   std::uint64_t undated = 0;      ///< delivered with the time of arrival: the driver's time makes no sense
