@@ -232,9 +232,7 @@ void read_options(const Buffer& buffer, const std::optional<Table>& options, Tfl
   const auto integer = [&](int field, int missing) {
     return options ? options->scalar<std::int32_t>(field, missing) : missing;
   };
-  const auto byte = [&](int field) {
-    return options ? options->scalar<std::int8_t>(field, 0) : std::int8_t{0};
-  };
+  const auto byte = [&](int field) -> int { return options ? options->scalar<std::int8_t>(field, 0) : 0; };
   int activation = 0;
   switch (op.kind) {
     case OperatorKind::Conv2d:
