@@ -195,7 +195,7 @@ class WatchedLines {
 
 class UsbCamera {
  public:
-  UsbCamera(int port, WatchedLines& lines) : port_(port), lines_(lines) {
+  UsbCamera(int port, WatchedLines& lines) : lines_(lines), port_(port) {
     select(kYuyv, 0, kRates_hz.front());
   }
 
@@ -678,33 +678,31 @@ class UsbCamera {
     }
   }
 
-  int port_;
   WatchedLines& lines_;
-  Descriptor host_;
   std::map<std::pair<int, int>, Control> controls_ = controls();
   std::deque<Request> requests_;  ///< of the driver, for pictures
   std::string typed_;
-  bool ended_ = false;
-
-  std::size_t size_ = 0;
-  int rate_hz_ = 0;
-  int format_ = kYuyv;
   std::vector<std::uint8_t> picture_;  ///< YUYV
   std::vector<std::uint8_t> bytes_;    ///< what is sent of it
-  bool streaming_ = false;
-  std::int64_t due_ns_ = 0;          ///< the next picture, when free-running
-  std::optional<std::size_t> sent_;  ///< bytes of the picture that is under way
-  bool odd_ = false;                 ///< of UVC's frame identifier, which changes with every picture
-  std::uint32_t taken_ = 0;
+  std::optional<std::size_t> sent_;    ///< of bytes_, while a picture is under way
+  std::int64_t due_ns_ = 0;            ///< the next picture, when free-running
   std::int64_t pictures_sent_ = 0;
   std::int64_t missed_ = 0;  ///< there was no time for it
-
+  std::size_t size_ = 0;
+  int port_;
+  Descriptor host_;
+  int rate_hz_ = 0;
+  int format_ = kYuyv;
+  std::uint32_t taken_ = 0;
+  int skip_ = 0;
+  bool ended_ = false;
+  bool streaming_ = false;
+  bool odd_ = false;  ///< of UVC's frame identifier, which changes with every picture
   bool frozen_ = false;
   bool error_ = false;
   bool short_ = false;
   bool garbage_ = false;
   bool stall_ = false;
-  int skip_ = 0;
 };
 
 int run(int argc, char** argv) {
