@@ -314,6 +314,10 @@ class UsbCamera {
         return static_cast<std::uint8_t>(noise() >> 8);
       });
     }
+    marked_ = std::exchange(error_, false);
+    if (std::exchange(short_, false)) {
+      bytes_.resize(bytes_.size() / 2);
+    }
     sent_ = 0;
   }
 
@@ -359,20 +363,21 @@ class UsbCamera {
         answer(request.sequence, -EPIPE, {}, 0, true);
         continue;
       }
-      const std::size_t end = short_ ? bytes_.size() / 2 : bytes_.size();
       const std::size_t count =
-          std::min(end - *sent_, std::min(request.length, kPayloadBytes) - kPayloadHeaderBytes);
-      const bool last = *sent_ + count == end;
+          std::min(bytes_.size() - *sent_, std::min(request.length, kPayloadBytes) - kPayloadHeaderBytes);
+      const bool last = *sent_ + count == bytes_.size();
       const std::array<std::uint8_t, kPayloadHeaderBytes> header = {
           kPayloadHeaderBytes,
           static_cast<std::uint8_t>(UVC_STREAM_EOH | (odd_ ? UVC_STREAM_FID : 0) |
-                                    (last ? UVC_STREAM_EOF : 0) | (error_ ? UVC_STREAM_ERR : 0))};
+                                    (last ? UVC_STREAM_EOF : 0) | (marked_ ? UVC_STREAM_ERR : 0))};
       answer(request.sequence, 0, header, 0, true, std::span(bytes_).subspan(*sent_, count));
+      if (!sent_) {
+        return;  // unplugged
+      }
       *sent_ += count;
       if (last) {
         sent_.reset();
         odd_ = !odd_;
-        error_ = short_ = false;
         ++pictures_sent_;
       }
     }
@@ -699,7 +704,8 @@ class UsbCamera {
   bool streaming_ = false;
   bool odd_ = false;  ///< of UVC's frame identifier, which changes with every picture
   bool frozen_ = false;
-  bool error_ = false;
+  bool marked_ = false;  ///< the picture under way
+  bool error_ = false;   ///< the next picture
   bool short_ = false;
   bool garbage_ = false;
   bool stall_ = false;
