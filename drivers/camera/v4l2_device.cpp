@@ -312,6 +312,7 @@ std::string V4l2Device::offer() const {
     }
   }
   std::vector<std::string> parts;
+  parts.reserve(formats.size() + 1);
   for (const auto& [text, names] : formats) {
     parts.push_back(names + " " + text);
   }

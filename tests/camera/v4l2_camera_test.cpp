@@ -802,7 +802,8 @@ TEST_F(V4l2CameraTest, ADeviceThatIsNoCameraIsRefused) {
 }
 
 TEST_F(V4l2CameraTest, ALoopbackDeviceIsAwaitedUntilSomethingWritesIntoIt) {
-  for (const std::uint32_t direction : {V4L2_CAP_VIDEO_OUTPUT, 0}) {  // before the first writer, after it
+  for (const std::uint32_t direction :
+       {std::uint32_t{V4L2_CAP_VIDEO_OUTPUT}, std::uint32_t{0}}) {  // before the first writer, after it
     device_.capabilities = direction | V4L2_CAP_STREAMING | V4L2_CAP_READWRITE | V4L2_CAP_EXT_PIX_FORMAT;
     open();
     EXPECT_EQ(status().state, CameraState::Failing);

@@ -16,7 +16,7 @@
 #include <algorithm>
 #include <atomic>
 #include <chrono>
-#include <csignal>
+#include <cmath>
 #include <cstdio>
 #include <fstream>
 #include <memory>
@@ -180,7 +180,7 @@ class ClosedLoop {
   }
 
   void check_sets() {
-    capture::FrameSet set;
+    facet::FrameSet set;
     for (;;) {
       const auto outcome = assembler_->next(set, 100ms);
       if (outcome == capture::FrameSetAssembler::Outcome::Closed) {

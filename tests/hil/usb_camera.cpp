@@ -195,7 +195,7 @@ class WatchedLines {
 
 class UsbCamera {
  public:
-  UsbCamera(int port, WatchedLines& lines) : port_(port), lines_(lines) {
+  UsbCamera(int port, WatchedLines& lines) : lines_(lines), port_(port) {
     select(kYuyv, 0, kRates_hz.front());
   }
 
@@ -314,6 +314,10 @@ class UsbCamera {
         return static_cast<std::uint8_t>(noise() >> 8);
       });
     }
+    marked_ = std::exchange(error_, false);
+    if (std::exchange(short_, false)) {
+      bytes_.resize(bytes_.size() / 2);
+    }
     sent_ = 0;
   }
 
@@ -359,20 +363,21 @@ class UsbCamera {
         answer(request.sequence, -EPIPE, {}, 0, true);
         continue;
       }
-      const std::size_t end = short_ ? bytes_.size() / 2 : bytes_.size();
       const std::size_t count =
-          std::min(end - *sent_, std::min(request.length, kPayloadBytes) - kPayloadHeaderBytes);
-      const bool last = *sent_ + count == end;
+          std::min(bytes_.size() - *sent_, std::min(request.length, kPayloadBytes) - kPayloadHeaderBytes);
+      const bool last = *sent_ + count == bytes_.size();
       const std::array<std::uint8_t, kPayloadHeaderBytes> header = {
           kPayloadHeaderBytes,
           static_cast<std::uint8_t>(UVC_STREAM_EOH | (odd_ ? UVC_STREAM_FID : 0) |
-                                    (last ? UVC_STREAM_EOF : 0) | (error_ ? UVC_STREAM_ERR : 0))};
+                                    (last ? UVC_STREAM_EOF : 0) | (marked_ ? UVC_STREAM_ERR : 0))};
       answer(request.sequence, 0, header, 0, true, std::span(bytes_).subspan(*sent_, count));
+      if (!sent_) {
+        return;  // unplugged
+      }
       *sent_ += count;
       if (last) {
         sent_.reset();
         odd_ = !odd_;
-        error_ = short_ = false;
         ++pictures_sent_;
       }
     }
@@ -678,33 +683,32 @@ class UsbCamera {
     }
   }
 
-  int port_;
   WatchedLines& lines_;
-  Descriptor host_;
   std::map<std::pair<int, int>, Control> controls_ = controls();
   std::deque<Request> requests_;  ///< of the driver, for pictures
   std::string typed_;
-  bool ended_ = false;
-
-  std::size_t size_ = 0;
-  int rate_hz_ = 0;
-  int format_ = kYuyv;
   std::vector<std::uint8_t> picture_;  ///< YUYV
   std::vector<std::uint8_t> bytes_;    ///< what is sent of it
-  bool streaming_ = false;
-  std::int64_t due_ns_ = 0;          ///< the next picture, when free-running
-  std::optional<std::size_t> sent_;  ///< bytes of the picture that is under way
-  bool odd_ = false;                 ///< of UVC's frame identifier, which changes with every picture
-  std::uint32_t taken_ = 0;
+  std::optional<std::size_t> sent_;    ///< of bytes_, while a picture is under way
+  std::int64_t due_ns_ = 0;            ///< the next picture, when free-running
   std::int64_t pictures_sent_ = 0;
   std::int64_t missed_ = 0;  ///< there was no time for it
-
+  std::size_t size_ = 0;
+  int port_;
+  Descriptor host_;
+  int rate_hz_ = 0;
+  int format_ = kYuyv;
+  std::uint32_t taken_ = 0;
+  int skip_ = 0;
+  bool ended_ = false;
+  bool streaming_ = false;
+  bool odd_ = false;  ///< of UVC's frame identifier, which changes with every picture
   bool frozen_ = false;
-  bool error_ = false;
+  bool marked_ = false;  ///< the picture under way
+  bool error_ = false;   ///< the next picture
   bool short_ = false;
   bool garbage_ = false;
   bool stall_ = false;
-  int skip_ = 0;
 };
 
 int run(int argc, char** argv) {

@@ -72,7 +72,7 @@ inline constexpr int kStreamingInterface = 1;
 inline constexpr int kEndpoint = 1;
 inline constexpr int kPacketBytes = 512;
 /// One USB request of uvcvideo at most: 32 packets.
-inline constexpr std::size_t kPayloadBytes = 32 * kPacketBytes;
+inline constexpr std::size_t kPayloadBytes = std::size_t{32} * kPacketBytes;
 inline constexpr std::size_t kPayloadHeaderBytes = 2;
 inline constexpr int kCameraTerminal = 1;
 inline constexpr int kProcessingUnit = 2;

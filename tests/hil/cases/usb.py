@@ -152,6 +152,8 @@ def endpoint_that_fails_once():
         camera.end()
     check_pictures(probe.frames())
     figure("counted", [f"{name} {end[name]}" for name in ("lost", "damaged", "truncated", "reopened")])
+    check(end["truncated"] > 0, "the buffers that uvcvideo gave back empty are not counted")
+    check_counted(end, "truncated")
 
 
 @test
