@@ -86,8 +86,8 @@ struct CameraInfo {
 };
 
 /// A source of frames. Life: open (a factory in drivers/camera, may throw Error) -> start -> next ... -> stop
-/// -> destroy. One thread calls start, next, restart and stop; info, status and last_error may be called from any
-/// thread once open.
+/// -> destroy. One thread calls start, next, restart and stop; info, status and last_error may be called from
+/// any thread once open.
 ///
 /// A live device may be absent, vanish, stall and come back at any time: these are states (status), `next`
 /// says Timeout meanwhile. Failed and EndOfStream are for sources that can't come back.
