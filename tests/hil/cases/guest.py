@@ -106,6 +106,8 @@ class Chip:
         bank = self.config / "bank0"
         bank.mkdir(parents=True)
         (bank / "num_lines").write_text(str(lines))
+        (bank / "label").write_text(name)  # stays when the chip comes back under another name
+        self.label = name
         self.make_live()
 
     def make_live(self):
