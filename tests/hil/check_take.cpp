@@ -1,6 +1,6 @@
-// check_take TAKE: reads a take of mode "frames" whose cameras paint the pattern that they saw (painted_number.hpp;
-// the pattern of slot n is n modulo 256) and tells as one line of JSON how many pictures stand in the right
-// set. Exit status 0 where none stands in a wrong one.
+// check_take TAKE: reads a take of mode "frames" whose cameras paint the pattern that they saw
+// (painted_number.hpp; the pattern of slot n is n modulo 256) and tells as one line of JSON how many pictures
+// stand in the right set. Exit status 0 where none stands in a wrong one.
 
 #include <fmt/format.h>
 
