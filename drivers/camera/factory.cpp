@@ -1,10 +1,18 @@
 #include "camera/factory.hpp"
 
+#include "camera/contained_camera.hpp"
 #include "camera/v4l2_camera.hpp"
 #include "camera/video_file.hpp"
 #include "facet/error.hpp"
 
 namespace facet::camera {
+
+bool names_source(const CameraConfig& config) {
+  if (config.kind == "file") {
+    return !config.path.empty();
+  }
+  return config.kind != "v4l2" || !config.v4l2.device.empty();
+}
 
 std::unique_ptr<Camera> open_camera(const CameraConfig& config) {
   if (config.kind == "file") {
@@ -13,7 +21,11 @@ std::unique_ptr<Camera> open_camera(const CameraConfig& config) {
   if (config.kind == "v4l2") {
     return open_v4l2_camera(config.v4l2);
   }
-  throw Error(ErrorKind::Usage, "unknown kind of camera \"" + config.kind + "\"; known: file, v4l2");
+  if (config.kind == "libcamera") {
+    return open_contained_camera(config);
+  }
+  throw Error(ErrorKind::Usage,
+              "unknown kind of camera \"" + config.kind + "\"; known: file, v4l2, libcamera");
 }
 
 }  // namespace facet::camera

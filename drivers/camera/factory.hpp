@@ -29,16 +29,32 @@ struct V4l2Config {
 /// "auto": the first of those after it that has size and rate.
 inline constexpr std::array kV4l2Formats = {"auto", "YUYV", "NV12", "MJPEG", "GREY", "Y16", "Y10"};
 
+/// What a camera of libcamera is set to beyond V4l2Config.
+struct LibcameraConfig {
+  std::string id{};                  ///< of libcamera; empty: the only camera there is
+  std::optional<double> gain{};      ///< analogue, times; instead of V4l2Config::gain
+  std::optional<double> red_gain{};  ///< of the white balance; both or none
+  std::optional<double> blue_gain{};
+};
+
+/// The same for libcamera.
+inline constexpr std::array kLibcameraFormats = {"auto", "YUYV", "NV12", "RGB", "MJPEG", "GREY", "Y10"};
+
 /// Which source, and how it behaves. Kinds: "file" (any video or picture that FFmpeg reads), "v4l2" (a camera
-/// of the Linux kernel).
+/// of the Linux kernel), "libcamera" (one that libcamera drives, in a process of its own).
 struct CameraConfig {
   std::string kind = "file";
   std::filesystem::path path{};  ///< file: the video
   bool paced = false;  ///< file: deliver at the recorded rate and skip what the reader is too slow for, like
                        ///< a live camera
   bool loop = false;   ///< file: start over at the end; sequence and times go on
-  V4l2Config v4l2{};
+  V4l2Config v4l2{};   ///< libcamera: all of it counts but device and gain
+  LibcameraConfig libcamera{};
 };
+
+/// Whether what the source needs to be found is configured: a file, a device. (libcamera can find one by
+/// itself.)
+bool names_source(const CameraConfig& config);
 
 /// Opens a source; throws Error(Usage) for an unknown kind or a device that can't do what is asked, naming
 /// what it can, and Error(UnreadableInput) naming the file and what is wrong with it. A device that is absent

@@ -90,6 +90,19 @@ void convert_grey_words(const GreyScale& scale, const std::uint8_t* words, int w
   }
 }
 
+/// One row of colours; red and blue stand at their places in the bytes of a pixel.
+template <int PixelBytes, int Red, int Blue>
+void reorder_row(const std::uint8_t* row, int width_px, std::uint8_t* rgba) {
+  for (int x = 0; x < width_px; ++x) {
+    rgba[0] = row[Red];
+    rgba[1] = row[1];
+    rgba[2] = row[Blue];
+    rgba[3] = 255;
+    row += PixelBytes;
+    rgba += 4;
+  }
+}
+
 }  // namespace
 
 std::size_t packed_stride_bytes(PixelLayout layout, int width_px) {
@@ -101,6 +114,12 @@ std::size_t packed_stride_bytes(PixelLayout layout, int width_px) {
       return (width + 1) / 2 * 2;
     case PixelLayout::Yuyv:
       return (width + 1) / 2 * 4;
+    case PixelLayout::Rgb:
+    case PixelLayout::Bgr:
+      return 3 * width;
+    case PixelLayout::Rgbx:
+    case PixelLayout::Bgrx:
+      return 4 * width;
     default:
       return 2 * width;
   }
@@ -114,7 +133,7 @@ std::size_t picture_bytes(PixelLayout layout, int width_px, int height_px, std::
 
 void convert_to_rgba(PixelLayout layout, const ColourCoding& coding, const std::uint8_t* picture,
                      std::size_t stride_bytes, int width_px, int height_px, std::uint8_t* rgba,
-                     std::size_t rgba_stride_bytes) {
+                     std::size_t rgba_stride_bytes, const std::uint8_t* chroma_plane) {
   const Matrix matrix(coding);
   const GreyScale ten_bits(10, coding.full_range);
   const GreyScale sixteen_bits(16, coding.full_range);
@@ -122,7 +141,9 @@ void convert_to_rgba(PixelLayout layout, const ColourCoding& coding, const std::
   for (int value = 0; value < 256; ++value) {
     eight_bits[static_cast<std::size_t>(value)] = GreyScale(8, coding.full_range)(value);
   }
-  const std::uint8_t* chroma_plane = picture + static_cast<std::size_t>(height_px) * stride_bytes;
+  if (chroma_plane == nullptr) {
+    chroma_plane = picture + static_cast<std::size_t>(height_px) * stride_bytes;
+  }
   for (int y = 0; y < height_px; ++y) {
     const std::uint8_t* row = picture + static_cast<std::size_t>(y) * stride_bytes;
     std::uint8_t* out = rgba + static_cast<std::size_t>(y) * rgba_stride_bytes;
@@ -146,6 +167,18 @@ void convert_to_rgba(PixelLayout layout, const ColourCoding& coding, const std::
         break;
       case PixelLayout::Y16:
         convert_grey_words(sixteen_bits, row, width_px, out);
+        break;
+      case PixelLayout::Rgb:
+        reorder_row<3, 0, 2>(row, width_px, out);
+        break;
+      case PixelLayout::Bgr:
+        reorder_row<3, 2, 0>(row, width_px, out);
+        break;
+      case PixelLayout::Rgbx:
+        reorder_row<4, 0, 2>(row, width_px, out);
+        break;
+      case PixelLayout::Bgrx:
+        reorder_row<4, 2, 0>(row, width_px, out);
         break;
     }
   }

@@ -6,8 +6,9 @@
 namespace facet::camera {
 
 /// Uncompressed pictures of cameras, named as V4L2 names them (YUYV 4:2:2 packed, NV12 4:2:0 in two planes,
-/// grey of 8, 10 and 16 bits a pixel; the last two are 16-bit little-endian words).
-enum class PixelLayout { Yuyv, Nv12, Grey, Y10, Y16 };
+/// grey of 8, 10 and 16 bits a pixel; the last two are 16-bit little-endian words), or colours by the order
+/// of their bytes in memory.
+enum class PixelLayout { Yuyv, Nv12, Grey, Y10, Y16, Rgb, Bgr, Rgbx, Bgrx };
 
 /// How Y'CbCr or grey values stand for colours.
 struct ColourCoding {
@@ -25,12 +26,11 @@ std::size_t picture_bytes(PixelLayout layout, int width_px, int height_px, std::
 
 /// Converts to 8-bit R G B A (A = 255). Chroma is not interpolated: it differs by half a pixel at most.
 ///
-/// picture  [picture_bytes(...)], stride_bytes from row to row; NV12: the second plane has the same stride
-/// and
-///          follows the height_px rows of the first
+/// picture  [picture_bytes(...)], stride_bytes from row to row
 /// rgba     [height_px][rgba_stride_bytes], rgba_stride_bytes >= 4 * width_px
+/// chroma   NV12: the second plane, with the same stride; null: it follows the height_px rows of the first
 void convert_to_rgba(PixelLayout layout, const ColourCoding& coding, const std::uint8_t* picture,
                      std::size_t stride_bytes, int width_px, int height_px, std::uint8_t* rgba,
-                     std::size_t rgba_stride_bytes);
+                     std::size_t rgba_stride_bytes, const std::uint8_t* chroma = nullptr);
 
 }  // namespace facet::camera

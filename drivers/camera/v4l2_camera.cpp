@@ -12,6 +12,7 @@
 #include <system_error>
 #include <utility>
 
+#include "camera/driver_count.hpp"
 #include "camera/jpeg_decoder.hpp"
 #include "camera/pixel_buffers.hpp"
 #include "camera/v4l2_device.hpp"
@@ -28,10 +29,6 @@ constexpr std::int64_t kShortestPause_ns = kSecond_ns / 4;
 constexpr std::int64_t kLongestPause_ns = 2 * kSecond_ns;
 /// The first frame may take longer than the others: a camera measures light and white first.
 constexpr std::int64_t kFirstFramePatience_ns = 5 * kSecond_ns;
-/// A jump of the driver's numbers by more is no loss but another count.
-constexpr std::uint32_t kMostLost = 10'000;
-/// Times of a driver that estimates the device's clock may lie a little in the future, or before the stream.
-constexpr std::int64_t kClockSlack_ns = kSecond_ns / 10;
 
 std::int64_t in_ns(std::chrono::milliseconds time) {
   return std::chrono::nanoseconds(time).count();
@@ -73,9 +70,7 @@ class V4l2Camera final : public Camera {
   bool reopen(std::int64_t deadline_ns);
   bool take_newest(Frame& out);
   Arrived examine(const v4l2_buffer& buffer);
-  std::uint32_t advance_sequence(std::uint32_t driver_sequence);
   std::optional<std::int64_t> driver_time_ns(const v4l2_buffer& buffer, std::int64_t now_ns);
-  void count_omitted(std::int64_t passed_ns, std::uint32_t step);
   bool is_stale(const v4l2_buffer& buffer) const;
   bool convert(const Arrived& arrived, Frame& out);
   void note_delivery(const Arrived& arrived, const Frame& frame);
@@ -98,14 +93,11 @@ class V4l2Camera final : public Camera {
   std::int64_t last_life_ns_ = 0;  ///< the last delivery, or when the stream was begun
   std::int64_t watchdog_ns_ = 0;   ///< the stream is taken for stalled when no frame has come until then
   std::int64_t pause_ns_ = kShortestPause_ns;
-  bool delivered_before_ = false;                 ///< anything, by this stream or one before
-  bool first_of_stream_ = true;                   ///< nothing was delivered by this stream
-  std::optional<std::uint64_t> sequence_;         ///< of the newest buffer
-  std::optional<std::uint32_t> driver_sequence_;  ///< of the newest buffer of this stream
-  std::optional<std::int64_t> driver_stamp_ns_;   ///< of the newest buffer of this stream
-  double lag_ = 0;                                ///< of the newest buffer's time, see count_omitted
-  unsigned seen_ = 0;                             ///< buffers of this stream
-  std::int64_t timestamp_ns_ = 0;                 ///< of the newest delivered frame
+  bool delivered_before_ = false;  ///< anything, by this stream or one before
+  bool first_of_stream_ = true;    ///< nothing was delivered by this stream
+  DriverCount count_;
+  unsigned seen_ = 0;              ///< buffers of this stream
+  std::int64_t timestamp_ns_ = 0;  ///< of the newest delivered frame
   std::int64_t first_timestamp_ns_ = 0;
 
   mutable std::mutex shown_mutex_;
@@ -116,7 +108,8 @@ class V4l2Camera final : public Camera {
 V4l2Camera::V4l2Camera(const V4l2Config& config, V4l2Kernel& kernel)
     : kernel_(kernel),
       config_(config),
-      period_ns_(std::llround(static_cast<double>(kSecond_ns) / config.rate_hz)) {
+      period_ns_(std::llround(static_cast<double>(kSecond_ns) / config.rate_hz)),
+      count_(period_ns_) {
   info_.name = config.device.string();
   info_.width_px = config.width_px;
   info_.height_px = config.height_px;
@@ -232,9 +225,7 @@ bool V4l2Camera::reopen(std::int64_t deadline_ns) {
   auto device = std::make_unique<V4l2Device>(kernel_, config_.device.string());
   device->start(config_);
   device_ = std::move(device);
-  driver_sequence_.reset();
-  driver_stamp_ns_.reset();
-  lag_ = 0;
+  count_.begin_stream();
   seen_ = 0;
   first_of_stream_ = true;
   last_life_ns_ = kernel_.monotonic_ns();
@@ -280,18 +271,14 @@ bool V4l2Camera::take_newest(Frame& out) {
 
 V4l2Camera::Arrived V4l2Camera::examine(const v4l2_buffer& buffer) {
   const std::int64_t now_ns = kernel_.monotonic_ns();
-  const std::uint32_t step = advance_sequence(buffer.sequence);
   const std::optional<std::int64_t> driver_ns = driver_time_ns(buffer, now_ns);
-  if (driver_ns && driver_stamp_ns_) {
-    count_omitted(*driver_ns - *driver_stamp_ns_, step);
-  } else {
-    lag_ = 0;
-  }
-  driver_stamp_ns_ = driver_ns;
+  const DriverCount::Step step = count_.next(buffer.sequence, driver_ns);
+  count(&CameraCounters::lost, step.lost);
+  count(&CameraCounters::omitted, step.omitted);
 
   Arrived arrived;
   arrived.buffer = buffer;
-  arrived.sequence = *sequence_;
+  arrived.sequence = step.sequence;
   arrived.dated = driver_ns.has_value();
   const bool at_start = (buffer.flags & V4L2_BUF_FLAG_TSTAMP_SRC_MASK) == V4L2_BUF_FLAG_TSTAMP_SRC_SOE;
   arrived.timestamp_ns = driver_ns.value_or(now_ns) - (at_start && driver_ns ? 0 : period_ns_);
@@ -310,61 +297,16 @@ V4l2Camera::Arrived V4l2Camera::examine(const v4l2_buffer& buffer) {
   return arrived;
 }
 
-/// Carries the driver's 32-bit number, which wraps and begins anew with every stream, over to sequence_.
-/// Returns by how much it went on.
-std::uint32_t V4l2Camera::advance_sequence(std::uint32_t driver_sequence) {
-  std::uint32_t step = 1;
-  if (!driver_sequence_) {
-    // What was between two streams is at least one frame.
-    sequence_ = sequence_ ? *sequence_ + 2 : 0;
-  } else {
-    step = driver_sequence - *driver_sequence_;
-    if (step == 0 || step > kMostLost) {
-      step = 1;  // a driver that does not count, or began anew
-    }
-    *sequence_ += step;
-    if (step > 1) {
-      count(&CameraCounters::lost, step - 1);
-    }
-  }
-  driver_sequence_ = driver_sequence;
-  return step;
-}
-
 /// The driver's time of a buffer in CLOCK_MONOTONIC; none where it can't be one of this stream.
 std::optional<std::int64_t> V4l2Camera::driver_time_ns(const v4l2_buffer& buffer, std::int64_t now_ns) {
   const std::optional<std::int64_t> stamp = stamp_ns(buffer);
   if (!stamp) {
     return std::nullopt;
   }
-  const auto fits = [&](std::int64_t time_ns) {
-    return time_ns >= device_->started_ns() - kClockSlack_ns && time_ns <= now_ns + kClockSlack_ns;
-  };
-  if (fits(*stamp)) {
-    return std::min(*stamp, now_ns);
-  }
-  if ((buffer.flags & V4L2_BUF_FLAG_TIMESTAMP_MASK) == V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC) {
-    return std::nullopt;
-  }
   // Drivers that do not say their clock use that of the day.
-  const std::int64_t converted_ns = *stamp - (kernel_.realtime_ns() - now_ns);
-  return fits(converted_ns) ? std::optional(std::min(converted_ns, now_ns)) : std::nullopt;
-}
-
-/// Counts what the device left out in silence: the times go on, the numbers don't. `lag_` is by how many
-/// periods the times are behind the numbers, since they were least so. A driver that stamps some frames late
-/// makes it rise and fall; a frame is missing where two in a row lag by almost a period.
-void V4l2Camera::count_omitted(std::int64_t passed_ns, std::uint32_t step) {
-  constexpr double kWhole = 0.75;       // of a period is taken for one
-  constexpr double kForgotten = 0.002;  // of a period with each frame: clocks differ
-  const double lag_before = lag_;
-  const double periods = static_cast<double>(passed_ns) / static_cast<double>(period_ns_);
-  lag_ = std::max(0.0, lag_ + periods - static_cast<double>(step) - kForgotten);
-  const double missing = std::floor(std::min(lag_before, lag_) + 1 - kWhole);
-  if (missing >= 1) {
-    count(&CameraCounters::omitted, static_cast<std::uint64_t>(missing));
-    lag_ -= missing;
-  }
+  const bool monotonic = (buffer.flags & V4L2_BUF_FLAG_TIMESTAMP_MASK) == V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC;
+  return monotonic_stamp_ns(*stamp, device_->started_ns(), now_ns,
+                            monotonic ? std::nullopt : std::optional(kernel_.realtime_ns()));
 }
 
 /// Whether the buffer was filled before the stream began. A device has as many of these as buffers at most;

@@ -6,27 +6,16 @@
 #include <cstdint>
 #include <optional>
 #include <span>
-#include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "camera/device_fault.hpp"
 #include "camera/factory.hpp"
 #include "camera/pixel_conversion.hpp"
 #include "camera/v4l2_kernel.hpp"
 
 namespace facet::camera {
-
-/// Why a device can't be used now; the message names it.
-struct DeviceFault : std::runtime_error {
-  enum class Kind {
-    Absent,      ///< no such device, or it went away
-    Failing,     ///< it is there and refuses
-    Unsuitable,  ///< it can't do what the configuration asks; the message says what it can
-  };
-  DeviceFault(Kind given, const std::string& message) : std::runtime_error(message), kind(given) {}
-  Kind kind;
-};
 
 /// What a device says that it offers in one pixel format at one size or range of sizes (0: it tells no
 /// sizes).

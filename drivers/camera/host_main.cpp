@@ -1,0 +1,44 @@
+// facet-camera-host: a process with one camera in it, started by facetd and facet. Also: --list.
+
+#include <cstdlib>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "camera/device_fault.hpp"
+#include "camera/host_service.hpp"
+#ifdef FACET_LIBCAMERA
+#include "camera/libcamera_camera.hpp"
+#endif
+
+namespace {
+
+using facet::camera::CameraConfig;
+using facet::camera::CameraListing;
+using facet::camera::DeviceFault;
+
+std::unique_ptr<facet::Camera> open_camera(const CameraConfig& config) {
+#ifdef FACET_LIBCAMERA
+  if (config.kind == "libcamera") {
+    return facet::camera::open_libcamera_camera(config);
+  }
+#endif
+  throw DeviceFault(DeviceFault::Kind::Unsuitable,
+                    "this build of Facet has no cameras of kind \"" + config.kind + "\"");
+}
+
+std::vector<CameraListing> list_cameras() {
+#ifdef FACET_LIBCAMERA
+  return facet::camera::list_libcamera_cameras();
+#else
+  return {};
+#endif
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  // libcamera tells each step otherwise.
+  ::setenv("LIBCAMERA_LOG_LEVELS", "*:WARN", 0);
+  return facet::camera::run_camera_host(argc, argv, {open_camera, list_cameras});
+}
