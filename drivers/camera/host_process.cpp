@@ -5,8 +5,8 @@
 #include <poll.h>
 #include <spawn.h>
 #include <sys/mman.h>
-#include <sys/pidfd.h>
 #include <sys/socket.h>
+#include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -216,7 +216,8 @@ void HostProcess::spawn(const std::filesystem::path& program, const std::vector<
   if (error != 0) {
     fail(program.string(), error);
   }
-  process_ = Descriptor(::pidfd_open(pid_, 0));
+  // glibc 2.36 has pidfd_open, but its header can't be used from C++.
+  process_ = Descriptor(static_cast<int>(::syscall(SYS_pidfd_open, pid_, 0)));
   if (process_.get() < 0) {
     const int reason = errno;
     ::kill(-pid_, SIGKILL);
@@ -237,7 +238,7 @@ std::optional<HostMessage> HostProcess::receive() {
   do {
     size = ::recv(socket_.get(), bytes.data(), bytes.size(), MSG_DONTWAIT | MSG_TRUNC);
   } while (size < 0 && errno == EINTR);
-  if (size < 0 && (errno == EAGAIN || errno == EWOULDBLOCK)) {
+  if (size < 0 && (errno == EAGAIN || errno == EWOULDBLOCK) && !seen_ended_) {
     return std::nullopt;
   }
   if (size <= 0) {
@@ -264,11 +265,14 @@ void HostProcess::tell_end() {
 }
 
 void HostProcess::wait(std::int64_t until_ns) {
-  pollfd socket{socket_.get(), POLLIN, 0};
+  // The process too: its socket stays open while something that it started has it.
+  std::array<pollfd, 2> watched = {pollfd{socket_.get(), POLLIN, 0}, pollfd{process_.get(), POLLIN, 0}};
   const std::int64_t left_ns = std::max<std::int64_t>(0, until_ns - monotonic_ns());
   const timespec left{left_ns / kSecond_ns, left_ns % kSecond_ns};
   // Ends early with EINTR: the caller looks and waits again.
-  ::ppoll(&socket, 1, &left, nullptr);
+  if (::ppoll(watched.data(), watched.size(), &left, nullptr) > 0) {
+    seen_ended_ = watched[1].revents != 0;
+  }
 }
 
 /// Waits for the end of the process and takes its status.

@@ -13,8 +13,10 @@
 
 namespace facet::camera {
 
-/// Where the program lies that has a camera in it: $FACET_CAMERA_HOST, else beside the running program, else in
-/// ../lib/facet from there, else in the build folder that the running program lies in. Throws DeviceFault(Failing) where it is nowhere.
+/// Where the program lies that has a camera in it: $FACET_CAMERA_HOST, else beside the running program, else
+/// in
+/// ../lib/facet from there, else in the build folder that the running program lies in. Throws
+/// DeviceFault(Failing) where it is nowhere.
 std::filesystem::path host_program();
 
 /// A process with one camera in it. What it says and does is not trusted: whatever is wrong is a
@@ -75,8 +77,9 @@ class HostProcess {
   Descriptor socket_;
   Descriptor process_;  ///< readable once the process has ended
   pid_t pid_ = -1;
-  bool ended_ = false;
-  int status_ = 0;  ///< of waitpid, once ended_
+  bool seen_ended_ = false;  ///< messages may be left
+  bool ended_ = false;       ///< and buried
+  int status_ = 0;           ///< of waitpid, once ended_
   std::size_t picture_bytes_;
   const std::uint8_t* picture_ = nullptr;
 };
