@@ -14,6 +14,7 @@
 #include <thread>
 #include <vector>
 
+#include "camera/contained_camera.hpp"
 #include "camera/factory.hpp"
 #include "camera/v4l2_camera.hpp"
 #include "commands.hpp"
@@ -107,28 +108,20 @@ void check_model(Report& report, const service::Config& config) {
   }
 }
 
-/// What a camera offers, a line for each format that can be read; it may offer hundreds of modes in others.
-void say_camera(Report& report, const camera::V4l2Description& device) {
-  if (device.card.empty()) {
-    report.say(Verdict::Note, "camera", device.modes);
-    return;
+/// The cameras of this machine.
+void list_cameras(Report& report) {
+  for (const camera::V4l2Description& device : camera::list_v4l2_devices()) {
+    report.say(Verdict::Note, "camera",
+               device.card.empty() ? device.modes
+                                   : fmt::format("{} ({}): {}", device.path, device.card, device.modes));
   }
-  report.say(Verdict::Note, "camera", fmt::format("{} ({})", device.path, device.card));
-  const std::string separator = "; ";
-  for (const char* format : camera::kV4l2Formats) {
-    const std::string name = fmt::format("{} ", format);
-    std::string sizes;
-    for (std::size_t begin = 0; begin < device.modes.size();) {
-      const std::size_t end = std::min(device.modes.find(separator, begin), device.modes.size());
-      if (device.modes.compare(begin, name.size(), name) == 0) {
-        sizes += (sizes.empty() ? "" : separator) +
-                 device.modes.substr(begin + name.size(), end - begin - name.size());
-      }
-      begin = end + separator.size();
+  try {
+    for (const camera::CameraListing& listing : camera::list_contained_cameras()) {
+      report.say(Verdict::Note, "camera",
+                 fmt::format("libcamera \"{}\": {}", listing.id, listing.description));
     }
-    if (!sizes.empty()) {
-      fmt::print("      {:<16} {:<6} {}\n", "", format, sizes);
-    }
+  } catch (const Error& error) {
+    report.say(Verdict::Note, "camera", error.what());
   }
 }
 
@@ -185,7 +178,7 @@ void check_rig(Report& report, const service::Config& config) {
 
 void check_source(Report& report, const service::Config& config) {
   const camera::CameraConfig& source = config.pipeline.source;
-  if (source.kind == "file" ? source.path.empty() : source.v4l2.device.empty()) {
+  if (!camera::names_source(source)) {
     report.say(Verdict::Note, "source", "none is configured",
                fmt::format("set source.{} in the configuration", source.kind == "file" ? "path" : "device"));
     return;
@@ -278,9 +271,7 @@ void run(const std::string& given_file) {
   }
   report.say(Verdict::Good, "processor",
              fmt::format("{} cores", std::max(1U, std::thread::hardware_concurrency())));
-  for (const camera::V4l2Description& device : camera::list_v4l2_devices()) {
-    say_camera(report, device);
-  }
+  list_cameras(report);
   if (config.mode == service::Mode::Frames) {
     check_rig(report, config);
   } else {

@@ -291,17 +291,51 @@ void read_regulated(Section& section, const std::string& key, std::optional<int>
   }
 }
 
+/// The same for a value that need not be whole.
+void read_regulated(Section& section, const std::string& key, std::optional<double>& value, double least,
+                    double most) {
+  if (const toml::node* node = section.find(key)) {
+    const double found =
+        node->is_number() ? node->value<double>().value_or(0) : std::numeric_limits<double>::quiet_NaN();
+    if (node->value_exact<std::string>() == "auto") {
+      value.reset();
+    } else if (found >= least && found <= most) {
+      value = found;
+    } else {
+      section.fail(node, key, fmt::format("must be \"auto\" or a number from {} to {}", least, most));
+    }
+  }
+}
+
+template <std::size_t Count>
+void read_format(Section& section, const std::array<const char*, Count>& formats, std::string& value) {
+  if (const auto format = section.read_choice("format", formats)) {
+    value = formats.at(*format);
+  }
+}
+
 /// What a camera can do is checked when it is opened; here, what no camera can.
-void read_v4l2(Section& section, camera::V4l2Config& v4l2) {
+void read_live(Section& section, camera::CameraConfig& source) {
+  camera::V4l2Config& v4l2 = source.v4l2;
+  camera::LibcameraConfig& libcamera = source.libcamera;
   section.read("device", v4l2.device);
-  if (const auto format = section.read_choice("format", camera::kV4l2Formats)) {
-    v4l2.format = camera::kV4l2Formats.at(*format);
+  section.read("id", libcamera.id);
+  if (source.kind == "libcamera") {
+    read_format(section, camera::kLibcameraFormats, v4l2.format);
+    read_regulated(section, "gain", libcamera.gain, 0.01, 1000.0);
+  } else {
+    read_format(section, camera::kV4l2Formats, v4l2.format);
+    read_regulated(section, "gain", v4l2.gain, -1'000'000, 1'000'000);
+  }
+  read_regulated(section, "red_gain", libcamera.red_gain, 0.01, 100.0);
+  read_regulated(section, "blue_gain", libcamera.blue_gain, 0.01, 100.0);
+  if (libcamera.red_gain.has_value() != libcamera.blue_gain.has_value()) {
+    section.fail(section.node(), "red_gain", "red_gain and blue_gain need one another");
   }
   section.read_integer("width_px", v4l2.width_px, 16, 16384);
   section.read_integer("height_px", v4l2.height_px, 16, 16384);
   section.read_number("rate_hz", v4l2.rate_hz, 1, 1000);
   read_regulated(section, "exposure_us", v4l2.exposure_us, 1, 10'000'000);
-  read_regulated(section, "gain", v4l2.gain, -1'000'000, 1'000'000);
   read_regulated(section, "white_balance_k", v4l2.white_balance_k, 1000, 20'000);
   section.read_integer("buffers", v4l2.buffers, 2, 32);
   std::int64_t stall_after_ms = v4l2.stall_after.count();
@@ -310,24 +344,40 @@ void read_v4l2(Section& section, camera::V4l2Config& v4l2) {
 }
 
 constexpr std::array kFileKeys = {"path", "paced", "loop"};
-constexpr std::array kV4l2Keys = {"device",      "format", "width_px",        "height_px", "rate_hz",
-                                  "exposure_us", "gain",   "white_balance_k", "buffers",   "stall_after_ms"};
+constexpr std::array kV4l2Keys = {"device"};
+constexpr std::array kLibcameraKeys = {"id", "red_gain", "blue_gain"};
+constexpr std::array kLiveKeys = {"format", "width_px",        "height_px", "rate_hz",       "exposure_us",
+                                  "gain",   "white_balance_k", "buffers",   "stall_after_ms"};
+
+/// Keys that are not for a source of this kind.
+void refuse_others(const Section& section, const std::string& kind) {
+  const auto is_for = [&](const char* other) {
+    return fmt::format("is for kind = \"{}\"; the kind of this one is \"{}\"", other, kind);
+  };
+  if (kind == "file") {
+    section.refuse(kLiveKeys, is_for("v4l2\" or \"libcamera"));
+  } else {
+    section.refuse(kFileKeys, is_for("file"));
+  }
+  if (kind != "v4l2") {
+    section.refuse(kV4l2Keys, is_for("v4l2"));
+  }
+  if (kind != "libcamera") {
+    section.refuse(kLibcameraKeys, is_for("libcamera"));
+  }
+}
 
 void read_source(Section section, Config& config) {
-  constexpr std::array kKinds = {"file", "v4l2"};
+  constexpr std::array kKinds = {"file", "v4l2", "libcamera"};
   pipeline::MonocularConfig& pipeline = config.pipeline;
   if (const auto kind = section.read_choice("kind", kKinds)) {
     pipeline.source.kind = kKinds.at(*kind);
   }
-  if (pipeline.source.kind == "file") {
-    section.refuse(kV4l2Keys, "is for source.kind = \"v4l2\"; the kind of this source is \"file\"");
-  } else {
-    section.refuse(kFileKeys, "is for source.kind = \"file\"; the kind of this source is \"v4l2\"");
-  }
+  refuse_others(section, pipeline.source.kind);
   section.read("path", pipeline.source.path);
   section.read("paced", pipeline.source.paced);
   section.read("loop", pipeline.source.loop);
-  read_v4l2(section, pipeline.source.v4l2);
+  read_live(section, pipeline.source);
   if (const toml::node* node = section.find("frames")) {
     try {
       pipeline.frames = pipeline::parse_frame_range(section.text(*node, "frames", kAnyText));
@@ -352,9 +402,9 @@ void read_us(Section& section, const std::string& key, std::int64_t& value_ns, s
 
 /// Values that depend on one another are checked by pipeline::check, once all of them are known.
 void read_camera(Section section, std::vector<pipeline::RigCamera>& cameras) {
-  constexpr std::array kKinds = {"file", "v4l2", pipeline::kSimulatedCamera};
-  constexpr std::array kNotSimulated = {"device",          "format",  "exposure_us",   "gain",
-                                        "white_balance_k", "buffers", "stall_after_ms"};
+  constexpr std::array kKinds = {"file", "v4l2", "libcamera", pipeline::kSimulatedCamera};
+  constexpr std::array kNotSimulated = {"format",          "exposure_us", "gain",
+                                        "white_balance_k", "buffers",     "stall_after_ms"};
   pipeline::RigCamera camera;
   camera.source.kind = "v4l2";
   section.read("name", camera.name);
@@ -362,17 +412,13 @@ void read_camera(Section section, std::vector<pipeline::RigCamera>& cameras) {
     camera.source.kind = kKinds.at(*kind);
   }
   const std::string& kind = camera.source.kind;
-  if (kind == "file") {
-    section.refuse(kV4l2Keys, "is not for a camera of kind \"file\"");
-  } else {
-    section.refuse(kFileKeys, "is for a camera of kind \"file\"; the kind of this one is \"" + kind + "\"");
-  }
+  refuse_others(section, kind);
   if (kind == pipeline::kSimulatedCamera) {
     section.refuse(kNotSimulated, "is not for a camera of kind \"simulated\"");
   }
   section.read("path", camera.source.path);
   section.read("loop", camera.source.loop);
-  read_v4l2(section, camera.source.v4l2);
+  read_live(section, camera.source);
   read_us(section, "latency_us", camera.latency_ns, -1'000'000, 1'000'000);
   section.finish();
   if (!section.given()) {

@@ -44,13 +44,15 @@ TEST(Config, EmptyFileIsTheDefault) {
   EXPECT_FALSE(config.pipeline.tracker.intrinsics.has_value());
 }
 
-/// The sample's [source] as it is for a camera: the keys of files taken out, those of cameras let in.
-std::string camera_sample() {
+/// The sample's [source] as it is for a camera: the keys of files and of the other kind taken out, those of
+/// cameras let in.
+std::string camera_sample(const std::string& kind = "v4l2",
+                          const std::string& others = "id|red_gain|blue_gain") {
   std::string text = sample();
   text = text.substr(0, text.find("#[source.intrinsics]"));
-  text = std::regex_replace(text, std::regex("\nkind = \"file\""), "\nkind = \"v4l2\"");
-  text = std::regex_replace(text, std::regex("\n(path|paced|loop) = [^\n]*"), "");
-  return std::regex_replace(text, std::regex("\n#([a-z0-9_]+ = )"), "\n$1");
+  text = std::regex_replace(text, std::regex("\nkind = \"file\""), "\nkind = \"" + kind + "\"");
+  text = std::regex_replace(text, std::regex("\n#([a-z0-9_]+ = )"), "\n$1");
+  return std::regex_replace(text, std::regex("\n(path|paced|loop|" + others + ") = [^\n]*"), "");
 }
 
 /// The sample shows every key, and what it shows is the default.
@@ -126,6 +128,15 @@ TEST(Config, SampleShowsEveryKeyOfACameraWithItsDefault) {
   EXPECT_EQ(shown.white_balance_k, defaults.white_balance_k);
   EXPECT_EQ(shown.buffers, defaults.buffers);
   EXPECT_EQ(shown.stall_after, defaults.stall_after);
+
+  const camera::CameraConfig other =
+      parse_config(camera_sample("libcamera", "device"), "/sample/facet.toml").pipeline.source;
+  EXPECT_EQ(other.kind, "libcamera");
+  EXPECT_THAT(other.libcamera.id, StartsWith("/base/soc/"));
+  EXPECT_EQ(other.libcamera.gain, std::nullopt);
+  EXPECT_EQ(other.libcamera.red_gain, std::nullopt);
+  EXPECT_EQ(other.libcamera.blue_gain, std::nullopt);
+  EXPECT_EQ(other.v4l2.width_px, defaults.width_px);
 }
 
 TEST(Config, SampleOfARigIsOneThatRuns) {
@@ -276,6 +287,47 @@ stall_after_ms = 500
   require_source(config, "facet.toml");
 }
 
+TEST(Config, ReadsACameraOfLibcamera) {
+  const Config config = parse_config(R"(
+[source]
+kind = "libcamera"
+id = "imx477"
+format = "RGB"
+width_px = 640
+exposure_us = 8000
+gain = 1.5
+red_gain = 2
+blue_gain = 1.75
+stall_after_ms = 500
+)",
+                                     "/etc/facet/facet.toml");
+  const camera::CameraConfig& source = config.pipeline.source;
+  EXPECT_EQ(source.kind, "libcamera");
+  EXPECT_EQ(source.libcamera.id, "imx477");
+  EXPECT_EQ(source.v4l2.format, "RGB");
+  EXPECT_EQ(source.v4l2.width_px, 640);
+  EXPECT_EQ(source.v4l2.exposure_us, 8000);
+  EXPECT_EQ(source.libcamera.gain, 1.5);
+  EXPECT_EQ(source.libcamera.red_gain, 2.0);
+  EXPECT_EQ(source.libcamera.blue_gain, 1.75);
+  EXPECT_EQ(source.v4l2.gain, std::nullopt);
+  EXPECT_EQ(source.v4l2.stall_after, std::chrono::milliseconds(500));
+  require_source(config, "facet.toml");
+  require_source(parse_config("[source]\nkind = \"libcamera\"", "facet.toml"), "facet.toml");
+}
+
+TEST(Config, ErrorsOfACameraOfLibcamera) {
+  const std::string camera = "[source]\nkind = \"libcamera\"\n";
+  EXPECT_THAT(error_of(camera + "device = \"/dev/video0\""),
+              HasSubstr("source.device: is for kind = \"v4l2\"; the kind of this one is \"libcamera\""));
+  EXPECT_THAT(error_of(camera + "loop = true"), HasSubstr("source.loop: is for kind = \"file\""));
+  EXPECT_THAT(error_of(camera + "format = \"Y16\""), HasSubstr("\"RGB\""));
+  EXPECT_THAT(error_of(camera + "gain = 0"), HasSubstr("must be \"auto\" or a number from 0.01 to 1000"));
+  EXPECT_THAT(error_of(camera + "red_gain = 2"), HasSubstr("red_gain and blue_gain need one another"));
+  EXPECT_THAT(error_of("[source]\nkind = \"v4l2\"\nid = \"a\""),
+              HasSubstr("source.id: is for kind = \"libcamera\""));
+}
+
 TEST(Config, ErrorsOfACamera) {
   const std::string camera = "[source]\nkind = \"v4l2\"\n";
   EXPECT_THAT(error_of(camera + "format = \"RGB\""),
@@ -292,8 +344,9 @@ TEST(Config, ErrorsOfACamera) {
   EXPECT_THAT(error_of(camera + "stall_after_ms = 0"), HasSubstr("from 100 to 3600000"));
   EXPECT_THAT(error_of(camera + "devise = \"/dev/video0\""), HasSubstr("did you mean 'device'?"));
   EXPECT_THAT(error_of(camera + "path = \"a.mp4\""),
-              AllOf(HasSubstr("source.path: is for source.kind = \"file\""), HasSubstr("is \"v4l2\"")));
-  EXPECT_THAT(error_of("[source]\ngain = 3"), HasSubstr("source.gain: is for source.kind = \"v4l2\""));
+              AllOf(HasSubstr("source.path: is for kind = \"file\""), HasSubstr("is \"v4l2\"")));
+  EXPECT_THAT(error_of("[source]\ngain = 3"),
+              HasSubstr("source.gain: is for kind = \"v4l2\" or \"libcamera\""));
   EXPECT_THROW(require_source(parse_config(camera, "facet.toml"), "facet.toml"), Error);
 }
 
@@ -345,9 +398,9 @@ level = "debug"
 TEST(Config, ErrorsNameFileLineKeyAndWhatIsAllowed) {
   EXPECT_THAT(error_of("[source]\npaced = 1"),
               AllOf(StartsWith("/etc/facet/facet.toml:2: source.paced: "), HasSubstr("true or false")));
-  EXPECT_THAT(
-      error_of("\n[source]\nkind = \"webcam\""),
-      AllOf(StartsWith("/etc/facet/facet.toml:3: source.kind: "), HasSubstr("one of: \"file\", \"v4l2\"")));
+  EXPECT_THAT(error_of("\n[source]\nkind = \"webcam\""),
+              AllOf(StartsWith("/etc/facet/facet.toml:3: source.kind: "),
+                    HasSubstr("one of: \"file\", \"v4l2\", \"libcamera\"")));
   EXPECT_THAT(error_of("[source]\nframes = \"20:10\""), HasSubstr("facet.toml:2: source.frames: "));
   EXPECT_THAT(error_of("[source]\npath = \"\""), HasSubstr("source.path: must be a path"));
   EXPECT_THAT(error_of("[source]\npath = 3"), HasSubstr("source.path: must be a path"));
