@@ -118,7 +118,7 @@ void list_cameras(Report& report) {
   try {
     for (const camera::CameraListing& listing : camera::list_contained_cameras()) {
       report.say(Verdict::Note, "camera",
-                 fmt::format("libcamera \"{}\": {}", listing.id, listing.description));
+                 fmt::format("libcamera, id = '{}': {}", listing.id, listing.description));
     }
   } catch (const Error& error) {
     report.say(Verdict::Note, "camera", error.what());

@@ -81,6 +81,28 @@ TEST(PixelConversion, Nv12) {
                                 254, 0,  0,  255, 254, 0,  0,  255, 76, 76, 76, 255}));
 }
 
+/// libcamera hands out planes that need not follow one another.
+TEST(PixelConversion, Nv12WhosePlanesLieApart) {
+  const std::vector<std::uint8_t> luma = {76, 76, 150, 150};
+  const std::vector<std::uint8_t> chroma = {85, 255};
+  std::array<std::uint8_t, 16> rgba{};
+  convert_to_rgba(PixelLayout::Nv12, kFull601, luma.data(), 2, 2, 2, rgba.data(), 8, chroma.data());
+  EXPECT_THAT(rgba, ElementsAre(254, 0, 0, 255, 254, 0, 0, 255, 255, 74, 74, 255, 255, 74, 74, 255));
+}
+
+TEST(PixelConversion, ColoursInEveryOrder) {
+  const auto twice = ElementsAre(1, 2, 3, 255, 4, 5, 6, 255, 7, 8, 9, 255, 10, 11, 12, 255);
+  constexpr std::uint8_t kPadding = 77;
+  EXPECT_THAT(convert(PixelLayout::Rgb, {}, {1, 2, 3, 4, 5, 6, kPadding, 7, 8, 9, 10, 11, 12}, 7, 2, 2),
+              twice);
+  EXPECT_THAT(convert(PixelLayout::Bgr, {}, {3, 2, 1, 6, 5, 4, kPadding, 9, 8, 7, 12, 11, 10}, 7, 2, 2),
+              twice);
+  EXPECT_THAT(convert(PixelLayout::Rgbx, {}, {1, 2, 3, 0, 4, 5, 6, 0, 7, 8, 9, 0, 10, 11, 12, 0}, 8, 2, 2),
+              twice);
+  EXPECT_THAT(convert(PixelLayout::Bgrx, {}, {3, 2, 1, 0, 6, 5, 4, 0, 9, 8, 7, 0, 12, 11, 10, 0}, 8, 2, 2),
+              twice);
+}
+
 TEST(PixelConversion, GreyOfEightTenAndSixteenBits) {
   EXPECT_THAT(convert(PixelLayout::Grey, kFull601, {0, 7, 255}, 3, 3, 1),
               ElementsAre(0, 0, 0, 255, 7, 7, 7, 255, 255, 255, 255, 255));
