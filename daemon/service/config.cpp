@@ -91,7 +91,7 @@ class Section {
     const toml::node* node = find(key, false);
     std::vector<Section> found;
     if (node == nullptr) {
-      found.push_back({document_, nullptr, full(key)});
+      found.emplace_back(document_, nullptr, full(key));
       return found;
     }
     const toml::array* array = node->as_array();
@@ -99,7 +99,7 @@ class Section {
       fail(node, key, "must be sections in double square brackets");
     }
     for (const toml::node& table : *array) {
-      found.push_back({document_, table.as_table(), full(key)});
+      found.emplace_back(document_, table.as_table(), full(key));
     }
     return found;
   }

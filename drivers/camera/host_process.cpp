@@ -206,6 +206,7 @@ void HostProcess::spawn(const std::filesystem::path& program, const std::vector<
   std::vector<std::string> words = arguments;
   words.insert(words.begin(), {program.string(), fmt::format("--parent={}", ::getpid())});
   std::vector<char*> argv;
+  argv.reserve(words.size() + 1);
   for (std::string& word : words) {
     argv.push_back(word.data());
   }

@@ -15,6 +15,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cerrno>
 #include <cmath>
 #include <condition_variable>
 #include <cstdint>
@@ -23,6 +24,7 @@
 #include <map>
 #include <mutex>
 #include <optional>
+#include <span>
 #include <string>
 #include <utility>
 
@@ -169,7 +171,7 @@ class MappedBuffer {
     for (const libcamera::FrameBuffer::Plane& plane : buffer.planes()) {
       const auto at = std::find_if(mappings_.begin(), mappings_.end(),
                                    [&](const Mapping& mapping) { return mapping.fd == plane.fd.get(); });
-      planes_.push_back({at->start + plane.offset, plane.length});
+      planes_.emplace_back(at->start + plane.offset, plane.length);
     }
   }
   ~MappedBuffer() {

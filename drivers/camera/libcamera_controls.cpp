@@ -16,7 +16,6 @@ namespace facet::camera {
 namespace {
 
 using libcamera::ControlId;
-using libcamera::ControlInfo;
 using libcamera::ControlInfoMap;
 using libcamera::ControlList;
 using libcamera::ControlValue;

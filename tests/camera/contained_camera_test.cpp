@@ -492,7 +492,7 @@ TEST(HostMessage, TellsWhatIsWrong) {
     EXPECT_NE(wrong, "");
   }
   EXPECT_FALSE(read(size + 1));
-  for (const std::size_t at : {0, 4, 5}) {
+  for (const std::size_t at : {0U, 4U, 5U}) {
     bytes[at] ^= 0x40;
     EXPECT_FALSE(read(size)) << at;
     bytes[at] ^= 0x40;

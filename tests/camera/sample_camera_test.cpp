@@ -29,7 +29,7 @@ class ScriptedDevice final : public SampleDevice {
 
   void expose(std::uint32_t number) {
     pictures.push_back({number, camera::monotonic_ns(),
-                        std::vector<std::uint8_t>(64 * 48, static_cast<std::uint8_t>(number))});
+                        std::vector<std::uint8_t>(std::size_t{64} * 48, static_cast<std::uint8_t>(number))});
   }
 
   bool is_there() override { return there; }
@@ -84,8 +84,9 @@ TEST_F(SampleCameraTest, HandsOutTheNewestPictureAndCountsTheRest) {
   ASSERT_EQ(camera->next(frame_, 1s), CaptureOutcome::Delivered);
   EXPECT_EQ(frame_.sequence, 0U);
   EXPECT_EQ(frame_.media_time_ns, 0);
-  EXPECT_EQ(frame_.row(47)[63 * 4], 7);
-  EXPECT_EQ(frame_.row(47)[63 * 4 + 3], 255);
+  const std::uint8_t* last = frame_.row(47) + 252;
+  EXPECT_EQ(last[0], 7);
+  EXPECT_EQ(last[3], 255);
   EXPECT_EQ(camera->status().state, CameraState::Streaming);
   device_.expose(8);
   device_.expose(11);
