@@ -23,7 +23,7 @@ struct HostPatience {
 /// A live camera in a process of its own: a library that crashes, hangs, leaks or writes where it should not
 /// ends that process, which is started anew with pauses that grow. CameraStatus::reason says how it ended.
 ///
-/// A frame costs a copy on either side (1280x720 px: 0.4 ms each): what a reader holds must never change, and
+/// A frame costs a copy on either side (1280x720 px: less than 0.2 ms each): what a reader holds must never change, and
 /// memory that the other process can write into may. So there is one place for a picture, the host fills it
 /// when it is asked for a frame, and no slot can be held by a slow reader.
 ///

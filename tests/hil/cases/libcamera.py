@@ -40,6 +40,13 @@ def host_of(started):
     return pids[0]
 
 
+def check_undisturbed(started, end):
+    """It streamed all along."""
+    reasons = [line["reason"] for line in started.of("state") if line["reason"]]
+    check(end["reopened"] == 0 and not reasons, f"reopened {end['reopened']} times: {reasons}")
+    check_counted(end)
+
+
 def check_pictures(frames):
     """Every frame is a whole picture, and none comes twice or earlier than the one before."""
     for frame in frames:
@@ -77,7 +84,7 @@ def streams_640x480():
     figure("of the device: taken, sent, missed", [device[name] for name in ("taken", "sent", "missed")])
     figure("delivered, skipped, lost, omitted", [end[name] for name in ("delivered", "skipped", "lost", "omitted")])
     figure("time stamp to delivery, ms: median, max", [round(lags_ms[len(lags_ms) // 2], 1), round(lags_ms[-1], 1)])
-    check_counted(end)
+    check_undisturbed(started, end)
 
 
 @test
@@ -127,7 +134,32 @@ def motion_jpeg():
         end = started.end()
         camera.end()
     check_pictures(frames)
-    check_counted(end)
+    check_undisturbed(started, end)
+
+
+@test
+def two_cameras_are_apart():
+    """What happens to one's process and plug does not reach the other."""
+    with Camera() as camera, Camera(port=1) as other_camera:
+        with streaming(rate=15) as started, streaming(rate=15, port=1) as other:
+            for _ in range(2):
+                since = len(started.lines)
+                os.kill(host_of(started), signal.SIGKILL)
+                started.wait_state("failing", since=since)
+                started.wait_state("streaming", since=since, timeout_s=30)
+                since = len(started.lines)
+                camera.unplug()
+                wait_until(lambda: [line for line in started.of("state", since) if line["state"] != "streaming"], 10, "it goes on")
+                camera.plug()
+                started.wait_state("streaming", since=since, timeout_s=30)
+            other.wait_frames(5)
+            end = other.end()
+            started.end()
+        check_pictures(started.frames())
+        check_pictures(other.frames())
+        check_undisturbed(other, end)
+        camera.end()
+        other_camera.end()
 
 
 def process_dies(signal_number, state, reason):
