@@ -241,8 +241,12 @@ void ContainedCamera::give_up(CameraState state, const std::string& reason) {
   if (host_sequence_ && now_ns - begun_ns_ >= in_ns(patience_.proven)) {
     pause_ns_ = in_ns(patience_.shortest_pause);
   }
-  retry_ns_ = now_ns + pause_ns_;
-  pause_ns_ = std::min(2 * pause_ns_, in_ns(patience_.longest_pause));
+  if (state == CameraState::Absent) {
+    retry_ns_ = now_ns + in_ns(patience_.absent_pause);
+  } else {
+    retry_ns_ = now_ns + pause_ns_;
+    pause_ns_ = std::min(2 * pause_ns_, in_ns(patience_.longest_pause));
+  }
   set_state(state, fmt::format("{}: {}", info_.name, reason));
 }
 

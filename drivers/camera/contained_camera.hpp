@@ -17,15 +17,16 @@ struct HostPatience {
   std::chrono::milliseconds first_frame{5'000};   ///< at least; then it is V4l2Config::stall_after
   std::chrono::milliseconds shortest_pause{250};  ///< before it is started anew; doubled each time
   std::chrono::milliseconds longest_pause{2'000};
-  std::chrono::milliseconds proven{10'000};  ///< once it has streamed for so long, pauses begin anew
+  std::chrono::milliseconds absent_pause{1'000};  ///< between two looks for a device that is not there
+  std::chrono::milliseconds proven{10'000};       ///< once it has streamed for so long, pauses begin anew
 };
 
 /// A live camera in a process of its own: a library that crashes, hangs, leaks or writes where it should not
 /// ends that process, which is started anew with pauses that grow. CameraStatus::reason says how it ended.
 ///
-/// A frame costs a copy on either side (1280x720 px: less than 0.2 ms each): what a reader holds must never change, and
-/// memory that the other process can write into may. So there is one place for a picture, the host fills it
-/// when it is asked for a frame, and no slot can be held by a slow reader.
+/// A frame costs a copy on either side (1280x720 px: less than 0.2 ms each): what a reader holds must never
+/// change, and memory that the other process can write into may. So there is one place for a picture, the
+/// host fills it when it is asked for a frame, and no slot can be held by a slow reader.
 ///
 /// Frame::timestamp_ns comes from the host; one that lies in the future or before the host's start is a
 /// fault, as is a sequence number that does not grow.

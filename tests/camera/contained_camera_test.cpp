@@ -76,6 +76,7 @@ class ContainedCamera : public ::testing::Test {
     patience_.first_frame = 10s;
     patience_.shortest_pause = 1ms;
     patience_.longest_pause = 20ms;
+    patience_.absent_pause = 5ms;
   }
 
   std::unique_ptr<Camera> open(const std::string& script) {

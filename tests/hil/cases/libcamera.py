@@ -1,7 +1,6 @@
 """Cameras of libcamera, each in a process of its own: the emulated USB camera through libcamera's uvcvideo handler."""
 import json
 import os
-import re
 import signal
 import subprocess
 import time
@@ -160,6 +159,49 @@ def two_cameras_are_apart():
         check_undisturbed(other, end)
         camera.end()
         other_camera.end()
+
+
+@test
+def facetd_is_killed():
+    """facetd with such a camera; when it is killed, the camera's process ends, and the next facetd can have the camera."""
+    FOLDER.mkdir(exist_ok=True)
+    (FOLDER / "takes").mkdir(exist_ok=True)
+    config = FOLDER / "facet.toml"
+    config.write_text(f"""mode = "frames"
+[[camera]]
+name = "usb"
+kind = "libcamera"
+id = '{camera_id()}'
+width_px = 320
+height_px = 240
+rate_hz = 30.0
+[stream]
+socket = "{FOLDER}/stream.sock"
+[control]
+socket = "{FOLDER}/control.sock"
+[takes]
+folder = "{FOLDER}/takes"
+""")
+
+    def delivered():
+        done = subprocess.run([BIN / "facet", "status", "--json", f"--config={config}"], capture_output=True, text=True, check=False)
+        cameras = (json.loads(done.stdout)["rig"] or {}).get("cameras") if done.returncode == 0 else []
+        return cameras[0]["frames"]["delivered"] if cameras else 0
+
+    def hosts():
+        return [path.parent.name for path in Path("/proc").glob("[0-9]*/comm") if path.read_text().startswith("facet-camera-ho")]
+
+    with Camera() as camera:
+        for _ in range(2):
+            daemon = subprocess.Popen([BIN / "facetd", f"--config={config}"])
+            try:
+                wait_until(lambda: delivered() > 10, 60, lambda: f"no frames; facetd's status: {daemon.poll()}")
+                check(len(hosts()) == 1, f"processes of cameras: {hosts()}")
+            finally:
+                daemon.kill()
+                daemon.wait()
+            wait_until(lambda: not hosts(), 5, lambda: f"they go on: {hosts()}")
+        camera.end()
 
 
 def process_dies(signal_number, state, reason):
