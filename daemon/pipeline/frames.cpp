@@ -1,26 +1,24 @@
 #include "pipeline/frames.hpp"
 
 #include <fmt/format.h>
-#include <pthread.h>
 
 #include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <cmath>
 #include <condition_variable>
-#include <exception>
 #include <fstream>
 #include <mutex>
 #include <optional>
 #include <set>
 #include <string>
-#include <thread>
 #include <utility>
 
 #include "capture/frame_set_assembler.hpp"
 #include "facet/error.hpp"
 #include "pipeline/figures.hpp"
 #include "pipeline/frame_pool.hpp"
+#include "pipeline/workers.hpp"
 #include "simulation/simulated_rig.hpp"
 #include "trigger/edge_log.hpp"
 #include "trigger/program.hpp"
@@ -219,7 +217,8 @@ struct FramesPipeline::Impl {
         sinks(std::move(given_sinks)),
         capture(capture_config(rig)),
         assembler(capture),
-        progress(worker_names(rig.cameras.size())),
+        workers(worker_names(rig.cameras.size()),
+                [this](ErrorKind kind, const std::string& what) { fail(kind, what); }),
         watched(rig.cameras.size()),
         edge_log(rig.config.edge_log, rig.config.program) {}
 
@@ -227,15 +226,13 @@ struct FramesPipeline::Impl {
   Rig rig;
   std::vector<MeshSink*> sinks;
   capture::CaptureConfig capture;
-  std::vector<std::thread> threads;
 
   // Shared by the threads.
   Messages messages;
   std::atomic<bool> stopping{false};
-  std::atomic<int> threads_at_work{0};
   std::atomic<std::size_t> cameras_at_work{0};
   capture::FrameSetAssembler assembler;
-  Progress progress;
+  Workers workers;
   mutable std::mutex mutex;
   std::condition_variable stop_asked;  ///< for the pause between two attempts
   PipelineStatus shown;                ///< guarded by mutex, as all below
@@ -262,7 +259,6 @@ struct FramesPipeline::Impl {
   EdgeLogFile edge_log;
   std::uint64_t next_slot = 0;
 
-  void begin(std::size_t worker, std::function<void()> work);
   void fail(ErrorKind kind, const std::string& what);
   void set_state(PipelineState state);
 
@@ -277,23 +273,6 @@ struct FramesPipeline::Impl {
   void deliver(std::shared_ptr<FrameSet> set);
   void look_after_steps();
 };
-
-void FramesPipeline::Impl::begin(std::size_t worker, std::function<void()> work) {
-  ++threads_at_work;
-  progress.beat(worker);
-  threads.emplace_back([this, worker, work = std::move(work)] {
-    ::pthread_setname_np(::pthread_self(), progress.name(worker).c_str());
-    try {
-      work();
-    } catch (const Error& error) {
-      fail(error.kind(), error.what());
-    } catch (const std::exception& error) {
-      fail(ErrorKind::Internal, error.what());
-    }
-    progress.end(worker);
-    --threads_at_work;
-  });
-}
 
 void FramesPipeline::Impl::fail(ErrorKind kind, const std::string& what) {
   {
@@ -344,7 +323,7 @@ void FramesPipeline::Impl::run_camera(std::size_t index) {
   CaptureOutcome outcome = CaptureOutcome::Timeout;
   while (!stopping && outcome != CaptureOutcome::Failed && outcome != CaptureOutcome::EndOfStream) {
     Frame frame;
-    progress.beat(kFirstCamera + index);
+    workers.beat(kFirstCamera + index);
     outcome = camera.next(frame, kPatience);
     watch_camera(index, state, reason);
     if (outcome == CaptureOutcome::Delivered) {
@@ -375,7 +354,7 @@ bool FramesPipeline::Impl::pause(Clock::duration duration) {
   const Clock::time_point end = Clock::now() + duration;
   std::unique_lock lock(mutex);
   while (!stopping && Clock::now() < end) {
-    progress.beat(kEdges);
+    workers.beat(kEdges);
     stop_asked.wait_until(lock, std::min(end, Clock::now() + kLookPeriod));
   }
   return !stopping;
@@ -398,7 +377,7 @@ bool FramesPipeline::Impl::fire_until_failed(Trigger& lines) {
   bool failed = false;
   while (!stopping && !failed) {
     TriggerEvent event;
-    progress.beat(kEdges);
+    workers.beat(kEdges);
     if (lines.next(event, kPatience)) {
       take_event(event);
     } else {
@@ -439,7 +418,7 @@ void FramesPipeline::Impl::run_trigger() {
       reason = error.what();
     }
     show_trigger(nullptr, reason);
-    progress.beat(kEdges);
+    workers.beat(kEdges);
     messages.warning(fmt::format("trigger failing: {}", reason));
     if (!pause(wait)) {
       return;
@@ -515,7 +494,7 @@ void FramesPipeline::Impl::hand_out_sets() {
   Clock::time_point last_set = Clock::now();
   std::shared_ptr<FrameSet> set = sets.take();
   while (!stopping) {
-    progress.beat(kSets);
+    workers.beat(kSets);
     switch (assembler.next(*set, kPatience)) {
       case capture::FrameSetAssembler::Outcome::Delivered:
         last_set = Clock::now();
@@ -550,12 +529,12 @@ void FramesPipeline::start() {
   Impl& impl = *impl_;
   impl.set_state(PipelineState::Preparing);
   impl.cameras_at_work = impl.rig.cameras.size();
-  impl.begin(kSets, [&impl] { impl.hand_out_sets(); });
+  impl.workers.begin(kSets, [&impl] { impl.hand_out_sets(); });
   for (std::size_t i = 0; i < impl.rig.cameras.size(); ++i) {
-    impl.begin(kFirstCamera + i, [&impl, i] { impl.run_camera(i); });
+    impl.workers.begin(kFirstCamera + i, [&impl, i] { impl.run_camera(i); });
   }
   if (impl.rig.open_trigger) {
-    impl.begin(kEdges, [&impl] { impl.run_trigger(); });
+    impl.workers.begin(kEdges, [&impl] { impl.run_trigger(); });
   }
 }
 
@@ -570,14 +549,11 @@ void FramesPipeline::request_stop() {
 
 void FramesPipeline::stop() {
   request_stop();
-  for (std::thread& thread : impl_->threads) {
-    thread.join();
-  }
-  impl_->threads.clear();
+  impl_->workers.join();
 }
 
 bool FramesPipeline::finished() const {
-  return impl_->threads_at_work == 0;
+  return impl_->workers.finished();
 }
 
 PipelineStatus FramesPipeline::status() const {
@@ -612,7 +588,7 @@ PipelineStatus FramesPipeline::status() const {
 }
 
 std::optional<Progress::Silence> FramesPipeline::longest_silence() const {
-  return impl_->progress.longest_silence();
+  return impl_->workers.progress().longest_silence();
 }
 
 void FramesPipeline::reset_identity() {

@@ -1,20 +1,18 @@
 #include "pipeline/monocular.hpp"
 
 #include <fmt/format.h>
-#include <pthread.h>
 
 #include <atomic>
 #include <chrono>
-#include <exception>
 #include <mutex>
 #include <optional>
-#include <thread>
 #include <utility>
 
 #include "pipeline/bounded_queue.hpp"
 #include "pipeline/figures.hpp"
 #include "pipeline/frame_pool.hpp"
 #include "pipeline/subject_builder.hpp"
+#include "pipeline/workers.hpp"
 
 namespace facet::pipeline {
 namespace {
@@ -68,17 +66,16 @@ struct MonocularPipeline::Impl {
   Options options;
   std::vector<MeshSink*> sinks;
   CameraInfo source;
-  std::vector<std::thread> threads;
 
   // facet-capture until it closes `captured`, then facet-refine.
   std::optional<Error> source_failure;
 
   // Shared by the threads.
   Messages messages;
-  Progress progress{{"facet-capture", "facet-track", "facet-refine"}};
+  Workers workers{{"facet-capture", "facet-track", "facet-refine"},
+                  [this](ErrorKind kind, const std::string& what) { fail(kind, what); }};
   std::atomic<bool> stopping{false};
   std::atomic<bool> wants_new_identity{false};
-  std::atomic<int> threads_at_work{0};
   BoundedQueue<Captured> captured;
   BoundedQueue<Tracked> tracked;
   FramePool pool;
@@ -102,7 +99,6 @@ struct MonocularPipeline::Impl {
   std::uint32_t subject_count = 0;  ///< TrackResult::subject that `subject` was built for
   bool face_was_away = false;       ///< since the last frame with a mesh
 
-  void begin(Worker worker, void (Impl::*work)());
   void fail(ErrorKind kind, const std::string& what);
   void set_state(PipelineState state);
 
@@ -120,23 +116,6 @@ struct MonocularPipeline::Impl {
   void add_displacements(Tracked& item);
   void hand_out(Tracked& item);
 };
-
-void MonocularPipeline::Impl::begin(Worker worker, void (Impl::*work)()) {
-  ++threads_at_work;
-  progress.beat(worker);
-  threads.emplace_back([this, worker, work] {
-    ::pthread_setname_np(::pthread_self(), progress.name(worker).c_str());
-    try {
-      (this->*work)();
-    } catch (const Error& error) {
-      fail(error.kind(), error.what());
-    } catch (const std::exception& error) {
-      fail(ErrorKind::Internal, error.what());
-    }
-    progress.end(worker);
-    --threads_at_work;
-  });
-}
 
 void MonocularPipeline::Impl::fail(ErrorKind kind, const std::string& what) {
   {
@@ -170,7 +149,7 @@ void MonocularPipeline::Impl::capture() {
 
 void MonocularPipeline::Impl::capture_until_end() {
   while (!stopping) {
-    progress.beat(kCapture);
+    workers.beat(kCapture);
     Captured item;
     const Clock::time_point begun = Clock::now();
     const CaptureOutcome outcome = stages.camera->next(item.frame, kCaptureTimeout);
@@ -232,12 +211,12 @@ void MonocularPipeline::Impl::note_camera() {
 
 bool MonocularPipeline::Impl::take(Captured&& item) {
   return source.live ? captured.push_newest(std::move(item))
-                     : captured.push(std::move(item), [this] { progress.beat(kCapture); });
+                     : captured.push(std::move(item), [this] { workers.beat(kCapture); });
 }
 
 void MonocularPipeline::Impl::track() {
   set_state(PipelineState::Preparing);
-  const auto beat = [this] { progress.beat(kTrack); };
+  const auto beat = [this] { workers.beat(kTrack); };
   stages.coarse->prepare([&] {
     beat();
     return !stopping;
@@ -276,7 +255,7 @@ void MonocularPipeline::Impl::track_one(Captured&& item) {
   tracked_item.identity = identity;
   fill(*tracked_item.mesh, item, result);
   tracked_item.captured = std::move(item);
-  tracked.push(std::move(tracked_item), [this] { progress.beat(kTrack); });
+  tracked.push(std::move(tracked_item), [this] { workers.beat(kTrack); });
 }
 
 void MonocularPipeline::Impl::fill(mesh::MeshFrame& mesh, const Captured& item,
@@ -307,7 +286,7 @@ void MonocularPipeline::Impl::fill(mesh::MeshFrame& mesh, const Captured& item,
 
 void MonocularPipeline::Impl::refine() {
   Tracked item;
-  const auto beat = [this] { progress.beat(kRefine); };
+  const auto beat = [this] { workers.beat(kRefine); };
   while (tracked.pop(item, beat)) {
     beat();
     if (stopping) {
@@ -411,9 +390,9 @@ MonocularPipeline::~MonocularPipeline() {
 
 void MonocularPipeline::start() {
   impl_->set_state(PipelineState::Preparing);
-  impl_->begin(kRefine, &Impl::refine);
-  impl_->begin(kTrack, &Impl::track);
-  impl_->begin(kCapture, &Impl::capture);
+  impl_->workers.begin(kRefine, [impl = impl_.get()] { impl->refine(); });
+  impl_->workers.begin(kTrack, [impl = impl_.get()] { impl->track(); });
+  impl_->workers.begin(kCapture, [impl = impl_.get()] { impl->capture(); });
 }
 
 void MonocularPipeline::request_stop() {
@@ -425,14 +404,11 @@ void MonocularPipeline::request_stop() {
 
 void MonocularPipeline::stop() {
   request_stop();
-  for (std::thread& thread : impl_->threads) {
-    thread.join();
-  }
-  impl_->threads.clear();
+  impl_->workers.join();
 }
 
 bool MonocularPipeline::finished() const {
-  return impl_->threads_at_work == 0;
+  return impl_->workers.finished();
 }
 
 PipelineStatus MonocularPipeline::status() const {
@@ -446,7 +422,7 @@ PipelineStatus MonocularPipeline::status() const {
 }
 
 std::optional<Progress::Silence> MonocularPipeline::longest_silence() const {
-  return impl_->progress.longest_silence();
+  return impl_->workers.progress().longest_silence();
 }
 
 void MonocularPipeline::reset_identity() {
