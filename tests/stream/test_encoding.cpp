@@ -253,7 +253,7 @@ Frame picture(int width_px, int height_px, bool grey) {
   auto pixels = std::make_shared<std::uint8_t[]>(size);
   for (std::size_t i = 0; i < size; ++i) {
     const std::size_t value = grey ? i / 4 : i;
-    pixels[i] = i % 4 == 3 ? std::uint8_t{255} : static_cast<std::uint8_t>(value * 37 % 251);
+    pixels.get()[i] = i % 4 == 3 ? std::uint8_t{255} : static_cast<std::uint8_t>(value * 37 % 251);
   }
   frame.pixels = std::move(pixels);
   return frame;
