@@ -116,13 +116,13 @@ ContainedCamera::ContainedCamera(const CameraConfig& config, std::filesystem::pa
     : config_(config),
       program_(std::move(program)),
       patience_(patience),
-      layout_(picture_layout(config.v4l2.width_px, config.v4l2.height_px)),
+      layout_(picture_layout(config.live.width_px, config.live.height_px)),
       pause_ns_(in_ns(patience.shortest_pause)) {
   info_.name = fmt::format("{} {}", config.kind,
                            config.libcamera.id.empty() ? std::string("camera") : config.libcamera.id);
-  info_.width_px = config.v4l2.width_px;
-  info_.height_px = config.v4l2.height_px;
-  info_.rate_hz = config.v4l2.rate_hz;
+  info_.width_px = config.live.width_px;
+  info_.height_px = config.live.height_px;
+  info_.rate_hz = config.live.rate_hz;
   info_.live = true;
   try {
     check_device();
@@ -282,7 +282,7 @@ bool ContainedCamera::take(Frame& out) {
       case HostMessage::Kind::Opened:
         opened_ = true;
         last_life_ns_ = monotonic_ns();
-        watchdog_ns_ = last_life_ns_ + in_ns(std::max(config_.v4l2.stall_after, patience_.first_frame));
+        watchdog_ns_ = last_life_ns_ + in_ns(std::max(config_.live.stall_after, patience_.first_frame));
         break;
       case HostMessage::Kind::Alive:
         note_counters(message->counters);
@@ -382,7 +382,7 @@ void ContainedCamera::note_delivery(const Frame& frame, std::int64_t now_ns) {
   sequence_ = frame.sequence;
   timestamp_ns_ = frame.timestamp_ns;
   last_life_ns_ = now_ns;
-  watchdog_ns_ = now_ns + in_ns(config_.v4l2.stall_after);
+  watchdog_ns_ = now_ns + in_ns(config_.live.stall_after);
   const std::scoped_lock lock(shown_mutex_);
   ++status_.counters.delivered;
   status_.counters.reopened += delivered_before_ && !host_sequence_ ? 1 : 0;

@@ -14,7 +14,7 @@ namespace facet::camera {
 /// How long a camera's process may take for what.
 struct HostPatience {
   std::chrono::milliseconds open{10'000};         ///< from its start until the camera is open
-  std::chrono::milliseconds first_frame{5'000};   ///< at least; then it is V4l2Config::stall_after
+  std::chrono::milliseconds first_frame{5'000};   ///< at least; then it is LiveConfig::stall_after
   std::chrono::milliseconds shortest_pause{250};  ///< before it is started anew; doubled each time
   std::chrono::milliseconds longest_pause{2'000};
   std::chrono::milliseconds absent_pause{1'000};  ///< between two looks for a device that is not there

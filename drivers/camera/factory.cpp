@@ -11,7 +11,7 @@ bool names_source(const CameraConfig& config) {
   if (config.kind == "file") {
     return !config.path.empty();
   }
-  return config.kind != "v4l2" || !config.v4l2.device.empty();
+  return config.kind != "v4l2" || !config.live.device.empty();
 }
 
 std::unique_ptr<Camera> open_camera(const CameraConfig& config) {
@@ -19,7 +19,7 @@ std::unique_ptr<Camera> open_camera(const CameraConfig& config) {
     return open_video_file(config);
   }
   if (config.kind == "v4l2") {
-    return open_v4l2_camera(config.v4l2);
+    return open_v4l2_camera(config.live);
   }
   if (config.kind == "libcamera") {
     return open_contained_camera(config);

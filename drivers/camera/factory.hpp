@@ -11,16 +11,16 @@
 
 namespace facet::camera {
 
-/// A device of V4L2 and how it is set. Without a value a control is regulated by the device itself, where it
-/// can.
-struct V4l2Config {
-  std::filesystem::path device{};  ///< such as /dev/v4l/by-path/..., which names a socket, or /dev/video0
-  std::string format = "auto";     ///< one of kV4l2Formats
+/// How a live camera is set. Without a value a control is regulated by the device itself, where it can.
+struct LiveConfig {
+  std::filesystem::path
+      device{};                 ///< v4l2: such as /dev/v4l/by-path/..., which names a socket, or /dev/video0
+  std::string format = "auto";  ///< one of kV4l2Formats
   int width_px = 1280;
   int height_px = 720;
   double rate_hz = 30;
   std::optional<int> exposure_us{};
-  std::optional<int> gain{};                    ///< in units of the device
+  std::optional<int> gain{};                    ///< v4l2: in units of the device
   std::optional<int> white_balance_k{};         ///< colour temperature
   unsigned buffers = 4;                         ///< that the driver fills in turn
   std::chrono::milliseconds stall_after{2000};  ///< without a frame: the device is started anew
@@ -29,10 +29,10 @@ struct V4l2Config {
 /// "auto": the first of those after it that has size and rate.
 inline constexpr std::array kV4l2Formats = {"auto", "YUYV", "NV12", "MJPEG", "GREY", "Y16", "Y10"};
 
-/// What a camera of libcamera is set to beyond V4l2Config.
+/// What a camera of libcamera is set to beyond LiveConfig.
 struct LibcameraConfig {
   std::string id{};                  ///< of libcamera; empty: the only camera there is
-  std::optional<double> gain{};      ///< analogue, times; instead of V4l2Config::gain
+  std::optional<double> gain{};      ///< analogue, times; instead of LiveConfig::gain
   std::optional<double> red_gain{};  ///< of the white balance; both or none
   std::optional<double> blue_gain{};
 };
@@ -48,7 +48,7 @@ struct CameraConfig {
   bool paced = false;  ///< file: deliver at the recorded rate and skip what the reader is too slow for, like
                        ///< a live camera
   bool loop = false;   ///< file: start over at the end; sequence and times go on
-  V4l2Config v4l2{};   ///< libcamera: all of it counts but device and gain
+  LiveConfig live{};   ///< v4l2, libcamera
   LibcameraConfig libcamera{};
 };
 

@@ -107,19 +107,19 @@ const std::vector<Argument>& known_arguments() {
       text(
           "id", [](CameraConfig & config) -> auto& { return config.libcamera.id; }),
       text(
-          "format", [](CameraConfig & config) -> auto& { return config.v4l2.format; }),
+          "format", [](CameraConfig & config) -> auto& { return config.live.format; }),
       number(
-          "width-px", [](CameraConfig & config) -> auto& { return config.v4l2.width_px; }),
+          "width-px", [](CameraConfig & config) -> auto& { return config.live.width_px; }),
       number(
-          "height-px", [](CameraConfig & config) -> auto& { return config.v4l2.height_px; }),
+          "height-px", [](CameraConfig & config) -> auto& { return config.live.height_px; }),
       number(
-          "rate-hz", [](CameraConfig & config) -> auto& { return config.v4l2.rate_hz; }),
+          "rate-hz", [](CameraConfig & config) -> auto& { return config.live.rate_hz; }),
       number(
-          "exposure-us", [](CameraConfig & config) -> auto& { return config.v4l2.exposure_us; }),
+          "exposure-us", [](CameraConfig & config) -> auto& { return config.live.exposure_us; }),
       number(
-          "white-balance-k", [](CameraConfig & config) -> auto& { return config.v4l2.white_balance_k; }),
+          "white-balance-k", [](CameraConfig & config) -> auto& { return config.live.white_balance_k; }),
       number(
-          "buffers", [](CameraConfig & config) -> auto& { return config.v4l2.buffers; }),
+          "buffers", [](CameraConfig & config) -> auto& { return config.live.buffers; }),
       number(
           "gain", [](CameraConfig & config) -> auto& { return config.libcamera.gain; }),
       number(
@@ -260,7 +260,7 @@ Wish next_wish(std::chrono::milliseconds patience) {
 /// Hands over frames; returns once the parent wants no more or the camera can't go on.
 class Delivery {
  public:
-  Delivery(Camera& camera, const V4l2Config& size)
+  Delivery(Camera& camera, const LiveConfig& size)
       : camera_(camera), size_(size), picture_(size.width_px, size.height_px) {}
 
   void run() {
@@ -323,7 +323,7 @@ class Delivery {
   }
 
   Camera& camera_;
-  const V4l2Config& size_;
+  const LiveConfig& size_;
   Picture picture_;
   Clock::time_point told_ = Clock::now();
 };
@@ -355,7 +355,7 @@ bool open_for_parent(const Arguments& arguments, const HostedCameras& cameras) {
     message.name = camera->info().name;
     tell(message);
     if (!arguments.check) {
-      Delivery(*camera, arguments.config.v4l2).run();
+      Delivery(*camera, arguments.config.live).run();
       camera->stop();
     }
   });

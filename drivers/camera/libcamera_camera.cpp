@@ -268,7 +268,7 @@ class LibcameraCamera final : public Camera {
 
 LibcameraCamera::LibcameraCamera(const CameraConfig& config)
     : config_(config),
-      count_(std::llround(static_cast<double>(kSecond_ns) / config.v4l2.rate_hz)),
+      count_(std::llround(static_cast<double>(kSecond_ns) / config.live.rate_hz)),
       manager_(start_manager()) {
   find_camera();
   demand(camera_->acquire(), "acquire");
@@ -280,9 +280,9 @@ LibcameraCamera::LibcameraCamera(const CameraConfig& config)
     throw;
   }
   info_.name = name_of(*camera_);
-  info_.width_px = config.v4l2.width_px;
-  info_.height_px = config.v4l2.height_px;
-  info_.rate_hz = config.v4l2.rate_hz;
+  info_.width_px = config.live.width_px;
+  info_.height_px = config.live.height_px;
+  info_.rate_hz = config.live.rate_hz;
   info_.live = true;
   camera_->requestCompleted.connect(this, &LibcameraCamera::on_completed);
   camera_->disconnected.connect(this, &LibcameraCamera::on_disconnected);
@@ -319,7 +319,7 @@ void LibcameraCamera::find_camera() {
 }
 
 void LibcameraCamera::choose_format() {
-  const V4l2Config& wanted = config_.v4l2;
+  const LiveConfig& wanted = config_.live;
   const libcamera::Size size(static_cast<unsigned>(wanted.width_px), static_cast<unsigned>(wanted.height_px));
   const libcamera::StreamFormats offered = generate(*camera_)->at(0).formats();
   const std::vector<libcamera::PixelFormat> formats = offered.pixelformats();

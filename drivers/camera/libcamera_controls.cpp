@@ -123,7 +123,7 @@ void set_switch(const ControlInfoMap& controls, const char* name, double value, 
 }
 
 void set_exposure(const CameraConfig& config, const ControlInfoMap& controls, LibcameraControls& made) {
-  const std::optional<int> exposure_us = config.v4l2.exposure_us;
+  const std::optional<int> exposure_us = config.live.exposure_us;
   const std::optional<double> gain = config.libcamera.gain;
   if (find(controls, "ExposureTimeMode")) {
     set_switch(controls, "ExposureTimeMode", exposure_us ? kModeManual : kModeAuto, made.switches);
@@ -142,7 +142,7 @@ void set_exposure(const CameraConfig& config, const ControlInfoMap& controls, Li
 }
 
 void set_white_balance(const CameraConfig& config, const ControlInfoMap& controls, LibcameraControls& made) {
-  const std::optional<int> temperature_k = config.v4l2.white_balance_k;
+  const std::optional<int> temperature_k = config.live.white_balance_k;
   const bool gains = config.libcamera.red_gain && config.libcamera.blue_gain;
   set_switch(controls, "AwbEnable", temperature_k || gains ? 0 : 1, made.switches);
   if (temperature_k) {
@@ -163,9 +163,9 @@ void set_rate(const CameraConfig& config, const ControlInfoMap& controls, Libcam
   if (!control) {
     return;
   }
-  const double duration_us = 1e6 / config.v4l2.rate_hz;
+  const double duration_us = 1e6 / config.live.rate_hz;
   if (duration_us < control->least * (1 - kTolerance) || duration_us > control->most * (1 + kTolerance)) {
-    refuse(fmt::format("source.rate_hz = {:.4g}: the camera takes {:.4g} to {:.4g}", config.v4l2.rate_hz,
+    refuse(fmt::format("source.rate_hz = {:.4g}: the camera takes {:.4g} to {:.4g}", config.live.rate_hz,
                        1e6 / control->most, 1e6 / control->least));
   }
   const std::array<std::int64_t, 2> limits = {std::llround(duration_us), std::llround(duration_us)};

@@ -47,7 +47,7 @@ std::optional<std::int64_t> stamp_ns(const v4l2_buffer& buffer) {
 
 class V4l2Camera final : public Camera {
  public:
-  V4l2Camera(const V4l2Config& config, V4l2Kernel& kernel);
+  V4l2Camera(const LiveConfig& config, V4l2Kernel& kernel);
 
   CameraInfo info() const override { return info_; }
   CameraStatus status() const override;
@@ -79,7 +79,7 @@ class V4l2Camera final : public Camera {
   void count(std::uint64_t CameraCounters::*which, std::uint64_t how_many = 1);
 
   V4l2Kernel& kernel_;
-  V4l2Config config_;
+  LiveConfig config_;
   CameraInfo info_;
   std::int64_t period_ns_;
 
@@ -105,7 +105,7 @@ class V4l2Camera final : public Camera {
   std::string last_error_;  // guarded by shown_mutex_
 };
 
-V4l2Camera::V4l2Camera(const V4l2Config& config, V4l2Kernel& kernel)
+V4l2Camera::V4l2Camera(const LiveConfig& config, V4l2Kernel& kernel)
     : kernel_(kernel),
       config_(config),
       period_ns_(std::llround(static_cast<double>(kSecond_ns) / config.rate_hz)),
@@ -370,7 +370,7 @@ void V4l2Camera::note_delivery(const Arrived& arrived, const Frame& frame) {
 
 }  // namespace
 
-std::unique_ptr<Camera> open_v4l2_camera(const V4l2Config& config, V4l2Kernel& kernel) {
+std::unique_ptr<Camera> open_v4l2_camera(const LiveConfig& config, V4l2Kernel& kernel) {
   return std::make_unique<V4l2Camera>(config, kernel);
 }
 

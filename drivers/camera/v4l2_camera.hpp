@@ -14,7 +14,7 @@ namespace facet::camera {
 ///
 /// Its device may be absent, busy or broken at any time: `next` looks for it every quarter of a second, or
 /// opens it anew with pauses that grow to two seconds, and a device that is silent for
-/// V4l2Config::stall_after is started anew. Frame::sequence goes on with a gap. What the device offers is
+/// LiveConfig::stall_after is started anew. Frame::sequence goes on with a gap. What the device offers is
 /// checked against the configuration before anything is set.
 ///
 /// Frame::timestamp_ns is the driver's, where it makes sense: CLOCK_MONOTONIC or CLOCK_REALTIME (converted),
@@ -23,7 +23,7 @@ namespace facet::camera {
 ///
 /// Throws Error(Usage) where the device is there and can't do what the configuration asks; the message lists
 /// what it can. The kernel outlives the camera.
-std::unique_ptr<Camera> open_v4l2_camera(const V4l2Config& config, V4l2Kernel& kernel = system_v4l2_kernel());
+std::unique_ptr<Camera> open_v4l2_camera(const LiveConfig& config, V4l2Kernel& kernel = system_v4l2_kernel());
 
 /// A capture device for people.
 struct V4l2Description {

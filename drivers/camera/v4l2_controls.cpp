@@ -16,7 +16,7 @@ namespace {
 /// A value that a device can also regulate by itself.
 struct Regulated {
   const char* key;
-  std::optional<int> V4l2Config::*setting;
+  std::optional<int> LiveConfig::*setting;
   int unit;  ///< of the configuration, in one of the device
   std::uint32_t value_id;
   std::uint32_t auto_id;
@@ -27,15 +27,15 @@ struct Regulated {
 constexpr int kExposureUnit_us = 100;
 constexpr std::array kRegulated = {
     Regulated{"exposure_us",
-              &V4l2Config::exposure_us,
+              &LiveConfig::exposure_us,
               kExposureUnit_us,
               V4L2_CID_EXPOSURE_ABSOLUTE,
               V4L2_CID_EXPOSURE_AUTO,
               {V4L2_EXPOSURE_AUTO, V4L2_EXPOSURE_APERTURE_PRIORITY},
               {V4L2_EXPOSURE_MANUAL, V4L2_EXPOSURE_SHUTTER_PRIORITY}},
-    Regulated{"gain", &V4l2Config::gain, 1, V4L2_CID_GAIN, V4L2_CID_AUTOGAIN, {1, 1}, {0, 0}},
+    Regulated{"gain", &LiveConfig::gain, 1, V4L2_CID_GAIN, V4L2_CID_AUTOGAIN, {1, 1}, {0, 0}},
     Regulated{"white_balance_k",
-              &V4l2Config::white_balance_k,
+              &LiveConfig::white_balance_k,
               1,
               V4L2_CID_WHITE_BALANCE_TEMPERATURE,
               V4L2_CID_AUTO_WHITE_BALANCE,
@@ -90,7 +90,7 @@ bool set(const V4l2Request& request, std::uint32_t id, int value) {
 
 }  // namespace
 
-std::string check_controls(const V4l2Config& config, const V4l2Request& request) {
+std::string check_controls(const LiveConfig& config, const V4l2Request& request) {
   for (const Regulated& regulated : kRegulated) {
     const std::optional<int> wanted = config.*regulated.setting;
     if (!wanted) {
@@ -110,7 +110,7 @@ std::string check_controls(const V4l2Config& config, const V4l2Request& request)
   return {};
 }
 
-std::string set_controls(const V4l2Config& config, const V4l2Request& request) {
+std::string set_controls(const LiveConfig& config, const V4l2Request& request) {
   for (const Regulated& regulated : kRegulated) {
     const std::optional<int> wanted = config.*regulated.setting;
     if (const auto control = find(request, regulated.auto_id)) {

@@ -12,9 +12,9 @@ using V4l2Request = std::function<bool(unsigned long request, void* argument)>;
 
 /// Checks the controls of a configuration against what a device has. Returns what is wrong, with what the
 /// device offers instead; empty where all is well.
-std::string check_controls(const V4l2Config& config, const V4l2Request& request);
+std::string check_controls(const LiveConfig& config, const V4l2Request& request);
 
 /// Sets them, after a check. Returns what the device refused; empty where nothing.
-std::string set_controls(const V4l2Config& config, const V4l2Request& request);
+std::string set_controls(const LiveConfig& config, const V4l2Request& request);
 
 }  // namespace facet::camera

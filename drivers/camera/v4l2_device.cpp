@@ -327,7 +327,7 @@ std::string V4l2Device::offer() const {
   return parts.empty() ? "no pixel format yet" : fmt::format("{}", fmt::join(parts, "; "));
 }
 
-std::uint32_t V4l2Device::choose(const V4l2Config& config) const {
+std::uint32_t V4l2Device::choose(const LiveConfig& config) const {
   if (modes_.empty() && unread_formats_.empty()) {
     // As v4l2loopback does until something writes into it.
     throw DeviceFault(DeviceFault::Kind::Failing, fmt::format("{}: offers {}", path_, offer()));
@@ -349,7 +349,7 @@ std::uint32_t V4l2Device::choose(const V4l2Config& config) const {
                      config.format, config.width_px, config.height_px, config.rate_hz, offer()));
 }
 
-void V4l2Device::check(const V4l2Config& config) const {
+void V4l2Device::check(const LiveConfig& config) const {
   choose(config);
   const std::string wrong = check_controls(
       config, [this](unsigned long request, void* argument) { return ask(request, argument, "controls"); });
@@ -358,7 +358,7 @@ void V4l2Device::check(const V4l2Config& config) const {
   }
 }
 
-void V4l2Device::start(const V4l2Config& config) {
+void V4l2Device::start(const LiveConfig& config) {
   check(config);
   set_format(config);
   set_rate(config);
@@ -374,7 +374,7 @@ void V4l2Device::start(const V4l2Config& config) {
   streaming_ = true;
 }
 
-void V4l2Device::set_format(const V4l2Config& config) {
+void V4l2Device::set_format(const LiveConfig& config) {
   const std::uint32_t fourcc = choose(config);
   v4l2_format format{};
   format.type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
@@ -407,7 +407,7 @@ void V4l2Device::set_format(const V4l2Config& config) {
   format_.least_bytes = picture_bytes(layout, config.width_px, config.height_px, format_.stride_bytes);
 }
 
-void V4l2Device::set_rate(const V4l2Config& config) const {
+void V4l2Device::set_rate(const LiveConfig& config) const {
   v4l2_streamparm parameters{};
   parameters.type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
   // Thousandths: enough for 29.97.

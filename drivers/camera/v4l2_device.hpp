@@ -45,10 +45,10 @@ class V4l2Device {
   std::string offer() const;
 
   /// Throws Unsuitable where the device can't do it; changes nothing in the device.
-  void check(const V4l2Config& config) const;
+  void check(const LiveConfig& config) const;
 
   /// Sets format, rate and controls, hands the driver its buffers and begins the stream.
-  void start(const V4l2Config& config);
+  void start(const LiveConfig& config);
 
   struct Format {
     std::optional<PixelLayout> layout;  ///< none: JPEG
@@ -85,9 +85,9 @@ class V4l2Device {
   void read_modes();
   void read_sizes(std::uint32_t fourcc);
   void read_rates(V4l2Mode& mode) const;
-  std::uint32_t choose(const V4l2Config& config) const;
-  void set_format(const V4l2Config& config);
-  void set_rate(const V4l2Config& config) const;
+  std::uint32_t choose(const LiveConfig& config) const;
+  void set_format(const LiveConfig& config);
+  void set_rate(const LiveConfig& config) const;
   void map_buffers(unsigned count);
 
   V4l2Kernel& kernel_;

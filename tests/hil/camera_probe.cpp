@@ -126,33 +126,33 @@ void watch(Camera& camera, double seconds, bool quiet) {
 int run(int argc, char** argv) {
   camera::CameraConfig config;
   config.kind = "v4l2";
-  config.v4l2.width_px = 640;
-  config.v4l2.height_px = 480;
+  config.live.width_px = 640;
+  config.live.height_px = 480;
   int stall_ms = 2000;
   double seconds = 1e6;
   bool quiet = false;
   std::optional<double> gain;
   CLI::App app("Tells what a camera does, as JSON lines");
-  app.add_option("device", config.v4l2.device, "or its id in libcamera")->required();
+  app.add_option("device", config.live.device, "or its id in libcamera")->required();
   app.add_option("--kind", config.kind);
-  app.add_option("--width", config.v4l2.width_px);
-  app.add_option("--height", config.v4l2.height_px);
-  app.add_option("--rate", config.v4l2.rate_hz);
-  app.add_option("--format", config.v4l2.format);
-  app.add_option("--buffers", config.v4l2.buffers);
-  app.add_option("--exposure-us", config.v4l2.exposure_us);
+  app.add_option("--width", config.live.width_px);
+  app.add_option("--height", config.live.height_px);
+  app.add_option("--rate", config.live.rate_hz);
+  app.add_option("--format", config.live.format);
+  app.add_option("--buffers", config.live.buffers);
+  app.add_option("--exposure-us", config.live.exposure_us);
   app.add_option("--gain", gain);
-  app.add_option("--white-balance-k", config.v4l2.white_balance_k);
+  app.add_option("--white-balance-k", config.live.white_balance_k);
   app.add_option("--stall-ms", stall_ms);
   app.add_option("--seconds", seconds);
   app.add_flag("--quiet", quiet, "no line for a frame");
   CLI11_PARSE(app, argc, argv);
-  config.v4l2.stall_after = std::chrono::milliseconds(stall_ms);
+  config.live.stall_after = std::chrono::milliseconds(stall_ms);
   if (config.kind == "libcamera") {
-    config.libcamera.id = config.v4l2.device.string();
+    config.libcamera.id = config.live.device.string();
     config.libcamera.gain = gain;
   } else if (gain) {
-    config.v4l2.gain = static_cast<int>(*gain);
+    config.live.gain = static_cast<int>(*gain);
   }
   try {
     const auto camera = camera::open_camera(config);

@@ -22,12 +22,14 @@ int check(const std::string& file) {
   std::uint64_t right = 0;
   std::uint64_t unreadable = 0;
   std::uint64_t complete = 0;
+  std::int64_t last_trigger_ns = 0;
   for (std::int64_t index = 0; index < reader.frame_count(); ++index) {
     const auto set = reader.frame(index)->images;
     if (set == nullptr) {
       continue;
     }
     complete += set->complete() ? 1 : 0;
+    last_trigger_ns = set->trigger_ns;
     for (std::size_t camera = 0; camera < set->frames.size(); ++camera) {
       const Frame& picture = set->frames[camera];
       if (picture.empty()) {
@@ -48,6 +50,7 @@ int check(const std::string& file) {
                                      {"right", right},
                                      {"unreadable", unreadable},
                                      {"wrong", wrong},
+                                     {"last_trigger_ns", last_trigger_ns},
                                      {"closed", reader.info().closed}})
                          .dump());
   return wrong.empty() ? 0 : 1;

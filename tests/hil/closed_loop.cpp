@@ -94,10 +94,10 @@ class ClosedLoop {
     for (const std::string& device : options.cameras) {
       camera::CameraConfig config;
       config.kind = "v4l2";
-      config.v4l2.device = device;
-      config.v4l2.width_px = options.width_px;
-      config.v4l2.height_px = options.height_px;
-      config.v4l2.rate_hz = options.rate_hz;
+      config.live.device = device;
+      config.live.width_px = options.width_px;
+      config.live.height_px = options.height_px;
+      config.live.rate_hz = options.rate_hz;
       cameras_.push_back(camera::open_camera(config));
       capture.cameras.push_back({device, 0});
     }

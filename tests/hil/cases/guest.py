@@ -23,14 +23,29 @@ class Skipped(Exception):
 
 def test(function):
     """Marks a test of the short set."""
-    _tests.append((function, False))
+    _tests.append((function, "short"))
     return function
 
 
 def full(function):
     """Marks a test of the full set alone."""
-    _tests.append((function, True))
+    _tests.append((function, "full"))
     return function
+
+
+def after_cut(function):
+    """Marks a test that runs where cut_power names it."""
+    _tests.append((function, "after cut"))
+    return function
+
+
+def cut_power(then):
+    """The guest's power is cut at once; another guest runs the test `then`."""
+    request = HOST / "cut.new"
+    request.write_text(then)
+    request.rename(HOST / "cut")
+    time.sleep(30)
+    raise AssertionError("the power was not cut")
 
 
 def report(name, outcome, seconds, reason=""):
@@ -247,13 +262,51 @@ def check_frames_in_order(frames):
         check(after["timestamp_ns"] <= after["arrival_ns"], "a frame from the future")
 
 
+def check_pictures(frames):
+    """Every frame is a whole picture, and none comes twice or earlier than the one before."""
+    for frame in frames:
+        check("picture" in frame or frame["corrupt"], f"no number in the pixels of frame {frame['sequence']}")
+    numbers = [frame["picture"] for frame in frames if "picture" in frame]
+    for before, after in zip(numbers, numbers[1:]):
+        check(after > before, f"picture {after} after {before}")
+    check_frames_in_order(frames)
+
+
+def come_and_go(probe, leave, come, times, gone=("absent",)):
+    """A camera leaves and comes back `times` times. leave() and come() do it and return when; `gone` are the states that count
+    as noticed. Each is noticed and recovered from, nothing else is counted, and neither descriptors nor memory leak."""
+    noticed_s = []
+    recovered_s = []
+    first = probe.status()
+    for i in range(times):
+        since = len(probe.lines)
+        start = leave()
+        seen = wait_until(lambda: next((line for line in probe.of("state", since) if line["state"] in gone), None), 10,
+                          "nobody notices that it is gone")
+        noticed_s.append((seen["time_ns"] - start) / 1e9)
+        since = len(probe.lines)
+        start = come()
+        recovered_s.append((probe.wait_state("streaming", since=since, timeout_s=30)["time_ns"] - start) / 1e9)
+        probe.wait_frames(3)
+        if i == 1:
+            second = probe.status()
+    end = probe.end()
+    figure("noticed after, s: mean, max", [round(sum(noticed_s) / times, 3), round(max(noticed_s), 3)])
+    figure("recovered after, s: mean, max", [round(sum(recovered_s) / times, 2), round(max(recovered_s), 2)])
+    figure("memory, kB: then, now", [second["resident_kb"], end["resident_kb"]])
+    check(end["reopened"] == times, f"reopened {end['reopened']} times, not {times}")
+    check(end["descriptors"] == first["descriptors"], f"descriptors: {first['descriptors']}, then {end['descriptors']}")
+    check(end["resident_kb"] < second["resident_kb"] + 2000, f"memory: {second['resident_kb']} kB, then {end['resident_kb']} kB")
+    check_counted(end, "reopened")
+
+
 def main():
     """Runs the tests of the file: those of the short set, or with --full all; only those named, where names are given."""
     everything = "--full" in sys.argv
     names = [argument for argument in sys.argv[1:] if argument != "--full"]
-    for function, only_full in _tests:
+    for function, kind in _tests:
         name = function.__name__
-        if (names and name not in names) or (only_full and not everything and not names):
+        if name not in names if names else kind == "after cut" or (kind == "full" and not everything):
             continue
         print(f"--- {name}", flush=True)
         start = time.monotonic()

@@ -2,120 +2,21 @@
 import json
 import os
 import signal
+import socket
 import subprocess
+import threading
 import time
 
 import guest
-from guest import BIN, Chip, Lines, Path, check, figure, full, run, test, wait_until
-
-CAMERAS = [f"/dev/v4l/by-path/platform-vhci_hcd.0-usb-0:{port + 1}:1.0-video-index0" for port in range(2)]
-FOLDER = Path("/tmp/rig")
-RATE = 15
-PATTERN_LINES = 8
-# Cameras and wires wait for no processor: below the trigger's thread, above all else.
-URGENT = {"preexec_fn": lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(30))}
-
-
-def configuration(chip, rate):
-    slot_us = 1_000_000 // rate
-    bits = [f"bit{i}" for i in range(PATTERN_LINES)]
-    patterns = [[bits[i] for i in range(PATTERN_LINES) if slot >> i & 1] for slot in range(1 << PATTERN_LINES)]
-    lines = ['mode = "frames"']
-    for name, device in zip(("left", "right"), CAMERAS):
-        lines += ["[[camera]]", f'name = "{name}"', f'device = "{device}"', "width_px = 320", "height_px = 240",
-                  f"rate_hz = {rate}.0", "stall_after_ms = 2000"]
-    lines += ["[trigger]", 'kind = "gpio"', f"slots_per_second = {rate}.0", f"settle_us = {slot_us // 8}",
-              f"exposure_us = {slot_us // 2}", f"tolerance_us = {slot_us // 4}", f"patterns = {json.dumps(patterns)}",
-              f'edge_log = "{FOLDER}/edges.log"']
-    for i, name in enumerate([*bits, "cameras"]):
-        lines += ["[[trigger.line]]", f'name = "{name}"', f'role = "{"camera" if name == "cameras" else "projector"}"',
-                  f'chip = "{chip.label}"', f'line = "{i}"']
-    lines += ['read_back_line = "9"', "[sets]", "deadline_ms = 500", "[stream]", f'socket = "{FOLDER}/stream.sock"', "[control]",
-              f'socket = "{FOLDER}/control.sock"', "[takes]", f'folder = "{FOLDER}/takes"', "disk_reserve_mb = 1"]
-    return "\n".join(lines) + "\n"
-
-
-class Rig:
-    """A chip, two cameras that watch its lines, the wire that proves edges, and facetd."""
-
-    def __init__(self, chip, rate=RATE):
-        (FOLDER / "takes").mkdir(parents=True, exist_ok=True)
-        self.cameras = [Lines("usb_camera", f"--port={port}", f"--lines={chip.folder}", f"--pattern-lines={PATTERN_LINES}",
-                              f"--trigger={PATTERN_LINES}", f"--exposure-ms={500 / rate}", **URGENT) for port in range(2)]
-        for camera, device in zip(self.cameras, CAMERAS):
-            camera.tell("plug")
-            wait_until(Path(device).exists, 10, f"no {device}")
-        self.wire = subprocess.Popen([BIN / "wire", chip.folder, "8", "9"], **URGENT)
-        self.config = FOLDER / "facet.toml"
-        self.config.write_text(configuration(chip, rate))
-        run(BIN / "facetd", "--check-config", f"--config={self.config}")
-        self.log = open(FOLDER / "log", "w+")
-        self.start()
-
-    def start(self):
-        self.process = subprocess.Popen([BIN / "facetd", f"--config={self.config}"], stderr=self.log, stdout=self.log)
-
-    def facet(self, *arguments):
-        return run(BIN / "facet", *arguments, f"--config={self.config}")
-
-    def rig(self):
-        """What `facet status` says of the rig; nothing while the daemon does not answer."""
-        done = subprocess.run([BIN / "facet", "status", "--json", f"--config={self.config}"], capture_output=True, text=True, check=False)
-        return json.loads(done.stdout).get("rig") if done.returncode == 0 else None
-
-    def wait(self, holds, what, timeout_s=60):
-        """Waits until something holds of the rig; the rig."""
-        last = {}
-
-        def there():
-            nonlocal last
-            check(self.process.poll() is None, f"facetd ended with {self.process.poll()}: {self.said()}")
-            last = self.rig() or last
-            return last if last and holds(last) else None
-        return wait_until(there, timeout_s, lambda: f"{what}: {json.dumps(last)[:1500]}; {self.said()}")
-
-    def wait_sets(self, more):
-        before = (self.wait(lambda rig: True, "no status"))["sets"]["complete"]
-        return self.wait(lambda rig: rig["sets"]["complete"] >= before + more, f"not {more} sets more")
-
-    def said(self):
-        return Path(self.log.name).read_text()[-1500:]
-
-    def stop(self):
-        self.process.send_signal(signal.SIGTERM)
-        check(self.process.wait(30) == 0, f"facetd ended with {self.process.returncode}: {self.said()}")
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.process.kill()
-        self.process.wait()
-        for camera in self.cameras:
-            camera.__exit__()
-        self.wire.kill()
-        self.wire.wait()
-        self.log.close()
-        wait_until(lambda: not any(Path(device).exists() for device in CAMERAS), 10, "the cameras stay")
-
-
-def check_take(name):
-    """Every picture of a take stands in its slot's set; the counts."""
-    done = subprocess.run([BIN / "check_take", FOLDER / "takes" / f"{name}.take"], capture_output=True, text=True, check=False)
-    check(done.returncode in (0, 1), f"check_take: {done.stderr}")
-    told = json.loads(done.stdout)
-    figure("sets recorded, complete; pictures right, wrong",
-           [told["sets"], told["complete"], told["right"], len(told["wrong"])])
-    check(not told["wrong"], f"pictures in the wrong set: {told['wrong'][:5]}")
-    check(told["right"] > 0 and told["unreadable"] == 0, told)
-    return told
+from booth import Rig, check_take, new_chip
+from guest import BIN, Path, check, figure, full, run, test, wait_until
 
 
 @test
 def sets_are_recorded_in_their_slots():
     with Rig(CHIP) as rig:
         rig.wait_sets(10)
-        rig.facet("record", "start", "slots")
+        take = rig.record("slots")
         rig.wait_sets(60)
         rig.facet("record", "stop")
         now = rig.rig()
@@ -124,9 +25,9 @@ def sets_are_recorded_in_their_slots():
         check(now["trigger"]["edges_proven"] > 0, now["trigger"])
         check(now["trigger"]["real_time"], now["trigger"]["scheduling"])
         rig.stop()
-    told = check_take("slots")
+    told = check_take(take)
     check(told["closed"], "the take is not closed")
-    run(BIN / "facet", "export", FOLDER / "takes/slots.take", "--format", "jsonl", "-o", "/tmp/rig/slots.jsonl")
+    run(BIN / "facet", "export", take, "--format", "jsonl", "-o", "/tmp/rig/slots.jsonl")
 
 
 @test
@@ -134,7 +35,7 @@ def a_camera_comes_and_goes():
     """One camera is unplugged, plugged, frozen; the other goes on, and no picture changes its set."""
     with Rig(CHIP) as rig:
         rig.wait_sets(10)
-        rig.facet("record", "start", "faults")
+        take = rig.record("faults")
         faulty = rig.cameras[1]
         faulty.tell("unplug")
         rig.wait(lambda now: now["cameras"][1]["state"] == "absent", "the unplugging is not noticed")
@@ -151,7 +52,7 @@ def a_camera_comes_and_goes():
         check(now["cameras"][1]["frames"]["reopened"] >= 1, f"the faulty camera: {now['cameras'][1]}")
         rig.facet("record", "stop")
         rig.stop()
-    check_take("faults")
+    check_take(take)
 
 
 @test
@@ -174,28 +75,229 @@ def killed_it_leaves_a_take_and_takes_its_lines_again():
     """kill -9 while it records: the take is readable, a second daemon gets lines, cameras and sockets."""
     with Rig(CHIP) as rig:
         rig.wait_sets(10)
-        rig.facet("record", "start", "killed")
+        take = rig.record("killed")
         rig.wait_sets(40)
         rig.process.kill()
+        killed_ns = guest.now_ns()
         rig.process.wait()
         rig.start()
         rig.wait_sets(10)
         rig.stop()
-    told = check_take("killed")
-    check(told["sets"] > 10, told)
+    check_take(take, killed_ns)
+
+
+@test
+def a_line_is_held_by_another_program():
+    """The reason names chip, line and holder; the cameras' states are told; once the line is free, slots are fired."""
+    with subprocess.Popen(["gpioset", "--mode=signal", CHIP.name, "3=0"]) as holder:
+        time.sleep(1)
+        with Rig(CHIP) as rig:
+            failed = rig.wait(lambda now: now["trigger"]["state"] == "failing", "the trigger goes on")
+            figure("reason", failed["trigger"]["reason"])
+            for words in ("bit3", CHIP.name, "gpioset"):
+                check(words in failed["trigger"]["reason"], failed["trigger"])
+            holder.kill()
+            holder.wait()
+            rig.wait_sets(10)
+            rig.stop()
+
+
+@test
+def clock_jumps_and_a_freeze():
+    """The clock of the day jumps, and all of facetd stands still for 5 s, as a suspended machine looks to it, while it records."""
+    with Rig(CHIP) as rig:
+        rig.wait_sets(10)
+        take = rig.record("frozen")
+        rig.wait_sets(10)
+        day = time.clock_gettime(time.CLOCK_REALTIME)
+        for jump_s in (3600, -7200):
+            time.clock_settime(time.CLOCK_REALTIME, day + jump_s)
+            rig.wait_sets(15)
+        time.clock_settime(time.CLOCK_REALTIME, day)
+        rig.process.send_signal(signal.SIGSTOP)
+        time.sleep(5)
+        rig.process.send_signal(signal.SIGCONT)
+        now = rig.wait_sets(30)
+        figure("slots dropped", now["trigger"]["slots_dropped"])
+        check(now["trigger"]["slots_dropped"] >= 60, f"5 s are 75 slots: {now['trigger']}")
+        rig.facet("record", "stop")
+        rig.stop()
+    check_take(take)
+
+
+class Disk:
+    """A small file system of its own for the takes."""
+
+    def __init__(self, megabytes):
+        self.image = Path("/tmp/disk")
+        with open(self.image, "wb") as file:
+            file.truncate(megabytes << 20)
+        run("modprobe", "loop")
+        run("mkfs.ext4", "-q", "-m", "0", self.image)
+        self.device = run("losetup", "--find", "--show", self.image).strip()
+        Rig.takes.mkdir(parents=True, exist_ok=True)
+        run("mount", "-o", "errors=remount-ro", self.device, Rig.takes)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        run("umount", Rig.takes)
+        run("losetup", "-d", self.device)
+        self.image.unlink()
+
+
+def recording_ends(rig, words):
+    """The recording fails with a reason that has these words; sets go on."""
+    status = rig.wait_status(lambda now: now["recording"]["state"] == "failed", "the recording goes on", timeout_s=90)
+    figure("it says", status["recording"]["reason"])
+    check(any(word in status["recording"]["reason"] for word in words), status["recording"])
+    rig.wait_sets(15)
+
+
+@test
+def the_disk_fills_up():
+    """Another program takes all that is free at once, too fast for the reserve. The take keeps all but a second, sets go on, and there
+    is another take once there is room."""
+    with Disk(64) as disk, Rig(CHIP) as rig:
+        rig.wait_sets(10)
+        take = rig.record("full")
+        rig.wait_sets(30)
+        filler = Rig.takes / "filler"
+        subprocess.run(["dd", "if=/dev/zero", f"of={filler}", "bs=1M"], stderr=subprocess.DEVNULL, check=False)
+        full_ns = guest.now_ns()
+        recording_ends(rig, ("space", "full", "free"))
+        check_take(take, full_ns)
+        filler.unlink()
+        again = rig.record("again")
+        rig.wait_sets(15)
+        rig.facet("record", "stop")
+        rig.stop()
+        check(check_take(again)["closed"], "the second take is not closed")
+
+
+@test
+def the_disk_becomes_read_only():
+    """As the kernel does with a file system in which it meets an error."""
+    with Disk(64) as disk, Rig(CHIP) as rig:
+        rig.wait_sets(10)
+        take = rig.record("readonly")
+        rig.wait_sets(30)
+        lost_ns = guest.now_ns()
+        Path(f"/sys/fs/ext4/{Path(disk.device).name}/trigger_fs_error").write_text("a test")
+        recording_ends(rig, ("read-only", "readonly", "disk I/O error"))
+        refused = subprocess.run([BIN / "facet", "record", "start", "next", f"--config={rig.config}"], capture_output=True, text=True,
+                                 check=False)
+        check(refused.returncode != 0, "a second take was begun")
+        figure("a second one", refused.stderr.strip())
+        rig.stop()
+        copy = Path("/tmp/copy")
+        copy.mkdir(exist_ok=True)
+        run("cp", *take.parent.glob("readonly.take*"), copy)
+        check_take(copy / take.name, lost_ns)
+
+
+@test
+def the_control_socket_is_abused():
+    """Too many connections, lines without an end, nonsense, and someone who sends a byte now and then: refused or bounded. facetd
+    answers others, sets go on."""
+    def connect():
+        connection = socket.socket(socket.AF_UNIX)
+        connection.settimeout(10)
+        connection.connect(str(Rig.sockets / "control.sock"))
+        return connection
+
+    def swallowed(connection, data):
+        """Sends until the other side has enough; what it answered at last."""
+        try:
+            connection.sendall(data)
+            connection.shutdown(socket.SHUT_WR)
+        except OSError:
+            pass
+        answer = b""
+        try:
+            while part := connection.recv(65536):
+                answer += part
+        except OSError:
+            pass
+        return answer.decode(errors="replace")
+
+    with Rig(CHIP) as rig:
+        take = rig.record("abuse") if rig.wait_sets(10) else None
+        before = rig.rig()
+        idle = []
+        for _ in range(100):
+            try:
+                idle.append(connect())
+            except OSError:
+                break
+        refused = sum(1 for connection in idle if connection_is_over(connection))
+        figure("connections: open, refused", [len(idle) - refused, refused])
+        check(refused >= 30, f"{len(idle) - refused} connections stay open")
+        for connection in idle[:50]:
+            connection.close()
+        rig.wait_status(lambda now: True, "facetd does not answer others")
+        slow = [connect() for _ in range(5)]
+        stop = threading.Event()
+
+        def drip():
+            while not stop.wait(0.2):
+                for connection in slow:
+                    try:
+                        connection.send(b"{")
+                    except OSError:
+                        pass
+        dripping = threading.Thread(target=drip)
+        dripping.start()
+        huge = connect()
+        answer = swallowed(huge, b"x" * (8 << 20))
+        check("a request line has" in answer, f"8 MB in one line: {answer[:300]}")
+        huge.close()
+        nonsense = connect()
+        answer = swallowed(nonsense, b'{"jsonrpc":"2.0","method":"record.start","params":[1],"id":1}\n\xff\xfe\n[]\n{"method":7}\nnull\n')
+        figure("answers to nonsense", answer.count('"error"'))
+        check(answer.count('"error"') == 5, answer)
+        nonsense.close()
+        stranger = subprocess.run(["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups", BIN / "facet", "record", "stop",
+                                   f"--config={rig.config}"], capture_output=True, text=True, check=False)
+        check(stranger.returncode == 7, f"a stranger: {stranger}")
+        figure("a stranger is told", stranger.stderr.strip())
+        after = rig.wait_sets(30)
+        stop.set()
+        dripping.join()
+        for connection in slow + idle[50:]:
+            connection.close()
+        check(rig.status()["recording"]["state"] == "recording", rig.status()["recording"])
+        for name in ("slots_dropped", "slots_fired"):
+            figure(name.replace("_", " "), after["trigger"][name] - before["trigger"][name])
+        rig.facet("record", "stop")
+        rig.stop()
+    check_take(take)
+
+
+def connection_is_over(connection):
+    """Whether the other side has closed it."""
+    connection.setblocking(False)
+    try:
+        while part := connection.recv(65536):
+            pass
+        return part == b""
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
 
 
 @full
 def four_minutes():
     with Rig(CHIP) as rig:
         rig.wait_sets(10)
-        rig.facet("record", "start", "long")
+        take = rig.record("long")
         time.sleep(240)
         rig.facet("record", "stop")
         rig.stop()
-    check_take("long")
+    check_take(take)
 
 
-run("modprobe", "-a", "gpio-sim", "vhci_hcd", "uvcvideo")
-CHIP = Chip("booth", PATTERN_LINES + 2)  # the pattern, the trigger, its read-back
+CHIP = new_chip()
 guest.main()
