@@ -12,11 +12,11 @@
 
 #include "commands.hpp"
 #include "facet/error.hpp"
+#include "files/output_file.hpp"
 #include "progress.hpp"
 #include "set_pictures.hpp"
 #include "stop_signals.hpp"
 #include "take/export.hpp"
-#include "take/output_file.hpp"
 #include "take/reader.hpp"
 #include "take_frames.hpp"
 
@@ -125,9 +125,9 @@ int export_meshes(take::TakeReader& reader, const Selection& selection, const Ex
 int export_signals(take::TakeReader& reader, const Selection& selection, const ExportOptions& options,
                    const StopSignals& signals) {
   const bool to_standard_output = options.output == "-";
-  std::unique_ptr<take::OutputFile> file;
+  std::unique_ptr<files::OutputFile> file;
   if (!to_standard_output) {
-    file = std::make_unique<take::OutputFile>(options.output);
+    file = std::make_unique<files::OutputFile>(options.output);
   }
   Progress progress("Exporting", selection.size());
   for (const std::int64_t index : selection) {

@@ -22,9 +22,10 @@ void print_recording(const json& recording) {
     return;
   }
   fmt::print(
-      "recording     {} ({} frames, {} not recorded, {:.1f} MB){}\n", recording["file"].get<std::string>(),
-      recording["frames"].get<std::uint64_t>(), recording["dropped"].get<std::uint64_t>(),
-      recording["bytes"].get<double>() / 1e6,
+      "recording     {}{} ({} frames, {} not recorded, {:.1f} MB){}\n",
+      recording["state"] == "failed" ? "nothing; ended by itself: " : "",
+      recording["file"].get<std::string>(), recording["frames"].get<std::uint64_t>(),
+      recording["dropped"].get<std::uint64_t>(), recording["bytes"].get<double>() / 1e6,
       recording["reason"].get<std::string>().empty() ? "" : "; " + recording["reason"].get<std::string>());
 }
 

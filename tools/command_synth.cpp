@@ -3,13 +3,13 @@
 #include <fmt/format.h>
 
 #include <CLI/CLI.hpp>
-#include <cstdio>
 #include <memory>
 #include <string>
 
 #include "commands.hpp"
 #include "facet/assets.hpp"
 #include "facet/error.hpp"
+#include "picture_size.hpp"
 #include "progress.hpp"
 #include "simulation/sequence.hpp"
 
@@ -24,17 +24,10 @@ struct SynthOptions {
   std::string folder;
 };
 
-void parse_size(const std::string& text, simulation::StudioConfig& studio) {
-  int read = 0;
-  if (std::sscanf(text.c_str(), "%dx%d%n", &studio.width_px, &studio.height_px, &read) != 2 ||
-      static_cast<std::size_t>(read) != text.size()) {
-    throw Error(ErrorKind::Usage,
-                fmt::format("--size {}: give width and height in pixels, as in 1280x720", text));
-  }
-}
-
 void run_synth(SynthOptions options) {
-  parse_size(options.size, options.studio);
+  const PictureSize size = parse_picture_size("--size", options.size);
+  options.studio.width_px = size.width_px;
+  options.studio.height_px = size.height_px;
   options.studio.light =
       options.light == "area" ? simulation::LightKind::Area : simulation::LightKind::SphericalHarmonics;
   const face::FaceModel model = face::FaceModel::load(options.model);

@@ -29,17 +29,21 @@ int main(int argc, char** argv) {
       "Vulkan\n"
       "device, 6 cannot write, 7 the daemon does not answer. `facet COMMAND --help` explains a command.");
 
+  add_calibrate_command(app);
   add_doctor_command(app);
   add_eval_command(app);
   add_export_command(app);
   add_model_command(app);
+  add_patterns_command(app);
   add_summary_command(app);
   add_synth_command(app);
+  add_synth_booth_command(app);
   add_view_command(app);
   add_watch_command(app);
   add_process_command(app);
   add_record_command(app);
   add_reset_identity_command(app);
+  add_rig_command(app);
   add_shutdown_command(app);
   add_status_command(app);
   add_takes_command(app);

@@ -182,7 +182,7 @@ Rig open_rig(const RigConfig& config) {
       trigger::lines_of(program, LineRole::Camera), trigger::lines_of(program, LineRole::Projector));
   for (const RigCamera& camera : config.cameras) {
     if (camera.source.kind == kSimulatedCamera) {
-      const camera::V4l2Config& size = camera.source.v4l2;
+      const camera::LiveConfig& size = camera.source.live;
       rig.cameras.push_back(
           room->camera({camera.name, size.width_px, size.height_px, size.rate_hz}, triggered));
     } else {

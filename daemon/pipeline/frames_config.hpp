@@ -18,7 +18,7 @@ inline constexpr const char* kSimulatedCamera = "simulated";
 
 struct RigCamera {
   std::string name;             ///< unique
-  camera::CameraConfig source;  ///< kind "simulated": size and rate are those of source.v4l2
+  camera::CameraConfig source;  ///< kind "simulated": size and rate are those of source.live
   std::int64_t latency_ns = 0;  ///< capture::CaptureCamera::latency_ns
 };
 

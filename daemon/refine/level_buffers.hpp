@@ -3,11 +3,13 @@
 #include <cstdint>
 #include <vector>
 
-#include "gpu/batch.hpp"
+#include "gpu/device_array.hpp"
 #include "mesh/hierarchy.hpp"
-#include "refine/device_array.hpp"
 
 namespace facet::refine {
+
+using gpu::clear;
+using gpu::DeviceArray;
 
 /// The one-rings of one level as shaders/refine/topology.glsl reads them.
 struct LevelTopology {

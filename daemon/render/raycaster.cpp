@@ -97,7 +97,7 @@ struct Raycaster::Impl {
   }
 };
 
-Raycaster::Raycaster(const mesh::Vertices& vertices_mm, const mesh::Triangles& triangles)
+Raycaster::Raycaster(const mesh::Vertices& vertices_mm, const mesh::Triangles& triangles, Build build)
     : impl_(std::make_unique<Impl>()) {
   if (!vertices_mm.allFinite()) {
     throw Error(ErrorKind::UnreadableInput, "a mesh to be rendered has a position that is not finite");
@@ -116,8 +116,11 @@ Raycaster::Raycaster(const mesh::Vertices& vertices_mm, const mesh::Triangles& t
   impl_->scene = rtcNewScene(impl_->device.get());
   rtcSetSceneFlags(impl_->scene, static_cast<RTCSceneFlags>(RTC_SCENE_FLAG_ROBUST |
                                                             RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION));
+  const RTCBuildQuality quality = build == Build::Quick ? RTC_BUILD_QUALITY_LOW : RTC_BUILD_QUALITY_MEDIUM;
+  rtcSetSceneBuildQuality(impl_->scene, quality);
   if (triangles.cols() > 0) {
     RTCGeometry geometry = rtcNewGeometry(impl_->device.get(), RTC_GEOMETRY_TYPE_TRIANGLE);
+    rtcSetGeometryBuildQuality(geometry, quality);
     rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
                                impl_->vertices_mm.data(), 0, 3 * sizeof(float),
                                static_cast<std::size_t>(vertices_mm.cols()));

@@ -1,260 +1,25 @@
 #include "service/config.hpp"
 
 #include <fmt/format.h>
-#include <toml++/toml.h>
 
 #include <algorithm>
 #include <array>
 #include <chrono>
 #include <cmath>
-#include <fstream>
-#include <iterator>
 #include <limits>
-#include <numeric>
 #include <optional>
 
 #include "facet/assets.hpp"
 #include "facet/error.hpp"
+#include "files/text_file.hpp"
+#include "files/toml_section.hpp"
 #include "stream/protocol.hpp"
 
 namespace facet::service {
 namespace {
 
-constexpr const char* kAnyText = "a text in quotes";
-
-/// Edits (insert, delete, replace one character) that lead from one word to the other.
-std::size_t edit_distance(std::string_view from, std::string_view to) {
-  std::vector<std::size_t> row(to.size() + 1);
-  std::iota(row.begin(), row.end(), std::size_t{0});
-  for (std::size_t i = 0; i < from.size(); ++i) {
-    std::size_t diagonal = std::exchange(row[0], i + 1);
-    for (std::size_t j = 0; j < to.size(); ++j) {
-      const std::size_t replaced = diagonal + (from[i] == to[j] ? 0 : 1);
-      diagonal = std::exchange(row[j + 1], std::min({replaced, row[j] + 1, row[j + 1] + 1}));
-    }
-  }
-  return row.back();
-}
-
-/// What to tell about a word that is not among the known ones.
-std::string suggestion(std::string_view word, const std::vector<std::string>& known) {
-  // A key that long is no misspelling; the distance costs its square.
-  constexpr std::size_t kLongestWord = 64;
-  if (word.size() <= kLongestWord) {
-    const auto nearest = std::min_element(known.begin(), known.end(), [&](const auto& a, const auto& b) {
-      return edit_distance(word, a) < edit_distance(word, b);
-    });
-    if (edit_distance(word, *nearest) <= std::max<std::size_t>(2, nearest->size() / 3)) {
-      return fmt::format("did you mean '{}'?", *nearest);
-    }
-  }
-  return fmt::format("known are: {}", fmt::join(known, ", "));
-}
-
-/// The file as a whole: where messages point, and the keys that were asked for.
-class Document {
- public:
-  Document(const toml::table& root, std::filesystem::path file) : root_(root), file_(std::move(file)) {}
-
-  [[noreturn]] void fail(const toml::node* node, const std::string& key, const std::string& what) const {
-    const std::string where =
-        node != nullptr ? fmt::format("{}:{}", file_.string(), node->source().begin.line) : file_.string();
-    throw Error(ErrorKind::Usage, fmt::format("{}: {}: {}", where, key, what));
-  }
-
-  const toml::table& root() const { return root_; }
-  std::filesystem::path folder() const { return file_.parent_path(); }
-  std::vector<std::string> keys;
-
- private:
-  const toml::table& root_;
-  std::filesystem::path file_;
-};
-
-/// One table of the file. Every read says what it allows; finish() refuses what nobody asked for.
-class Section {
- public:
-  Section(Document& document, const toml::table* table, std::string name)
-      : document_(document), table_(table), name_(std::move(name)) {}
-
-  /// A table inside this one; absent where the file does not have it.
-  Section section(const std::string& key) {
-    const toml::node* node = find(key, false);
-    if (node != nullptr && !node->is_table()) {
-      fail(node, key, "must be a section in square brackets");
-    }
-    return {document_, node != nullptr ? node->as_table() : nullptr, full(key)};
-  }
-
-  /// The tables of an array [[key]]. One that is not in the file stands for its keys (config_keys).
-  std::vector<Section> sections(const std::string& key) {
-    const toml::node* node = find(key, false);
-    std::vector<Section> found;
-    if (node == nullptr) {
-      found.emplace_back(document_, nullptr, full(key));
-      return found;
-    }
-    const toml::array* array = node->as_array();
-    if (array == nullptr || !array->is_homogeneous<toml::table>()) {
-      fail(node, key, "must be sections in double square brackets");
-    }
-    for (const toml::node& table : *array) {
-      found.emplace_back(document_, table.as_table(), full(key));
-    }
-    return found;
-  }
-
-  /// A list of texts.
-  void read(const std::string& key, std::vector<std::string>& value) {
-    if (const toml::node* node = find(key)) {
-      value = texts(*node, key);
-    }
-  }
-
-  std::vector<std::string> texts(const toml::node& node, const std::string& key) const {
-    const toml::array* array = node.as_array();
-    std::vector<std::string> found;
-    for (std::size_t i = 0; array != nullptr && i < array->size(); ++i) {
-      found.push_back(text(*array->get(i), key, "a list of texts in quotes"));
-    }
-    if (array == nullptr) {
-      fail(&node, key, "must be a list of texts in quotes");
-    }
-    return found;
-  }
-
-  void read(const std::string& key, std::string& value) {
-    if (const toml::node* node = find(key)) {
-      value = text(*node, key, kAnyText);
-    }
-  }
-
-  void read(const std::string& key, bool& value) {
-    if (const toml::node* node = find(key)) {
-      const std::optional<bool> found = node->value_exact<bool>();
-      if (!found) {
-        fail(node, key, "must be true or false");
-      }
-      value = *found;
-    }
-  }
-
-  void read(const std::string& key, std::filesystem::path& value) {
-    if (const toml::node* node = find(key)) {
-      const std::string found = text(*node, key, "a path in quotes");
-      if (found.empty() || found.find('\0') != std::string::npos) {
-        fail(node, key, "must be a path in quotes, not empty");
-      }
-      value = document_.folder() / found;
-    }
-  }
-
-  template <typename Integer>
-  void read_integer(const std::string& key, Integer& value, std::int64_t least, std::int64_t most) {
-    if (const toml::node* node = find(key)) {
-      value = static_cast<Integer>(
-          integer(*node, key, least, most, fmt::format("a whole number from {} to {}", least, most)));
-    }
-  }
-
-  template <typename Number>
-  void read_number(const std::string& key, Number& value, double least, double most) {
-    if (const toml::node* node = find(key)) {
-      const std::optional<double> found = node->is_number() ? node->value<double>() : std::nullopt;
-      if (!found || !(*found >= least && *found <= most)) {
-        fail(node, key, fmt::format("must be a number from {} to {}", least, most));
-      }
-      value = static_cast<Number>(*found);
-    }
-  }
-
-  void read_mode(const std::string& key, unsigned& value) {
-    if (const toml::node* node = find(key)) {
-      value = static_cast<unsigned>(integer(
-          *node, key, 0, 0777, "file permissions as an octal number from 0o000 to 0o777, such as 0o660"));
-    }
-  }
-
-  /// One of a few words; returns its place among them.
-  template <std::size_t Count>
-  std::optional<std::size_t> read_choice(const std::string& key,
-                                         const std::array<const char*, Count>& allowed) {
-    const toml::node* node = find(key);
-    if (node == nullptr) {
-      return std::nullopt;
-    }
-    const std::string wanted = fmt::format("must be one of: \"{}\"", fmt::join(allowed, "\", \""));
-    const std::optional<std::string> found = node->value_exact<std::string>();
-    const auto at =
-        std::find_if(allowed.begin(), allowed.end(), [&](const char* word) { return found == word; });
-    if (!found || at == allowed.end()) {
-      fail(node, key, wanted);
-    }
-    return static_cast<std::size_t>(at - allowed.begin());
-  }
-
-  /// Refuses the keys that are there, with the reason.
-  template <std::size_t Count>
-  void refuse(const std::array<const char*, Count>& keys, const std::string& why) const {
-    for (const char* key : keys) {
-      if (const toml::node* node = table_ != nullptr ? table_->get(key) : nullptr) {
-        fail(node, key, why);
-      }
-    }
-  }
-
-  /// The raw value, for keys whose type is not one of the above.
-  const toml::node* find(const std::string& key, bool is_value = true) {
-    known_.push_back(key);
-    if (is_value) {
-      document_.keys.push_back(full(key));
-    }
-    return table_ != nullptr ? table_->get(key) : nullptr;
-  }
-
-  [[noreturn]] void fail(const toml::node* node, const std::string& key, const std::string& what) const {
-    document_.fail(node, full(key), what);
-  }
-
-  std::string text(const toml::node& node, const std::string& key, const std::string& allowed) const {
-    const std::optional<std::string> found = node.value_exact<std::string>();
-    if (!found) {
-      fail(&node, key, "must be " + allowed);
-    }
-    return *found;
-  }
-
-  bool given() const { return table_ != nullptr; }
-  const toml::node* node() const { return table_; }
-
-  void finish() const {
-    if (table_ == nullptr) {
-      return;
-    }
-    for (const auto& [key, value] : *table_) {
-      if (std::find(known_.begin(), known_.end(), key.str()) == known_.end()) {
-        document_.fail(&value, full(std::string(key.str())), "unknown key; " + suggestion(key.str(), known_));
-      }
-    }
-  }
-
- private:
-  std::string full(const std::string& key) const { return name_.empty() ? key : name_ + "." + key; }
-
-  std::int64_t integer(const toml::node& node, const std::string& key, std::int64_t least, std::int64_t most,
-                       const std::string& allowed) const {
-    const std::optional<std::int64_t> found = node.value_exact<std::int64_t>();
-    if (!found || *found < least || *found > most) {
-      fail(&node, key, "must be " + allowed);
-    }
-    return *found;
-  }
-
-  Document& document_;
-  const toml::table* table_;
-  std::string name_;
-  std::vector<std::string> known_;
-};
+using Section = files::TomlSection;
+using Document = files::TomlDocument;
 
 void read_intrinsics(Section section, std::optional<CameraIntrinsics>& intrinsics) {
   // A focal length or picture beyond these bounds is a slip of the pen, not a camera.
@@ -316,31 +81,31 @@ void read_format(Section& section, const std::array<const char*, Count>& formats
 
 /// What a camera can do is checked when it is opened; here, what no camera can.
 void read_live(Section& section, camera::CameraConfig& source) {
-  camera::V4l2Config& v4l2 = source.v4l2;
+  camera::LiveConfig& live = source.live;
   camera::LibcameraConfig& libcamera = source.libcamera;
-  section.read("device", v4l2.device);
+  section.read("device", live.device);
   section.read("id", libcamera.id);
   if (source.kind == "libcamera") {
-    read_format(section, camera::kLibcameraFormats, v4l2.format);
+    read_format(section, camera::kLibcameraFormats, live.format);
     read_regulated(section, "gain", libcamera.gain, 0.01, 1000.0);
   } else {
-    read_format(section, camera::kV4l2Formats, v4l2.format);
-    read_regulated(section, "gain", v4l2.gain, -1'000'000, 1'000'000);
+    read_format(section, camera::kV4l2Formats, live.format);
+    read_regulated(section, "gain", live.gain, -1'000'000, 1'000'000);
   }
   read_regulated(section, "red_gain", libcamera.red_gain, 0.01, 100.0);
   read_regulated(section, "blue_gain", libcamera.blue_gain, 0.01, 100.0);
   if (libcamera.red_gain.has_value() != libcamera.blue_gain.has_value()) {
     section.fail(section.node(), "red_gain", "red_gain and blue_gain need one another");
   }
-  section.read_integer("width_px", v4l2.width_px, 16, 16384);
-  section.read_integer("height_px", v4l2.height_px, 16, 16384);
-  section.read_number("rate_hz", v4l2.rate_hz, 1, 1000);
-  read_regulated(section, "exposure_us", v4l2.exposure_us, 1, 10'000'000);
-  read_regulated(section, "white_balance_k", v4l2.white_balance_k, 1000, 20'000);
-  section.read_integer("buffers", v4l2.buffers, 2, 32);
-  std::int64_t stall_after_ms = v4l2.stall_after.count();
+  section.read_integer("width_px", live.width_px, 16, 16384);
+  section.read_integer("height_px", live.height_px, 16, 16384);
+  section.read_number("rate_hz", live.rate_hz, 1, 1000);
+  read_regulated(section, "exposure_us", live.exposure_us, 1, 10'000'000);
+  read_regulated(section, "white_balance_k", live.white_balance_k, 1000, 20'000);
+  section.read_integer("buffers", live.buffers, 2, 32);
+  std::int64_t stall_after_ms = live.stall_after.count();
   section.read_integer("stall_after_ms", stall_after_ms, 100, 3'600'000);
-  v4l2.stall_after = std::chrono::milliseconds(stall_after_ms);
+  live.stall_after = std::chrono::milliseconds(stall_after_ms);
 }
 
 constexpr std::array kFileKeys = {"path", "paced", "loop"};
@@ -380,7 +145,7 @@ void read_source(Section section, Config& config) {
   read_live(section, pipeline.source);
   if (const toml::node* node = section.find("frames")) {
     try {
-      pipeline.frames = pipeline::parse_frame_range(section.text(*node, "frames", kAnyText));
+      pipeline.frames = pipeline::parse_frame_range(section.text(*node, "frames", files::kAnyText));
     } catch (const Error& error) {
       section.fail(node, "frames", error.what());
     }
@@ -424,7 +189,7 @@ void read_camera(Section section, std::vector<pipeline::RigCamera>& cameras) {
   if (!section.given()) {
     return;
   }
-  if (kind == "v4l2" && camera.source.v4l2.device.empty()) {
+  if (kind == "v4l2" && camera.source.live.device.empty()) {
     section.fail(section.node(), "device", "is missing: `facet doctor` lists the cameras");
   }
   if (kind == "file" && camera.source.path.empty()) {
@@ -599,7 +364,7 @@ void read_takes(Section section, TakesConfig& takes) {
 
 void read_metrics(Section section, MetricsConfig& metrics) {
   if (const toml::node* node = section.find("listen")) {
-    metrics.listen = section.text(*node, "listen", kAnyText);
+    metrics.listen = section.text(*node, "listen", files::kAnyText);
     const std::size_t colon = metrics.listen.rfind(':');
     const std::string port = colon == std::string::npos ? "" : metrics.listen.substr(colon + 1);
     const bool digits = !port.empty() && port.size() <= 5 &&
@@ -654,35 +419,12 @@ Config default_config() {
 
 Config parse_config(std::string_view text, const std::filesystem::path& file) {
   Config config = default_config();
-  try {
-    const toml::table root = toml::parse(text, file.string());
-    Document document(root, file);
-    read_all(document, config);
-  } catch (const toml::parse_error& error) {
-    throw Error(ErrorKind::Usage, fmt::format("{}:{}: not valid TOML: {}", file.string(),
-                                              error.source().begin.line, error.description()));
-  }
+  files::read_toml(text, file, [&](Document& document) { read_all(document, config); });
   return config;
 }
 
 Config load_config(const std::filesystem::path& file) {
-  std::ifstream stream(file, std::ios::binary);
-  std::string text;
-  if (stream) {
-    text.resize(kMaxConfigBytes + 1);
-    stream.read(text.data(), static_cast<std::streamsize>(text.size()));
-    text.resize(static_cast<std::size_t>(stream.gcount()));
-  }
-  if (stream.bad() || !stream.is_open() || std::filesystem::is_directory(file)) {
-    throw Error(ErrorKind::UnreadableInput,
-                fmt::format("{}: cannot read this configuration file: check that it exists and may be read",
-                            file.string()));
-  }
-  if (text.size() > kMaxConfigBytes) {
-    throw Error(ErrorKind::Usage, fmt::format("{}: larger than {} bytes: this is no configuration file",
-                                              file.string(), kMaxConfigBytes));
-  }
-  return parse_config(text, file);
+  return parse_config(files::read_text(file, kMaxConfigBytes, "configuration file"), file);
 }
 
 void require_source(const Config& config, const std::filesystem::path& file) {
@@ -695,7 +437,7 @@ void require_source(const Config& config, const std::filesystem::path& file) {
     return;
   }
   const camera::CameraConfig& source = config.pipeline.source;
-  if (source.kind == "v4l2" && source.v4l2.device.empty()) {
+  if (source.kind == "v4l2" && source.live.device.empty()) {
     throw Error(ErrorKind::Usage,
                 fmt::format("{}: source.device is missing: name the camera that faces come from, such as "
                             "/dev/v4l/by-path/...; `facet doctor` lists them",

@@ -38,7 +38,7 @@ enum class Mode {
 /// (Service).
 struct Config {
   Mode mode = Mode::Monocular;
-  pipeline::MonocularConfig pipeline;  ///< source.path or source.v4l2.device empty: not given
+  pipeline::MonocularConfig pipeline;  ///< source.path or source.live.device empty: not given
   pipeline::RigConfig rig;             ///< mode Frames
   bool exit_at_end = false;            ///< or where the source fails
   bool wait_for_reader = false;

@@ -104,6 +104,7 @@ struct Service::Impl {
   std::optional<ControlServer> control;
   pipeline::StreamSink stream_sink;
   pipeline::TakeSink takes;
+  std::optional<take::RecorderStatus> failed_take;  ///< the last, until the next begins
   std::optional<StageOpener> opener;
   std::unique_ptr<pipeline::Pipeline> pipeline;
   std::string source_name;
@@ -187,7 +188,8 @@ json Service::Impl::status() {
   answer["stream"] = to_json(stream->statistics());
   answer["stream"]["socket"] = config.stream.socket.string();
   const auto take = takes.status();
-  answer["recording"] = take ? to_json(*take) : json(nullptr);
+  const auto& shown = take ? take : failed_take;
+  answer["recording"] = shown ? to_json(*shown) : json(nullptr);
   return answer;
 }
 
@@ -237,7 +239,10 @@ json Service::Impl::record_start(const json& params) {
 json Service::Impl::record_stop() {
   const auto take = takes.end();
   if (!take) {
-    throw Error(ErrorKind::Usage, "nothing is being recorded");
+    throw Error(ErrorKind::Usage, failed_take
+                                      ? fmt::format("nothing is being recorded: {} ended by itself: {}",
+                                                    failed_take->file.string(), failed_take->reason)
+                                      : "nothing is being recorded");
   }
   log_take(*take);
   return to_json(*take);
@@ -256,6 +261,7 @@ void Service::Impl::begin_take(const std::string& name) {
   recorder.disk_reserve_bytes = config.takes.disk_reserve_bytes;
   recorder.compression_level = config.takes.compression_level;
   takes.begin(recorder);
+  failed_take.reset();
   log.info(fmt::format("recording {}", recorder.file.string()),
            {{"FACET_EVENT", "take-begun"}, {"FACET_TAKE", recorder.file.string()}});
 }
@@ -353,7 +359,8 @@ void Service::Impl::start_when_awaited() {
 void Service::Impl::look_after_take() {
   const auto take = takes.status();
   if (take && take->state == take::RecorderState::Failed) {
-    log_take(*takes.end());
+    failed_take = takes.end();
+    log_take(*failed_take);
   }
 }
 

@@ -6,8 +6,8 @@
 #include <string>
 #include <vector>
 
+#include "files/output_file.hpp"
 #include "take/export.hpp"
-#include "take/output_file.hpp"
 
 namespace facet::take {
 namespace {
@@ -134,7 +134,7 @@ void write_glb(const ExportMesh& mesh, const std::filesystem::path& file) {
   append_chunk(content, kJsonChunk, std::as_bytes(std::span(json)), ' ');
   append_chunk(content, kBinaryChunk, buffer.bytes(), '\0');
   const std::uint32_t header[3] = {kMagic, 2, static_cast<std::uint32_t>(sizeof(header) + content.size())};
-  OutputFile out(file);
+  files::OutputFile out(file);
   out.write(std::as_bytes(std::span(header)));
   out.write(content);
   out.commit();

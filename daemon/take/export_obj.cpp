@@ -2,8 +2,8 @@
 
 #include <iterator>
 
+#include "files/output_file.hpp"
 #include "take/export.hpp"
-#include "take/output_file.hpp"
 
 namespace facet::take {
 
@@ -32,7 +32,7 @@ void write_obj(const ExportMesh& mesh, const std::filesystem::path& file) {
     const Eigen::Vector3i corner = mesh.triangles.col(i).array() + 1;  // OBJ counts from 1
     fmt::format_to(out, "f {0}/{0}/{0} {1}/{1}/{1} {2}/{2}/{2}\n", corner.x(), corner.y(), corner.z());
   }
-  OutputFile output(file);
+  files::OutputFile output(file);
   output.write(std::string_view(text.data(), text.size()));
   output.commit();
 }

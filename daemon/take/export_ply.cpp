@@ -6,8 +6,8 @@
 #include <cmath>
 #include <cstring>
 
+#include "files/output_file.hpp"
 #include "take/export.hpp"
-#include "take/output_file.hpp"
 
 namespace facet::take {
 namespace {
@@ -55,7 +55,7 @@ std::array<std::uint8_t, 3> vertex_colour(const ExportMesh& mesh, Eigen::Index v
 }  // namespace
 
 void write_ply(const ExportMesh& mesh, const std::filesystem::path& file) {
-  OutputFile out(file);
+  files::OutputFile out(file);
   out.write(
       fmt::format("ply\nformat binary_little_endian 1.0\n"
                   "comment Facet: camera frame, millimetres, x right, y down, z forward\n"

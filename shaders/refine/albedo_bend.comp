@@ -1,7 +1,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "layout.h"
-#include "workgroup.glsl"
+#include "common/workgroup.glsl"
 #include "topology.glsl"
 
 // L rho - L rho_mean of eq. 4 with rho = tint rho_mean + deviation, and the mean of sum w (l . SH)^2 over the vertices seen: the unit in which the

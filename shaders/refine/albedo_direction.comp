@@ -1,9 +1,9 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "layout.h"
-#include "workgroup.glsl"
+#include "common/workgroup.glsl"
 #include "topology.glsl"
-#include "pcg.glsl"
+#include "common/pcg.glsl"
 
 // First half of a PCG iteration for the albedo: p = z + beta p, L p and p . A p.
 

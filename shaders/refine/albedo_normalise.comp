@@ -1,7 +1,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "layout.h"
-#include "workgroup.glsl"
+#include "common/workgroup.glsl"
 
 // Ends the albedo solve. Light times albedo is all that an image shows, so the albedo's mean luminance over
 // the vertices seen is set to the face model's, and the light takes the other factor. One workgroup.

@@ -1,9 +1,9 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "layout.h"
-#include "workgroup.glsl"
+#include "common/workgroup.glsl"
 #include "topology.glsl"
-#include "pcg.glsl"
+#include "common/pcg.glsl"
 
 // First half of a PCG iteration: p = z + beta p, J p, and p . A p = |J p|^2 + the other terms' squares, so
 // that J^T J p need not be known yet.

@@ -1,7 +1,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "layout.h"
-#include "workgroup.glsl"
+#include "common/workgroup.glsl"
 #include "topology.glsl"
 
 // The data term's Jacobian, by rows for J p and by columns for J^T q, and the start of the PCG solve of eq. 8:

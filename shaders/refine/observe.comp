@@ -1,7 +1,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "layout.h"
-#include "workgroup.glsl"
+#include "common/workgroup.glsl"
 #include "topology.glsl"
 
 // Coarse normals (eq. 5 at d = 0), vertex spacing, and what the camera sees at every vertex: the image

@@ -1,7 +1,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "layout.h"
-#include "workgroup.glsl"
+#include "common/workgroup.glsl"
 
 // Draws the coarse mesh into a square depth map of the face's region: the nearest z of every pixel, mm.
 

@@ -1,9 +1,9 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "layout.h"
-#include "workgroup.glsl"
+#include "common/workgroup.glsl"
 #include "topology.glsl"
-#include "pcg.glsl"
+#include "common/pcg.glsl"
 
 // Second half of a PCG iteration: x += alpha p, r -= alpha A p with A p = J^T (J p) + the other terms, z, and
 // r . z. The last iteration moves the displacements.

@@ -69,9 +69,9 @@ class ContainedCamera : public ::testing::Test {
  protected:
   ContainedCamera() {
     config_.kind = "scripted";
-    config_.v4l2.width_px = 34;
-    config_.v4l2.height_px = 18;
-    config_.v4l2.stall_after = 10s;
+    config_.live.width_px = 34;
+    config_.live.height_px = 18;
+    config_.live.stall_after = 10s;
     patience_.open = 30s;
     patience_.first_frame = 10s;
     patience_.shortest_pause = 1ms;
@@ -106,7 +106,7 @@ class ContainedCamera : public ::testing::Test {
                << "no frame; " << to_string(camera.status().state) << ": " << camera.status().reason;
       }
     }
-    if (frame.width_px != config_.v4l2.width_px || frame.height_px != config_.v4l2.height_px) {
+    if (frame.width_px != config_.live.width_px || frame.height_px != config_.live.height_px) {
       return testing::AssertionFailure() << frame.width_px << " x " << frame.height_px << " px";
     }
     for (int y = 0; y < frame.height_px; ++y) {
@@ -223,7 +223,7 @@ INSTANTIATE_TEST_SUITE_P(
 TEST_F(ContainedCamera, AHostThatHangsIsStalled) {
   for (const char* action : {"hang", "stop", "silent"}) {
     std::filesystem::remove(marker());
-    config_.v4l2.stall_after = 300ms;
+    config_.live.stall_after = 300ms;
     const auto camera = open(once(action, 3));
     camera->start();
     Frame frame;
@@ -458,13 +458,13 @@ TEST(HostArguments, AreReadAsTheyAreWritten) {
   camera::CameraConfig config;
   config.kind = "libcamera";
   config.libcamera = {"a = b", 1.25, 0.5, 2.0};
-  config.v4l2.format = "NV12";
-  config.v4l2.width_px = 640;
-  config.v4l2.height_px = 480;
-  config.v4l2.rate_hz = 29.97;
-  config.v4l2.exposure_us = 5000;
-  config.v4l2.white_balance_k = 4600;
-  config.v4l2.buffers = 6;
+  config.live.format = "NV12";
+  config.live.width_px = 640;
+  config.live.height_px = 480;
+  config.live.rate_hz = 29.97;
+  config.live.exposure_us = 5000;
+  config.live.white_balance_k = 4600;
+  config.live.buffers = 6;
   EXPECT_THAT(
       camera::host_arguments(config),
       ElementsAre("--kind=libcamera", "--id=a = b", "--format=NV12", "--width-px=640", "--height-px=480",

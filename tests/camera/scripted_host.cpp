@@ -125,8 +125,8 @@ class ScriptedCamera final : public Camera {
   CaptureOutcome deliver(Frame& out) {
     out.sequence = sequence_++;
     out.timestamp_ns = camera::monotonic_ns();
-    out.width_px = config_.v4l2.width_px;
-    out.height_px = config_.v4l2.height_px;
+    out.width_px = config_.live.width_px;
+    out.height_px = config_.live.height_px;
     out.stride_bytes = std::size_t{4} * static_cast<std::size_t>(out.width_px);
     const std::size_t size = out.stride_bytes * static_cast<std::size_t>(out.height_px);
     std::shared_ptr<std::uint8_t[]> pixels(new std::uint8_t[size]);
@@ -251,8 +251,8 @@ CaptureOutcome ScriptedCamera::misbehave(Frame& out, std::chrono::milliseconds t
     return deliver(out);
   }
   if (action_ == "wrong-size") {
-    config_.v4l2.width_px *= 4;
-    config_.v4l2.height_px *= 4;
+    config_.live.width_px *= 4;
+    config_.live.height_px *= 4;
   }
   return deliver(out);
 }

@@ -92,7 +92,7 @@ class V4l2CameraTest : public testing::Test {
   }
 
   test::FakeV4l2 device_;
-  V4l2Config config_;
+  LiveConfig config_;
   std::unique_ptr<Camera> camera_;
 };
 
@@ -930,7 +930,7 @@ TEST(V4l2RealDevice, Delivers) {
   std::string refusals;
   for (const auto& device : list_v4l2_devices()) {
     for (const auto& [width, height] : {std::pair{640, 480}, std::pair{320, 180}, std::pair{1280, 720}}) {
-      V4l2Config config;
+      LiveConfig config;
       config.device = device.path;
       config.width_px = width;
       config.height_px = height;
@@ -960,7 +960,7 @@ TEST(V4l2RealDevice, Delivers) {
 }
 
 TEST(V4l2RealDevice, WithoutADeviceItIsAbsent) {
-  V4l2Config config;
+  LiveConfig config;
   config.device = "/dev/there-is-no-such-video-device";
   const auto camera = open_v4l2_camera(config);
   camera->start();
@@ -971,7 +971,7 @@ TEST(V4l2RealDevice, WithoutADeviceItIsAbsent) {
 }
 
 TEST(V4l2RealDevice, WhatIsNoVideoDeviceIsRefused) {
-  V4l2Config config;
+  LiveConfig config;
   config.device = "/dev/null";
   EXPECT_THROW(open_v4l2_camera(config), Error);
 }

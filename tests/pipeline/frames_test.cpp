@@ -52,9 +52,9 @@ RigConfig simulated_rig(std::size_t cameras, double slots_per_second) {
     RigCamera camera;
     camera.name = "cam" + std::to_string(i);
     camera.source.kind = kSimulatedCamera;
-    camera.source.v4l2.width_px = 128;
-    camera.source.v4l2.height_px = 64;
-    camera.source.v4l2.rate_hz = slots_per_second;
+    camera.source.live.width_px = 128;
+    camera.source.live.height_px = 64;
+    camera.source.live.rate_hz = slots_per_second;
     config.cameras.push_back(camera);
   }
   config.trigger = TriggerKind::Virtual;
@@ -277,7 +277,7 @@ TEST(FramesPipeline, FreeRunningCamerasAreMatchedByTime) {
       EXPECT_LE(std::abs(set.frames[0].timestamp_ns - set.frames[1].timestamp_ns), 5'000'000);
     }
   }
-  config.cameras[1].source.v4l2.rate_hz = 50;
+  config.cameras[1].source.live.rate_hz = 50;
   EXPECT_THROW(FramesPipeline(open_rig(config), {}), Error);
 }
 

@@ -116,8 +116,8 @@ TEST(Config, SampleShowsEveryKeyWithItsDefault) {
 TEST(Config, SampleShowsEveryKeyOfACameraWithItsDefault) {
   const Config config = parse_config(camera_sample(), "/sample/facet.toml");
   EXPECT_EQ(config.pipeline.source.kind, "v4l2");
-  const camera::V4l2Config& shown = config.pipeline.source.v4l2;
-  const camera::V4l2Config defaults;
+  const camera::LiveConfig& shown = config.pipeline.source.live;
+  const camera::LiveConfig defaults;
   EXPECT_THAT(shown.device.string(), StartsWith("/dev/v4l/by-path/"));
   EXPECT_EQ(shown.format, defaults.format);
   EXPECT_EQ(shown.width_px, defaults.width_px);
@@ -136,7 +136,7 @@ TEST(Config, SampleShowsEveryKeyOfACameraWithItsDefault) {
   EXPECT_EQ(other.libcamera.gain, std::nullopt);
   EXPECT_EQ(other.libcamera.red_gain, std::nullopt);
   EXPECT_EQ(other.libcamera.blue_gain, std::nullopt);
-  EXPECT_EQ(other.v4l2.width_px, defaults.width_px);
+  EXPECT_EQ(other.live.width_px, defaults.width_px);
 }
 
 TEST(Config, SampleOfARigIsOneThatRuns) {
@@ -207,9 +207,9 @@ deadline_ms = 200
                                      "/etc/facet/facet.toml");
   require_source(config, "facet.toml");
   const pipeline::RigConfig& rig = config.rig;
-  EXPECT_EQ(rig.cameras[0].source.v4l2.format, "GREY");
+  EXPECT_EQ(rig.cameras[0].source.live.format, "GREY");
   EXPECT_EQ(rig.cameras[0].latency_ns, -300'000);
-  EXPECT_EQ(rig.cameras[1].source.v4l2.device, "/dev/video2");
+  EXPECT_EQ(rig.cameras[1].source.live.device, "/dev/video2");
   EXPECT_EQ(rig.trigger, pipeline::TriggerKind::Gpio);
   EXPECT_EQ(rig.program.patterns, (std::vector<LineMask>{0b110, 0}));
   EXPECT_EQ(rig.program.settle_ns, 1'000'000);
@@ -273,17 +273,17 @@ buffers = 6
 stall_after_ms = 500
 )",
                                      "/etc/facet/facet.toml");
-  const camera::V4l2Config& v4l2 = config.pipeline.source.v4l2;
-  EXPECT_EQ(v4l2.device, "/dev/video2");
-  EXPECT_EQ(v4l2.format, "MJPEG");
-  EXPECT_EQ(v4l2.width_px, 1920);
-  EXPECT_EQ(v4l2.height_px, 1080);
-  EXPECT_EQ(v4l2.rate_hz, 29.97);
-  EXPECT_EQ(v4l2.exposure_us, 8000);
-  EXPECT_EQ(v4l2.gain, 12);
-  EXPECT_EQ(v4l2.white_balance_k, 4600);
-  EXPECT_EQ(v4l2.buffers, 6U);
-  EXPECT_EQ(v4l2.stall_after, std::chrono::milliseconds(500));
+  const camera::LiveConfig& live = config.pipeline.source.live;
+  EXPECT_EQ(live.device, "/dev/video2");
+  EXPECT_EQ(live.format, "MJPEG");
+  EXPECT_EQ(live.width_px, 1920);
+  EXPECT_EQ(live.height_px, 1080);
+  EXPECT_EQ(live.rate_hz, 29.97);
+  EXPECT_EQ(live.exposure_us, 8000);
+  EXPECT_EQ(live.gain, 12);
+  EXPECT_EQ(live.white_balance_k, 4600);
+  EXPECT_EQ(live.buffers, 6U);
+  EXPECT_EQ(live.stall_after, std::chrono::milliseconds(500));
   require_source(config, "facet.toml");
 }
 
@@ -304,14 +304,14 @@ stall_after_ms = 500
   const camera::CameraConfig& source = config.pipeline.source;
   EXPECT_EQ(source.kind, "libcamera");
   EXPECT_EQ(source.libcamera.id, "imx477");
-  EXPECT_EQ(source.v4l2.format, "RGB");
-  EXPECT_EQ(source.v4l2.width_px, 640);
-  EXPECT_EQ(source.v4l2.exposure_us, 8000);
+  EXPECT_EQ(source.live.format, "RGB");
+  EXPECT_EQ(source.live.width_px, 640);
+  EXPECT_EQ(source.live.exposure_us, 8000);
   EXPECT_EQ(source.libcamera.gain, 1.5);
   EXPECT_EQ(source.libcamera.red_gain, 2.0);
   EXPECT_EQ(source.libcamera.blue_gain, 1.75);
-  EXPECT_EQ(source.v4l2.gain, std::nullopt);
-  EXPECT_EQ(source.v4l2.stall_after, std::chrono::milliseconds(500));
+  EXPECT_EQ(source.live.gain, std::nullopt);
+  EXPECT_EQ(source.live.stall_after, std::chrono::milliseconds(500));
   require_source(config, "facet.toml");
   require_source(parse_config("[source]\nkind = \"libcamera\"", "facet.toml"), "facet.toml");
 }

@@ -209,10 +209,16 @@ TEST_F(DaemonWithAssets, AFullDiskEndsTheTakeAndNothingElse) {
   const auto daemon = start(configure(looped() + "\n[hierarchy]\nmax_levels = 1"));
   await(*daemon, is_running);
   ask("record.start", {{"name", "full"}});
-  const json status = await(*daemon, [](const json& now) { return now["recording"].is_null(); });
-  EXPECT_THAT(daemon->output(), AllOf(HasSubstr("recording ended by itself"), HasSubstr("free some space")));
+  const json status = await(*daemon, [](const json& now) {
+    return !now["recording"].is_null() && now["recording"]["state"] == "failed";
+  });
+  EXPECT_THAT(status["recording"]["reason"].get<std::string>(), HasSubstr("free some space"));
   const auto processed = status["frames"]["processed"].get<std::uint64_t>();
   await(*daemon, [&](const json& now) { return now["frames"]["processed"] > processed; });
+  EXPECT_THAT(daemon->output(), AllOf(HasSubstr("recording ended by itself"), HasSubstr("free some space")));
+  EXPECT_THAT([&] { ask("record.stop"); },
+              ::testing::ThrowsMessage<Error>(
+                  AllOf(HasSubstr("nothing is being recorded"), HasSubstr("free some space"))));
   daemon->send(SIGTERM);
   expect_clean_end(*daemon);
   const take::TakeReader reader(folder_.path() / "takes/full.take");

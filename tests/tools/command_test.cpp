@@ -5,12 +5,19 @@
 #include <gtest/gtest.h>
 
 #include <chrono>
+#include <cstring>
+#include <filesystem>
 #include <fstream>
 #include <thread>
 
 #include "camera/factory.hpp"
+#include "capture/patterns.hpp"
+#include "capture/rig_file.hpp"
 #include "facet/error.hpp"
+#include "files/pfm.hpp"
 #include "gpu/context.hpp"
+#include "render/renderer.hpp"
+#include "simulation/booth.hpp"
 #include "simulation/lossless_video.hpp"
 #include "support/child_process.hpp"
 #include "support/mesh_frames.hpp"
@@ -319,6 +326,54 @@ TEST_F(CommandWithAssets, ABrokenOffTakeIsWhole) {
   const take::TakeReader reader(file("new.take"));
   EXPECT_TRUE(reader.info().closed);
   EXPECT_GE(reader.frame_count(), 5);
+}
+
+TEST_F(Command, PatternsAreWrittenForEveryProjectorOfARig) {
+  EXPECT_EQ(run({"patterns", "write", file("patterns")}), static_cast<int>(ErrorKind::Usage));
+  EXPECT_THAT(output_, HasSubstr("--rig FILE or --size"));
+  ASSERT_EQ(run({"patterns", "write", file("patterns"), "--size", "64x48", "--periods", "2"}), 0) << output_;
+  capture::PatternConfig config;
+  config.width_px = 64;
+  config.height_px = 48;
+  const auto shown = capture::draw_pattern(config, capture::shown_in_slot(4));
+  const render::Picture picture = render::read_image(file("patterns/slot_000004.png"));
+  ASSERT_EQ(picture.rgb.size(), 3 * shown.values.size());
+  for (std::size_t k = 0; k < picture.rgb.size(); ++k) {
+    ASSERT_EQ(picture.rgb[k], shown.values[k / 3]);
+  }
+  EXPECT_FALSE(std::filesystem::exists(file("patterns/slot_000006.png")));
+}
+
+TEST_F(Command, SynthBoothWritesTakeRigAndTruth) {
+  const std::vector<std::string> command = {"synth-booth", "--scene",      "plane",      "--slots",
+                                            "2",           "--first-slot", "7",          "--samples",
+                                            "1",           "-o",           file("booth")};
+  ASSERT_EQ(run(command), 0) << output_;
+  simulation::BoothConfig config;
+  config.scene = simulation::BoothScene::Plane;
+  config.samples = 1;
+  const simulation::Booth booth(nullptr, config);
+  const capture::Rig rig = capture::read_rig(file("booth/rig.toml"));
+  ASSERT_EQ(rig.cameras.size(), booth.rig().cameras.size());
+  EXPECT_EQ(rig.cameras[2].lens.camera_from_rig.matrix(),
+            booth.rig().cameras[2].lens.camera_from_rig.matrix());
+  take::TakeReader take(file("booth/capture.take"));
+  ASSERT_EQ(take.frame_count(), 2);
+  const auto frame = take.frame(1);
+  ASSERT_NE(frame->images, nullptr);
+  EXPECT_EQ(frame->images->slot, 8U);
+  EXPECT_EQ(frame->images->trigger_ns, 133'333'333);
+  const Frame expected = booth.slot(8).frame(3);
+  ASSERT_EQ(frame->images->frames.size(), 6U);
+  for (int y = 0; y < 480; ++y) {
+    ASSERT_EQ(std::memcmp(frame->images->frames[3].row(y), expected.row(y), 4 * 640), 0) << y;
+  }
+  EXPECT_EQ(files::read_pfm(file("booth/truth/left-l/slot_000008.pfm")).values,
+            booth.slot(8).depth(0).depth_mm);
+  EXPECT_TRUE(std::filesystem::exists(file("booth/truth/slot_000008.ply")));   // blank
+  EXPECT_FALSE(std::filesystem::exists(file("booth/truth/slot_000007.ply")));  // stripes
+  EXPECT_EQ(run(command), static_cast<int>(ErrorKind::Storage));
+  EXPECT_THAT(output_, HasSubstr("exists already"));
 }
 
 }  // namespace

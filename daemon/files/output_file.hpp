@@ -7,7 +7,7 @@
 #include <string>
 #include <string_view>
 
-namespace facet::take {
+namespace facet::files {
 
 /// A file that comes into being whole: written under a temporary name beside its place and renamed by
 /// commit(). Without commit the temporary file is removed and an earlier file of the name stays as it was.
@@ -34,4 +34,4 @@ class OutputFile {
   std::unique_ptr<std::FILE, Close> stream_;
 };
 
-}  // namespace facet::take
+}  // namespace facet::files

@@ -1,4 +1,4 @@
-#include "take/output_file.hpp"
+#include "files/output_file.hpp"
 
 #include <fmt/format.h>
 #include <unistd.h>
@@ -10,7 +10,7 @@
 
 #include "facet/error.hpp"
 
-namespace facet::take {
+namespace facet::files {
 
 OutputFile::OutputFile(const std::filesystem::path& file)
     : file_(file),
@@ -50,4 +50,4 @@ void OutputFile::commit() {
   stream_.reset();
 }
 
-}  // namespace facet::take
+}  // namespace facet::files

@@ -1,0 +1,198 @@
+#include "stereo_footage.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "facet/error.hpp"
+#include "render/renderer.hpp"
+#include "simulation/booth.hpp"
+#include "support/stereo_scene.hpp"
+
+namespace facet::bench {
+namespace {
+
+using facet::test::StereoScene;
+
+StereoScene::Surface surface_of(const std::string& name) {
+  if (name == "plane") {
+    return StereoScene::Surface::Plane;
+  }
+  if (name == "sphere") {
+    return StereoScene::Surface::Sphere;
+  }
+  if (name == "wave") {
+    return StereoScene::Surface::Wave;
+  }
+  if (name == "step") {
+    return StereoScene::Surface::Step;
+  }
+  throw Error(ErrorKind::Usage, fmt::format("no scene {}: plane, sphere, wave, step", name));
+}
+
+/// Surface that lies in the right picture and is not hidden there.
+std::vector<bool> seen_by_both(const stereo::Rectification& rectification,
+                               const std::vector<float>& truth_mm) {
+  const int width = rectification.left().width_px;
+  const int height = rectification.left().height_px;
+  std::vector<bool> seen(truth_mm.size(), false);
+  std::vector<double> nearest(static_cast<std::size_t>(width));
+  for (int y = 0; y < height; ++y) {
+    const std::size_t first = static_cast<std::size_t>(y) * static_cast<std::size_t>(width);
+    std::fill(nearest.begin(), nearest.end(), -1e9);
+    for (const bool marking : {true, false}) {
+      for (int x = 0; x < width; ++x) {
+        const std::size_t at = first + static_cast<std::size_t>(x);
+        if (!(truth_mm[at] > 0)) {
+          continue;
+        }
+        const double d = rectification.disparity_px(static_cast<double>(truth_mm[at]));
+        const auto there = static_cast<int>(std::lround(x - d));
+        if (there < 3 || there >= width - 3) {
+          continue;
+        }
+        double& most = nearest[static_cast<std::size_t>(there)];
+        if (marking) {
+          most = std::max(most, d);
+        } else {
+          seen[at] = d >= most - 1.5;
+        }
+      }
+    }
+  }
+  return seen;
+}
+
+/// Judges the period in the middle.
+void judge_middle(StereoFootage& footage) {
+  footage.first_judged = (footage.slots.size() - 1) / 2 / 3 * 3;
+  footage.past_judged = std::min(footage.slots.size(), footage.first_judged + 3);
+}
+
+}  // namespace
+
+StereoFootage scene_footage(const std::string& name, const SceneOptions& options) {
+  StereoScene scene(options.width_px, options.height_px);
+  scene.surface = surface_of(name);
+  scene.seed = options.seed;
+  scene.speed_mm_per_slot = options.speed_mm_per_slot;
+  scene.stripe_mm = options.stripe_mm;
+  scene.noise = options.noise;
+  const int slots = options.slots;
+  StereoFootage out;
+  out.name = name;
+  out.rig = scene.rig;
+  out.pair = scene.rig.pairs.front();
+  out.depths = {660, 840};
+  out.width_px = options.width_px;
+  out.height_px = options.height_px;
+  out.slots.resize(static_cast<std::size_t>(slots));
+  out.truth_mm.resize(out.slots.size());
+  out.seen.resize(out.slots.size());
+  out.nothing.resize(out.slots.size());
+  const stereo::Rectification rectification = out.rectification();
+  render::for_each_row(slots, [&](int slot) {
+    const auto at = static_cast<std::size_t>(slot);
+    out.slots[at].left = scene.picture(out.pair.left, slot);
+    out.slots[at].right = scene.picture(out.pair.right, slot);
+    out.slots[at].has_pattern = StereoScene::has_pattern(slot);
+    const std::vector<double> depth = scene.depth_mm(rectification.left(), slot);
+    out.truth_mm[at].assign(depth.begin(), depth.end());
+    out.seen[at] = seen_by_both(rectification, out.truth_mm[at]);
+    for (const float truth : out.truth_mm[at]) {
+      out.nothing[at].push_back(!(truth > 0));
+    }
+  });
+  judge_middle(out);
+  return out;
+}
+
+StereoFootage booth_footage(const face::FaceModel& model, const std::string& name, std::size_t pair,
+                            const SceneOptions& options) {
+  simulation::BoothConfig config;
+  config.seed = options.seed;
+  if (name == "actor") {
+    config.scene = simulation::BoothScene::Actor;
+  } else if (name == "booth-plane") {
+    config.scene = simulation::BoothScene::Plane;
+  } else if (name == "booth-sphere") {
+    config.scene = simulation::BoothScene::Sphere;
+  } else {
+    throw Error(ErrorKind::Usage, fmt::format("no scene {}: actor, booth-plane, booth-sphere", name));
+  }
+  const simulation::Booth booth(&model, config);
+  StereoFootage out;
+  out.name = name;
+  out.rig = booth.rig();
+  out.pair = out.rig.pairs.at(pair);
+  out.depths = {880, 1130};
+  out.width_px = 640;
+  out.height_px = 480;
+  const stereo::Rectification rectification = out.rectification();
+  const capture::Lens& lens = rectification.left();
+  const CameraIntrinsics camera{static_cast<float>(lens.fx_px),
+                                static_cast<float>(lens.fy_px),
+                                static_cast<float>(lens.cx_px),
+                                static_cast<float>(lens.cy_px),
+                                lens.width_px,
+                                lens.height_px};
+  const Eigen::Vector3f right_centre =
+      (lens.camera_from_rig * rectification.right().centre_mm()).cast<float>();
+  for (int slot = 0; slot < options.slots; ++slot) {
+    const simulation::BoothSlot shot = booth.slot(static_cast<std::uint64_t>(options.first_slot + slot));
+    stereo::StereoSlot& pictures = out.slots.emplace_back();
+    pictures.left = shot.frame(out.pair.left);
+    pictures.right = shot.frame(out.pair.right);
+    pictures.has_pattern = shot.shown().kind == capture::Shown::Kind::Stripes;
+    const simulation::TruthMesh surface = shot.surface();
+    const mesh::Vertices vertices =
+        (lens.camera_from_rig.cast<float>() * surface.vertices_mm.colwise().homogeneous()).eval();
+    const render::Raycaster raycaster(vertices, surface.triangles);
+    const render::HitImage hits = raycaster.cast(camera);
+    const Eigen::MatrixXf skin = render::interpolate(hits, surface.triangles, booth.skin().transpose());
+    const std::size_t count = hits.depth_mm.size();
+    std::vector<std::uint8_t> seen(count, 0);
+    render::for_each_row(lens.height_px, [&](int y) {
+      for (int x = 0; x < lens.width_px; ++x) {
+        const std::size_t at = static_cast<std::size_t>(y) * static_cast<std::size_t>(lens.width_px) +
+                               static_cast<std::size_t>(x);
+        const double depth = static_cast<double>(hits.depth_mm[at]);
+        if (depth > 0 && skin(0, static_cast<Eigen::Index>(at)) > 0.5F) {
+          const Eigen::Vector3f point =
+              (depth * Eigen::Vector3d((x - lens.cx_px) / lens.fx_px, (y - lens.cy_px) / lens.fy_px, 1))
+                  .cast<float>();
+          const double there = x - rectification.disparity_px(depth);
+          seen[at] = there >= 3 && there < lens.width_px - 4 && !raycaster.occluded(point, right_centre, 1.0F)
+                         ? 1
+                         : 0;
+        }
+      }
+    });
+    // Hair, neck and eyes are in the pictures and not in the surface.
+    const simulation::DepthTruth whole = shot.depth(out.pair.left);
+    std::vector<bool> nothing(count, false);
+    for (std::size_t at = 0; at < count; ++at) {
+      const auto width = static_cast<std::size_t>(lens.width_px);
+      const std::size_t row = at / width;
+      const auto pixel =
+          rectification.left_picture_px({static_cast<double>(at % width), static_cast<double>(row)});
+      bool empty = !(hits.depth_mm[at] > 0);
+      for (int k = 0; pixel && empty && k < 9; ++k) {
+        const int x = static_cast<int>(std::lround(pixel->x())) + k % 3 - 1;
+        const int y = static_cast<int>(std::lround(pixel->y())) + k / 3 - 1;
+        empty = x < 0 || y < 0 || x >= whole.width_px || y >= whole.height_px ||
+                !(whole.depth_mm[static_cast<std::size_t>(y) * static_cast<std::size_t>(whole.width_px) +
+                                 static_cast<std::size_t>(x)] > 0);
+      }
+      nothing[at] = empty;
+    }
+    out.nothing.push_back(std::move(nothing));
+    out.truth_mm.push_back(hits.depth_mm);
+    out.seen.emplace_back(seen.begin(), seen.end());
+  }
+  judge_middle(out);
+  return out;
+}
+
+}  // namespace facet::bench

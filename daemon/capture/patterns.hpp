@@ -1,0 +1,53 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+namespace facet::capture {
+
+/// What the projectors show in one slot.
+struct Shown {
+  enum class Kind : std::uint8_t {
+    Dark,     ///< nothing: off
+    Blank,    ///< an even grey, for texture and flow
+    Stripes,  ///< pattern `number`, for depth
+  };
+  Kind kind = Kind::Dark;
+  std::uint64_t number = 0;  ///< of the stripes: two of them a period, never the same again
+
+  bool operator==(const Shown&) const = default;
+};
+
+/// A period is stripes A, stripes B, blank.
+inline constexpr std::uint64_t kSlotsPerPeriod = 3;
+
+/// What slot n of the standard program shows: 2p, 2p + 1, blank in period p.
+Shown shown_in_slot(std::uint64_t slot);
+
+struct PatternConfig {
+  std::uint64_t seed = 1;
+  int width_px = 1024;  ///< of the projector, 16 to 8192
+  int height_px = 768;
+  /// Mean width of a stripe, at least 3. What the cameras see should be no narrower than 3 of their pixels.
+  float stripe_px = 6;
+  /// Of the projector: its light is (value / 255)^gamma. 1 to 4.
+  float gamma = 2.2F;
+};
+
+/// What a projector is given to show: 8 bits a pixel, top row first.
+struct GreyImage {
+  int width_px = 0;
+  int height_px = 0;
+  std::vector<std::uint8_t> values;  ///< [height_px][width_px]
+};
+
+/// Random stripes as in Zhang et al. 2004, upright but for a slant of up to 8 degrees, so that no two rows
+/// are the same. Each has its own width (0.6 to 1.4 of the mean) and light (0 to 1, a quarter at least from
+/// its neighbour's); edges are soft (Gaussian, sigma 0.8 px), so that nothing is finer than the projector can
+/// show. Blank is half of white's light. Everything follows from seed, number and projector (which counts
+/// from 0: projectors that light the same skin need different stripes), and is the same on every machine.
+/// Throws Error(Usage) where the configuration is out of range.
+GreyImage draw_pattern(const PatternConfig& config, const Shown& shown, std::size_t projector = 0);
+
+}  // namespace facet::capture

@@ -1,0 +1,66 @@
+#pragma once
+
+#include <Eigen/Geometry>
+#include <cstddef>
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace facet::capture {
+
+/// Radial and tangential distortion of a lens (Brown 1971), in OpenCV's order and on normalised coordinates.
+struct LensDistortion {
+  double k1 = 0;
+  double k2 = 0;
+  double p1 = 0;
+  double p2 = 0;
+  double k3 = 0;
+};
+
+/// Something that maps points of space to pixels: a camera, or a projector looked at as one. Pixel centres
+/// are at whole numbers.
+struct Lens {
+  int width_px = 0;
+  int height_px = 0;
+  double fx_px = 0;
+  double fy_px = 0;
+  double cx_px = 0;
+  double cy_px = 0;
+  LensDistortion distortion;
+  /// Of the camera frame: x right, y down, z forward, mm.
+  Eigen::Isometry3d camera_from_rig = Eigen::Isometry3d::Identity();
+
+  /// Where a point of the rig's frame is seen, distortion included; nothing where it is not in front.
+  std::optional<Eigen::Vector2d> project(const Eigen::Vector3d& point_mm) const;
+  /// The direction in the camera frame, z = 1, that is seen at a pixel: distortion undone to 1e-9 px by
+  /// Newton's method; nothing where it can't be undone there.
+  std::optional<Eigen::Vector3d> direction(const Eigen::Vector2d& pixel) const;
+  /// The middle of the lens in the rig's frame.
+  Eigen::Vector3d centre_mm() const { return camera_from_rig.inverse().translation(); }
+};
+
+struct RigCamera {
+  std::string name;  ///< unique; as in the configuration's [[camera]]
+  Lens lens;
+  bool colour = false;  ///< sees texture and flow; monochrome ones see depth
+};
+
+struct RigProjector {
+  std::string name;  ///< unique; the trigger's line that shows its pattern
+  Lens lens;
+};
+
+/// Two cameras whose pictures make one depth map, in the left one's frame. Indices into Rig::cameras.
+struct StereoPair {
+  std::size_t left = 0;
+  std::size_t right = 0;
+};
+
+/// The calibrated devices of a booth, in one frame: right-handed, mm.
+struct Rig {
+  std::vector<RigCamera> cameras;
+  std::vector<StereoPair> pairs;
+  std::vector<RigProjector> projectors;
+};
+
+}  // namespace facet::capture

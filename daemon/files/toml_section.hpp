@@ -1,0 +1,148 @@
+#pragma once
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <toml++/toml.h>
+
+#include <algorithm>
+#include <array>
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace facet::files {
+
+inline constexpr const char* kAnyText = "a text in quotes";
+
+/// A TOML file as a whole: where messages point, and the keys that were asked for.
+class TomlDocument {
+ public:
+  /// Borrows root.
+  TomlDocument(const toml::table& root, std::filesystem::path file) : root_(root), file_(std::move(file)) {}
+
+  /// Throws Error(Usage) that names the file, the node's line, the key and what is wrong.
+  [[noreturn]] void fail(const toml::node* node, const std::string& key, const std::string& what) const;
+
+  const toml::table& root() const { return root_; }
+  std::filesystem::path folder() const { return file_.parent_path(); }
+  std::vector<std::string> keys;
+
+ private:
+  const toml::table& root_;
+  std::filesystem::path file_;
+};
+
+/// One table of the file. Every read leaves the value as it is where the key is not there, and throws
+/// Error(Usage) that says what is allowed; finish() refuses what nobody asked for.
+class TomlSection {
+ public:
+  TomlSection(TomlDocument& document, const toml::table* table, std::string name)
+      : document_(document), table_(table), name_(std::move(name)) {}
+
+  /// A table inside this one; absent where the file does not have it.
+  TomlSection section(const std::string& key);
+  /// The tables of an array [[key]]. One that is not in the file stands for its keys.
+  std::vector<TomlSection> sections(const std::string& key);
+
+  /// A list of texts.
+  void read(const std::string& key, std::vector<std::string>& value);
+  void read(const std::string& key, std::string& value);
+  void read(const std::string& key, bool& value);
+  /// A path, from the file's folder where it is relative.
+  void read(const std::string& key, std::filesystem::path& value);
+  /// File permissions as an octal number.
+  void read_mode(const std::string& key, unsigned& value);
+  /// A list of as many numbers as `values` has room for, each between the bounds; the node, or null where
+  /// there is none.
+  const toml::node* read_numbers(const std::string& key, std::span<double> values, double least, double most);
+
+  template <typename Integer>
+  void read_integer(const std::string& key, Integer& value, std::int64_t least, std::int64_t most) {
+    if (const toml::node* node = find(key)) {
+      value = static_cast<Integer>(
+          integer(*node, key, least, most, fmt::format("a whole number from {} to {}", least, most)));
+    }
+  }
+
+  template <typename Number>
+  void read_number(const std::string& key, Number& value, double least, double most) {
+    if (const toml::node* node = find(key)) {
+      value = static_cast<Number>(
+          number(*node, key, least, most, fmt::format("a number from {} to {}", least, most)));
+    }
+  }
+
+  /// One of a few words; returns its place among them.
+  template <std::size_t Count>
+  std::optional<std::size_t> read_choice(const std::string& key,
+                                         const std::array<const char*, Count>& allowed) {
+    const toml::node* node = find(key);
+    if (node == nullptr) {
+      return std::nullopt;
+    }
+    const std::string wanted = fmt::format("must be one of: \"{}\"", fmt::join(allowed, "\", \""));
+    const std::optional<std::string> found = node->value_exact<std::string>();
+    const auto at =
+        std::find_if(allowed.begin(), allowed.end(), [&](const char* word) { return found == word; });
+    if (!found || at == allowed.end()) {
+      fail(node, key, wanted);
+    }
+    return static_cast<std::size_t>(at - allowed.begin());
+  }
+
+  /// Refuses the keys that are there, with the reason.
+  template <std::size_t Count>
+  void refuse(const std::array<const char*, Count>& keys, const std::string& why) const {
+    for (const char* key : keys) {
+      if (const toml::node* node = table_ != nullptr ? table_->get(key) : nullptr) {
+        fail(node, key, why);
+      }
+    }
+  }
+
+  /// Refuses a section that lacks one of the keys.
+  template <std::size_t Count>
+  void require(const std::array<const char*, Count>& keys) const {
+    for (const char* key : keys) {
+      if (table_ != nullptr && table_->get(key) == nullptr) {
+        fail(table_, key, "is missing");
+      }
+    }
+  }
+
+  /// The raw value, for keys whose type is not one of the above.
+  const toml::node* find(const std::string& key, bool is_value = true);
+  std::string text(const toml::node& node, const std::string& key, const std::string& allowed) const;
+  std::vector<std::string> texts(const toml::node& node, const std::string& key) const;
+  [[noreturn]] void fail(const toml::node* node, const std::string& key, const std::string& what) const {
+    document_.fail(node, full(key), what);
+  }
+
+  bool given() const { return table_ != nullptr; }
+  const toml::node* node() const { return table_; }
+  void finish() const;
+
+ private:
+  std::string full(const std::string& key) const { return name_.empty() ? key : name_ + "." + key; }
+  std::int64_t integer(const toml::node& node, const std::string& key, std::int64_t least, std::int64_t most,
+                       const std::string& allowed) const;
+  double number(const toml::node& node, const std::string& key, double least, double most,
+                const std::string& allowed) const;
+
+  TomlDocument& document_;
+  const toml::table* table_;
+  std::string name_;
+  std::vector<std::string> known_;
+};
+
+/// Parses a text and hands it to `read`. Throws Error(Usage) naming file and line where it is no TOML. `file`
+/// stands in messages alone.
+void read_toml(std::string_view text, const std::filesystem::path& file,
+               const std::function<void(TomlDocument&)>& read);
+
+}  // namespace facet::files

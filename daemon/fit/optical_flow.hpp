@@ -1,0 +1,36 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <memory>
+#include <vector>
+
+#include "facet/frame.hpp"
+
+namespace facet::fit {
+
+/// Where everything in a picture went, and how far that is to be trusted.
+struct Flow {
+  int width_px = 0;
+  int height_px = 0;
+  std::vector<Eigen::Vector2f> flow_px;  ///< [height_px][width_px] from the earlier picture's pixels
+  /// [height_px][width_px] 1 where going there and back ends where it began, falling to 0 at a pixel's
+  /// distance.
+  std::vector<float> confidence;
+};
+
+/// Dense optical flow between consecutive pictures of one camera, there and back (DIS: Kroeger et al. 2016;
+/// docs/template-fit.md says why). One thread at a time.
+class OpticalFlow {
+ public:
+  OpticalFlow();
+  ~OpticalFlow();
+
+  /// Throws Error(Usage) where the pictures are empty or of different sizes.
+  void find(const Frame& earlier, const Frame& later, Flow& out);
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace facet::fit

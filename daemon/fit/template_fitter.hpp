@@ -1,0 +1,103 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "capture/depth_map.hpp"
+#include "capture/rig.hpp"
+#include "fit/template_mesh.hpp"
+
+namespace facet::fit {
+
+/// Where the skin moved between two pictures of one camera.
+struct FlowView {
+  capture::Lens lens;  ///< of the pictures
+  int width_px = 0;
+  int height_px = 0;
+  /// [height_px][width_px] from a pixel of the earlier picture to where it is in the later one.
+  std::span<const Eigen::Vector2f> flow_px;
+  std::span<const float> confidence;  ///< [height_px][width_px] 0 where nothing is known, up to 1
+};
+
+/// Zhang et al. 2004, section 4, and its constants.
+struct FitOptions {
+  double alpha = 2.0;      ///< of E_r, eq. 12
+  double beta = 0.5;       ///< of E_m, eq. 14
+  double sigma_s_mm = 20;  ///< Tukey's, of depth, eq. 10
+  double sigma_m_px = 20;  ///< Tukey's, of motion, eq. 13
+  int steps = 6;           ///< Gauss-Newton, at most; ends early once no vertex moves by more than 0.005 mm
+  int cg_iterations = 60;  ///< per step, at most
+  /// What E_r compares with follows the mesh found before each step, so that it tells bending from turning
+  /// and from what the model knows of faces (past the paper, where it is the template as it was placed).
+  bool turns_with_the_head = true;
+  bool knows_expressions = true;
+  /// Of the expressions' weights, as a standard deviation: how far they are looked for from 0.
+  double expression_sigma = 0.5;
+};
+
+enum class FitOutcome {
+  Converged,         ///< no vertex moves by more than 0.005 mm any more
+  NotConverged,      ///< the steps are used up
+  NoData,            ///< too few vertices see a depth: fewer than a twentieth
+  NumericalFailure,  ///< a number is not finite; the vertices are those given
+};
+
+constexpr const char* to_string(FitOutcome outcome) {
+  constexpr std::array kNames = {"converged", "not converged", "no data", "numerical failure"};
+  return kNames.at(static_cast<std::size_t>(outcome));
+}
+
+struct FitReport {
+  FitOutcome outcome = FitOutcome::NotConverged;
+  std::string failure;  ///< for people; empty where all is well
+  int steps = 0;
+  double last_move_mm = 0;    ///< largest of the last step
+  double surface_rms_mm = 0;  ///< along the depth axis, over what counts
+  double motion_rms_px = 0;   ///< of the flow, over what counts; 0 without flow
+  double seen = 0;            ///< share of the skin's vertices that a depth map pulls
+  double followed = 0;        ///< share that a flow pulls
+};
+
+/// Fits the template to depth maps, and follows the skin through a take. One thread at a time.
+class TemplateFitter {
+ public:
+  TemplateFitter(std::shared_ptr<const TemplateMesh> surface, const FitOptions& options);
+  ~TemplateFitter();
+
+  /// The shape that E_r compares with from now on: the template as it was placed, later as it was fitted.
+  /// Needed before the first fit. Throws Error(Usage) where it has other vertices than the template.
+  void set_rest(RestShape rest);
+
+  /// Eq. 10-12: deforms the template onto the depth maps.
+  /// vertices_mm  [3][vertex_count] rig frame; in: where to begin, out: the result
+  FitReport fit(std::span<const capture::DepthMap> maps, mesh::Vertices& vertices_mm);
+
+  /// Eq. 13-14. The same, and every vertex goes where the flow says that its skin went.
+  /// flows        of the cameras that see texture
+  /// before_mm    [3][vertex_count] the result for the earlier picture
+  /// vertices_mm  as above
+  FitReport track(std::span<const capture::DepthMap> maps, std::span<const FlowView> flows,
+                  const mesh::Vertices& before_mm, mesh::Vertices& vertices_mm);
+
+  /// Of the last call: [vertex_count] how strongly depth maps pull a vertex, 0 where none sees it.
+  const std::vector<float>& depth_weight() const;
+  /// [expression_count] weights of the expressions in the shape that E_r compared with last.
+  const Eigen::VectorXd& expression() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+/// Which vertices a lens sees: in front of it, in its picture, turned towards it and behind no other part of
+/// the mesh (drawn with `margin_mm` to spare), and `rim_px` away from where the mesh ends or hides itself:
+/// there a flow mixes what moves differently. [vertex_count] 0 or 1.
+void find_visible(const capture::Lens& lens, const mesh::Vertices& vertices_mm,
+                  const Eigen::Matrix3Xf& normals, const mesh::Triangles& triangles, float margin_mm,
+                  float rim_px, std::vector<std::uint8_t>& visible);
+
+}  // namespace facet::fit

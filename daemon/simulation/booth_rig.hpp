@@ -1,0 +1,20 @@
+#pragma once
+
+#include <cstdint>
+
+#include "capture/rig.hpp"
+
+namespace facet::simulation {
+
+/// The rig of the virtual booth, laid out as in figure 1 of Zhang et al. 2004: on either side of the face a
+/// stereo pair of monochrome cameras ("left-l", "left-r", "right-l", "right-r"; sides as the cameras see
+/// them), a colour camera ("colour-l", "colour-r") and a projector ("projector-l", "projector-r"). Cameras
+/// have 640x480 px, a focal length of about 1600 px and stand 1 m from the face, the two of a pair 280 mm
+/// apart; projectors have 1024x768 px and light 520 mm there. Poses and lenses differ a little from the plan,
+/// by the seed, and lenses distort.
+///
+/// The rig's frame: origin in the middle of the resting face, x to the subject's left, y up, z towards the
+/// cameras.
+capture::Rig make_booth_rig(std::uint64_t seed);
+
+}  // namespace facet::simulation

@@ -1,0 +1,104 @@
+#include "simulation/stage.hpp"
+
+namespace facet::simulation {
+namespace {
+
+using Eigen::Isometry3f;
+using Eigen::Vector3f;
+
+Eigen::Matrix3f turn(const HeadMotion& motion) {
+  return (Eigen::AngleAxisf(motion.yaw_rad, Vector3f::UnitY()) *
+          Eigen::AngleAxisf(motion.pitch_rad, Vector3f::UnitX()) *
+          Eigen::AngleAxisf(motion.roll_rad, Vector3f::UnitZ()))
+      .toRotationMatrix();
+}
+
+}  // namespace
+
+Stage::Stage(const face::FaceModel& model, std::uint64_t seed, bool glasses, double duration_s)
+    : actor_(model, seed, glasses), performance_(seed, duration_s) {
+  const Anatomy& face = actor_.anatomy();
+  middle_mm_ = 0.5F * (face.forehead + face.chin);
+  pivot_mm_ = Vector3f(0, face.chin.y() + 25, face.nasion.z() - 95);
+}
+
+void Stage::put(const Eigen::Matrix3f& axes, const Eigen::Vector3f& middle_mm, float head_motion) {
+  axes_ = axes;
+  resting_pivot_mm_ = middle_mm + axes * (pivot_mm_ - middle_mm_);
+  head_motion_ = head_motion;
+}
+
+std::vector<float> Stage::expression(double time_s) const {
+  return performance_.expression(time_s, actor_.expression_names());
+}
+
+HeadMotion Stage::head_motion(double time_s) const {
+  HeadMotion motion = performance_.head(time_s);
+  motion.yaw_rad *= head_motion_;
+  motion.pitch_rad *= head_motion_;
+  motion.roll_rad *= head_motion_;
+  motion.shift_mm *= head_motion_;
+  return motion;
+}
+
+Isometry3f Stage::pose(const HeadMotion& motion) const {
+  // The performance shifts the head along the axes of a camera that it looks at: x right, y down, z forward.
+  const Eigen::Matrix3f place_from_camera_axes = axes_ * Vector3f(1, -1, -1).asDiagonal();
+  Isometry3f pose = Isometry3f::Identity();
+  pose.linear() = axes_ * turn(motion);
+  pose.translation() =
+      resting_pivot_mm_ + place_from_camera_axes * motion.shift_mm - pose.linear() * pivot_mm_;
+  return pose;
+}
+
+Isometry3f Stage::place_from_head(double time_s) const {
+  return pose(head_motion(time_s));
+}
+
+void Stage::build_scene(double time_s, Scene& scene) const {
+  ActorShape shape;
+  actor_.shape(expression(time_s), performance_.gaze(time_s), shape);
+  const Isometry3f head = place_from_head(time_s);
+  scene.clear();
+  scene.add(head * shape.head_mm, head.linear() * shape.head_normals, actor_.head_albedo(),
+            actor_.head_materials(), actor_.head_triangles(), actor_.openness());
+  const auto add = [&](const mesh::Vertices& part_mm, const Surface& surface) {
+    Eigen::Matrix3Xf normals;
+    mesh::vertex_normals(part_mm, surface.triangles, normals);
+    scene.add(part_mm, normals, surface.albedo, surface.materials, surface.triangles, {});
+  };
+  for (const Eyeball& eyeball : actor_.eyeballs()) {
+    const Surface& surface = actor_.eyeball_surface();
+    const mesh::Vertices turned_mm =
+        (gaze_rotation(shape.gaze) * surface.vertices_mm).colwise() + eyeball.centre_mm;
+    add(head * turned_mm, surface);
+  }
+  add(head * actor_.upper_teeth().vertices_mm, actor_.upper_teeth());
+  add(head * shape.lower_teeth_mm, actor_.lower_teeth());
+  // The body follows the head's shift by a good half and turns little.
+  HeadMotion motion = head_motion(time_s);
+  motion.yaw_rad *= 0.2F;
+  motion.pitch_rad = 0;
+  motion.roll_rad = 0;
+  motion.shift_mm *= 0.6F;
+  const Isometry3f body = pose(motion);
+  const Torso& torso = actor_.torso();
+  mesh::Vertices torso_mm(3, torso.surface.vertices_mm.cols());
+  for (Eigen::Index v = 0; v < torso_mm.cols(); ++v) {
+    const Vector3f at = torso.surface.vertices_mm.col(v);
+    const float hold = torso.hold[static_cast<std::size_t>(v)];
+    torso_mm.col(v) = hold * (head * at) + (1 - hold) * (body * at);
+  }
+  add(torso_mm, torso.surface);
+  if (actor_.glasses().vertices_mm.cols() > 0) {
+    add(head * actor_.glasses().vertices_mm, actor_.glasses());
+  }
+}
+
+TruthMesh Stage::head_of(const Scene& scene) const {
+  const Eigen::Index count = actor_.head_albedo().cols();
+  return {scene.vertices_mm.leftCols(count), scene.normals.leftCols(count), actor_.head_albedo(),
+          actor_.head_triangles()};
+}
+
+}  // namespace facet::simulation

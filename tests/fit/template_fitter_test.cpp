@@ -1,0 +1,305 @@
+#include "fit/template_fitter.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
+#include <cmath>
+
+#include "facet/error.hpp"
+#include "render/renderer.hpp"
+#include "support/synthetic_model.hpp"
+
+namespace facet::fit {
+namespace {
+
+using capture::DepthMap;
+using capture::Lens;
+using Eigen::Vector3d;
+using Eigen::Vector3f;
+
+/// A template that looks along z at a camera 900 mm away.
+struct Scene {
+  Scene() {
+    const face::FaceModel model = test::synthetic_model();
+    surface = std::make_shared<const TemplateMesh>(make_template(model, 3000));
+  }
+  std::shared_ptr<const TemplateMesh> surface;
+};
+const Scene& scene() {
+  static const Scene made;
+  return made;
+}
+
+Lens lens_at(double angle_rad) {
+  Lens lens;
+  lens.width_px = 320;
+  lens.height_px = 320;
+  lens.fx_px = lens.fy_px = 1000;
+  lens.cx_px = lens.cy_px = 159.5;
+  Eigen::Matrix3d upright;  // looks along -z, y down
+  upright << 1, 0, 0, 0, -1, 0, 0, 0, -1;
+  lens.camera_from_rig = Eigen::Translation3d(0, 0, 900) * Eigen::Isometry3d(Eigen::Quaterniond(upright)) *
+                         Eigen::AngleAxisd(angle_rad, Vector3d::UnitY());
+  return lens;
+}
+
+DepthMap depth_of(const mesh::Vertices& vertices_mm, const Lens& lens) {
+  const Eigen::Isometry3f camera_from_rig = lens.camera_from_rig.cast<float>();
+  const mesh::Vertices seen =
+      (camera_from_rig.linear() * vertices_mm).colwise() + camera_from_rig.translation();
+  const render::Raycaster caster(seen, scene().surface->triangles);
+  DepthMap map;
+  map.width_px = lens.width_px;
+  map.height_px = lens.height_px;
+  map.lens = lens;
+  map.depth_mm = caster
+                     .cast({static_cast<float>(lens.fx_px), static_cast<float>(lens.fy_px),
+                            static_cast<float>(lens.cx_px), static_cast<float>(lens.cy_px), lens.width_px,
+                            lens.height_px})
+                     .depth_mm;
+  map.sigma_mm.assign(map.depth_mm.size(), 0.1F);
+  for (const float depth : map.depth_mm) {
+    map.confidence.push_back(depth > 0 ? 1.0F : 0.0F);
+  }
+  return map;
+}
+
+std::vector<DepthMap> depths_of(const mesh::Vertices& vertices_mm) {
+  return {depth_of(vertices_mm, lens_at(-0.35)), depth_of(vertices_mm, lens_at(0.35))};
+}
+
+/// Mean distance of the vertices that the maps pulled to a surface.
+double mean_distance_mm(const mesh::Vertices& vertices_mm, const mesh::Vertices& truth_mm,
+                        const std::vector<float>& weight) {
+  const render::Raycaster caster(truth_mm, scene().surface->triangles);
+  double sum = 0;
+  int count = 0;
+  for (std::size_t v = 0; v < weight.size(); ++v) {
+    if (weight[v] > 0.3F) {
+      sum += static_cast<double>(
+          caster.closest_point(vertices_mm.col(static_cast<Eigen::Index>(v)), 50).distance_mm);
+      ++count;
+    }
+  }
+  return sum / std::max(count, 1);
+}
+
+/// The neutral template with a swollen cheek and a tilt.
+mesh::Vertices swollen() {
+  mesh::Vertices vertices_mm = scene().surface->neutral_mm;
+  for (Eigen::Index v = 0; v < vertices_mm.cols(); ++v) {
+    const Vector3f at = vertices_mm.col(v);
+    vertices_mm(2, v) += 5 * std::exp(-((at.x() - 30) * (at.x() - 30) + (at.y() + 25) * (at.y() + 25)) / 450);
+  }
+  const Eigen::AngleAxisf tilt(0.05F, Vector3f(0.3F, 1, 0).normalized());
+  return (tilt.toRotationMatrix() * vertices_mm).colwise() + Vector3f(2, -1, 4);
+}
+
+RestShape rest() {
+  return {scene().surface->neutral_mm, scene().surface->expressions_mm};
+}
+
+TEST(TemplateFitter, ComesToLieOnTheDepthMaps) {
+  const mesh::Vertices truth_mm = swollen();
+  FitOptions options;
+  options.steps = 30;
+  options.cg_iterations = 200;
+  TemplateFitter fitter(scene().surface, options);
+  fitter.set_rest(rest());
+  mesh::Vertices vertices_mm = scene().surface->neutral_mm;
+  const FitReport report = fitter.fit(depths_of(truth_mm), vertices_mm);
+  EXPECT_LT(report.last_move_mm, 0.05) << to_string(report.outcome);
+  EXPECT_GT(report.seen, 0.8);
+  EXPECT_LT(report.surface_rms_mm, 0.2);
+  EXPECT_LT(mean_distance_mm(vertices_mm, truth_mm, fitter.depth_weight()), 0.05);
+  EXPECT_GT(mean_distance_mm(scene().surface->neutral_mm, truth_mm, fitter.depth_weight()), 1.0)
+      << "or the test shows nothing";
+}
+
+TEST(TemplateFitter, OutliersOfDepthDoNotPull) {
+  const mesh::Vertices truth_mm = swollen();
+  std::vector<DepthMap> maps = depths_of(truth_mm);
+  for (DepthMap& map : maps) {  // a hand in front
+    for (int y = 150; y < 190; ++y) {
+      for (int x = 100; x < 150; ++x) {
+        map.depth_mm[static_cast<std::size_t>(y) * 320 + static_cast<std::size_t>(x)] = 780;
+      }
+    }
+  }
+  FitOptions options;
+  options.steps = 30;
+  options.cg_iterations = 200;
+  TemplateFitter fitter(scene().surface, options);
+  fitter.set_rest(rest());
+  mesh::Vertices vertices_mm = scene().surface->neutral_mm;
+  EXPECT_TRUE(fitter.fit(maps, vertices_mm).failure.empty());
+  const std::vector<float> everywhere(static_cast<std::size_t>(vertices_mm.cols()), 1.0F);
+  const render::Raycaster caster(truth_mm, scene().surface->triangles);
+  EXPECT_LT(mean_distance_mm(vertices_mm, truth_mm, fitter.depth_weight()), 0.1);
+  EXPECT_LT(mean_distance_mm(vertices_mm, truth_mm, everywhere), 0.6) << "what the hand hides is guessed";
+}
+
+/// Exact flow between two states of the mesh, by ray casting.
+struct TrueFlow {
+  TrueFlow(const Lens& lens, const mesh::Vertices& before_mm, const mesh::Vertices& after_mm) {
+    const Eigen::Isometry3f camera_from_rig = lens.camera_from_rig.cast<float>();
+    const mesh::Triangles& triangles = scene().surface->triangles;
+    const mesh::Vertices seen =
+        (camera_from_rig.linear() * before_mm).colwise() + camera_from_rig.translation();
+    const render::HitImage hits = render::Raycaster(seen, triangles)
+                                      .cast({static_cast<float>(lens.fx_px), static_cast<float>(lens.fy_px),
+                                             static_cast<float>(lens.cx_px), static_cast<float>(lens.cy_px),
+                                             lens.width_px, lens.height_px});
+    flow_px.assign(hits.triangle.size(), Eigen::Vector2f(0, 0));
+    confidence.assign(hits.triangle.size(), 0.0F);
+    for (std::size_t i = 0; i < hits.triangle.size(); ++i) {
+      if (hits.triangle[i] >= 0) {
+        const Vector3f after =
+            render::interpolate(triangles, hits.triangle[i], hits.barycentric[i], after_mm);
+        const Eigen::Vector2f from(static_cast<float>(i % static_cast<std::size_t>(lens.width_px)),
+                                   static_cast<float>(i / static_cast<std::size_t>(lens.width_px)));
+        flow_px[i] = lens.project(after.cast<double>())->cast<float>() - from;
+        confidence[i] = 1;
+      }
+    }
+    view = {lens, lens.width_px, lens.height_px, flow_px, confidence};
+  }
+  std::vector<Eigen::Vector2f> flow_px;
+  std::vector<float> confidence;
+  FlowView view;
+};
+
+TEST(TemplateFitter, FollowsTheSkinAlongTheSurface) {
+  // The skin slides within a surface that hardly changes: only the flow can tell.
+  const mesh::Vertices before_mm = scene().surface->neutral_mm;
+  mesh::Vertices after_mm = before_mm;
+  for (Eigen::Index v = 0; v < after_mm.cols(); ++v) {
+    const Vector3f at = after_mm.col(v);
+    after_mm.col(v) += 3 * std::exp(-at.head<2>().squaredNorm() / 2000) * Vector3f(1, 0.5F, 0);
+  }
+  const std::vector<DepthMap> maps = depths_of(after_mm);
+  const TrueFlow left(lens_at(-0.3), before_mm, after_mm);
+  const TrueFlow right(lens_at(0.3), before_mm, after_mm);
+  const std::vector<FlowView> flows = {left.view, right.view};
+  FitOptions options;
+  options.steps = 20;
+  options.cg_iterations = 200;
+  TemplateFitter fitter(scene().surface, options);
+  fitter.set_rest(rest());
+  mesh::Vertices followed_mm = before_mm;
+  const FitReport report = fitter.track(maps, flows, before_mm, followed_mm);
+  EXPECT_EQ(report.outcome, FitOutcome::Converged);
+  EXPECT_GT(report.followed, 0.5);
+  EXPECT_LT(report.motion_rms_px, 0.3);
+  mesh::Vertices alone_mm = before_mm;
+  fitter.fit(maps, alone_mm);
+  double drift = 0;
+  double drift_alone = 0;
+  int count = 0;
+  for (Eigen::Index v = 0; v < after_mm.cols(); ++v) {
+    if ((after_mm.col(v) - before_mm.col(v)).norm() > 1) {
+      drift += static_cast<double>((after_mm.col(v) - followed_mm.col(v)).norm());
+      drift_alone += static_cast<double>((after_mm.col(v) - alone_mm.col(v)).norm());
+      ++count;
+    }
+  }
+  ASSERT_GT(count, 100);
+  EXPECT_LT(drift / count, 0.3);
+  EXPECT_GT(drift_alone / count, 4 * drift / count);
+}
+
+TEST(TemplateFitter, KnowsTurningAndExpressionsFromBending) {
+  const auto& expressions = scene().surface->expressions_mm;
+  std::size_t largest = 0;
+  for (std::size_t e = 1; e < expressions.size(); ++e) {
+    largest = expressions[e].squaredNorm() > expressions[largest].squaredNorm() ? e : largest;
+  }
+  mesh::Vertices truth_mm = scene().surface->neutral_mm + 0.8F * expressions[largest];
+  truth_mm = Eigen::AngleAxisf(0.12F, Vector3f::UnitY()).toRotationMatrix() * truth_mm;
+  FitOptions options;
+  options.steps = 40;
+  options.cg_iterations = 300;
+  TemplateFitter fitter(scene().surface, options);
+  fitter.set_rest(rest());
+  mesh::Vertices vertices_mm = scene().surface->neutral_mm;
+  fitter.fit(depths_of(truth_mm), vertices_mm);
+  ASSERT_EQ(fitter.expression().size(), static_cast<Eigen::Index>(expressions.size()));
+  EXPECT_NEAR(fitter.expression()[static_cast<Eigen::Index>(largest)], 0.8, 0.2);
+  const double knowing = (vertices_mm - truth_mm).colwise().norm().mean();
+  options.turns_with_the_head = false;
+  TemplateFitter paper(scene().surface, options);
+  paper.set_rest(rest());
+  vertices_mm = scene().surface->neutral_mm;
+  paper.fit(depths_of(truth_mm), vertices_mm);
+  EXPECT_LT(knowing, 0.5 * static_cast<double>((vertices_mm - truth_mm).colwise().norm().mean()));
+}
+
+TEST(TemplateFitter, WithoutDepthItStaysWhereItIsAndSaysSo) {
+  TemplateFitter fitter(scene().surface, {});
+  fitter.set_rest(rest());
+  mesh::Vertices vertices_mm = swollen();
+  const mesh::Vertices given = vertices_mm;
+  EXPECT_EQ(fitter.fit({}, vertices_mm).outcome, FitOutcome::NoData);
+  EXPECT_EQ(vertices_mm, given);
+  // A face that has left the volume: the maps see something else.
+  const std::vector<DepthMap> maps = depths_of(scene().surface->neutral_mm.colwise() + Vector3f(0, 0, 300));
+  const FitReport report = fitter.fit(maps, vertices_mm);
+  EXPECT_EQ(report.outcome, FitOutcome::NoData);
+  EXPECT_THAT(report.failure, ::testing::HasSubstr("of the template's skin lies on a depth map"));
+  EXPECT_EQ(vertices_mm, given);
+}
+
+TEST(TemplateFitter, NumbersThatAreNoneDoNoHarm) {
+  TemplateFitter fitter(scene().surface, {});
+  fitter.set_rest(rest());
+  std::vector<DepthMap> maps = depths_of(scene().surface->neutral_mm);
+  for (std::size_t i = 0; i < maps[0].depth_mm.size(); i += 3) {
+    maps[0].depth_mm[i] =
+        i % 2 == 0 ? std::numeric_limits<float>::quiet_NaN() : std::numeric_limits<float>::infinity();
+  }
+  mesh::Vertices vertices_mm = scene().surface->neutral_mm;
+  const FitReport report = fitter.fit(maps, vertices_mm);
+  EXPECT_NE(report.outcome, FitOutcome::NumericalFailure);
+  EXPECT_TRUE(vertices_mm.allFinite());
+}
+
+TEST(TemplateFitter, WrongUseIsNamed) {
+  FitOptions options;
+  options.alpha = 0;
+  EXPECT_THROW(TemplateFitter(scene().surface, options), Error);
+  TemplateFitter fitter(scene().surface, {});
+  mesh::Vertices vertices_mm = scene().surface->neutral_mm;
+  EXPECT_THAT([&] { fitter.fit({}, vertices_mm); },
+              ::testing::ThrowsMessage<Error>(::testing::HasSubstr("no rest shape")));
+  EXPECT_THROW(fitter.set_rest({mesh::Vertices::Zero(3, 7), {}}), Error);
+}
+
+TEST(FindVisible, HidesWhatIsBehindAndTheRim) {
+  // A small plate in front of a large one.
+  mesh::Vertices vertices_mm(3, 8);
+  vertices_mm << -100, 100, 100, -100, -30, 30, 30, -30, -100, -100, 100, 100, -30, -30, 30, 30, 0, 0, 0, 0,
+      50, 50, 50, 50;
+  mesh::Triangles triangles(3, 4);
+  triangles << 0, 0, 4, 4, 1, 2, 5, 6, 2, 3, 6, 7;
+  Eigen::Matrix3Xf normals = Eigen::Matrix3Xf::Zero(3, 8);
+  normals.row(2).setOnes();
+  Lens lens = lens_at(0);
+  std::vector<std::uint8_t> visible;
+  find_visible(lens, vertices_mm, normals, triangles, 1, 0, visible);
+  EXPECT_THAT(visible, ::testing::Each(1));
+  find_visible(lens, vertices_mm, normals, triangles, 1, 5, visible);
+  EXPECT_THAT(visible, ::testing::Each(0)) << "all of them lie at a rim";
+  normals.row(2).setConstant(-1);
+  find_visible(lens, vertices_mm, normals, triangles, 1, 0, visible);
+  EXPECT_THAT(visible, ::testing::Each(0)) << "turned away";
+  normals.row(2).setOnes();
+  // The small plate moves before a corner of the large one.
+  vertices_mm.rightCols(4).row(0).array() += 90;
+  vertices_mm.rightCols(4).row(1).array() += 90;
+  find_visible(lens, vertices_mm, normals, triangles, 1, 0, visible);
+  EXPECT_THAT(visible, ::testing::ElementsAre(1, 1, 0, 1, 1, 1, 1, 1));
+}
+
+}  // namespace
+}  // namespace facet::fit

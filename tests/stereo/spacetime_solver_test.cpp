@@ -1,0 +1,250 @@
+#include "stereo/spacetime_solver.hpp"
+
+#include <Eigen/LU>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <numbers>
+#include <random>
+
+#include "facet/error.hpp"
+#include "reference.hpp"
+#include "shaders/stereo/layout.h"
+#include "support/gpu.hpp"
+
+namespace facet::stereo {
+namespace {
+
+using SpacetimeSolverTest = facet::test::GpuTest;
+using reference::Volume;
+
+constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+
+/// Random smooth texture seen through a slanted, moving disparity field with other gain and bias on the
+/// right; start values that are off by up to `error_px`, and some holes, blank samples and a step.
+Volume make_volume(const VolumeSize& size, std::uint32_t seed, double error_px, bool with_holes) {
+  Volume out;
+  out.size = size;
+  std::mt19937 random(seed);
+  std::uniform_real_distribution<double> uniform(-1, 1);
+  for (int t = 0; t < size.slots; ++t) {
+    // One texture a slot, a sum of waves that the right picture shows at x and the left one at x + d.
+    std::vector<std::array<double, 4>> waves;
+    for (int k = 0; k < 6; ++k) {
+      waves.push_back({0.4 + 0.22 * k, 0.25 * uniform(random), std::numbers::pi * uniform(random),
+                       0.05 + 0.02 * uniform(random)});
+    }
+    const auto texture = [&](double x, double y) {
+      double sum = 0.45;
+      for (const auto& [along, across, phase, height] : waves) {
+        sum += height * std::sin(along * x + across * y + phase);
+      }
+      return sum;
+    };
+    for (int y = 0; y < size.height_px; ++y) {
+      for (int x = 0; x < size.width_px; ++x) {
+        const double d = 1.3 + 0.04 * x - 0.03 * y + 0.2 * t;
+        const bool blank = with_holes && t == 1;
+        out.left.push_back(blank ? -1 : static_cast<float>(texture(x - d, y)));
+        out.right.push_back(blank ? -1 : static_cast<float>(0.8 * texture(x, y) + 0.05));
+        const bool hole = with_holes && (uniform(random) > 0.95 || (x < 3 && y < 3));
+        const double jump = with_holes && x > size.width_px * 2 / 3 ? 2.5 : 0;
+        out.start_px.push_back(hole ? kNan : static_cast<float>(d + jump + error_px * uniform(random)));
+      }
+    }
+  }
+  return out;
+}
+
+Eigen::VectorXd field_of(const std::vector<float>& px) {
+  Eigen::VectorXd out(static_cast<Eigen::Index>(px.size()));
+  for (std::size_t i = 0; i < px.size(); ++i) {
+    out[static_cast<Eigen::Index>(i)] = std::isnan(px[i]) ? 0 : static_cast<double>(px[i]);
+  }
+  return out;
+}
+
+DisparityField solve(gpu::Context& context, const Volume& volume, const SpacetimeOptions& options) {
+  SpacetimeSolver solver(context, volume.size, options);
+  gpu::upload(context, solver.left(), std::span<const float>(volume.left));
+  gpu::upload(context, solver.right(), std::span<const float>(volume.right));
+  DisparityField out;
+  solver.solve(volume.start_px, out);
+  return out;
+}
+
+TEST_F(SpacetimeSolverTest, OneStepAgreesWithTheReference) {
+  struct Case {
+    VolumeSize size;
+    int window_x, window_y, window_t;
+    bool holes;
+  };
+  for (const Case& chosen : {Case{{23, 13, 3}, 9, 5, 5, false}, Case{{23, 13, 3}, 9, 5, 5, true},
+                             Case{{17, 11, 4}, 5, 3, 3, true}, Case{{29, 7, 1}, 7, 5, 1, true}}) {
+    SCOPED_TRACE(chosen.size.width_px);
+    const Volume volume = make_volume(chosen.size, 71, 0.3, chosen.holes);
+    SpacetimeOptions options;
+    options.window_x = chosen.window_x;
+    options.window_y = chosen.window_y;
+    options.window_t = chosen.window_t;
+    options.steps = 1;
+    options.cg_iterations = 150;  // to the end
+    options.most_move_px = 100;
+    const DisparityField found = solve(context(), volume, options);
+    ASSERT_EQ(found.outcome, SolveOutcome::Done) << found.failure;
+    const Eigen::VectorXd start = field_of(volume.start_px);
+    const Eigen::VectorXd expected = reference::step(volume, start, options);
+    const Eigen::VectorXd moved = field_of(found.disparity_px) - start;
+    ASSERT_GT(expected.norm(), 1);
+    // Differences of window sums in single precision: 1e-6 of sums a hundred times the variances.
+    EXPECT_LT((moved - expected).norm(), 2e-3 * expected.norm());
+    const double energy = reference::energy(volume, start, options);
+    EXPECT_NEAR(found.energies[0], energy, 1e-3 * energy);
+    for (std::size_t i = 0; i < volume.start_px.size(); ++i) {
+      if (std::isnan(volume.start_px[i])) {
+        EXPECT_EQ(found.disparity_px[i], 0);
+        EXPECT_EQ(found.sigma_px[i], 0);
+      }
+    }
+  }
+}
+
+TEST_F(SpacetimeSolverTest, LocalStepAgreesWithTheReference) {
+  const Volume volume = make_volume({19, 11, 3}, 73, 0.3, true);
+  SpacetimeOptions options;
+  options.method = SpacetimeMethod::Local;
+  options.steps = 1;
+  options.most_move_px = 100;
+  const DisparityField found = solve(context(), volume, options);
+  const Eigen::VectorXd start = field_of(volume.start_px);
+  double worst = 0;
+  int compared = 0;
+  for (int t = 0; t < 3; ++t) {
+    for (int y = 0; y < 11; ++y) {
+      for (int x = 0; x < 19; ++x) {
+        const reference::Window window = reference::window_at(volume, start, options, x, y, t);
+        if (window.speaks) {
+          const Eigen::Matrix4d damped =
+              window.hessian + static_cast<double>(options.damping) * Eigen::Matrix4d::Identity();
+          const double expected = -(damped.inverse() * window.gradient)[0];
+          const std::size_t voxel = volume.size.voxel(x, y, t);
+          worst = std::max(worst, std::abs(static_cast<double>(found.disparity_px[voxel]) -
+                                           start[static_cast<Eigen::Index>(voxel)] - expected));
+          ++compared;
+        }
+      }
+    }
+  }
+  EXPECT_GT(compared, 300);
+  EXPECT_LT(worst, 5e-3);
+}
+
+TEST_F(SpacetimeSolverTest, BlocksReachTheSameFieldAsOne) {
+  const Volume volume = make_volume({37, 19, 5}, 79, 0.3, false);
+  SpacetimeOptions options;
+  options.steps = 12;
+  options.cg_iterations = 12;
+  const DisparityField whole = solve(context(), volume, options);
+  options.block_x = 11;
+  options.block_y = 8;
+  options.block_t = 2;
+  const DisparityField blocks = solve(context(), volume, options);
+  double worst = 0;
+  double square = 0;
+  for (std::size_t i = 0; i < volume.start_px.size(); ++i) {
+    const double difference = static_cast<double>(whole.disparity_px[i] - blocks.disparity_px[i]);
+    worst = std::max(worst, std::abs(difference));
+    square += difference * difference;
+  }
+  // Both stop a little short of the minimum, most so in the volume's corners, where windows are cut.
+  EXPECT_LT(worst, 0.03);
+  EXPECT_LT(std::sqrt(square / static_cast<double>(volume.start_px.size())), 2e-3);
+}
+
+TEST_F(SpacetimeSolverTest, FindsTheFieldBelowAHundredthOfAPixel) {
+  const Volume volume = make_volume({61, 31, 5}, 83, 0.4, false);
+  SpacetimeOptions options;
+  options.steps = 8;
+  const DisparityField found = solve(context(), volume, options);
+  double square = 0;
+  int count = 0;
+  for (int t = 0; t < 5; ++t) {
+    for (int y = 0; y < 31; ++y) {
+      for (int x = 8; x < 53; ++x) {
+        const double error = static_cast<double>(found.disparity_px[volume.size.voxel(x, y, t)]) -
+                             (1.3 + 0.04 * x - 0.03 * y + 0.2 * t);
+        square += error * error;
+        ++count;
+      }
+    }
+  }
+  EXPECT_LT(std::sqrt(square / count), 0.01);
+}
+
+TEST_F(SpacetimeSolverTest, WherePicturesSayNothingTheStartStaysAndIsNotTrusted) {
+  Volume volume = make_volume({31, 15, 3}, 89, 0.3, false);
+  for (int t = 0; t < 3; ++t) {
+    for (int y = 0; y < 15; ++y) {
+      for (int x = 12; x < 31; ++x) {
+        volume.left[volume.size.voxel(x, y, t)] = 0.5F;
+      }
+    }
+  }
+  const DisparityField found = solve(context(), volume, {});
+  for (int y = 0; y < 15; ++y) {
+    const std::size_t voxel = volume.size.voxel(24, y, 1);
+    EXPECT_EQ(found.disparity_px[voxel], volume.start_px[voxel]);
+    EXPECT_EQ(found.sigma_px[voxel], 0);
+    EXPECT_EQ(found.correlation[voxel], 0);
+  }
+  EXPECT_GT(found.correlation[volume.size.voxel(6, 7, 1)], 0.95F);
+}
+
+TEST_F(SpacetimeSolverTest, SaysWhenTheNumbersAreGone) {
+  Volume volume = make_volume({31, 15, 3}, 97, 0.3, false);
+  volume.start_px[volume.size.voxel(15, 7, 1)] = std::numeric_limits<float>::infinity();
+  const DisparityField found = solve(context(), volume, {});
+  EXPECT_EQ(found.outcome, SolveOutcome::NumericalFailure);
+  EXPECT_FALSE(found.failure.empty());
+}
+
+TEST_F(SpacetimeSolverTest, PicturesWithoutNumbersAreNothing) {
+  Volume volume = make_volume({31, 15, 3}, 101, 0.3, false);
+  volume.left[volume.size.voxel(15, 7, 1)] = std::numeric_limits<float>::infinity();
+  volume.right[volume.size.voxel(11, 9, 2)] = kNan;
+  EXPECT_EQ(solve(context(), volume, {}).outcome, SolveOutcome::Done);
+}
+
+TEST_F(SpacetimeSolverTest, RefusesWhatMakesNoSense) {
+  SpacetimeOptions options;
+  options.window_x = 4;
+  EXPECT_THROW(SpacetimeSolver(context(), {20, 20, 2}, options), Error);
+  options = {};
+  options.block_t = 0;
+  EXPECT_THROW(SpacetimeSolver(context(), {20, 20, 2}, options), Error);
+  EXPECT_THROW(SpacetimeSolver(context(), {20, 0, 2}, {}), Error);
+  SpacetimeSolver solver(context(), {20, 20, 2}, {});
+  DisparityField field;
+  EXPECT_THROW(solver.solve(std::vector<float>(3), field), Error);
+}
+
+TEST(Links, FollowTheStartValues) {
+  using namespace shaders::stereo;
+  const VolumeSize size{6, 1, 1};
+  const std::vector<float> start{1, 1.2F, 1.4F, 4, 4.1F, kNan};
+  std::vector<std::uint32_t> links(6);
+  link_voxels(size, start, 1.5F, links);
+  const auto x_bits = [&](std::size_t i) { return (links[i] >> 1U) & 15U; };
+  EXPECT_EQ(x_bits(0), kLinkAfter | kAfterHasAfter);
+  EXPECT_EQ(x_bits(1), kLinkBefore | kLinkAfter);
+  EXPECT_EQ(x_bits(2), kLinkBefore | kBeforeHasBefore);
+  EXPECT_EQ(x_bits(3), kLinkAfter);
+  EXPECT_EQ(x_bits(4), kLinkBefore);
+  EXPECT_EQ(links[5], 0U);
+  for (std::size_t i = 0; i < 5; ++i) {
+    EXPECT_EQ(links[i] & ~(15U << 1U), kSolved);
+  }
+}
+
+}  // namespace
+}  // namespace facet::stereo

@@ -1,0 +1,211 @@
+// `facet synth-booth`: what a booth would record of the virtual actor or a target, with the truth.
+
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <array>
+#include <filesystem>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <string>
+#include <system_error>
+
+#include "capture/rig_file.hpp"
+#include "commands.hpp"
+#include "facet/assets.hpp"
+#include "facet/error.hpp"
+#include "files/output_file.hpp"
+#include "files/pfm.hpp"
+#include "progress.hpp"
+#include "render/renderer.hpp"
+#include "simulation/booth.hpp"
+#include "take/recorder.hpp"
+
+namespace facet::tools {
+namespace {
+
+using nlohmann::json;
+using simulation::Booth;
+using simulation::BoothScene;
+using simulation::BoothSlot;
+
+constexpr std::array kScenes = {"actor", "plane", "sphere"};  // order of BoothScene
+
+struct SynthBoothOptions {
+  simulation::BoothConfig booth;
+  std::string scene = kScenes[0];
+  std::uint64_t first_slot = 150;
+  std::uint64_t slots = 90;
+  std::string meshes = "blank";
+  bool quiet_sensor = false;
+  std::string model = default_model_file().string();
+  std::string folder;
+};
+
+void make_folder(const std::filesystem::path& folder) {
+  std::error_code failure;
+  std::filesystem::create_directories(folder, failure);
+  if (failure) {
+    throw Error(ErrorKind::Storage,
+                fmt::format("{}: cannot make the folder ({})", folder.string(), failure.message()));
+  }
+}
+
+/// Red where the pixel shows skin, green where the pair's other camera sees the point too.
+render::Picture mask_of(const simulation::DepthTruth& truth) {
+  render::Picture mask = render::plain_picture(truth.width_px, truth.height_px, {0, 0, 0});
+  for (std::size_t pixel = 0; pixel < truth.skin.size(); ++pixel) {
+    mask.rgb[3 * pixel] = truth.skin[pixel] != 0 ? 255 : 0;
+    mask.rgb[3 * pixel + 1] = truth.shared[pixel] != 0 ? 255 : 0;
+  }
+  return mask;
+}
+
+void write_truth(const Booth& booth, const BoothSlot& slot, const std::filesystem::path& folder,
+                 bool with_mesh) {
+  const std::string name = fmt::format("slot_{:06}", slot.number());
+  for (const capture::StereoPair& pair : booth.rig().pairs) {
+    const std::filesystem::path place = folder / booth.rig().cameras[pair.left].name;
+    const simulation::DepthTruth truth = slot.depth(pair.left, pair.right);
+    files::write_pfm({truth.width_px, truth.height_px, truth.depth_mm}, place / (name + ".pfm"));
+    render::write_png(mask_of(truth), place / (name + ".png"));
+  }
+  if (with_mesh) {
+    simulation::write_truth_ply(slot.surface(), folder / (name + ".ply"));
+  }
+}
+
+std::shared_ptr<const mesh::MeshFrame> to_frame(FrameSet set, std::int64_t first_trigger_ns) {
+  auto frame = std::make_shared<mesh::MeshFrame>();
+  frame->sequence = set.slot;
+  frame->timestamp_ns = set.trigger_ns;
+  frame->media_time_ns = set.trigger_ns - first_trigger_ns;
+  frame->control_vertices_mm.resize(3, 0);
+  frame->images = std::make_shared<const FrameSet>(std::move(set));
+  return frame;
+}
+
+json vector_json(const Eigen::Vector3d& vector) {
+  return {vector.x(), vector.y(), vector.z()};
+}
+
+void write_description(const SynthBoothOptions& options, const Booth& booth) {
+  const simulation::BoothConfig& config = booth.config();
+  json document = {{"seed", config.seed},
+                   {"scene", options.scene},
+                   {"first_slot", options.first_slot},
+                   {"slots", options.slots},
+                   {"slots_per_second", config.slots_per_second},
+                   {"exposure_ms", config.exposure_ms},
+                   {"samples", config.samples},
+                   {"head_motion", config.head_motion},
+                   {"ambient", config.ambient},
+                   {"projector_blur_px", config.projector_blur_px},
+                   {"sensor_noise", config.sensor_noise}};
+  if (const auto target = booth.target()) {
+    document["target"] = {{"centre_mm", vector_json(target->centre_mm)}};
+    if (target->radius_mm > 0) {
+      document["target"]["radius_mm"] = target->radius_mm;
+    } else {
+      document["target"]["normal"] = vector_json(target->normal);
+    }
+  }
+  files::OutputFile output(std::filesystem::path(options.folder) / "booth.json");
+  output.write(document.dump(1) + "\n");
+  output.commit();
+}
+
+void run_synth_booth(SynthBoothOptions options) {
+  options.booth.scene =
+      static_cast<BoothScene>(std::find(kScenes.begin(), kScenes.end(), options.scene) - kScenes.begin());
+  options.booth.sensor_noise = !options.quiet_sensor;
+  std::optional<face::FaceModel> model;
+  if (options.booth.scene == BoothScene::Actor) {
+    model = face::FaceModel::load(options.model);
+  }
+  const Booth booth(model ? &*model : nullptr, options.booth);
+  const std::filesystem::path folder = options.folder;
+  for (const capture::StereoPair& pair : booth.rig().pairs) {
+    make_folder(folder / "truth" / booth.rig().cameras[pair.left].name);
+  }
+  take::TakeRecorderConfig config;
+  config.file = folder / "capture.take";
+  config.source = fmt::format("virtual booth, {}, seed {}", options.scene, options.booth.seed);
+  config.software = "facet " FACET_VERSION;
+  config.when_full = take::WhenFull::Wait;
+  config.queue_frames = 4;
+  config.with_images = true;
+  take::TakeRecorder recorder(config);  // first: an earlier take stays with its files
+  capture::write_rig(booth.rig(), folder / "rig.toml");
+  write_description(options, booth);
+  recorder.start();
+  Progress progress("Rendering", options.slots, "slots");
+  std::int64_t first_trigger_ns = 0;
+  for (std::uint64_t k = 0; k < options.slots; ++k) {
+    const BoothSlot slot = booth.slot(options.first_slot + k);
+    if (k == 0) {
+      first_trigger_ns = slot.trigger_ns();
+    }
+    if (!recorder.record(to_frame(slot.frame_set(), first_trigger_ns))) {
+      break;  // stop() says why
+    }
+    const bool blank = slot.shown().kind == capture::Shown::Kind::Blank;
+    write_truth(booth, slot, folder / "truth",
+                options.meshes == "all" || (options.meshes == "blank" && blank));
+    progress.advance();
+  }
+  const take::RecorderStatus status = recorder.stop();
+  progress.finish();
+  if (status.state != take::RecorderState::Finished || status.frames != options.slots) {
+    throw Error(ErrorKind::Storage,
+                fmt::format("{}: {} of {} slots were recorded: {}", config.file.string(), status.frames,
+                            options.slots, status.reason.empty() ? "the recorder ended" : status.reason));
+  }
+  fmt::print("{}: {} slots of {} cameras in capture.take, rig.toml, depth maps of the pairs in truth/\n",
+             options.folder, options.slots, booth.rig().cameras.size());
+}
+
+}  // namespace
+
+void add_synth_booth_command(CLI::App& app) {
+  auto options = std::make_shared<SynthBoothOptions>();
+  CLI::App* command = app.add_subcommand(
+      "synth-booth",
+      "Render what a booth of six cameras and two stripe projectors would record, with true depth");
+  command->add_option("--seed", options->booth.seed, "Rig, actor, performance and noise follow from it")
+      ->capture_default_str();
+  command->add_option("--scene", options->scene, "actor: performs; plane, sphere: still targets")
+      ->capture_default_str()
+      ->check(CLI::IsMember(kScenes));
+  command->add_option("--slots", options->slots, "Number of slots, 60 a second: stripes A, stripes B, blank")
+      ->capture_default_str()
+      ->check(CLI::Range(1, 36'000));
+  command
+      ->add_option("--first-slot", options->first_slot,
+                   "The actor begins calmly: by slot 150 the head moves as it does later")
+      ->capture_default_str()
+      ->check(CLI::Range(0, 36'000));
+  command->add_option("--exposure", options->booth.exposure_ms, "Of all cameras, ms; 0: nothing blurs")
+      ->capture_default_str();
+  command->add_option("--samples", options->booth.samples, "Rays a pixel, spread over the exposure")
+      ->capture_default_str()
+      ->check(CLI::Range(1, 64));
+  command
+      ->add_option("--head-motion", options->booth.head_motion,
+                   "0: the head is still, 1: it turns by up to 25 degrees")
+      ->capture_default_str();
+  command->add_option("--ambient", options->booth.ambient, "Room light, of the projectors' white")
+      ->capture_default_str();
+  command->add_flag("--quiet-sensor", options->quiet_sensor, "No noise");
+  command->add_option("--meshes", options->meshes, "Slots whose surface is written, 12 MB each")
+      ->capture_default_str()
+      ->check(CLI::IsMember({"all", "blank", "none"}));
+  command->add_option("--model", options->model, "Face model file whose topology the actor uses")
+      ->capture_default_str();
+  command->add_option("-o,--output", options->folder, "Folder to write into")->required();
+  command->callback([options] { run_synth_booth(*options); });
+}
+
+}  // namespace facet::tools
