@@ -8,6 +8,7 @@
 
 #include <algorithm>
 #include <cctype>
+#include <climits>
 #include <fstream>
 #include <iterator>
 #include <nlohmann/json.hpp>
@@ -51,6 +52,20 @@ json parse_json(std::string_view text, const std::filesystem::path& file) {
   return document;
 }
 
+/// A face's numbers are indices: whole, and none of them beyond an int.
+std::vector<int> indices(const json& list, const std::filesystem::path& file) {
+  std::vector<int> found;
+  found.reserve(list.size());
+  for (const json& number : list) {
+    const bool whole = number.is_number_unsigned() && number.get<std::uint64_t>() <= INT_MAX;
+    if (!whole) {
+      fail(file, fmt::format("face number {} is not an index", found.size()));
+    }
+    found.push_back(number.get<int>());
+  }
+  return found;
+}
+
 }  // namespace
 
 MakeHumanMesh parse_makehuman_mesh(std::string_view text, const std::filesystem::path& file,
@@ -61,7 +76,7 @@ MakeHumanMesh parse_makehuman_mesh(std::string_view text, const std::filesystem:
   try {
     const json document = parse_json(text, file);
     const auto vertices = document.at("vertices").get<std::vector<double>>();
-    const auto faces = document.at("faces").get<std::vector<int>>();
+    const auto faces = indices(document.at("faces"), file);
     const auto uvs = document.at("uvs").at(0).get<std::vector<float>>();
     if (vertices.size() != 3 * vertex_count || faces.size() % kFaceNumbers != 0 || uvs.size() % 2 != 0) {
       fail(file, fmt::format("{} vertex and {} face numbers are not those of the base mesh", vertices.size(),
@@ -79,15 +94,14 @@ MakeHumanMesh parse_makehuman_mesh(std::string_view text, const std::filesystem:
     mesh.corner_uv.resize(4, quad_count);
     for (Eigen::Index q = 0; q < quad_count; ++q) {
       const int* face = faces.data() + static_cast<std::size_t>(q) * kFaceNumbers;
-      if (face[0] != kQuadMaterialUv || face[5] < 0 || face[5] >= static_cast<int>(mesh.group_names.size())) {
+      if (face[0] != kQuadMaterialUv || face[5] >= static_cast<int>(mesh.group_names.size())) {
         fail(file, fmt::format("face {} is not a quad of a known group", q));
       }
       mesh.group.push_back(face[5]);
       for (int corner = 0; corner < 4; ++corner) {
         const int vertex = face[1 + corner];
         const int uv = face[6 + corner];
-        if (vertex < 0 || vertex >= static_cast<int>(vertex_count) || uv < 0 ||
-            uv >= mesh.texture_coordinates.cols()) {
+        if (vertex >= static_cast<int>(vertex_count) || uv >= mesh.texture_coordinates.cols()) {
           fail(file, fmt::format("face {} names a vertex that is not there", q));
         }
         mesh.quads(corner, q) = vertex;
