@@ -4,19 +4,25 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <atomic>
 #include <ctime>
+#include <exception>
 #include <filesystem>
 #include <memory>
 #include <optional>
 #include <string>
+#include <thread>
+#include <vector>
 
 #include "commands.hpp"
 #include "facet/error.hpp"
+#include "pipeline/booth_meshes.hpp"
 #include "pipeline/monocular.hpp"
 #include "pipeline/take_sink.hpp"
 #include "progress.hpp"
 #include "service/config.hpp"
 #include "stop_signals.hpp"
+#include "take/reader.hpp"
 #include "take_frames.hpp"
 
 namespace facet::tools {
@@ -24,6 +30,8 @@ namespace {
 
 /// Between two looks at the pipeline, for the progress line.
 constexpr timespec kPeriod{0, 50'000'000};
+/// Blank slots of a booth whose depth is found together: their windows share slots.
+constexpr int kBlanksPerRun = 3;
 
 struct Options {
   std::string input;
@@ -32,6 +40,7 @@ struct Options {
   std::string frames;
   std::string budget;
   std::string device;
+  std::string rig;
 };
 
 void set_budget(const std::string& budget, refine::RefinerConfig& refiner) {
@@ -125,12 +134,7 @@ void check_result(const Options& options, const pipeline::PipelineStatus& status
   }
 }
 
-void run(const Options& options) {
-  const service::Config config = configure(options);
-  const StopSignals signals;
-  pipeline::Stages stages = pipeline::open_stages(config.pipeline);
-  const CameraInfo source = stages.camera->info();
-
+take::TakeRecorderConfig recorder_of(const Options& options, const service::Config& config) {
   take::TakeRecorderConfig recorder;
   recorder.file = options.take;
   recorder.source = options.input;
@@ -138,20 +142,20 @@ void run(const Options& options) {
   recorder.when_full = take::WhenFull::Wait;
   recorder.disk_reserve_bytes = config.takes.disk_reserve_bytes;
   recorder.compression_level = config.takes.compression_level;
-  pipeline::TakeSink take;
-  take.begin(recorder);
+  return recorder;
+}
 
-  pipeline::MonocularPipeline pipeline(std::move(stages),
-                                       {config.pipeline.hierarchy, config.pipeline.frames, {}}, {&take});
-  const int broken_off_by = run_to_end(pipeline, signals, expected_frames(source, config.pipeline.frames));
-  const std::optional<take::RecorderStatus> written = take.end();
-  for (const pipeline::Messages::Message& message : pipeline.take_messages()) {
+/// What is to be told once all is written; throws where it came to nothing.
+void conclude(const Options& options, const pipeline::PipelineStatus& status,
+              const std::optional<take::RecorderStatus>& written,
+              const std::vector<pipeline::Messages::Message>& messages, int broken_off_by,
+              const StopSignals& signals) {
+  for (const pipeline::Messages::Message& message : messages) {
     fmt::print(stderr, "facet: {}{}\n", message.warning ? "warning: " : "", message.text);
   }
   if (written && written->state == take::RecorderState::Failed) {
     throw Error(ErrorKind::Storage, fmt::format("'{}': {}", options.take, written->reason));
   }
-  const pipeline::PipelineStatus status = pipeline.status();
   if (status.mesh_frames == 0) {
     // A take without a mesh serves nobody, and would be in the way of the next attempt.
     std::error_code ignored;
@@ -174,12 +178,115 @@ void run(const Options& options) {
              static_cast<double>(written ? written->bytes : 0) / 1e6);
 }
 
+void run_monocular(const Options& options) {
+  const service::Config config = configure(options);
+  const StopSignals signals;
+  pipeline::Stages stages = pipeline::open_stages(config.pipeline);
+  const CameraInfo source = stages.camera->info();
+  pipeline::TakeSink take;
+  take.begin(recorder_of(options, config));
+  pipeline::MonocularPipeline pipeline(std::move(stages),
+                                       {config.pipeline.hierarchy, config.pipeline.frames, {}}, {&take});
+  const int broken_off_by = run_to_end(pipeline, signals, expected_frames(source, config.pipeline.frames));
+  const std::optional<take::RecorderStatus> written = take.end();
+  conclude(options, pipeline.status(), written, pipeline.take_messages(), broken_off_by, signals);
+}
+
+std::string booth_note(const pipeline::PipelineStatus& status) {
+  return fmt::format("{}, {} meshes{}", mesh::to_string(status.tracking), status.mesh_frames,
+                     status.degraded_frames > 0 ? fmt::format(", {} degraded", status.degraded_frames) : "");
+}
+
+/// The slots of the range that the take has.
+std::vector<std::int64_t> slots_of(take::TakeReader& take, const pipeline::FrameRange& range) {
+  std::vector<std::int64_t> found;
+  for (std::int64_t i = 0; i < take.frame_count(); ++i) {
+    const std::uint64_t slot = take.entry(i).sequence;
+    if (slot >= range.first && slot < range.end) {
+      found.push_back(i);
+    }
+  }
+  if (found.empty()) {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("'{}' has no slot in the range asked for: choose another with --frames",
+                            take.info().file.string()));
+  }
+  if (take.frame(found.front())->images == nullptr) {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("'{}' holds no pictures: record in mode \"booth\" (record = \"pictures\") or "
+                            "\"frames\"",
+                            take.info().file.string()));
+  }
+  return found;
+}
+
+void run_booth(const Options& options) {
+  service::Config config = configure(options);
+  config.rig_file = options.rig;
+  const StopSignals signals;
+  take::TakeReader input(options.input);
+  const std::vector<std::int64_t> slots = slots_of(input, config.pipeline.frames);
+  const pipeline::BoothConfig booth = service::booth_config(config);
+  const auto blanks = static_cast<std::uint64_t>(std::count_if(slots.begin(), slots.end(), [&](std::int64_t i) {
+    return booth.stripes[input.entry(i).sequence % booth.stripes.size()] == 0;
+  }));
+  pipeline::TakeSink take;
+  pipeline::BoothMeshes meshes(pipeline::open_booth(booth, kBlanksPerRun),
+                               pipeline::BoothMeshes::WhenBusy::Wait, {&take});
+  take.begin(recorder_of(options, config));
+  Progress progress("Processing", blanks, "meshes");
+  const auto show = [&] {
+    pipeline::PipelineStatus status;
+    meshes.fill(status);
+    progress.set(status.processed, booth_note(status));
+    return status;
+  };
+  meshes.start();
+  // Reads ahead as far as the meshes let it; joined below.
+  std::atomic<bool> wanted{true};
+  std::exception_ptr damage;
+  std::thread reading([&] {
+    try {
+      for (auto slot = slots.begin(); slot != slots.end() && wanted; ++slot) {
+        meshes.deliver(input.frame(*slot));
+      }
+    } catch (...) {
+      damage = std::current_exception();
+    }
+    meshes.finish();
+  });
+  int broken_off_by = 0;
+  while (!meshes.finished()) {
+    if (const int signal = signals.wait(kPeriod); signal != 0) {
+      broken_off_by = signal;
+      wanted = false;
+      meshes.request_stop();
+    }
+    show();
+  }
+  wanted = false;
+  reading.join();
+  meshes.stop();
+  const pipeline::PipelineStatus status = show();
+  progress.finish();
+  const std::optional<take::RecorderStatus> written = take.end();
+  conclude(options, status, written, meshes.take_messages(), broken_off_by, signals);
+  if (damage != nullptr) {
+    std::rethrow_exception(damage);
+  }
+}
+
 }  // namespace
 
 void add_process_command(CLI::App& app) {
   auto options = std::make_shared<Options>();
-  CLI::App* command = app.add_subcommand("process", "Turn a video of a face into a take, every frame");
-  command->add_option("input", options->input, "The video")->required();
+  CLI::App* command = app.add_subcommand(
+      "process", "Turn a video of a face, or the pictures that a booth recorded, into a take of meshes");
+  command->add_option("input", options->input, "The video; with --rig the take that holds the pictures")
+      ->required();
+  command->add_option("--rig", options->rig,
+                      "A booth's rig file: the input is a take of its pictures, and every blank slot becomes a "
+                      "mesh");
   command->add_option("-o,--output", options->take, "The take to write; must not exist yet")->required();
   command->add_option("--config", options->config,
                       "Configuration file; of [source], only frames and intrinsics count");
@@ -188,7 +295,7 @@ void add_process_command(CLI::App& app) {
                       "Solver work per frame: \"paper\" or Gauss-Newton steps per level");
   command->add_option("--device", options->device,
                       "Vulkan device: auto, part of its name, or none (coarse meshes only)");
-  command->callback([options] { run(*options); });
+  command->callback([options] { options->rig.empty() ? run_monocular(*options) : run_booth(*options); });
 }
 
 }  // namespace facet::tools

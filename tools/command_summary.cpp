@@ -38,6 +38,7 @@ constexpr std::array kStages = {
     Stage{"albedo (eq. 4)", &mesh::StageTimes::albedo_ms},
     Stage{"displacement (eq. 6)", &mesh::StageTimes::displacement_ms},
     Stage{"read-back", &mesh::StageTimes::readback_ms},
+    Stage{"depth maps", &mesh::StageTimes::depth_ms},
     Stage{"latency, frame to mesh", &mesh::StageTimes::latency_ms},
 };
 

@@ -32,19 +32,6 @@ class ContentHash {
   std::uint64_t state_ = 0xcbf29ce484222325;
 };
 
-std::uint64_t hash(const Hierarchy& hierarchy) {
-  ContentHash content;
-  content.add(&hierarchy.control_vertex_count, 1);
-  for (const Level& level : hierarchy.levels) {
-    content.add(&level.vertex_count, 1);
-    content.add(level.triangles.data(), static_cast<std::size_t>(level.triangles.size()));
-    content.add(level.from_coarser.row_offsets.data(), level.from_coarser.row_offsets.size());
-    content.add(level.from_coarser.columns.data(), level.from_coarser.columns.size());
-    content.add(level.from_coarser.weights.data(), level.from_coarser.weights.size());
-  }
-  return content.value() != 0 ? content.value() : 1;
-}
-
 SparseRows to_rows(const AdaptiveSurface::Stencils& stencils) {
   SparseRows rows;
   rows.row_offsets.reserve(static_cast<std::size_t>(stencils.rows()) + 1);
@@ -105,6 +92,19 @@ void check(const ControlMesh& control, const TextureCoordinates& control_px,
 
 }  // namespace
 
+std::uint64_t content_hash(const Hierarchy& hierarchy) {
+  ContentHash content;
+  content.add(&hierarchy.control_vertex_count, 1);
+  for (const Level& level : hierarchy.levels) {
+    content.add(&level.vertex_count, 1);
+    content.add(level.triangles.data(), static_cast<std::size_t>(level.triangles.size()));
+    content.add(level.from_coarser.row_offsets.data(), level.from_coarser.row_offsets.size());
+    content.add(level.from_coarser.columns.data(), level.from_coarser.columns.size());
+    content.add(level.from_coarser.weights.data(), level.from_coarser.weights.size());
+  }
+  return content.value() != 0 ? content.value() : 1;
+}
+
 std::shared_ptr<const Hierarchy> build_hierarchy(const ControlMesh& control,
                                                  const TextureCoordinates& control_px,
                                                  const std::vector<std::uint8_t>& facing,
@@ -147,7 +147,7 @@ std::shared_ptr<const Hierarchy> build_hierarchy(const ControlMesh& control,
     texture_coordinates = std::move(finer);
   }
   hierarchy->texture_coordinates = texture_coordinates;
-  hierarchy->id = hash(*hierarchy);
+  hierarchy->id = content_hash(*hierarchy);
   return hierarchy;
 }
 

@@ -77,6 +77,9 @@ std::shared_ptr<const Hierarchy> build_hierarchy(const ControlMesh& control,
                                                  const std::vector<std::uint8_t>& facing,
                                                  const HierarchyOptions& options);
 
+/// Hash of a hierarchy's topology and stencils, for Hierarchy::id; never 0. Any thread.
+std::uint64_t content_hash(const Hierarchy& hierarchy);
+
 /// Pushes control positions through the stencils to every level: out[l] is [3][levels[l].vertex_count].
 /// Allocates on the first call only; any thread.
 void push_positions(const Hierarchy& hierarchy, const Vertices& control, std::vector<Vertices>& out);

@@ -45,6 +45,7 @@ inline constexpr std::array kStages = {
     Stage{"albedo", &mesh::StageTimes::albedo_ms},
     Stage{"displacement", &mesh::StageTimes::displacement_ms},
     Stage{"readback", &mesh::StageTimes::readback_ms},
+    Stage{"depth", &mesh::StageTimes::depth_ms},
     Stage{"latency", &mesh::StageTimes::latency_ms},
 };
 

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "face/face_model.hpp"
+#include "fit/template_mesh.hpp"
 #include "mesh/hierarchy.hpp"
 #include "mesh/mesh_frame.hpp"
 
@@ -22,6 +23,12 @@ std::shared_ptr<const mesh::Subject> build_subject(const face::FaceModel& model,
                                                    const mesh::HierarchyOptions& options,
                                                    const mesh::MeshFrame& first_good,
                                                    const std::vector<float>& identity, std::uint32_t count);
+
+/// The same of a person whom the template was fitted to: one level, the template's mesh, whose vertices are the
+/// control vertices. No identity coefficients.
+std::shared_ptr<const mesh::Subject> build_template_subject(const fit::TemplateMesh& surface,
+                                                            const face::FaceModel& model,
+                                                            std::uint32_t count);
 
 /// Projections of head-frame vertices, px; NaN where they are behind or at the camera.
 mesh::TextureCoordinates project(const mesh::Vertices& vertices_mm, const Eigen::Isometry3f& camera_from_head,

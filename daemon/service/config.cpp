@@ -13,6 +13,7 @@
 #include "facet/error.hpp"
 #include "files/text_file.hpp"
 #include "files/toml_section.hpp"
+#include "pipeline/booth.hpp"
 #include "stream/protocol.hpp"
 
 namespace facet::service {
@@ -295,6 +296,30 @@ void read_rig(Section& root, Config& config) {
   sets.finish();
 }
 
+void read_booth(Section section, Config& config) {
+  section.read("rig", config.rig_file);
+  if (const toml::node* node = section.find("depth_mm")) {
+    const toml::array* range = node->as_array();
+    const bool automatic = node->value_exact<std::string>() == "auto";
+    const auto at = [&](std::size_t i) {
+      const toml::node* number = range != nullptr && range->size() == 2 ? range->get(i) : nullptr;
+      return number != nullptr && number->is_number() ? number->value<double>().value_or(0) : 0;
+    };
+    const double nearest = at(0);
+    const double farthest = at(1);
+    if (!automatic && !(nearest >= 50 && nearest < farthest && farthest <= 100'000)) {
+      section.fail(node, "depth_mm",
+                   "must be \"auto\" or two distances from the cameras, [nearest, farthest], 50 to 100000");
+    }
+    config.booth_depths = {static_cast<float>(nearest), static_cast<float>(farthest)};
+  }
+  constexpr std::array kRecords = {"pictures", "meshes"};
+  if (const auto record = section.read_choice("record", kRecords)) {
+    config.booth_record = static_cast<BoothRecord>(*record);
+  }
+  section.finish();
+}
+
 void read_tracker(Section section, track::TrackerConfig& tracker) {
   section.read_integer("acquisition_frames", tracker.acquisition_frames, 1, 1000);
   section.read_number("expression_prior", tracker.expression_prior, 0, 1000);
@@ -378,12 +403,13 @@ void read_metrics(Section section, MetricsConfig& metrics) {
 
 void read_all(Document& document, Config& config) {
   Section root(document, &document.root(), "");
-  constexpr std::array kModes = {"monocular", "frames"};
+  constexpr std::array kModes = {"monocular", "frames", "booth"};
   if (const auto mode = root.read_choice("mode", kModes)) {
     config.mode = static_cast<Mode>(*mode);
   }
   read_source(root.section("source"), config);
   read_rig(root, config);
+  read_booth(root.section("booth"), config);
   Section model = root.section("model");
   model.read("path", config.pipeline.model_file);
   model.read("landmark_assets", config.pipeline.tracker.landmark_assets);
@@ -427,10 +453,30 @@ Config load_config(const std::filesystem::path& file) {
   return parse_config(files::read_text(file, kMaxConfigBytes, "configuration file"), file);
 }
 
+pipeline::BoothConfig booth_config(const Config& config) {
+  pipeline::BoothConfig booth;
+  booth.rig_file = config.rig_file;
+  booth.depths = config.booth_depths;
+  booth.model_file = config.pipeline.model_file;
+  booth.landmark_assets = config.pipeline.tracker.landmark_assets;
+  booth.gpu_device = config.pipeline.gpu_device;
+  if (config.rig.trigger != pipeline::TriggerKind::None) {
+    booth.stripes.clear();
+    for (const LineMask active : config.rig.program.patterns) {
+      booth.stripes.push_back(active != 0 ? 1 : 0);
+    }
+  }
+  return booth;
+}
+
 void require_source(const Config& config, const std::filesystem::path& file) {
-  if (config.mode == Mode::Frames) {
+  if (config.mode != Mode::Monocular) {
     try {
-      pipeline::check(config.rig);
+      if (config.mode == Mode::Booth) {
+        pipeline::check(config.rig, booth_config(config));
+      } else {
+        pipeline::check(config.rig);
+      }
     } catch (const Error& error) {
       throw Error(ErrorKind::Usage, fmt::format("{}: {}", file.string(), error.what()));
     }

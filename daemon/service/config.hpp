@@ -6,6 +6,7 @@
 #include <string_view>
 #include <vector>
 
+#include "pipeline/booth_config.hpp"
 #include "pipeline/frames_config.hpp"
 #include "pipeline/monocular_config.hpp"
 #include "service/log.hpp"
@@ -32,6 +33,13 @@ struct MetricsConfig {
 enum class Mode {
   Monocular,  ///< one source, refined meshes
   Frames,     ///< the pictures of several cameras, no meshes
+  Booth,      ///< the same, and meshes of them
+};
+
+/// What a take of a booth holds.
+enum class BoothRecord {
+  Pictures,  ///< every frame set, for `facet process`
+  Meshes,    ///< the meshes that were made live
 };
 
 /// All that a configuration file says; defaults are those of config/facet.toml. Running state is elsewhere
@@ -39,7 +47,10 @@ enum class Mode {
 struct Config {
   Mode mode = Mode::Monocular;
   pipeline::MonocularConfig pipeline;  ///< source.path or source.live.device empty: not given
-  pipeline::RigConfig rig;             ///< mode Frames
+  pipeline::RigConfig rig;             ///< modes Frames and Booth
+  stereo::DepthRange booth_depths;     ///< BoothConfig::depths
+  std::filesystem::path rig_file;      ///< mode Booth
+  BoothRecord booth_record = BoothRecord::Pictures;
   bool exit_at_end = false;            ///< or where the source fails
   bool wait_for_reader = false;
   stream::StreamServerConfig stream;
@@ -59,6 +70,9 @@ Config load_config(const std::filesystem::path& file);
 
 /// The same for text; `file` is for messages and for relative paths.
 Config parse_config(std::string_view text, const std::filesystem::path& file);
+
+/// What mode Booth asks of the meshes; the slots are those of the trigger's program, where it has one.
+pipeline::BoothConfig booth_config(const Config& config);
 
 /// Throws Error(Usage) where the configuration lacks what a daemon needs: a source, or a rig that can be.
 void require_source(const Config& config, const std::filesystem::path& file);

@@ -17,6 +17,7 @@
 #include <variant>
 
 #include "facet/error.hpp"
+#include "pipeline/booth.hpp"
 #include "pipeline/frames.hpp"
 #include "pipeline/monocular.hpp"
 #include "pipeline/stream_sink.hpp"
@@ -128,6 +129,8 @@ struct Service::Impl {
   void begin_pipeline();
   void make_pipeline(pipeline::Stages stages);
   void make_pipeline(pipeline::Rig rig);
+  void make_pipeline(pipeline::Booth booth);
+  void tell_devices(const pipeline::Rig& rig);
   void start_when_awaited();
   void begin_take(const std::string& name);
   void log_take(const take::RecorderStatus& take) const;
@@ -254,7 +257,8 @@ void Service::Impl::begin_take(const std::string& name) {
   recorder.source = source_name;
   recorder.software = software_name();
   recorder.when_full = live ? take::WhenFull::Drop : take::WhenFull::Wait;
-  if (config.mode == Mode::Frames) {
+  if (config.mode == Mode::Frames ||
+      (config.mode == Mode::Booth && config.booth_record == BoothRecord::Pictures)) {
     recorder.with_images = true;
     recorder.queue_frames = kQueuedSets;
   }
@@ -313,7 +317,7 @@ void Service::Impl::make_pipeline(pipeline::Stages stages) {
       std::vector<pipeline::MeshSink*>{&stream_sink, &takes});
 }
 
-void Service::Impl::make_pipeline(pipeline::Rig rig) {
+void Service::Impl::tell_devices(const pipeline::Rig& rig) {
   live = true;
   for (std::size_t i = 0; i < rig.cameras.size(); ++i) {
     const CameraInfo camera = rig.cameras[i]->info();
@@ -325,8 +329,22 @@ void Service::Impl::make_pipeline(pipeline::Rig rig) {
                ? fmt::format("trigger: {} lines, {:.2f} slots a second", rig.config.program.lines.size(),
                              rig.config.program.slots_per_second)
                : std::string("no trigger: the cameras run freely"));
+}
+
+void Service::Impl::make_pipeline(pipeline::Rig rig) {
+  tell_devices(rig);
   pipeline = std::make_unique<pipeline::FramesPipeline>(
       std::move(rig), std::vector<pipeline::MeshSink*>{&stream_sink, &takes});
+}
+
+void Service::Impl::make_pipeline(pipeline::Booth booth) {
+  tell_devices(booth.devices);
+  log.info(fmt::format("depth maps on {}", booth.stages.depth->device()));
+  std::vector<pipeline::MeshSink*> set_sinks;
+  std::vector<pipeline::MeshSink*> mesh_sinks = {&stream_sink};
+  (config.booth_record == BoothRecord::Pictures ? set_sinks : mesh_sinks).push_back(&takes);
+  pipeline = std::make_unique<pipeline::BoothPipeline>(std::move(booth), std::move(set_sinks),
+                                                       std::move(mesh_sinks));
 }
 
 void Service::Impl::begin_pipeline() {

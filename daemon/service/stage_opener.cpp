@@ -28,6 +28,8 @@ StageOpener::StageOpener(const Config& config) : result_(std::make_shared<Result
     try {
       if (config.mode == Mode::Frames) {
         result->opened = pipeline::open_rig(config.rig);
+      } else if (config.mode == Mode::Booth) {
+        result->opened = pipeline::open_booth(config.rig, booth_config(config));
       } else {
         result->opened = pipeline::open_stages(config.pipeline);
       }

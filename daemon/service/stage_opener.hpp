@@ -7,6 +7,7 @@
 #include <variant>
 
 #include "facet/error.hpp"
+#include "pipeline/booth.hpp"
 #include "pipeline/frames.hpp"
 #include "pipeline/stages.hpp"
 #include "service/config.hpp"
@@ -15,7 +16,7 @@
 namespace facet::service {
 
 /// What a pipeline of either mode is made of.
-using Opened = std::variant<pipeline::Stages, pipeline::Rig>;
+using Opened = std::variant<pipeline::Stages, pipeline::Rig, pipeline::Booth>;
 
 /// Opens the pipeline's stages or devices on the thread `facet-open`, which can't be broken off: models are
 /// read, drivers loaded and kernels compiled meanwhile. One thread uses this object.

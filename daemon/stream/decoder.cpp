@@ -197,7 +197,8 @@ mesh::StageTimes decode_stage_times(const wire::StageTimes* times) {
       {&out.landmarks_ms, times->landmarks_ms()}, {&out.fit_ms, times->fit_ms()},
       {&out.upload_ms, times->upload_ms()},       {&out.lighting_ms, times->lighting_ms()},
       {&out.albedo_ms, times->albedo_ms()},       {&out.displacement_ms, times->displacement_ms()},
-      {&out.readback_ms, times->readback_ms()},   {&out.latency_ms, times->latency_ms()}};
+      {&out.readback_ms, times->readback_ms()},   {&out.latency_ms, times->latency_ms()},
+      {&out.depth_ms, times->depth_ms()}};
   for (const auto& [field, value] : fields) {
     require(std::isfinite(value), "frame: stage times");
     *field = value;

@@ -290,7 +290,8 @@ Offset<wire::StageTimes> Encoder::Impl::stage_times(const mesh::StageTimes& time
                                 finite_or_zero(times.landmarks_ms), finite_or_zero(times.fit_ms),
                                 finite_or_zero(times.upload_ms), finite_or_zero(times.lighting_ms),
                                 finite_or_zero(times.albedo_ms), finite_or_zero(times.displacement_ms),
-                                finite_or_zero(times.readback_ms), finite_or_zero(times.latency_ms));
+                                finite_or_zero(times.readback_ms), finite_or_zero(times.latency_ms),
+                                finite_or_zero(times.depth_ms));
 }
 
 Offset<flatbuffers::Vector<const wire::Point*>> Encoder::Impl::landmarks(

@@ -36,7 +36,8 @@ Json stage_json(const mesh::StageTimes& times) {
           {"landmarks", times.landmarks_ms}, {"fit", times.fit_ms},
           {"upload", times.upload_ms},       {"lighting", times.lighting_ms},
           {"albedo", times.albedo_ms},       {"displacement", times.displacement_ms},
-          {"readback", times.readback_ms},   {"latency", times.latency_ms}};
+          {"readback", times.readback_ms},   {"latency", times.latency_ms},
+          {"depth", times.depth_ms}};
 }
 
 Json frame_set_json(const FrameSet& set) {

@@ -65,6 +65,7 @@ void expect_same_signals(const mesh::MeshFrame& got, const mesh::MeshFrame& sent
   EXPECT_EQ(got.stage_ms.landmarks_ms, sent.stage_ms.landmarks_ms);
   EXPECT_EQ(got.stage_ms.displacement_ms, sent.stage_ms.displacement_ms);
   EXPECT_EQ(got.stage_ms.latency_ms, sent.stage_ms.latency_ms);
+  EXPECT_EQ(got.stage_ms.depth_ms, sent.stage_ms.depth_ms);
   EXPECT_EQ(got.camera_from_head.matrix(), sent.camera_from_head.matrix());
   EXPECT_EQ(got.expression, sent.expression);
   EXPECT_EQ(got.lighting, sent.lighting);

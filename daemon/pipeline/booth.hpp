@@ -1,0 +1,47 @@
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "pipeline/booth_meshes.hpp"
+#include "pipeline/frames.hpp"
+#include "pipeline/pipeline.hpp"
+
+namespace facet::pipeline {
+
+/// The devices and stages of a live booth, opened.
+struct Booth {
+  Rig devices;
+  BoothStages stages;
+};
+
+/// Throws Error(Usage) where the cameras and the trigger are none that a booth's meshes can be made of.
+void check(const RigConfig& devices, const BoothConfig& booth);
+
+/// Opens both; see open_rig and open_booth. Throws Error(Usage) where the rig file names a camera that is not
+/// among the devices.
+Booth open_booth(const RigConfig& devices, const BoothConfig& config);
+
+/// A live booth: frame sets as FramesPipeline makes them, and a mesh for every blank slot as BoothMeshes makes
+/// them; their threads. Slots for which the stages are too slow have no mesh, and are counted as dropped.
+class BoothPipeline final : public Pipeline {
+ public:
+  /// set_sinks: get every frame set; mesh_sinks: every blank slot that was worked on, later.
+  BoothPipeline(Booth booth, std::vector<MeshSink*> set_sinks, std::vector<MeshSink*> mesh_sinks);
+  ~BoothPipeline() override;
+
+  void start() override;
+  void request_stop() override;
+  void stop() override;
+  bool finished() const override;
+  PipelineStatus status() const override;
+  std::optional<Progress::Silence> longest_silence() const override;
+  void reset_identity() override;
+  std::vector<Messages::Message> take_messages() override;
+
+ private:
+  BoothMeshes meshes_;
+  FramesPipeline frames_;  ///< delivers to meshes_
+};
+
+}  // namespace facet::pipeline

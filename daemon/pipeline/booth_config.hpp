@@ -1,0 +1,30 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "fit/template_fitter.hpp"
+#include "stereo/rectification.hpp"
+
+namespace facet::pipeline {
+
+/// What is asked of the meshes of a booth.
+struct BoothConfig {
+  std::filesystem::path rig_file;
+  /// Along the pairs' viewing directions. 0 to 0: around the point that the pairs look at (depth_range).
+  stereo::DepthRange depths;
+  /// Of the trigger's slots, again and again: 1 where the projectors show stripes, 0 in a blank one, which
+  /// gets a mesh. At least one of either.
+  std::vector<std::uint8_t> stripes = {1, 1, 0};
+  std::filesystem::path model_file;
+  std::filesystem::path landmark_assets;
+  std::string gpu_device = "auto";
+  fit::FitOptions fit;
+};
+
+/// Throws Error(Usage) where the configuration makes no sense.
+void check(const BoothConfig& config);
+
+}  // namespace facet::pipeline

@@ -1,0 +1,459 @@
+#include "pipeline/booth_meshes.hpp"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <utility>
+
+#include "capture/rig_file.hpp"
+#include "facet/error.hpp"
+#include "pipeline/bounded_queue.hpp"
+#include "pipeline/figures.hpp"
+#include "pipeline/frame_pool.hpp"
+#include "pipeline/workers.hpp"
+
+namespace facet::pipeline {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+using FramePointer = std::shared_ptr<const mesh::MeshFrame>;
+
+enum Worker : std::size_t { kDepth, kPerform };
+
+/// A gap of more slots ends a run.
+constexpr std::uint64_t kMostGap = 2 * kDepthReach;
+
+float ms_since(Clock::time_point start) {
+  return std::chrono::duration<float, std::milli>(Clock::now() - start).count();
+}
+
+struct RunSlot {
+  FramePointer frame;  ///< null: missing
+  bool stripes = true;
+  bool wanted = false;
+};
+
+struct Run {
+  std::vector<RunSlot> slots;  ///< consecutive
+  Clock::time_point complete;  ///< when its last slot came
+};
+
+/// A blank slot with its depth.
+struct Seen {
+  FramePointer frame;
+  std::shared_ptr<const FrameSet> set;  ///< in the rig's order
+  std::vector<capture::DepthMap> maps;  ///< [pairs]
+  std::string wrong;
+  float depth_ms = 0;
+  Clock::time_point complete;
+};
+
+}  // namespace
+
+void check(const BoothConfig& config) {
+  if (config.rig_file.empty()) {
+    throw Error(ErrorKind::Usage,
+                "booth.rig is missing: name the file that `facet calibrate` wrote (docs/booth.md)");
+  }
+  const auto stripes = static_cast<std::size_t>(
+      std::count_if(config.stripes.begin(), config.stripes.end(), [](std::uint8_t slot) { return slot != 0; }));
+  if (stripes == 0 || stripes == config.stripes.size()) {
+    throw Error(ErrorKind::Usage,
+                "trigger.patterns must have slots with projector lines (for depth) and blank ones, [] (for "
+                "texture), such as [[\"stripes.a\"], [\"stripes.b\"], []]");
+  }
+  if (config.gpu_device == "none") {
+    throw Error(ErrorKind::Usage,
+                "a booth's depth maps need a Vulkan device: set gpu.device to \"auto\" (lavapipe will do, "
+                "slowly)");
+  }
+}
+
+BoothStages open_booth(const BoothConfig& config, int blanks_per_run) {
+  check(config);
+  BoothStages stages;
+  stages.rig = std::make_shared<const capture::Rig>(capture::read_rig(config.rig_file));
+  stages.stripes = config.stripes;
+  stages.blanks_per_run = blanks_per_run;
+  const auto model = std::make_shared<const face::FaceModel>(face::FaceModel::load(config.model_file));
+  stages.tracker =
+      std::make_unique<PerformanceTracker>(model, config.landmark_assets, stages.rig, config.fit);
+  const auto slots_between = static_cast<int>(config.stripes.size());
+  const int most_slots = (blanks_per_run - 1) * slots_between + 1 + 2 * static_cast<int>(kDepthReach);
+  stages.depth = std::make_unique<BoothDepth>(config.gpu_device, stages.rig, config.depths, most_slots);
+  return stages;
+}
+
+struct BoothMeshes::Impl {
+  Impl(BoothStages given, WhenBusy busy, std::vector<MeshSink*> given_sinks)
+      : stages(std::move(given)), when_busy(busy), sinks(std::move(given_sinks)), runs(1), seen(1) {
+    shown.device = stages.depth->device();
+    camera_names = std::make_shared<std::vector<std::string>>();
+    for (const capture::RigCamera& camera : stages.rig->cameras) {
+      camera_names->push_back(camera.name);
+    }
+  }
+
+  // Set before the threads start.
+  BoothStages stages;
+  WhenBusy when_busy;
+  std::vector<MeshSink*> sinks;
+  std::shared_ptr<std::vector<std::string>> camera_names;  ///< of the rig
+
+  // Shared by the threads.
+  Messages messages;
+  Workers workers{{"facet-depth", "facet-perform"},
+                  [this](ErrorKind kind, const std::string& what) { fail(kind, what); }};
+  std::atomic<bool> stopping{false};
+  std::atomic<bool> wants_new_identity{false};
+  BoundedQueue<Run> runs;
+  BoundedQueue<Seen> seen;
+  mutable std::mutex mutex;
+  PipelineStatus shown;  ///< guarded by mutex, as all below
+  Figures figures;
+
+  // The delivering thread only.
+  std::deque<RunSlot> window;        ///< the last slots, consecutive
+  std::uint64_t first_slot = 0;      ///< of the window
+  std::size_t wanted = 0;            ///< blank slots in it that no run has taken
+
+  // facet-depth only.
+  std::vector<std::size_t> rig_from_set;  ///< [rig cameras] the frame in a set
+  std::shared_ptr<const std::vector<std::string>> names_before;
+
+  // facet-perform only.
+  FramePool pool;
+  std::uint32_t subjects = 0;
+  std::uint64_t subject_id = 0;
+  mesh::TrackingState state = mesh::TrackingState::Searching;
+
+  void fail(ErrorKind kind, const std::string& what);
+  bool is_stripes(std::uint64_t slot) const { return stages.stripes[slot % stages.stripes.size()] != 0; }
+  void add(std::uint64_t slot, FramePointer frame);
+  void hand_on(bool at_end);
+  void find_depth();
+  void find_depth(Run& run);
+  std::shared_ptr<const FrameSet> in_rig_order(const FrameSet& set);
+  void check_size(const FrameSet& set) const;
+  void perform();
+  void perform(Seen& item);
+  void tell(const mesh::MeshFrame& frame);
+};
+
+void BoothMeshes::Impl::fail(ErrorKind kind, const std::string& what) {
+  {
+    const std::lock_guard lock(mutex);
+    if (shown.state != PipelineState::Failed) {
+      shown.state = PipelineState::Failed;
+      shown.failure_kind = kind;
+      shown.reason = what;
+    }
+  }
+  stopping = true;
+  runs.close();
+  seen.close();
+}
+
+void BoothMeshes::Impl::add(std::uint64_t slot, FramePointer frame) {
+  RunSlot& one = window.emplace_back();
+  one.stripes = is_stripes(slot);
+  one.wanted = !one.stripes && frame != nullptr;
+  one.frame = std::move(frame);
+  wanted += one.wanted ? 1 : 0;
+}
+
+/// Makes a run of the window once enough blank slots in it have all the slots around them that they ever will.
+void BoothMeshes::Impl::hand_on(bool at_end) {
+  std::size_t ready = 0;
+  std::size_t last = 0;  // the last ready one
+  for (std::size_t i = 0; i < window.size(); ++i) {
+    if (window[i].wanted && (at_end || i + kDepthReach < window.size())) {
+      ++ready;
+      last = i;
+      if (ready == static_cast<std::size_t>(stages.blanks_per_run)) {
+        break;
+      }
+    }
+  }
+  if (ready > 0 && (at_end || ready == static_cast<std::size_t>(stages.blanks_per_run))) {
+    const auto first = static_cast<std::size_t>(
+        std::find_if(window.begin(), window.end(), [](const RunSlot& slot) { return slot.wanted; }) -
+        window.begin());
+    const std::size_t begin = first - std::min(first, kDepthReach);
+    const std::size_t end = std::min(window.size(), last + kDepthReach + 1);
+    Run run;
+    run.complete = Clock::now();
+    for (std::size_t i = begin; i < end; ++i) {
+      run.slots.push_back(window[i]);
+      run.slots.back().wanted = window[i].wanted && i <= last;
+      window[i].wanted = window[i].wanted && i > last;
+    }
+    wanted -= ready;
+    if (when_busy == WhenBusy::Wait) {
+      runs.push(std::move(run));
+    } else {
+      const bool full = runs.size() > 0;
+      runs.push_newest(std::move(run));
+      const std::lock_guard lock(mutex);
+      shown.dropped += full ? ready : 0;
+    }
+  }
+  // A blank slot to come, or one that waits, looks back this far.
+  std::size_t keep = kDepthReach;
+  for (std::size_t i = 0; i < window.size() && wanted > 0; ++i) {
+    if (window[i].wanted) {
+      keep = window.size() - i + kDepthReach;
+      break;
+    }
+  }
+  while (window.size() > keep) {
+    window.pop_front();
+    ++first_slot;
+  }
+}
+
+void BoothMeshes::Impl::find_depth() {
+  Run run;
+  const auto beat = [this] { workers.beat(kDepth); };
+  while (runs.pop(run, beat)) {
+    beat();
+    if (!stopping) {
+      find_depth(run);
+    }
+    run = {};
+  }
+  seen.close();
+}
+
+/// The set's frames in the rig's order. Throws Error(Usage) where a camera of the rig is not in the set.
+std::shared_ptr<const FrameSet> BoothMeshes::Impl::in_rig_order(const FrameSet& set) {
+  if (set.camera_names == nullptr) {
+    throw Error(ErrorKind::UnreadableInput, "the frame sets do not say which camera made which picture");
+  }
+  if (set.camera_names != names_before && (names_before == nullptr || *set.camera_names != *names_before)) {
+    rig_from_set.clear();
+    for (const std::string& name : *camera_names) {
+      const auto at = std::find(set.camera_names->begin(), set.camera_names->end(), name);
+      if (at == set.camera_names->end()) {
+        throw Error(ErrorKind::Usage,
+                    fmt::format("the rig's camera '{}' is not among those of the frame sets ({}): is it another "
+                                "rig's file?",
+                                name, fmt::join(*set.camera_names, ", ")));
+      }
+      rig_from_set.push_back(static_cast<std::size_t>(at - set.camera_names->begin()));
+    }
+  }
+  names_before = set.camera_names;
+  auto ordered = std::make_shared<FrameSet>();
+  ordered->slot = set.slot;
+  ordered->trigger_ns = set.trigger_ns;
+  ordered->skew_ns = set.skew_ns;
+  ordered->camera_names = camera_names;
+  for (std::size_t i = 0; i < rig_from_set.size(); ++i) {
+    ordered->frames.push_back(set.frames.at(rig_from_set[i]));
+    ordered->missing |= ordered->frames.back().empty() ? std::uint64_t{1} << i : 0;
+  }
+  check_size(*ordered);
+  return ordered;
+}
+
+void BoothMeshes::Impl::check_size(const FrameSet& set) const {
+  for (std::size_t i = 0; i < set.frames.size(); ++i) {
+    const Frame& frame = set.frames[i];
+    const capture::RigCamera& camera = stages.rig->cameras[i];
+    if (!frame.empty() && (frame.width_px != camera.lens.width_px || frame.height_px != camera.lens.height_px)) {
+      throw Error(ErrorKind::Usage,
+                  fmt::format("camera '{}' gives pictures of {} x {} px, the rig file has it calibrated at {} x {}: "
+                              "set the size it was calibrated at, or calibrate again",
+                              camera.name, frame.width_px, frame.height_px, camera.lens.width_px,
+                              camera.lens.height_px));
+    }
+  }
+}
+
+void BoothMeshes::Impl::find_depth(Run& run) {
+  std::vector<std::shared_ptr<const FrameSet>> sets;
+  std::vector<DepthSlot> slots;
+  for (const RunSlot& slot : run.slots) {
+    sets.push_back(slot.frame != nullptr ? in_rig_order(*slot.frame->images) : nullptr);
+    slots.push_back({sets.back().get(), slot.stripes, slot.wanted});
+  }
+  const Clock::time_point begun = Clock::now();
+  std::vector<std::vector<capture::DepthMap>> maps;
+  const std::string wrong = stages.depth->find(slots, maps);
+  const float depth_ms = ms_since(begun);
+  std::size_t at = 0;
+  for (std::size_t i = 0; i < run.slots.size(); ++i) {
+    if (run.slots[i].wanted) {
+      Seen item;
+      item.frame = run.slots[i].frame;
+      item.set = sets[i];
+      item.depth_ms = depth_ms / static_cast<float>(maps.size());
+      item.maps = std::move(maps[at++]);
+      item.wrong = wrong;
+      item.complete = run.complete;
+      seen.push(std::move(item), [this] { workers.beat(kDepth); });
+    }
+  }
+  const std::lock_guard lock(mutex);
+  shown.device = stages.depth->device();
+}
+
+void BoothMeshes::Impl::perform() {
+  Seen item;
+  const auto beat = [this] { workers.beat(kPerform); };
+  while (seen.pop(item, beat)) {
+    beat();
+    if (!stopping) {
+      perform(item);
+    }
+    item = {};
+  }
+}
+
+void BoothMeshes::Impl::perform(Seen& item) {
+  if (wants_new_identity.exchange(false)) {
+    stages.tracker->reset();
+  }
+  const std::shared_ptr<mesh::MeshFrame> frame = pool.take();
+  frame->sequence = item.frame->sequence;
+  frame->timestamp_ns = item.frame->timestamp_ns;
+  frame->media_time_ns = item.frame->media_time_ns;
+  frame->images = item.set;
+  frame->degraded = item.frame->degraded || !item.wrong.empty();
+  frame->degraded_reason = item.wrong.empty() ? item.frame->degraded_reason : item.wrong;
+  frame->stage_ms.depth_ms = item.depth_ms;
+  stages.tracker->process(*item.set, item.maps, *frame);
+  frame->stage_ms.latency_ms = ms_since(item.complete);
+  tell(*frame);
+  for (MeshSink* sink : sinks) {
+    sink->deliver(frame);
+  }
+  const std::lock_guard lock(mutex);
+  ++shown.processed;
+  shown.tracking = frame->state;
+  shown.mesh_frames += frame->state == mesh::TrackingState::Tracking ? 1 : 0;
+  shown.face_frames +=
+      frame->state == mesh::TrackingState::Tracking || !frame->landmarks_px.empty() ? 1 : 0;
+  shown.subjects = subjects;
+  if (frame->subject != nullptr) {
+    shown.finest_vertices = frame->subject->hierarchy->finest().vertex_count;
+    shown.levels = static_cast<int>(frame->subject->hierarchy->levels.size());
+  }
+  if (frame->degraded) {
+    ++shown.degraded_frames;
+    shown.degraded_reason = frame->degraded_reason;
+  }
+  figures.add(*frame, Clock::now());
+}
+
+/// The log is told where the state changes.
+void BoothMeshes::Impl::tell(const mesh::MeshFrame& frame) {
+  if (frame.subject != nullptr && frame.subject->id != subject_id) {
+    subject_id = frame.subject->id;
+    ++subjects;
+    messages.info(fmt::format("slot {}: a face is followed, {} vertices", frame.sequence,
+                              frame.subject->hierarchy->finest().vertex_count));
+  } else if (frame.state != state && frame.state != mesh::TrackingState::Tracking) {
+    messages.warning(fmt::format("slot {}: {}", frame.sequence, frame.degraded_reason));
+  }
+  state = frame.state;
+}
+
+BoothMeshes::BoothMeshes(BoothStages stages, WhenBusy when_busy, std::vector<MeshSink*> sinks)
+    : impl_(std::make_unique<Impl>(std::move(stages), when_busy, std::move(sinks))) {}
+
+BoothMeshes::~BoothMeshes() {
+  stop();
+}
+
+void BoothMeshes::start() {
+  impl_->workers.begin(kPerform, [impl = impl_.get()] { impl->perform(); });
+  impl_->workers.begin(kDepth, [impl = impl_.get()] { impl->find_depth(); });
+}
+
+void BoothMeshes::deliver(FramePointer frame) {
+  Impl& impl = *impl_;
+  if (frame->images == nullptr) {
+    return;
+  }
+  const std::uint64_t slot = frame->sequence;
+  std::uint64_t next = impl.first_slot + impl.window.size();
+  if (!impl.window.empty() && (slot < next || slot > next + kMostGap)) {
+    while (impl.wanted > 0) {
+      impl.hand_on(true);
+    }
+    impl.window.clear();
+  }
+  if (impl.window.empty()) {
+    next = impl.first_slot = slot;
+  }
+  for (; next < slot; ++next) {
+    impl.add(next, nullptr);
+  }
+  impl.add(slot, std::move(frame));
+  impl.hand_on(false);
+}
+
+void BoothMeshes::finish() {
+  while (impl_->wanted > 0) {
+    impl_->hand_on(true);
+  }
+  impl_->runs.close();
+}
+
+void BoothMeshes::request_stop() {
+  impl_->stopping = true;
+  impl_->runs.close();
+  impl_->seen.close();
+}
+
+void BoothMeshes::stop() {
+  request_stop();
+  impl_->workers.join();
+}
+
+bool BoothMeshes::finished() const {
+  return impl_->workers.finished();
+}
+
+void BoothMeshes::fill(PipelineStatus& status) const {
+  const std::lock_guard lock(impl_->mutex);
+  const PipelineStatus& shown = impl_->shown;
+  if (shown.state == PipelineState::Failed) {
+    status.state = shown.state;
+    status.failure_kind = shown.failure_kind;
+    status.reason = shown.reason;
+  }
+  status.device = shown.device;
+  status.dropped += shown.dropped;
+  status.processed = shown.processed;
+  status.mesh_frames = shown.mesh_frames;
+  status.face_frames = shown.face_frames;
+  status.degraded_frames = shown.degraded_frames;
+  status.degraded_reason = shown.degraded_reason;
+  status.subjects = shown.subjects;
+  status.finest_vertices = shown.finest_vertices;
+  status.levels = shown.levels;
+  status.tracking = shown.tracking;
+  impl_->figures.fill(status);
+  status.queued_captured = impl_->runs.size();
+  status.queued_tracked = impl_->seen.size();
+}
+
+std::optional<Progress::Silence> BoothMeshes::longest_silence() const {
+  return impl_->workers.progress().longest_silence();
+}
+
+void BoothMeshes::reset_identity() {
+  impl_->wants_new_identity = true;
+}
+
+std::vector<Messages::Message> BoothMeshes::take_messages() {
+  return impl_->messages.take();
+}
+
+}  // namespace facet::pipeline

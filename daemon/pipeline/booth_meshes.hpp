@@ -1,0 +1,72 @@
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "pipeline/booth_config.hpp"
+#include "pipeline/booth_depth.hpp"
+#include "pipeline/mesh_sink.hpp"
+#include "pipeline/messages.hpp"
+#include "pipeline/performance_tracker.hpp"
+#include "pipeline/progress.hpp"
+#include "pipeline/status.hpp"
+
+namespace facet::pipeline {
+
+/// What makes a booth's meshes.
+struct BoothStages {
+  std::shared_ptr<const capture::Rig> rig;
+  std::vector<std::uint8_t> stripes;  ///< BoothConfig::stripes
+  std::unique_ptr<BoothDepth> depth;
+  std::unique_ptr<PerformanceTracker> tracker;
+  int blanks_per_run = 1;
+};
+
+/// Opens rig file, model, landmark nets and device. Seconds. blanks_per_run: blank slots whose depth is found
+/// together; more are cheaper a slot (their windows share slots) and come later. Throws Error: Usage for the
+/// rig and the configuration, UnreadableInput for files, NoDevice.
+BoothStages open_booth(const BoothConfig& config, int blanks_per_run);
+
+/// Frame sets in, one mesh for every blank slot out. Threads, what each does and what it may block on:
+/// * whoever delivers: the order of slots, windows in time.
+/// * `facet-depth`: BoothDepth. An empty queue, the GPU, room in a queue.
+/// * `facet-perform`: PerformanceTracker, MeshSink::deliver. An empty queue, a sink.
+class BoothMeshes final : public MeshSink {
+ public:
+  enum class WhenBusy {
+    Drop,  ///< live: older slots that wait give way to newer ones, counted
+    Wait,  ///< recorded: deliver waits
+  };
+
+  BoothMeshes(BoothStages stages, WhenBusy when_busy, std::vector<MeshSink*> sinks);
+  ~BoothMeshes() override;
+
+  void start();
+  /// Frames of one frame set each (MeshFrame::images), slots ascending.
+  void deliver(std::shared_ptr<const mesh::MeshFrame> frame) override;
+  /// No more frames come: what waits is worked off.
+  void finish();
+  /// What waits is let go. Any thread, returns at once.
+  void request_stop();
+  void stop();
+  bool finished() const;
+
+  /// Fills what it knows: device, meshes, tracking, times, queues, reasons. State Failed where a thread
+  /// failed. Any thread.
+  void fill(PipelineStatus& status) const;
+  std::optional<Progress::Silence> longest_silence() const;
+  /// The next slots are searched for a face. Any thread.
+  void reset_identity();
+  std::vector<Messages::Message> take_messages();
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace facet::pipeline

@@ -1,0 +1,44 @@
+#pragma once
+
+#include <filesystem>
+#include <memory>
+#include <span>
+#include <string>
+
+#include "capture/depth_map.hpp"
+#include "capture/rig.hpp"
+#include "face/face_model.hpp"
+#include "facet/frame_set.hpp"
+#include "fit/template_fitter.hpp"
+#include "mesh/mesh_frame.hpp"
+
+namespace facet::pipeline {
+
+/// From the depth maps and the colour pictures of blank slots to one mesh in correspondence: the face is
+/// looked for by its landmarks, the template is placed and fitted, then followed from slot to slot
+/// (docs/template-fit.md). A face that is lost is looked for again. One thread at a time, on the CPU.
+class PerformanceTracker {
+ public:
+  /// rig: one colour camera at least. Throws Error: Usage where there is none, UnreadableInput for the
+  /// landmark nets and for a model that can't be refined.
+  PerformanceTracker(std::shared_ptr<const face::FaceModel> model, const std::filesystem::path& landmark_assets,
+                     std::shared_ptr<const capture::Rig> rig, const fit::FitOptions& options);
+  ~PerformanceTracker();
+
+  /// The next blank slot, in order of time. set: frames in the rig's order. maps: [pairs] of that slot.
+  /// out: state, subject, pose, expression and vertices, as seen by the rig's first colour camera; the times
+  /// of landmarks and fit. Says in degraded_reason what was missing.
+  void process(const FrameSet& set, std::span<const capture::DepthMap> maps, mesh::MeshFrame& out);
+
+  /// Forgets the person; the next slots are searched for a face.
+  void reset();
+
+  /// Of the mesh in the last slot that had one, rig frame; null before. For checks and pictures.
+  const mesh::Vertices* vertices_mm() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace facet::pipeline
