@@ -17,11 +17,13 @@
 #include "camera/contained_camera.hpp"
 #include "camera/factory.hpp"
 #include "camera/v4l2_camera.hpp"
+#include "capture/rig_file.hpp"
 #include "commands.hpp"
 #include "face/face_model.hpp"
 #include "facet/assets.hpp"
 #include "facet/error.hpp"
 #include "gpu/context.hpp"
+#include "pipeline/booth_depth.hpp"
 #include "pipeline/frames.hpp"
 #include "service/config.hpp"
 #include "service/control_client.hpp"
@@ -176,6 +178,30 @@ void check_rig(Report& report, const service::Config& config) {
   }
 }
 
+/// Whether the booth's calibration fits its devices.
+void check_rig_file(Report& report, const service::Config& config) {
+  try {
+    const capture::Rig rig = capture::read_rig(config.rig_file);
+    for (const capture::RigCamera& camera : rig.cameras) {
+      const auto& devices = config.rig.cameras;
+      if (std::none_of(devices.begin(), devices.end(),
+                       [&](const auto& device) { return device.name == camera.name; })) {
+        report.bad(ErrorKind::Usage, "rig file",
+                   fmt::format("its camera '{}' is not among the configuration's", camera.name),
+                   "give the [[camera]]s the names that they were calibrated under");
+      }
+    }
+    const stereo::DepthRange depths =
+        config.booth_depths.farthest_mm > 0 ? config.booth_depths : pipeline::depth_range(rig);
+    report.say(Verdict::Good, "rig file",
+               fmt::format("{}: {} cameras, {} pairs; the face is looked for from {:.0f} to {:.0f} mm",
+                           config.rig_file.string(), rig.cameras.size(), rig.pairs.size(), depths.nearest_mm,
+                           depths.farthest_mm));
+  } catch (const Error& error) {
+    report.bad(error.kind(), "rig file", error.what(), "facet calibrate (docs/calibration.md)");
+  }
+}
+
 void check_source(Report& report, const service::Config& config) {
   const camera::CameraConfig& source = config.pipeline.source;
   if (!camera::names_source(source)) {
@@ -272,9 +298,14 @@ void run(const std::string& given_file) {
   report.say(Verdict::Good, "processor",
              fmt::format("{} cores", std::max(1U, std::thread::hardware_concurrency())));
   list_cameras(report);
-  if (config.mode == service::Mode::Frames) {
+  if (config.mode != service::Mode::Monocular) {
     check_rig(report, config);
-  } else {
+  }
+  if (config.mode == service::Mode::Booth) {
+    check_vulkan(report, config.pipeline.gpu_device);
+    check_model(report, config);
+    check_rig_file(report, config);
+  } else if (config.mode == service::Mode::Monocular) {
     check_vulkan(report, config.pipeline.gpu_device);
     check_model(report, config);
     check_source(report, config);

@@ -10,12 +10,17 @@
 #include <filesystem>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
+#include "capture/rig_file.hpp"
 #include "commands.hpp"
 #include "facet/error.hpp"
+#include "files/output_file.hpp"
+#include "files/pfm.hpp"
 #include "pipeline/booth_meshes.hpp"
 #include "pipeline/monocular.hpp"
 #include "pipeline/take_sink.hpp"
@@ -24,6 +29,7 @@
 #include "stop_signals.hpp"
 #include "take/reader.hpp"
 #include "take_frames.hpp"
+#include "take_pictures.hpp"
 
 namespace facet::tools {
 namespace {
@@ -41,6 +47,7 @@ struct Options {
   std::string budget;
   std::string device;
   std::string rig;
+  std::string depth;
 };
 
 void set_budget(const std::string& budget, refine::RefinerConfig& refiner) {
@@ -220,6 +227,34 @@ std::vector<std::int64_t> slots_of(take::TakeReader& take, const pipeline::Frame
   return found;
 }
 
+/// Writes every depth map as a float map, into a folder a pair; their lenses, without distortion, are those
+/// of rig.toml beside them.
+pipeline::BoothMeshes::DepthTaker depth_writer(const std::filesystem::path& folder, const capture::Rig& rig) {
+  if (folder.empty()) {
+    return {};
+  }
+  std::vector<std::string> names;
+  for (const capture::StereoPair& pair : rig.pairs) {
+    names.push_back(rig.cameras[pair.left].name);
+    files::make_folder(folder / names.back());
+  }
+  return [folder, names, lenses_written = false](std::uint64_t slot,
+                                                 std::span<const capture::DepthMap> maps) mutable {
+    capture::Rig lenses;
+    for (std::size_t pair = 0; pair < maps.size(); ++pair) {
+      const capture::DepthMap& map = maps[pair];
+      if (map.depth_mm.empty()) {
+        return;
+      }
+      files::write_pfm({map.width_px, map.height_px, map.depth_mm}, depth_file(folder, names[pair], slot));
+      lenses.cameras.push_back({names[pair], map.lens, false});
+    }
+    if (!std::exchange(lenses_written, true)) {
+      capture::write_rig(lenses, folder / "rig.toml");
+    }
+  };
+}
+
 void run_booth(const Options& options) {
   service::Config config = configure(options);
   config.rig_file = options.rig;
@@ -227,12 +262,15 @@ void run_booth(const Options& options) {
   take::TakeReader input(options.input);
   const std::vector<std::int64_t> slots = slots_of(input, config.pipeline.frames);
   const pipeline::BoothConfig booth = service::booth_config(config);
-  const auto blanks = static_cast<std::uint64_t>(std::count_if(slots.begin(), slots.end(), [&](std::int64_t i) {
-    return booth.stripes[input.entry(i).sequence % booth.stripes.size()] == 0;
-  }));
+  const auto blanks =
+      static_cast<std::uint64_t>(std::count_if(slots.begin(), slots.end(), [&](std::int64_t i) {
+        return booth.stripes[input.entry(i).sequence % booth.stripes.size()] == 0;
+      }));
   pipeline::TakeSink take;
-  pipeline::BoothMeshes meshes(pipeline::open_booth(booth, kBlanksPerRun),
-                               pipeline::BoothMeshes::WhenBusy::Wait, {&take});
+  pipeline::BoothStages stages = pipeline::open_booth(booth, kBlanksPerRun);
+  auto write_depth = depth_writer(options.depth, *stages.rig);
+  pipeline::BoothMeshes meshes(std::move(stages), pipeline::BoothMeshes::WhenBusy::Wait, {&take},
+                               std::move(write_depth));
   take.begin(recorder_of(options, config));
   Progress progress("Processing", blanks, "meshes");
   const auto show = [&] {
@@ -284,9 +322,10 @@ void add_process_command(CLI::App& app) {
       "process", "Turn a video of a face, or the pictures that a booth recorded, into a take of meshes");
   command->add_option("input", options->input, "The video; with --rig the take that holds the pictures")
       ->required();
-  command->add_option("--rig", options->rig,
-                      "A booth's rig file: the input is a take of its pictures, and every blank slot becomes a "
-                      "mesh");
+  command->add_option(
+      "--rig", options->rig,
+      "A booth's rig file: the input is a take of its pictures, and every blank slot becomes a "
+      "mesh");
   command->add_option("-o,--output", options->take, "The take to write; must not exist yet")->required();
   command->add_option("--config", options->config,
                       "Configuration file; of [source], only frames and intrinsics count");
@@ -295,6 +334,10 @@ void add_process_command(CLI::App& app) {
                       "Solver work per frame: \"paper\" or Gauss-Newton steps per level");
   command->add_option("--device", options->device,
                       "Vulkan device: auto, part of its name, or none (coarse meshes only)");
+  command
+      ->add_option("--depth", options->depth,
+                   "Folder for the depth maps of every blank slot (PFM, mm) and their lenses (rig.toml)")
+      ->needs("--rig");
   command->callback([options] { options->rig.empty() ? run_monocular(*options) : run_booth(*options); });
 }
 

@@ -44,15 +44,6 @@ struct SynthBoothOptions {
   std::string folder;
 };
 
-void make_folder(const std::filesystem::path& folder) {
-  std::error_code failure;
-  std::filesystem::create_directories(folder, failure);
-  if (failure) {
-    throw Error(ErrorKind::Storage,
-                fmt::format("{}: cannot make the folder ({})", folder.string(), failure.message()));
-  }
-}
-
 /// Red where the pixel shows skin, green where the pair's other camera sees the point too.
 render::Picture mask_of(const simulation::DepthTruth& truth) {
   render::Picture mask = render::plain_picture(truth.width_px, truth.height_px, {0, 0, 0});
@@ -128,7 +119,7 @@ void run_synth_booth(SynthBoothOptions options) {
   const Booth booth(model ? &*model : nullptr, options.booth);
   const std::filesystem::path folder = options.folder;
   for (const capture::StereoPair& pair : booth.rig().pairs) {
-    make_folder(folder / "truth" / booth.rig().cameras[pair.left].name);
+    files::make_folder(folder / "truth" / booth.rig().cameras[pair.left].name);
   }
   take::TakeRecorderConfig config;
   config.file = folder / "capture.take";

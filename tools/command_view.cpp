@@ -6,11 +6,15 @@
 #include <algorithm>
 #include <charconv>
 #include <cstdint>
+#include <filesystem>
 #include <iterator>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
+#include "booth_sheet.hpp"
+#include "capture/rig_file.hpp"
 #include "commands.hpp"
 #include "facet/error.hpp"
 #include "progress.hpp"
@@ -28,6 +32,10 @@ struct ViewOptions {
   std::string sheet;
   std::string frames;
   std::string video;
+  std::string rig;
+  std::string pictures;
+  std::string depth;
+  std::string truth;
 };
 
 /// The frames asked for: "A,B,C" (each one), "A:B" or nothing (spread evenly over those with a mesh), by
@@ -68,9 +76,45 @@ std::vector<std::int64_t> chosen_frames(take::TakeReader& take, const std::strin
   return chosen;
 }
 
+/// The take that a booth's meshes were made of: the one given, or the one that the take names.
+std::optional<take::TakeReader> open_pictures(const take::TakeReader& take, const std::string& given) {
+  std::error_code ignored;
+  const std::string source = given.empty() ? take.info().source : given;
+  if (!given.empty() || std::filesystem::is_regular_file(source, ignored)) {
+    return take::TakeReader(source);
+  }
+  fmt::print(stderr, "facet view: the take's source '{}' is not here; give it with --pictures\n", source);
+  return std::nullopt;
+}
+
+void view_booth(const ViewOptions& options, take::TakeReader& take, const std::vector<std::int64_t>& frames) {
+  std::optional<take::TakeReader> pictures = open_pictures(take, options.pictures);
+  BoothSheetSources sources;
+  sources.meshes = &take;
+  sources.pictures = pictures ? &*pictures : nullptr;
+  sources.rig = capture::read_rig(options.rig);
+  sources.depth_folder = options.depth;
+  sources.truth_folder = options.truth;
+  std::vector<BoothError> errors;
+  Progress progress("Drawing", frames.size(), "rows");
+  const render::Picture sheet = make_booth_sheet(
+      sources, frames, [&](int rows) { progress.set(static_cast<std::uint64_t>(rows)); }, errors);
+  progress.finish();
+  render::write_png(sheet, options.sheet);
+  for (const BoothError& error : errors) {
+    fmt::print("slot {}: {:.3f} mm from the truth (mean; 95 %: {:.3f} mm), normals {:.1f} degrees off\n",
+               error.slot, error.mean_mm, error.p95_mm, error.normal_deg);
+  }
+  fmt::print("{}: {} frames of {}\n", options.sheet, frames.size(), options.take);
+}
+
 void run_view(const ViewOptions& options) {
   take::TakeReader take(options.take);
   const auto frames = chosen_frames(take, options.frames);
+  if (!options.rig.empty()) {
+    view_booth(options, take, frames);
+    return;
+  }
   const auto images = open_source_images(take.info(), options.video);
   if (!images) {
     fmt::print(stderr, "facet view: the take's source '{}' is not a video file here; give it with --video\n",
@@ -97,6 +141,19 @@ void add_view_command(CLI::App& app) {
       "Frames of the source by number as in 0,50,100, or a range A:B without B, of which five "
       "are drawn; default: the whole take");
   command->add_option("--video", options->video, "The video that the take was made from, where it has moved");
+  CLI::Option* rig = command->add_option(
+      "--rig", options->rig,
+      "A booth's rig file, for a take that `facet process --rig` made: draws stripes, depth, mesh over the "
+      "picture, shaded mesh, texture, error");
+  command
+      ->add_option("--pictures", options->pictures,
+                   "The take that the meshes were made of, where it has moved")
+      ->needs(rig);
+  command->add_option("--depth", options->depth, "The folder that `facet process --depth` wrote")->needs(rig);
+  command
+      ->add_option("--truth", options->truth,
+                   "The folder that `facet synth-booth` wrote, where the pictures are of the virtual booth")
+      ->needs(rig);
   command->callback([options] { run_view(*options); });
 }
 

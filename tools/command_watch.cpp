@@ -82,8 +82,7 @@ std::string line_text(const mesh::MeshFrame& frame, const Window& window, std::u
       {"landmarks", &Times::landmarks_ms}, {"fit", &Times::fit_ms},
       {"upload", &Times::upload_ms},       {"lighting", &Times::lighting_ms},
       {"albedo", &Times::albedo_ms},       {"displ", &Times::displacement_ms},
-      {"readback", &Times::readback_ms},
-      {"depth", &Times::depth_ms}};
+      {"readback", &Times::readback_ms},   {"depth", &Times::depth_ms}};
   for (const auto& [name, stage] : stages) {
     if (const float mean_ms = window.mean(stage); mean_ms > 0) {
       text += fmt::format(" {} {:.1f}", name, mean_ms);

@@ -10,6 +10,7 @@ namespace facet::tools {
 /// it. A callback reports failure by throwing facet::Error; main turns the error's kind into the exit status.
 /// One line here, one in main.cpp's list and one file command_<name>.cpp make a new subcommand.
 
+void add_booth_demo_command(CLI::App& app);
 void add_calibrate_command(CLI::App& app);
 void add_doctor_command(CLI::App& app);
 void add_summary_command(CLI::App& app);

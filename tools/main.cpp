@@ -29,6 +29,7 @@ int main(int argc, char** argv) {
       "Vulkan\n"
       "device, 6 cannot write, 7 the daemon does not answer. `facet COMMAND --help` explains a command.");
 
+  add_booth_demo_command(app);
   add_calibrate_command(app);
   add_doctor_command(app);
   add_eval_command(app);

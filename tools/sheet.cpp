@@ -22,56 +22,13 @@ constexpr int kCellWidth_px = 400;
 constexpr int kCellHeight_px = 480;
 constexpr int kGap_px = 6;
 constexpr int kHeader_px = 46;
+constexpr float kWireOpacity = 0.55F;
 constexpr float kLargestError = 0.12F;  // of the error's colours: as in the paper's figures
 constexpr std::array<const char*, 6> kColumns{"input",           "coarse mesh", "refined normals",
                                               "refined, shaded", "albedo",      "photometric error"};
 
-Picture note(const std::string& text) {
-  Picture picture = render::plain_picture(kCellWidth_px, kCellHeight_px, {30, 32, 37});
-  const auto size = render::text_size_px(text);
-  render::draw_text(picture, (kCellWidth_px - size.x()) / 2, (kCellHeight_px - size.y()) / 2, text,
-                    kFaintInk);
-  return picture;
-}
-
-/// Edges of M0 that face the camera and are not hidden, over the image.
-Picture draw_coarse_mesh(const mesh::MeshFrame& frame, const Cell& cell, Picture picture) {
-  const mesh::Hierarchy& hierarchy = *frame.subject->hierarchy;
-  std::vector<mesh::Vertices> levels;
-  mesh::push_positions(hierarchy, frame.control_vertices_mm, levels);
-  const mesh::Vertices vertices_mm = frame.camera_from_head * levels.front();
-  const mesh::Triangles& triangles = hierarchy.levels.front().triangles;
-  const render::Raycaster caster(vertices_mm, triangles);
-  constexpr float kMargin_mm = 2;
-  std::vector<std::uint8_t> seen(static_cast<std::size_t>(vertices_mm.cols()));
-  for (Eigen::Index v = 0; v < vertices_mm.cols(); ++v) {
-    seen[static_cast<std::size_t>(v)] =
-        caster.occluded(Vector3f::Zero(), vertices_mm.col(v), kMargin_mm) ? 0 : 1;
-  }
-  const auto pixel = [&](std::int32_t v) -> Eigen::Vector2f {
-    const Vector3f at = vertices_mm.col(v);
-    return {cell.camera.fx * at.x() / at.z() + cell.camera.cx,
-            cell.camera.fy * at.y() / at.z() + cell.camera.cy};
-  };
-  constexpr std::array<std::uint8_t, 3> kWire{90, 235, 170};
-  constexpr float kOpacity = 0.55F;
-  for (Eigen::Index t = 0; t < triangles.cols(); ++t) {
-    const Vector3f a = vertices_mm.col(triangles(0, t));
-    const Vector3f b = vertices_mm.col(triangles(1, t));
-    const Vector3f c = vertices_mm.col(triangles(2, t));
-    if ((b - a).cross(c - a).dot(a) >= 0) {
-      continue;
-    }
-    for (Eigen::Index corner = 0; corner < 3; ++corner) {
-      const std::int32_t from = triangles(corner, t);
-      const std::int32_t to = triangles((corner + 1) % 3, t);
-      // Each inner edge is drawn from the triangle in which it runs upwards.
-      if (from < to && seen[static_cast<std::size_t>(from)] != 0 && seen[static_cast<std::size_t>(to)] != 0) {
-        render::draw_line(picture, pixel(from), pixel(to), kWire, kOpacity);
-      }
-    }
-  }
-  return picture;
+Picture cell_note(const std::string& text) {
+  return note(text, kCellWidth_px, kCellHeight_px);
 }
 
 mesh::Vertices normal_colours(const Eigen::Matrix3Xf& normals) {
@@ -98,21 +55,10 @@ mesh::Vertices error_colours(const std::vector<float>& errors) {
   return colours;
 }
 
-/// The control vertices that shading may refine: what the cells are cut to.
-mesh::Vertices face_vertices(const mesh::MeshFrame& frame) {
-  std::vector<Eigen::Index> chosen;
-  for (std::size_t v = 0; v < frame.subject->regions.size(); ++v) {
-    if (face::has_region(frame.subject->regions[v], face::Region::Refinable)) {
-      chosen.push_back(static_cast<Eigen::Index>(v));
-    }
-  }
-  return frame.camera_from_head * mesh::Vertices(frame.control_vertices_mm(Eigen::all, chosen));
-}
-
 std::array<Picture, 6> make_row(const mesh::MeshFrame& frame, const std::optional<Frame>& image) {
   if (!take::has_mesh(frame)) {
     const std::string state = fmt::format("no mesh: {}", mesh::to_string(frame.state));
-    Picture input = note("image not available");
+    Picture input = cell_note("image not available");
     if (image) {
       const auto width = static_cast<float>(image->width_px);
       const auto height = static_cast<float>(image->height_px);
@@ -124,7 +70,7 @@ std::array<Picture, 6> make_row(const mesh::MeshFrame& frame, const std::optiona
       render::paste(input, small, (kCellWidth_px - small.width_px) / 2,
                     (kCellHeight_px - small.height_px) / 2);
     }
-    return {input, note(state), note(state), note(state), note(state), note(state)};
+    return {input, cell_note(state), cell_note(state), cell_note(state), cell_note(state), cell_note(state)};
   }
   const FrameGeometry geometry = geometry_of(frame);
   const mesh::Triangles& triangles = frame.subject->hierarchy->finest().triangles;
@@ -132,12 +78,12 @@ std::array<Picture, 6> make_row(const mesh::MeshFrame& frame, const std::optiona
   const Picture dark = render::plain_picture(kCellWidth_px, kCellHeight_px, {30, 32, 37});
   const render::Raycaster refined(geometry.refined_mm, triangles);
 
-  const Picture input = image ? cell_picture(*image, cell) : note("image not available");
-  std::array<Picture, 6> row{input, draw_coarse_mesh(frame, cell, image ? input : dark)};
+  const Picture input = image ? cell_picture(*image, cell) : cell_note("image not available");
+  std::array<Picture, 6> row{input, draw_coarse_mesh(frame, cell, image ? input : dark, kWireOpacity)};
   row[2] = render_colours(refined, triangles, normal_colours(geometry.refined_normals), cell.camera, dark);
   row[3] = render_colours(refined, triangles, grey_shading(geometry.refined_normals), cell.camera, dark);
-  row[4] = note("albedo not learned yet");
-  row[5] = note(image ? "albedo not learned yet" : "image not available");
+  row[4] = cell_note("albedo not learned yet");
+  row[5] = cell_note(image ? "albedo not learned yet" : "image not available");
   const auto vertex_count = static_cast<std::size_t>(geometry.refined_mm.cols());
   if (frame.albedo && frame.albedo->linear_rgb.size() == 3 * vertex_count) {
     const mesh::Vertices albedo = Eigen::Map<const mesh::Vertices>(frame.albedo->linear_rgb.data(), 3,
@@ -187,10 +133,7 @@ Picture make_sheet(take::TakeReader& take, const std::vector<std::int64_t>& fram
     if (take::has_mesh(*frame)) {
       label += fmt::format("  rms {:.4f}", frame->photometric_rms);
     }
-    const auto size = render::text_size_px(label);
-    render::paste(sheet, render::plain_picture(size.x() + 12, size.y() + 10, kPaper), kGap_px,
-                  y + kCellHeight_px - size.y() - 10);
-    render::draw_text(sheet, kGap_px + 6, y + kCellHeight_px - size.y() - 5, label, kInk);
+    label_cell(sheet, kGap_px, y + kCellHeight_px, label);
     done(row + 1);
   }
   return sheet;

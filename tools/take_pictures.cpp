@@ -1,11 +1,14 @@
 #include "take_pictures.hpp"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cmath>
 #include <system_error>
 #include <utility>
 
 #include "camera/factory.hpp"
+#include "face/face_model.hpp"
 #include "facet/error.hpp"
 
 namespace facet::tools {
@@ -170,6 +173,74 @@ std::vector<std::int64_t> spread_evenly(const std::vector<std::int64_t>& indices
     spread.push_back(indices[count == 1 ? indices.size() / 2 : k * (indices.size() - 1) / (count - 1)]);
   }
   return spread;
+}
+
+render::Picture note(const std::string& text, int width_px, int height_px) {
+  render::Picture picture = render::plain_picture(width_px, height_px, {30, 32, 37});
+  const auto size = render::text_size_px(text);
+  render::draw_text(picture, (width_px - size.x()) / 2, (height_px - size.y()) / 2, text, kFaintInk);
+  return picture;
+}
+
+void label_cell(render::Picture& sheet, int x_px, int bottom_px, const std::string& text) {
+  const auto size = render::text_size_px(text);
+  render::paste(sheet, render::plain_picture(size.x() + 12, size.y() + 10, kPaper), x_px,
+                bottom_px - size.y() - 10);
+  render::draw_text(sheet, x_px + 6, bottom_px - size.y() - 5, text, kInk);
+}
+
+render::Picture draw_coarse_mesh(const mesh::MeshFrame& frame, const Cell& cell, render::Picture picture,
+                                 float opacity) {
+  const mesh::Hierarchy& hierarchy = *frame.subject->hierarchy;
+  std::vector<mesh::Vertices> levels;
+  mesh::push_positions(hierarchy, frame.control_vertices_mm, levels);
+  const mesh::Vertices vertices_mm = frame.camera_from_head * levels.front();
+  const mesh::Triangles& triangles = hierarchy.levels.front().triangles;
+  const render::Raycaster caster(vertices_mm, triangles);
+  constexpr float kMargin_mm = 2;
+  std::vector<std::uint8_t> seen(static_cast<std::size_t>(vertices_mm.cols()));
+  for (Eigen::Index v = 0; v < vertices_mm.cols(); ++v) {
+    seen[static_cast<std::size_t>(v)] =
+        caster.occluded(Eigen::Vector3f::Zero(), vertices_mm.col(v), kMargin_mm) ? 0 : 1;
+  }
+  const auto pixel = [&](std::int32_t v) -> Eigen::Vector2f {
+    const Eigen::Vector3f at = vertices_mm.col(v);
+    return {cell.camera.fx * at.x() / at.z() + cell.camera.cx,
+            cell.camera.fy * at.y() / at.z() + cell.camera.cy};
+  };
+  constexpr std::array<std::uint8_t, 3> kWire{90, 235, 170};
+  for (Eigen::Index t = 0; t < triangles.cols(); ++t) {
+    const Eigen::Vector3f a = vertices_mm.col(triangles(0, t));
+    const Eigen::Vector3f b = vertices_mm.col(triangles(1, t));
+    const Eigen::Vector3f c = vertices_mm.col(triangles(2, t));
+    if ((b - a).cross(c - a).dot(a) >= 0) {
+      continue;
+    }
+    for (Eigen::Index corner = 0; corner < 3; ++corner) {
+      const std::int32_t from = triangles(corner, t);
+      const std::int32_t to = triangles((corner + 1) % 3, t);
+      // Each inner edge is drawn from the triangle in which it runs upwards.
+      if (from < to && seen[static_cast<std::size_t>(from)] != 0 && seen[static_cast<std::size_t>(to)] != 0) {
+        render::draw_line(picture, pixel(from), pixel(to), kWire, opacity);
+      }
+    }
+  }
+  return picture;
+}
+
+mesh::Vertices face_vertices(const mesh::MeshFrame& frame) {
+  std::vector<Eigen::Index> chosen;
+  for (std::size_t v = 0; v < frame.subject->regions.size(); ++v) {
+    if (face::has_region(frame.subject->regions[v], face::Region::Refinable)) {
+      chosen.push_back(static_cast<Eigen::Index>(v));
+    }
+  }
+  return frame.camera_from_head * mesh::Vertices(frame.control_vertices_mm(Eigen::all, chosen));
+}
+
+std::filesystem::path depth_file(const std::filesystem::path& folder, const std::string& left_camera,
+                                 std::uint64_t slot) {
+  return folder / left_camera / fmt::format("slot_{:06}.pfm", slot);
 }
 
 }  // namespace facet::tools

@@ -80,6 +80,23 @@ render::Picture render_colours(const render::Raycaster& caster, const mesh::Tria
 /// normals [3][vertex_count] camera frame. returns [3][vertex_count]
 mesh::Vertices grey_shading(const Eigen::Matrix3Xf& normals);
 
+/// A dark cell with a text in its middle.
+render::Picture note(const std::string& text, int width_px, int height_px);
+
+/// A text in the lower left corner of a sheet's cell.
+void label_cell(render::Picture& sheet, int x_px, int bottom_px, const std::string& text);
+
+/// Edges of the hierarchy's coarsest level that face the camera and are not hidden, over the image.
+render::Picture draw_coarse_mesh(const mesh::MeshFrame& frame, const Cell& cell, render::Picture picture,
+                                 float opacity);
+
+/// The control vertices on refinable skin, camera frame: what cells are cut to.
+mesh::Vertices face_vertices(const mesh::MeshFrame& frame);
+
+/// Where `facet process --depth` writes the depth map of a pair (named by its left camera) in a slot.
+std::filesystem::path depth_file(const std::filesystem::path& folder, const std::string& left_camera,
+                                 std::uint64_t slot);
+
 /// A colour bar from 0 to a largest value, with its ends labelled. x, y: its upper left corner.
 void draw_scale(render::Picture& picture, int x_px, int y_px, int width_px, const std::string& low,
                 const std::string& high);

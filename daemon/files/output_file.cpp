@@ -50,4 +50,13 @@ void OutputFile::commit() {
   stream_.reset();
 }
 
+void make_folder(const std::filesystem::path& folder) {
+  std::error_code failure;
+  std::filesystem::create_directories(folder, failure);
+  if (failure) {
+    throw Error(ErrorKind::Storage,
+                fmt::format("{}: cannot make the folder ({})", folder.string(), failure.message()));
+  }
+}
+
 }  // namespace facet::files

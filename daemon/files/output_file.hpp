@@ -34,4 +34,7 @@ class OutputFile {
   std::unique_ptr<std::FILE, Close> stream_;
 };
 
+/// Makes a folder and those above it, where they are not there yet. Throws Error(Storage) naming it.
+void make_folder(const std::filesystem::path& folder);
+
 }  // namespace facet::files

@@ -35,9 +35,10 @@ Booth open_booth(const RigConfig& devices, const BoothConfig& config) {
     const bool known = std::any_of(devices.cameras.begin(), devices.cameras.end(),
                                    [&](const RigCamera& device) { return device.name == camera.name; });
     if (!known) {
-      throw Error(ErrorKind::Usage,
-                  fmt::format("{}: camera '{}' is not among the [[camera]]s of the configuration: names must agree",
-                              config.rig_file.string(), camera.name));
+      throw Error(
+          ErrorKind::Usage,
+          fmt::format("{}: camera '{}' is not among the [[camera]]s of the configuration: names must agree",
+                      config.rig_file.string(), camera.name));
     }
   }
   booth.devices = open_rig(devices);

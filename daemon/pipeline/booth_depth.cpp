@@ -44,8 +44,8 @@ stereo::DepthRange depth_range(const capture::Rig& rig) {
     }
   }
   const bool meet =
-      count > 0 && Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(across / count).eigenvalues()[0] >
-                       kLeastConvergence;
+      count > 0 &&
+      Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(across / count).eigenvalues()[0] > kLeastConvergence;
   const Eigen::Vector3d point = meet ? Eigen::Vector3d(across.ldlt().solve(at)) : Eigen::Vector3d::Zero();
   double nearest = std::numeric_limits<double>::max();
   double farthest = 0;
@@ -70,7 +70,7 @@ struct BoothDepth::Impl {
   std::string gpu_device;
   std::shared_ptr<const capture::Rig> rig;
   stereo::StereoOptions options;
-  std::optional<gpu::Context> context;  ///< nothing while the device is lost
+  std::optional<gpu::Context> context;                           ///< nothing while the device is lost
   std::vector<std::unique_ptr<stereo::StereoMatcher>> matchers;  ///< [pair]
   Clock::time_point next_try;
   std::vector<stereo::StereoSlot> slots;

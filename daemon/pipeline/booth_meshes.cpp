@@ -6,6 +6,8 @@
 #include <algorithm>
 #include <atomic>
 #include <chrono>
+#include <deque>
+#include <mutex>
 #include <utility>
 
 #include "capture/rig_file.hpp"
@@ -58,8 +60,8 @@ void check(const BoothConfig& config) {
     throw Error(ErrorKind::Usage,
                 "booth.rig is missing: name the file that `facet calibrate` wrote (docs/booth.md)");
   }
-  const auto stripes = static_cast<std::size_t>(
-      std::count_if(config.stripes.begin(), config.stripes.end(), [](std::uint8_t slot) { return slot != 0; }));
+  const auto stripes = static_cast<std::size_t>(std::count_if(config.stripes.begin(), config.stripes.end(),
+                                                              [](std::uint8_t slot) { return slot != 0; }));
   if (stripes == 0 || stripes == config.stripes.size()) {
     throw Error(ErrorKind::Usage,
                 "trigger.patterns must have slots with projector lines (for depth) and blank ones, [] (for "
@@ -88,8 +90,13 @@ BoothStages open_booth(const BoothConfig& config, int blanks_per_run) {
 }
 
 struct BoothMeshes::Impl {
-  Impl(BoothStages given, WhenBusy busy, std::vector<MeshSink*> given_sinks)
-      : stages(std::move(given)), when_busy(busy), sinks(std::move(given_sinks)), runs(1), seen(1) {
+  Impl(BoothStages given, WhenBusy busy, std::vector<MeshSink*> given_sinks, DepthTaker taker)
+      : stages(std::move(given)),
+        when_busy(busy),
+        sinks(std::move(given_sinks)),
+        take_depth(std::move(taker)),
+        runs(1),
+        seen(1) {
     shown.device = stages.depth->device();
     camera_names = std::make_shared<std::vector<std::string>>();
     for (const capture::RigCamera& camera : stages.rig->cameras) {
@@ -101,6 +108,7 @@ struct BoothMeshes::Impl {
   BoothStages stages;
   WhenBusy when_busy;
   std::vector<MeshSink*> sinks;
+  DepthTaker take_depth;
   std::shared_ptr<std::vector<std::string>> camera_names;  ///< of the rig
 
   // Shared by the threads.
@@ -116,9 +124,9 @@ struct BoothMeshes::Impl {
   Figures figures;
 
   // The delivering thread only.
-  std::deque<RunSlot> window;        ///< the last slots, consecutive
-  std::uint64_t first_slot = 0;      ///< of the window
-  std::size_t wanted = 0;            ///< blank slots in it that no run has taken
+  std::deque<RunSlot> window;    ///< the last slots, consecutive
+  std::uint64_t first_slot = 0;  ///< of the window
+  std::size_t wanted = 0;        ///< blank slots in it that no run has taken
 
   // facet-depth only.
   std::vector<std::size_t> rig_from_set;  ///< [rig cameras] the frame in a set
@@ -160,12 +168,15 @@ void BoothMeshes::Impl::fail(ErrorKind kind, const std::string& what) {
 void BoothMeshes::Impl::add(std::uint64_t slot, FramePointer frame) {
   RunSlot& one = window.emplace_back();
   one.stripes = is_stripes(slot);
-  one.wanted = !one.stripes && frame != nullptr;
+  const auto has_picture = [](const Frame& picture) { return !picture.empty(); };
+  one.wanted = !one.stripes && frame != nullptr &&
+               std::any_of(frame->images->frames.begin(), frame->images->frames.end(), has_picture);
   one.frame = std::move(frame);
   wanted += one.wanted ? 1 : 0;
 }
 
-/// Makes a run of the window once enough blank slots in it have all the slots around them that they ever will.
+/// Makes a run of the window once enough blank slots in it have all the slots around them that they ever
+/// will.
 void BoothMeshes::Impl::hand_on(bool at_end) {
   std::size_t ready = 0;
   std::size_t last = 0;  // the last ready one
@@ -238,10 +249,11 @@ std::shared_ptr<const FrameSet> BoothMeshes::Impl::in_rig_order(const FrameSet& 
     for (const std::string& name : *camera_names) {
       const auto at = std::find(set.camera_names->begin(), set.camera_names->end(), name);
       if (at == set.camera_names->end()) {
-        throw Error(ErrorKind::Usage,
-                    fmt::format("the rig's camera '{}' is not among those of the frame sets ({}): is it another "
-                                "rig's file?",
-                                name, fmt::join(*set.camera_names, ", ")));
+        throw Error(
+            ErrorKind::Usage,
+            fmt::format("the rig's camera '{}' is not among those of the frame sets ({}): is it another "
+                        "rig's file?",
+                        name, fmt::join(*set.camera_names, ", ")));
       }
       rig_from_set.push_back(static_cast<std::size_t>(at - set.camera_names->begin()));
     }
@@ -264,12 +276,14 @@ void BoothMeshes::Impl::check_size(const FrameSet& set) const {
   for (std::size_t i = 0; i < set.frames.size(); ++i) {
     const Frame& frame = set.frames[i];
     const capture::RigCamera& camera = stages.rig->cameras[i];
-    if (!frame.empty() && (frame.width_px != camera.lens.width_px || frame.height_px != camera.lens.height_px)) {
-      throw Error(ErrorKind::Usage,
-                  fmt::format("camera '{}' gives pictures of {} x {} px, the rig file has it calibrated at {} x {}: "
-                              "set the size it was calibrated at, or calibrate again",
-                              camera.name, frame.width_px, frame.height_px, camera.lens.width_px,
-                              camera.lens.height_px));
+    if (!frame.empty() &&
+        (frame.width_px != camera.lens.width_px || frame.height_px != camera.lens.height_px)) {
+      throw Error(
+          ErrorKind::Usage,
+          fmt::format("camera '{}' gives pictures of {} x {} px, the rig file has it calibrated at {} x {}: "
+                      "set the size it was calibrated at, or calibrate again",
+                      camera.name, frame.width_px, frame.height_px, camera.lens.width_px,
+                      camera.lens.height_px));
     }
   }
 }
@@ -326,6 +340,9 @@ void BoothMeshes::Impl::perform(Seen& item) {
   frame->degraded = item.frame->degraded || !item.wrong.empty();
   frame->degraded_reason = item.wrong.empty() ? item.frame->degraded_reason : item.wrong;
   frame->stage_ms.depth_ms = item.depth_ms;
+  if (take_depth) {
+    take_depth(frame->sequence, item.maps);
+  }
   stages.tracker->process(*item.set, item.maps, *frame);
   frame->stage_ms.latency_ms = ms_since(item.complete);
   tell(*frame);
@@ -336,8 +353,7 @@ void BoothMeshes::Impl::perform(Seen& item) {
   ++shown.processed;
   shown.tracking = frame->state;
   shown.mesh_frames += frame->state == mesh::TrackingState::Tracking ? 1 : 0;
-  shown.face_frames +=
-      frame->state == mesh::TrackingState::Tracking || !frame->landmarks_px.empty() ? 1 : 0;
+  shown.face_frames += frame->state == mesh::TrackingState::Tracking || !frame->landmarks_px.empty() ? 1 : 0;
   shown.subjects = subjects;
   if (frame->subject != nullptr) {
     shown.finest_vertices = frame->subject->hierarchy->finest().vertex_count;
@@ -363,8 +379,9 @@ void BoothMeshes::Impl::tell(const mesh::MeshFrame& frame) {
   state = frame.state;
 }
 
-BoothMeshes::BoothMeshes(BoothStages stages, WhenBusy when_busy, std::vector<MeshSink*> sinks)
-    : impl_(std::make_unique<Impl>(std::move(stages), when_busy, std::move(sinks))) {}
+BoothMeshes::BoothMeshes(BoothStages stages, WhenBusy when_busy, std::vector<MeshSink*> sinks,
+                         DepthTaker take_depth)
+    : impl_(std::make_unique<Impl>(std::move(stages), when_busy, std::move(sinks), std::move(take_depth))) {}
 
 BoothMeshes::~BoothMeshes() {
   stop();

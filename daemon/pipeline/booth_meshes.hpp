@@ -1,11 +1,10 @@
 #pragma once
 
 #include <cstdint>
-#include <deque>
+#include <functional>
 #include <memory>
-#include <mutex>
 #include <optional>
-#include <string>
+#include <span>
 #include <vector>
 
 #include "pipeline/booth_config.hpp"
@@ -43,7 +42,11 @@ class BoothMeshes final : public MeshSink {
     Wait,  ///< recorded: deliver waits
   };
 
-  BoothMeshes(BoothStages stages, WhenBusy when_busy, std::vector<MeshSink*> sinks);
+  /// Told of every blank slot's depth maps, [pairs], before its mesh is made; on `facet-perform`.
+  using DepthTaker = std::function<void(std::uint64_t slot, std::span<const capture::DepthMap> maps)>;
+
+  BoothMeshes(BoothStages stages, WhenBusy when_busy, std::vector<MeshSink*> sinks,
+              DepthTaker take_depth = {});
   ~BoothMeshes() override;
 
   void start();

@@ -33,9 +33,9 @@ Surface surface_of(std::span<const capture::DepthMap> maps) {
     const auto first = static_cast<int>(vertices.size());
     const Eigen::Isometry3d rig_from_map = map.lens.camera_from_rig.inverse();
     const auto depth = [&](int column, int row) {
-      return map.depth_mm[static_cast<std::size_t>(row * kStride_px) *
-                              static_cast<std::size_t>(map.width_px) +
-                          static_cast<std::size_t>(column * kStride_px)];
+      return map
+          .depth_mm[static_cast<std::size_t>(row * kStride_px) * static_cast<std::size_t>(map.width_px) +
+                    static_cast<std::size_t>(column * kStride_px)];
     };
     for (int row = 0; row < rows; ++row) {
       for (int column = 0; column < columns; ++column) {
@@ -80,9 +80,9 @@ struct Sight {
 
 /// The mean of the sights that agree with the surest one.
 Eigen::Vector3d join(std::span<const Sight> sights) {
-  const auto surest =
-      std::max_element(sights.begin(), sights.end(),
-                       [](const Sight& a, const Sight& b) { return a.confidence < b.confidence; });
+  const auto surest = std::max_element(sights.begin(), sights.end(), [](const Sight& a, const Sight& b) {
+    return a.confidence < b.confidence;
+  });
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();
   double total = 0;
   for (const Sight& sight : sights) {
@@ -120,8 +120,7 @@ std::vector<fit::Correspondence> landmarks_in_space(std::span<const SeenLandmark
         continue;
       }
       const Eigen::Vector3d origin = view.lens->centre_mm();
-      const Eigen::Vector3d ray =
-          (view.lens->camera_from_rig.linear().transpose() * *direction).normalized();
+      const Eigen::Vector3d ray = (view.lens->camera_from_rig.linear().transpose() * *direction).normalized();
       const render::Raycaster::Hit hit = caster.first_hit(origin.cast<float>(), ray.cast<float>());
       if (hit.triangle >= 0) {
         sights.push_back({origin + static_cast<double>(hit.distance_mm) * ray, confidence});

@@ -20,6 +20,7 @@
 #include "pipeline/frame_pool.hpp"
 #include "pipeline/workers.hpp"
 #include "simulation/simulated_rig.hpp"
+#include "take/reader.hpp"
 #include "trigger/edge_log.hpp"
 #include "trigger/program.hpp"
 #include "trigger/virtual_trigger.hpp"
@@ -73,6 +74,39 @@ capture::CaptureConfig capture_config(const RigConfig& config, double free_rate_
                                                : std::clamp<std::int64_t>(100'000'000, 6 * capture.period_ns,
                                                                           32 * capture.period_ns);
   return capture;
+}
+
+/// Whole periods of a take of pictures; null where none is configured.
+std::shared_ptr<const simulation::Footage> read_footage(const RigConfig& config) {
+  if (config.footage.empty()) {
+    return nullptr;
+  }
+  auto footage = std::make_shared<simulation::Footage>();
+  footage->patterns = config.program.patterns;
+  footage->slots_per_second = config.program.slots_per_second;
+  take::TakeReader take(config.footage);
+  const std::size_t period = footage->patterns.size();
+  std::uint64_t first_slot = 0;
+  for (std::int64_t i = 0; i < take.frame_count(); ++i) {
+    const auto frame = take.frame(i);
+    if (frame->images == nullptr || (footage->slots.empty() && frame->sequence % period != 0)) {
+      continue;
+    }
+    if (footage->cameras.empty()) {
+      footage->cameras = *frame->images->camera_names;
+      first_slot = frame->sequence;
+    }
+    if (frame->sequence != first_slot + footage->slots.size()) {
+      break;  // what comes after a gap would come too early
+    }
+    footage->add(*frame->images);
+  }
+  footage->slots.resize(footage->slots.size() / period * period);
+  if (footage->slots.empty()) {
+    refuse(fmt::format("'{}' holds no whole period of the trigger's patterns in pictures",
+                       config.footage.string()));
+  }
+  return footage;
 }
 
 void check_camera(const RigCamera& camera, TriggerKind trigger) {
@@ -179,7 +213,8 @@ Rig open_rig(const RigConfig& config) {
   const TriggerProgram& program = config.program;
   const bool triggered = config.trigger != TriggerKind::None;
   const auto room = std::make_shared<simulation::SimulatedRig>(
-      trigger::lines_of(program, LineRole::Camera), trigger::lines_of(program, LineRole::Projector));
+      trigger::lines_of(program, LineRole::Camera), trigger::lines_of(program, LineRole::Projector),
+      read_footage(config));
   for (const RigCamera& camera : config.cameras) {
     if (camera.source.kind == kSimulatedCamera) {
       const camera::LiveConfig& size = camera.source.live;

@@ -36,7 +36,9 @@ struct RigConfig {
   TriggerKind trigger = TriggerKind::None;
   TriggerProgram program;
   trigger::GpioTriggerConfig gpio;  ///< kind Gpio; its thread options count for Virtual too
-  std::filesystem::path edge_log;   ///< what the lines did is written there; empty: nowhere
+  /// A take whose pictures the simulated cameras show; empty: markers.
+  std::filesystem::path footage;
+  std::filesystem::path edge_log;  ///< what the lines did is written there; empty: nowhere
 };
 
 /// Throws Error(Usage) where no rig is like that.

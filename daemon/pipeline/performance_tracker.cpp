@@ -44,8 +44,12 @@ float ms_since(Clock::time_point start) {
 
 /// Of a lens whose pictures had their distortion taken out.
 CameraIntrinsics intrinsics_of(const capture::Lens& lens) {
-  return {static_cast<float>(lens.fx_px), static_cast<float>(lens.fy_px), static_cast<float>(lens.cx_px),
-          static_cast<float>(lens.cy_px), lens.width_px,                  lens.height_px};
+  return {static_cast<float>(lens.fx_px),
+          static_cast<float>(lens.fy_px),
+          static_cast<float>(lens.cx_px),
+          static_cast<float>(lens.cy_px),
+          lens.width_px,
+          lens.height_px};
 }
 
 /// A camera that sees texture, and what is remembered of its pictures.
@@ -152,7 +156,8 @@ std::string PerformanceTracker::Impl::place(const FrameSet& set, std::span<const
   const std::vector<fit::Correspondence> correspondences = landmarks_in_space(seen, maps, model->landmarks);
   if (correspondences.size() < kLeastLandmarks) {
     return fmt::format(
-        "a face is seen, but only {} of its landmarks have a depth (at least {} must): are the projectors on, "
+        "a face is seen, but only {} of its landmarks have a depth (at least {} must): are the projectors "
+        "on, "
         "and is it within the depths that are looked at?",
         correspondences.size(), kLeastLandmarks);
   }
@@ -169,14 +174,16 @@ std::string PerformanceTracker::Impl::place(const FrameSet& set, std::span<const
   first.set_rest(placed.rest);
   now_mm = placed.rest.vertices_mm;
   const fit::FitReport report = first.fit(maps, now_mm);
-  const bool fits = report.outcome == fit::FitOutcome::Converged || report.outcome == fit::FitOutcome::NotConverged;
+  const bool fits =
+      report.outcome == fit::FitOutcome::Converged || report.outcome == fit::FitOutcome::NotConverged;
   if (!fits || report.surface_rms_mm > kPlacedRms_mm || report.seen < kPlacedSeen) {
-    return fmt::format("the template does not fit the depth maps: {}, {:.1f} mm away, {:.0f} % of the skin on them",
-                       fit::to_string(report.outcome), report.surface_rms_mm, 100 * report.seen);
+    return fmt::format(
+        "the template does not fit the depth maps: {}, {:.1f} mm away, {:.0f} % of the skin on them",
+        fit::to_string(report.outcome), report.surface_rms_mm, 100 * report.seen);
   }
   fitter.set_rest({now_mm, placed.rest.expressions_mm});
-  const Eigen::Isometry3d head_from_rig = fit::align_rigidly(
-      now_mm.cast<double>(), surface->neutral_mm.cast<double>(), rigid_weights);
+  const Eigen::Isometry3d head_from_rig =
+      fit::align_rigidly(now_mm.cast<double>(), surface->neutral_mm.cast<double>(), rigid_weights);
   rest_mm = head_from_rig * now_mm.cast<double>();
   subject = build_template_subject(*surface, *model, ++subject_count);
   texture.begin(now_mm.cols());
@@ -198,8 +205,8 @@ fit::FitReport PerformanceTracker::Impl::follow_flow(const FrameSet& set,
                                                      std::span<const capture::DepthMap> maps) {
   std::vector<fit::FlowView> flows;
   const auto add = [&](View& view) {
-    flows.push_back(
-        {view.camera->lens, view.found.width_px, view.found.height_px, view.found.flow_px, view.found.confidence});
+    flows.push_back({view.camera->lens, view.found.width_px, view.found.height_px, view.found.flow_px,
+                     view.found.confidence});
   };
   for (View& view : views) {
     const Frame& frame = picture(set, view);
@@ -236,7 +243,8 @@ fit::FitReport PerformanceTracker::Impl::follow_flow(const FrameSet& set,
 std::string PerformanceTracker::Impl::follow(const FrameSet& set, std::span<const capture::DepthMap> maps) {
   const mesh::Vertices before_mm = now_mm;
   const fit::FitReport report = follow_flow(set, maps);
-  const bool fits = report.outcome == fit::FitOutcome::Converged || report.outcome == fit::FitOutcome::NotConverged;
+  const bool fits =
+      report.outcome == fit::FitOutcome::Converged || report.outcome == fit::FitOutcome::NotConverged;
   if (fits && report.surface_rms_mm <= kFollowedRms_mm && report.seen >= kFollowedSeen) {
     return {};
   }
@@ -261,8 +269,7 @@ void PerformanceTracker::Impl::forget_pictures() {
 
 void PerformanceTracker::Impl::fill(mesh::MeshFrame& out) {
   const View& view = views.front();
-  const Eigen::Isometry3d rig_from_head =
-      fit::align_rigidly(rest_mm, now_mm.cast<double>(), rigid_weights);
+  const Eigen::Isometry3d rig_from_head = fit::align_rigidly(rest_mm, now_mm.cast<double>(), rigid_weights);
   out.subject = subject;
   out.camera = intrinsics_of(view.camera->lens);
   out.camera_from_head = (view.camera->lens.camera_from_rig * rig_from_head).cast<float>();

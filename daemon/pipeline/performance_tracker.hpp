@@ -21,8 +21,9 @@ class PerformanceTracker {
  public:
   /// rig: one colour camera at least. Throws Error: Usage where there is none, UnreadableInput for the
   /// landmark nets and for a model that can't be refined.
-  PerformanceTracker(std::shared_ptr<const face::FaceModel> model, const std::filesystem::path& landmark_assets,
-                     std::shared_ptr<const capture::Rig> rig, const fit::FitOptions& options);
+  PerformanceTracker(std::shared_ptr<const face::FaceModel> model,
+                     const std::filesystem::path& landmark_assets, std::shared_ptr<const capture::Rig> rig,
+                     const fit::FitOptions& options);
   ~PerformanceTracker();
 
   /// The next blank slot, in order of time. set: frames in the rig's order. maps: [pairs] of that slot.

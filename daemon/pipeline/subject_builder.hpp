@@ -24,8 +24,8 @@ std::shared_ptr<const mesh::Subject> build_subject(const face::FaceModel& model,
                                                    const mesh::MeshFrame& first_good,
                                                    const std::vector<float>& identity, std::uint32_t count);
 
-/// The same of a person whom the template was fitted to: one level, the template's mesh, whose vertices are the
-/// control vertices. No identity coefficients.
+/// The same of a person whom the template was fitted to: one level, the template's mesh, whose vertices are
+/// the control vertices. No identity coefficients.
 std::shared_ptr<const mesh::Subject> build_template_subject(const fit::TemplateMesh& surface,
                                                             const face::FaceModel& model,
                                                             std::uint32_t count);

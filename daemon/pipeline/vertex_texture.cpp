@@ -75,8 +75,7 @@ void VertexTexture::publish() {
   albedo->version = ++version_;
   albedo->linear_rgb.reserve(3 * sums_.size());
   for (const Eigen::Vector4f& sum : sums_) {
-    const Eigen::Vector3f colour =
-        sum.w() > kLeastWeight ? Eigen::Vector3f(sum.head<3>() / sum.w()) : mean;
+    const Eigen::Vector3f colour = sum.w() > kLeastWeight ? Eigen::Vector3f(sum.head<3>() / sum.w()) : mean;
     albedo->linear_rgb.insert(albedo->linear_rgb.end(), colour.data(), colour.data() + 3);
   }
   latest_ = std::move(albedo);

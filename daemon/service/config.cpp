@@ -291,6 +291,9 @@ void read_rig(Section& root, Config& config) {
     read_camera(camera, config.rig.cameras);
   }
   read_trigger(root.section("trigger"), config.rig);
+  Section simulation = root.section("simulation");
+  simulation.read("footage", config.rig.footage);
+  simulation.finish();
   Section sets = root.section("sets");
   sets.read_integer("deadline_ms", config.rig.deadline_ms, 0, 60'000);
   sets.finish();

@@ -51,7 +51,7 @@ struct Config {
   stereo::DepthRange booth_depths;     ///< BoothConfig::depths
   std::filesystem::path rig_file;      ///< mode Booth
   BoothRecord booth_record = BoothRecord::Pictures;
-  bool exit_at_end = false;            ///< or where the source fails
+  bool exit_at_end = false;  ///< or where the source fails
   bool wait_for_reader = false;
   stream::StreamServerConfig stream;
   ControlConfig control;

@@ -1,9 +1,11 @@
 #include "simulation/simulated_rig.hpp"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <condition_variable>
 #include <cstring>
 #include <deque>
@@ -40,6 +42,7 @@ struct Exposure {
   std::uint64_t sequence = 0;
   std::int64_t time_ns = 0;
   LineMask lit = 0;
+  std::size_t period = 0;  ///< of the footage
 };
 
 /// What one camera has exposed.
@@ -50,7 +53,12 @@ struct Sensor {
   std::uint64_t next_sequence = 0;
   bool running = false;
 
-  void expose(std::int64_t time_ns, LineMask lit) {
+  bool is_running() {
+    const std::lock_guard lock(mutex);
+    return running;
+  }
+
+  void expose(std::int64_t time_ns, LineMask lit, std::size_t period = 0) {
     const std::lock_guard lock(mutex);
     if (!running) {
       return;
@@ -58,7 +66,7 @@ struct Sensor {
     if (exposures.size() == kMostWaiting) {
       exposures.pop_front();
     }
-    exposures.push_back({next_sequence++, time_ns, lit});
+    exposures.push_back({next_sequence++, time_ns, lit, period});
     changed.notify_one();
   }
 };
@@ -106,10 +114,40 @@ void paint_ramp(std::uint8_t* pixels, const RigCameraConfig& config, std::uint64
   }
 }
 
+/// The picture of a camera in the slot of a period that the lines select; null where there is none.
+const Footage::Picture* select(const Footage& footage, std::size_t camera, const Exposure& exposure) {
+  const auto at = std::find(footage.patterns.begin(), footage.patterns.end(), exposure.lit);
+  if (at == footage.patterns.end()) {
+    return nullptr;
+  }
+  const std::size_t period_length = footage.patterns.size();
+  const std::size_t period = std::min(exposure.period, footage.slots.size() / period_length - 1);
+  const auto in_period = static_cast<std::size_t>(at - footage.patterns.begin());
+  return &footage.slots[period * period_length + in_period].at(camera);
+}
+
+void paint(std::uint8_t* pixels, const Footage::Picture& picture) {
+  const auto count = static_cast<std::size_t>(picture.width_px) * static_cast<std::size_t>(picture.height_px);
+  const auto channels = static_cast<std::size_t>(picture.channels);
+  for (std::size_t i = 0; i < count; ++i) {
+    const std::uint8_t* from = picture.values.data() + i * channels;
+    std::uint8_t* to = pixels + 4 * i;
+    to[0] = from[0];
+    to[1] = from[channels == 3 ? 1 : 0];
+    to[2] = from[channels == 3 ? 2 : 0];
+    to[3] = kWhite;
+  }
+}
+
 class RigCamera final : public Camera {
  public:
-  RigCamera(RigCameraConfig config, std::shared_ptr<Sensor> sensor, bool triggered)
-      : config_(std::move(config)), sensor_(std::move(sensor)), triggered_(triggered) {}
+  RigCamera(RigCameraConfig config, std::shared_ptr<Sensor> sensor, bool triggered,
+            std::shared_ptr<const Footage> footage, std::size_t footage_camera)
+      : config_(std::move(config)),
+        sensor_(std::move(sensor)),
+        triggered_(triggered),
+        footage_(std::move(footage)),
+        footage_camera_(footage_camera) {}
 
   CameraInfo info() const override {
     return {.name = "simulated camera " + config_.name,
@@ -146,9 +184,7 @@ class RigCamera final : public Camera {
     const auto bytes =
         static_cast<std::size_t>(config_.width_px) * static_cast<std::size_t>(config_.height_px) * 4;
     auto pixels = std::make_shared<std::uint8_t[]>(bytes);
-    paint_marker(pixels.get(), config_, Marker::Lines, exposure->lit);
-    paint_marker(pixels.get(), config_, Marker::Count, exposure->sequence);
-    paint_ramp(pixels.get(), config_, exposure->sequence);
+    paint(pixels.get(), *exposure);
     out.sequence = exposure->sequence;
     out.timestamp_ns = exposure->time_ns;
     out.media_time_ns = exposure->time_ns - started_ns_;
@@ -178,6 +214,16 @@ class RigCamera final : public Camera {
   std::string last_error() const override { return {}; }
 
  private:
+  void paint(std::uint8_t* pixels, const Exposure& exposure) const {
+    if (footage_ == nullptr) {
+      paint_marker(pixels, config_, Marker::Lines, exposure.lit);
+      paint_marker(pixels, config_, Marker::Count, exposure.sequence);
+      paint_ramp(pixels, config_, exposure.sequence);
+    } else if (const Footage::Picture* picture = select(*footage_, footage_camera_, exposure)) {
+      simulation::paint(pixels, *picture);
+    }
+  }
+
   std::optional<Exposure> wait(Clock::time_point deadline) {
     if (!triggered_ && started_ns_ != 0) {
       const auto due_ns =
@@ -201,6 +247,8 @@ class RigCamera final : public Camera {
   RigCameraConfig config_;
   std::shared_ptr<Sensor> sensor_;
   bool triggered_;
+  std::shared_ptr<const Footage> footage_;  ///< null: markers
+  std::size_t footage_camera_;
   std::int64_t started_ns_ = 0;  ///< 0: stopped
   std::uint64_t own_count_ = 0;
   std::uint64_t next_sequence_ = 0;
@@ -216,12 +264,64 @@ struct SimulatedRig::Wires {
   std::mutex mutex;
   std::vector<std::shared_ptr<Sensor>> sensors;  ///< guarded by mutex, as all below
   LineMask level = 0;
+  std::shared_ptr<const Footage> footage;  ///< null: none
+  std::optional<std::int64_t> begun_ns;    ///< when its first period began
+
+  /// The period of the performance at a firing.
+  std::size_t period_at(std::int64_t time_ns, LineMask lit) {
+    if (footage == nullptr) {
+      return 0;
+    }
+    const double slot_ns = 1e9 / footage->slots_per_second;
+    const auto& patterns = footage->patterns;
+    const auto in_period = std::find(patterns.begin(), patterns.end(), lit) - patterns.begin();
+    if (!begun_ns && in_period == 0 && std::all_of(sensors.begin(), sensors.end(), [](const auto& sensor) {
+          return sensor->is_running();
+        })) {
+      begun_ns = time_ns;
+    }
+    const double slots = static_cast<double>(time_ns - begun_ns.value_or(time_ns)) / slot_ns;
+    return static_cast<std::size_t>(std::llround(slots)) / patterns.size();
+  }
 };
 
-SimulatedRig::SimulatedRig(LineMask camera_lines, LineMask projector_lines)
+void Footage::add(const FrameSet& set) {
+  std::vector<Picture>& pictures = slots.emplace_back();
+  for (const std::string& name : cameras) {
+    const auto at = std::find(set.camera_names->begin(), set.camera_names->end(), name);
+    const Frame* frame = at == set.camera_names->end()
+                             ? nullptr
+                             : &set.frames.at(static_cast<std::size_t>(at - set.camera_names->begin()));
+    if (frame == nullptr || frame->empty()) {
+      throw Error(ErrorKind::UnreadableInput,
+                  fmt::format("slot {} of the footage has no picture of camera '{}'", set.slot, name));
+    }
+    Picture& picture = pictures.emplace_back();
+    picture.width_px = frame->width_px;
+    picture.height_px = frame->height_px;
+    bool grey = true;
+    for (int y = 0; y < frame->height_px && grey; ++y) {
+      const std::uint8_t* row = frame->row(y);
+      for (int x = 0; x < frame->width_px; ++x) {
+        grey = grey && row[4 * x] == row[4 * x + 1] && row[4 * x] == row[4 * x + 2];
+      }
+    }
+    picture.channels = grey ? 1 : 3;
+    for (int y = 0; y < frame->height_px; ++y) {
+      const std::uint8_t* row = frame->row(y);
+      for (int x = 0; x < frame->width_px; ++x) {
+        picture.values.insert(picture.values.end(), row + 4 * x, row + 4 * x + picture.channels);
+      }
+    }
+  }
+}
+
+SimulatedRig::SimulatedRig(LineMask camera_lines, LineMask projector_lines,
+                           std::shared_ptr<const Footage> footage)
     : wires_(std::make_shared<Wires>()) {
   wires_->cameras = camera_lines;
   wires_->projectors = projector_lines;
+  wires_->footage = std::move(footage);
 }
 
 void SimulatedRig::on_change(LineMask active, std::int64_t time_ns) {
@@ -230,19 +330,36 @@ void SimulatedRig::on_change(LineMask active, std::int64_t time_ns) {
   const bool fires = cameras != 0 && (active & cameras) == cameras && (wires_->level & cameras) != cameras;
   wires_->level = active;
   if (fires) {
+    const LineMask lit = active & wires_->projectors;
+    const std::size_t period = wires_->period_at(time_ns, lit);
     for (const std::shared_ptr<Sensor>& sensor : wires_->sensors) {
-      sensor->expose(time_ns, active & wires_->projectors);
+      sensor->expose(time_ns, lit, period);
     }
   }
 }
 
 std::unique_ptr<Camera> SimulatedRig::camera(const RigCameraConfig& config, bool triggered) const {
   auto sensor = std::make_shared<Sensor>();
+  const std::shared_ptr<const Footage> footage = wires_->footage;
+  RigCameraConfig seen = config;
+  std::size_t at = 0;
+  if (footage != nullptr) {
+    at = static_cast<std::size_t>(std::find(footage->cameras.begin(), footage->cameras.end(), config.name) -
+                                  footage->cameras.begin());
+    if (at == footage->cameras.size() || footage->slots.size() < footage->patterns.size()) {
+      throw Error(ErrorKind::Usage,
+                  fmt::format("camera '{}' is not in the footage, or it is shorter than one period of the "
+                              "trigger's patterns: its cameras are {}",
+                              config.name, fmt::join(footage->cameras, ", ")));
+    }
+    seen.width_px = footage->slots.front()[at].width_px;
+    seen.height_px = footage->slots.front()[at].height_px;
+  }
   if (triggered) {
     const std::lock_guard lock(wires_->mutex);
     wires_->sensors.push_back(sensor);
   }
-  return std::make_unique<RigCamera>(config, std::move(sensor), triggered);
+  return std::make_unique<RigCamera>(seen, std::move(sensor), triggered, footage, at);
 }
 
 std::uint64_t read_marker(const Frame& frame, Marker marker) {

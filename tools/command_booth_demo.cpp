@@ -1,0 +1,359 @@
+// `facet booth-demo`: the whole way of a booth without hardware, as the commands that a user would give.
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <spawn.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <cerrno>
+#include <chrono>
+#include <csignal>
+#include <cstring>
+#include <filesystem>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <system_error>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "capture/rig_file.hpp"
+#include "commands.hpp"
+#include "facet/assets.hpp"
+#include "facet/error.hpp"
+#include "files/output_file.hpp"
+#include "progress.hpp"
+#include "service/control_client.hpp"
+#include "stop_signals.hpp"
+#include "take/reader.hpp"
+
+extern char** environ;
+
+namespace facet::tools {
+namespace {
+
+using namespace std::chrono_literals;
+using Clock = std::chrono::steady_clock;
+
+constexpr auto kPollPeriod = 50ms;
+constexpr auto kOpeningPatience = 60s;
+constexpr auto kRecordingPatience = 60s;
+constexpr auto kEndingPatience = 20s;
+
+struct DemoOptions {
+  std::uint64_t seed = 5;
+  std::uint64_t slots = 30;
+  int samples = 2;
+  std::string model = default_model_file().string();
+  std::string landmark_assets = default_landmark_assets().string();
+  std::string device = "auto";
+  std::string folder;
+};
+
+/// This program, or one that was built or installed beside it.
+std::filesystem::path program(const std::string& name) {
+  const std::filesystem::path self = std::filesystem::read_symlink("/proc/self/exe");
+  if (name == "facet") {
+    return self;
+  }
+  for (const char* place : {"", "../sbin", "../daemon/service"}) {
+    const std::filesystem::path candidate = self.parent_path() / place / name;
+    if (::access(candidate.c_str(), X_OK) == 0) {
+      return candidate;
+    }
+  }
+  throw Error(ErrorKind::Unavailable, fmt::format("'{}' is not beside {}: install it", name, self.string()));
+}
+
+/// A child that is ended with this object.
+class Child {
+ public:
+  /// log: file for its standard error; empty: ours.
+  Child(const std::string& name, std::vector<std::string> arguments, const std::filesystem::path& log = {})
+      : name_(name) {
+    const std::string path = program(name).string();
+    arguments.insert(arguments.begin(), name);
+    std::vector<char*> argv;
+    for (std::string& argument : arguments) {
+      argv.push_back(argument.data());
+    }
+    argv.push_back(nullptr);
+    posix_spawn_file_actions_t actions;
+    ::posix_spawn_file_actions_init(&actions);
+    if (!log.empty()) {
+      ::posix_spawn_file_actions_addopen(&actions, STDERR_FILENO, log.c_str(),
+                                         O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
+    }
+    // It takes its signals as it was made to; we hold ours back.
+    posix_spawnattr_t attributes;
+    ::posix_spawnattr_init(&attributes);
+    sigset_t none;
+    sigemptyset(&none);
+    ::posix_spawnattr_setsigmask(&attributes, &none);
+    ::posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETSIGMASK);
+    const int error = ::posix_spawn(&pid_, path.c_str(), &actions, &attributes, argv.data(), environ);
+    ::posix_spawnattr_destroy(&attributes);
+    ::posix_spawn_file_actions_destroy(&actions);
+    if (error != 0) {
+      pid_ = -1;
+      throw Error(ErrorKind::Internal, fmt::format("cannot start {}: {}", path, std::strerror(error)));
+    }
+  }
+  ~Child() {
+    if (pid_ > 0) {
+      ::kill(pid_, SIGTERM);
+      wait(kEndingPatience);
+      if (pid_ > 0) {
+        ::kill(pid_, SIGKILL);
+        wait(kEndingPatience);
+      }
+    }
+  }
+  Child(const Child&) = delete;
+  Child& operator=(const Child&) = delete;
+
+  /// Whether it has ended by now.
+  bool ended() {
+    int status = 0;
+    if (pid_ > 0 && ::waitpid(pid_, &status, WNOHANG) == pid_) {
+      pid_ = -1;
+      exit_status_ = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+    }
+    return pid_ < 0;
+  }
+  bool wait(Clock::duration patience) {
+    const Clock::time_point end = Clock::now() + patience;
+    while (!ended() && Clock::now() < end) {
+      std::this_thread::sleep_for(kPollPeriod);
+    }
+    return pid_ < 0;
+  }
+  int exit_status() const { return exit_status_; }
+
+ private:
+  std::string name_;
+  pid_t pid_ = -1;
+  int exit_status_ = 0;
+};
+
+class Demo {
+ public:
+  explicit Demo(DemoOptions options) : options_(std::move(options)), folder_(options_.folder) {}
+
+  void run() {
+    render();
+    record();
+    check_recording();
+    step({"process", "--rig", in("booth/rig.toml"), in("pictures.take"), "-o", in("meshes.take"), "--depth",
+          in("depth"), "--config", in("booth.toml")});
+    step({"summary", in("meshes.take")});
+    step({"view", in("meshes.take"), "--rig", in("booth/rig.toml"), "--pictures", in("pictures.take"),
+          "--depth", in("depth"), "--truth", in("booth"), "-o", in("booth-sheet.png")});
+    fmt::print("\nLook at {}\n", in("booth-sheet.png"));
+  }
+
+ private:
+  std::string in(const std::string& name) const { return (folder_ / name).string(); }
+
+  void stop_if_asked() const {
+    if (const int signal = signals_.pending(); signal != 0) {
+      signals_.die_of(signal);
+    }
+  }
+
+  /// Shows a command and runs it to its end.
+  void step(const std::vector<std::string>& arguments) const {
+    fmt::print("\n==> facet {}\n", fmt::join(arguments, " "));
+    std::fflush(stdout);
+    Child child("facet", arguments);
+    while (!child.wait(kPollPeriod)) {
+      stop_if_asked();
+    }
+    if (child.exit_status() != 0) {
+      throw Error(static_cast<ErrorKind>(child.exit_status()),
+                  fmt::format("`facet {}` ended with status {}", arguments.front(), child.exit_status()));
+    }
+  }
+
+  void render() const {
+    files::make_folder(folder_);
+    step({"synth-booth", "--seed", std::to_string(options_.seed), "--slots", std::to_string(options_.slots),
+          "--samples", std::to_string(options_.samples), "--model", options_.model, "-o", in("booth")});
+  }
+
+  void write_config(const std::filesystem::path& sockets) const {
+    const capture::Rig rig = capture::read_rig(folder_ / "booth/rig.toml");
+    std::string text =
+        "# The virtual booth as facetd's devices: `facet booth-demo` wrote this.\nmode = \"booth\"\n";
+    for (const capture::RigCamera& camera : rig.cameras) {
+      text += fmt::format(
+          "[[camera]]\nname = \"{}\"\nkind = \"simulated\"\nwidth_px = {}\nheight_px = {}\n"
+          "rate_hz = 60.0\n",
+          camera.name, camera.lens.width_px, camera.lens.height_px);
+    }
+    text +=
+        "[trigger]\nkind = \"virtual\"\nslots_per_second = 60.0\nexposure_us = 5000\n"
+        "patterns = [[\"stripes.a\"], [\"stripes.b\"], []]\nedge_log = \"edges.log\"\n";
+    for (const char* line : {"cameras", "stripes.a", "stripes.b"}) {
+      text += fmt::format("[[trigger.line]]\nname = \"{}\"\nrole = \"{}\"\n", line,
+                          std::strcmp(line, "cameras") == 0 ? "camera" : "projector");
+    }
+    text += fmt::format(
+        "[simulation]\nfootage = \"booth/capture.take\"\n[booth]\nrig = \"booth/rig.toml\"\n"
+        "[model]\npath = '{}'\nlandmark_assets = '{}'\n[gpu]\ndevice = '{}'\n[stream]\nsocket = '{}'\n"
+        "[control]\nsocket = '{}'\n[takes]\nfolder = \".\"\nrecord_at_start = "
+        "\"pictures\"\n[metrics]\nlisten = "
+        "\"\"\n",
+        std::filesystem::absolute(options_.model).string(),
+        std::filesystem::absolute(options_.landmark_assets).string(), options_.device,
+        (sockets / "stream.sock").string(), (sockets / "control.sock").string());
+    files::OutputFile file(folder_ / "booth.toml");
+    file.write(text);
+    file.commit();
+  }
+
+  /// The daemon's answer; throws where it has ended.
+  nlohmann::json ask(Child& daemon, const std::filesystem::path& socket, const char* method) const {
+    for (const Clock::time_point end = Clock::now() + kOpeningPatience;;) {
+      stop_if_asked();
+      if (daemon.ended()) {
+        throw Error(
+            daemon.exit_status() > 0 ? static_cast<ErrorKind>(daemon.exit_status()) : ErrorKind::Internal,
+            fmt::format("facetd ended with status {}: see {}", daemon.exit_status(), in("facetd.log")));
+      }
+      try {
+        return service::ControlClient(socket).call(method, nlohmann::json::object());
+      } catch (const Error& error) {
+        if (error.kind() != ErrorKind::Unavailable || Clock::now() >= end) {
+          throw;
+        }
+      }
+      std::this_thread::sleep_for(kPollPeriod);
+    }
+  }
+
+  /// Runs facetd on the virtual booth until it has recorded the performance.
+  void record() const {
+    std::string name = (std::filesystem::temp_directory_path() / "facet-demo-XXXXXX").string();
+    if (::mkdtemp(name.data()) == nullptr) {
+      throw Error(ErrorKind::Storage,
+                  fmt::format("cannot make a folder for sockets: {}", std::strerror(errno)));
+    }
+    const std::filesystem::path sockets = name;
+    try {
+      write_config(sockets);
+      fmt::print("\n==> facetd --config {}\n", in("booth.toml"));
+      std::fflush(stdout);
+      record(sockets / "control.sock");
+    } catch (...) {
+      std::error_code ignored;
+      std::filesystem::remove_all(sockets, ignored);
+      throw;
+    }
+    std::filesystem::remove_all(sockets);
+  }
+
+  void record(const std::filesystem::path& socket) const {
+    Child daemon("facetd", {"--config", in("booth.toml")}, folder_ / "facetd.log");
+    Progress progress("Recording", options_.slots, "slots");
+    const Clock::time_point end = Clock::now() + kOpeningPatience + kRecordingPatience;
+    std::uint64_t recorded = 0;
+    while (recorded < options_.slots) {
+      const nlohmann::json status = ask(daemon, socket, "status");
+      const nlohmann::json& take = status.at("recording");
+      recorded = take.is_object() ? take.at("frames").get<std::uint64_t>() : 0;
+      progress.set(std::min(recorded, options_.slots), status.at("state").get<std::string>());
+      if (Clock::now() > end) {
+        throw Error(ErrorKind::Unavailable,
+                    fmt::format("facetd recorded {} of {} slots in {} s: see {}", recorded, options_.slots,
+                                std::chrono::seconds(kOpeningPatience + kRecordingPatience).count(),
+                                in("facetd.log")));
+      }
+      std::this_thread::sleep_for(kPollPeriod);
+    }
+    progress.finish();
+    ask(daemon, socket, "record.stop");
+    ask(daemon, socket, "shutdown");
+    daemon.wait(kEndingPatience);
+  }
+
+  /// What every recorded picture must be: its camera's, of one slot of the footage, under the light that the
+  /// lines of its own slot selected.
+  void check_recording() const {
+    take::TakeReader footage(folder_ / "booth/capture.take");
+    take::TakeReader recorded(folder_ / "pictures.take");
+    std::vector<std::shared_ptr<const mesh::MeshFrame>> shown;
+    for (std::int64_t i = 0; i < footage.frame_count(); ++i) {
+      shown.push_back(footage.frame(i));
+    }
+    std::int64_t right = 0;
+    std::int64_t incomplete = 0;
+    for (std::int64_t i = 0; i < recorded.frame_count(); ++i) {
+      const auto frame = recorded.frame(i);
+      const bool found = std::any_of(shown.begin(), shown.end(), [&](const auto& slot) {
+        return slot->sequence % 3 == frame->sequence % 3 && same_pictures(*slot->images, *frame->images);
+      });
+      right += found ? 1 : 0;
+      incomplete += frame->images->complete() ? 0 : 1;
+    }
+    fmt::print(
+        "{} of {} recorded sets show in every camera what the trigger's lines selected; {} are incomplete\n",
+        right, recorded.frame_count(), incomplete);
+    if (right == 0) {
+      throw Error(ErrorKind::Internal, "no recorded set shows what the booth was rendered to show");
+    }
+  }
+
+  static bool same_pictures(const FrameSet& a, const FrameSet& b) {
+    return std::equal(
+        a.frames.begin(), a.frames.end(), b.frames.begin(), b.frames.end(),
+        [](const Frame& one, const Frame& other) {
+          if (one.empty() || other.empty() || one.width_px != other.width_px ||
+              one.height_px != other.height_px) {
+            return false;
+          }
+          for (int y = 0; y < one.height_px; ++y) {
+            if (std::memcmp(one.row(y), other.row(y), 4 * static_cast<std::size_t>(one.width_px)) != 0) {
+              return false;
+            }
+          }
+          return true;
+        });
+  }
+
+  DemoOptions options_;
+  std::filesystem::path folder_;
+  StopSignals signals_;
+};
+
+}  // namespace
+
+void add_booth_demo_command(CLI::App& app) {
+  auto options = std::make_shared<DemoOptions>();
+  CLI::App* command = app.add_subcommand("booth-demo",
+                                         "The whole way of a booth without hardware: render a virtual one, "
+                                         "run facetd on it, record, make meshes, draw "
+                                         "a sheet");
+  command->add_option("--seed", options->seed, "Of the virtual booth")->capture_default_str();
+  command->add_option("--slots", options->slots, "Length of the performance; a third of it become meshes")
+      ->capture_default_str()
+      ->check(CLI::Range(9, 3600));
+  command->add_option("--samples", options->samples, "Rays a pixel")
+      ->capture_default_str()
+      ->check(CLI::Range(1, 64));
+  command->add_option("--model", options->model, "Face model")->capture_default_str();
+  command->add_option("--landmark-assets", options->landmark_assets, "MediaPipe's landmark nets")
+      ->capture_default_str();
+  command->add_option("--device", options->device, "Vulkan device: auto or part of its name")
+      ->capture_default_str();
+  command->add_option("-o,--output", options->folder, "Folder to write into; must not hold an earlier demo")
+      ->required();
+  command->callback([options] { Demo(*options).run(); });
+}
+
+}  // namespace facet::tools
