@@ -1,0 +1,602 @@
+// From a booth's frame sets to meshes: the parts alone, the whole on pictures of the virtual booth, and what
+// becomes of it when cameras, projectors or the rig file are not as they should be.
+
+#include "pipeline/booth.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <chrono>
+#include <map>
+#include <optional>
+#include <thread>
+
+#include "capture/rig_file.hpp"
+#include "facet/error.hpp"
+#include "pipeline/face_in_space.hpp"
+#include "pipeline/subject_builder.hpp"
+#include "pipeline/vertex_texture.hpp"
+#include "render/renderer.hpp"
+#include "scripted_stages.hpp"
+#include "simulation/booth.hpp"
+#include "support/paths.hpp"
+#include "support/synthetic_model.hpp"
+#include "take/recorder.hpp"
+
+namespace facet::pipeline {
+namespace {
+
+using namespace std::chrono_literals;
+using testing::HasSubstr;
+
+capture::Lens plain_lens() {
+  capture::Lens lens;
+  lens.width_px = 200;
+  lens.height_px = 160;
+  lens.fx_px = lens.fy_px = 400;
+  lens.cx_px = 100;
+  lens.cy_px = 80;
+  return lens;
+}
+
+Eigen::Isometry3d looking_along(const Eigen::Vector3d& at, double turn) {
+  return (Eigen::Translation3d(at) * Eigen::AngleAxisd(turn, Eigen::Vector3d::UnitY())).inverse();
+}
+
+TEST(DepthRange, LiesAroundThePointThatThePairsLookAt) {
+  capture::Rig rig;
+  for (const double side : {-1.0, 1.0}) {
+    capture::RigCamera camera;
+    camera.lens = plain_lens();
+    camera.lens.camera_from_rig = looking_along({side * 100, 0, 0}, -side * std::atan2(100.0, 700.0));
+    rig.cameras.push_back(camera);
+  }
+  rig.pairs = {{0, 1}};
+  const stereo::DepthRange range = depth_range(rig);
+  const double distance = std::hypot(100, 700);
+  EXPECT_NEAR(range.nearest_mm, distance - 150, 0.1);
+  EXPECT_NEAR(range.farthest_mm, distance + 250, 0.1);
+
+  for (capture::RigCamera& camera : rig.cameras) {
+    camera.lens.camera_from_rig.linear().setIdentity();
+  }
+  try {
+    depth_range(rig);
+    FAIL() << "parallel cameras look at no point";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::Usage);
+    EXPECT_THAT(error.what(), HasSubstr("depth_mm"));
+  }
+}
+
+class Landmarks : public ::testing::Test {
+ protected:
+  /// A wall at 500 mm before a lens at the origin, with a hole on its right side.
+  Landmarks() {
+    map_.lens = plain_lens();
+    map_.width_px = map_.lens.width_px;
+    map_.height_px = map_.lens.height_px;
+    map_.depth_mm.assign(static_cast<std::size_t>(map_.width_px * map_.height_px), 500.0F);
+    for (int y = 0; y < map_.height_px; ++y) {
+      std::fill_n(map_.depth_mm.begin() + y * map_.width_px + 150, 50, 0.0F);
+    }
+    anchors_.resize(468);
+    for (int i = 0; i < 4; ++i) {
+      anchors_[static_cast<std::size_t>(i)].weights = {1, 0, 0};
+      anchors_[static_cast<std::size_t>(i)].vertices[0] = i;
+    }
+  }
+  static track::FaceLandmarks none() {
+    track::FaceLandmarks face;
+    face.points_px = Eigen::Matrix3Xf::Zero(3, 468);
+    face.confidence = Eigen::VectorXf::Zero(468);
+    return face;
+  }
+  static void see(track::FaceLandmarks& face, int landmark, const capture::Lens& lens,
+                  const Eigen::Vector3d& at) {
+    face.points_px.col(landmark).head<2>() = lens.project(at).value().cast<float>();
+    face.confidence[landmark] = 1;
+  }
+  capture::DepthMap map_;
+  std::vector<face::LandmarkAnchor> anchors_;
+};
+
+TEST_F(Landmarks, MeetTheSurfaceOfTheDepthMaps) {
+  capture::Lens side = plain_lens();
+  side.camera_from_rig = looking_along({60, 10, 0}, -0.12);
+  side.distortion.k1 = -0.1;
+  track::FaceLandmarks face = none();
+  const Eigen::Vector3d left(-40, 20, 500);
+  const Eigen::Vector3d middle(5, -30, 500);
+  see(face, 0, side, left);
+  see(face, 1, side, middle);
+  see(face, 2, side, {110, 0, 500});  // in the hole
+  const SeenLandmarks view{&side, &face};
+  const auto found = landmarks_in_space(std::span(&view, 1), std::span(&map_, 1), anchors_);
+  ASSERT_EQ(found.size(), 2U);
+  EXPECT_EQ(found[0].anchor.vertices[0], 0);
+  EXPECT_NEAR((found[0].target_mm - left).norm(), 0, 0.01);
+  EXPECT_NEAR((found[1].target_mm - middle).norm(), 0, 0.01);
+}
+
+TEST_F(Landmarks, OfSeveralCamerasAreJoinedWhereTheyAgree) {
+  capture::Lens first = plain_lens();
+  capture::Lens second = plain_lens();
+  second.camera_from_rig = looking_along({-50, 0, 0}, 0.1);
+  track::FaceLandmarks one = none();
+  track::FaceLandmarks other = none();
+  see(one, 0, first, {0, 0, 500});
+  see(other, 0, second, {4, 0, 500});  // within reach: the mean
+  see(one, 1, first, {-60, 0, 500});
+  see(other, 1, second, {-20, 0, 500});  // far: the surer one
+  one.confidence[1] = 0.6F;
+  other.confidence[1] = 0.9F;
+  const std::array views{SeenLandmarks{&first, &one}, SeenLandmarks{&second, &other}};
+  const auto found = landmarks_in_space(views, std::span(&map_, 1), anchors_);
+  ASSERT_EQ(found.size(), 2U);
+  EXPECT_NEAR(found[0].target_mm.x(), 2, 0.02);
+  EXPECT_NEAR(found[1].target_mm.x(), -20, 0.02);
+}
+
+TEST_F(Landmarks, WithoutAnyDepthThereAreNone) {
+  std::fill(map_.depth_mm.begin(), map_.depth_mm.end(), 0.0F);
+  const capture::Lens lens = plain_lens();
+  track::FaceLandmarks face = none();
+  see(face, 0, lens, {0, 0, 500});
+  const SeenLandmarks view{&lens, &face};
+  EXPECT_TRUE(landmarks_in_space(std::span(&view, 1), std::span(&map_, 1), anchors_).empty());
+}
+
+/// Two triangles before the camera, turned to it; the camera sees red on the left and blue on the right.
+class Texture : public ::testing::Test {
+ protected:
+  Texture() {
+    vertices_mm_.resize(3, 4);
+    vertices_mm_ << -50, 50, 50, -50,  //
+        -40, -40, 40, 40,              //
+        500, 500, 500, 500;
+    triangles_.resize(3, 2);
+    triangles_ << 0, 0,  //
+        3, 2,            //
+        2, 1;
+    mesh::vertex_normals(vertices_mm_, triangles_, normals_);
+    render::Picture picture = render::plain_picture(200, 160, {200, 0, 0});
+    for (std::size_t pixel = 0; pixel < 200 * 160; ++pixel) {
+      if (pixel % 200 >= 100) {
+        picture.rgb[3 * pixel] = 0;
+        picture.rgb[3 * pixel + 2] = 100;
+      }
+    }
+    frame_ = render::to_frame(picture);
+  }
+  mesh::Vertices vertices_mm_;
+  mesh::Triangles triangles_;
+  Eigen::Matrix3Xf normals_;
+  Frame frame_;
+};
+
+TEST_F(Texture, IsTheMeanOfWhatIsSeen) {
+  VertexTexture texture;
+  texture.begin(4);
+  EXPECT_EQ(texture.latest(), nullptr);
+  // The mesh's rim is left out by the visibility test, so the vertices are looked at from the middle of a
+  // larger mesh: here every vertex is on the rim, and none is seen.
+  texture.add(plain_lens(), frame_, vertices_mm_, normals_, triangles_);
+  texture.publish();
+  ASSERT_NE(texture.latest(), nullptr);
+  EXPECT_EQ(texture.latest()->version, 1U);
+
+  // A grid whose inner vertices are away from any rim.
+  constexpr int kSide = 9;
+  mesh::Vertices grid(3, kSide * kSide);
+  for (int i = 0; i < kSide * kSide; ++i) {
+    grid.col(i) << -60.0F + 15.0F * static_cast<float>(i % kSide),
+        -60.0F + 15.0F * static_cast<float>(i / kSide), 500;
+  }
+  mesh::Triangles triangles(3, 2 * (kSide - 1) * (kSide - 1));
+  Eigen::Index next = 0;
+  for (int row = 0; row + 1 < kSide; ++row) {
+    for (int column = 0; column + 1 < kSide; ++column) {
+      const int at = row * kSide + column;
+      triangles.col(next++) << at, at + kSide, at + 1;
+      triangles.col(next++) << at + 1, at + kSide, at + kSide + 1;
+    }
+  }
+  Eigen::Matrix3Xf normals;
+  mesh::vertex_normals(grid, triangles, normals);
+  texture.begin(grid.cols());
+  texture.add(plain_lens(), frame_, grid, normals, triangles);
+  texture.publish();
+  const auto first = texture.latest();
+  ASSERT_NE(first, nullptr);
+  EXPECT_EQ(first->version, 2U) << "never a version again";
+  const auto colour = [&](const mesh::Albedo& albedo, int vertex) {
+    return Eigen::Vector3f(albedo.linear_rgb.data() + 3 * vertex);
+  };
+  const int left = 4 * kSide + 2;
+  const int right = 4 * kSide + 6;
+  EXPECT_NEAR(colour(*first, left).x(), render::srgb8_to_linear(200), 1e-4);
+  EXPECT_NEAR(colour(*first, left).z(), 0, 1e-4);
+  EXPECT_NEAR(colour(*first, right).z(), render::srgb8_to_linear(100), 1e-4);
+
+  // A second slot in which everything is black halves it; the third makes no new version.
+  const Frame black = render::to_frame(render::plain_picture(200, 160, {0, 0, 0}));
+  texture.add(plain_lens(), black, grid, normals, triangles);
+  texture.publish();
+  EXPECT_NEAR(colour(*texture.latest(), left).x(), render::srgb8_to_linear(200) / 2, 1e-4);
+  const auto second = texture.latest();
+  texture.add(plain_lens(), black, grid, normals, triangles);
+  texture.publish();
+  EXPECT_EQ(texture.latest(), second);
+}
+
+TEST(TemplateSubject, CarriesTheTemplateAsItIs) {
+  const face::FaceModel model = test::synthetic_model(17);
+  const fit::TemplateMesh surface = fit::make_template(model, 3000);
+  const auto subject = build_template_subject(surface, model, 1);
+  EXPECT_EQ(subject->hierarchy->control_vertex_count, surface.vertex_count());
+  EXPECT_EQ(subject->regions.size(), static_cast<std::size_t>(surface.vertex_count()));
+  EXPECT_NE(subject->id, build_template_subject(surface, model, 2)->id);
+  mesh::Vertices vertices_mm;
+  Eigen::Matrix3Xf normals;
+  mesh::rebuild_finest(*subject->hierarchy, surface.neutral_mm, {}, vertices_mm, normals);
+  EXPECT_EQ(vertices_mm, surface.neutral_mm);
+  // Control vertices keep their places in the template, and with them their regions.
+  for (std::size_t v = 0; v < model.regions.size(); ++v) {
+    EXPECT_EQ(subject->regions[v], model.regions[v]);
+  }
+}
+
+TEST(BoothConfig, NeedsRigStripesAndBlankSlots) {
+  const auto refusal = [](const BoothConfig& config) -> std::string {
+    try {
+      check(config);
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::Usage);
+      return error.what();
+    }
+    return "";
+  };
+  BoothConfig config;
+  EXPECT_THAT(refusal(config), HasSubstr("booth.rig"));
+  config.rig_file = "rig.toml";
+  EXPECT_EQ(refusal(config), "");
+  config.stripes = {1, 1};
+  EXPECT_THAT(refusal(config), HasSubstr("blank"));
+  config.stripes = {0};
+  EXPECT_THAT(refusal(config), HasSubstr("blank"));
+  config.stripes = {1, 0};
+  config.gpu_device = "none";
+  EXPECT_THAT(refusal(config), HasSubstr("gpu.device"));
+}
+
+/// Slots 150 to 155 of the virtual booth, rendered once: blank are 152 and 155.
+class Booth : public ::testing::Test {
+ protected:
+  static constexpr std::uint64_t kFirst = 150;
+  static constexpr std::uint64_t kSlots = 6;
+
+  struct Footage {
+    explicit Footage(const face::FaceModel& face_model) : model(face_model), booth(&model, config()) {
+      for (std::uint64_t slot = kFirst; slot < kFirst + kSlots; ++slot) {
+        sets.push_back(booth.slot(slot).frame_set());
+      }
+    }
+    static simulation::BoothConfig config() {
+      simulation::BoothConfig booth;
+      booth.seed = 5;
+      booth.samples = 1;
+      return booth;
+    }
+    face::FaceModel model;
+    simulation::Booth booth;
+    std::vector<FrameSet> sets;
+  };
+
+  void SetUp() override {
+    config_.model_file = test::default_model();
+    config_.landmark_assets = test::assets() / "mediapipe" / "face_mesh_solution_packed_assets.data";
+    for (const auto& needed : {config_.model_file, config_.landmark_assets}) {
+      if (!std::filesystem::exists(needed)) {
+        GTEST_SKIP() << needed << " is not there: packaging/prepare makes it";
+      }
+    }
+    if (footage_ == nullptr) {
+      footage_ = std::make_unique<Footage>(face::FaceModel::load(config_.model_file));
+    }
+    config_.rig_file = folder_.path() / "rig.toml";
+    write_rig(footage_->booth.rig());
+  }
+  static void TearDownTestSuite() { footage_.reset(); }
+
+  void write_rig(const capture::Rig& rig) const { capture::write_rig(rig, config_.rig_file); }
+  /// One pair is enough where it is not about the other.
+  void write_half_a_rig() const {
+    capture::Rig rig = footage_->booth.rig();
+    rig.pairs.resize(1);
+    write_rig(rig);
+  }
+
+  static std::shared_ptr<const mesh::MeshFrame> frame_of(FrameSet set) {
+    auto frame = std::make_shared<mesh::MeshFrame>();
+    frame->sequence = set.slot;
+    frame->timestamp_ns = set.trigger_ns;
+    frame->control_vertices_mm.resize(3, 0);
+    if (!set.complete()) {
+      frame->degraded = true;
+      frame->degraded_reason = "a picture is missing";
+    }
+    frame->images = std::make_shared<const FrameSet>(std::move(set));
+    return frame;
+  }
+
+  static void lose(FrameSet& set, std::size_t camera) {
+    set.frames[camera] = {};
+    set.missing |= std::uint64_t{1} << camera;
+  }
+
+  /// Nothing where there is no Vulkan device.
+  static std::optional<BoothStages> open(const BoothConfig& config) {
+    try {
+      return open_booth(config, 2);
+    } catch (const Error& error) {
+      if (error.kind() != ErrorKind::NoDevice) {
+        throw;
+      }
+      return std::nullopt;
+    }
+  }
+
+  /// Runs some sets through; what came out, and how it ended.
+  void run(const std::vector<FrameSet>& sets) {
+    std::optional<BoothStages> stages = open(config_);
+    if (!stages) {
+      GTEST_SKIP() << "no Vulkan device";
+    }
+    test::CollectingSink sink;
+    BoothMeshes meshes(std::move(*stages), BoothMeshes::WhenBusy::Wait, {&sink});
+    meshes.start();
+    for (const FrameSet& set : sets) {
+      meshes.deliver(frame_of(set));
+    }
+    meshes.finish();
+    while (!meshes.finished()) {
+      std::this_thread::sleep_for(5ms);
+    }
+    meshes.stop();
+    meshes.fill(status_);
+    frames_ = sink.frames();
+  }
+
+  /// Mean distance of the face's skin to the truth, mm.
+  double distance_to_truth(const mesh::MeshFrame& frame) {
+    const capture::Rig& rig = footage_->booth.rig();
+    const simulation::TruthMesh truth = footage_->booth.slot(frame.sequence).surface();
+    const auto colour =
+        std::find_if(rig.cameras.begin(), rig.cameras.end(), [](const auto& c) { return c.colour; });
+    const Eigen::Isometry3f rig_from_head =
+        colour->lens.camera_from_rig.inverse().cast<float>() * frame.camera_from_head;
+    const render::Raycaster caster(truth.vertices_mm, truth.triangles);
+    double sum = 0;
+    double count = 0;
+    for (Eigen::Index v = 0; v < frame.control_vertices_mm.cols(); ++v) {
+      const auto bits = frame.subject->regions[static_cast<std::size_t>(v)];
+      // The middle of the face; its rim is hidden from one camera of each pair.
+      const Eigen::Vector3f at = frame.control_vertices_mm.col(v);
+      if (face::has_region(bits, face::Region::Refinable) && std::abs(at.x()) < 40) {
+        const auto nearest = caster.closest_point(rig_from_head * at, 20);
+        sum += nearest.triangle >= 0 ? static_cast<double>(nearest.distance_mm) : 20.0;
+        ++count;
+      }
+    }
+    EXPECT_GT(count, 500);
+    RecordProperty("distance_um", static_cast<int>(1000 * sum / std::max(count, 1.0)));
+    return sum / std::max(count, 1.0);
+  }
+
+  static std::unique_ptr<Footage> footage_;
+  test::TemporaryFolder folder_;
+  BoothConfig config_;
+  PipelineStatus status_;
+  std::vector<std::shared_ptr<const mesh::MeshFrame>> frames_;
+};
+std::unique_ptr<Booth::Footage> Booth::footage_;
+
+TEST_F(Booth, EveryBlankSlotBecomesAMesh) {
+  run(footage_->sets);
+  ASSERT_EQ(frames_.size(), 2U) << status_.reason;
+  std::uint64_t subject = 0;
+  for (std::size_t i = 0; i < 2; ++i) {
+    const mesh::MeshFrame& frame = *frames_[i];
+    EXPECT_EQ(frame.sequence, kFirst + 2 + 3 * i);
+    ASSERT_EQ(frame.state, mesh::TrackingState::Tracking) << frame.degraded_reason;
+    EXPECT_FALSE(frame.degraded) << frame.degraded_reason;
+    EXPECT_LT(distance_to_truth(frame), 0.6);
+    EXPECT_GT(frame.stage_ms.depth_ms, 0);
+    EXPECT_EQ(frame.expression.size(), frame.subject->expression_names.size());
+    ASSERT_NE(frame.albedo, nullptr);
+    EXPECT_EQ(frame.albedo->linear_rgb.size(),
+              3 * static_cast<std::size_t>(frame.control_vertices_mm.cols()));
+    EXPECT_TRUE(subject == 0 || subject == frame.subject->id) << "it is the same person";
+    subject = frame.subject->id;
+  }
+  // One vertex is one point of the skin: in 50 ms it goes where the head goes, and little farther.
+  const auto moved = (frames_[1]->control_vertices_mm - frames_[0]->control_vertices_mm).colwise().norm();
+  EXPECT_LT(moved.mean(), 1);
+  EXPECT_EQ(status_.mesh_frames, 2U);
+  EXPECT_EQ(status_.subjects, 1U);
+}
+
+TEST_F(Booth, GoesOnWithoutOnePairsCameraAndWithoutASlot) {
+  std::vector<FrameSet> sets(footage_->sets.begin(), footage_->sets.begin() + 5);
+  sets.erase(sets.begin() + 3);  // slot 153
+  const std::size_t lost = footage_->booth.rig().pairs[1].right;
+  for (FrameSet& set : sets) {
+    lose(set, lost);
+  }
+  run(sets);
+  ASSERT_EQ(frames_.size(), 1U) << status_.reason;
+  EXPECT_EQ(frames_[0]->state, mesh::TrackingState::Tracking) << frames_[0]->degraded_reason;
+  EXPECT_TRUE(frames_[0]->degraded) << "a camera is missing, and that is said";
+}
+
+TEST_F(Booth, WithTheProjectorsOffThereIsNoMesh) {
+  write_half_a_rig();
+  std::vector<FrameSet> sets;
+  for (std::uint64_t slot = kFirst; slot < kFirst + 5; ++slot) {
+    sets.push_back(footage_->booth.slot(slot, {capture::Shown::Kind::Dark, 0}).frame_set());
+  }
+  run(sets);
+  ASSERT_EQ(frames_.size(), 1U) << status_.reason;
+  EXPECT_EQ(frames_[0]->state, mesh::TrackingState::Searching);
+  EXPECT_EQ(frames_[0]->subject, nullptr);
+  EXPECT_TRUE(frames_[0]->degraded);
+}
+
+TEST_F(Booth, WithFrozenProjectorsNoSurfaceIsInvented) {
+  // Without stripes there is still the skin's own texture: what is found of it must be true.
+  write_half_a_rig();
+  std::vector<FrameSet> sets;
+  for (std::uint64_t slot = kFirst; slot < kFirst + 5; ++slot) {
+    sets.push_back(footage_->booth.slot(slot, {capture::Shown::Kind::Blank, 0}).frame_set());
+  }
+  run(sets);
+  ASSERT_EQ(frames_.size(), 1U) << status_.reason;
+  if (frames_[0]->state == mesh::TrackingState::Tracking) {
+    EXPECT_LT(distance_to_truth(*frames_[0]), 1.5);
+  } else {
+    EXPECT_THAT(frames_[0]->degraded_reason, HasSubstr("are the projectors on"));
+  }
+}
+
+TEST_F(Booth, PicturesOfSwappedCamerasGiveNoMesh) {
+  write_half_a_rig();
+  std::vector<FrameSet> sets(footage_->sets.begin(), footage_->sets.begin() + 5);
+  const capture::StereoPair pair = footage_->booth.rig().pairs[0];
+  for (FrameSet& set : sets) {
+    std::swap(set.frames[pair.left], set.frames[pair.right]);
+  }
+  run(sets);
+  ASSERT_EQ(frames_.size(), 1U) << status_.reason;
+  EXPECT_EQ(frames_[0]->state, mesh::TrackingState::Searching);
+  EXPECT_TRUE(frames_[0]->degraded);
+}
+
+TEST_F(Booth, WithoutAFaceThereIsNoMesh) {
+  simulation::BoothConfig plate = Footage::config();
+  plate.scene = simulation::BoothScene::Plane;
+  const simulation::Booth booth(nullptr, plate);
+  capture::Rig rig = booth.rig();
+  rig.pairs.resize(1);
+  write_rig(rig);
+  std::vector<FrameSet> sets;
+  for (std::uint64_t slot = kFirst; slot < kFirst + 5; ++slot) {
+    sets.push_back(booth.slot(slot).frame_set());
+  }
+  run(sets);
+  ASSERT_EQ(frames_.size(), 1U) << status_.reason;
+  EXPECT_EQ(frames_[0]->state, mesh::TrackingState::Searching);
+  EXPECT_THAT(frames_[0]->degraded_reason, HasSubstr("no face"));
+}
+
+TEST_F(Booth, AnotherRigsFileIsNamed) {
+  capture::Rig rig = footage_->booth.rig();
+  rig.cameras[0].name = "nobody";
+  write_rig(rig);
+  run(footage_->sets);
+  EXPECT_TRUE(frames_.empty());
+  EXPECT_EQ(status_.state, PipelineState::Failed);
+  EXPECT_EQ(status_.failure_kind, ErrorKind::Usage);
+  EXPECT_THAT(status_.reason, HasSubstr("'nobody'"));
+}
+
+TEST_F(Booth, PicturesOfAnotherSizeAreNamed) {
+  std::vector<FrameSet> sets = footage_->sets;
+  for (FrameSet& set : sets) {
+    set.frames[1] = render::to_frame(render::plain_picture(320, 240, {90, 90, 90}));
+  }
+  run(sets);
+  EXPECT_TRUE(frames_.empty());
+  EXPECT_EQ(status_.state, PipelineState::Failed);
+  EXPECT_THAT(status_.reason, HasSubstr("320 x 240"));
+}
+
+TEST_F(Booth, LiveDevicesGiveSetsAndMeshes) {
+  write_half_a_rig();
+  const std::filesystem::path take = folder_.path() / "footage.take";
+  {
+    take::TakeRecorderConfig recording;
+    recording.file = take;
+    recording.when_full = take::WhenFull::Wait;
+    recording.with_images = true;
+    take::TakeRecorder recorder(recording);
+    recorder.start();
+    for (const FrameSet& set : footage_->sets) {
+      recorder.record(frame_of(set));
+    }
+    ASSERT_EQ(recorder.stop().state, take::RecorderState::Finished);
+  }
+  RigConfig devices;
+  devices.footage = take;
+  for (const capture::RigCamera& camera : footage_->booth.rig().cameras) {
+    RigCamera device;
+    device.name = camera.name;
+    device.source.kind = kSimulatedCamera;
+    devices.cameras.push_back(device);
+  }
+  devices.trigger = TriggerKind::Virtual;
+  devices.gpio.thread.real_time = false;
+  devices.program.slots_per_second = 20;
+  devices.program.exposure_ns = 2'000'000;
+  devices.program.tolerance_ns = 20'000'000;
+  for (const char* name : {"cameras", "a", "b"}) {
+    TriggerLine line;
+    line.name = name;
+    line.role = devices.program.lines.empty() ? LineRole::Camera : LineRole::Projector;
+    devices.program.lines.push_back(line);
+  }
+  devices.program.patterns = {2, 4, 0};
+  std::optional<pipeline::Booth> booth;
+  try {
+    booth = open_booth(devices, config_);
+  } catch (const Error& error) {
+    ASSERT_EQ(error.kind(), ErrorKind::NoDevice) << error.what();
+    GTEST_SKIP() << error.what();
+  }
+  test::CollectingSink sets;
+  test::CollectingSink meshes;
+  BoothPipeline pipeline(std::move(*booth), {&sets}, {&meshes});
+  pipeline.start();
+  const auto end = std::chrono::steady_clock::now() + 120s;
+  while (pipeline.status().mesh_frames == 0 && std::chrono::steady_clock::now() < end) {
+    std::this_thread::sleep_for(20ms);
+  }
+  pipeline.stop();
+  const PipelineStatus status = pipeline.status();
+  EXPECT_EQ(status.state, PipelineState::Stopped) << status.reason;
+  EXPECT_GE(status.mesh_frames, 1U) << status.degraded_reason;
+  ASSERT_TRUE(status.rig);
+  EXPECT_EQ(status.rig->cameras.size(), 6U);
+  EXPECT_FALSE(status.device.empty());
+  ASSERT_FALSE(meshes.frames().empty());
+  EXPECT_EQ(meshes.frames().back()->sequence % 3, 2U) << "a blank slot";
+  // Every picture is that of the slot which the lines selected.
+  std::size_t compared = 0;
+  for (const auto& frame : sets.frames()) {
+    const Frame& picture = frame->images->frames[0];
+    if (picture.empty()) {
+      continue;
+    }
+    const bool found = std::any_of(footage_->sets.begin(), footage_->sets.end(), [&](const FrameSet& set) {
+      return set.slot % 3 == frame->sequence % 3 &&
+             std::equal(picture.row(240), picture.row(240) + 4 * picture.width_px, set.frames[0].row(240));
+    });
+    EXPECT_TRUE(found) << "slot " << frame->sequence;
+    ++compared;
+  }
+  EXPECT_GT(compared, 6U);
+}
+
+}  // namespace
+}  // namespace facet::pipeline
