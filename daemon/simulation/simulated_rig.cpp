@@ -126,11 +126,13 @@ const Footage::Picture* select(const Footage& footage, std::size_t camera, const
   return &footage.slots[period * period_length + in_period].at(camera);
 }
 
-void paint(std::uint8_t* pixels, const Footage::Picture& picture) {
-  const auto count = static_cast<std::size_t>(picture.width_px) * static_cast<std::size_t>(picture.height_px);
-  const auto channels = static_cast<std::size_t>(picture.channels);
+/// picture: null for black.
+void paint(std::uint8_t* pixels, const Footage::Picture* picture, const RigCameraConfig& config) {
+  const auto count = static_cast<std::size_t>(config.width_px) * static_cast<std::size_t>(config.height_px);
+  const auto channels = static_cast<std::size_t>(picture != nullptr ? picture->channels : 1);
+  constexpr std::uint8_t kNothing[] = {kBlack};
   for (std::size_t i = 0; i < count; ++i) {
-    const std::uint8_t* from = picture.values.data() + i * channels;
+    const std::uint8_t* from = picture != nullptr ? picture->values.data() + i * channels : kNothing;
     std::uint8_t* to = pixels + 4 * i;
     to[0] = from[0];
     to[1] = from[channels == 3 ? 1 : 0];
@@ -219,8 +221,8 @@ class RigCamera final : public Camera {
       paint_marker(pixels, config_, Marker::Lines, exposure.lit);
       paint_marker(pixels, config_, Marker::Count, exposure.sequence);
       paint_ramp(pixels, config_, exposure.sequence);
-    } else if (const Footage::Picture* picture = select(*footage_, footage_camera_, exposure)) {
-      simulation::paint(pixels, *picture);
+    } else {
+      simulation::paint(pixels, select(*footage_, footage_camera_, exposure), config_);
     }
   }
 

@@ -257,6 +257,62 @@ TEST(Config, ARigThatCannotBeIsToldByKey) {
               HasSubstr("a line of a GPIO trigger needs chip and line"));
 }
 
+/// The least that a booth's configuration says.
+std::string booth_text(const std::string& more) {
+  return "mode = \"booth\"\n[[camera]]\nname = \"a\"\nkind = \"simulated\"\n"
+         "[trigger]\nkind = \"virtual\"\npatterns = [[\"p\"], [], [\"p\"], []]\n"
+         "[[trigger.line]]\nname = \"c\"\n[[trigger.line]]\nname = \"p\"\nrole = \"projector\"\n" +
+         more;
+}
+
+TEST(Config, ReadsABooth) {
+  const Config config = parse_config(booth_text("[booth]\nrig = \"rig.toml\"\ndepth_mm = [700, 1100.5]\n"
+                                                "record = \"meshes\"\n[simulation]\nfootage = \"x.take\"\n"
+                                                "[model]\npath = \"m\"\n[gpu]\ndevice = \"llvm\"\n"),
+                                     "/folder/f.toml");
+  EXPECT_EQ(config.mode, Mode::Booth);
+  EXPECT_EQ(config.booth_record, BoothRecord::Meshes);
+  EXPECT_EQ(config.rig.footage, "/folder/x.take");
+  const pipeline::BoothConfig booth = booth_config(config);
+  EXPECT_EQ(booth.rig_file, "/folder/rig.toml");
+  EXPECT_EQ(booth.depths.nearest_mm, 700);
+  EXPECT_EQ(booth.depths.farthest_mm, 1100.5F);
+  EXPECT_EQ(booth.stripes, (std::vector<std::uint8_t>{1, 0, 1, 0}));
+  EXPECT_EQ(booth.model_file, "/folder/m");
+  EXPECT_EQ(booth.gpu_device, "llvm");
+  require_source(config, "/folder/f.toml");
+
+  const Config bare = parse_config("", "f.toml");
+  EXPECT_EQ(bare.booth_record, BoothRecord::Pictures);
+  EXPECT_EQ(booth_config(bare).stripes, (std::vector<std::uint8_t>{1, 1, 0})) << "the standard program";
+  EXPECT_EQ(booth_config(bare).depths.farthest_mm, 0) << "found from the rig";
+}
+
+TEST(Config, ABoothThatCannotBeIsToldByKey) {
+  const auto refusal = [](const std::string& text) -> std::string {
+    try {
+      require_source(parse_config(text, "f.toml"), "f.toml");
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::Usage);
+      return error.what();
+    }
+    return "";
+  };
+  EXPECT_THAT(refusal(booth_text("")), HasSubstr("booth.rig is missing"));
+  for (const char* range : {"[1100, 700]", "[700]", "[10, 700]", "[\"a\", 3]", "\"far\"", "700"}) {
+    EXPECT_THAT(refusal(booth_text("[booth]\nrig = \"r\"\ndepth_mm = " + std::string(range) + "\n")),
+                AllOf(HasSubstr("f.toml:"), HasSubstr("booth.depth_mm"), HasSubstr("[nearest, farthest]")))
+        << range;
+  }
+  EXPECT_THAT(refusal(booth_text("[booth]\nrig = \"r\"\nrecord = \"both\"\n")), HasSubstr("\"meshes\""));
+  EXPECT_THAT(
+      refusal("mode = \"booth\"\n[[camera]]\nname = \"a\"\nkind = \"simulated\"\n[booth]\nrig = \"r\"\n"),
+      HasSubstr("needs a trigger"));
+  std::string no_blank = booth_text("[booth]\nrig = \"r\"\n");
+  no_blank.replace(no_blank.find("[[\"p\"], [], [\"p\"], []]"), 22, "[[\"p\"]]");
+  EXPECT_THAT(refusal(no_blank), HasSubstr("trigger.patterns"));
+}
+
 TEST(Config, ReadsACamera) {
   const Config config = parse_config(R"(
 [source]

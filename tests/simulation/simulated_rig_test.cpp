@@ -2,7 +2,11 @@
 
 #include <gtest/gtest.h>
 
+#include <cstdint>
+#include <memory>
+#include <string>
 #include <thread>
+#include <vector>
 
 #include "facet/error.hpp"
 
@@ -98,6 +102,79 @@ TEST(SimulatedRig, OtherPicturesHaveNoMarker) {
   std::fill_n(pixels.get(), 256 * 16, std::uint8_t{128});
   frame.pixels = pixels;
   EXPECT_THROW(read_marker(frame, Marker::Lines), Error);
+}
+
+/// Two periods of three slots; every picture of slot n is n everywhere, 100 + n in its red channel for the
+/// second camera.
+std::shared_ptr<const Footage> six_slots() {
+  auto footage = std::make_shared<Footage>();
+  footage->cameras = {"grey", "colour"};
+  footage->patterns = {0b0010, 0b0100, 0};
+  footage->slots_per_second = 1000;
+  const auto names = std::make_shared<const std::vector<std::string>>(
+      std::vector<std::string>{"colour", "grey"});  // another order than the footage's
+  for (std::uint8_t slot = 0; slot < 6; ++slot) {
+    FrameSet set;
+    set.slot = slot;
+    set.camera_names = names;
+    for (const bool colour : {true, false}) {
+      auto pixels = std::make_shared<std::uint8_t[]>(4 * 64 * 16);
+      for (std::size_t i = 0; i < 64 * 16; ++i) {
+        pixels[4 * i] = static_cast<std::uint8_t>(slot + (colour ? 100 : 0));
+        pixels[4 * i + 1] = pixels[4 * i + 2] = slot;
+        pixels[4 * i + 3] = 255;
+      }
+      Frame& frame = set.frames.emplace_back();
+      frame.width_px = 64;
+      frame.height_px = 16;
+      frame.stride_bytes = 4 * 64;
+      frame.pixels = std::move(pixels);
+    }
+    footage->add(set);
+  }
+  return footage;
+}
+
+TEST(SimulatedRig, FootageIsChosenByLinesAndClock) {
+  SimulatedRig rig(kCameras, kProjectors, six_slots());
+  const auto grey = rig.camera({"grey", 1, 1, 30}, true);
+  const auto colour = rig.camera({"colour", 1, 1, 30}, true);
+  EXPECT_EQ(grey->info().width_px, 64);
+  grey->start();
+  colour->start();
+  const std::int64_t begun_ns = now_ns();
+  const auto shot = [&](LineMask lines, int slot) {
+    rig.on_change(0, begun_ns);
+    rig.on_change(lines | kCameras, begun_ns + slot * 1'000'000);
+    Frame left;
+    Frame right;
+    EXPECT_EQ(grey->next(left, 1s), CaptureOutcome::Delivered);
+    EXPECT_EQ(colour->next(right, 1s), CaptureOutcome::Delivered);
+    EXPECT_EQ(left.row(7)[4 * 31 + 3], 255);
+    if (lines != kProjectors) {
+      EXPECT_EQ(right.row(7)[4 * 31], left.row(7)[4 * 31] + 100);
+      EXPECT_EQ(right.row(7)[4 * 31 + 2], left.row(7)[4 * 31]);
+    }
+    return static_cast<int>(left.row(7)[4 * 31]);
+  };
+  EXPECT_EQ(shot(0b0100, 0), 1) << "before the first period the lines choose within it";
+  EXPECT_EQ(shot(0b0010, 0), 0) << "here it begins";
+  EXPECT_EQ(shot(0b0100, 1), 1);
+  EXPECT_EQ(shot(0, 2), 2);
+  EXPECT_EQ(shot(0b0010, 3), 3) << "the second period, by the clock";
+  EXPECT_EQ(shot(0, 4), 5) << "a blank picture where the lines show none, whichever slot it should be";
+  EXPECT_EQ(shot(0b0010, 60), 3) << "after its end the last period is seen";
+}
+
+TEST(SimulatedRig, LinesThatTheFootageDoesNotKnowShowNothing) {
+  SimulatedRig rig(kCameras, kProjectors, six_slots());
+  const auto camera = rig.camera({"grey", 1, 1, 30}, true);
+  camera->start();
+  rig.on_change(kProjectors | kCameras, now_ns());
+  Frame frame;
+  ASSERT_EQ(camera->next(frame, 1s), CaptureOutcome::Delivered);
+  EXPECT_EQ(frame.row(7)[4 * 31], 0);
+  EXPECT_THROW(rig.camera({"nobody", 1, 1, 30}, true), Error);
 }
 
 }  // namespace
