@@ -23,7 +23,7 @@ constexpr float kSkin = 0.99F;         ///< of a vertex's stencil
 constexpr float kHold = 0.05F;         ///< towards 0 where no map sees a vertex, of a map's weight
 constexpr float kLeastEdgeMm = 0.2F;   ///< in the Laplacian
 constexpr float kLeastUpright = 0.1F;  ///< cosine between a triangle and the coarse normals
-constexpr int kUnfoldRounds = 5;
+constexpr int kUnfoldRounds = 8;
 constexpr float kResidualReduction = 1e-3F;  ///< of the conjugate gradients
 
 }  // namespace
@@ -183,12 +183,16 @@ void FineSurface::Impl::unfold(Eigen::Ref<VectorXf> displacement, std::vector<fl
   for (int round = 0; round < kUnfoldRounds && again; ++round) {
     again = false;
     now_mm = base_mm + normals * displacement.asDiagonal();
+    mesh::vertex_normals(now_mm, triangles, fine_normals);
     for (Eigen::Index t = 0; t < triangles.cols(); ++t) {
       const auto corner = triangles.col(t);
-      const Vector3f a = now_mm.col(corner[0]);
-      const Vector3f across = (now_mm.col(corner[1]) - a).cross(now_mm.col(corner[2]) - a);
-      const Vector3f outwards = normals.col(corner[0]) + normals.col(corner[1]) + normals.col(corner[2]);
-      if (across.dot(outwards) < kLeastUpright * across.norm() * outwards.norm()) {
+      const Vector3f across = (now_mm.col(corner[1]) - now_mm.col(corner[0]))
+                                  .cross(now_mm.col(corner[2]) - now_mm.col(corner[0]));
+      const auto upright = [&](const Matrix3Xf& of) {
+        const Vector3f outwards = of.col(corner[0]) + of.col(corner[1]) + of.col(corner[2]);
+        return across.dot(outwards) > kLeastUpright * across.norm() * outwards.norm();
+      };
+      if (!upright(normals) || !upright(fine_normals)) {
         again = true;
         for (Eigen::Index i = 0; i < 3; ++i) {
           displacement[corner[i]] *= 0.5F;
