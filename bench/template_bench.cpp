@@ -10,12 +10,18 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <functional>
+#include <numbers>
 #include <numeric>
 #include <random>
 
 #include "capture/depth_map.hpp"
 #include "face/face_model.hpp"
 #include "facet/error.hpp"
+#include "fit/fine_surface.hpp"
 #include "fit/optical_flow.hpp"
 #include "fit/reference_picture.hpp"
 #include "fit/template_fitter.hpp"
@@ -93,7 +99,7 @@ class StereoDepth {
       matchers_.push_back(std::make_unique<stereo::StereoMatcher>(context, booth.rig(), pair, options));
     }
   }
-  std::vector<capture::DepthMap> at(std::uint64_t blank, double& ms) {
+  std::vector<capture::DepthMap> at(std::uint64_t blank) {
     std::vector<capture::DepthMap> result;
     std::vector<std::vector<stereo::StereoSlot>> slots(matchers_.size());
     for (int i = 0; i < kSlots; ++i) {
@@ -106,14 +112,12 @@ class StereoDepth {
                             {}});
       }
     }
-    const auto begun = Clock::now();
     for (std::size_t p = 0; p < matchers_.size(); ++p) {
       if (matchers_[p]->match(slots[p], maps_) != stereo::SolveOutcome::Done) {
         throw Error(ErrorKind::Internal, matchers_[p]->failure());
       }
       result.push_back(std::move(maps_[kSlots / 2]));
     }
-    ms = ms_since(begun);
     return result;
   }
 
@@ -124,21 +128,141 @@ class StereoDepth {
   std::vector<capture::DepthMap> maps_;
 };
 
+/// The booth's slots, kept in a folder where one is given: rendering takes longer than all that is measured.
+class Footage {
+ public:
+  Footage(const simulation::Booth& booth, std::filesystem::path folder)
+      : booth_(booth), folder_(std::move(folder)), triangles_(booth.slot(0).surface().triangles) {
+    if (!folder_.empty()) {
+      const simulation::BoothConfig& config = booth.config();
+      folder_ /= fmt::format("{}-{}-{}", config.seed, config.samples, config.head_motion);
+      std::filesystem::create_directories(folder_);
+    }
+  }
+
+  simulation::TruthMesh truth(std::uint64_t slot) const {
+    simulation::TruthMesh mesh;
+    const auto bytes = kept(fmt::format("{}-truth", slot), [&] {
+      const mesh::Vertices vertices_mm = booth_.slot(slot).surface().vertices_mm;
+      return bytes_of(vertices_mm.data(), static_cast<std::size_t>(vertices_mm.size()));
+    });
+    mesh.vertices_mm.resize(3, static_cast<Eigen::Index>(bytes.size() / (3 * sizeof(float))));
+    std::memcpy(mesh.vertices_mm.data(), bytes.data(), bytes.size());
+    mesh.triangles = triangles_;
+    mesh::vertex_normals(mesh.vertices_mm, mesh.triangles, mesh.normals);
+    return mesh;
+  }
+
+  Frame picture(std::uint64_t slot, std::size_t camera) const {
+    const capture::Lens& lens = booth_.rig().cameras[camera].lens;
+    Frame frame;
+    frame.width_px = lens.width_px;
+    frame.height_px = lens.height_px;
+    frame.stride_bytes = 4 * static_cast<std::size_t>(lens.width_px);
+    const std::size_t size = frame.stride_bytes * static_cast<std::size_t>(lens.height_px);
+    const auto bytes = kept(fmt::format("{}-camera{}", slot, camera), [&] {
+      const Frame seen = booth_.slot(slot).frame(camera);
+      std::vector<char> pixels(size);
+      for (int y = 0; y < seen.height_px; ++y) {
+        std::memcpy(pixels.data() + static_cast<std::size_t>(y) * frame.stride_bytes, seen.row(y),
+                    frame.stride_bytes);
+      }
+      return pixels;
+    });
+    auto pixels = std::make_shared<std::uint8_t[]>(size);
+    std::memcpy(pixels.get(), bytes.data(), size);
+    frame.pixels = std::move(pixels);
+    return frame;
+  }
+
+  /// Of both pairs; matchers is asked where the folder does not hold it.
+  std::vector<capture::DepthMap> stereo(std::uint64_t slot, StereoDepth& matchers) const {
+    std::vector<capture::DepthMap> maps;
+    for (std::size_t p = 0; p < booth_.rig().pairs.size(); ++p) {
+      const auto bytes = kept(fmt::format("{}-stereo{}", slot, p), [&] {
+        if (maps_slot_ != slot || maps_.empty()) {
+          maps_ = matchers.at(slot);
+          maps_slot_ = slot;
+        }
+        const capture::DepthMap& map = maps_[p];
+        std::vector<float> values(map.depth_mm);
+        values.insert(values.end(), map.sigma_mm.begin(), map.sigma_mm.end());
+        values.insert(values.end(), map.confidence.begin(), map.confidence.end());
+        for (const double value : {static_cast<double>(map.width_px), static_cast<double>(map.height_px),
+                                   map.lens.fx_px, map.lens.fy_px, map.lens.cx_px, map.lens.cy_px}) {
+          values.push_back(static_cast<float>(value));
+        }
+        for (Eigen::Index i = 0; i < 16; ++i) {
+          values.push_back(static_cast<float>(map.lens.camera_from_rig.matrix()(i % 4, i / 4)));
+        }
+        return bytes_of(values.data(), values.size());
+      });
+      constexpr std::size_t kLensValues = 6 + 16;
+      std::vector<float> values(bytes.size() / sizeof(float));
+      std::memcpy(values.data(), bytes.data(), bytes.size());
+      const std::size_t pixels = (values.size() - kLensValues) / 3;
+      const float* lens = values.data() + 3 * pixels;
+      capture::DepthMap& map = maps.emplace_back();
+      map.width_px = map.lens.width_px = static_cast<int>(lens[0]);
+      map.height_px = map.lens.height_px = static_cast<int>(lens[1]);
+      map.lens.fx_px = static_cast<double>(lens[2]);
+      map.lens.fy_px = static_cast<double>(lens[3]);
+      map.lens.cx_px = static_cast<double>(lens[4]);
+      map.lens.cy_px = static_cast<double>(lens[5]);
+      for (Eigen::Index i = 0; i < 16; ++i) {
+        map.lens.camera_from_rig.matrix()(i % 4, i / 4) = static_cast<double>(lens[6 + i]);
+      }
+      map.depth_mm.assign(values.data(), values.data() + pixels);
+      map.sigma_mm.assign(values.data() + pixels, values.data() + 2 * pixels);
+      map.confidence.assign(values.data() + 2 * pixels, values.data() + 3 * pixels);
+    }
+    return maps;
+  }
+
+ private:
+  static std::vector<char> bytes_of(const float* values, std::size_t count) {
+    std::vector<char> bytes(count * sizeof(float));
+    std::memcpy(bytes.data(), values, bytes.size());
+    return bytes;
+  }
+  std::vector<char> kept(const std::string& name, const std::function<std::vector<char>()>& make) const {
+    if (folder_.empty()) {
+      return make();
+    }
+    const std::filesystem::path file = folder_ / name;
+    if (std::ifstream in(file, std::ios::binary | std::ios::ate); in) {
+      std::vector<char> bytes(static_cast<std::size_t>(in.tellg()));
+      in.seekg(0);
+      in.read(bytes.data(), static_cast<std::streamsize>(bytes.size()));
+      return bytes;
+    }
+    std::vector<char> bytes = make();
+    std::ofstream(file, std::ios::binary).write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
+    return bytes;
+  }
+
+  const simulation::Booth& booth_;
+  std::filesystem::path folder_;
+  mesh::Triangles triangles_;
+  mutable std::vector<capture::DepthMap> maps_;
+  mutable std::uint64_t maps_slot_ = 0;
+};
+
 struct Follower {
   std::int32_t triangle = -1;
   Eigen::Vector2f barycentric{0, 0};
 };
 
-/// The mesh as seen by a camera, with a heat of its vertices.
-render::Picture draw(const fit::TemplateMesh& surface, const mesh::Vertices& vertices_mm,
-                     const std::vector<float>* heat, const capture::Lens& lens,
-                     const render::Picture& background) {
+/// The mesh as seen by a camera, with a heat of its vertices; marked triangles are red.
+render::Picture draw(const mesh::Triangles& triangles, const mesh::Vertices& vertices_mm,
+                     const std::vector<float>* heat, const std::vector<std::uint8_t>* marked,
+                     const capture::Lens& lens) {
   const Eigen::Isometry3f camera_from_rig = lens.camera_from_rig.cast<float>();
   const mesh::Vertices seen =
       (camera_from_rig.linear() * vertices_mm).colwise() + camera_from_rig.translation();
-  const render::Raycaster caster(seen, surface.triangles);
+  const render::Raycaster caster(seen, triangles);
   Eigen::Matrix3Xf normals;
-  mesh::vertex_normals(seen, surface.triangles, normals);
+  mesh::vertex_normals(seen, triangles, normals);
   const CameraIntrinsics camera{static_cast<float>(lens.fx_px),
                                 static_cast<float>(lens.fy_px),
                                 static_cast<float>(lens.cx_px),
@@ -148,9 +272,11 @@ render::Picture draw(const fit::TemplateMesh& surface, const mesh::Vertices& ver
   return render::render_surface(
       caster, camera,
       [&](std::int32_t triangle, const Eigen::Vector2f& at) -> Eigen::Vector3f {
-        const Eigen::Vector3f normal =
-            render::interpolate(surface.triangles, triangle, at, normals).normalized();
-        const float shade = 0.15F + 0.75F * std::max(0.0F, normal.dot(Eigen::Vector3f(-0.3F, -0.4F, -0.85F)));
+        const Eigen::Vector3f normal = render::interpolate(triangles, triangle, at, normals).normalized();
+        const float shade = 0.1F + 0.8F * std::max(0.0F, normal.dot(Eigen::Vector3f(-0.7F, -0.35F, -0.62F)));
+        if (marked != nullptr && (*marked)[static_cast<std::size_t>(triangle)] != 0) {
+          return {1, 0, 0};
+        }
         if (heat == nullptr) {
           return Eigen::Vector3f::Constant(shade);
         }
@@ -158,20 +284,91 @@ render::Picture draw(const fit::TemplateMesh& surface, const mesh::Vertices& ver
         const std::array<float, 3> weights{1 - at.x() - at.y(), at.x(), at.y()};
         for (int i = 0; i < 3; ++i) {
           value += weights[static_cast<std::size_t>(i)] *
-                   (*heat)[static_cast<std::size_t>(surface.triangles(i, triangle))];
+                   (*heat)[static_cast<std::size_t>(triangles(i, triangle))];
         }
         const auto colour = render::heat_colour(value);
         return (0.4F + 0.6F * shade) * Eigen::Vector3f(render::srgb8_to_linear(colour[0]),
                                                        render::srgb8_to_linear(colour[1]),
                                                        render::srgb8_to_linear(colour[2]));
       },
-      background, 2);
+      render::plain_picture(lens.width_px, lens.height_px, {20, 20, 20}), 2);
 }
+
+/// A part of a lens's picture, drawn larger.
+capture::Lens enlarged(capture::Lens lens, double x, double y, int width_px, int height_px, double factor) {
+  lens.distortion = {};
+  lens.fx_px *= factor;
+  lens.fy_px *= factor;
+  lens.cx_px = (lens.cx_px - x) * factor;
+  lens.cy_px = (lens.cy_px - y) * factor;
+  lens.width_px = static_cast<int>(width_px * factor);
+  lens.height_px = static_cast<int>(height_px * factor);
+  return lens;
+}
+
+/// Triangles that look the other way than the surface around them, of those whose corners all count.
+int find_folded(const mesh::Triangles& triangles, const mesh::Vertices& vertices_mm,
+                const std::function<bool(std::size_t)>& counts, std::vector<std::uint8_t>& folded) {
+  Eigen::Matrix3Xf normals;
+  mesh::vertex_normals(vertices_mm, triangles, normals);
+  folded.assign(static_cast<std::size_t>(triangles.cols()), 0);
+  int found = 0;
+  for (Eigen::Index t = 0; t < triangles.cols(); ++t) {
+    const auto corner = triangles.col(t);
+    const Eigen::Vector3f n = (vertices_mm.col(corner[1]) - vertices_mm.col(corner[0]))
+                                  .cross(vertices_mm.col(corner[2]) - vertices_mm.col(corner[0]));
+    if (counts(static_cast<std::size_t>(corner[0])) && counts(static_cast<std::size_t>(corner[1])) &&
+        counts(static_cast<std::size_t>(corner[2])) &&
+        n.dot(normals.col(corner[0]) + normals.col(corner[1]) + normals.col(corner[2])) < 0) {
+      folded[static_cast<std::size_t>(t)] = 1;
+      ++found;
+    }
+  }
+  return found;
+}
+
+/// From the true skin to a mesh: distances in mm and angles between the normals in degrees.
+struct SurfaceError {
+  std::vector<double> distances_mm;
+  std::vector<double> angles_deg;
+
+  /// skin: [truth vertex_count]; counts: whether a vertex of the mesh does
+  void add(const simulation::TruthMesh& truth, const Eigen::VectorXf& skin, const mesh::Triangles& triangles,
+           const mesh::Vertices& vertices_mm, const std::function<bool(std::size_t)>& counts) {
+    const render::Raycaster caster(vertices_mm, triangles);
+    Eigen::Matrix3Xf normals;
+    mesh::vertex_normals(vertices_mm, triangles, normals);
+    for (Eigen::Index v = 0; v < truth.vertices_mm.cols(); v += 3) {
+      if (skin[v] < 0.9F) {
+        continue;
+      }
+      const auto hit = caster.closest_point(truth.vertices_mm.col(v), 5);
+      if (hit.triangle < 0) {
+        continue;
+      }
+      const auto corner = triangles.col(hit.triangle);
+      if (!counts(static_cast<std::size_t>(corner[0])) || !counts(static_cast<std::size_t>(corner[1])) ||
+          !counts(static_cast<std::size_t>(corner[2]))) {
+        continue;
+      }
+      distances_mm.push_back(static_cast<double>(hit.distance_mm));
+      const float cosine = render::interpolate(triangles, hit.triangle, hit.barycentric, normals)
+                               .normalized()
+                               .dot(truth.normals.col(v));
+      angles_deg.push_back(std::acos(std::clamp(static_cast<double>(cosine), -1.0, 1.0)) * 180 /
+                           std::numbers::pi);
+    }
+  }
+};
 
 int run(int argc, char** argv) {
   CLI::App app{"Fits and tracks the template in the virtual booth and measures it against the truth."};
   std::string model_file = "assets/default.facemodel";
   std::string sheet;
+  std::string cache;
+  std::vector<int> sheet_at;
+  fit::FineOptions fine_options;
+  fine_options.sweeps = 0;
   simulation::BoothConfig config;
   config.seed = 5;
   int meshes = 30;
@@ -201,7 +398,13 @@ int run(int argc, char** argv) {
   app.add_flag("--no-reference", no_reference, "Flow from picture to picture alone, as in the paper");
   app.add_flag("!--no-expressions", options.knows_expressions, "E_r knows the pose alone");
   app.add_flag("!--fixed-rest", options.turns_with_the_head, "E_r as in the paper");
+  app.add_option("--fine", fine_options.sweeps, "Sweeps below the template; 0: none");
+  app.add_option("--fine-smoothness", fine_options.smoothness);
+  app.add_option("--cache", cache,
+                 "Folder that keeps what was rendered; to be emptied when the booth changes");
   app.add_option("--sheet", sheet, "PNG: picture, template, error of surface and of drift");
+  app.add_option("--sheet-at", sheet_at,
+                 "Meshes of which a sheet is made, their number before its name's end");
   CLI11_PARSE(app, argc, argv);
 
   const face::FaceModel model = face::FaceModel::load(model_file);
@@ -218,12 +421,22 @@ int run(int argc, char** argv) {
   }
   std::unique_ptr<gpu::Context> context;
   std::unique_ptr<StereoDepth> depth;
-  std::vector<double> stereo_ms;
   if (with_stereo) {
     context = std::make_unique<gpu::Context>(gpu::ContextOptions());
     depth = std::make_unique<StereoDepth>(*context, booth);
   }
-  std::mt19937_64 random(config.seed);
+  const Footage footage(booth, cache);
+  std::unique_ptr<fit::FineSurface> fine;
+  std::vector<float> displacements_mm;
+  std::vector<float> fine_confidence;
+  SurfaceError template_error;
+  SurfaceError fine_error;
+  std::vector<double> fine_ms;
+  if (fine_options.sweeps > 0) {
+    fine = std::make_unique<fit::FineSurface>(model.control, surface, fine_options);
+    fmt::print("fine surface: {} vertices, {} triangles\n", fine->hierarchy()->finest().vertex_count,
+               fine->hierarchy()->finest().triangles.cols());
+  }
   std::vector<fit::OpticalFlow> flows(colour.size());
   std::vector<Frame> before(colour.size());
   std::vector<fit::ReferencePicture> references;
@@ -237,20 +450,26 @@ int run(int argc, char** argv) {
   std::vector<float> drift_heat(followers.size());
   Eigen::Matrix3Xf normals;
   std::vector<double> all_distances;
-  std::vector<std::uint8_t> measured(followers.size(), 0);
+  std::vector<std::uint8_t> folded_triangles;
+  std::vector<std::uint8_t> fine_folded_triangles;
+  int folded_ever = 0;
+  int fine_folded = 0;
+  mesh::Vertices fine_mm;
+  Eigen::Matrix3Xf fine_normals;
   for (int m = 0; m < meshes; ++m) {
-    const simulation::BoothSlot slot = booth.slot(first_slot + static_cast<std::uint64_t>(3 * m + 2));
-    const simulation::TruthMesh truth = slot.surface();
+    const std::uint64_t slot = first_slot + static_cast<std::uint64_t>(3 * m + 2);
+    std::mt19937_64 random(config.seed * 100'000 + slot);
+    const simulation::TruthMesh truth = footage.truth(slot);
     std::vector<capture::DepthMap> maps;
     if (with_stereo) {
-      maps = depth->at(slot.number(), stereo_ms.emplace_back());
+      maps = footage.stereo(slot, *depth);
     }
     for (const capture::StereoPair& pair : with_stereo ? std::vector<capture::StereoPair>() : rig.pairs) {
       maps.push_back(depth_of(truth, rig.cameras[pair.left].lens, noise_mm, random));
     }
     std::vector<Frame> pictures;
     for (const std::size_t camera : colour) {
-      pictures.push_back(slot.frame(camera));
+      pictures.push_back(footage.picture(slot, camera));
     }
     const render::Raycaster caster(truth.vertices_mm, truth.triangles);
     fit::FitReport report;
@@ -342,19 +561,21 @@ int run(int argc, char** argv) {
       drifts.push_back(static_cast<double>((true_mm - at).norm()));
       drift_heat[v] = static_cast<float>(drifts.back()) / 3.0F;
     }
-    // Folded over: a triangle that looks the other way than the surface around it.
-    mesh::vertex_normals(now_mm, surface->triangles, normals);
-    int folded = 0;
-    for (Eigen::Index t = 0; t < surface->triangles.cols(); ++t) {
-      const auto corner = surface->triangles.col(t);
-      const bool counted = followers[static_cast<std::size_t>(corner[0])].triangle >= 0 &&
-                           followers[static_cast<std::size_t>(corner[1])].triangle >= 0 &&
-                           followers[static_cast<std::size_t>(corner[2])].triangle >= 0;
-      const Eigen::Vector3f n = (now_mm.col(corner[1]) - now_mm.col(corner[0]))
-                                    .cross(now_mm.col(corner[2]) - now_mm.col(corner[0]));
-      folded += counted && n.dot(normals.col(corner[0]) + normals.col(corner[1]) + normals.col(corner[2])) < 0
-                    ? 1
-                    : 0;
+    const int folded = find_folded(
+        surface->triangles, now_mm, [&](std::size_t v) { return followers[v].triangle >= 0; },
+        folded_triangles);
+    folded_ever += folded;
+    if (fine != nullptr) {
+      const auto begun = Clock::now();
+      fine->fit(maps, now_mm, displacements_mm, fine_confidence);
+      fine_ms.push_back(ms_since(begun));
+      mesh::rebuild_finest(*fine->hierarchy(), now_mm, displacements_mm, fine_mm, fine_normals);
+      const auto seen = [&](std::size_t v) { return fine_confidence[v] > 0.2F; };
+      if (m % 10 == 0 || m + 1 == meshes) {
+        template_error.add(truth, booth.skin(), surface->triangles, now_mm, seen);
+        fine_error.add(truth, booth.skin(), fine->hierarchy()->finest().triangles, fine_mm, seen);
+      }
+      fine_folded += find_folded(fine->hierarchy()->finest().triangles, fine_mm, seen, fine_folded_triangles);
     }
     all_distances.insert(all_distances.end(), distances.begin(), distances.end());
     const Spread distance(std::move(distances));
@@ -367,24 +588,68 @@ int run(int argc, char** argv) {
           to_string(report.outcome), report.steps, report.surface_rms_mm, report.motion_rms_px,
           100 * report.seen, 100 * report.followed);
     }
+    if (!sheet.empty() && (m + 1 == meshes || std::count(sheet_at.begin(), sheet_at.end(), m) > 0)) {
+      // The face in the last colour camera's picture, twice as large.
+      constexpr int kPart_px = 300;
+      const capture::Lens& whole = rig.cameras[colour.back()].lens;
+      mesh::Vertices counted_mm(3, 0);
+      for (std::size_t v = 0; v < followers.size(); ++v) {
+        if (followers[v].triangle >= 0) {
+          counted_mm.conservativeResize(3, counted_mm.cols() + 1);
+          counted_mm.rightCols(1) = now_mm.col(static_cast<Eigen::Index>(v));
+        }
+      }
+      const Eigen::Vector2d middle =
+          whole.project(counted_mm.rowwise().mean().cast<double>()).value_or(Eigen::Vector2d(320, 240));
+      const double x = std::round(middle.x() - kPart_px / 2);
+      const double y = std::round(middle.y() - kPart_px / 2);
+      const capture::Lens lens = enlarged(whole, x, y, kPart_px, kPart_px, 2);
+      const render::Picture picture =
+          render::resize(render::crop(render::to_picture(pictures.back()), static_cast<int>(x),
+                                      static_cast<int>(y), kPart_px, kPart_px),
+                         lens.width_px, lens.height_px);
+      std::vector<render::Picture> parts = {
+          picture, draw(surface->triangles, now_mm, nullptr, &folded_triangles, lens),
+          draw(surface->triangles, now_mm, &distance_heat, nullptr, lens),
+          draw(surface->triangles, now_mm, &drift_heat, &folded_triangles, lens)};
+      if (fine != nullptr) {
+        parts.push_back(
+            draw(fine->hierarchy()->finest().triangles, fine_mm, nullptr, &fine_folded_triangles, lens));
+        parts.push_back(draw(truth.triangles, truth.vertices_mm, nullptr, nullptr, lens));
+      }
+      const int columns = static_cast<int>(parts.size()) / 2;
+      render::Picture out = render::plain_picture(columns * lens.width_px, 2 * lens.height_px, {0, 0, 0});
+      for (int i = 0; i < static_cast<int>(parts.size()); ++i) {
+        render::paste(out, parts[static_cast<std::size_t>(i)], i % columns * lens.width_px,
+                      i / columns * lens.height_px);
+      }
+      std::filesystem::path file = sheet;
+      if (m + 1 != meshes) {
+        file.replace_filename(fmt::format("{}-{}{}", file.stem().string(), m, file.extension().string()));
+      }
+      render::write_png(out, file);
+    }
     before = std::move(pictures);
   }
   const Spread all(std::move(all_distances));
   fmt::print(
-      "all: distance mean {:.3f} p95 {:.3f} mm; track {:.0f} ms, flow of {} cameras {:.0f} ms, stereo {:.0f} "
-      "ms a mesh\n",
-      all.mean(), all.at(0.95), Spread(fit_ms).mean(), colour.size(), Spread(flow_ms).mean(),
-      Spread(stereo_ms).mean());
-  if (!sheet.empty()) {
-    const capture::Lens& lens = rig.cameras[colour.back()].lens;
-    const render::Picture picture = render::to_picture(before.back());
-    render::Picture out = render::plain_picture(4 * picture.width_px, picture.height_px, {0, 0, 0});
-    render::paste(out, picture, 0, 0);
-    const render::Picture dark = render::plain_picture(picture.width_px, picture.height_px, {20, 20, 20});
-    render::paste(out, draw(*surface, now_mm, nullptr, lens, dark), picture.width_px, 0);
-    render::paste(out, draw(*surface, now_mm, &distance_heat, lens, dark), 2 * picture.width_px, 0);
-    render::paste(out, draw(*surface, now_mm, &drift_heat, lens, dark), 3 * picture.width_px, 0);
-    render::write_png(out, sheet);
+      "all: distance mean {:.3f} p95 {:.3f} mm, folded {} in all; track {:.0f} ms, flow of {} cameras {:.0f} "
+      "ms "
+      "a mesh\n",
+      all.mean(), all.at(0.95), folded_ever, Spread(fit_ms).mean(), colour.size(), Spread(flow_ms).mean());
+  if (fine != nullptr) {
+    for (const auto& [name, error] :
+         {std::pair<const char*, const SurfaceError&>("template", template_error), {"fine", fine_error}}) {
+      const Spread distance(error.distances_mm);
+      const Spread angle(error.angles_deg);
+      fmt::print(
+          "{}: from the true skin mean {:.4f} median {:.4f} p95 {:.4f} mm, normals mean {:.2f} median {:.2f} "
+          "p95 "
+          "{:.2f} degrees\n",
+          name, distance.mean(), distance.at(0.5), distance.at(0.95), angle.mean(), angle.at(0.5),
+          angle.at(0.95));
+    }
+    fmt::print("fine: folded {} in all; {:.0f} ms a mesh\n", fine_folded, Spread(fine_ms).mean());
   }
   return 0;
 }

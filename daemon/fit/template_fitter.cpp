@@ -10,6 +10,7 @@
 #include <optional>
 
 #include "facet/error.hpp"
+#include "fit/depth_pull.hpp"
 
 namespace facet::fit {
 
@@ -25,8 +26,6 @@ using Eigen::Vector3f;
 
 constexpr float kSettledMm = 0.005F;
 constexpr double kLeastSeen = 0.05;
-constexpr float kSurfaceBreakMm = 4;    ///< between neighbouring pixels: two surfaces
-constexpr float kSurfaceTwistMm = 1;    ///< of four pixels, off a plane
 constexpr float kCameraFacing = 0.15F;  ///< least cosine between normal and view for a flow to count
 constexpr float kVisibilityMarginMm = 4;
 constexpr double kPatches = 100;
@@ -34,66 +33,6 @@ constexpr double kExpressionMisfitMm = 0.5;  ///< what expressions do not explai
 constexpr float kRimPx = 5;                  ///< half of a flow's patch and a little
 constexpr float kRimJumpMm = 12;             ///< in depth: another part of the face
 constexpr float kResidualReduction = 1e-4F;  ///< of the conjugate gradients
-
-/// Weight of Tukey's biweight: rho'(x) / x, 1 at 0, 0 beyond sigma.
-float tukey_weight(float x, float sigma) {
-  const float ratio = x / sigma;
-  const float rest = 1 - ratio * ratio;
-  return rest > 0 ? rest * rest : 0.0F;
-}
-
-/// A pinhole in single precision.
-struct Pinhole {
-  explicit Pinhole(const Lens& lens)
-      : rotation(lens.camera_from_rig.linear().cast<float>()),
-        translation(lens.camera_from_rig.translation().cast<float>()),
-        fx(static_cast<float>(lens.fx_px)),
-        fy(static_cast<float>(lens.fy_px)),
-        cx(static_cast<float>(lens.cx_px)),
-        cy(static_cast<float>(lens.cy_px)) {}
-
-  Matrix3f rotation;
-  Vector3f translation;
-  float fx, fy, cx, cy;
-};
-
-/// What a depth map says at a place between its pixels.
-struct DepthSample {
-  float depth_mm = 0;
-  float slope_x = 0;  ///< mm per px
-  float slope_y = 0;
-  float confidence = 0;
-};
-
-std::optional<DepthSample> sample(const DepthMap& map, float x, float y) {
-  if (!(x >= 0) || !(y >= 0) || !(x < static_cast<float>(map.width_px - 1)) ||
-      !(y < static_cast<float>(map.height_px - 1))) {
-    return std::nullopt;
-  }
-  const int left = static_cast<int>(x);
-  const int top = static_cast<int>(y);
-  const std::size_t at =
-      static_cast<std::size_t>(top) * static_cast<std::size_t>(map.width_px) + static_cast<std::size_t>(left);
-  const std::size_t below = at + static_cast<std::size_t>(map.width_px);
-  const float a = map.depth_mm[at];
-  const float b = map.depth_mm[at + 1];
-  const float c = map.depth_mm[below];
-  const float d = map.depth_mm[below + 1];
-  if (!(a > 0) || !(b > 0) || !(c > 0) || !(d > 0) ||
-      std::max({a, b, c, d}) - std::min({a, b, c, d}) > kSurfaceBreakMm ||
-      std::abs(a - b - c + d) > kSurfaceTwistMm) {
-    return std::nullopt;
-  }
-  const float u = x - static_cast<float>(left);
-  const float v = y - static_cast<float>(top);
-  DepthSample result;
-  result.depth_mm = (a * (1 - u) + b * u) * (1 - v) + (c * (1 - u) + d * u) * v;
-  result.slope_x = (b - a) * (1 - v) + (d - c) * v;
-  result.slope_y = (c - a) * (1 - u) + (d - b) * u;
-  result.confidence = std::min(
-      {map.confidence[at], map.confidence[at + 1], map.confidence[below], map.confidence[below + 1]});
-  return result;
-}
 
 /// A bilinear sample of a flow; nothing where one of its pixels knows nothing.
 std::optional<Vector2f> sample(const FlowView& view, float x, float y, float& confidence) {
@@ -400,38 +339,14 @@ void TemplateFitter::Impl::add_depth(const DepthMap& map, const mesh::Vertices& 
     if (surface->is_skin[vertex] == 0) {
       continue;
     }
-    const Vector3f at = camera.rotation * vertices_mm.col(v) + camera.translation;
-    if (!(at.z() > 1)) {
+    const auto pull = pull_of(map, camera, vertices_mm.col(v), normals.col(v), sigma);
+    if (!pull || !(pull->weight > 0)) {
       continue;
     }
-    const float x = camera.fx * at.x() / at.z() + camera.cx;
-    const float y = camera.fy * at.y() / at.z() + camera.cy;
-    const auto depth = sample(map, x, y);
-    if (!depth) {
-      continue;
-    }
-    const float difference = at.z() - depth->depth_mm;
-    // The map's surface: z(x, y); its normal, towards the camera, from the two tangents.
-    const float z = depth->depth_mm;
-    const float px = (x - camera.cx) / camera.fx;
-    const float py = (y - camera.cy) / camera.fy;
-    const Vector3f along_x(depth->slope_x * px + z / camera.fx, depth->slope_x * py, depth->slope_x);
-    const Vector3f along_y(depth->slope_y * px, depth->slope_y * py + z / camera.fy, depth->slope_y);
-    const Vector3f normal = along_y.cross(along_x).normalized();
-    const float alike = normal.dot(camera.rotation * normals.col(v));
-    // Along z a steep surface's error is longer than it is: what counts is the distance to the surface.
-    const float facing = -normal.dot(at.normalized());
-    const float weight = depth->confidence * std::max(0.0F, alike) * std::max(0.0F, facing) *
-                         std::max(0.0F, facing) * tukey_weight(difference, sigma);
-    if (!(weight > 0)) {
-      continue;
-    }
-    // d(z - Z(x, y)) by the point, camera frame: what the vertex passes over counts, too.
-    const Vector3f slope(-depth->slope_x * camera.fx / at.z(), -depth->slope_y * camera.fy / at.z(),
-                         1 + (depth->slope_x * (x - camera.cx) + depth->slope_y * (y - camera.cy)) / at.z());
-    const Vector3f jacobian = camera.rotation.transpose() * slope;
-    blocks[vertex].noalias() += weight * jacobian * jacobian.transpose();
-    gradient.col(v) += weight * difference * jacobian;
+    const float weight = pull->weight;
+    const float difference = pull->difference_mm;
+    blocks[vertex].noalias() += weight * pull->jacobian * pull->jacobian.transpose();
+    gradient.col(v) += weight * difference * pull->jacobian;
     depth_pull[vertex] += weight;
     surface_squares += static_cast<double>(weight * difference * difference);
     surface_weight += static_cast<double>(weight);

@@ -32,6 +32,19 @@ class ContentHash {
   std::uint64_t state_ = 0xcbf29ce484222325;
 };
 
+std::uint64_t hash(const Hierarchy& hierarchy) {
+  ContentHash content;
+  content.add(&hierarchy.control_vertex_count, 1);
+  for (const Level& level : hierarchy.levels) {
+    content.add(&level.vertex_count, 1);
+    content.add(level.triangles.data(), static_cast<std::size_t>(level.triangles.size()));
+    content.add(level.from_coarser.row_offsets.data(), level.from_coarser.row_offsets.size());
+    content.add(level.from_coarser.columns.data(), level.from_coarser.columns.size());
+    content.add(level.from_coarser.weights.data(), level.from_coarser.weights.size());
+  }
+  return content.value() != 0 ? content.value() : 1;
+}
+
 SparseRows to_rows(const AdaptiveSurface::Stencils& stencils) {
   SparseRows rows;
   rows.row_offsets.reserve(static_cast<std::size_t>(stencils.rows()) + 1);
@@ -68,6 +81,18 @@ std::optional<AdaptiveSurface::Stencils> sweep(AdaptiveSurface& surface, const H
   return stencils;
 }
 
+/// Texture coordinates of the control mesh to those of the finest level, and the id.
+void complete(Hierarchy& hierarchy) {
+  Eigen::MatrixXf texture_coordinates = hierarchy.texture_coordinates;
+  for (const Level& level : hierarchy.levels) {
+    Eigen::MatrixXf finer;
+    apply(level.from_coarser, texture_coordinates, finer);
+    texture_coordinates = std::move(finer);
+  }
+  hierarchy.texture_coordinates = texture_coordinates;
+  hierarchy.id = hash(hierarchy);
+}
+
 void check(const ControlMesh& control, const TextureCoordinates& control_px,
            const std::vector<std::uint8_t>& facing, const HierarchyOptions& options) {
   if (control.quads.cols() == 0) {
@@ -91,19 +116,6 @@ void check(const ControlMesh& control, const TextureCoordinates& control_px,
 }
 
 }  // namespace
-
-std::uint64_t content_hash(const Hierarchy& hierarchy) {
-  ContentHash content;
-  content.add(&hierarchy.control_vertex_count, 1);
-  for (const Level& level : hierarchy.levels) {
-    content.add(&level.vertex_count, 1);
-    content.add(level.triangles.data(), static_cast<std::size_t>(level.triangles.size()));
-    content.add(level.from_coarser.row_offsets.data(), level.from_coarser.row_offsets.size());
-    content.add(level.from_coarser.columns.data(), level.from_coarser.columns.size());
-    content.add(level.from_coarser.weights.data(), level.from_coarser.weights.size());
-  }
-  return content.value() != 0 ? content.value() : 1;
-}
 
 std::shared_ptr<const Hierarchy> build_hierarchy(const ControlMesh& control,
                                                  const TextureCoordinates& control_px,
@@ -140,14 +152,42 @@ std::shared_ptr<const Hierarchy> build_hierarchy(const ControlMesh& control,
     hierarchy->levels.push_back(make_level(surface, stencils));
   }
 
-  Eigen::MatrixXf texture_coordinates = control.texture_coordinates;
-  for (const Level& level : hierarchy->levels) {
-    Eigen::MatrixXf finer;
-    apply(level.from_coarser, texture_coordinates, finer);
-    texture_coordinates = std::move(finer);
+  hierarchy->texture_coordinates = control.texture_coordinates;
+  complete(*hierarchy);
+  return hierarchy;
+}
+
+std::shared_ptr<const Hierarchy> build_hierarchy_below(const ControlMesh& control,
+                                                       std::int32_t coarse_vertex_count, int sweeps) {
+  const auto count = static_cast<std::size_t>(control.vertex_count);
+  const TextureCoordinates nowhere_px = TextureCoordinates::Zero(2, control.vertex_count);
+  check(control, nowhere_px, std::vector<std::uint8_t>(count, 1), {});
+  AdaptiveSurface surface(control.quads, nowhere_px, control.refinable);
+  AdaptiveSurface::Stencils stencils = surface.bisect_all();
+  while (surface.vertex_count() < coarse_vertex_count) {
+    stencils = (surface.bisect_all() * stencils).pruned();
   }
+  if (surface.vertex_count() != coarse_vertex_count || sweeps < 1) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("no whole sweeps of the control mesh give {} vertices, or {} further sweeps make "
+                            "no sense",
+                            coarse_vertex_count, sweeps));
+  }
+  auto hierarchy = std::make_shared<Hierarchy>();
+  hierarchy->control_vertex_count = coarse_vertex_count;
+  AdaptiveSurface::Stencils own(coarse_vertex_count, coarse_vertex_count);
+  own.setIdentity();
+  hierarchy->levels.push_back(make_level(surface, own));
+  Eigen::MatrixXf texture_coordinates;
+  apply(to_rows(stencils), Eigen::MatrixXf(control.texture_coordinates), texture_coordinates);
   hierarchy->texture_coordinates = texture_coordinates;
-  hierarchy->id = content_hash(*hierarchy);
+  AdaptiveSurface::Stencils further = own;
+  constexpr float kWhateverItsLengthPx = -1;
+  for (int i = 0; i < sweeps; ++i) {
+    further = (surface.bisect_larger_than(kWhateverItsLengthPx) * further).pruned();
+  }
+  hierarchy->levels.push_back(make_level(surface, further));
+  complete(*hierarchy);
   return hierarchy;
 }
 

@@ -77,8 +77,17 @@ std::shared_ptr<const Hierarchy> build_hierarchy(const ControlMesh& control,
                                                  const std::vector<std::uint8_t>& facing,
                                                  const HierarchyOptions& options);
 
-/// Hash of a hierarchy's topology and stencils, for Hierarchy::id; never 0. Any thread.
-std::uint64_t content_hash(const Hierarchy& hierarchy);
+/// A hierarchy below a mesh that is itself the control mesh refined in whole sweeps: that mesh's vertices are
+/// the control vertices and level 0 (each its own stencil); level 1 is `sweeps` further sweeps of the blocks
+/// whose three vertices come from refinable ones (ControlMesh::refinable; facing and projections play no
+/// part). Masks and numbering as above.
+///
+/// coarse_vertex_count  of the mesh after as many whole sweeps as it takes, at least one
+/// errors               Error(UnreadableInput) as above; Error(Usage) where no number of whole sweeps gives
+///                      coarse_vertex_count or sweeps is below 1
+/// Start-up only; any thread.
+std::shared_ptr<const Hierarchy> build_hierarchy_below(const ControlMesh& control,
+                                                       std::int32_t coarse_vertex_count, int sweeps);
 
 /// Pushes control positions through the stencils to every level: out[l] is [3][levels[l].vertex_count].
 /// Allocates on the first call only; any thread.

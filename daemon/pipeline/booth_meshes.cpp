@@ -354,6 +354,7 @@ void BoothMeshes::Impl::perform(Seen& item) {
   shown.tracking = frame->state;
   shown.mesh_frames += frame->state == mesh::TrackingState::Tracking ? 1 : 0;
   shown.face_frames += frame->state == mesh::TrackingState::Tracking || !frame->landmarks_px.empty() ? 1 : 0;
+  shown.refined_frames += frame->displacements_mm.empty() ? 0 : 1;
   shown.subjects = subjects;
   if (frame->subject != nullptr) {
     shown.finest_vertices = frame->subject->hierarchy->finest().vertex_count;
@@ -450,6 +451,7 @@ void BoothMeshes::fill(PipelineStatus& status) const {
   status.processed = shown.processed;
   status.mesh_frames = shown.mesh_frames;
   status.face_frames = shown.face_frames;
+  status.refined_frames = shown.refined_frames;
   status.degraded_frames = shown.degraded_frames;
   status.degraded_reason = shown.degraded_reason;
   status.subjects = shown.subjects;

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "facet/error.hpp"
+#include "fit/fine_surface.hpp"
 #include "fit/optical_flow.hpp"
 #include "fit/reference_picture.hpp"
 #include "fit/template_mesh.hpp"
@@ -77,17 +78,22 @@ struct PerformanceTracker::Impl {
   fit::FitOptions options;
   std::shared_ptr<const fit::TemplateMesh> surface;
   fit::TemplateFitter fitter;
+  fit::FineSurface fine;
   mesh::Vertices control_mm;      ///< of the model's mean face, head frame
   Eigen::VectorXd rigid_weights;  ///< [vertex_count] 1 on skin that expressions hardly move
   std::list<View> views;          ///< colour cameras
 
   std::shared_ptr<const mesh::Subject> subject;  ///< null: nobody is followed
   std::uint32_t subject_count = 0;
-  Eigen::Matrix3Xd rest_mm;  ///< [3][vertex_count] the person in the first slot, head frame
-  mesh::Vertices now_mm;     ///< rig frame
-  int gaps = 0;              ///< slots since the last mesh
+  Eigen::Matrix3Xd rest_mm;             ///< [3][vertex_count] the person in the first slot, head frame
+  mesh::Vertices now_mm;                ///< rig frame
+  int gaps = 0;                         ///< slots since the last mesh
+  std::vector<float> displacements_mm;  ///< [finest vertex_count]
+  std::vector<float> confidence;
   VertexTexture texture;
   Eigen::Matrix3Xf normals;  ///< of now_mm
+  mesh::Vertices fine_mm;    ///< [3][finest vertex_count] rig frame
+  Eigen::Matrix3Xf fine_normals;
   std::vector<std::uint8_t> visible;
   std::vector<std::uint8_t> drawn;
 
@@ -95,6 +101,7 @@ struct PerformanceTracker::Impl {
   std::string place(const FrameSet& set, std::span<const capture::DepthMap> maps, mesh::MeshFrame& out);
   std::string follow(const FrameSet& set, std::span<const capture::DepthMap> maps);
   fit::FitReport follow_flow(const FrameSet& set, std::span<const capture::DepthMap> maps);
+  void refine(const FrameSet& set, std::span<const capture::DepthMap> maps, mesh::MeshFrame& out);
   void remember(const FrameSet& set);
   void forget_pictures();
   void fill(mesh::MeshFrame& out);
@@ -108,7 +115,8 @@ PerformanceTracker::Impl::Impl(std::shared_ptr<const face::FaceModel> given_mode
       rig(std::move(given_rig)),
       options(given_options),
       surface(std::make_shared<const fit::TemplateMesh>(fit::make_template(*model))),
-      fitter(surface, options) {
+      fitter(surface, options),
+      fine(model->control, surface) {
   model->evaluate({}, {}, control_mm);
   // Expressions move the upper face little: what lies above the mouth's corners by the neutral face.
   const auto mouth = static_cast<std::size_t>(61);  // the mouth's corner in MediaPipe's order
@@ -185,8 +193,9 @@ std::string PerformanceTracker::Impl::place(const FrameSet& set, std::span<const
   const Eigen::Isometry3d head_from_rig =
       fit::align_rigidly(now_mm.cast<double>(), surface->neutral_mm.cast<double>(), rigid_weights);
   rest_mm = head_from_rig * now_mm.cast<double>();
-  subject = build_template_subject(*surface, *model, ++subject_count);
-  texture.begin(now_mm.cols());
+  subject = build_template_subject(*surface, fine.hierarchy(), *model, ++subject_count);
+  texture.begin(fine.hierarchy()->finest().vertex_count);
+  displacements_mm.clear();
   mesh::vertex_normals(now_mm, surface->triangles, normals);
   for (View& view : views) {
     view.reference.reset();
@@ -253,6 +262,24 @@ std::string PerformanceTracker::Impl::follow(const FrameSet& set, std::span<cons
                      fit::to_string(report.outcome), report.surface_rms_mm, 100 * report.seen);
 }
 
+/// The fine levels, and the texture on them.
+void PerformanceTracker::Impl::refine(const FrameSet& set, std::span<const capture::DepthMap> maps,
+                                      mesh::MeshFrame& out) {
+  Clock::time_point begun = Clock::now();
+  fine.fit(maps, now_mm, displacements_mm, confidence);
+  out.displacements_mm.assign(displacements_mm.begin(), displacements_mm.end());
+  out.confidence.assign(confidence.begin(), confidence.end());
+  out.stage_ms.displacement_ms = ms_since(begun);
+  begun = Clock::now();
+  const mesh::Hierarchy& hierarchy = *fine.hierarchy();
+  mesh::rebuild_finest(hierarchy, now_mm, displacements_mm, fine_mm, fine_normals);
+  for (const View& view : views) {
+    texture.add(view.camera->lens, picture(set, view), fine_mm, fine_normals, hierarchy.finest().triangles);
+  }
+  texture.publish();
+  out.stage_ms.albedo_ms = ms_since(begun);
+}
+
 /// What the next slot's flow begins with.
 void PerformanceTracker::Impl::remember(const FrameSet& set) {
   for (View& view : views) {
@@ -302,14 +329,7 @@ void PerformanceTracker::process(const FrameSet& set, std::span<const capture::D
   if (missing.empty()) {
     impl.gaps = 0;
     out.state = mesh::TrackingState::Tracking;
-    mesh::vertex_normals(impl.now_mm, impl.surface->triangles, impl.normals);
-    begun = Clock::now();
-    for (const View& view : impl.views) {
-      impl.texture.add(view.camera->lens, impl.picture(set, view), impl.now_mm, impl.normals,
-                       impl.surface->triangles);
-    }
-    impl.texture.publish();
-    out.stage_ms.albedo_ms = ms_since(begun);
+    impl.refine(set, maps, out);
     impl.fill(out);
     impl.remember(set);
   } else {

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cstring>
 #include <limits>
-#include <numeric>
 #include <span>
 #include <utility>
 
@@ -76,31 +75,16 @@ std::shared_ptr<const mesh::Subject> build_subject(const face::FaceModel& model,
 }
 
 std::shared_ptr<const mesh::Subject> build_template_subject(const fit::TemplateMesh& surface,
+                                                            std::shared_ptr<const mesh::Hierarchy> hierarchy,
                                                             const face::FaceModel& model,
                                                             std::uint32_t count) {
-  const auto vertices = static_cast<std::size_t>(surface.vertex_count());
-  auto hierarchy = std::make_shared<mesh::Hierarchy>();
-  hierarchy->control_vertex_count = surface.vertex_count();
-  mesh::Level& level = hierarchy->levels.emplace_back();
-  level.vertex_count = surface.vertex_count();
-  level.triangles = surface.triangles;
-  level.one_rings = surface.one_rings;
-  level.from_coarser.row_offsets.resize(vertices + 1);
-  std::iota(level.from_coarser.row_offsets.begin(), level.from_coarser.row_offsets.end(), 0);
-  level.from_coarser.columns.resize(vertices);
-  std::iota(level.from_coarser.columns.begin(), level.from_coarser.columns.end(), 0);
-  level.from_coarser.weights.assign(vertices, 1.0F);
-  Eigen::MatrixXf texture_coordinates;
-  mesh::apply(surface.from_control, model.control.texture_coordinates, texture_coordinates);
-  hierarchy->texture_coordinates = texture_coordinates;
-  hierarchy->id = mesh::content_hash(*hierarchy);
-
   auto subject = std::make_shared<mesh::Subject>();
   subject->expression_names = model.expression_names;
   const mesh::SparseRows& rows = surface.from_control;
-  for (std::size_t v = 0; v < vertices; ++v) {
-    const auto first = rows.weights.begin() + rows.row_offsets[v];
-    const auto heaviest = std::max_element(first, rows.weights.begin() + rows.row_offsets[v + 1]);
+  for (std::int32_t v = 0; v < surface.vertex_count(); ++v) {
+    const auto row = static_cast<std::size_t>(v);
+    const auto first = rows.weights.begin() + rows.row_offsets[row];
+    const auto heaviest = std::max_element(first, rows.weights.begin() + rows.row_offsets[row + 1]);
     const std::int32_t control = rows.columns[static_cast<std::size_t>(heaviest - rows.weights.begin())];
     subject->regions.push_back(model.regions[static_cast<std::size_t>(control)]);
   }

@@ -24,9 +24,11 @@ std::shared_ptr<const mesh::Subject> build_subject(const face::FaceModel& model,
                                                    const mesh::MeshFrame& first_good,
                                                    const std::vector<float>& identity, std::uint32_t count);
 
-/// The same of a person whom the template was fitted to: one level, the template's mesh, whose vertices are
-/// the control vertices. No identity coefficients.
+/// The same of a person whom the template was fitted to: control vertices are the template's. No identity
+/// coefficients.
+/// hierarchy  of the template (fit::FineSurface)
 std::shared_ptr<const mesh::Subject> build_template_subject(const fit::TemplateMesh& surface,
+                                                            std::shared_ptr<const mesh::Hierarchy> hierarchy,
                                                             const face::FaceModel& model,
                                                             std::uint32_t count);
 

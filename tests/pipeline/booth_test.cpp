@@ -234,14 +234,14 @@ TEST_F(Texture, IsTheMeanOfWhatIsSeen) {
 TEST(TemplateSubject, CarriesTheTemplateAsItIs) {
   const face::FaceModel model = test::synthetic_model(17);
   const fit::TemplateMesh surface = fit::make_template(model, 3000);
-  const auto subject = build_template_subject(surface, model, 1);
+  const auto hierarchy = mesh::build_hierarchy_below(model.control, surface.vertex_count(), 1);
+  const auto subject = build_template_subject(surface, hierarchy, model, 1);
   EXPECT_EQ(subject->hierarchy->control_vertex_count, surface.vertex_count());
   EXPECT_EQ(subject->regions.size(), static_cast<std::size_t>(surface.vertex_count()));
-  EXPECT_NE(subject->id, build_template_subject(surface, model, 2)->id);
-  mesh::Vertices vertices_mm;
-  Eigen::Matrix3Xf normals;
-  mesh::rebuild_finest(*subject->hierarchy, surface.neutral_mm, {}, vertices_mm, normals);
-  EXPECT_EQ(vertices_mm, surface.neutral_mm);
+  EXPECT_NE(subject->id, build_template_subject(surface, hierarchy, model, 2)->id);
+  std::vector<mesh::Vertices> levels;
+  mesh::push_positions(*subject->hierarchy, surface.neutral_mm, levels);
+  EXPECT_EQ(levels.front(), surface.neutral_mm);
   // Control vertices keep their places in the template, and with them their regions.
   for (std::size_t v = 0; v < model.regions.size(); ++v) {
     EXPECT_EQ(subject->regions[v], model.regions[v]);
@@ -416,8 +416,10 @@ TEST_F(Booth, EveryBlankSlotBecomesAMesh) {
     EXPECT_GT(frame.stage_ms.depth_ms, 0);
     EXPECT_EQ(frame.expression.size(), frame.subject->expression_names.size());
     ASSERT_NE(frame.albedo, nullptr);
-    EXPECT_EQ(frame.albedo->linear_rgb.size(),
-              3 * static_cast<std::size_t>(frame.control_vertices_mm.cols()));
+    ASSERT_EQ(frame.displacements_mm.size(),
+              static_cast<std::size_t>(frame.subject->hierarchy->finest().vertex_count));
+    EXPECT_EQ(frame.confidence.size(), frame.displacements_mm.size());
+    EXPECT_EQ(frame.albedo->linear_rgb.size(), 3 * frame.displacements_mm.size());
     EXPECT_TRUE(subject == 0 || subject == frame.subject->id) << "it is the same person";
     subject = frame.subject->id;
   }
