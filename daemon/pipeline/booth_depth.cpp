@@ -138,6 +138,10 @@ BoothDepth::BoothDepth(const std::string& gpu_device, std::shared_ptr<const capt
 
 BoothDepth::~BoothDepth() = default;
 
+const stereo::DepthRange& BoothDepth::depths() const {
+  return impl_->options.depths;
+}
+
 std::string BoothDepth::device() const {
   return impl_->context ? impl_->context->info().name : "";
 }

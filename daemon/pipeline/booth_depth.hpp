@@ -38,6 +38,8 @@ class BoothDepth {
              stereo::DepthRange depths, int most_slots);
   ~BoothDepth();
 
+  /// Between which depths are found.
+  const stereo::DepthRange& depths() const;
   /// For people; empty while the device is lost.
   std::string device() const;
 

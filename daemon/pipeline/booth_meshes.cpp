@@ -28,6 +28,9 @@ enum Worker : std::size_t { kDepth, kPerform };
 /// A gap of more slots ends a run.
 constexpr std::uint64_t kMostGap = 2 * kDepthReach;
 
+/// The rig is looked at in one of so many blank slots.
+constexpr std::uint64_t kCheckPeriod = 5;
+
 float ms_since(Clock::time_point start) {
   return std::chrono::duration<float, std::milli>(Clock::now() - start).count();
 }
@@ -86,6 +89,7 @@ BoothStages open_booth(const BoothConfig& config, int blanks_per_run) {
   const auto slots_between = static_cast<int>(config.stripes.size());
   const int most_slots = (blanks_per_run - 1) * slots_between + 1 + 2 * static_cast<int>(kDepthReach);
   stages.depth = std::make_unique<BoothDepth>(config.gpu_device, stages.rig, config.depths, most_slots);
+  stages.check = std::make_unique<RigCheck>(stages.rig, stages.depth->depths());
   return stages;
 }
 
@@ -136,6 +140,8 @@ struct BoothMeshes::Impl {
   FramePool pool;
   std::uint32_t subjects = 0;
   std::uint64_t subject_id = 0;
+  std::uint64_t unchecked = 0;  ///< slots since the rig was looked at
+  std::string rig_wrong;        ///< RigCheck::look
   mesh::TrackingState state = mesh::TrackingState::Searching;
 
   void fail(ErrorKind kind, const std::string& what);
@@ -148,6 +154,7 @@ struct BoothMeshes::Impl {
   void check_size(const FrameSet& set) const;
   void perform();
   void perform(Seen& item);
+  void check_rig(const FrameSet& set, mesh::MeshFrame& frame);
   void tell(const mesh::MeshFrame& frame);
 };
 
@@ -345,6 +352,7 @@ void BoothMeshes::Impl::perform(Seen& item) {
   }
   stages.tracker->process(*item.set, item.maps, *frame);
   frame->stage_ms.latency_ms = ms_since(item.complete);
+  check_rig(*item.set, *frame);
   tell(*frame);
   for (MeshSink* sink : sinks) {
     sink->deliver(frame);
@@ -365,6 +373,23 @@ void BoothMeshes::Impl::perform(Seen& item) {
     shown.degraded_reason = frame->degraded_reason;
   }
   figures.add(*frame, Clock::now());
+}
+
+/// Whether the cameras stand as they were calibrated: now and then, and while there is no mesh.
+void BoothMeshes::Impl::check_rig(const FrameSet& set, mesh::MeshFrame& frame) {
+  if (unchecked++ % kCheckPeriod == 0 || frame.state != mesh::TrackingState::Tracking) {
+    const std::string wrong = stages.check->look(set);
+    if (wrong != rig_wrong && !wrong.empty()) {
+      messages.warning(wrong);
+    } else if (wrong != rig_wrong) {
+      messages.info("the cameras stand as they were calibrated again");
+    }
+    rig_wrong = wrong;
+  }
+  if (!rig_wrong.empty()) {
+    frame.degraded = true;
+    frame.degraded_reason += (frame.degraded_reason.empty() ? "" : "; ") + rig_wrong;
+  }
 }
 
 /// The log is told where the state changes.

@@ -13,6 +13,7 @@
 #include "pipeline/messages.hpp"
 #include "pipeline/performance_tracker.hpp"
 #include "pipeline/progress.hpp"
+#include "pipeline/rig_check.hpp"
 #include "pipeline/status.hpp"
 
 namespace facet::pipeline {
@@ -23,6 +24,7 @@ struct BoothStages {
   std::vector<std::uint8_t> stripes;  ///< BoothConfig::stripes
   std::unique_ptr<BoothDepth> depth;
   std::unique_ptr<PerformanceTracker> tracker;
+  std::unique_ptr<RigCheck> check;
   int blanks_per_run = 1;
 };
 

@@ -12,9 +12,11 @@
 #include <optional>
 #include <thread>
 
+#include "capture/epipolar.hpp"
 #include "capture/rig_file.hpp"
 #include "facet/error.hpp"
 #include "pipeline/face_in_space.hpp"
+#include "pipeline/rig_check.hpp"
 #include "pipeline/subject_builder.hpp"
 #include "pipeline/vertex_texture.hpp"
 #include "render/renderer.hpp"
@@ -28,6 +30,7 @@ namespace facet::pipeline {
 namespace {
 
 using namespace std::chrono_literals;
+using testing::AllOf;
 using testing::HasSubstr;
 
 capture::Lens plain_lens() {
@@ -500,6 +503,39 @@ TEST_F(Booth, WithoutAFaceThereIsNoMesh) {
   ASSERT_EQ(frames_.size(), 1U) << status_.reason;
   EXPECT_EQ(frames_[0]->state, mesh::TrackingState::Searching);
   EXPECT_THAT(frames_[0]->degraded_reason, HasSubstr("no face"));
+}
+
+TEST_F(Booth, ACameraThatWasBumpedIsNoticed) {
+  const FrameSet& blank = footage_->sets[2];
+  const stereo::DepthRange depths = depth_range(footage_->booth.rig());
+  const auto look = [&](const capture::Rig& rig) {
+    RigCheck check(std::make_shared<const capture::Rig>(rig), depths);
+    std::string wrong;
+    for (int i = 0; i < 30; ++i) {
+      wrong = check.look(blank);
+    }
+    return wrong;
+  };
+  const capture::Rig good = footage_->booth.rig();
+  EXPECT_EQ(look(good), "");
+  for (const capture::StereoPair& pair : good.pairs) {
+    const auto matches = match_corners(good.cameras[pair.left].lens, good.cameras[pair.right].lens,
+                                       blank.frames[pair.left], blank.frames[pair.right], depths);
+    const capture::PairCheck check =
+        capture::check_pair(good.cameras[pair.left], good.cameras[pair.right], matches, {10, 0.7});
+    EXPECT_GE(check.matches, 20U);
+    EXPECT_LT(check.median_px, 0.5) << check.message;
+  }
+  // One camera nods by a sixth of a degree, or rolls by two degrees.
+  const Eigen::AngleAxisd nod(0.003, Eigen::Vector3d::UnitX());
+  const Eigen::AngleAxisd roll(0.035, Eigen::Vector3d::UnitZ());
+  for (const Eigen::AngleAxisd& turn : {nod, roll}) {
+    capture::Rig bumped = good;
+    capture::Lens& lens = bumped.cameras[good.pairs[1].right].lens;
+    lens.camera_from_rig = turn * lens.camera_from_rig;
+    EXPECT_THAT(look(bumped),
+                AllOf(HasSubstr(good.cameras[good.pairs[1].right].name), HasSubstr("epipolar")));
+  }
 }
 
 TEST_F(Booth, AnotherRigsFileIsNamed) {
