@@ -109,8 +109,8 @@ struct BoothDepth::Impl {
   }
 
   /// What is wrong, for people.
-  std::string match(std::size_t pair) {
-    const stereo::SolveOutcome outcome = matchers[pair]->match(slots, pair_maps);
+  std::string match(std::size_t pair, const stereo::Alive& alive) {
+    const stereo::SolveOutcome outcome = matchers[pair]->match(slots, pair_maps, alive);
     if (outcome == stereo::SolveOutcome::Done) {
       return {};
     }
@@ -147,7 +147,7 @@ std::string BoothDepth::device() const {
 }
 
 std::string BoothDepth::find(std::span<const DepthSlot> slots,
-                             std::vector<std::vector<capture::DepthMap>>& maps) {
+                             std::vector<std::vector<capture::DepthMap>>& maps, const stereo::Alive& alive) {
   Impl& impl = *impl_;
   const auto wanted = static_cast<std::size_t>(
       std::count_if(slots.begin(), slots.end(), [](const DepthSlot& slot) { return slot.wanted; }));
@@ -165,7 +165,7 @@ std::string BoothDepth::find(std::span<const DepthSlot> slots,
         one.right = slot.set->frames.at(cameras.right);
       }
     }
-    if (const std::string failure = impl.match(pair); !failure.empty()) {
+    if (const std::string failure = impl.match(pair, alive); !failure.empty()) {
       wrong = failure;
     }
     std::size_t at = 0;

@@ -11,6 +11,7 @@
 #include "facet/frame_set.hpp"
 #include "gpu/context.hpp"
 #include "stereo/rectification.hpp"
+#include "stereo/spacetime_solver.hpp"
 
 namespace facet::pipeline {
 
@@ -45,8 +46,10 @@ class BoothDepth {
 
   /// slots   a run of consecutive ones, at most most_slots
   /// maps    out, [wanted slots][pairs]; all holes where a camera or the device is missing
+  /// alive   called between pieces of work and while it waits for the device
   /// Returns what is wrong, for people; empty where all is well.
-  std::string find(std::span<const DepthSlot> slots, std::vector<std::vector<capture::DepthMap>>& maps);
+  std::string find(std::span<const DepthSlot> slots, std::vector<std::vector<capture::DepthMap>>& maps,
+                   const stereo::Alive& alive);
 
  private:
   struct Impl;

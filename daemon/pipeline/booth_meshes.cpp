@@ -304,7 +304,7 @@ void BoothMeshes::Impl::find_depth(Run& run) {
   }
   const Clock::time_point begun = Clock::now();
   std::vector<std::vector<capture::DepthMap>> maps;
-  const std::string wrong = stages.depth->find(slots, maps);
+  const std::string wrong = stages.depth->find(slots, maps, [this] { workers.beat(kDepth); });
   const float depth_ms = ms_since(begun);
   std::size_t at = 0;
   for (std::size_t i = 0; i < run.slots.size(); ++i) {

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <array>
+#include <chrono>
 #include <cmath>
 #include <cstring>
 
@@ -14,6 +15,9 @@
 
 namespace facet::stereo {
 namespace {
+
+constexpr std::chrono::minutes kSolvePatience{10};
+constexpr std::chrono::milliseconds kAlivePeriod{250};
 
 using shaders::ivec4;
 using shaders::stereo::BlockPush;
@@ -288,7 +292,7 @@ const gpu::Buffer& SpacetimeSolver::right() const {
   return impl_->right.buffer;
 }
 
-void SpacetimeSolver::solve(std::span<const float> start_px, DisparityField& out) {
+void SpacetimeSolver::solve(std::span<const float> start_px, DisparityField& out, const Alive& alive) {
   Impl& impl = *impl_;
   const std::size_t count = impl.size.voxels();
   if (start_px.size() != count) {
@@ -304,8 +308,15 @@ void SpacetimeSolver::solve(std::span<const float> start_px, DisparityField& out
   out.disparity_px.resize(count);
   out.sigma_px.resize(count);
   out.correlation.resize(count);
-  if (impl.batch.submit() != gpu::Outcome::Done ||
-      impl.batch.wait(std::chrono::minutes(10)) != gpu::Outcome::Done) {
+  gpu::Outcome outcome = impl.batch.submit();
+  if (outcome == gpu::Outcome::Done) {
+    const auto end = std::chrono::steady_clock::now() + kSolvePatience;
+    do {
+      alive();
+      outcome = impl.batch.wait(kAlivePeriod);
+    } while (outcome == gpu::Outcome::TimedOut && std::chrono::steady_clock::now() < end);
+  }
+  if (outcome != gpu::Outcome::Done) {
     out.outcome = SolveOutcome::DeviceLost;
     out.failure = "the GPU was lost during the stereo solve";
     return;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <span>
 #include <string>
@@ -35,6 +36,9 @@ struct SpacetimeOptions {
   float break_px = 1.5F;        ///< neighbours that start further apart are on different surfaces
 };
 
+/// Told that a long call gets on.
+using Alive = std::function<void()>;
+
 enum class SolveOutcome { Done, NumericalFailure, DeviceLost };
 
 /// Disparities of a volume.
@@ -66,7 +70,9 @@ class SpacetimeSolver {
   /// Solves from start values and waits.
   /// start_px  [slots][height][width]; NaN: no disparity there, nor any in the result
   /// out       its vectors are set to the volume's size; what is solved has a sigma above 0
-  void solve(std::span<const float> start_px, DisparityField& out);
+  /// alive     called while it waits for the device, four times a second
+  void solve(
+      std::span<const float> start_px, DisparityField& out, const Alive& alive = [] {});
 
   /// Of the last solve, on the device: "start", "solve", "quality".
   std::span<const gpu::StageTime> stage_times() const;

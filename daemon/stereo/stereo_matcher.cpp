@@ -80,7 +80,7 @@ struct StereoMatcher::Impl {
        const StereoOptions& chosen);
 
   gpu::Outcome rectify(std::span<const StereoSlot> slots);
-  void find_start(std::span<const StereoSlot> slots);
+  void find_start(std::span<const StereoSlot> slots, const Alive& alive);
   void finish(std::size_t slot, capture::DepthMap& map);
   void drop_hidden(std::span<const float> disparity_px, std::span<float> depth_mm);
   void drop_islands(std::span<const float> disparity_px, std::span<float> depth_mm);
@@ -167,11 +167,12 @@ gpu::Outcome StereoMatcher::Impl::rectify(std::span<const StereoSlot> slots) {
   return outcome;
 }
 
-void StereoMatcher::Impl::find_start(std::span<const StereoSlot> slots) {
+void StereoMatcher::Impl::find_start(std::span<const StereoSlot> slots, const Alive& alive) {
   const VolumeSize& size = solver.size();
   std::fill(start_px.begin(), start_px.end(), kNan);
   for (std::size_t slot = 0; slot < slots.size(); ++slot) {
     const std::span<float> line = std::span(start_px).subspan(slot * size.slot_voxels(), size.slot_voxels());
+    alive();
     start_value.find(size, left_grey, right_grey, static_cast<int>(slot), line);
     const std::span<const std::uint8_t> mask = slots[slot].mask;
     if (!mask.empty()) {
@@ -317,7 +318,8 @@ const DisparityField& StereoMatcher::field() const {
   return impl_->field;
 }
 
-SolveOutcome StereoMatcher::match(std::span<const StereoSlot> slots, std::vector<capture::DepthMap>& maps) {
+SolveOutcome StereoMatcher::match(std::span<const StereoSlot> slots, std::vector<capture::DepthMap>& maps,
+                                  const Alive& alive) {
   Impl& impl = *impl_;
   const VolumeSize& size = impl.solver.size();
   if (slots.empty() || slots.size() > static_cast<std::size_t>(size.slots)) {
@@ -347,10 +349,10 @@ SolveOutcome StereoMatcher::match(std::span<const StereoSlot> slots, std::vector
   }
   impl.times.rectify_ms = ms_since(clock);
   clock = std::chrono::steady_clock::now();
-  impl.find_start(slots);
+  impl.find_start(slots, alive);
   impl.times.start_ms = ms_since(clock);
   clock = std::chrono::steady_clock::now();
-  impl.solver.solve(impl.start_px, impl.field);
+  impl.solver.solve(impl.start_px, impl.field, alive);
   impl.times.solve_ms = ms_since(clock);
   if (impl.field.outcome != SolveOutcome::Done) {
     impl.failure = impl.field.failure;
@@ -358,6 +360,7 @@ SolveOutcome StereoMatcher::match(std::span<const StereoSlot> slots, std::vector
   }
   clock = std::chrono::steady_clock::now();
   for (std::size_t slot = 0; slot < slots.size(); ++slot) {
+    alive();
     impl.finish(slot, maps[slot]);
   }
   impl.times.finish_ms = ms_since(clock);

@@ -63,7 +63,9 @@ class StereoMatcher {
   /// maps    out, [slots], confidence 1 / (1 + (sigma / 0.1 mm)^2) where there is a depth; a picture of
   /// another size than its lens's counts as missing returns DeviceLost and NumericalFailure leave the maps
   /// empty of depths; failure() says more
-  SolveOutcome match(std::span<const StereoSlot> slots, std::vector<capture::DepthMap>& maps);
+  /// alive   called between pieces of work and while it waits for the device
+  SolveOutcome match(
+      std::span<const StereoSlot> slots, std::vector<capture::DepthMap>& maps, const Alive& alive = [] {});
 
   const std::string& failure() const;
   /// Of the last match, for all its slots together.
