@@ -376,5 +376,74 @@ TEST_F(Command, SynthBoothWritesTakeRigAndTruth) {
   EXPECT_THAT(output_, HasSubstr("exists already"));
 }
 
+TEST_F(CommandWithAssets, ABoothsInputThatIsNoneIsTold) {
+  simulation::BoothConfig config;
+  config.scene = simulation::BoothScene::Plane;
+  capture::write_rig(simulation::Booth(nullptr, config).rig(), file("rig.toml"));
+  const auto process = [&](const std::string& rig, const std::string& input,
+                           const std::vector<std::string>& more = {}) {
+    std::vector<std::string> arguments = {"process", "--rig", rig, input, "-o", file("new.take")};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return run(arguments);
+  };
+  EXPECT_EQ(process(file("rig.toml"), file("none.take")), static_cast<int>(ErrorKind::UnreadableInput));
+  EXPECT_THAT(output_, HasSubstr("none.take"));
+  EXPECT_EQ(process(file("rig.toml"), take()), static_cast<int>(ErrorKind::UnreadableInput));
+  EXPECT_THAT(output_, AllOf(HasSubstr("some.take"), HasSubstr("holds no pictures")));
+  ASSERT_EQ(run({"synth-booth", "--scene", "plane", "--slots", "3", "--samples", "1", "-o", file("booth")}),
+            0);
+  const std::string pictures = file("booth/capture.take");
+  EXPECT_EQ(process(file("rig.toml"), pictures, {"--frames", "7:9"}),
+            static_cast<int>(ErrorKind::UnreadableInput));
+  EXPECT_THAT(output_, HasSubstr("--frames"));
+  EXPECT_EQ(process(file("no-rig.toml"), pictures), static_cast<int>(ErrorKind::UnreadableInput));
+  EXPECT_THAT(output_, HasSubstr("no-rig.toml"));
+  EXPECT_EQ(process(file("bad.toml", "[[camera]]\nnme = \"a\"\n"), pictures),
+            static_cast<int>(ErrorKind::Usage));
+  EXPECT_THAT(output_, HasSubstr("bad.toml:1"));
+  EXPECT_EQ(process(file("rig.toml"), pictures, {"--device", "no such device"}),
+            static_cast<int>(ErrorKind::NoDevice));
+  EXPECT_EQ(process(file("rig.toml"), pictures, {"--device", "none"}), static_cast<int>(ErrorKind::Usage));
+  EXPECT_THAT(output_, HasSubstr("Vulkan"));
+  EXPECT_FALSE(take_exists());
+}
+
+/// Rendered, recorded by facetd, made into meshes, drawn: on what a user of `facet booth-demo` gets.
+using BoothDemo = CommandWithAssets;
+TEST_F(BoothDemo, GoesItsWholeWay) {
+  try {
+    const gpu::Context context;
+  } catch (const Error& error) {
+    GTEST_SKIP() << error.what();
+  }
+  const std::string demo = file("demo");
+  ASSERT_EQ(
+      run({"booth-demo", "--slots", "9", "--samples", "1", "--model", test::default_model().string(),
+           "--landmark-assets",
+           (test::assets() / "mediapipe" / "face_mesh_solution_packed_assets.data").string(), "-o", demo}),
+      0)
+      << output_;
+  EXPECT_THAT(output_, AllOf(HasSubstr("show in every camera what the trigger's lines selected"),
+                             HasSubstr("mm from the truth"), HasSubstr("==> facet process --rig")));
+  take::TakeReader meshes(demo + "/meshes.take");
+  std::int64_t tracked = 0;
+  for (std::int64_t i = 0; i < meshes.frame_count(); ++i) {
+    tracked += meshes.entry(i).has_mesh ? 1 : 0;
+  }
+  EXPECT_GE(tracked, 2);
+  EXPECT_TRUE(take::TakeReader(demo + "/pictures.take").info().closed);
+  const render::Picture sheet = render::read_image(demo + "/booth-sheet.png");
+  EXPECT_GT(sheet.width_px, 2000);
+  // Depth maps and the lens that they belong to.
+  const capture::Rig lenses = capture::read_rig(demo + "/depth/rig.toml");
+  ASSERT_EQ(lenses.cameras.size(), 2U);
+  EXPECT_EQ(lenses.cameras[0].name, "left-l");
+  EXPECT_GE(files_in("demo/depth/left-l").size(), 2U);
+  // What was exported before can be exported of a booth's take.
+  EXPECT_EQ(run({"export", demo + "/meshes.take", "--format", "ply", "-o", file("ply")}), 0) << output_;
+  // Ended, it can be begun anew only elsewhere: nothing is overwritten.
+  EXPECT_EQ(run({"booth-demo", "--slots", "9", "-o", demo}), static_cast<int>(ErrorKind::Storage));
+}
+
 }  // namespace
 }  // namespace facet::tools
