@@ -10,6 +10,7 @@
 #include <numeric>
 
 #include "capture/rig_file.hpp"
+#include "depth_folder.hpp"
 #include "evaluation.hpp"
 #include "facet/error.hpp"
 #include "files/pfm.hpp"

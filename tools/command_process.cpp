@@ -7,8 +7,9 @@
 #include <atomic>
 #include <ctime>
 #include <exception>
-#include <filesystem>
+#include <functional>
 #include <memory>
+#include <nlohmann/json.hpp>
 #include <optional>
 #include <span>
 #include <string>
@@ -18,9 +19,9 @@
 
 #include "capture/rig_file.hpp"
 #include "commands.hpp"
+#include "depth_folder.hpp"
+#include "depth_team.hpp"
 #include "facet/error.hpp"
-#include "files/output_file.hpp"
-#include "files/pfm.hpp"
 #include "pipeline/booth_meshes.hpp"
 #include "pipeline/monocular.hpp"
 #include "pipeline/take_sink.hpp"
@@ -29,7 +30,6 @@
 #include "stop_signals.hpp"
 #include "take/reader.hpp"
 #include "take_frames.hpp"
-#include "take_pictures.hpp"
 
 namespace facet::tools {
 namespace {
@@ -227,58 +227,28 @@ std::vector<std::int64_t> slots_of(take::TakeReader& take, const pipeline::Frame
   return found;
 }
 
-/// Writes every depth map as a float map, into a folder a pair; their lenses, without distortion, are those
-/// of rig.toml beside them.
-pipeline::BoothMeshes::DepthTaker depth_writer(const std::filesystem::path& folder, const capture::Rig& rig) {
-  if (folder.empty()) {
-    return {};
-  }
-  std::vector<std::string> names;
-  for (const capture::StereoPair& pair : rig.pairs) {
-    names.push_back(rig.cameras[pair.left].name);
-    files::make_folder(folder / names.back());
-  }
-  return [folder, names, lenses_written = false](std::uint64_t slot,
-                                                 std::span<const capture::DepthMap> maps) mutable {
-    capture::Rig lenses;
-    for (std::size_t pair = 0; pair < maps.size(); ++pair) {
-      const capture::DepthMap& map = maps[pair];
-      if (map.depth_mm.empty()) {
-        return;
-      }
-      files::write_pfm({map.width_px, map.height_px, map.depth_mm}, depth_file(folder, names[pair], slot));
-      lenses.cameras.push_back({names[pair], map.lens, false});
-    }
-    if (!std::exchange(lenses_written, true)) {
-      capture::write_rig(lenses, folder / "rig.toml");
-    }
+/// What tells one computation of depth maps from another.
+std::string made_of(const take::TakeReader& take, const pipeline::BoothConfig& booth,
+                    const pipeline::BoothStages& stages, const Options& options) {
+  const nlohmann::ordered_json text = {
+      {"take", take.info().source},
+      {"created_utc", take.info().created_utc},
+      {"first_timestamp_ns", take.info().first_timestamp_ns},
+      {"slots", options.frames},
+      {"nearest_mm", stages.depth->depths().nearest_mm},
+      {"farthest_mm", stages.depth->depths().farthest_mm},
+      {"stripes", booth.stripes},
+      {"blanks_per_run", stages.blanks_per_run},
+      {"software", FACET_VERSION},
+      {"rig", capture::format_rig(*stages.rig)},
   };
+  return text.dump(1) + "\n";
 }
 
-void run_booth(const Options& options) {
-  service::Config config = configure(options);
-  config.rig_file = options.rig;
-  const StopSignals signals;
-  take::TakeReader input(options.input);
-  const std::vector<std::int64_t> slots = slots_of(input, config.pipeline.frames);
-  const pipeline::BoothConfig booth = service::booth_config(config);
-  const auto blanks =
-      static_cast<std::uint64_t>(std::count_if(slots.begin(), slots.end(), [&](std::int64_t i) {
-        return booth.stripes[input.entry(i).sequence % booth.stripes.size()] == 0;
-      }));
-  pipeline::TakeSink take;
-  pipeline::BoothStages stages = pipeline::open_booth(booth, kBlanksPerRun);
-  auto write_depth = depth_writer(options.depth, *stages.rig);
-  pipeline::BoothMeshes meshes(std::move(stages), pipeline::BoothMeshes::WhenBusy::Wait, {&take},
-                               std::move(write_depth));
-  take.begin(recorder_of(options, config));
-  Progress progress("Processing", blanks, "meshes");
-  const auto show = [&] {
-    pipeline::PipelineStatus status;
-    meshes.fill(status);
-    progress.set(status.processed, booth_note(status));
-    return status;
-  };
+/// Gives the sets of some slots to what makes meshes of them, until all are through. Returns the signal that
+/// broke it off, or 0. Throws what reading the take throws, once all that was read is through.
+int run_to_end(pipeline::BoothMeshes& meshes, take::TakeReader& input, const std::vector<std::int64_t>& slots,
+               const StopSignals& signals, const std::function<void()>& show) {
   meshes.start();
   // Reads ahead as far as the meshes let it; joined below.
   std::atomic<bool> wanted{true};
@@ -305,12 +275,101 @@ void run_booth(const Options& options) {
   wanted = false;
   reading.join();
   meshes.stop();
-  const pipeline::PipelineStatus status = show();
+  show();
+  if (damage != nullptr && broken_off_by == 0) {
+    std::rethrow_exception(damage);
+  }
+  return broken_off_by;
+}
+
+/// Another member than the leader: finds depth maps, and nothing else.
+void help_booth(const Options& options, const Team& team, const StopSignals& signals) {
+  service::Config config = configure(options);
+  config.rig_file = options.rig;
+  take::TakeReader input(options.input);
+  const std::vector<std::int64_t> slots = slots_of(input, config.pipeline.frames);
+  pipeline::BoothStages stages = pipeline::open_booth(service::booth_config(config), kBlanksPerRun);
+  stages.tracker.reset();
+  stages.depth = std::make_unique<SharedDepth>(std::move(stages.depth), team, nullptr);
+  pipeline::BoothMeshes meshes(std::move(stages), pipeline::BoothMeshes::WhenBusy::Wait, {});
+  if (run_to_end(meshes, input, slots, signals, [] {}) != 0) {
+    team.abort(1);
+  }
+  pipeline::PipelineStatus status;
+  meshes.fill(status);
+  if (status.state == pipeline::PipelineState::Failed) {
+    throw Error(status.failure_kind, status.reason);
+  }
+}
+
+void lead_booth(const Options& options, const Team& team, const StopSignals& signals) {
+  service::Config config = configure(options);
+  config.rig_file = options.rig;
+  take::TakeReader input(options.input);
+  const std::vector<std::int64_t> slots = slots_of(input, config.pipeline.frames);
+  const pipeline::BoothConfig booth = service::booth_config(config);
+  const auto blanks =
+      static_cast<std::uint64_t>(std::count_if(slots.begin(), slots.end(), [&](std::int64_t i) {
+        return booth.stripes[input.entry(i).sequence % booth.stripes.size()] == 0;
+      }));
+  pipeline::BoothStages stages = pipeline::open_booth(booth, kBlanksPerRun);
+  std::shared_ptr<DepthFolder> folder;
+  pipeline::BoothMeshes::DepthTaker keep;
+  if (!options.depth.empty()) {
+    folder =
+        std::make_shared<DepthFolder>(options.depth, *stages.rig, made_of(input, booth, stages, options));
+    keep = [folder](std::uint64_t slot, std::span<const capture::DepthMap> maps) {
+      folder->write(slot, maps);
+    };
+    if (!folder->kept().empty()) {
+      fmt::print(stderr, "facet: {} depth maps are in '{}' already and are taken from there\n",
+                 folder->kept().size(), options.depth);
+    }
+  }
+  pipeline::TakeSink take;
+  take.begin(recorder_of(options, config));
+  stages.depth = std::make_unique<SharedDepth>(std::move(stages.depth), team, folder);
+  pipeline::BoothMeshes meshes(std::move(stages), pipeline::BoothMeshes::WhenBusy::Wait, {&take},
+                               std::move(keep));
+  Progress progress("Processing", blanks, "meshes");
+  pipeline::PipelineStatus status;
+  const auto show = [&] {
+    status = {};
+    meshes.fill(status);
+    progress.set(status.processed, booth_note(status));
+  };
+  std::exception_ptr damage;
+  int broken_off_by = 0;
+  try {
+    broken_off_by = run_to_end(meshes, input, slots, signals, show);
+  } catch (const Error&) {
+    damage = std::current_exception();
+  }
   progress.finish();
   const std::optional<take::RecorderStatus> written = take.end();
+  if (broken_off_by != 0 && folder != nullptr) {
+    fmt::print(stderr,
+               "facet: the depth maps found so far are kept in '{}': the same command goes on from there\n",
+               options.depth);
+  }
   conclude(options, status, written, meshes.take_messages(), broken_off_by, signals);
   if (damage != nullptr) {
     std::rethrow_exception(damage);
+  }
+}
+
+void run_booth(const Options& options) {
+  const StopSignals signals;
+  const Team team;
+  try {
+    team.leads() ? lead_booth(options, team, signals) : help_booth(options, team, signals);
+  } catch (const Error& error) {
+    if (team.size() == 1) {
+      throw;
+    }
+    // The others wait for this one.
+    fmt::print(stderr, "facet: process {} of {}: {}\n", team.rank() + 1, team.size(), error.what());
+    team.abort(static_cast<int>(error.kind()));
   }
 }
 
@@ -335,8 +394,10 @@ void add_process_command(CLI::App& app) {
   command->add_option("--device", options->device,
                       "Vulkan device: auto, part of its name, or none (coarse meshes only)");
   command
-      ->add_option("--depth", options->depth,
-                   "Folder for the depth maps of every blank slot (PFM, mm) and their lenses (rig.toml)")
+      ->add_option(
+          "--depth", options->depth,
+          "Folder for the depth maps of every blank slot (PFM, mm) and their lenses (rig.toml); maps that an "
+          "earlier run left there are not found again")
       ->needs("--rig");
   command->callback([options] { options->rig.empty() ? run_monocular(*options) : run_booth(*options); });
 }

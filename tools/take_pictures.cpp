@@ -1,7 +1,5 @@
 #include "take_pictures.hpp"
 
-#include <fmt/format.h>
-
 #include <algorithm>
 #include <cmath>
 #include <system_error>
@@ -236,11 +234,6 @@ mesh::Vertices face_vertices(const mesh::MeshFrame& frame) {
     }
   }
   return frame.camera_from_head * mesh::Vertices(frame.control_vertices_mm(Eigen::all, chosen));
-}
-
-std::filesystem::path depth_file(const std::filesystem::path& folder, const std::string& left_camera,
-                                 std::uint64_t slot) {
-  return folder / left_camera / fmt::format("slot_{:06}.pfm", slot);
 }
 
 }  // namespace facet::tools

@@ -93,10 +93,6 @@ render::Picture draw_coarse_mesh(const mesh::MeshFrame& frame, const Cell& cell,
 /// The control vertices on refinable skin, camera frame: what cells are cut to.
 mesh::Vertices face_vertices(const mesh::MeshFrame& frame);
 
-/// Where `facet process --depth` writes the depth map of a pair (named by its left camera) in a slot.
-std::filesystem::path depth_file(const std::filesystem::path& folder, const std::string& left_camera,
-                                 std::uint64_t slot);
-
 /// A colour bar from 0 to a largest value, with its ends labelled. x, y: its upper left corner.
 void draw_scale(render::Picture& picture, int x_px, int y_px, int width_px, const std::string& low,
                 const std::string& high);

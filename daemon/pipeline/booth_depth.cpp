@@ -146,7 +146,7 @@ std::string BoothDepth::device() const {
   return impl_->context ? impl_->context->info().name : "";
 }
 
-std::string BoothDepth::find(std::span<const DepthSlot> slots,
+std::string BoothDepth::find(std::uint64_t /*first_slot*/, std::span<const DepthSlot> slots,
                              std::vector<std::vector<capture::DepthMap>>& maps, const stereo::Alive& alive) {
   Impl& impl = *impl_;
   const auto wanted = static_cast<std::size_t>(

@@ -30,26 +30,40 @@ struct DepthSlot {
   bool wanted = false;  ///< a depth map is asked for
 };
 
-/// Depth maps of a rig's pairs on the GPU. Opens the device again where it was lost. One thread at a time.
-class BoothDepth {
+/// Where depth maps come from. One thread at a time.
+class DepthSource {
+ public:
+  DepthSource() = default;
+  DepthSource(const DepthSource&) = delete;
+  DepthSource& operator=(const DepthSource&) = delete;
+  virtual ~DepthSource() = default;
+
+  /// Between which depths are found.
+  virtual const stereo::DepthRange& depths() const = 0;
+  /// For people; empty while the device is lost.
+  virtual std::string device() const = 0;
+
+  /// slots   a run of consecutive ones; first_slot: the number of its first
+  /// maps    out, [wanted slots][pairs]; all holes, or empty, where a camera or the device is missing
+  /// alive   called between pieces of work and while it waits
+  /// Returns what is wrong, for people; empty where all is well.
+  virtual std::string find(std::uint64_t first_slot, std::span<const DepthSlot> slots,
+                           std::vector<std::vector<capture::DepthMap>>& maps, const stereo::Alive& alive) = 0;
+};
+
+/// Depth maps of a rig's pairs on the GPU. Opens the device again where it was lost.
+class BoothDepth final : public DepthSource {
  public:
   /// depths: 0 to 0 for depth_range. most_slots: of a run. Throws Error: Usage for a rig that stereo refuses,
   /// NoDevice.
   BoothDepth(const std::string& gpu_device, std::shared_ptr<const capture::Rig> rig,
              stereo::DepthRange depths, int most_slots);
-  ~BoothDepth();
+  ~BoothDepth() override;
 
-  /// Between which depths are found.
-  const stereo::DepthRange& depths() const;
-  /// For people; empty while the device is lost.
-  std::string device() const;
-
-  /// slots   a run of consecutive ones, at most most_slots
-  /// maps    out, [wanted slots][pairs]; all holes where a camera or the device is missing
-  /// alive   called between pieces of work and while it waits for the device
-  /// Returns what is wrong, for people; empty where all is well.
-  std::string find(std::span<const DepthSlot> slots, std::vector<std::vector<capture::DepthMap>>& maps,
-                   const stereo::Alive& alive);
+  const stereo::DepthRange& depths() const override;
+  std::string device() const override;
+  std::string find(std::uint64_t first_slot, std::span<const DepthSlot> slots,
+                   std::vector<std::vector<capture::DepthMap>>& maps, const stereo::Alive& alive) override;
 
  private:
   struct Impl;

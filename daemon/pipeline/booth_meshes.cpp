@@ -42,6 +42,7 @@ struct RunSlot {
 };
 
 struct Run {
+  std::uint64_t first_slot = 0;
   std::vector<RunSlot> slots;  ///< consecutive
   Clock::time_point complete;  ///< when its last slot came
 };
@@ -204,6 +205,7 @@ void BoothMeshes::Impl::hand_on(bool at_end) {
     const std::size_t end = std::min(window.size(), last + kDepthReach + 1);
     Run run;
     run.complete = Clock::now();
+    run.first_slot = first_slot + begin;
     for (std::size_t i = begin; i < end; ++i) {
       run.slots.push_back(window[i]);
       run.slots.back().wanted = window[i].wanted && i <= last;
@@ -304,7 +306,7 @@ void BoothMeshes::Impl::find_depth(Run& run) {
   }
   const Clock::time_point begun = Clock::now();
   std::vector<std::vector<capture::DepthMap>> maps;
-  const std::string wrong = stages.depth->find(slots, maps, [this] { workers.beat(kDepth); });
+  const std::string wrong = stages.depth->find(run.first_slot, slots, maps, [this] { workers.beat(kDepth); });
   const float depth_ms = ms_since(begun);
   std::size_t at = 0;
   for (std::size_t i = 0; i < run.slots.size(); ++i) {
@@ -336,6 +338,9 @@ void BoothMeshes::Impl::perform() {
 }
 
 void BoothMeshes::Impl::perform(Seen& item) {
+  if (stages.tracker == nullptr) {
+    return;
+  }
   if (wants_new_identity.exchange(false)) {
     stages.tracker->reset();
   }

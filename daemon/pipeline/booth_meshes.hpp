@@ -22,8 +22,8 @@ namespace facet::pipeline {
 struct BoothStages {
   std::shared_ptr<const capture::Rig> rig;
   std::vector<std::uint8_t> stripes;  ///< BoothConfig::stripes
-  std::unique_ptr<BoothDepth> depth;
-  std::unique_ptr<PerformanceTracker> tracker;
+  std::unique_ptr<DepthSource> depth;
+  std::unique_ptr<PerformanceTracker> tracker;  ///< null: depth alone, and nothing is handed out
   std::unique_ptr<RigCheck> check;
   int blanks_per_run = 1;
 };

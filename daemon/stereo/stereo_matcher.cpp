@@ -19,8 +19,6 @@ namespace {
 using shaders::stereo::RectifyPush;
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
-// Standard deviation of a depth that counts half.
-constexpr float kHalfConfidence_mm = 0.1F;
 // Two left pixels that land on one right pixel: the farther one is hidden there if it is farther by more than
 // this.
 constexpr float kHidden_px = 1.5F;
@@ -282,8 +280,7 @@ void StereoMatcher::Impl::finish(std::size_t slot, capture::DepthMap& map) {
   for (std::size_t at = 0; at < count; ++at) {
     if (map.depth_mm[at] > 0) {
       map.sigma_mm[at] = sigma_mm(at);
-      const float relative = map.sigma_mm[at] / kHalfConfidence_mm;
-      map.confidence[at] = 1 / (1 + relative * relative);
+      map.confidence[at] = capture::depth_confidence(map.sigma_mm[at]);
     }
   }
 }

@@ -3,7 +3,9 @@
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <signal.h>
 
+#include <algorithm>
 #include <chrono>
 #include <cstring>
 #include <filesystem>
@@ -443,6 +445,97 @@ TEST_F(BoothDemo, GoesItsWholeWay) {
   EXPECT_EQ(run({"export", demo + "/meshes.take", "--format", "ply", "-o", file("ply")}), 0) << output_;
   // Ended, it can be begun anew only elsewhere: nothing is overwritten.
   EXPECT_EQ(run({"booth-demo", "--slots", "9", "-o", demo}), static_cast<int>(ErrorKind::Storage));
+}
+
+/// The process of a team that has a rank, by what Open MPI tells it; 0 where there is none.
+pid_t member_of_team(const std::string& rank, const std::string& argument) {
+  const auto content = [](const std::filesystem::path& file) {
+    std::ifstream in(file, std::ios::binary);
+    return std::string(std::istreambuf_iterator<char>(in), {});
+  };
+  std::error_code ignored;
+  for (const auto& entry : std::filesystem::directory_iterator("/proc", ignored)) {
+    const std::string name = entry.path().filename().string();
+    if (std::all_of(name.begin(), name.end(), [](char c) { return c >= '0' && c <= '9'; }) &&
+        content(entry.path() / "cmdline").find(argument) != std::string::npos &&
+        content(entry.path() / "environ").find("OMPI_COMM_WORLD_RANK=" + rank + std::string(1, '\0')) !=
+            std::string::npos) {
+      return static_cast<pid_t>(std::stoi(name));
+    }
+  }
+  return 0;
+}
+
+TEST_F(BoothDemo, ATeamFindsTheSameAndGoesOnAfterAMemberWasKilled) {
+  const std::string mpirun = "/usr/bin/mpirun";
+  if (!std::filesystem::exists(mpirun)) {
+    GTEST_SKIP() << "mpirun is not installed (openmpi-bin)";
+  }
+  try {
+    const gpu::Context context;
+  } catch (const Error& error) {
+    GTEST_SKIP() << error.what();
+  }
+  // Four blank slots are two runs; one pair is enough.
+  ASSERT_EQ(run({"synth-booth", "--seed", "5", "--slots", "12", "--samples", "1", "--meshes", "none", "-o",
+                 file("booth")}),
+            0)
+      << output_;
+  capture::Rig rig = capture::read_rig(file("booth/rig.toml"));
+  rig.pairs.resize(1);
+  capture::write_rig(rig, file("rig.toml"));
+  const auto process = [&](const std::string& name, const std::string& depth) -> std::vector<std::string> {
+    return {"process", "--rig",    file("rig.toml"), file("booth/capture.take"),
+            "-o",      file(name), "--depth",        file(depth)};
+  };
+  const auto team = [&](const std::string& name) {
+    std::vector<std::string> arguments = {"-n", "2", "--oversubscribe", "--bind-to", "none", FACET_PROGRAM};
+    const auto rest = process(name, "team");
+    arguments.insert(arguments.end(), rest.begin(), rest.end());
+    return std::make_unique<ChildProcess>(
+        mpirun, arguments, folder_.path() / "team.log",
+        Birth{.environment = {"OMPI_ALLOW_RUN_AS_ROOT=1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1"}});
+  };
+  ASSERT_EQ(run(process("alone.take", "alone")), 0) << output_;
+
+  {
+    const auto killed = team("killed.take");
+    while (killed->running() && !std::filesystem::exists(file("team/left-l/slot_000152-sigma.pfm"))) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    }
+    const pid_t victim = member_of_team("1", "killed.take");
+    if (victim > 0) {
+      ::kill(victim, SIGKILL);
+      EXPECT_NE(killed->wait(), 0) << "a team that lost a member does not succeed";
+      EXPECT_THAT(killed->output(), HasSubstr("signal 9")) << "and says why";
+    }
+    EXPECT_TRUE(std::filesystem::exists(file("team/left-l/slot_000152.pfm"))) << killed->output();
+  }
+  const auto again = team("team.take");
+  EXPECT_EQ(again->wait(), 0) << again->output();
+  EXPECT_THAT(again->output(), HasSubstr("depth maps are in"));
+
+  const auto bytes = [&](const std::string& name) {
+    std::ifstream in(file(name), std::ios::binary);
+    return std::string(std::istreambuf_iterator<char>(in), {});
+  };
+  ASSERT_EQ(files_in("alone/left-l").size(), 8U);
+  ASSERT_EQ(files_in("team/left-l"), files_in("alone/left-l"));
+  for (const std::string& name : files_in("alone/left-l")) {
+    EXPECT_EQ(bytes("team/left-l/" + name), bytes("alone/left-l/" + name)) << name;
+  }
+  take::TakeReader one(file("alone.take"));
+  take::TakeReader other(file("team.take"));
+  ASSERT_EQ(one.frame_count(), 4);
+  ASSERT_EQ(other.frame_count(), 4);
+  for (std::int64_t i = 0; i < 4; ++i) {
+    EXPECT_EQ(one.frame(i)->control_vertices_mm, other.frame(i)->control_vertices_mm);
+  }
+  // Maps of one take are none of another.
+  EXPECT_EQ(run({"process", "--rig", file("rig.toml"), file("booth/capture.take"), "-o", file("part.take"),
+                 "--depth", file("alone"), "--frames", "150:156"}),
+            static_cast<int>(ErrorKind::Usage));
+  EXPECT_THAT(output_, HasSubstr("another take, rig or range"));
 }
 
 }  // namespace

@@ -1,0 +1,252 @@
+#include "depth_team.hpp"
+
+#include <mpi.h>
+
+#include <array>
+#include <chrono>
+#include <cstdlib>
+#include <cstring>
+#include <limits>
+#include <span>
+#include <thread>
+#include <utility>
+
+#include "facet/error.hpp"
+
+namespace facet::tools {
+namespace {
+
+/// MPI's own waiting keeps a core busy; a depth map takes much longer than this.
+constexpr std::chrono::milliseconds kPollPeriod{3};
+constexpr int kTag = 1;
+
+/// Set by Open MPI's mpirun and by those that follow PMIx and PMI.
+bool started_together() {
+  return std::getenv("OMPI_COMM_WORLD_SIZE") != nullptr || std::getenv("PMIX_RANK") != nullptr ||
+         std::getenv("PMI_RANK") != nullptr;
+}
+
+/// Plain data of a map, as it travels.
+struct MapHeader {
+  std::int32_t width_px = 0;
+  std::int32_t height_px = 0;
+  double fx_px = 0;
+  double fy_px = 0;
+  double cx_px = 0;
+  double cy_px = 0;
+  std::array<double, 16> camera_from_rig{};
+};
+
+template <typename T>
+void put(std::vector<char>& bytes, const T* values, std::size_t count) {
+  const auto* first = reinterpret_cast<const char*>(values);
+  bytes.insert(bytes.end(), first, first + count * sizeof(T));
+}
+
+/// Reads what put wrote, from a member of the same program.
+class Taker {
+ public:
+  explicit Taker(std::span<const char> bytes) : bytes_(bytes) {}
+  template <typename T>
+  void take(T* values, std::size_t count) {
+    if (count > bytes_.size() / sizeof(T)) {
+      throw Error(ErrorKind::Internal,
+                  "a message of another process of the team is cut off: do all run one version?");
+    }
+    std::memcpy(values, bytes_.data(), count * sizeof(T));
+    bytes_ = bytes_.subspan(count * sizeof(T));
+  }
+  template <typename T>
+  T take() {
+    T value{};
+    take(&value, 1);
+    return value;
+  }
+
+ private:
+  std::span<const char> bytes_;
+};
+
+void put_map(std::vector<char>& bytes, const capture::DepthMap& map) {
+  MapHeader header{
+      map.width_px, map.height_px, map.lens.fx_px, map.lens.fy_px, map.lens.cx_px, map.lens.cy_px, {}};
+  Eigen::Map<Eigen::Matrix4d>(header.camera_from_rig.data()) = map.lens.camera_from_rig.matrix();
+  put(bytes, &header, 1);
+  put(bytes, map.depth_mm.data(), map.depth_mm.size());
+  put(bytes, map.sigma_mm.data(), map.sigma_mm.size());
+  put(bytes, map.confidence.data(), map.confidence.size());
+}
+
+capture::DepthMap take_map(Taker& taker) {
+  constexpr std::int32_t kMostSide_px = 1 << 15;
+  const auto header = taker.take<MapHeader>();
+  if (header.width_px < 0 || header.width_px > kMostSide_px || header.height_px < 0 ||
+      header.height_px > kMostSide_px) {
+    throw Error(ErrorKind::Internal, "a message of another process of the team makes no sense");
+  }
+  capture::DepthMap map;
+  map.width_px = map.lens.width_px = header.width_px;
+  map.height_px = map.lens.height_px = header.height_px;
+  map.lens.fx_px = header.fx_px;
+  map.lens.fy_px = header.fy_px;
+  map.lens.cx_px = header.cx_px;
+  map.lens.cy_px = header.cy_px;
+  map.lens.camera_from_rig.matrix() = Eigen::Map<const Eigen::Matrix4d>(header.camera_from_rig.data());
+  const auto count = static_cast<std::size_t>(map.width_px) * static_cast<std::size_t>(map.height_px);
+  for (std::vector<float>* values : {&map.depth_mm, &map.sigma_mm, &map.confidence}) {
+    values->resize(count);
+    taker.take(values->data(), count);
+  }
+  return map;
+}
+
+}  // namespace
+
+Team::Team() {
+  if (!started_together()) {
+    return;
+  }
+  int provided = 0;
+  ::MPI_Init_thread(nullptr, nullptr, MPI_THREAD_SERIALIZED, &provided);
+  started_ = true;
+  ::MPI_Comm_rank(MPI_COMM_WORLD, &rank_);
+  ::MPI_Comm_size(MPI_COMM_WORLD, &size_);
+  if (provided < MPI_THREAD_SERIALIZED) {
+    abort(static_cast<int>(ErrorKind::Internal));
+  }
+}
+
+Team::~Team() {
+  if (started_) {
+    ::MPI_Finalize();
+  }
+}
+
+void Team::abort(int status) const {
+  if (started_ && size_ > 1) {
+    ::MPI_Abort(MPI_COMM_WORLD, status);
+  }
+  std::_Exit(status);
+}
+
+/// A run's maps on their way to the leader.
+struct SharedDepth::Message {
+  std::vector<char> bytes;
+  MPI_Request request = MPI_REQUEST_NULL;
+};
+
+SharedDepth::SharedDepth(std::unique_ptr<pipeline::DepthSource> own, const Team& team,
+                         std::shared_ptr<DepthFolder> folder)
+    : own_(std::move(own)), team_(team), folder_(std::move(folder)) {
+  std::vector<std::uint64_t> kept;
+  if (folder_ != nullptr) {
+    kept.assign(folder_->kept().begin(), folder_->kept().end());
+  }
+  if (team_.size() > 1) {
+    auto count = static_cast<std::uint64_t>(kept.size());
+    ::MPI_Bcast(&count, 1, MPI_UINT64_T, 0, MPI_COMM_WORLD);
+    kept.resize(count);
+    ::MPI_Bcast(kept.data(), static_cast<int>(count), MPI_UINT64_T, 0, MPI_COMM_WORLD);
+  }
+  kept_.insert(kept.begin(), kept.end());
+}
+
+SharedDepth::~SharedDepth() {
+  finish_sending([] {});
+}
+
+std::string SharedDepth::device() const {
+  return team_.size() == 1 ? own_->device()
+                           : own_->device() + " and those of " + std::to_string(team_.size() - 1) + " others";
+}
+
+std::string SharedDepth::find(std::uint64_t first_slot, std::span<const pipeline::DepthSlot> slots,
+                              std::vector<std::vector<capture::DepthMap>>& maps, const stereo::Alive& alive) {
+  maps.clear();
+  bool kept = true;
+  for (std::size_t i = 0; i < slots.size(); ++i) {
+    if (slots[i].wanted) {
+      kept = kept && kept_.contains(first_slot + i);
+      maps.emplace_back();
+    }
+  }
+  if (kept) {
+    std::size_t at = 0;
+    for (std::size_t i = 0; i < slots.size() && team_.leads(); ++i) {
+      if (slots[i].wanted) {
+        maps[at++] = folder_->read(first_slot + i);
+      }
+    }
+    return {};
+  }
+  const int member = run_++ % team_.size();
+  if (member == team_.rank()) {
+    const std::string wrong = own_->find(first_slot, slots, maps, alive);
+    if (!team_.leads()) {
+      send(maps, wrong, alive);
+    }
+    return wrong;
+  }
+  return team_.leads() ? receive(member, maps, alive) : std::string();
+}
+
+void SharedDepth::finish_sending(const stereo::Alive& alive) {
+  for (int done = 0; sending_ != nullptr && done == 0;) {
+    ::MPI_Test(&sending_->request, &done, MPI_STATUS_IGNORE);
+    if (done == 0) {
+      alive();
+      std::this_thread::sleep_for(kPollPeriod);
+    }
+  }
+  sending_.reset();
+}
+
+void SharedDepth::send(const std::vector<std::vector<capture::DepthMap>>& maps, const std::string& wrong,
+                       const stereo::Alive& alive) {
+  finish_sending(alive);
+  sending_ = std::make_unique<Message>();
+  std::vector<char>& bytes = sending_->bytes;
+  const auto length = static_cast<std::uint32_t>(wrong.size());
+  put(bytes, &length, 1);
+  put(bytes, wrong.data(), wrong.size());
+  for (const auto& pairs : maps) {
+    const auto count = static_cast<std::uint32_t>(pairs.size());
+    put(bytes, &count, 1);
+    for (const capture::DepthMap& map : pairs) {
+      put_map(bytes, map);
+    }
+  }
+  if (bytes.size() > std::numeric_limits<int>::max()) {
+    throw Error(ErrorKind::Usage, "the depth maps are too large for several processes: run one alone");
+  }
+  ::MPI_Isend(bytes.data(), static_cast<int>(bytes.size()), MPI_CHAR, 0, kTag, MPI_COMM_WORLD,
+              &sending_->request);
+}
+
+std::string SharedDepth::receive(int member, std::vector<std::vector<capture::DepthMap>>& maps,
+                                 const stereo::Alive& alive) {
+  MPI_Status status;
+  for (int there = 0; there == 0;) {
+    ::MPI_Iprobe(member, kTag, MPI_COMM_WORLD, &there, &status);
+    if (there == 0) {
+      alive();
+      std::this_thread::sleep_for(kPollPeriod);
+    }
+  }
+  int length = 0;
+  ::MPI_Get_count(&status, MPI_CHAR, &length);
+  std::vector<char> bytes(static_cast<std::size_t>(length));
+  ::MPI_Recv(bytes.data(), length, MPI_CHAR, member, kTag, MPI_COMM_WORLD, MPI_STATUS_IGNORE);
+  Taker taker(bytes);
+  std::string wrong(taker.take<std::uint32_t>(), ' ');
+  taker.take(wrong.data(), wrong.size());
+  for (auto& pairs : maps) {
+    const auto count = taker.take<std::uint32_t>();
+    for (std::uint32_t pair = 0; pair < count; ++pair) {
+      pairs.push_back(take_map(taker));
+    }
+  }
+  return wrong;
+}
+
+}  // namespace facet::tools
