@@ -57,12 +57,12 @@ struct DemoOptions {
 
 /// This program, or one that was built or installed beside it.
 std::filesystem::path program(const std::string& name) {
-  const std::filesystem::path self = std::filesystem::read_symlink("/proc/self/exe");
+  std::filesystem::path self = std::filesystem::read_symlink("/proc/self/exe");
   if (name == "facet") {
     return self;
   }
   for (const char* place : {"", "../sbin", "../daemon/service"}) {
-    const std::filesystem::path candidate = self.parent_path() / place / name;
+    std::filesystem::path candidate = self.parent_path() / place / name;
     if (::access(candidate.c_str(), X_OK) == 0) {
       return candidate;
     }
@@ -74,11 +74,11 @@ std::filesystem::path program(const std::string& name) {
 class Child {
  public:
   /// log: file for its standard error; empty: ours.
-  Child(const std::string& name, std::vector<std::string> arguments, const std::filesystem::path& log = {})
-      : name_(name) {
+  Child(const std::string& name, std::vector<std::string> arguments, const std::filesystem::path& log = {}) {
     const std::string path = program(name).string();
     arguments.insert(arguments.begin(), name);
     std::vector<char*> argv;
+    argv.reserve(arguments.size() + 1);
     for (std::string& argument : arguments) {
       argv.push_back(argument.data());
     }
@@ -136,7 +136,6 @@ class Child {
   int exit_status() const { return exit_status_; }
 
  private:
-  std::string name_;
   pid_t pid_ = -1;
   int exit_status_ = 0;
 };

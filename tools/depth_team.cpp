@@ -181,7 +181,7 @@ std::string SharedDepth::find(std::uint64_t first_slot, std::span<const pipeline
   }
   const int member = run_++ % team_.size();
   if (member == team_.rank()) {
-    const std::string wrong = own_->find(first_slot, slots, maps, alive);
+    std::string wrong = own_->find(first_slot, slots, maps, alive);
     if (!team_.leads()) {
       send(maps, wrong, alive);
     }

@@ -225,7 +225,7 @@ fit::FitReport PerformanceTracker::Impl::follow_flow(const FrameSet& set,
     }
   }
   const mesh::Vertices before_mm = now_mm;
-  const fit::FitReport report = fitter.track(maps, flows, before_mm, now_mm);
+  fit::FitReport report = fitter.track(maps, flows, before_mm, now_mm);
   flows.clear();
   mesh::vertex_normals(now_mm, surface->triangles, normals);
   for (View& view : views) {
