@@ -54,6 +54,7 @@ class V4l2Camera final : public Camera {
   void start() override;
   CaptureOutcome next(Frame& out, std::chrono::milliseconds timeout) override;
   void restart(const std::string& why) override;
+  void expect_frames(bool due) override;
   void stop() override;
   std::string last_error() const override;
 
@@ -68,6 +69,7 @@ class V4l2Camera final : public Camera {
   };
 
   bool reopen(std::int64_t deadline_ns);
+  void wind_watchdog();
   bool take_newest(Frame& out);
   Arrived examine(const v4l2_buffer& buffer);
   std::optional<std::int64_t> driver_time_ns(const v4l2_buffer& buffer, std::int64_t now_ns);
@@ -91,6 +93,7 @@ class V4l2Camera final : public Camera {
   std::shared_ptr<PixelBuffers> pool_ = std::make_shared<PixelBuffers>();
   std::int64_t retry_ns_ = 0;      ///< while there is no device: when it is opened again
   std::int64_t last_life_ns_ = 0;  ///< the last delivery, or when the stream was begun
+  bool frames_due_ = true;
   std::int64_t watchdog_ns_ = 0;   ///< the stream is taken for stalled when no frame has come until then
   std::int64_t pause_ns_ = kShortestPause_ns;
   bool delivered_before_ = false;  ///< anything, by this stream or one before
@@ -141,6 +144,20 @@ void V4l2Camera::restart(const std::string& why) {
   }
 }
 
+void V4l2Camera::expect_frames(bool due) {
+  if (due && !frames_due_) {
+    count_.resume();
+    wind_watchdog();
+  }
+  frames_due_ = due;
+}
+
+void V4l2Camera::wind_watchdog() {
+  const std::int64_t patience_ns = in_ns(config_.stall_after);
+  watchdog_ns_ = kernel_.monotonic_ns() +
+                 (first_of_stream_ ? std::max(patience_ns, kFirstFramePatience_ns) : patience_ns);
+}
+
 void V4l2Camera::stop() {
   stopped_ = true;
   device_.reset();
@@ -182,7 +199,7 @@ CaptureOutcome V4l2Camera::next(Frame& out, std::chrono::milliseconds timeout) {
         return CaptureOutcome::Delivered;
       }
       const std::int64_t now_ns = kernel_.monotonic_ns();
-      if (now_ns >= watchdog_ns_) {
+      if (frames_due_ && now_ns >= watchdog_ns_) {
         give_up(CameraState::Stalled,
                 fmt::format("{}: no frame for {:.3g} s", config_.device.string(),
                             static_cast<double>(now_ns - last_life_ns_) / static_cast<double>(kSecond_ns)));
@@ -191,7 +208,7 @@ CaptureOutcome V4l2Camera::next(Frame& out, std::chrono::milliseconds timeout) {
       if (now_ns >= deadline_ns) {
         break;
       }
-      device_->wait(std::min(deadline_ns, watchdog_ns_));
+      device_->wait(frames_due_ ? std::min(deadline_ns, watchdog_ns_) : deadline_ns);
     }
   } catch (const DeviceFault& fault) {
     give_up(fault.kind == DeviceFault::Kind::Absent ? CameraState::Absent : CameraState::Failing,
@@ -229,7 +246,7 @@ bool V4l2Camera::reopen(std::int64_t deadline_ns) {
   seen_ = 0;
   first_of_stream_ = true;
   last_life_ns_ = kernel_.monotonic_ns();
-  watchdog_ns_ = last_life_ns_ + std::max(in_ns(config_.stall_after), kFirstFramePatience_ns);
+  wind_watchdog();
   // A device that stalled or failed shows with its first frame whether it is well again.
   if (const CameraState state = status().state; state == CameraState::Idle || state == CameraState::Absent) {
     set_state(CameraState::Opening, "");
@@ -354,7 +371,6 @@ bool V4l2Camera::convert(const Arrived& arrived, Frame& out) {
 void V4l2Camera::note_delivery(const Arrived& arrived, const Frame& frame) {
   timestamp_ns_ = frame.timestamp_ns;
   last_life_ns_ = kernel_.monotonic_ns();
-  watchdog_ns_ = last_life_ns_ + in_ns(config_.stall_after);
   pause_ns_ = kShortestPause_ns;
   const std::scoped_lock lock(shown_mutex_);
   CameraCounters& counters = status_.counters;
@@ -364,6 +380,7 @@ void V4l2Camera::note_delivery(const Arrived& arrived, const Frame& frame) {
   counters.reopened += delivered_before_ && first_of_stream_ ? 1 : 0;
   delivered_before_ = true;
   first_of_stream_ = false;
+  wind_watchdog();
   status_.state = CameraState::Streaming;
   status_.reason.clear();
 }

@@ -605,6 +605,48 @@ TEST_F(V4l2CameraTest, SilenceIsAStallAndTheDeviceIsStartedAnew) {
   EXPECT_EQ(counters().reopened, 1U);
 }
 
+TEST_F(V4l2CameraTest, SilenceIsNoStallWhileNoFramesAreDue) {
+  config_.stall_after = 700ms;
+  started();
+  next();
+  device_.silent = true;
+  camera_->expect_frames(false);
+  Frame frame;
+  const int opens_before = device_.opens;
+  EXPECT_EQ(camera_->next(frame, 60s), CaptureOutcome::Timeout);
+  EXPECT_EQ(status().state, CameraState::Streaming);
+  EXPECT_EQ(device_.opens, opens_before);
+  // Its trigger fires again: it goes on in the same stream, and the pause is no omission.
+  camera_->expect_frames(true);
+  device_.silent = false;
+  for (std::uint64_t sequence = 1; sequence < 10; ++sequence) {
+    EXPECT_EQ(next().sequence, sequence);
+  }
+  EXPECT_EQ(counters().omitted, 0U);
+  EXPECT_EQ(counters().reopened, 0U);
+  // And where nothing comes though it fires, it is a stall from then on.
+  device_.silent = true;
+  camera_->expect_frames(false);
+  EXPECT_EQ(camera_->next(frame, 60s), CaptureOutcome::Timeout);
+  camera_->expect_frames(true);
+  const std::int64_t due_ns = device_.now_ns;
+  expect_fault(CameraState::Stalled, "no frame for 60.7 s");
+  EXPECT_EQ(device_.now_ns - due_ns, 700 * kMillisecond_ns);
+}
+
+TEST_F(V4l2CameraTest, ATriggeredCameraMayBeOpenLongBeforeItsTriggerFires) {
+  device_.silent = true;
+  started();
+  camera_->expect_frames(false);
+  Frame frame;
+  EXPECT_EQ(camera_->next(frame, 60s), CaptureOutcome::Timeout);
+  EXPECT_EQ(status().state, CameraState::Opening);
+  camera_->expect_frames(true);
+  const std::int64_t due_ns = device_.now_ns;
+  expect_fault(CameraState::Stalled, "no frame for 65 s");
+  EXPECT_EQ(device_.now_ns - due_ns, 5 * kSecond_ns) << "the patience for a first frame";
+}
+
 TEST_F(V4l2CameraTest, AStreamOfUselessFramesIsAStallToo) {
   started();
   next();

@@ -88,7 +88,7 @@ def killed_it_leaves_a_take_and_takes_its_lines_again():
 
 @test
 def a_line_is_held_by_another_program():
-    """The reason names chip, line and holder; the cameras' states are told; once the line is free, slots are fired."""
+    """The reason names chip, line and holder; the cameras wait, which is no fault of theirs; once the line is free, slots are fired."""
     with subprocess.Popen(["gpioset", "--mode=signal", CHIP.name, "3=0"]) as holder:
         time.sleep(1)
         with Rig(CHIP) as rig:
@@ -96,9 +96,14 @@ def a_line_is_held_by_another_program():
             figure("reason", failed["trigger"]["reason"])
             for words in ("bit3", CHIP.name, "gpioset"):
                 check(words in failed["trigger"]["reason"], failed["trigger"])
+            rig.wait(lambda now: all(camera["state"] == "waiting" for camera in now["cameras"]), "the cameras do not wait")
+            time.sleep(8)  # longer than a camera's first frame may take
+            waiting = [(camera["state"], camera["reason"]) for camera in rig.rig()["cameras"]]
+            check(waiting == [("waiting", "the trigger does not fire")] * 2, waiting)
             holder.kill()
             holder.wait()
-            rig.wait_sets(10)
+            now = rig.wait_sets(10)
+            check(all(camera["frames"]["reopened"] == 0 for camera in now["cameras"]), now["cameras"])
             rig.stop()
 
 
