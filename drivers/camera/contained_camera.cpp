@@ -172,9 +172,7 @@ void ContainedCamera::restart(const std::string& why) {
 
 /// While no frames are due, that the process says that it is alive is enough.
 void ContainedCamera::expect_frames(bool due) {
-  const bool begins = due && !frames_due_;
-  frames_due_ = due;
-  if (begins && opened_) {
+  if (std::exchange(frames_due_, due) != due && opened_) {
     wind_watchdog();
   }
 }
