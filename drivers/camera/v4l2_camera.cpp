@@ -402,10 +402,10 @@ std::vector<V4l2Description> list_v4l2_devices(const std::filesystem::path& fold
     const std::string path = entry->path().string();
     try {
       const V4l2Device device(kernel, path);
-      found.push_back({path, device.card(), device.offer()});
+      found.push_back({path, device.card(), device.offer(), device.controls()});
     } catch (const DeviceFault& fault) {
       if (fault.kind == DeviceFault::Kind::Failing) {
-        found.push_back({path, "", fault.what()});
+        found.push_back({path, "", fault.what(), ""});
       }
     }
   }

@@ -226,7 +226,8 @@ bool V4l2Device::ask(unsigned long request, void* argument, const char* what) co
   if (result >= 0) {
     return true;
   }
-  if (result != -EINVAL && result != -ENOTTY && result != -ENODATA) {
+  constexpr std::array kRefusals = {EINVAL, ENOTTY, ENODATA, ERANGE, EACCES};
+  if (std::find(kRefusals.begin(), kRefusals.end(), -result) == kRefusals.end()) {
     fail(-result, what);
   }
   return false;
@@ -325,6 +326,11 @@ std::string V4l2Device::offer() const {
                                 more > 0 ? fmt::format(" and {} more", more) : ""));
   }
   return parts.empty() ? "no pixel format yet" : fmt::format("{}", fmt::join(parts, "; "));
+}
+
+std::string V4l2Device::controls() const {
+  return describe_named_controls(
+      [this](unsigned long request, void* argument) { return ask(request, argument, "controls"); });
 }
 
 std::uint32_t V4l2Device::choose(const LiveConfig& config) const {

@@ -43,6 +43,8 @@ class V4l2Device {
   /// What it offers, for people, such as "YUYV, NV12 640x480, 320x240 at 30, 15 Hz; H264, which Facet does
   /// not read".
   std::string offer() const;
+  /// The controls that can be set by their names, for people.
+  std::string controls() const;
 
   /// Throws Unsuitable where the device can't do it; changes nothing in the device.
   void check(const LiveConfig& config) const;
@@ -75,7 +77,8 @@ class V4l2Device {
   };
 
   void close();
-  /// Carries out a request; false where the driver does not know it or says that the list is at its end.
+  /// Carries out a request; false where the driver does not know it, does not take a value, or says that the
+  /// list is at its end.
   bool ask(unsigned long request, void* argument, const char* what) const;
   /// The same for requests that every device must carry out.
   void demand(unsigned long request, void* argument, const char* what) const;

@@ -30,6 +30,13 @@ std::uint32_t row_bytes(std::uint32_t fourcc, std::uint32_t width_px) {
   return fourcc == V4L2_PIX_FMT_NV12 ? width_px : width_px * bits_of(fourcc) / 8;
 }
 
+std::uint32_t type_of(const FakeV4l2::Control& control) {
+  if (control.menu.empty()) {
+    return control.type;
+  }
+  return control.numbers.empty() ? V4L2_CTRL_TYPE_MENU : V4L2_CTRL_TYPE_INTEGER_MENU;
+}
+
 }  // namespace
 
 FakeV4l2::FakeV4l2() : modes{{V4L2_PIX_FMT_GREY, 4, 2, {10, 30}}} {}
@@ -209,8 +216,14 @@ int FakeV4l2::answer(int fd, unsigned long request, void* argument) {
       return query_control(*static_cast<v4l2_queryctrl*>(argument));
     case VIDIOC_QUERYMENU:
       return query_menu(*static_cast<v4l2_querymenu*>(argument));
-    case VIDIOC_S_CTRL:
-      return set_control(*static_cast<v4l2_control*>(argument));
+    case VIDIOC_QUERY_EXT_CTRL:
+      return query_control(*static_cast<v4l2_query_ext_ctrl*>(argument));
+    case VIDIOC_S_CTRL: {
+      const auto& wanted = *static_cast<v4l2_control*>(argument);
+      return set_control(wanted.id, wanted.value);
+    }
+    case VIDIOC_S_EXT_CTRLS:
+      return set_controls(*static_cast<v4l2_ext_controls*>(argument));
     case VIDIOC_REQBUFS:
       return request_buffers(fd, *static_cast<v4l2_requestbuffers*>(argument));
     case VIDIOC_QUERYBUF: {
@@ -353,30 +366,78 @@ int FakeV4l2::query_control(v4l2_queryctrl& query) const {
   if (found == controls.end()) {
     return -EINVAL;
   }
-  query.type = found->second.menu.empty() ? V4L2_CTRL_TYPE_INTEGER : V4L2_CTRL_TYPE_MENU;
-  query.minimum = found->second.minimum;
-  query.maximum = found->second.maximum;
+  query.type = type_of(found->second);
+  query.minimum = static_cast<std::int32_t>(found->second.minimum);
+  query.maximum = static_cast<std::int32_t>(found->second.maximum);
   query.step = found->second.step;
+  return 0;
+}
+
+int FakeV4l2::query_control(v4l2_query_ext_ctrl& query) const {
+  const bool next = (query.id & V4L2_CTRL_FLAG_NEXT_CTRL) != 0;
+  const std::uint32_t id = query.id & V4L2_CTRL_ID_MASK;
+  const auto found = next ? controls.upper_bound(id) : controls.find(id);
+  if (found == controls.end()) {
+    return -EINVAL;
+  }
+  const Control& control = found->second;
+  query.id = found->first;
+  query.type = type_of(control);
+  control.name.copy(query.name, sizeof query.name);
+  query.minimum = control.minimum;
+  query.maximum = control.maximum;
+  query.step = static_cast<std::uint64_t>(control.step);
+  query.flags = control.flags;
   return 0;
 }
 
 int FakeV4l2::query_menu(v4l2_querymenu& entry) const {
   const auto found = controls.find(entry.id);
-  return found != controls.end() && found->second.menu.count(static_cast<int>(entry.index)) != 0 ? 0
-                                                                                                 : -EINVAL;
-}
-
-int FakeV4l2::set_control(v4l2_control& wanted) {
-  const auto found = controls.find(wanted.id);
-  if (found == controls.end() ||
-      (!found->second.menu.empty() && found->second.menu.count(wanted.value) == 0)) {
+  if (found == controls.end() || found->second.menu.count(entry.index) == 0) {
     return -EINVAL;
   }
-  if (wanted.value < found->second.minimum || wanted.value > found->second.maximum) {
+  if (const auto text = found->second.texts.find(entry.index); text != found->second.texts.end()) {
+    text->second.copy(reinterpret_cast<char*>(entry.name), sizeof entry.name);
+  }
+  if (const auto number = found->second.numbers.find(entry.index); number != found->second.numbers.end()) {
+    entry.value = number->second;
+  }
+  return 0;
+}
+
+int FakeV4l2::set_control(std::uint32_t id, std::int64_t value) {
+  const auto found = controls.find(id);
+  if (found == controls.end() || (!found->second.menu.empty() && found->second.menu.count(value) == 0)) {
+    return -EINVAL;
+  }
+  if ((found->second.flags & V4L2_CTRL_FLAG_INACTIVE) != 0) {
+    return -EACCES;
+  }
+  if (found->second.type != V4L2_CTRL_TYPE_BITMASK &&
+      (value < found->second.minimum || value > found->second.maximum)) {
     return -ERANGE;
   }
-  found->second.value = wanted.value;
+  found->second.value = value;
+  if (on_control) {
+    on_control(id);
+  }
   return 0;
+}
+
+int FakeV4l2::set_controls(v4l2_ext_controls& wanted) {
+  if (wanted.which != V4L2_CTRL_WHICH_CUR_VAL || wanted.count != 1) {
+    return -EINVAL;
+  }
+  v4l2_ext_control& one = *wanted.controls;
+  const auto found = controls.find(one.id);
+  const bool wide = found != controls.end() && found->second.type == V4L2_CTRL_TYPE_INTEGER64;
+  const int result = set_control(one.id, wide ? one.value64 : one.value);
+  if (result == 0 && wide) {
+    one.value64 = found->second.value;
+  } else if (result == 0) {
+    one.value = static_cast<std::int32_t>(found->second.value);
+  }
+  return result;
 }
 
 int FakeV4l2::request_buffers(int fd, v4l2_requestbuffers& request) {

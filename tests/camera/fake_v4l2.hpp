@@ -28,11 +28,16 @@ class FakeV4l2 final : public camera::V4l2Kernel {
     std::vector<int> rates_hz;
   };
   struct Control {
-    int minimum;
-    int maximum;
+    std::int64_t minimum;
+    std::int64_t maximum;
     int step;
-    int value;
-    std::set<int> menu;  ///< empty: no menu
+    std::int64_t value;
+    std::set<std::int64_t> menu;  ///< empty: no menu
+    std::string name = "";
+    std::uint32_t type = V4L2_CTRL_TYPE_INTEGER;        ///< of one that has no menu
+    std::map<std::int64_t, std::string> texts = {};     ///< of a menu's entries
+    std::map<std::int64_t, std::int64_t> numbers = {};  ///< of a menu of numbers
+    std::uint32_t flags = 0;                            ///< grabbed: it can't be set now
   };
   /// What the device is about to put into a buffer.
   struct Filled {
@@ -54,6 +59,7 @@ class FakeV4l2 final : public camera::V4l2Kernel {
   bool sizes_in_a_range = false;  ///< ENUM_FRAMESIZES: from the first mode's size to the last one's
   bool tells_sizes = true;
   std::map<std::uint32_t, Control> controls;
+  std::function<void(std::uint32_t id)> on_control;  ///< called when one was set
   std::uint32_t colorspace = V4L2_COLORSPACE_SRGB;
   std::uint32_t ycbcr_enc = V4L2_YCBCR_ENC_DEFAULT;
   std::uint32_t quantization = V4L2_QUANTIZATION_DEFAULT;
@@ -116,7 +122,9 @@ class FakeV4l2 final : public camera::V4l2Kernel {
   int set_rate(v4l2_streamparm& parameters);
   int query_control(v4l2_queryctrl& query) const;
   int query_menu(v4l2_querymenu& entry) const;
-  int set_control(v4l2_control& wanted);
+  int query_control(v4l2_query_ext_ctrl& query) const;
+  int set_control(std::uint32_t id, std::int64_t value);
+  int set_controls(v4l2_ext_controls& wanted);
   int request_buffers(int fd, v4l2_requestbuffers& request);
   int dequeue(v4l2_buffer& buffer);
   int stream(int fd, bool on);

@@ -13,6 +13,7 @@
 #include <utility>
 #include <vector>
 
+#include "camera/v4l2_controls.hpp"
 #include "facet/error.hpp"
 #include "fake_v4l2.hpp"
 #include "jpeg_picture.hpp"
@@ -884,7 +885,7 @@ class V4l2ControlTest : public V4l2CameraTest {
         {V4L2_CID_WHITE_BALANCE_TEMPERATURE, {2800, 6500, 10, 4000, {}}},
     };
   }
-  int value(std::uint32_t id) { return device_.controls.at(id).value; }
+  std::int64_t value(std::uint32_t id) { return device_.controls.at(id).value; }
 };
 
 TEST_F(V4l2ControlTest, AreLeftToTheDeviceUnlessGiven) {
@@ -947,6 +948,155 @@ TEST_F(V4l2ControlTest, AControlThatTheDriverRefusesIsAFault) {
   EXPECT_EQ(value(V4L2_CID_GAIN), 17);
 }
 
+// Controls by their names.
+
+constexpr std::uint32_t kTriggerMode = V4L2_CID_CAMERA_CLASS_BASE + 0x1000;
+constexpr std::uint32_t kTriggerSource = kTriggerMode + 1;
+constexpr std::uint32_t kTriggerDelay = kTriggerMode + 2;
+constexpr std::uint32_t kLines = kTriggerMode + 3;
+constexpr std::uint32_t kLinkFrequency = kTriggerMode + 4;
+constexpr std::uint32_t kSerialNumber = kTriggerMode + 5;
+constexpr std::uint32_t kReset = kTriggerMode + 6;
+
+/// A camera of an industrial kind.
+class V4l2NamedControlTest : public V4l2CameraTest {
+ protected:
+  V4l2NamedControlTest() {
+    device_.controls = {
+        {V4L2_CID_CAMERA_CLASS, {0, 0, 0, 0, {}, "Camera Controls", V4L2_CTRL_TYPE_CTRL_CLASS}},
+        {V4L2_CID_BRIGHTNESS, {-64, 64, 4, 0, {}, "Brightness"}},
+        {V4L2_CID_AUTO_WHITE_BALANCE,
+         {0, 1, 1, 1, {}, "White Balance, Automatic", V4L2_CTRL_TYPE_BOOLEAN}},
+        {kTriggerMode, {0, 1, 1, 0, {}, "Trigger Mode", V4L2_CTRL_TYPE_BOOLEAN}},
+        {kTriggerSource,
+         {0, 3, 1, 0, {0, 1, 3}, "Trigger Source", 0, {{0, "Software"}, {1, "Line 1"}, {3, "Line 3"}}}},
+        {kTriggerDelay, {0, 10'000'000'000, 1, 0, {}, "Trigger Delay (ns)", V4L2_CTRL_TYPE_INTEGER64}},
+        {kLines, {0, 0xF000000F, 0, 0, {}, "Line Inverter", V4L2_CTRL_TYPE_BITMASK}},
+        {kLinkFrequency,
+         {0, 1, 1, 0, {0, 1}, "Link Frequency", 0, {}, {{0, 400'000'000}, {1, 5'000'000'000}}}},
+        {kSerialNumber, {0, 9, 1, 5, {}, "Serial Number", V4L2_CTRL_TYPE_INTEGER, {}, {}, V4L2_CTRL_FLAG_READ_ONLY}},
+        {kReset, {0, 0, 0, 0, {}, "Reset", V4L2_CTRL_TYPE_BUTTON}},
+    };
+  }
+  std::int64_t value(std::uint32_t id) { return device_.controls.at(id).value; }
+  std::string refusal_of(const ControlSetting& setting) {
+    config_.controls = {setting};
+    return refusal();
+  }
+};
+
+constexpr const char* kAllNamed =
+    "brightness -64 to 64 in steps of 4; white_balance_automatic true or false; trigger_mode true or false; "
+    "trigger_source one of \"Software\", \"Line 1\", \"Line 3\"; trigger_delay_ns 0 to 10000000000; "
+    "line_inverter bits of 0xF000000F; link_frequency one of 400000000, 5000000000";
+
+TEST_F(V4l2NamedControlTest, NamesAreSpelledAsV4l2sToolsDo) {
+  EXPECT_EQ(control_key("Trigger Mode"), "trigger_mode");
+  EXPECT_EQ(control_key("White Balance, Automatic"), "white_balance_automatic");
+  EXPECT_EQ(control_key("  Gain (dB) "), "gain_db");
+  EXPECT_EQ(control_key("trigger_mode"), "trigger_mode");
+  EXPECT_EQ(control_key("-- \xC3\xA4"), "");
+}
+
+TEST_F(V4l2NamedControlTest, AreSetInTheirOrder) {
+  config_.controls = {{"Trigger Source", "Line 3"},
+                      {"trigger_mode", true},
+                      {"TRIGGER DELAY NS", std::int64_t{5'000'000'123}},
+                      {"line inverter", std::int64_t{0xF0000001}},
+                      {"Link Frequency", std::int64_t{5'000'000'000}},
+                      {"white_balance_automatic", false},
+                      {"Brightness", std::int64_t{-60}}};
+  std::vector<std::uint32_t> order;
+  device_.on_control = [&](std::uint32_t id) { order.push_back(id); };
+  open();
+  EXPECT_TRUE(order.empty()) << "nothing is set before the camera is started";
+  camera_->start();
+  next();
+  EXPECT_EQ(value(kTriggerSource), 3);
+  EXPECT_EQ(value(kTriggerMode), 1);
+  EXPECT_EQ(value(kTriggerDelay), 5'000'000'123);
+  EXPECT_EQ(static_cast<std::uint32_t>(value(kLines)), 0xF0000001U);
+  EXPECT_EQ(value(kLinkFrequency), 1);
+  EXPECT_EQ(value(V4L2_CID_BRIGHTNESS), -60);
+  EXPECT_EQ(value(V4L2_CID_AUTO_WHITE_BALANCE), 0) << "what is named counts more than what is left alone";
+  const std::vector<std::uint32_t> wanted = {V4L2_CID_AUTO_WHITE_BALANCE, kTriggerSource, kTriggerMode,
+                                             kTriggerDelay,  kLines, kLinkFrequency,
+                                             V4L2_CID_AUTO_WHITE_BALANCE, V4L2_CID_BRIGHTNESS};
+  EXPECT_EQ(order, wanted);
+  // And again after a fault.
+  device_.controls.at(kTriggerMode).value = 0;
+  device_.break_stream();
+  expect_fault(CameraState::Failing, "Input/output error");
+  Frame frame;
+  recover(frame);
+  EXPECT_EQ(value(kTriggerMode), 1);
+}
+
+TEST_F(V4l2NamedControlTest, WhatTheDeviceLacksIsRefusedWithWhatItHas) {
+  EXPECT_EQ(refusal_of({"Trigger Modus", true}),
+            std::string("/dev/video0: source.controls.trigger_modus = true: the device has no such control; it "
+                        "has: ") + kAllNamed);
+  for (const char* name : {"Camera Controls", "Reset", "Serial Number", ""}) {
+    EXPECT_THAT(refusal_of({name, std::int64_t{1}}), HasSubstr("the device has no such control")) << name;
+  }
+  device_.controls.clear();
+  EXPECT_THAT(refusal_of({"Trigger Mode", true}), HasSubstr("has no such control; it has: none"));
+}
+
+TEST_F(V4l2NamedControlTest, ValuesOfTheWrongKindOrOutOfRangeAreRefusedWithWhatItTakes) {
+  const auto number = [](const char* name, std::int64_t value) { return ControlSetting{name, value}; };
+  for (const ControlSetting& setting :
+       {number("brightness", -65), number("brightness", 65), number("brightness", 62),
+        number("brightness", INT64_MIN), number("brightness", INT64_MAX), ControlSetting{"brightness", true},
+        ControlSetting{"brightness", "64"}}) {
+    EXPECT_THAT(refusal_of(setting), HasSubstr(": the device takes -64 to 64 in steps of 4"));
+  }
+  EXPECT_THAT(refusal_of(number("trigger_mode", 1)), HasSubstr("takes true or false"));
+  EXPECT_THAT(refusal_of({"trigger_mode", "on"}), HasSubstr("takes true or false"));
+  EXPECT_THAT(refusal_of({"trigger_source", "Line 2"}),
+              HasSubstr("source.controls.trigger_source = \"Line 2\": the device takes one of \"Software\", "));
+  EXPECT_THAT(refusal_of(number("trigger_source", 1)), HasSubstr("takes one of \"Software\", "));
+  EXPECT_THAT(refusal_of(number("line_inverter", 16)), HasSubstr("takes bits of 0xF000000F"));
+  EXPECT_THAT(refusal_of(number("line_inverter", -1)), HasSubstr("takes bits of 0xF000000F"));
+  EXPECT_THAT(refusal_of(number("link_frequency", 1)), HasSubstr("takes one of 400000000, 5000000000"));
+  EXPECT_THAT(refusal_of(number("trigger_delay_ns", -1)), HasSubstr("takes 0 to 10000000000"));
+}
+
+TEST_F(V4l2NamedControlTest, TwoOfOneNameAreNotGuessedAt) {
+  device_.controls.at(kTriggerDelay).name = "Trigger-Mode";
+  EXPECT_THAT(refusal_of({"trigger_mode", true}), HasSubstr("several controls of this name"));
+}
+
+TEST_F(V4l2NamedControlTest, OneThatAnotherLetsBeSet) {
+  device_.controls.at(kTriggerDelay).flags = V4L2_CTRL_FLAG_INACTIVE;
+  device_.on_control = [&](std::uint32_t id) {
+    device_.controls.at(kTriggerDelay).flags = id == kTriggerMode ? 0 : device_.controls.at(kTriggerDelay).flags;
+  };
+  config_.controls = {{"Trigger Delay (ns)", std::int64_t{7}}, {"Trigger Mode", true}};
+  started();
+  expect_fault(CameraState::Failing,
+               "source.controls.trigger_delay_ns = 7: the device does not take it now; another control may");
+  camera_.reset();
+  std::swap(config_.controls[0], config_.controls[1]);
+  started();
+  next();
+  EXPECT_EQ(value(kTriggerDelay), 7);
+}
+
+TEST_F(V4l2NamedControlTest, ValuesThatTheDriverChangesAreTold) {
+  device_.on_control = [&](std::uint32_t id) {
+    device_.controls.at(kTriggerDelay).value = id == kTriggerDelay ? 8 : 0;
+  };
+  config_.controls = {{"Trigger Delay (ns)", std::int64_t{7}}};
+  started();
+  expect_fault(CameraState::Failing, "source.controls.trigger_delay_ns = 7: the device made it 8");
+}
+
+TEST_F(V4l2NamedControlTest, ADriverWhoseListHasNoEnd) {
+  device_.controls = {{kTriggerMode, {0, 2'000'000'000, 1, 0, {0}, "Endless", 0, {{0, "Zero"}}}}};
+  EXPECT_THAT(refusal_of({"endless", "One"}), HasSubstr("takes one of \"Zero\""));
+}
+
 // For people.
 
 TEST_F(V4l2CameraTest, ListsDevices) {
@@ -956,11 +1106,13 @@ TEST_F(V4l2CameraTest, ListsDevices) {
   touch("video0");
   touch("vcs");
   device_.path = (folder.path() / "video1").string();
+  device_.controls = {{V4L2_CID_CAMERA_CLASS_BASE, {0, 1, 1, 0, {}, "Trigger Mode", V4L2_CTRL_TYPE_BOOLEAN}}};
   const auto listed = list_v4l2_devices(folder.path(), device_);
   ASSERT_EQ(listed.size(), 1U) << "video0 is no device, vcs has another name";
   EXPECT_EQ(listed[0].path, device_.path);
   EXPECT_EQ(listed[0].card, "Fake Camera");
   EXPECT_EQ(listed[0].modes, "GREY 4x2 at 10, 30 Hz");
+  EXPECT_EQ(listed[0].controls, "trigger_mode true or false");
   device_.open_error = EACCES;
   EXPECT_THAT(list_v4l2_devices(folder.path(), device_).at(0).modes, HasSubstr("may not be opened"));
   EXPECT_TRUE(list_v4l2_devices(folder.path() / "missing", device_).empty());
