@@ -306,7 +306,8 @@ V4l2Camera::Arrived V4l2Camera::examine(const v4l2_buffer& buffer) {
     count(&CameraCounters::stale);
     return arrived;
   }
-  if (device_->payload(buffer).size() < device_->format().least_bytes) {
+  if (device_->payload(buffer).size() < device_->format().least_bytes ||
+      device_->chroma(buffer).size() < device_->format().least_chroma_bytes) {
     count(&CameraCounters::truncated);
     return arrived;
   }
@@ -337,12 +338,13 @@ bool V4l2Camera::is_stale(const v4l2_buffer& buffer) const {
 bool V4l2Camera::convert(const Arrived& arrived, Frame& out) {
   const V4l2Device::Format& format = device_->format();
   const std::span<const std::uint8_t> payload = device_->payload(arrived.buffer);
+  const std::span<const std::uint8_t> chroma = device_->chroma(arrived.buffer);
   const auto stride = static_cast<std::size_t>(rgba_stride_bytes(config_.width_px));
   auto pixels = pool_->take(stride * static_cast<std::size_t>(config_.height_px));
   bool damaged = (arrived.buffer.flags & V4L2_BUF_FLAG_ERROR) != 0;
   if (format.layout) {
     convert_to_rgba(*format.layout, format.coding, payload.data(), format.stride_bytes, config_.width_px,
-                    config_.height_px, pixels.get(), stride);
+                    config_.height_px, pixels.get(), stride, chroma.empty() ? nullptr : chroma.data());
   } else {
     const JpegOutcome outcome =
         jpeg_.decode(payload, config_.width_px, config_.height_px, pixels.get(), stride);

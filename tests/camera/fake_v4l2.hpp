@@ -2,6 +2,7 @@
 
 #include <linux/videodev2.h>
 
+#include <array>
 #include <cstdint>
 #include <deque>
 #include <functional>
@@ -65,6 +66,10 @@ class FakeV4l2 final : public camera::V4l2Kernel {
   std::uint32_t quantization = V4L2_QUANTIZATION_DEFAULT;
   std::uint32_t field = V4L2_FIELD_NONE;
   std::uint32_t row_padding_bytes = 0;
+  // With V4L2_CAP_VIDEO_CAPTURE_MPLANE among the capabilities instead of V4L2_CAP_VIDEO_CAPTURE:
+  std::uint32_t data_offset = 0;             ///< of the picture in each plane
+  std::uint32_t chroma_row_padding_bytes = 0;  ///< of NV12M's second plane, beyond the first one's
+  std::uint32_t planes_given = 0;            ///< instead of what the format has; 0: no
   std::uint32_t most_buffers = 32;
   std::int64_t period_ns = 100 * kMillisecond_ns;  ///< set by S_PARM
   std::uint32_t first_sequence = 0;
@@ -109,15 +114,24 @@ class FakeV4l2 final : public camera::V4l2Kernel {
 
  private:
   struct Buffer {
-    std::vector<std::uint8_t> memory;
+    std::array<std::vector<std::uint8_t>, 2> memory;  ///< of each plane
     bool queued = false;
     v4l2_buffer filled{};
+    std::array<v4l2_plane, 2> planes{};
   };
+  bool multi_planar() const { return (capabilities & V4L2_CAP_VIDEO_CAPTURE_MPLANE) != 0; }
+  std::uint32_t type() const {
+    return multi_planar() ? V4L2_BUF_TYPE_VIDEO_CAPTURE_MPLANE : V4L2_BUF_TYPE_VIDEO_CAPTURE;
+  }
+  std::size_t plane_count() const { return format_.pixelformat == V4L2_PIX_FMT_NV12M ? 2 : 1; }
+  bool fits(const v4l2_buffer& buffer) const;
+  int query_buffer(v4l2_buffer& buffer);
 
   int answer(int fd, unsigned long request, void* argument);
   int enumerate_format(v4l2_fmtdesc& format) const;
   int enumerate_size(v4l2_frmsizeenum& size) const;
   int enumerate_interval(v4l2_frmivalenum& interval) const;
+  int set_format(v4l2_pix_format& pixels);
   int set_format(v4l2_format& format);
   int set_rate(v4l2_streamparm& parameters);
   int query_control(v4l2_queryctrl& query) const;

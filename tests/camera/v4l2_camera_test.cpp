@@ -196,23 +196,33 @@ struct Wire {
   std::array<int, 3> first_pixel;
 };
 
-class V4l2FormatTest : public V4l2CameraTest, public testing::WithParamInterface<Wire> {};
-
-TEST_P(V4l2FormatTest, IsDelivered) {
-  const Wire& wire = GetParam();
-  config_.format = wire.format;
-  device_.modes = {{V4L2_PIX_FMT_UYVY, 4, 2, {10}}, {wire.fourcc, 4, 2, {10}}};
-  device_.row_padding_bytes = 4;
-  device_.on_fill = [&](test::FakeV4l2::Filled& filled) { filled.bytes = wire.bytes; };
-  started();
-  const Frame frame = next();
-  for (int y = 0; y < 2; ++y) {
-    for (std::size_t channel = 0; channel < 3; ++channel) {
-      EXPECT_EQ(frame.row(y)[channel], wire.first_pixel[channel]) << "row " << y << ", channel " << channel;
-      EXPECT_EQ(frame.row(y)[12 + channel], wire.first_pixel[channel])
-          << "row " << y << ", channel " << channel;
+class V4l2FormatTest : public V4l2CameraTest, public testing::WithParamInterface<Wire> {
+ protected:
+  void expect_delivered(const Wire& wire) {
+    config_.format = wire.format;
+    device_.modes = {{V4L2_PIX_FMT_UYVY, 4, 2, {10}}, {wire.fourcc, 4, 2, {10}}};
+    device_.row_padding_bytes = 4;
+    device_.on_fill = [&](test::FakeV4l2::Filled& filled) { filled.bytes = wire.bytes; };
+    started();
+    const Frame frame = next();
+    for (int y = 0; y < 2; ++y) {
+      for (std::size_t channel = 0; channel < 3; ++channel) {
+        EXPECT_EQ(frame.row(y)[channel], wire.first_pixel[channel]) << "row " << y << ", channel " << channel;
+        EXPECT_EQ(frame.row(y)[12 + channel], wire.first_pixel[channel])
+            << "row " << y << ", channel " << channel;
+      }
     }
   }
+};
+
+TEST_P(V4l2FormatTest, IsDelivered) {
+  expect_delivered(GetParam());
+}
+
+TEST_P(V4l2FormatTest, IsDeliveredByAMultiPlanarDevice) {
+  device_.capabilities = V4L2_CAP_VIDEO_CAPTURE_MPLANE | V4L2_CAP_STREAMING;
+  device_.data_offset = 32;
+  expect_delivered(GetParam());
 }
 
 INSTANTIATE_TEST_SUITE_P(
@@ -235,6 +245,86 @@ INSTANTIATE_TEST_SUITE_P(
                          {0, 64, 0, 64, 0, 64, 0, 64, 0, 0, 0, 0, 0, 64, 0, 64, 0, 64, 0, 64},
                          {64, 64, 64}}),
     [](const auto& wire) { return wire.param.format; });
+
+class V4l2MultiPlanarTest : public V4l2CameraTest {
+ protected:
+  V4l2MultiPlanarTest() {
+    device_.capabilities = V4L2_CAP_VIDEO_CAPTURE_MPLANE | V4L2_CAP_STREAMING;
+    device_.modes = {{V4L2_PIX_FMT_NV12, 4, 2, {30}}, {V4L2_PIX_FMT_NV12M, 4, 2, {10, 30}}};
+    device_.on_fill = [this](test::FakeV4l2::Filled& filled) {
+      filled.bytes = {81, 81, 81, 81, 81, 81, 81, 81, 90, 240, 90, 240};
+      if (spoil_) {
+        spoil_(filled);
+        spoil_ = nullptr;
+      }
+    };
+  }
+  std::function<void(test::FakeV4l2::Filled&)> spoil_;  ///< changes the next picture alone
+};
+
+TEST_F(V4l2MultiPlanarTest, Nv12InTwoBlocksOfMemory) {
+  for (const std::uint32_t offset : {0U, 32U}) {
+    device_.data_offset = offset;
+    started();
+    for (std::uint64_t i = 0; i < 10; ++i) {
+      const Frame frame = next();
+      EXPECT_EQ(frame.sequence, i);
+      EXPECT_EQ(frame.timestamp_ns, device_.now_ns - device_.period_ns);
+      for (int y = 0; y < 2; ++y) {
+        EXPECT_EQ(frame.row(y)[0], 254);
+        EXPECT_EQ(frame.row(y)[13], 0);
+      }
+    }
+    EXPECT_EQ(device_.mapped, 8) << "two of each buffer";
+    camera_->stop();
+    EXPECT_EQ(device_.mapped, 0);
+  }
+}
+
+TEST_F(V4l2MultiPlanarTest, EachBlockMustBeWhole) {
+  started();
+  next();
+  spoil_ = [](test::FakeV4l2::Filled& filled) { filled.bytes.pop_back(); };
+  next();
+  EXPECT_EQ(counters().truncated, 1U);
+  spoil_ = [](test::FakeV4l2::Filled& filled) { filled.bytes.resize(7); };
+  next();
+  EXPECT_EQ(counters().truncated, 2U);
+  spoil_ = [](test::FakeV4l2::Filled& filled) { filled.bytes.resize(1000); };
+  next();
+  EXPECT_EQ(counters().truncated, 3U) << "more than the memory of the second block";
+  EXPECT_EQ(counters().delivered, 4U);
+}
+
+TEST_F(V4l2MultiPlanarTest, AFormatThatIsThereInBothWaysIsNamedOnce) {
+  device_.modes = {{V4L2_PIX_FMT_NV12, 4, 2, {30}}, {V4L2_PIX_FMT_NV12M, 4, 2, {30}}};
+  EXPECT_THAT(refusal(), testing::EndsWith("the device has: NV12 4x2 at 30 Hz"));
+}
+
+TEST_F(V4l2MultiPlanarTest, ComesBackAfterFaults) {
+  started();
+  next();
+  device_.break_stream();
+  expect_fault(CameraState::Failing, "Input/output error");
+  Frame frame;
+  recover(frame);
+  device_.map_failures = 1;
+  device_.break_stream();
+  expect_fault(CameraState::Failing, "Input/output error");
+  recover(frame);
+  EXPECT_EQ(device_.mapped, 8);
+}
+
+TEST_F(V4l2MultiPlanarTest, OtherBlocksAreRefused) {
+  device_.planes_given = 3;
+  started();
+  expect_fault(CameraState::Failing, "gives NV12 in 3 blocks of memory");
+  camera_.reset();
+  device_.planes_given = 0;
+  device_.chroma_row_padding_bytes = 4;
+  started();
+  expect_fault(CameraState::Failing, "or with other rows in each");
+}
 
 class V4l2ColourTest : public V4l2CameraTest {
  protected:
