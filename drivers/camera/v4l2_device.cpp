@@ -31,8 +31,8 @@ struct KnownFormat {
 };
 constexpr std::array kKnownFormats = {
     KnownFormat{V4L2_PIX_FMT_YUYV, "YUYV", PixelLayout::Yuyv},
-    KnownFormat{V4L2_PIX_FMT_NV12, "NV12", PixelLayout::Nv12},
     KnownFormat{V4L2_PIX_FMT_NV12M, "NV12", PixelLayout::Nv12, 2},
+    KnownFormat{V4L2_PIX_FMT_NV12, "NV12", PixelLayout::Nv12},
     KnownFormat{V4L2_PIX_FMT_MJPEG, "MJPEG", std::nullopt},
     KnownFormat{V4L2_PIX_FMT_JPEG, "MJPEG", std::nullopt},
     KnownFormat{V4L2_PIX_FMT_GREY, "GREY", PixelLayout::Grey},

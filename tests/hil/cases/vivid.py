@@ -11,8 +11,8 @@ DEVICE = "/dev/v4l/by-path/platform-vivid.0-video-index0"
 DRIVER = Path("/sys/bus/platform/drivers/vivid")
 
 
-def load():
-    run("modprobe", "vivid", "n_devs=1", "node_types=0x1")
+def load(multi_planar=False):
+    run("modprobe", "vivid", "n_devs=1", "node_types=0x1", f"multiplanar={2 if multi_planar else 1}")
     run("udevadm", "settle")
     # The text in the picture takes most of the emulated processor's time.
     set_controls(DEVICE, osd_text_mode=2)
@@ -300,6 +300,33 @@ def held_by_another_program():
             other.wait()
             probe.wait_state("streaming")
             probe.end()
+
+
+@test
+def multi_planar():
+    """The other interface of V4L2: formats in one block of memory, and NV12 in two."""
+    run("modprobe", "-r", "vivid")
+    load(multi_planar=True)
+    try:
+        said = run("v4l2-ctl", "-d", DEVICE, "--all")
+        check("Video Capture Multiplanar" in said, said)
+        for name in ("YUYV", "NV12", "GREY", "Y16", "Y10"):
+            with Probe(DEVICE, rate=15, width=320, height=180, format=name) as probe:
+                opened = probe.wait_for("open")
+                check(opened["state"] == "idle", f"{name}: {opened}")
+                frames = probe.wait_frames(5, since=0)
+                check(not frames[-1]["corrupt"], name)
+                end = probe.end()
+            check_frames_in_order(frames)
+            check_counted(end)
+        listed = run("v4l2-ctl", "-d", DEVICE, "--list-formats")
+        check("NM12" in listed, f"NV12 is not there in two blocks: {listed}")
+        with streaming() as probe:
+            come_and_go(probe, unbind, bind, 1)
+            check_frames_in_order(probe.frames())
+    finally:
+        run("modprobe", "-r", "vivid")
+        load()
 
 
 load()
