@@ -294,6 +294,33 @@ def connection_is_over(connection):
 
 
 @full
+def each_camera_is_unplugged_20_times():
+    """One after the other: each comes back, the other one does not notice, no descriptor and no memory is lost."""
+    with Rig(CHIP) as rig:
+        rig.wait_sets(10)
+
+        def held():
+            folder = Path(f"/proc/{rig.process.pid}")
+            return len(list((folder / "fd").iterdir())), int((folder / "statm").read_text().split()[1]) * 4
+
+        for which, faulty in enumerate(rig.cameras):
+            settled, others = None, rig.rig()["cameras"][1 - which]["frames"]["reopened"]
+            for _ in range(20):
+                faulty.tell("unplug")
+                rig.wait(lambda now: now["cameras"][which]["state"] == "absent", "the unplugging is not noticed")
+                faulty.tell("plug")
+                now = rig.wait(lambda now: now["cameras"][which]["state"] == "streaming", "it does not come back")
+                settled = settled or held()
+            end = held()
+            figure(f"camera {which}: descriptors, kB after the first and the last time", [*settled, *end])
+            check(end[0] == settled[0] and end[1] <= settled[1] + 2048, f"descriptors, kB: {settled}, then {end}")
+            check(now["cameras"][which]["frames"]["reopened"] >= 20, now["cameras"][which])
+            check(now["cameras"][1 - which]["frames"]["reopened"] == others, f"the other camera: {now['cameras'][1 - which]}")
+        rig.wait_sets(10)
+        rig.stop()
+
+
+@full
 def four_minutes():
     with Rig(CHIP) as rig:
         rig.wait_sets(10)
