@@ -96,7 +96,8 @@ void read_controls(Section section, std::vector<camera::ControlSetting>& control
     } else if (const auto text = node->value_exact<std::string>()) {
       controls.push_back({name, *text});
     } else {
-      section.fail(node, name, "must be true or false, a whole number, or the text of a menu's entry in quotes");
+      section.fail(node, name,
+                   "must be true or false, a whole number, or the text of a menu's entry in quotes");
     }
   }
 }

@@ -94,8 +94,8 @@ class ContainedCamera final : public Camera {
   std::shared_ptr<PixelBuffers> pool_ = std::make_shared<PixelBuffers>();
   std::int64_t retry_ns_ = 0;  ///< while there is no process: when one is started
   std::int64_t pause_ns_;
-  std::int64_t begun_ns_ = 0;                   ///< when the process was started
-  std::int64_t last_life_ns_ = 0;               ///< the last delivery, or when the camera was opened
+  std::int64_t begun_ns_ = 0;      ///< when the process was started
+  std::int64_t last_life_ns_ = 0;  ///< the last delivery, or when the camera was opened
   bool frames_due_ = true;
   std::int64_t watchdog_ns_ = 0;                ///< the process is given up when no frame has come until then
   bool opened_ = false;                         ///< the process says that its camera is

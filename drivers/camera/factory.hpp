@@ -14,8 +14,8 @@
 
 namespace facet::camera {
 
-/// A control of a device by its name in the driver ("Trigger Mode" or trigger_mode): a switch, a number, or an
-/// entry of a menu by its text.
+/// A control of a device by its name in the driver ("Trigger Mode" or trigger_mode): a switch, a number, or
+/// an entry of a menu by its text.
 struct ControlSetting {
   std::string name;
   std::variant<bool, std::int64_t, std::string> value;

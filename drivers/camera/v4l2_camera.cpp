@@ -94,7 +94,7 @@ class V4l2Camera final : public Camera {
   std::int64_t retry_ns_ = 0;      ///< while there is no device: when it is opened again
   std::int64_t last_life_ns_ = 0;  ///< the last delivery, or when the stream was begun
   bool frames_due_ = true;
-  std::int64_t watchdog_ns_ = 0;   ///< the stream is taken for stalled when no frame has come until then
+  std::int64_t watchdog_ns_ = 0;  ///< the stream is taken for stalled when no frame has come until then
   std::int64_t pause_ns_ = kShortestPause_ns;
   bool delivered_before_ = false;  ///< anything, by this stream or one before
   bool first_of_stream_ = true;    ///< nothing was delivered by this stream

@@ -277,7 +277,8 @@ std::string set_named(const V4l2Request& request, const Match& wanted, const Con
   controls.count = 1;
   controls.controls = &control;
   if (!request(VIDIOC_S_EXT_CTRLS, &controls)) {
-    return key_of(setting) + ": the device does not take it now; another control may have to be set before it";
+    return key_of(setting) +
+           ": the device does not take it now; another control may have to be set before it";
   }
   const std::int64_t given = wide ? control.value64 : control.value;
   if (given != (wide ? wanted.value : static_cast<std::int32_t>(wanted.value))) {

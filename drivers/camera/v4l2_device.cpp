@@ -403,10 +403,10 @@ v4l2_pix_format V4l2Device::demand_format(const v4l2_pix_format& wanted) {
   demand(VIDIOC_S_FMT, &format, "VIDIOC_S_FMT");
   if (planes.pixelformat == wanted.pixelformat &&
       (planes.num_planes != find_format(wanted.pixelformat)->planes ||
-       (planes.num_planes == 2 &&
-        planes.plane_fmt[1].bytesperline != planes.plane_fmt[0].bytesperline))) {
-    refuse(fmt::format("gives {} in {} blocks of memory, or with other rows in each, which Facet does not read",
-                       format_name(planes.pixelformat), planes.num_planes));
+       (planes.num_planes == 2 && planes.plane_fmt[1].bytesperline != planes.plane_fmt[0].bytesperline))) {
+    refuse(
+        fmt::format("gives {} in {} blocks of memory, or with other rows in each, which Facet does not read",
+                    format_name(planes.pixelformat), planes.num_planes));
   }
   plane_count_ = planes.num_planes;
   v4l2_pix_format given{};
@@ -491,8 +491,8 @@ void V4l2Device::map_buffers(unsigned count) {
     for (std::uint32_t plane = 0; plane < plane_count_; ++plane) {
       Mapping& mapping = buffers_.back()[plane];
       mapping.length = multi_planar() ? planes[plane].length : buffer.length;
-      mapping.start = kernel_.map(fd_, mapping.length,
-                                  multi_planar() ? planes[plane].m.mem_offset : buffer.m.offset);
+      mapping.start =
+          kernel_.map(fd_, mapping.length, multi_planar() ? planes[plane].m.mem_offset : buffer.m.offset);
       if (mapping.start == nullptr) {
         fail(ENOMEM, "mmap");
       }

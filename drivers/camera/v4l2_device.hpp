@@ -31,7 +31,8 @@ struct V4l2Mode {
 };
 
 /// One open V4L2 capture device, of the single-planar or the multi-planar interface; of the latter, formats
-/// whose picture is in one block of memory, and NV12 in two. One thread. Everything throws DeviceFault where the device does not do it.
+/// whose picture is in one block of memory, and NV12 in two. One thread. Everything throws DeviceFault where
+/// the device does not do it.
 class V4l2Device {
  public:
   /// Opens the device and reads what it offers.

@@ -160,9 +160,8 @@ void* FakeV4l2::map(int fd, std::size_t length, std::int64_t offset) {
 
 void FakeV4l2::unmap(void* start, std::size_t length) {
   const bool known = std::any_of(buffers_.begin(), buffers_.end(), [&](const Buffer& buffer) {
-    return std::any_of(buffer.memory.begin(), buffer.memory.end(), [&](const auto& memory) {
-      return memory.data() == start && memory.size() == length;
-    });
+    return std::any_of(buffer.memory.begin(), buffer.memory.end(),
+                       [&](const auto& memory) { return memory.data() == start && memory.size() == length; });
   });
   EXPECT_TRUE(known);
   --mapped;
@@ -212,8 +211,8 @@ int FakeV4l2::answer(int fd, unsigned long request, void* argument) {
     case VIDIOC_QUERYCAP: {
       auto& capability = *static_cast<v4l2_capability*>(argument);
       std::strcpy(reinterpret_cast<char*>(capability.card), "Fake Camera");
-      capability.capabilities = V4L2_CAP_DEVICE_CAPS | V4L2_CAP_VIDEO_CAPTURE |
-                                V4L2_CAP_VIDEO_CAPTURE_MPLANE | V4L2_CAP_STREAMING;
+      capability.capabilities =
+          V4L2_CAP_DEVICE_CAPS | V4L2_CAP_VIDEO_CAPTURE | V4L2_CAP_VIDEO_CAPTURE_MPLANE | V4L2_CAP_STREAMING;
       capability.device_caps = capabilities;
       return 0;
     }

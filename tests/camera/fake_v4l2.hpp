@@ -67,9 +67,9 @@ class FakeV4l2 final : public camera::V4l2Kernel {
   std::uint32_t field = V4L2_FIELD_NONE;
   std::uint32_t row_padding_bytes = 0;
   // With V4L2_CAP_VIDEO_CAPTURE_MPLANE among the capabilities instead of V4L2_CAP_VIDEO_CAPTURE:
-  std::uint32_t data_offset = 0;             ///< of the picture in each plane
+  std::uint32_t data_offset = 0;               ///< of the picture in each plane
   std::uint32_t chroma_row_padding_bytes = 0;  ///< of NV12M's second plane, beyond the first one's
-  std::uint32_t planes_given = 0;            ///< instead of what the format has; 0: no
+  std::uint32_t planes_given = 0;              ///< instead of what the format has; 0: no
   std::uint32_t most_buffers = 32;
   std::int64_t period_ns = 100 * kMillisecond_ns;  ///< set by S_PARM
   std::uint32_t first_sequence = 0;

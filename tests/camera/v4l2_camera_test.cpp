@@ -1055,8 +1055,7 @@ class V4l2NamedControlTest : public V4l2CameraTest {
     device_.controls = {
         {V4L2_CID_CAMERA_CLASS, {0, 0, 0, 0, {}, "Camera Controls", V4L2_CTRL_TYPE_CTRL_CLASS}},
         {V4L2_CID_BRIGHTNESS, {-64, 64, 4, 0, {}, "Brightness"}},
-        {V4L2_CID_AUTO_WHITE_BALANCE,
-         {0, 1, 1, 1, {}, "White Balance, Automatic", V4L2_CTRL_TYPE_BOOLEAN}},
+        {V4L2_CID_AUTO_WHITE_BALANCE, {0, 1, 1, 1, {}, "White Balance, Automatic", V4L2_CTRL_TYPE_BOOLEAN}},
         {kTriggerMode, {0, 1, 1, 0, {}, "Trigger Mode", V4L2_CTRL_TYPE_BOOLEAN}},
         {kTriggerSource,
          {0, 3, 1, 0, {0, 1, 3}, "Trigger Source", 0, {{0, "Software"}, {1, "Line 1"}, {3, "Line 3"}}}},
@@ -1064,7 +1063,8 @@ class V4l2NamedControlTest : public V4l2CameraTest {
         {kLines, {0, 0xF000000F, 0, 0, {}, "Line Inverter", V4L2_CTRL_TYPE_BITMASK}},
         {kLinkFrequency,
          {0, 1, 1, 0, {0, 1}, "Link Frequency", 0, {}, {{0, 400'000'000}, {1, 5'000'000'000}}}},
-        {kSerialNumber, {0, 9, 1, 5, {}, "Serial Number", V4L2_CTRL_TYPE_INTEGER, {}, {}, V4L2_CTRL_FLAG_READ_ONLY}},
+        {kSerialNumber,
+         {0, 9, 1, 5, {}, "Serial Number", V4L2_CTRL_TYPE_INTEGER, {}, {}, V4L2_CTRL_FLAG_READ_ONLY}},
         {kReset, {0, 0, 0, 0, {}, "Reset", V4L2_CTRL_TYPE_BUTTON}},
     };
   }
@@ -1109,9 +1109,9 @@ TEST_F(V4l2NamedControlTest, AreSetInTheirOrder) {
   EXPECT_EQ(value(kLinkFrequency), 1);
   EXPECT_EQ(value(V4L2_CID_BRIGHTNESS), -60);
   EXPECT_EQ(value(V4L2_CID_AUTO_WHITE_BALANCE), 0) << "what is named counts more than what is left alone";
-  const std::vector<std::uint32_t> wanted = {V4L2_CID_AUTO_WHITE_BALANCE, kTriggerSource, kTriggerMode,
-                                             kTriggerDelay,  kLines, kLinkFrequency,
-                                             V4L2_CID_AUTO_WHITE_BALANCE, V4L2_CID_BRIGHTNESS};
+  const std::vector<std::uint32_t> wanted = {
+      V4L2_CID_AUTO_WHITE_BALANCE, kTriggerSource,     kTriggerMode, kTriggerDelay, kLines, kLinkFrequency,
+      V4L2_CID_AUTO_WHITE_BALANCE, V4L2_CID_BRIGHTNESS};
   EXPECT_EQ(order, wanted);
   // And again after a fault.
   device_.controls.at(kTriggerMode).value = 0;
@@ -1123,9 +1123,11 @@ TEST_F(V4l2NamedControlTest, AreSetInTheirOrder) {
 }
 
 TEST_F(V4l2NamedControlTest, WhatTheDeviceLacksIsRefusedWithWhatItHas) {
-  EXPECT_EQ(refusal_of({"Trigger Modus", true}),
-            std::string("/dev/video0: source.controls.trigger_modus = true: the device has no such control; it "
-                        "has: ") + kAllNamed);
+  EXPECT_EQ(
+      refusal_of({"Trigger Modus", true}),
+      std::string("/dev/video0: source.controls.trigger_modus = true: the device has no such control; it "
+                  "has: ") +
+          kAllNamed);
   for (const char* name : {"Camera Controls", "Reset", "Serial Number", ""}) {
     EXPECT_THAT(refusal_of({name, std::int64_t{1}}), HasSubstr("the device has no such control")) << name;
   }
@@ -1143,8 +1145,9 @@ TEST_F(V4l2NamedControlTest, ValuesOfTheWrongKindOrOutOfRangeAreRefusedWithWhatI
   }
   EXPECT_THAT(refusal_of(number("trigger_mode", 1)), HasSubstr("takes true or false"));
   EXPECT_THAT(refusal_of({"trigger_mode", "on"}), HasSubstr("takes true or false"));
-  EXPECT_THAT(refusal_of({"trigger_source", "Line 2"}),
-              HasSubstr("source.controls.trigger_source = \"Line 2\": the device takes one of \"Software\", "));
+  EXPECT_THAT(
+      refusal_of({"trigger_source", "Line 2"}),
+      HasSubstr("source.controls.trigger_source = \"Line 2\": the device takes one of \"Software\", "));
   EXPECT_THAT(refusal_of(number("trigger_source", 1)), HasSubstr("takes one of \"Software\", "));
   EXPECT_THAT(refusal_of(number("line_inverter", 16)), HasSubstr("takes bits of 0xF000000F"));
   EXPECT_THAT(refusal_of(number("line_inverter", -1)), HasSubstr("takes bits of 0xF000000F"));
@@ -1160,7 +1163,8 @@ TEST_F(V4l2NamedControlTest, TwoOfOneNameAreNotGuessedAt) {
 TEST_F(V4l2NamedControlTest, OneThatAnotherLetsBeSet) {
   device_.controls.at(kTriggerDelay).flags = V4L2_CTRL_FLAG_INACTIVE;
   device_.on_control = [&](std::uint32_t id) {
-    device_.controls.at(kTriggerDelay).flags = id == kTriggerMode ? 0 : device_.controls.at(kTriggerDelay).flags;
+    device_.controls.at(kTriggerDelay).flags =
+        id == kTriggerMode ? 0 : device_.controls.at(kTriggerDelay).flags;
   };
   config_.controls = {{"Trigger Delay (ns)", std::int64_t{7}}, {"Trigger Mode", true}};
   started();

@@ -377,8 +377,9 @@ device = "/dev/video1"
 
 TEST(Config, ErrorsOfControls) {
   const std::string camera = "[source]\nkind = \"v4l2\"\n[source.controls]\n";
-  EXPECT_THAT(error_of(camera + "gain = 0.5"),
-              HasSubstr("facet.toml:4: source.controls.gain: must be true or false, a whole number, or the text"));
+  EXPECT_THAT(
+      error_of(camera + "gain = 0.5"),
+      HasSubstr("facet.toml:4: source.controls.gain: must be true or false, a whole number, or the text"));
   EXPECT_THAT(error_of(camera + "gain = [1]"), HasSubstr("must be true or false"));
   EXPECT_THAT(error_of(camera + "gain = 1\n\"Gain\" = 2"),
               HasSubstr("facet.toml:5: source.controls.Gain: is set twice"));

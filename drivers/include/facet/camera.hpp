@@ -31,7 +31,8 @@ enum class CameraState {
 };
 
 constexpr const char* to_string(CameraState state) {
-  constexpr std::array kNames = {"idle", "absent", "opening", "streaming", "waiting", "stalled", "failing", "ended"};
+  constexpr std::array kNames = {"idle",    "absent",  "opening", "streaming",
+                                 "waiting", "stalled", "failing", "ended"};
   return kNames.at(static_cast<std::size_t>(state));
 }
 
