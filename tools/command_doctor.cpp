@@ -116,6 +116,9 @@ void list_cameras(Report& report) {
     report.say(Verdict::Note, "camera",
                device.card.empty() ? device.modes
                                    : fmt::format("{} ({}): {}", device.path, device.card, device.modes));
+    if (!device.controls.empty()) {
+      report.say(Verdict::Note, "controls", fmt::format("{}: {}", device.path, device.controls));
+    }
   }
   try {
     for (const camera::CameraListing& listing : camera::list_contained_cameras()) {

@@ -126,6 +126,22 @@ const toml::node* TomlSection::read_numbers(const std::string& key, std::span<do
   return node;
 }
 
+std::vector<std::pair<std::string, const toml::node*>> TomlSection::entries() {
+  std::vector<std::pair<std::string, const toml::node*>> found;
+  if (table_ != nullptr) {
+    for (const auto& [key, value] : *table_) {
+      found.emplace_back(key.str(), &value);
+      known_.emplace_back(key.str());
+    }
+  }
+  std::stable_sort(found.begin(), found.end(), [](const auto& a, const auto& b) {
+    const toml::source_position& left = a.second->source().begin;
+    const toml::source_position& right = b.second->source().begin;
+    return std::pair(left.line, left.column) < std::pair(right.line, right.column);
+  });
+  return found;
+}
+
 const toml::node* TomlSection::find(const std::string& key, bool is_value) {
   known_.push_back(key);
   if (is_value) {

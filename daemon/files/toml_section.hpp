@@ -13,6 +13,7 @@
 #include <span>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 namespace facet::files {
@@ -76,6 +77,9 @@ class TomlSection {
           number(*node, key, least, most, fmt::format("a number from {} to {}", least, most)));
     }
   }
+
+  /// The keys of a section that names them itself, with their values, in the file's order.
+  std::vector<std::pair<std::string, const toml::node*>> entries();
 
   /// One of a few words; returns its place among them.
   template <std::size_t Count>

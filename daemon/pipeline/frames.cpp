@@ -37,6 +37,10 @@ constexpr std::chrono::milliseconds kPatience{50};
 constexpr Clock::duration kOutOfStepPatience = 5s;
 constexpr Clock::duration kLongestOutOfStepPatience = 60s;
 constexpr auto kLookPeriod = 1s;
+/// A trigger rests that has not fired for this long, or for one and a half slots where these are longer;
+constexpr std::int64_t kTriggerRests_ns = 250'000'000;
+/// its cameras are said to wait after this long, or three slots.
+constexpr std::int64_t kTriggerStands_ns = 1'000'000'000;
 constexpr auto kFirstTriggerPause = 1s;
 constexpr auto kLongestTriggerPause = 10s;
 /// Rates of free-running cameras count as the same within this.
@@ -266,6 +270,7 @@ struct FramesPipeline::Impl {
   Messages messages;
   std::atomic<bool> stopping{false};
   std::atomic<std::size_t> cameras_at_work{0};
+  std::atomic<std::int64_t> last_firing_ns{0};  ///< when it was told; at first, when the pipeline was started
   capture::FrameSetAssembler assembler;
   Workers workers;
   mutable std::mutex mutex;
@@ -299,6 +304,8 @@ struct FramesPipeline::Impl {
 
   void run_camera(std::size_t index);
   void watch_camera(std::size_t index, CameraState& state, std::string& reason);
+  bool not_fired_for(std::int64_t time_ns) const;
+  CameraStatus status_of(std::size_t index) const;
   void run_trigger();
   bool fire_until_failed(Trigger& lines);
   void take_event(const TriggerEvent& event);
@@ -332,15 +339,31 @@ void FramesPipeline::Impl::set_state(PipelineState state) {
   }
 }
 
+/// False where there is no trigger.
+bool FramesPipeline::Impl::not_fired_for(std::int64_t time_ns) const {
+  return rig.open_trigger && capture::monotonic_now_ns() - last_firing_ns > time_ns;
+}
+
+/// What the camera says of itself, and whether it waits for the trigger, which it can't know.
+CameraStatus FramesPipeline::Impl::status_of(std::size_t index) const {
+  CameraStatus status = rig.cameras[index]->status();
+  const bool well = status.state == CameraState::Opening || status.state == CameraState::Streaming;
+  if (well && not_fired_for(std::max(kTriggerStands_ns, 3 * capture.period_ns))) {
+    status.state = CameraState::Waiting;
+    status.reason = "the trigger does not fire";
+  }
+  return status;
+}
+
 /// Tells the log and the assembler what became of a camera.
 void FramesPipeline::Impl::watch_camera(std::size_t index, CameraState& state, std::string& reason) {
-  const CameraStatus now = rig.cameras[index]->status();
+  const CameraStatus now = status_of(index);
   if (now.state == state && now.reason == reason) {
     return;
   }
   state = now.state;
   reason = now.reason;
-  assembler.set_streaming(index, state == CameraState::Streaming);
+  assembler.set_streaming(index, state == CameraState::Streaming || state == CameraState::Waiting);
   const std::string& name = rig.config.cameras[index].name;
   if (reason.empty()) {
     messages.info(fmt::format("camera {} {}", name, to_string(state)));
@@ -359,6 +382,7 @@ void FramesPipeline::Impl::run_camera(std::size_t index) {
   while (!stopping && outcome != CaptureOutcome::Failed && outcome != CaptureOutcome::EndOfStream) {
     Frame frame;
     workers.beat(kFirstCamera + index);
+    camera.expect_frames(!not_fired_for(std::max(kTriggerRests_ns, capture.period_ns * 3 / 2)));
     outcome = camera.next(frame, kPatience);
     watch_camera(index, state, reason);
     if (outcome == CaptureOutcome::Delivered) {
@@ -398,6 +422,7 @@ bool FramesPipeline::Impl::pause(Clock::duration duration) {
 void FramesPipeline::Impl::take_event(const TriggerEvent& event) {
   next_slot = std::max(next_slot, event.slot + event.slot_count);
   if (event.kind == TriggerEvent::Kind::Fired) {
+    last_firing_ns = capture::monotonic_now_ns();
     assembler.fired(event.slot, event.actual_ns);
   }
   if (const auto note = edge_log.add(event)) {
@@ -564,6 +589,7 @@ void FramesPipeline::start() {
   Impl& impl = *impl_;
   impl.set_state(PipelineState::Preparing);
   impl.cameras_at_work = impl.rig.cameras.size();
+  impl.last_firing_ns = capture::monotonic_now_ns();
   impl.workers.begin(kSets, [&impl] { impl.hand_out_sets(); });
   for (std::size_t i = 0; i < impl.rig.cameras.size(); ++i) {
     impl.workers.begin(kFirstCamera + i, [&impl, i] { impl.run_camera(i); });
@@ -596,7 +622,7 @@ PipelineStatus FramesPipeline::status() const {
   RigStatus rig;
   for (std::size_t i = 0; i < impl.rig.cameras.size(); ++i) {
     const Camera& camera = *impl.rig.cameras[i];
-    rig.cameras.push_back({impl.rig.config.cameras[i].name, camera.info(), camera.status()});
+    rig.cameras.push_back({impl.rig.config.cameras[i].name, camera.info(), impl.status_of(i)});
   }
   rig.sets = impl.assembler.statistics();
   std::shared_ptr<Trigger> trigger;

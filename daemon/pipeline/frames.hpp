@@ -38,7 +38,8 @@ Rig open_rig(const RigConfig& config);
 /// A camera that is gone leaves its place in the sets empty (degraded), a trigger that is gone leaves out the
 /// sets; both are told in the status, and go on by themselves. A camera that streams and stays out of step
 /// is restarted, after 5 s and then with pauses that grow to a minute; as long as it is out of step its
-/// pictures are left out. Ends where every camera is at its end.
+/// pictures are left out. While the trigger stands still its cameras wait: their silence is no stall. Ends
+/// where every camera is at its end.
 class FramesPipeline final : public Pipeline {
  public:
   FramesPipeline(Rig rig, std::vector<MeshSink*> sinks);

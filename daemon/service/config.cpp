@@ -9,6 +9,7 @@
 #include <limits>
 #include <optional>
 
+#include "camera/v4l2_controls.hpp"
 #include "facet/assets.hpp"
 #include "facet/error.hpp"
 #include "files/text_file.hpp"
@@ -80,6 +81,27 @@ void read_format(Section& section, const std::array<const char*, Count>& formats
   }
 }
 
+/// Controls of a device by its driver's names for them.
+void read_controls(Section section, std::vector<camera::ControlSetting>& controls) {
+  std::vector<std::string> keys;
+  for (const auto& [name, node] : section.entries()) {
+    keys.push_back(camera::control_key(name));
+    if (keys.back().empty() || std::count(keys.begin(), keys.end(), keys.back()) > 1) {
+      section.fail(node, name, keys.back().empty() ? "is no name of a control" : "is set twice");
+    }
+    if (const auto number = node->value_exact<std::int64_t>()) {
+      controls.push_back({name, *number});
+    } else if (const auto on = node->value_exact<bool>()) {
+      controls.push_back({name, *on});
+    } else if (const auto text = node->value_exact<std::string>()) {
+      controls.push_back({name, *text});
+    } else {
+      section.fail(node, name,
+                   "must be true or false, a whole number, or the text of a menu's entry in quotes");
+    }
+  }
+}
+
 /// What a camera can do is checked when it is opened; here, what no camera can.
 void read_live(Section& section, camera::CameraConfig& source) {
   camera::LiveConfig& live = source.live;
@@ -107,10 +129,11 @@ void read_live(Section& section, camera::CameraConfig& source) {
   std::int64_t stall_after_ms = live.stall_after.count();
   section.read_integer("stall_after_ms", stall_after_ms, 100, 3'600'000);
   live.stall_after = std::chrono::milliseconds(stall_after_ms);
+  read_controls(section.section("controls"), live.controls);
 }
 
 constexpr std::array kFileKeys = {"path", "paced", "loop"};
-constexpr std::array kV4l2Keys = {"device"};
+constexpr std::array kV4l2Keys = {"device", "controls"};
 constexpr std::array kLibcameraKeys = {"id", "red_gain", "blue_gain"};
 constexpr std::array kLiveKeys = {"format", "width_px",        "height_px", "rate_hz",       "exposure_us",
                                   "gain",   "white_balance_k", "buffers",   "stall_after_ms"};

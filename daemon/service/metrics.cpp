@@ -154,7 +154,8 @@ std::vector<NamedCamera> cameras_of(const pipeline::PipelineStatus& now) {
 
 void collect_cameras(Families& out, const pipeline::PipelineStatus& now) {
   const std::vector<NamedCamera> cameras = cameras_of(now);
-  constexpr std::array kStates = {"idle", "absent", "opening", "streaming", "stalled", "failing", "ended"};
+  constexpr std::array kStates = {"idle",    "absent",  "opening", "streaming",
+                                  "waiting", "stalled", "failing", "ended"};
   out.begin("camera_state", "1 for a camera's state, else 0.", MetricType::Gauge);
   for (const NamedCamera& camera : cameras) {
     add_states(out, kStates, to_string(camera.status->state), {{"camera", camera.name}});

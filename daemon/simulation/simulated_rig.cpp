@@ -15,6 +15,7 @@
 #include <utility>
 #include <vector>
 
+#include "camera/pixel_buffers.hpp"
 #include "facet/error.hpp"
 
 namespace facet::simulation {
@@ -185,7 +186,7 @@ class RigCamera final : public Camera {
     std::this_thread::sleep_until(at(exposure->time_ns + kTransport_ns));
     const auto bytes =
         static_cast<std::size_t>(config_.width_px) * static_cast<std::size_t>(config_.height_px) * 4;
-    auto pixels = std::make_shared<std::uint8_t[]>(bytes);
+    auto pixels = pool_->take(bytes);
     paint(pixels.get(), *exposure);
     out.sequence = exposure->sequence;
     out.timestamp_ns = exposure->time_ns;
@@ -254,6 +255,7 @@ class RigCamera final : public Camera {
   std::int64_t started_ns_ = 0;  ///< 0: stopped
   std::uint64_t own_count_ = 0;
   std::uint64_t next_sequence_ = 0;
+  std::shared_ptr<camera::PixelBuffers> pool_ = std::make_shared<camera::PixelBuffers>();
   mutable std::mutex mutex_;
   CameraStatus status_;  ///< guarded by mutex_
 };

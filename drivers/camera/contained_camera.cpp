@@ -63,6 +63,7 @@ class ContainedCamera final : public Camera {
   void start() override;
   CaptureOutcome next(Frame& out, std::chrono::milliseconds timeout) override;
   void restart(const std::string& why) override;
+  void expect_frames(bool due) override;
   void stop() override;
   std::string last_error() const override;
 
@@ -75,6 +76,7 @@ class ContainedCamera final : public Camera {
   void deliver(const HostMessage& message, Frame& out);
   void check_order(const HostMessage& message, std::int64_t now_ns) const;
   void note_delivery(const Frame& frame, std::int64_t now_ns);
+  void wind_watchdog();
   void give_up_stalled(std::int64_t now_ns);
   void give_up(CameraState state, const std::string& reason);
   void set_state(CameraState state, const std::string& reason);
@@ -92,8 +94,9 @@ class ContainedCamera final : public Camera {
   std::shared_ptr<PixelBuffers> pool_ = std::make_shared<PixelBuffers>();
   std::int64_t retry_ns_ = 0;  ///< while there is no process: when one is started
   std::int64_t pause_ns_;
-  std::int64_t begun_ns_ = 0;                   ///< when the process was started
-  std::int64_t last_life_ns_ = 0;               ///< the last delivery, or when the camera was opened
+  std::int64_t begun_ns_ = 0;      ///< when the process was started
+  std::int64_t last_life_ns_ = 0;  ///< the last delivery, or when the camera was opened
+  bool frames_due_ = true;
   std::int64_t watchdog_ns_ = 0;                ///< the process is given up when no frame has come until then
   bool opened_ = false;                         ///< the process says that its camera is
   bool asked_ = false;                          ///< it was asked for a frame
@@ -165,6 +168,19 @@ void ContainedCamera::restart(const std::string& why) {
   if (process_ != nullptr) {
     give_up(CameraState::Failing, why);
   }
+}
+
+/// While no frames are due, that the process says that it is alive is enough.
+void ContainedCamera::expect_frames(bool due) {
+  if (std::exchange(frames_due_, due) != due && opened_) {
+    wind_watchdog();
+  }
+}
+
+void ContainedCamera::wind_watchdog() {
+  const bool soon = frames_due_ && host_sequence_;
+  watchdog_ns_ = monotonic_ns() + in_ns(soon ? config_.live.stall_after
+                                             : std::max(config_.live.stall_after, patience_.first_frame));
 }
 
 void ContainedCamera::stop() {
@@ -282,10 +298,13 @@ bool ContainedCamera::take(Frame& out) {
       case HostMessage::Kind::Opened:
         opened_ = true;
         last_life_ns_ = monotonic_ns();
-        watchdog_ns_ = last_life_ns_ + in_ns(std::max(config_.live.stall_after, patience_.first_frame));
+        wind_watchdog();
         break;
       case HostMessage::Kind::Alive:
         note_counters(message->counters);
+        if (opened_ && !frames_due_) {
+          wind_watchdog();
+        }
         break;
       case HostMessage::Kind::Frame:
         note_counters(message->counters);

@@ -28,6 +28,9 @@ class DriverCount {
 
   void begin_stream();
 
+  /// The stream rested: what lies between the newest frame and the next is no omission.
+  void resume() { stamp_ns_.reset(); }
+
   /// The next frame that the driver hands out.
   ///
   /// number    of the driver

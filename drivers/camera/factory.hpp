@@ -2,14 +2,24 @@
 
 #include <array>
 #include <chrono>
+#include <cstdint>
 #include <filesystem>
 #include <memory>
 #include <optional>
 #include <string>
+#include <variant>
+#include <vector>
 
 #include "facet/camera.hpp"
 
 namespace facet::camera {
+
+/// A control of a device by its name in the driver ("Trigger Mode" or trigger_mode): a switch, a number, or
+/// an entry of a menu by its text.
+struct ControlSetting {
+  std::string name;
+  std::variant<bool, std::int64_t, std::string> value;
+};
 
 /// How a live camera is set. Without a value a control is regulated by the device itself, where it can.
 struct LiveConfig {
@@ -22,6 +32,7 @@ struct LiveConfig {
   std::optional<int> exposure_us{};
   std::optional<int> gain{};                    ///< v4l2: in units of the device
   std::optional<int> white_balance_k{};         ///< colour temperature
+  std::vector<ControlSetting> controls{};       ///< v4l2: set in this order, after those above
   unsigned buffers = 4;                         ///< that the driver fills in turn
   std::chrono::milliseconds stall_after{2000};  ///< without a frame: the device is started anew
 };

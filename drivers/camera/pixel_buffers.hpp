@@ -2,6 +2,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 #include <memory>
 #include <mutex>
 #include <new>
@@ -18,24 +19,41 @@ constexpr int rgba_stride_bytes(int width_px) {
 }
 
 /// Pixel buffers that come back when their last reader lets go of them; it outlives the camera while readers
-/// hold frames.
+/// hold frames. kKept buffers are made, and touched, with the first one; where readers hold more at a time,
+/// further ones are made and freed again, so that what a burst took is given back.
 class PixelBuffers : public std::enable_shared_from_this<PixelBuffers> {
  public:
-  /// Any thread. Costs one small control block a frame once as many buffers exist as are in use at a time.
+  /// What frame sets, queues and readers hold of a camera in normal times.
+  static constexpr std::size_t kKept = 8;
+
+  /// Any thread; all buffers of one camera have one size. Costs one small control block a frame while no more
+  /// than kKept buffers are in use.
   std::shared_ptr<std::uint8_t[]> take(std::size_t size_bytes) {
     Buffer buffer;
     {
       const std::scoped_lock lock(mutex_);
+      while (made_ < kKept) {
+        free_.push_back(make(size_bytes));
+        std::memset(free_.back().get(), 0, size_bytes);
+        ++made_;
+      }
       if (!free_.empty()) {
         buffer = std::move(free_.back());
         free_.pop_back();
       }
     }
     if (buffer == nullptr) {
-      buffer.reset(
-          static_cast<std::uint8_t*>(::operator new[](size_bytes, std::align_val_t{kRowAlignment_bytes})));
+      buffer = make(size_bytes);
+      const std::scoped_lock lock(mutex_);
+      ++made_;
     }
     return {buffer.release(), [pool = shared_from_this()](std::uint8_t* bytes) { pool->give_back(bytes); }};
+  }
+
+  /// Buffers that there are, in use or not.
+  std::size_t count() const {
+    const std::scoped_lock lock(mutex_);
+    return made_;
   }
 
  private:
@@ -46,13 +64,24 @@ class PixelBuffers : public std::enable_shared_from_this<PixelBuffers> {
   };
   using Buffer = std::unique_ptr<std::uint8_t[], Free>;
 
-  void give_back(std::uint8_t* bytes) {
-    const std::scoped_lock lock(mutex_);
-    free_.emplace_back(bytes);
+  static Buffer make(std::size_t size_bytes) {
+    return Buffer(
+        static_cast<std::uint8_t*>(::operator new[](size_bytes, std::align_val_t{kRowAlignment_bytes})));
   }
 
-  std::mutex mutex_;
-  std::vector<Buffer> free_;  // every buffer of one camera has one size
+  void give_back(std::uint8_t* bytes) {
+    Buffer buffer(bytes);
+    const std::scoped_lock lock(mutex_);
+    if (made_ <= kKept) {
+      free_.push_back(std::move(buffer));
+    } else {
+      --made_;
+    }
+  }
+
+  mutable std::mutex mutex_;
+  std::vector<Buffer> free_;  ///< guarded by mutex_, as below
+  std::size_t made_ = 0;
 };
 
 }  // namespace facet::camera

@@ -54,6 +54,7 @@ class V4l2Camera final : public Camera {
   void start() override;
   CaptureOutcome next(Frame& out, std::chrono::milliseconds timeout) override;
   void restart(const std::string& why) override;
+  void expect_frames(bool due) override;
   void stop() override;
   std::string last_error() const override;
 
@@ -68,6 +69,7 @@ class V4l2Camera final : public Camera {
   };
 
   bool reopen(std::int64_t deadline_ns);
+  void wind_watchdog();
   bool take_newest(Frame& out);
   Arrived examine(const v4l2_buffer& buffer);
   std::optional<std::int64_t> driver_time_ns(const v4l2_buffer& buffer, std::int64_t now_ns);
@@ -91,7 +93,8 @@ class V4l2Camera final : public Camera {
   std::shared_ptr<PixelBuffers> pool_ = std::make_shared<PixelBuffers>();
   std::int64_t retry_ns_ = 0;      ///< while there is no device: when it is opened again
   std::int64_t last_life_ns_ = 0;  ///< the last delivery, or when the stream was begun
-  std::int64_t watchdog_ns_ = 0;   ///< the stream is taken for stalled when no frame has come until then
+  bool frames_due_ = true;
+  std::int64_t watchdog_ns_ = 0;  ///< the stream is taken for stalled when no frame has come until then
   std::int64_t pause_ns_ = kShortestPause_ns;
   bool delivered_before_ = false;  ///< anything, by this stream or one before
   bool first_of_stream_ = true;    ///< nothing was delivered by this stream
@@ -141,6 +144,20 @@ void V4l2Camera::restart(const std::string& why) {
   }
 }
 
+void V4l2Camera::expect_frames(bool due) {
+  if (due && !frames_due_) {
+    count_.resume();
+    wind_watchdog();
+  }
+  frames_due_ = due;
+}
+
+void V4l2Camera::wind_watchdog() {
+  const std::int64_t patience_ns = in_ns(config_.stall_after);
+  watchdog_ns_ = kernel_.monotonic_ns() +
+                 (first_of_stream_ ? std::max(patience_ns, kFirstFramePatience_ns) : patience_ns);
+}
+
 void V4l2Camera::stop() {
   stopped_ = true;
   device_.reset();
@@ -182,7 +199,7 @@ CaptureOutcome V4l2Camera::next(Frame& out, std::chrono::milliseconds timeout) {
         return CaptureOutcome::Delivered;
       }
       const std::int64_t now_ns = kernel_.monotonic_ns();
-      if (now_ns >= watchdog_ns_) {
+      if (frames_due_ && now_ns >= watchdog_ns_) {
         give_up(CameraState::Stalled,
                 fmt::format("{}: no frame for {:.3g} s", config_.device.string(),
                             static_cast<double>(now_ns - last_life_ns_) / static_cast<double>(kSecond_ns)));
@@ -191,7 +208,7 @@ CaptureOutcome V4l2Camera::next(Frame& out, std::chrono::milliseconds timeout) {
       if (now_ns >= deadline_ns) {
         break;
       }
-      device_->wait(std::min(deadline_ns, watchdog_ns_));
+      device_->wait(frames_due_ ? std::min(deadline_ns, watchdog_ns_) : deadline_ns);
     }
   } catch (const DeviceFault& fault) {
     give_up(fault.kind == DeviceFault::Kind::Absent ? CameraState::Absent : CameraState::Failing,
@@ -229,7 +246,7 @@ bool V4l2Camera::reopen(std::int64_t deadline_ns) {
   seen_ = 0;
   first_of_stream_ = true;
   last_life_ns_ = kernel_.monotonic_ns();
-  watchdog_ns_ = last_life_ns_ + std::max(in_ns(config_.stall_after), kFirstFramePatience_ns);
+  wind_watchdog();
   // A device that stalled or failed shows with its first frame whether it is well again.
   if (const CameraState state = status().state; state == CameraState::Idle || state == CameraState::Absent) {
     set_state(CameraState::Opening, "");
@@ -289,7 +306,8 @@ V4l2Camera::Arrived V4l2Camera::examine(const v4l2_buffer& buffer) {
     count(&CameraCounters::stale);
     return arrived;
   }
-  if (device_->payload(buffer).size() < device_->format().least_bytes) {
+  if (device_->payload(buffer).size() < device_->format().least_bytes ||
+      device_->chroma(buffer).size() < device_->format().least_chroma_bytes) {
     count(&CameraCounters::truncated);
     return arrived;
   }
@@ -320,12 +338,13 @@ bool V4l2Camera::is_stale(const v4l2_buffer& buffer) const {
 bool V4l2Camera::convert(const Arrived& arrived, Frame& out) {
   const V4l2Device::Format& format = device_->format();
   const std::span<const std::uint8_t> payload = device_->payload(arrived.buffer);
+  const std::span<const std::uint8_t> chroma = device_->chroma(arrived.buffer);
   const auto stride = static_cast<std::size_t>(rgba_stride_bytes(config_.width_px));
   auto pixels = pool_->take(stride * static_cast<std::size_t>(config_.height_px));
   bool damaged = (arrived.buffer.flags & V4L2_BUF_FLAG_ERROR) != 0;
   if (format.layout) {
     convert_to_rgba(*format.layout, format.coding, payload.data(), format.stride_bytes, config_.width_px,
-                    config_.height_px, pixels.get(), stride);
+                    config_.height_px, pixels.get(), stride, chroma.empty() ? nullptr : chroma.data());
   } else {
     const JpegOutcome outcome =
         jpeg_.decode(payload, config_.width_px, config_.height_px, pixels.get(), stride);
@@ -354,7 +373,6 @@ bool V4l2Camera::convert(const Arrived& arrived, Frame& out) {
 void V4l2Camera::note_delivery(const Arrived& arrived, const Frame& frame) {
   timestamp_ns_ = frame.timestamp_ns;
   last_life_ns_ = kernel_.monotonic_ns();
-  watchdog_ns_ = last_life_ns_ + in_ns(config_.stall_after);
   pause_ns_ = kShortestPause_ns;
   const std::scoped_lock lock(shown_mutex_);
   CameraCounters& counters = status_.counters;
@@ -364,6 +382,7 @@ void V4l2Camera::note_delivery(const Arrived& arrived, const Frame& frame) {
   counters.reopened += delivered_before_ && first_of_stream_ ? 1 : 0;
   delivered_before_ = true;
   first_of_stream_ = false;
+  wind_watchdog();
   status_.state = CameraState::Streaming;
   status_.reason.clear();
 }
@@ -385,10 +404,10 @@ std::vector<V4l2Description> list_v4l2_devices(const std::filesystem::path& fold
     const std::string path = entry->path().string();
     try {
       const V4l2Device device(kernel, path);
-      found.push_back({path, device.card(), device.offer()});
+      found.push_back({path, device.card(), device.offer(), device.controls()});
     } catch (const DeviceFault& fault) {
       if (fault.kind == DeviceFault::Kind::Failing) {
-        found.push_back({path, "", fault.what()});
+        found.push_back({path, "", fault.what(), ""});
       }
     }
   }

@@ -29,7 +29,8 @@ std::unique_ptr<Camera> open_v4l2_camera(const LiveConfig& config, V4l2Kernel& k
 struct V4l2Description {
   std::string path;
   std::string card;
-  std::string modes;  ///< what it offers, or why it can't be read
+  std::string modes;     ///< what it offers, or why it can't be read
+  std::string controls;  ///< that can be set by name, and what each takes; empty where there are none
 };
 
 /// The devices video* of a folder that deliver pictures, or that can't be opened to find out.

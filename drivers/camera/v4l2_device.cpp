@@ -27,9 +27,11 @@ struct KnownFormat {
   std::uint32_t fourcc;
   const char* name;                   ///< one of kV4l2Formats
   std::optional<PixelLayout> layout;  ///< none: JPEG
+  std::uint32_t planes = 1;           ///< blocks of memory
 };
 constexpr std::array kKnownFormats = {
     KnownFormat{V4L2_PIX_FMT_YUYV, "YUYV", PixelLayout::Yuyv},
+    KnownFormat{V4L2_PIX_FMT_NV12M, "NV12", PixelLayout::Nv12, 2},
     KnownFormat{V4L2_PIX_FMT_NV12, "NV12", PixelLayout::Nv12},
     KnownFormat{V4L2_PIX_FMT_MJPEG, "MJPEG", std::nullopt},
     KnownFormat{V4L2_PIX_FMT_JPEG, "MJPEG", std::nullopt},
@@ -152,14 +154,6 @@ ColourCoding colour_coding(const v4l2_pix_format& pixels, bool grey) {
   return coding;
 }
 
-v4l2_buffer new_buffer(std::uint32_t index = 0) {
-  v4l2_buffer buffer{};
-  buffer.type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
-  buffer.memory = V4L2_MEMORY_MMAP;
-  buffer.index = index;
-  return buffer;
-}
-
 }  // namespace
 
 V4l2Device::V4l2Device(V4l2Kernel& kernel, const std::string& path) : kernel_(kernel), path_(path) {
@@ -182,8 +176,12 @@ V4l2Device::V4l2Device(V4l2Kernel& kernel, const std::string& path) : kernel_(ke
       throw DeviceFault(DeviceFault::Kind::Failing,
                         fmt::format("{}: gives no pictures: nothing writes into it", path_));
     }
-    if ((can & V4L2_CAP_VIDEO_CAPTURE) == 0 || (can & V4L2_CAP_STREAMING) == 0) {
+    if ((can & (V4L2_CAP_VIDEO_CAPTURE | V4L2_CAP_VIDEO_CAPTURE_MPLANE)) == 0 ||
+        (can & V4L2_CAP_STREAMING) == 0) {
       refuse("does not stream pictures into memory (a camera has further devices for other things)");
+    }
+    if ((can & V4L2_CAP_VIDEO_CAPTURE) == 0) {
+      type_ = V4L2_BUF_TYPE_VIDEO_CAPTURE_MPLANE;
     }
     read_modes();
   } catch (...) {
@@ -201,11 +199,14 @@ void V4l2Device::close() {
     return;
   }
   if (streaming_) {
-    int type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
-    kernel_.ioctl(fd_, VIDIOC_STREAMOFF, &type);
+    kernel_.ioctl(fd_, VIDIOC_STREAMOFF, &type_);
   }
-  for (const Mapping& mapping : buffers_) {
-    kernel_.unmap(mapping.start, mapping.length);
+  for (const Planes& planes : buffers_) {
+    for (const Mapping& mapping : planes) {
+      if (mapping.start != nullptr) {
+        kernel_.unmap(mapping.start, mapping.length);
+      }
+    }
   }
   kernel_.close(std::exchange(fd_, -1));
 }
@@ -226,7 +227,8 @@ bool V4l2Device::ask(unsigned long request, void* argument, const char* what) co
   if (result >= 0) {
     return true;
   }
-  if (result != -EINVAL && result != -ENOTTY && result != -ENODATA) {
+  constexpr std::array kRefusals = {EINVAL, ENOTTY, ENODATA, ERANGE, EACCES};
+  if (std::find(kRefusals.begin(), kRefusals.end(), -result) == kRefusals.end()) {
     fail(-result, what);
   }
   return false;
@@ -241,7 +243,7 @@ void V4l2Device::demand(unsigned long request, void* argument, const char* what)
 
 void V4l2Device::read_modes() {
   v4l2_fmtdesc format{};
-  format.type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
+  format.type = type_;
   while (format.index < kLongestList && ask(VIDIOC_ENUM_FMT, &format, "VIDIOC_ENUM_FMT")) {
     if (find_format(format.pixelformat) != nullptr) {
       read_sizes(format.pixelformat);
@@ -297,12 +299,16 @@ std::string V4l2Device::offer() const {
   // Formats with the same sizes and rates stand together, in the order of the device.
   std::vector<std::pair<std::string, std::string>> formats;  // what is offered, names
   std::set<std::uint32_t> seen;
+  std::set<std::string> told;  // NV12 may be there in one block of memory and in two
   for (const V4l2Mode& mode : modes_) {
     const std::string name = format_name(mode.fourcc);
     if (!seen.insert(mode.fourcc).second) {
       continue;
     }
     const std::string text = describe_format(modes_, mode.fourcc);
+    if (!told.insert(name + " " + text).second) {
+      continue;
+    }
     const auto same =
         std::find_if(formats.begin(), formats.end(), [&](const auto& other) { return other.first == text; });
     if (same == formats.end()) {
@@ -325,6 +331,11 @@ std::string V4l2Device::offer() const {
                                 more > 0 ? fmt::format(" and {} more", more) : ""));
   }
   return parts.empty() ? "no pixel format yet" : fmt::format("{}", fmt::join(parts, "; "));
+}
+
+std::string V4l2Device::controls() const {
+  return describe_named_controls(
+      [this](unsigned long request, void* argument) { return ask(request, argument, "controls"); });
 }
 
 std::uint32_t V4l2Device::choose(const LiveConfig& config) const {
@@ -368,23 +379,57 @@ void V4l2Device::start(const LiveConfig& config) {
     throw DeviceFault(DeviceFault::Kind::Failing, fmt::format("{}: {}", path_, refused));
   }
   map_buffers(config.buffers);
-  int type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
   started_ns_ = kernel_.monotonic_ns();
-  demand(VIDIOC_STREAMON, &type, "VIDIOC_STREAMON");
+  demand(VIDIOC_STREAMON, &type_, "VIDIOC_STREAMON");
   streaming_ = true;
+}
+
+/// Sets a format; what the device made of it, as the single-planar interface tells it.
+v4l2_pix_format V4l2Device::demand_format(const v4l2_pix_format& wanted) {
+  v4l2_format format{};
+  format.type = type_;
+  plane_count_ = 1;
+  if (!multi_planar()) {
+    format.fmt.pix = wanted;
+    demand(VIDIOC_S_FMT, &format, "VIDIOC_S_FMT");
+    return format.fmt.pix;
+  }
+  v4l2_pix_format_mplane& planes = format.fmt.pix_mp;
+  planes.width = wanted.width;
+  planes.height = wanted.height;
+  planes.pixelformat = wanted.pixelformat;
+  planes.field = wanted.field;
+  planes.num_planes = static_cast<std::uint8_t>(find_format(wanted.pixelformat)->planes);
+  demand(VIDIOC_S_FMT, &format, "VIDIOC_S_FMT");
+  if (planes.pixelformat == wanted.pixelformat &&
+      (planes.num_planes != find_format(wanted.pixelformat)->planes ||
+       (planes.num_planes == 2 && planes.plane_fmt[1].bytesperline != planes.plane_fmt[0].bytesperline))) {
+    refuse(
+        fmt::format("gives {} in {} blocks of memory, or with other rows in each, which Facet does not read",
+                    format_name(planes.pixelformat), planes.num_planes));
+  }
+  plane_count_ = planes.num_planes;
+  v4l2_pix_format given{};
+  given.width = planes.width;
+  given.height = planes.height;
+  given.pixelformat = planes.pixelformat;
+  given.field = planes.field;
+  given.bytesperline = planes.plane_fmt[0].bytesperline;
+  given.colorspace = planes.colorspace;
+  given.ycbcr_enc = planes.ycbcr_enc;
+  given.quantization = planes.quantization;
+  return given;
 }
 
 void V4l2Device::set_format(const LiveConfig& config) {
   const std::uint32_t fourcc = choose(config);
-  v4l2_format format{};
-  format.type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
-  v4l2_pix_format& pixels = format.fmt.pix;
+  v4l2_pix_format pixels{};
   pixels.width = static_cast<std::uint32_t>(config.width_px);
   pixels.height = static_cast<std::uint32_t>(config.height_px);
   pixels.pixelformat = fourcc;
   pixels.field = V4L2_FIELD_NONE;
   pixels.priv = V4L2_PIX_FMT_PRIV_MAGIC;  // so that the kernel fills in encoding and quantization
-  demand(VIDIOC_S_FMT, &format, "VIDIOC_S_FMT");
+  pixels = demand_format(pixels);
   if (pixels.pixelformat != fourcc || static_cast<int>(pixels.width) != config.width_px ||
       static_cast<int>(pixels.height) != config.height_px) {
     refuse(fmt::format("gives {} {}x{} px instead of {} {}x{} px; it has: {}",
@@ -405,11 +450,17 @@ void V4l2Device::set_format(const LiveConfig& config) {
   format_.stride_bytes =
       std::max<std::size_t>(pixels.bytesperline, packed_stride_bytes(layout, config.width_px));
   format_.least_bytes = picture_bytes(layout, config.width_px, config.height_px, format_.stride_bytes);
+  if (plane_count_ == 2) {
+    const std::size_t both = format_.least_bytes;
+    format_.least_bytes =
+        picture_bytes(PixelLayout::Grey, config.width_px, config.height_px, format_.stride_bytes);
+    format_.least_chroma_bytes = both - static_cast<std::size_t>(config.height_px) * format_.stride_bytes;
+  }
 }
 
 void V4l2Device::set_rate(const LiveConfig& config) const {
   v4l2_streamparm parameters{};
-  parameters.type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
+  parameters.type = type_;
   // Thousandths: enough for 29.97.
   parameters.parm.capture.timeperframe = {1000,
                                           static_cast<std::uint32_t>(std::lround(config.rate_hz * 1000))};
@@ -426,22 +477,40 @@ void V4l2Device::set_rate(const LiveConfig& config) const {
 void V4l2Device::map_buffers(unsigned count) {
   v4l2_requestbuffers request{};
   request.count = count;
-  request.type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
+  request.type = type_;
   request.memory = V4L2_MEMORY_MMAP;
   demand(VIDIOC_REQBUFS, &request, "VIDIOC_REQBUFS");
   if (request.count < kLeastBuffers) {
     fail(ENOMEM, fmt::format("the driver has {} of {} buffers", request.count, count));
   }
   for (std::uint32_t index = 0; index < request.count; ++index) {
-    v4l2_buffer buffer = new_buffer(index);
+    std::array<v4l2_plane, kMostPlanes> planes{};
+    v4l2_buffer buffer = new_buffer(index, planes);
     demand(VIDIOC_QUERYBUF, &buffer, "VIDIOC_QUERYBUF");
-    void* start = kernel_.map(fd_, buffer.length, buffer.m.offset);
-    if (start == nullptr) {
-      fail(ENOMEM, "mmap");
+    buffers_.emplace_back();
+    for (std::uint32_t plane = 0; plane < plane_count_; ++plane) {
+      Mapping& mapping = buffers_.back()[plane];
+      mapping.length = multi_planar() ? planes[plane].length : buffer.length;
+      mapping.start =
+          kernel_.map(fd_, mapping.length, multi_planar() ? planes[plane].m.mem_offset : buffer.m.offset);
+      if (mapping.start == nullptr) {
+        fail(ENOMEM, "mmap");
+      }
     }
-    buffers_.push_back({start, buffer.length});
     queue(index);
   }
+}
+
+v4l2_buffer V4l2Device::new_buffer(std::uint32_t index, std::array<v4l2_plane, kMostPlanes>& planes) const {
+  v4l2_buffer buffer{};
+  buffer.type = type_;
+  buffer.memory = V4L2_MEMORY_MMAP;
+  buffer.index = index;
+  if (multi_planar()) {
+    buffer.m.planes = planes.data();
+    buffer.length = plane_count_;
+  }
+  return buffer;
 }
 
 void V4l2Device::wait(std::int64_t until_ns) {
@@ -457,7 +526,8 @@ void V4l2Device::wait(std::int64_t until_ns) {
 }
 
 std::optional<v4l2_buffer> V4l2Device::dequeue() {
-  v4l2_buffer buffer = new_buffer();
+  std::array<v4l2_plane, kMostPlanes> planes{};
+  v4l2_buffer buffer = new_buffer(0, planes);
   const int result = kernel_.ioctl(fd_, VIDIOC_DQBUF, &buffer);
   if (result == -EAGAIN) {
     return std::nullopt;
@@ -468,19 +538,23 @@ std::optional<v4l2_buffer> V4l2Device::dequeue() {
   if (buffer.index >= buffers_.size()) {
     fail(EIO, fmt::format("the driver filled a buffer {} that it does not have", buffer.index));
   }
+  for (std::uint32_t plane = 0; plane < plane_count_; ++plane) {
+    Mapping& mapping = buffers_[buffer.index][plane];
+    // Of several planes, what is before the picture counts as used too.
+    const std::size_t begin = multi_planar() ? planes[plane].data_offset : 0;
+    const std::size_t end = multi_planar() ? planes[plane].bytesused : buffer.bytesused;
+    mapping.filled = {};
+    if (begin <= end && end <= mapping.length) {
+      mapping.filled = {static_cast<const std::uint8_t*>(mapping.start) + begin, end - begin};
+    }
+  }
+  buffer.m.planes = nullptr;  // they end with this call
   return buffer;
 }
 
-std::span<const std::uint8_t> V4l2Device::payload(const v4l2_buffer& buffer) const {
-  const Mapping& mapping = buffers_[buffer.index];
-  if (buffer.bytesused > mapping.length) {
-    return {};
-  }
-  return {static_cast<const std::uint8_t*>(mapping.start), buffer.bytesused};
-}
-
 void V4l2Device::queue(std::uint32_t index) {
-  v4l2_buffer buffer = new_buffer(index);
+  std::array<v4l2_plane, kMostPlanes> planes{};
+  v4l2_buffer buffer = new_buffer(index, planes);
   demand(VIDIOC_QBUF, &buffer, "VIDIOC_QBUF");
 }
 

@@ -2,6 +2,7 @@
 
 #include <linux/videodev2.h>
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <optional>
@@ -29,7 +30,9 @@ struct V4l2Mode {
                                                     ///< the driver does not tell
 };
 
-/// One open V4L2 capture device. One thread. Everything throws DeviceFault where the device does not do it.
+/// One open V4L2 capture device, of the single-planar or the multi-planar interface; of the latter, formats
+/// whose picture is in one block of memory, and NV12 in two. One thread. Everything throws DeviceFault where
+/// the device does not do it.
 class V4l2Device {
  public:
   /// Opens the device and reads what it offers.
@@ -43,6 +46,8 @@ class V4l2Device {
   /// What it offers, for people, such as "YUYV, NV12 640x480, 320x240 at 30, 15 Hz; H264, which Facet does
   /// not read".
   std::string offer() const;
+  /// The controls that can be set by their names, for people.
+  std::string controls() const;
 
   /// Throws Unsuitable where the device can't do it; changes nothing in the device.
   void check(const LiveConfig& config) const;
@@ -54,7 +59,8 @@ class V4l2Device {
     std::optional<PixelLayout> layout;  ///< none: JPEG
     ColourCoding coding;
     std::size_t stride_bytes = 0;
-    std::size_t least_bytes = 0;  ///< that a whole picture has; JPEG: 1
+    std::size_t least_bytes = 0;         ///< that a whole picture has; JPEG: 1
+    std::size_t least_chroma_bytes = 0;  ///< of these in a block of their own, beside least_bytes
   };
   const Format& format() const { return format_; }         ///< once started
   std::int64_t started_ns() const { return started_ns_; }  ///< CLOCK_MONOTONIC just before the stream began
@@ -65,17 +71,32 @@ class V4l2Device {
   /// The oldest filled buffer; nothing where there is none.
   std::optional<v4l2_buffer> dequeue();
   /// What a dequeued buffer holds; empty where its size is impossible. Valid until it is queued again.
-  std::span<const std::uint8_t> payload(const v4l2_buffer& buffer) const;
+  std::span<const std::uint8_t> payload(const v4l2_buffer& buffer) const {
+    return buffers_[buffer.index][0].filled;
+  }
+  /// The same of its chroma where that has a block of its own.
+  std::span<const std::uint8_t> chroma(const v4l2_buffer& buffer) const {
+    return buffers_[buffer.index][1].filled;
+  }
   void queue(std::uint32_t index);
 
  private:
   struct Mapping {
-    void* start;
-    std::size_t length;
+    void* start = nullptr;
+    std::size_t length = 0;
+    std::span<const std::uint8_t> filled;
   };
+  static constexpr std::size_t kMostPlanes = 2;
+  using Planes = std::array<Mapping, kMostPlanes>;
+  /// A buffer as a request takes it; it points at `planes`, one of which is used where the device is
+  /// multi-planar.
+  v4l2_buffer new_buffer(std::uint32_t index, std::array<v4l2_plane, kMostPlanes>& planes) const;
+  bool multi_planar() const { return type_ == V4L2_BUF_TYPE_VIDEO_CAPTURE_MPLANE; }
+  v4l2_pix_format demand_format(const v4l2_pix_format& wanted);
 
   void close();
-  /// Carries out a request; false where the driver does not know it or says that the list is at its end.
+  /// Carries out a request; false where the driver does not know it, does not take a value, or says that the
+  /// list is at its end.
   bool ask(unsigned long request, void* argument, const char* what) const;
   /// The same for requests that every device must carry out.
   void demand(unsigned long request, void* argument, const char* what) const;
@@ -94,12 +115,14 @@ class V4l2Device {
   std::string path_;
   std::string card_;
   int fd_ = -1;
+  std::uint32_t type_ = V4L2_BUF_TYPE_VIDEO_CAPTURE;
   bool streaming_ = false;
   std::int64_t started_ns_ = 0;
   std::vector<V4l2Mode> modes_;              ///< of the formats that can be read
   std::vector<std::string> unread_formats_;  ///< names of the others
   Format format_;
-  std::vector<Mapping> buffers_;
+  std::uint32_t plane_count_ = 1;  ///< of the format that is set
+  std::vector<Planes> buffers_;
 };
 
 }  // namespace facet::camera

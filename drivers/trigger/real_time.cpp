@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 #include <linux/capability.h>
+#include <malloc.h>
 #include <pthread.h>
 #include <sys/mman.h>
 #include <sys/resource.h>
@@ -15,6 +16,9 @@
 
 namespace facet::trigger {
 namespace {
+
+/// Less than a picture or a message with one; more than what is allocated with every frame.
+constexpr int kOwnMapping_bytes = 256 * 1024;
 
 bool has_ipc_lock() {
   __user_cap_header_struct header = {_LINUX_CAPABILITY_VERSION_3, 0};
@@ -31,6 +35,10 @@ std::string lock_memory() {
     return fmt::format("memory is not locked: only {} KiB may be (LimitMEMLOCK=infinity allows it)",
                        limit.rlim_cur / 1024);
   }
+  // What is freed within glibc's heaps goes back by MADV_DONTNEED, which locked memory refuses: whatever once
+  // was in use at the same time would stay. Blocks with a mapping of their own are unmapped; they are those
+  // from this size on, which else grows to that of the largest one freed.
+  ::mallopt(M_MMAP_THRESHOLD, kOwnMapping_bytes);
   if (::mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) != 0) {
     return fmt::format("memory is not locked: {}", std::strerror(errno));
   }

@@ -236,6 +236,30 @@ TEST_F(ContainedCamera, AHostThatHangsIsStalled) {
   }
 }
 
+TEST_F(ContainedCamera, AHostIsSilentWhileNoFramesAreDue) {
+  config_.live.stall_after = 300ms;
+  patience_.first_frame = 600ms;
+  for (const char* action : {"silent", "hang"}) {
+    std::filesystem::remove(marker());
+    const auto camera = open(once(action, 3));
+    camera->start();
+    Frame frame;
+    for (int i = 0; i < 3; ++i) {
+      ASSERT_TRUE(next(*camera, frame));
+    }
+    camera->expect_frames(false);
+    const auto end = std::chrono::steady_clock::now() + 1500ms;
+    while (std::chrono::steady_clock::now() < end && camera->status().state == CameraState::Streaming) {
+      ASSERT_EQ(camera->next(frame, 20ms), CaptureOutcome::Timeout);
+    }
+    if (action == std::string("silent")) {
+      EXPECT_EQ(camera->status().state, CameraState::Streaming) << "it says that it is alive";
+      camera->expect_frames(true);
+    }
+    ASSERT_TRUE(becomes(*camera, CameraState::Stalled)) << action;
+  }
+}
+
 TEST_F(ContainedCamera, AHostThatHangsWhileItOpens) {
   patience_.open = 500ms;
   const auto camera = open(once("hang-open", 0));

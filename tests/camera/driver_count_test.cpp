@@ -33,6 +33,21 @@ TEST(MonotonicStamp, IsNoneWhereItFitsNoClock) {
   EXPECT_EQ(camera::monotonic_stamp_ns(900 * kSecond_ns, kStarted_ns, kNow_ns, std::nullopt), std::nullopt);
 }
 
+TEST(DriverCount, WhatLiesInAPauseIsNoOmission) {
+  for (const bool told : {false, true}) {
+    camera::DriverCount count(kSecond_ns / 10);
+    std::uint64_t omitted = 0;
+    for (std::uint32_t i = 0; i < 20; ++i) {
+      const std::int64_t pause_ns = i < 10 ? 0 : 60 * kSecond_ns;
+      if (told && i == 10) {
+        count.resume();
+      }
+      omitted += count.next(i, i * kSecond_ns / 10 + pause_ns).omitted;
+    }
+    EXPECT_EQ(omitted, told ? 0U : 600U);
+  }
+}
+
 TEST(DriverCount, GoesOnOverWrapsStreamsAndNonsense) {
   camera::DriverCount count(kSecond_ns / 10);
   EXPECT_EQ(count.next(0xFFFFFFFE, std::nullopt).sequence, 0U);

@@ -7,6 +7,7 @@
 #include <cerrno>
 #include <cstdlib>
 #include <cstring>
+#include <span>
 #include <utility>
 
 namespace facet::test {
@@ -27,7 +28,15 @@ std::uint32_t bits_of(std::uint32_t fourcc) {
 
 /// Bytes between rows of the first plane without padding.
 std::uint32_t row_bytes(std::uint32_t fourcc, std::uint32_t width_px) {
-  return fourcc == V4L2_PIX_FMT_NV12 ? width_px : width_px * bits_of(fourcc) / 8;
+  const bool planar = fourcc == V4L2_PIX_FMT_NV12 || fourcc == V4L2_PIX_FMT_NV12M;
+  return planar ? width_px : width_px * bits_of(fourcc) / 8;
+}
+
+std::uint32_t type_of(const FakeV4l2::Control& control) {
+  if (control.menu.empty()) {
+    return control.type;
+  }
+  return control.numbers.empty() ? V4L2_CTRL_TYPE_MENU : V4L2_CTRL_TYPE_INTEGER_MENU;
 }
 
 }  // namespace
@@ -75,7 +84,8 @@ void FakeV4l2::step(std::int64_t until_ns) {
 
 void FakeV4l2::fill() {
   const bool at_start = (buffer_flags & V4L2_BUF_FLAG_TSTAMP_SRC_MASK) == V4L2_BUF_FLAG_TSTAMP_SRC_SOE;
-  Filled filled{std::vector<std::uint8_t>(format_.sizeimage), buffer_flags, sequence_++,
+  const std::size_t all_bytes = plane_count() == 2 ? format_.sizeimage * 3 / 2 : format_.sizeimage;
+  Filled filled{std::vector<std::uint8_t>(all_bytes), buffer_flags, sequence_++,
                 now_ns + stamp_offset_ns - (at_start ? period_ns : 0)};
   if (on_fill) {
     on_fill(filled);
@@ -87,12 +97,20 @@ void FakeV4l2::fill() {
   const std::uint32_t index = queued_.front();
   queued_.pop_front();
   Buffer& buffer = buffers_[index];
-  std::copy_n(filled.bytes.begin(), std::min(filled.bytes.size(), buffer.memory.size()),
-              buffer.memory.begin());
   buffer.filled = {};
   buffer.filled.index = filled.wrong_index ? 1000 : index;
-  buffer.filled.type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
-  buffer.filled.bytesused = static_cast<std::uint32_t>(filled.bytes.size());
+  buffer.filled.type = type();
+  std::span<const std::uint8_t> rest = filled.bytes;
+  for (std::size_t plane = 0; plane < plane_count(); ++plane) {
+    std::vector<std::uint8_t>& memory = buffer.memory[plane];
+    const std::size_t room = memory.size() - data_offset;
+    const std::size_t size = plane + 1 < plane_count() ? std::min(rest.size(), room) : rest.size();
+    std::copy_n(rest.begin(), std::min(size, room), memory.begin() + data_offset);
+    rest = rest.subspan(size);
+    buffer.planes[plane].data_offset = data_offset;
+    buffer.planes[plane].bytesused = static_cast<std::uint32_t>(size + data_offset);
+  }
+  buffer.filled.bytesused = multi_planar() ? 0 : buffer.planes[0].bytesused;
   buffer.filled.flags = filled.flags;
   buffer.filled.sequence = filled.sequence;
   buffer.filled.timestamp.tv_sec = filled.stamp_ns / kSecond_ns;
@@ -129,19 +147,21 @@ void FakeV4l2::close(int fd) {
 
 void* FakeV4l2::map(int fd, std::size_t length, std::int64_t offset) {
   const auto index = static_cast<std::size_t>(offset / kMapStep);
+  const std::size_t plane = offset % kMapStep == 0 ? 0 : 1;
   EXPECT_EQ(fd, owner_fd_);
-  EXPECT_EQ(buffers_.at(index).memory.size(), length);
+  EXPECT_EQ(buffers_.at(index).memory.at(plane).size(), length);
   if (map_failures > 0) {
     --map_failures;
     return nullptr;
   }
   ++mapped;
-  return buffers_[index].memory.data();
+  return buffers_[index].memory.at(plane).data();
 }
 
 void FakeV4l2::unmap(void* start, std::size_t length) {
   const bool known = std::any_of(buffers_.begin(), buffers_.end(), [&](const Buffer& buffer) {
-    return buffer.memory.data() == start && buffer.memory.size() == length;
+    return std::any_of(buffer.memory.begin(), buffer.memory.end(),
+                       [&](const auto& memory) { return memory.data() == start && memory.size() == length; });
   });
   EXPECT_TRUE(known);
   --mapped;
@@ -191,7 +211,8 @@ int FakeV4l2::answer(int fd, unsigned long request, void* argument) {
     case VIDIOC_QUERYCAP: {
       auto& capability = *static_cast<v4l2_capability*>(argument);
       std::strcpy(reinterpret_cast<char*>(capability.card), "Fake Camera");
-      capability.capabilities = V4L2_CAP_DEVICE_CAPS | V4L2_CAP_VIDEO_CAPTURE | V4L2_CAP_STREAMING;
+      capability.capabilities =
+          V4L2_CAP_DEVICE_CAPS | V4L2_CAP_VIDEO_CAPTURE | V4L2_CAP_VIDEO_CAPTURE_MPLANE | V4L2_CAP_STREAMING;
       capability.device_caps = capabilities;
       return 0;
     }
@@ -209,22 +230,22 @@ int FakeV4l2::answer(int fd, unsigned long request, void* argument) {
       return query_control(*static_cast<v4l2_queryctrl*>(argument));
     case VIDIOC_QUERYMENU:
       return query_menu(*static_cast<v4l2_querymenu*>(argument));
-    case VIDIOC_S_CTRL:
-      return set_control(*static_cast<v4l2_control*>(argument));
+    case VIDIOC_QUERY_EXT_CTRL:
+      return query_control(*static_cast<v4l2_query_ext_ctrl*>(argument));
+    case VIDIOC_S_CTRL: {
+      const auto& wanted = *static_cast<v4l2_control*>(argument);
+      return set_control(wanted.id, wanted.value);
+    }
+    case VIDIOC_S_EXT_CTRLS:
+      return set_controls(*static_cast<v4l2_ext_controls*>(argument));
     case VIDIOC_REQBUFS:
       return request_buffers(fd, *static_cast<v4l2_requestbuffers*>(argument));
-    case VIDIOC_QUERYBUF: {
-      auto& buffer = *static_cast<v4l2_buffer*>(argument);
-      if (fd != owner_fd_ || buffer.index >= buffers_.size()) {
-        return -EINVAL;
-      }
-      buffer.length = static_cast<std::uint32_t>(buffers_[buffer.index].memory.size());
-      buffer.m.offset = static_cast<std::uint32_t>(buffer.index * kMapStep);
-      return 0;
-    }
+    case VIDIOC_QUERYBUF:
+      return fd != owner_fd_ ? -EINVAL : query_buffer(*static_cast<v4l2_buffer*>(argument));
     case VIDIOC_QBUF: {
-      const std::uint32_t index = static_cast<v4l2_buffer*>(argument)->index;
-      if (fd != owner_fd_ || index >= buffers_.size() || buffers_[index].queued) {
+      const auto& buffer = *static_cast<v4l2_buffer*>(argument);
+      const std::uint32_t index = buffer.index;
+      if (fd != owner_fd_ || !fits(buffer) || index >= buffers_.size() || buffers_[index].queued) {
         return -EINVAL;
       }
       buffers_[index].queued = true;
@@ -234,9 +255,11 @@ int FakeV4l2::answer(int fd, unsigned long request, void* argument) {
     case VIDIOC_DQBUF:
       return fd != streaming_fd_ ? -EINVAL : dequeue(*static_cast<v4l2_buffer*>(argument));
     case VIDIOC_STREAMON:
-      return fd != owner_fd_ || queued_.empty() ? -EINVAL : stream(fd, true);
+      return fd != owner_fd_ || queued_.empty() || *static_cast<std::uint32_t*>(argument) != type()
+                 ? -EINVAL
+                 : stream(fd, true);
     case VIDIOC_STREAMOFF:
-      return stream(fd, false);
+      return *static_cast<std::uint32_t*>(argument) != type() ? -EINVAL : stream(fd, false);
     default:
       return -ENOTTY;
   }
@@ -249,7 +272,7 @@ int FakeV4l2::enumerate_format(v4l2_fmtdesc& format) const {
       formats.push_back(mode.fourcc);
     }
   }
-  if (format.index >= formats.size()) {
+  if (format.type != type() || format.index >= formats.size()) {
     return -EINVAL;
   }
   format.pixelformat = formats[format.index];
@@ -303,7 +326,34 @@ int FakeV4l2::enumerate_interval(v4l2_frmivalenum& interval) const {
 }
 
 int FakeV4l2::set_format(v4l2_format& format) {
-  v4l2_pix_format& pixels = format.fmt.pix;
+  if (format.type != type()) {
+    return -EINVAL;
+  }
+  if (!multi_planar()) {
+    return set_format(format.fmt.pix);
+  }
+  v4l2_pix_format_mplane& planes = format.fmt.pix_mp;
+  v4l2_pix_format pixels{};
+  pixels.width = planes.width;
+  pixels.height = planes.height;
+  pixels.pixelformat = planes.pixelformat;
+  set_format(pixels);
+  planes.width = pixels.width;
+  planes.height = pixels.height;
+  planes.pixelformat = pixels.pixelformat;
+  planes.field = pixels.field;
+  planes.colorspace = pixels.colorspace;
+  planes.ycbcr_enc = static_cast<std::uint8_t>(pixels.ycbcr_enc);
+  planes.quantization = static_cast<std::uint8_t>(pixels.quantization);
+  planes.num_planes = static_cast<std::uint8_t>(planes_given != 0 ? planes_given : plane_count());
+  planes.plane_fmt[0].bytesperline = pixels.bytesperline;
+  planes.plane_fmt[0].sizeimage = pixels.sizeimage;
+  planes.plane_fmt[1].bytesperline = pixels.bytesperline + chroma_row_padding_bytes;
+  planes.plane_fmt[1].sizeimage = pixels.sizeimage / 2;
+  return 0;
+}
+
+int FakeV4l2::set_format(v4l2_pix_format& pixels) {
   const bool exact = std::any_of(modes.begin(), modes.end(), [&](const Mode& mode) {
     return mode.fourcc == pixels.pixelformat &&
            (sizes_in_a_range || (mode.width_px == static_cast<int>(pixels.width) &&
@@ -331,6 +381,9 @@ int FakeV4l2::set_format(v4l2_format& format) {
 }
 
 int FakeV4l2::set_rate(v4l2_streamparm& parameters) {
+  if (parameters.type != type()) {
+    return -EINVAL;
+  }
   v4l2_fract& interval = parameters.parm.capture.timeperframe;
   const double wanted_hz = static_cast<double>(interval.denominator) / interval.numerator;
   std::vector<int> rates;
@@ -353,29 +406,99 @@ int FakeV4l2::query_control(v4l2_queryctrl& query) const {
   if (found == controls.end()) {
     return -EINVAL;
   }
-  query.type = found->second.menu.empty() ? V4L2_CTRL_TYPE_INTEGER : V4L2_CTRL_TYPE_MENU;
-  query.minimum = found->second.minimum;
-  query.maximum = found->second.maximum;
+  query.type = type_of(found->second);
+  query.minimum = static_cast<std::int32_t>(found->second.minimum);
+  query.maximum = static_cast<std::int32_t>(found->second.maximum);
   query.step = found->second.step;
+  return 0;
+}
+
+int FakeV4l2::query_control(v4l2_query_ext_ctrl& query) const {
+  const bool next = (query.id & V4L2_CTRL_FLAG_NEXT_CTRL) != 0;
+  const std::uint32_t id = query.id & V4L2_CTRL_ID_MASK;
+  const auto found = next ? controls.upper_bound(id) : controls.find(id);
+  if (found == controls.end()) {
+    return -EINVAL;
+  }
+  const Control& control = found->second;
+  query.id = found->first;
+  query.type = type_of(control);
+  control.name.copy(query.name, sizeof query.name);
+  query.minimum = control.minimum;
+  query.maximum = control.maximum;
+  query.step = static_cast<std::uint64_t>(control.step);
+  query.flags = control.flags;
   return 0;
 }
 
 int FakeV4l2::query_menu(v4l2_querymenu& entry) const {
   const auto found = controls.find(entry.id);
-  return found != controls.end() && found->second.menu.count(static_cast<int>(entry.index)) != 0 ? 0
-                                                                                                 : -EINVAL;
-}
-
-int FakeV4l2::set_control(v4l2_control& wanted) {
-  const auto found = controls.find(wanted.id);
-  if (found == controls.end() ||
-      (!found->second.menu.empty() && found->second.menu.count(wanted.value) == 0)) {
+  if (found == controls.end() || found->second.menu.count(entry.index) == 0) {
     return -EINVAL;
   }
-  if (wanted.value < found->second.minimum || wanted.value > found->second.maximum) {
+  if (const auto text = found->second.texts.find(entry.index); text != found->second.texts.end()) {
+    text->second.copy(reinterpret_cast<char*>(entry.name), sizeof entry.name);
+  }
+  if (const auto number = found->second.numbers.find(entry.index); number != found->second.numbers.end()) {
+    entry.value = number->second;
+  }
+  return 0;
+}
+
+int FakeV4l2::set_control(std::uint32_t id, std::int64_t value) {
+  const auto found = controls.find(id);
+  if (found == controls.end() || (!found->second.menu.empty() && found->second.menu.count(value) == 0)) {
+    return -EINVAL;
+  }
+  if ((found->second.flags & V4L2_CTRL_FLAG_INACTIVE) != 0) {
+    return -EACCES;
+  }
+  if (found->second.type != V4L2_CTRL_TYPE_BITMASK &&
+      (value < found->second.minimum || value > found->second.maximum)) {
     return -ERANGE;
   }
-  found->second.value = wanted.value;
+  found->second.value = value;
+  if (on_control) {
+    on_control(id);
+  }
+  return 0;
+}
+
+int FakeV4l2::set_controls(v4l2_ext_controls& wanted) {
+  if (wanted.which != V4L2_CTRL_WHICH_CUR_VAL || wanted.count != 1) {
+    return -EINVAL;
+  }
+  v4l2_ext_control& one = *wanted.controls;
+  const auto found = controls.find(one.id);
+  const bool wide = found != controls.end() && found->second.type == V4L2_CTRL_TYPE_INTEGER64;
+  const int result = set_control(one.id, wide ? one.value64 : one.value);
+  if (result == 0 && wide) {
+    one.value64 = found->second.value;
+  } else if (result == 0) {
+    one.value = static_cast<std::int32_t>(found->second.value);
+  }
+  return result;
+}
+
+/// Whether a buffer of a request is of this device's kind, with its planes.
+bool FakeV4l2::fits(const v4l2_buffer& buffer) const {
+  return buffer.type == type() && buffer.memory == V4L2_MEMORY_MMAP &&
+         (!multi_planar() || (buffer.m.planes != nullptr && buffer.length >= plane_count()));
+}
+
+int FakeV4l2::query_buffer(v4l2_buffer& buffer) {
+  if (!fits(buffer) || buffer.index >= buffers_.size()) {
+    return -EINVAL;
+  }
+  for (std::size_t plane = 0; multi_planar() && plane < plane_count(); ++plane) {
+    buffer.m.planes[plane].length = static_cast<std::uint32_t>(buffers_[buffer.index].memory[plane].size());
+    buffer.m.planes[plane].m.mem_offset =
+        static_cast<std::uint32_t>(buffer.index * kMapStep + (plane == 0 ? 0 : kMapStep / 2));
+  }
+  if (!multi_planar()) {
+    buffer.length = static_cast<std::uint32_t>(buffers_[buffer.index].memory[0].size());
+    buffer.m.offset = static_cast<std::uint32_t>(buffer.index * kMapStep);
+  }
   return 0;
 }
 
@@ -383,11 +506,15 @@ int FakeV4l2::request_buffers(int fd, v4l2_requestbuffers& request) {
   if (owner_fd_ >= 0) {
     return -EBUSY;
   }
+  if (request.type != type()) {
+    return -EINVAL;
+  }
   request.count = std::min(request.count, most_buffers);
   owner_fd_ = fd;
   buffers_.assign(request.count, {});
   for (Buffer& buffer : buffers_) {
-    buffer.memory.resize(format_.sizeimage);
+    buffer.memory[0].resize(format_.sizeimage + data_offset);
+    buffer.memory[1].resize(plane_count() == 2 ? format_.sizeimage / 2 + data_offset : 0);
   }
   queued_.clear();
   return 0;
@@ -400,7 +527,17 @@ int FakeV4l2::dequeue(v4l2_buffer& buffer) {
   if (done_.empty()) {
     return -EAGAIN;
   }
-  buffer = buffers_[done_.front()].filled;
+  if (!fits(buffer)) {
+    return -EINVAL;
+  }
+  const Buffer& done = buffers_[done_.front()];
+  v4l2_plane* planes = multi_planar() ? buffer.m.planes : nullptr;
+  buffer = done.filled;
+  if (planes != nullptr) {
+    std::copy_n(done.planes.begin(), plane_count(), planes);
+    buffer.m.planes = planes;
+    buffer.length = static_cast<std::uint32_t>(plane_count());
+  }
   done_.pop_front();
   return 0;
 }

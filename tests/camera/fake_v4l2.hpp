@@ -2,6 +2,7 @@
 
 #include <linux/videodev2.h>
 
+#include <array>
 #include <cstdint>
 #include <deque>
 #include <functional>
@@ -28,11 +29,16 @@ class FakeV4l2 final : public camera::V4l2Kernel {
     std::vector<int> rates_hz;
   };
   struct Control {
-    int minimum;
-    int maximum;
+    std::int64_t minimum;
+    std::int64_t maximum;
     int step;
-    int value;
-    std::set<int> menu;  ///< empty: no menu
+    std::int64_t value;
+    std::set<std::int64_t> menu;  ///< empty: no menu
+    std::string name = "";
+    std::uint32_t type = V4L2_CTRL_TYPE_INTEGER;        ///< of one that has no menu
+    std::map<std::int64_t, std::string> texts = {};     ///< of a menu's entries
+    std::map<std::int64_t, std::int64_t> numbers = {};  ///< of a menu of numbers
+    std::uint32_t flags = 0;                            ///< grabbed: it can't be set now
   };
   /// What the device is about to put into a buffer.
   struct Filled {
@@ -54,11 +60,16 @@ class FakeV4l2 final : public camera::V4l2Kernel {
   bool sizes_in_a_range = false;  ///< ENUM_FRAMESIZES: from the first mode's size to the last one's
   bool tells_sizes = true;
   std::map<std::uint32_t, Control> controls;
+  std::function<void(std::uint32_t id)> on_control;  ///< called when one was set
   std::uint32_t colorspace = V4L2_COLORSPACE_SRGB;
   std::uint32_t ycbcr_enc = V4L2_YCBCR_ENC_DEFAULT;
   std::uint32_t quantization = V4L2_QUANTIZATION_DEFAULT;
   std::uint32_t field = V4L2_FIELD_NONE;
   std::uint32_t row_padding_bytes = 0;
+  // With V4L2_CAP_VIDEO_CAPTURE_MPLANE among the capabilities instead of V4L2_CAP_VIDEO_CAPTURE:
+  std::uint32_t data_offset = 0;               ///< of the picture in each plane
+  std::uint32_t chroma_row_padding_bytes = 0;  ///< of NV12M's second plane, beyond the first one's
+  std::uint32_t planes_given = 0;              ///< instead of what the format has; 0: no
   std::uint32_t most_buffers = 32;
   std::int64_t period_ns = 100 * kMillisecond_ns;  ///< set by S_PARM
   std::uint32_t first_sequence = 0;
@@ -103,20 +114,31 @@ class FakeV4l2 final : public camera::V4l2Kernel {
 
  private:
   struct Buffer {
-    std::vector<std::uint8_t> memory;
+    std::array<std::vector<std::uint8_t>, 2> memory;  ///< of each plane
     bool queued = false;
     v4l2_buffer filled{};
+    std::array<v4l2_plane, 2> planes{};
   };
+  bool multi_planar() const { return (capabilities & V4L2_CAP_VIDEO_CAPTURE_MPLANE) != 0; }
+  std::uint32_t type() const {
+    return multi_planar() ? V4L2_BUF_TYPE_VIDEO_CAPTURE_MPLANE : V4L2_BUF_TYPE_VIDEO_CAPTURE;
+  }
+  std::size_t plane_count() const { return format_.pixelformat == V4L2_PIX_FMT_NV12M ? 2 : 1; }
+  bool fits(const v4l2_buffer& buffer) const;
+  int query_buffer(v4l2_buffer& buffer);
 
   int answer(int fd, unsigned long request, void* argument);
   int enumerate_format(v4l2_fmtdesc& format) const;
   int enumerate_size(v4l2_frmsizeenum& size) const;
   int enumerate_interval(v4l2_frmivalenum& interval) const;
+  int set_format(v4l2_pix_format& pixels);
   int set_format(v4l2_format& format);
   int set_rate(v4l2_streamparm& parameters);
   int query_control(v4l2_queryctrl& query) const;
   int query_menu(v4l2_querymenu& entry) const;
-  int set_control(v4l2_control& wanted);
+  int query_control(v4l2_query_ext_ctrl& query) const;
+  int set_control(std::uint32_t id, std::int64_t value);
+  int set_controls(v4l2_ext_controls& wanted);
   int request_buffers(int fd, v4l2_requestbuffers& request);
   int dequeue(v4l2_buffer& buffer);
   int stream(int fd, bool on);

@@ -34,6 +34,7 @@ class SampleCamera final : public Camera {
   void start() override { started_ = true; }
   CaptureOutcome next(Frame& out, milliseconds timeout) override;
   void restart(const std::string& why) override;
+  void expect_frames(bool due) override;
   void stop() override;
   std::string last_error() const override;
 
@@ -53,6 +54,7 @@ class SampleCamera final : public Camera {
   bool started_ = false;
   bool stopped_ = false;
   bool open_ = false;
+  bool frames_due_ = true;
   Clock::time_point retry_;       ///< while it is closed: when it is opened again
   Clock::time_point last_frame_;  ///< or when it was opened
   milliseconds pause_ = kShortestPause;
@@ -97,7 +99,7 @@ CaptureOutcome SampleCamera::next(Frame& out, milliseconds timeout) {
       if (take_newest(out, std::max(left, milliseconds(0)))) {
         return CaptureOutcome::Delivered;
       }
-      if (Clock::now() - last_frame_ >= config_.stall_after) {
+      if (frames_due_ && Clock::now() - last_frame_ >= config_.stall_after) {
         give_up(CameraState::Stalled, fmt::format("no frame for {} ms", config_.stall_after.count()));
       }
       if (Clock::now() >= deadline) {
@@ -193,6 +195,16 @@ void SampleCamera::restart(const std::string& why) {
   if (open_) {
     give_up(CameraState::Failing, why);
   }
+}
+
+// Silence is a fault while frames are due; they are not while the trigger stands still that the camera hangs
+// on.
+void SampleCamera::expect_frames(bool due) {
+  if (due && !frames_due_) {
+    count_.resume();
+    last_frame_ = Clock::now();
+  }
+  frames_due_ = due;
 }
 
 void SampleCamera::close() {

@@ -123,6 +123,19 @@ TEST_F(SampleCameraTest, AnAbsentDeviceIsAState) {
   EXPECT_TRUE(becomes(*camera, CameraState::Streaming));
 }
 
+TEST_F(SampleCameraTest, SilenceIsNoStallWhileNoFramesAreDue) {
+  config_.stall_after = 50ms;
+  const auto camera = open_sample_camera(config_, device_);
+  camera->start();
+  device_.expose(0);
+  ASSERT_TRUE(becomes(*camera, CameraState::Streaming));
+  camera->expect_frames(false);
+  EXPECT_EQ(camera->next(frame_, 150ms), CaptureOutcome::Timeout);
+  EXPECT_EQ(camera->status().state, CameraState::Streaming);
+  camera->expect_frames(true);
+  ASSERT_TRUE(becomes(*camera, CameraState::Stalled));
+}
+
 TEST_F(SampleCameraTest, ComesBackFromEveryFault) {
   config_.stall_after = 50ms;
   const auto camera = open_sample_camera(config_, device_);

@@ -13,6 +13,7 @@
 #include <utility>
 #include <vector>
 
+#include "camera/v4l2_controls.hpp"
 #include "facet/error.hpp"
 #include "fake_v4l2.hpp"
 #include "jpeg_picture.hpp"
@@ -195,23 +196,33 @@ struct Wire {
   std::array<int, 3> first_pixel;
 };
 
-class V4l2FormatTest : public V4l2CameraTest, public testing::WithParamInterface<Wire> {};
-
-TEST_P(V4l2FormatTest, IsDelivered) {
-  const Wire& wire = GetParam();
-  config_.format = wire.format;
-  device_.modes = {{V4L2_PIX_FMT_UYVY, 4, 2, {10}}, {wire.fourcc, 4, 2, {10}}};
-  device_.row_padding_bytes = 4;
-  device_.on_fill = [&](test::FakeV4l2::Filled& filled) { filled.bytes = wire.bytes; };
-  started();
-  const Frame frame = next();
-  for (int y = 0; y < 2; ++y) {
-    for (std::size_t channel = 0; channel < 3; ++channel) {
-      EXPECT_EQ(frame.row(y)[channel], wire.first_pixel[channel]) << "row " << y << ", channel " << channel;
-      EXPECT_EQ(frame.row(y)[12 + channel], wire.first_pixel[channel])
-          << "row " << y << ", channel " << channel;
+class V4l2FormatTest : public V4l2CameraTest, public testing::WithParamInterface<Wire> {
+ protected:
+  void expect_delivered(const Wire& wire) {
+    config_.format = wire.format;
+    device_.modes = {{V4L2_PIX_FMT_UYVY, 4, 2, {10}}, {wire.fourcc, 4, 2, {10}}};
+    device_.row_padding_bytes = 4;
+    device_.on_fill = [&](test::FakeV4l2::Filled& filled) { filled.bytes = wire.bytes; };
+    started();
+    const Frame frame = next();
+    for (int y = 0; y < 2; ++y) {
+      for (std::size_t channel = 0; channel < 3; ++channel) {
+        EXPECT_EQ(frame.row(y)[channel], wire.first_pixel[channel]) << "row " << y << ", channel " << channel;
+        EXPECT_EQ(frame.row(y)[12 + channel], wire.first_pixel[channel])
+            << "row " << y << ", channel " << channel;
+      }
     }
   }
+};
+
+TEST_P(V4l2FormatTest, IsDelivered) {
+  expect_delivered(GetParam());
+}
+
+TEST_P(V4l2FormatTest, IsDeliveredByAMultiPlanarDevice) {
+  device_.capabilities = V4L2_CAP_VIDEO_CAPTURE_MPLANE | V4L2_CAP_STREAMING;
+  device_.data_offset = 32;
+  expect_delivered(GetParam());
 }
 
 INSTANTIATE_TEST_SUITE_P(
@@ -234,6 +245,86 @@ INSTANTIATE_TEST_SUITE_P(
                          {0, 64, 0, 64, 0, 64, 0, 64, 0, 0, 0, 0, 0, 64, 0, 64, 0, 64, 0, 64},
                          {64, 64, 64}}),
     [](const auto& wire) { return wire.param.format; });
+
+class V4l2MultiPlanarTest : public V4l2CameraTest {
+ protected:
+  V4l2MultiPlanarTest() {
+    device_.capabilities = V4L2_CAP_VIDEO_CAPTURE_MPLANE | V4L2_CAP_STREAMING;
+    device_.modes = {{V4L2_PIX_FMT_NV12, 4, 2, {30}}, {V4L2_PIX_FMT_NV12M, 4, 2, {10, 30}}};
+    device_.on_fill = [this](test::FakeV4l2::Filled& filled) {
+      filled.bytes = {81, 81, 81, 81, 81, 81, 81, 81, 90, 240, 90, 240};
+      if (spoil_) {
+        spoil_(filled);
+        spoil_ = nullptr;
+      }
+    };
+  }
+  std::function<void(test::FakeV4l2::Filled&)> spoil_;  ///< changes the next picture alone
+};
+
+TEST_F(V4l2MultiPlanarTest, Nv12InTwoBlocksOfMemory) {
+  for (const std::uint32_t offset : {0U, 32U}) {
+    device_.data_offset = offset;
+    started();
+    for (std::uint64_t i = 0; i < 10; ++i) {
+      const Frame frame = next();
+      EXPECT_EQ(frame.sequence, i);
+      EXPECT_EQ(frame.timestamp_ns, device_.now_ns - device_.period_ns);
+      for (int y = 0; y < 2; ++y) {
+        EXPECT_EQ(frame.row(y)[0], 254);
+        EXPECT_EQ(frame.row(y)[13], 0);
+      }
+    }
+    EXPECT_EQ(device_.mapped, 8) << "two of each buffer";
+    camera_->stop();
+    EXPECT_EQ(device_.mapped, 0);
+  }
+}
+
+TEST_F(V4l2MultiPlanarTest, EachBlockMustBeWhole) {
+  started();
+  next();
+  spoil_ = [](test::FakeV4l2::Filled& filled) { filled.bytes.pop_back(); };
+  next();
+  EXPECT_EQ(counters().truncated, 1U);
+  spoil_ = [](test::FakeV4l2::Filled& filled) { filled.bytes.resize(7); };
+  next();
+  EXPECT_EQ(counters().truncated, 2U);
+  spoil_ = [](test::FakeV4l2::Filled& filled) { filled.bytes.resize(1000); };
+  next();
+  EXPECT_EQ(counters().truncated, 3U) << "more than the memory of the second block";
+  EXPECT_EQ(counters().delivered, 4U);
+}
+
+TEST_F(V4l2MultiPlanarTest, AFormatThatIsThereInBothWaysIsNamedOnce) {
+  device_.modes = {{V4L2_PIX_FMT_NV12, 4, 2, {30}}, {V4L2_PIX_FMT_NV12M, 4, 2, {30}}};
+  EXPECT_THAT(refusal(), testing::EndsWith("the device has: NV12 4x2 at 30 Hz"));
+}
+
+TEST_F(V4l2MultiPlanarTest, ComesBackAfterFaults) {
+  started();
+  next();
+  device_.break_stream();
+  expect_fault(CameraState::Failing, "Input/output error");
+  Frame frame;
+  recover(frame);
+  device_.map_failures = 1;
+  device_.break_stream();
+  expect_fault(CameraState::Failing, "Input/output error");
+  recover(frame);
+  EXPECT_EQ(device_.mapped, 8);
+}
+
+TEST_F(V4l2MultiPlanarTest, OtherBlocksAreRefused) {
+  device_.planes_given = 3;
+  started();
+  expect_fault(CameraState::Failing, "gives NV12 in 3 blocks of memory");
+  camera_.reset();
+  device_.planes_given = 0;
+  device_.chroma_row_padding_bytes = 4;
+  started();
+  expect_fault(CameraState::Failing, "or with other rows in each");
+}
 
 class V4l2ColourTest : public V4l2CameraTest {
  protected:
@@ -605,6 +696,48 @@ TEST_F(V4l2CameraTest, SilenceIsAStallAndTheDeviceIsStartedAnew) {
   EXPECT_EQ(counters().reopened, 1U);
 }
 
+TEST_F(V4l2CameraTest, SilenceIsNoStallWhileNoFramesAreDue) {
+  config_.stall_after = 700ms;
+  started();
+  next();
+  device_.silent = true;
+  camera_->expect_frames(false);
+  Frame frame;
+  const int opens_before = device_.opens;
+  EXPECT_EQ(camera_->next(frame, 60s), CaptureOutcome::Timeout);
+  EXPECT_EQ(status().state, CameraState::Streaming);
+  EXPECT_EQ(device_.opens, opens_before);
+  // Its trigger fires again: it goes on in the same stream, and the pause is no omission.
+  camera_->expect_frames(true);
+  device_.silent = false;
+  for (std::uint64_t sequence = 1; sequence < 10; ++sequence) {
+    EXPECT_EQ(next().sequence, sequence);
+  }
+  EXPECT_EQ(counters().omitted, 0U);
+  EXPECT_EQ(counters().reopened, 0U);
+  // And where nothing comes though it fires, it is a stall from then on.
+  device_.silent = true;
+  camera_->expect_frames(false);
+  EXPECT_EQ(camera_->next(frame, 60s), CaptureOutcome::Timeout);
+  camera_->expect_frames(true);
+  const std::int64_t due_ns = device_.now_ns;
+  expect_fault(CameraState::Stalled, "no frame for 60.7 s");
+  EXPECT_EQ(device_.now_ns - due_ns, 700 * kMillisecond_ns);
+}
+
+TEST_F(V4l2CameraTest, ATriggeredCameraMayBeOpenLongBeforeItsTriggerFires) {
+  device_.silent = true;
+  started();
+  camera_->expect_frames(false);
+  Frame frame;
+  EXPECT_EQ(camera_->next(frame, 60s), CaptureOutcome::Timeout);
+  EXPECT_EQ(status().state, CameraState::Opening);
+  camera_->expect_frames(true);
+  const std::int64_t due_ns = device_.now_ns;
+  expect_fault(CameraState::Stalled, "no frame for 65 s");
+  EXPECT_EQ(device_.now_ns - due_ns, 5 * kSecond_ns) << "the patience for a first frame";
+}
+
 TEST_F(V4l2CameraTest, AStreamOfUselessFramesIsAStallToo) {
   started();
   next();
@@ -842,7 +975,7 @@ class V4l2ControlTest : public V4l2CameraTest {
         {V4L2_CID_WHITE_BALANCE_TEMPERATURE, {2800, 6500, 10, 4000, {}}},
     };
   }
-  int value(std::uint32_t id) { return device_.controls.at(id).value; }
+  std::int64_t value(std::uint32_t id) { return device_.controls.at(id).value; }
 };
 
 TEST_F(V4l2ControlTest, AreLeftToTheDeviceUnlessGiven) {
@@ -905,6 +1038,159 @@ TEST_F(V4l2ControlTest, AControlThatTheDriverRefusesIsAFault) {
   EXPECT_EQ(value(V4L2_CID_GAIN), 17);
 }
 
+// Controls by their names.
+
+constexpr std::uint32_t kTriggerMode = V4L2_CID_CAMERA_CLASS_BASE + 0x1000;
+constexpr std::uint32_t kTriggerSource = kTriggerMode + 1;
+constexpr std::uint32_t kTriggerDelay = kTriggerMode + 2;
+constexpr std::uint32_t kLines = kTriggerMode + 3;
+constexpr std::uint32_t kLinkFrequency = kTriggerMode + 4;
+constexpr std::uint32_t kSerialNumber = kTriggerMode + 5;
+constexpr std::uint32_t kReset = kTriggerMode + 6;
+
+/// A camera of an industrial kind.
+class V4l2NamedControlTest : public V4l2CameraTest {
+ protected:
+  V4l2NamedControlTest() {
+    device_.controls = {
+        {V4L2_CID_CAMERA_CLASS, {0, 0, 0, 0, {}, "Camera Controls", V4L2_CTRL_TYPE_CTRL_CLASS}},
+        {V4L2_CID_BRIGHTNESS, {-64, 64, 4, 0, {}, "Brightness"}},
+        {V4L2_CID_AUTO_WHITE_BALANCE, {0, 1, 1, 1, {}, "White Balance, Automatic", V4L2_CTRL_TYPE_BOOLEAN}},
+        {kTriggerMode, {0, 1, 1, 0, {}, "Trigger Mode", V4L2_CTRL_TYPE_BOOLEAN}},
+        {kTriggerSource,
+         {0, 3, 1, 0, {0, 1, 3}, "Trigger Source", 0, {{0, "Software"}, {1, "Line 1"}, {3, "Line 3"}}}},
+        {kTriggerDelay, {0, 10'000'000'000, 1, 0, {}, "Trigger Delay (ns)", V4L2_CTRL_TYPE_INTEGER64}},
+        {kLines, {0, 0xF000000F, 0, 0, {}, "Line Inverter", V4L2_CTRL_TYPE_BITMASK}},
+        {kLinkFrequency,
+         {0, 1, 1, 0, {0, 1}, "Link Frequency", 0, {}, {{0, 400'000'000}, {1, 5'000'000'000}}}},
+        {kSerialNumber,
+         {0, 9, 1, 5, {}, "Serial Number", V4L2_CTRL_TYPE_INTEGER, {}, {}, V4L2_CTRL_FLAG_READ_ONLY}},
+        {kReset, {0, 0, 0, 0, {}, "Reset", V4L2_CTRL_TYPE_BUTTON}},
+    };
+  }
+  std::int64_t value(std::uint32_t id) { return device_.controls.at(id).value; }
+  std::string refusal_of(const ControlSetting& setting) {
+    config_.controls = {setting};
+    return refusal();
+  }
+};
+
+constexpr const char* kAllNamed =
+    "brightness -64 to 64 in steps of 4; white_balance_automatic true or false; trigger_mode true or false; "
+    "trigger_source one of \"Software\", \"Line 1\", \"Line 3\"; trigger_delay_ns 0 to 10000000000; "
+    "line_inverter bits of 0xF000000F; link_frequency one of 400000000, 5000000000";
+
+TEST_F(V4l2NamedControlTest, NamesAreSpelledAsV4l2sToolsDo) {
+  EXPECT_EQ(control_key("Trigger Mode"), "trigger_mode");
+  EXPECT_EQ(control_key("White Balance, Automatic"), "white_balance_automatic");
+  EXPECT_EQ(control_key("  Gain (dB) "), "gain_db");
+  EXPECT_EQ(control_key("trigger_mode"), "trigger_mode");
+  EXPECT_EQ(control_key("-- \xC3\xA4"), "");
+}
+
+TEST_F(V4l2NamedControlTest, AreSetInTheirOrder) {
+  config_.controls = {{"Trigger Source", "Line 3"},
+                      {"trigger_mode", true},
+                      {"TRIGGER DELAY NS", std::int64_t{5'000'000'123}},
+                      {"line inverter", std::int64_t{0xF0000001}},
+                      {"Link Frequency", std::int64_t{5'000'000'000}},
+                      {"white_balance_automatic", false},
+                      {"Brightness", std::int64_t{-60}}};
+  std::vector<std::uint32_t> order;
+  device_.on_control = [&](std::uint32_t id) { order.push_back(id); };
+  open();
+  EXPECT_TRUE(order.empty()) << "nothing is set before the camera is started";
+  camera_->start();
+  next();
+  EXPECT_EQ(value(kTriggerSource), 3);
+  EXPECT_EQ(value(kTriggerMode), 1);
+  EXPECT_EQ(value(kTriggerDelay), 5'000'000'123);
+  EXPECT_EQ(static_cast<std::uint32_t>(value(kLines)), 0xF0000001U);
+  EXPECT_EQ(value(kLinkFrequency), 1);
+  EXPECT_EQ(value(V4L2_CID_BRIGHTNESS), -60);
+  EXPECT_EQ(value(V4L2_CID_AUTO_WHITE_BALANCE), 0) << "what is named counts more than what is left alone";
+  const std::vector<std::uint32_t> wanted = {
+      V4L2_CID_AUTO_WHITE_BALANCE, kTriggerSource,     kTriggerMode, kTriggerDelay, kLines, kLinkFrequency,
+      V4L2_CID_AUTO_WHITE_BALANCE, V4L2_CID_BRIGHTNESS};
+  EXPECT_EQ(order, wanted);
+  // And again after a fault.
+  device_.controls.at(kTriggerMode).value = 0;
+  device_.break_stream();
+  expect_fault(CameraState::Failing, "Input/output error");
+  Frame frame;
+  recover(frame);
+  EXPECT_EQ(value(kTriggerMode), 1);
+}
+
+TEST_F(V4l2NamedControlTest, WhatTheDeviceLacksIsRefusedWithWhatItHas) {
+  EXPECT_EQ(
+      refusal_of({"Trigger Modus", true}),
+      std::string("/dev/video0: source.controls.trigger_modus = true: the device has no such control; it "
+                  "has: ") +
+          kAllNamed);
+  for (const char* name : {"Camera Controls", "Reset", "Serial Number", ""}) {
+    EXPECT_THAT(refusal_of({name, std::int64_t{1}}), HasSubstr("the device has no such control")) << name;
+  }
+  device_.controls.clear();
+  EXPECT_THAT(refusal_of({"Trigger Mode", true}), HasSubstr("has no such control; it has: none"));
+}
+
+TEST_F(V4l2NamedControlTest, ValuesOfTheWrongKindOrOutOfRangeAreRefusedWithWhatItTakes) {
+  const auto number = [](const char* name, std::int64_t value) { return ControlSetting{name, value}; };
+  for (const ControlSetting& setting :
+       {number("brightness", -65), number("brightness", 65), number("brightness", 62),
+        number("brightness", INT64_MIN), number("brightness", INT64_MAX), ControlSetting{"brightness", true},
+        ControlSetting{"brightness", "64"}}) {
+    EXPECT_THAT(refusal_of(setting), HasSubstr(": the device takes -64 to 64 in steps of 4"));
+  }
+  EXPECT_THAT(refusal_of(number("trigger_mode", 1)), HasSubstr("takes true or false"));
+  EXPECT_THAT(refusal_of({"trigger_mode", "on"}), HasSubstr("takes true or false"));
+  EXPECT_THAT(
+      refusal_of({"trigger_source", "Line 2"}),
+      HasSubstr("source.controls.trigger_source = \"Line 2\": the device takes one of \"Software\", "));
+  EXPECT_THAT(refusal_of(number("trigger_source", 1)), HasSubstr("takes one of \"Software\", "));
+  EXPECT_THAT(refusal_of(number("line_inverter", 16)), HasSubstr("takes bits of 0xF000000F"));
+  EXPECT_THAT(refusal_of(number("line_inverter", -1)), HasSubstr("takes bits of 0xF000000F"));
+  EXPECT_THAT(refusal_of(number("link_frequency", 1)), HasSubstr("takes one of 400000000, 5000000000"));
+  EXPECT_THAT(refusal_of(number("trigger_delay_ns", -1)), HasSubstr("takes 0 to 10000000000"));
+}
+
+TEST_F(V4l2NamedControlTest, TwoOfOneNameAreNotGuessedAt) {
+  device_.controls.at(kTriggerDelay).name = "Trigger-Mode";
+  EXPECT_THAT(refusal_of({"trigger_mode", true}), HasSubstr("several controls of this name"));
+}
+
+TEST_F(V4l2NamedControlTest, OneThatAnotherLetsBeSet) {
+  device_.controls.at(kTriggerDelay).flags = V4L2_CTRL_FLAG_INACTIVE;
+  device_.on_control = [&](std::uint32_t id) {
+    device_.controls.at(kTriggerDelay).flags =
+        id == kTriggerMode ? 0 : device_.controls.at(kTriggerDelay).flags;
+  };
+  config_.controls = {{"Trigger Delay (ns)", std::int64_t{7}}, {"Trigger Mode", true}};
+  started();
+  expect_fault(CameraState::Failing,
+               "source.controls.trigger_delay_ns = 7: the device does not take it now; another control may");
+  camera_.reset();
+  std::swap(config_.controls[0], config_.controls[1]);
+  started();
+  next();
+  EXPECT_EQ(value(kTriggerDelay), 7);
+}
+
+TEST_F(V4l2NamedControlTest, ValuesThatTheDriverChangesAreTold) {
+  device_.on_control = [&](std::uint32_t id) {
+    device_.controls.at(kTriggerDelay).value = id == kTriggerDelay ? 8 : 0;
+  };
+  config_.controls = {{"Trigger Delay (ns)", std::int64_t{7}}};
+  started();
+  expect_fault(CameraState::Failing, "source.controls.trigger_delay_ns = 7: the device made it 8");
+}
+
+TEST_F(V4l2NamedControlTest, ADriverWhoseListHasNoEnd) {
+  device_.controls = {{kTriggerMode, {0, 2'000'000'000, 1, 0, {0}, "Endless", 0, {{0, "Zero"}}}}};
+  EXPECT_THAT(refusal_of({"endless", "One"}), HasSubstr("takes one of \"Zero\""));
+}
+
 // For people.
 
 TEST_F(V4l2CameraTest, ListsDevices) {
@@ -914,11 +1200,13 @@ TEST_F(V4l2CameraTest, ListsDevices) {
   touch("video0");
   touch("vcs");
   device_.path = (folder.path() / "video1").string();
+  device_.controls = {{V4L2_CID_CAMERA_CLASS_BASE, {0, 1, 1, 0, {}, "Trigger Mode", V4L2_CTRL_TYPE_BOOLEAN}}};
   const auto listed = list_v4l2_devices(folder.path(), device_);
   ASSERT_EQ(listed.size(), 1U) << "video0 is no device, vcs has another name";
   EXPECT_EQ(listed[0].path, device_.path);
   EXPECT_EQ(listed[0].card, "Fake Camera");
   EXPECT_EQ(listed[0].modes, "GREY 4x2 at 10, 30 Hz");
+  EXPECT_EQ(listed[0].controls, "trigger_mode true or false");
   device_.open_error = EACCES;
   EXPECT_THAT(list_v4l2_devices(folder.path(), device_).at(0).modes, HasSubstr("may not be opened"));
   EXPECT_TRUE(list_v4l2_devices(folder.path() / "missing", device_).empty());

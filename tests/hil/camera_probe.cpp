@@ -20,6 +20,7 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "camera/factory.hpp"
 #include "facet/camera.hpp"
@@ -132,6 +133,7 @@ int run(int argc, char** argv) {
   double seconds = 1e6;
   bool quiet = false;
   std::optional<double> gain;
+  std::vector<std::string> controls;
   CLI::App app("Tells what a camera does, as JSON lines");
   app.add_option("device", config.live.device, "or its id in libcamera")->required();
   app.add_option("--kind", config.kind);
@@ -144,10 +146,24 @@ int run(int argc, char** argv) {
   app.add_option("--gain", gain);
   app.add_option("--white-balance-k", config.live.white_balance_k);
   app.add_option("--stall-ms", stall_ms);
+  app.add_option("--control", controls, "NAME=VALUE, the value as JSON; several");
   app.add_option("--seconds", seconds);
   app.add_flag("--quiet", quiet, "no line for a frame");
   CLI11_PARSE(app, argc, argv);
   config.live.stall_after = std::chrono::milliseconds(stall_ms);
+  for (const std::string& control : controls) {
+    const std::size_t at = control.find('=');
+    const json value = json::parse(control.substr(at + 1));
+    camera::ControlSetting& setting = config.live.controls.emplace_back();
+    setting.name = control.substr(0, at);
+    if (value.is_boolean()) {
+      setting.value = value.get<bool>();
+    } else if (value.is_string()) {
+      setting.value = value.get<std::string>();
+    } else {
+      setting.value = value.get<std::int64_t>();
+    }
+  }
   if (config.kind == "libcamera") {
     config.libcamera.id = config.live.device.string();
     config.libcamera.gain = gain;

@@ -215,6 +215,39 @@ TEST(FramesPipeline, ACameraOutOfStepIsLeftOutAndStartedAnew) {
   expect_no_shift(sink.frames());
 }
 
+/// A live camera that stalls where frames are due and stay out.
+class WatchfulCamera final : public Camera {
+ public:
+  WatchfulCamera(std::unique_ptr<Camera> camera, std::atomic<int>& stalls)
+      : camera_(std::move(camera)), stalls_(stalls) {}
+
+  CameraInfo info() const override { return camera_->info(); }
+  CameraStatus status() const override { return camera_->status(); }
+  void start() override { camera_->start(); }
+  void expect_frames(bool due) override {
+    life_ = due && !due_ ? std::chrono::steady_clock::now() : life_;
+    due_ = due;
+  }
+  CaptureOutcome next(Frame& out, std::chrono::milliseconds timeout) override {
+    const CaptureOutcome outcome = camera_->next(out, timeout);
+    const auto now = std::chrono::steady_clock::now();
+    life_ = outcome == CaptureOutcome::Delivered ? now : life_;
+    if (due_ && now - life_ > 1s) {
+      ++stalls_;
+      life_ = now;
+    }
+    return outcome;
+  }
+  void stop() override { camera_->stop(); }
+  std::string last_error() const override { return ""; }
+
+ private:
+  std::unique_ptr<Camera> camera_;
+  std::atomic<int>& stalls_;
+  bool due_ = true;
+  std::chrono::steady_clock::time_point life_ = std::chrono::steady_clock::now();
+};
+
 /// Hands out the trigger of a rig; refuses and breaks it as told.
 struct TroubledTrigger {
   OpenTrigger real;
@@ -247,6 +280,42 @@ TEST(FramesPipeline, ATriggerThatCannotBeOpenedIsAStateUntilItCan) {
               AllOf(HasSubstr("warning: trigger failing: chip"), HasSubstr("trigger running")));
   pipeline.stop();
   expect_no_shift(sink.frames());
+}
+
+TEST(FramesPipeline, CamerasWaitForATriggerThatStandsStill) {
+  std::atomic<int> stalls = 0;
+  Rig rig = open_rig(simulated_rig(1, 100));
+  rig.cameras[0] = std::make_unique<WatchfulCamera>(std::move(rig.cameras[0]), stalls);
+  TroubledTrigger trouble{rig.open_trigger};
+  trouble.refusals = 2;  // for three seconds
+  rig.open_trigger = [&] { return trouble.open(); };
+  test::CollectingSink sink;
+  FramesPipeline pipeline(std::move(rig), {&sink});
+  pipeline.start();
+  const auto camera = [&] { return pipeline.status().rig->cameras.at(0).status; };
+  ASSERT_TRUE(eventually([&] { return camera().state == CameraState::Waiting; }));
+  EXPECT_EQ(camera().reason, "the trigger does not fire");
+  ASSERT_TRUE(eventually([&] { return camera().state == CameraState::Streaming; }));
+  EXPECT_EQ(camera().reason, "");
+  ASSERT_TRUE(eventually([&] { return pipeline.status().rig->sets.complete >= 20; }));
+  EXPECT_EQ(stalls, 0);
+  EXPECT_THAT(log_of(pipeline), AllOf(HasSubstr("warning: camera cam0 waiting: the trigger does not fire"),
+                                      HasSubstr("info: camera cam0 streaming")));
+  pipeline.stop();
+  expect_no_shift(sink.frames());
+}
+
+TEST(FramesPipeline, ASilentCameraOfATriggerThatFiresIsStalled) {
+  std::atomic<int> stalls = 0;
+  const RigConfig config = simulated_rig(2, 100);
+  Rig rig = open_rig(config);
+  // The second camera hangs on no line of this rig.
+  simulation::SimulatedRig elsewhere(1, 0);
+  rig.cameras[1] = std::make_unique<WatchfulCamera>(elsewhere.camera({"cam1", 128, 64, 100}, true), stalls);
+  FramesPipeline pipeline(std::move(rig), {});
+  pipeline.start();
+  ASSERT_TRUE(eventually([&] { return stalls >= 2; }));
+  pipeline.stop();
 }
 
 TEST(FramesPipeline, AFaultThatIsOursEndsItWithAReason) {

@@ -343,6 +343,54 @@ stall_after_ms = 500
   require_source(config, "facet.toml");
 }
 
+TEST(Config, ReadsControlsByTheirNamesInTheirOrder) {
+  const Config config = parse_config(R"(
+mode = "frames"
+[source]
+kind = "v4l2"
+controls = { "Power Line Frequency" = "50 Hz" }
+[[camera]]
+name = "left"
+device = "/dev/video0"
+[camera.controls]
+trigger_source = "Line 1"
+"Trigger Mode" = true
+a_number = -5000000000
+[[camera]]
+name = "right"
+device = "/dev/video1"
+)",
+                                     "/etc/facet/facet.toml");
+  const auto& one = config.pipeline.source.live.controls;
+  ASSERT_EQ(one.size(), 1U);
+  EXPECT_EQ(one[0].name, "Power Line Frequency");
+  EXPECT_EQ(std::get<std::string>(one[0].value), "50 Hz");
+  const auto& left = config.rig.cameras.at(0).source.live.controls;
+  ASSERT_EQ(left.size(), 3U);
+  EXPECT_EQ(left[0].name, "trigger_source");
+  EXPECT_EQ(std::get<std::string>(left[0].value), "Line 1");
+  EXPECT_EQ(left[1].name, "Trigger Mode");
+  EXPECT_EQ(std::get<bool>(left[1].value), true);
+  EXPECT_EQ(std::get<std::int64_t>(left[2].value), -5'000'000'000);
+  EXPECT_TRUE(config.rig.cameras.at(1).source.live.controls.empty());
+}
+
+TEST(Config, ErrorsOfControls) {
+  const std::string camera = "[source]\nkind = \"v4l2\"\n[source.controls]\n";
+  EXPECT_THAT(
+      error_of(camera + "gain = 0.5"),
+      HasSubstr("facet.toml:4: source.controls.gain: must be true or false, a whole number, or the text"));
+  EXPECT_THAT(error_of(camera + "gain = [1]"), HasSubstr("must be true or false"));
+  EXPECT_THAT(error_of(camera + "gain = 1\n\"Gain\" = 2"),
+              HasSubstr("facet.toml:5: source.controls.Gain: is set twice"));
+  EXPECT_THAT(error_of(camera + "\"\" = 1"), HasSubstr("is no name of a control"));
+  EXPECT_THAT(error_of("[source]\nkind = \"v4l2\"\ncontrols = 3"), HasSubstr("must be a section"));
+  EXPECT_THAT(error_of("[source]\nkind = \"libcamera\"\n[source.controls]\ngain = 1"),
+              HasSubstr("source.controls: is for kind = \"v4l2\""));
+  EXPECT_THAT(error_of("[[camera]]\nkind = \"simulated\"\n[camera.controls]\ngain = 1"),
+              HasSubstr("camera.controls: is for kind = \"v4l2\""));
+}
+
 TEST(Config, ReadsACameraOfLibcamera) {
   const Config config = parse_config(R"(
 [source]

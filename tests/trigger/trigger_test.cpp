@@ -2,15 +2,22 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/mman.h>
+#include <unistd.h>
 
 #include <atomic>
+#include <fstream>
 #include <memory>
+#include <string>
+#include <thread>
 #include <utility>
+#include <vector>
 
 #include "bench_of_lines.hpp"
 #include "facet/error.hpp"
 #include "trigger/event_ring.hpp"
 #include "trigger/gpio_trigger.hpp"
+#include "trigger/real_time.hpp"
 #include "trigger/virtual_trigger.hpp"
 
 namespace facet::trigger {
@@ -81,6 +88,40 @@ TEST(VirtualTrigger, SaysWhetherItIsRealTime) {
   }
   EXPECT_THROW(trigger->start(1), Error) << "it runs already";
 }
+
+#ifndef FACET_SANITIZED  // the sanitizers keep freed memory back
+/// Memory in use, bytes.
+std::int64_t resident_bytes() {
+  std::int64_t pages = 0;
+  std::int64_t resident = 0;
+  std::ifstream("/proc/self/statm") >> pages >> resident;
+  return resident * ::sysconf(_SC_PAGESIZE);
+}
+
+TEST(RealTime, LockedMemoryIsGivenBackOnceItIsFree) {
+  // The heap of a thread of its own, as a camera has; pictures are freed by others.
+  constexpr std::size_t kPicture_bytes = 640 * 480 * 4;
+  const auto burst = [&](std::size_t pictures) {
+    std::vector<std::vector<char>> held;
+    std::thread([&] {
+      for (std::size_t i = 0; i < pictures; ++i) {
+        held.emplace_back(kPicture_bytes, 'x');
+      }
+    }).join();
+  };
+  RealTime given;
+  std::thread([&] { given = become_real_time(1); }).join();
+  if (given.description.find("memory is locked") == std::string::npos) {
+    GTEST_SKIP() << given.description;
+  }
+  burst(1);
+  const std::int64_t before = resident_bytes();
+  burst(40);
+  const std::int64_t after = resident_bytes();
+  ::munlockall();
+  EXPECT_LT(after - before, std::int64_t{4 * kPicture_bytes});
+}
+#endif
 
 TEST(ThreadedTrigger, LinesThatFailAreAStateWithItsReason) {
   const TriggerProgram program = two_cameras_two_projectors();

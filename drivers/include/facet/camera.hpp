@@ -24,13 +24,15 @@ enum class CameraState {
   Absent,     ///< the device is not there; looked for until it is
   Opening,    ///< started, its first frame is awaited
   Streaming,  ///< frames come
+  Waiting,    ///< open, and no frames are due: its trigger stands still (told by who knows the trigger)
   Stalled,    ///< open, but frames stay out; started anew until they come
   Failing,    ///< see CameraStatus::reason; opened anew until it works
   Ended,      ///< a recorded source is at its end
 };
 
 constexpr const char* to_string(CameraState state) {
-  constexpr std::array kNames = {"idle", "absent", "opening", "streaming", "stalled", "failing", "ended"};
+  constexpr std::array kNames = {"idle",    "absent",  "opening", "streaming",
+                                 "waiting", "stalled", "failing", "ended"};
   return kNames.at(static_cast<std::size_t>(state));
 }
 
@@ -86,7 +88,8 @@ struct CameraInfo {
 };
 
 /// A source of frames. Life: open (a factory in drivers/camera, may throw Error) -> start -> next ... -> stop
-/// -> destroy. One thread calls start, next, restart and stop; info, status and last_error may be called from
+/// -> destroy. One thread calls start, next, restart,
+/// expect_frames and stop; info, status and last_error may be called from
 /// any thread once open.
 ///
 /// A live device may be absent, vanish, stall and come back at any time: these are states (status), `next`
@@ -113,6 +116,10 @@ class Camera {
   /// A live device is closed and opened anew by the next `next`; others do nothing. `why` becomes its reason
   /// meanwhile.
   virtual void restart(const std::string& /*why*/) {}
+
+  /// Whether frames are due; from the start they are. While they are not, as with a camera whose trigger
+  /// stands still, silence is no stall.
+  virtual void expect_frames(bool /*due*/) {}
 
   /// Ends delivery; a `next` after it says EndOfStream. Idempotent.
   virtual void stop() = 0;

@@ -222,7 +222,8 @@ class Probe(Lines):
     """A camera opened through the product's driver: camera_probe."""
 
     def __init__(self, device, **options):
-        arguments = [f"--{name.replace('_', '-')}={value}" for name, value in options.items()]
+        arguments = [f"--{name.replace('_', '-')}={one}" for name, value in options.items()
+                     for one in (value if isinstance(value, list) else [value])]
         super().__init__("camera_probe", device, *arguments)
 
     def frames(self, since=0):

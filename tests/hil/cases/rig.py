@@ -88,7 +88,7 @@ def killed_it_leaves_a_take_and_takes_its_lines_again():
 
 @test
 def a_line_is_held_by_another_program():
-    """The reason names chip, line and holder; the cameras' states are told; once the line is free, slots are fired."""
+    """The reason names chip, line and holder; the cameras wait, which is no fault of theirs; once the line is free, slots are fired."""
     with subprocess.Popen(["gpioset", "--mode=signal", CHIP.name, "3=0"]) as holder:
         time.sleep(1)
         with Rig(CHIP) as rig:
@@ -96,9 +96,14 @@ def a_line_is_held_by_another_program():
             figure("reason", failed["trigger"]["reason"])
             for words in ("bit3", CHIP.name, "gpioset"):
                 check(words in failed["trigger"]["reason"], failed["trigger"])
+            rig.wait(lambda now: all(camera["state"] == "waiting" for camera in now["cameras"]), "the cameras do not wait")
+            time.sleep(8)  # longer than a camera's first frame may take
+            waiting = [(camera["state"], camera["reason"]) for camera in rig.rig()["cameras"]]
+            check(waiting == [("waiting", "the trigger does not fire")] * 2, waiting)
             holder.kill()
             holder.wait()
-            rig.wait_sets(10)
+            now = rig.wait_sets(10)
+            check(all(camera["frames"]["reopened"] == 0 for camera in now["cameras"]), now["cameras"])
             rig.stop()
 
 
@@ -286,6 +291,33 @@ def connection_is_over(connection):
         return False
     except OSError:
         return True
+
+
+@full
+def each_camera_is_unplugged_20_times():
+    """One after the other: each comes back, the other one does not notice, no descriptor and no memory is lost."""
+    with Rig(CHIP) as rig:
+        rig.wait_sets(10)
+
+        def held():
+            folder = Path(f"/proc/{rig.process.pid}")
+            return len(list((folder / "fd").iterdir())), int((folder / "statm").read_text().split()[1]) * 4
+
+        for which, faulty in enumerate(rig.cameras):
+            settled, others = None, rig.rig()["cameras"][1 - which]["frames"]["reopened"]
+            for _ in range(20):
+                faulty.tell("unplug")
+                rig.wait(lambda now: now["cameras"][which]["state"] == "absent", "the unplugging is not noticed")
+                faulty.tell("plug")
+                now = rig.wait(lambda now: now["cameras"][which]["state"] == "streaming", "it does not come back")
+                settled = settled or held()
+            end = held()
+            figure(f"camera {which}: descriptors, kB after the first and the last time", [*settled, *end])
+            check(end[0] == settled[0] and end[1] <= settled[1] + 2048, f"descriptors, kB: {settled}, then {end}")
+            check(now["cameras"][which]["frames"]["reopened"] >= 20, now["cameras"][which])
+            check(now["cameras"][1 - which]["frames"]["reopened"] == others, f"the other camera: {now['cameras'][1 - which]}")
+        rig.wait_sets(10)
+        rig.stop()
 
 
 @full

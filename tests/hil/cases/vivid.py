@@ -1,4 +1,5 @@
 """The V4L2 driver on the kernel's virtual camera vivid, all of whose faults it must survive and count under their cause."""
+import json
 import subprocess
 import time
 from pathlib import Path
@@ -10,8 +11,8 @@ DEVICE = "/dev/v4l/by-path/platform-vivid.0-video-index0"
 DRIVER = Path("/sys/bus/platform/drivers/vivid")
 
 
-def load():
-    run("modprobe", "vivid", "n_devs=1", "node_types=0x1")
+def load(multi_planar=False):
+    run("modprobe", "vivid", "n_devs=1", "node_types=0x1", f"multiplanar={2 if multi_planar else 1}")
     run("udevadm", "settle")
     # The text in the picture takes most of the emulated processor's time.
     set_controls(DEVICE, osd_text_mode=2)
@@ -88,6 +89,26 @@ def controls_are_set():
         said = run("v4l2-ctl", "-d", DEVICE, "--get-ctrl", "gain_automatic")
         check("gain_automatic: 1" in said, said)
         probe.end()
+
+
+@test
+def controls_are_set_by_their_names():
+    wanted = {"Test Pattern": "100% White", "horizontal_movement": "Move Left", "Brightness": 99, "show_border": True,
+              "Integer 64 Bits": -5_000_000_000, "bitmask": 0x80002000, "Integer Menu": 13}
+    shown = {"test_pattern": "6", "horizontal_movement": "1", "brightness": "99", "show_border": "1", "integer_64_bits": "-5000000000",
+             "bitmask": "0x80002000", "integer_menu": "6"}
+    before = run("v4l2-ctl", "-d", DEVICE, "--get-ctrl", ",".join(shown))
+    with streaming(control=[f"{name}={json.dumps(value)}" for name, value in wanted.items()]) as probe:
+        said = run("v4l2-ctl", "-d", DEVICE, "--get-ctrl", ",".join(shown))
+        for name, value in shown.items():
+            check(any(line.startswith(f"{name}: {value}") for line in said.splitlines()), f"no {name} {value} in: {said}; before: {before}")
+        probe.end()
+    set_controls(DEVICE, test_pattern=0, horizontal_movement=3, show_border=0)
+    for setting, words in (("test_pattern=\"Black\"", 'takes one of "75% Colorbar", "100% Colorbar"'), ("brightness=256", "takes 0 to 255"),
+                           ("trigger_mode=true", "no such control; it has: brightness 0 to 255; ")):
+        with Probe(DEVICE, **SMALL, control=[setting]) as probe:
+            refused = probe.wait_for("refused")["error"]
+        check(words in refused, refused)
 
 
 @test
@@ -279,6 +300,33 @@ def held_by_another_program():
             other.wait()
             probe.wait_state("streaming")
             probe.end()
+
+
+@test
+def multi_planar():
+    """The other interface of V4L2: formats in one block of memory, and NV12 in two."""
+    run("modprobe", "-r", "vivid")
+    load(multi_planar=True)
+    try:
+        said = run("v4l2-ctl", "-d", DEVICE, "--all")
+        check("Video Capture Multiplanar" in said, said)
+        for name in ("YUYV", "NV12", "GREY", "Y16", "Y10"):
+            with Probe(DEVICE, rate=15, width=320, height=180, format=name) as probe:
+                opened = probe.wait_for("open")
+                check(opened["state"] == "idle", f"{name}: {opened}")
+                frames = probe.wait_frames(5, since=0)
+                check(not frames[-1]["corrupt"], name)
+                end = probe.end()
+            check_frames_in_order(frames)
+            check_counted(end)
+        listed = run("v4l2-ctl", "-d", DEVICE, "--list-formats")
+        check("NM12" in listed, f"NV12 is not there in two blocks: {listed}")
+        with streaming() as probe:
+            come_and_go(probe, unbind, bind, 1)
+            check_frames_in_order(probe.frames())
+    finally:
+        run("modprobe", "-r", "vivid")
+        load()
 
 
 load()
