@@ -75,6 +75,9 @@ void check(const face::FaceModel* model, const BoothConfig& config) {
   if (!(config.head_motion >= 0 && config.head_motion <= 1)) {
     refuse(fmt::format("a head motion of {}: 0 to 1", config.head_motion));
   }
+  if (config.pose_s && !(*config.pose_s >= 0 && *config.pose_s <= kPerformance_s)) {
+    refuse(fmt::format("a pose at {} s: 0 to {} s", *config.pose_s, kPerformance_s));
+  }
   if (!(config.ambient >= 0 && config.ambient <= 10)) {
     refuse(fmt::format("room light of {}: 0 to 10", config.ambient));
   }
@@ -340,7 +343,7 @@ struct Booth::Impl {
   capture::Rig rig;
   std::unique_ptr<Stage> stage;  ///< the actor's
   std::optional<BoothTarget> target;
-  std::shared_ptr<const Moment> still;  ///< the target's
+  std::shared_ptr<const Moment> still;  ///< of a target or an actor that holds its pose
   Eigen::VectorXf skin;
   std::array<float, 9> room{};  ///< light of the room in the basis of eq. 1 (Ma & Deng 2019), rig frame
   std::vector<CameraView> cameras;
@@ -367,7 +370,16 @@ struct Booth::Impl {
     for (std::size_t camera = 0; camera < rig.cameras.size(); ++camera) {
       cameras.emplace_back(rig.cameras[camera], gains[camera]);
     }
+    if (stage && config.pose_s) {
+      still = moment(*config.pose_s);
+    }
   }
+
+  std::vector<float> light_of(const capture::GreyImage& image) const {
+    return blurred_light(image, config.patterns.gamma, static_cast<float>(config.projector_blur_px));
+  }
+
+  bool moves() const { return !still && config.exposure_ms > 0; }
 
   double start_s(std::uint64_t slot) const { return static_cast<double>(slot) / config.slots_per_second; }
 
@@ -381,22 +393,27 @@ struct Booth::Impl {
   }
 
   /// The projectors' light; white without `shown`.
-  std::vector<ProjectorLight> light(const std::optional<capture::Shown>& shown) const {
+  /// pictures: of each projector, where they show pictures of their own
+  std::vector<ProjectorLight> light(const std::optional<capture::Shown>& shown,
+                                    const std::vector<capture::GreyImage>& pictures = {}) const {
     std::vector<ProjectorLight> lights;
     for (std::size_t p = 0; p < rig.projectors.size(); ++p) {
-      if (shown && shown->kind == capture::Shown::Kind::Dark) {
+      const bool own_picture = shown && shown->kind == capture::Shown::Kind::Picture;
+      if ((shown && shown->kind == capture::Shown::Kind::Dark) ||
+          (own_picture && pictures[p].values.empty())) {
         continue;
       }
       ProjectorLight made;
       made.lens = &rig.projectors[p].lens;
       made.centre_mm = made.lens->centre_mm().cast<float>();
       made.reference_mm = made.lens->camera_from_rig.translation().z();  // the depth of the rig's origin
-      if (shown) {
+      if (own_picture) {
+        made.light = light_of(pictures[p]);
+      } else if (shown) {
         capture::PatternConfig patterns = config.patterns;
         patterns.width_px = made.lens->width_px;
         patterns.height_px = made.lens->height_px;
-        made.light = blurred_light(capture::draw_pattern(patterns, *shown, p), patterns.gamma,
-                                   static_cast<float>(config.projector_blur_px));
+        made.light = light_of(capture::draw_pattern(patterns, *shown, p));
       }
       lights.push_back(std::move(made));
     }
@@ -479,6 +496,7 @@ struct BoothSlot::Impl {
   std::shared_ptr<const Booth::Impl> booth;
   std::uint64_t number = 0;
   capture::Shown shown;
+  std::vector<capture::GreyImage> pictures;  ///< that are shown in place of patterns
   // Made when they are first needed.
   std::vector<std::shared_ptr<const Moment>> exposure;  ///< [samples]
   std::shared_ptr<const Moment> middle_moment;
@@ -498,9 +516,8 @@ struct BoothSlot::Impl {
   const std::vector<std::shared_ptr<const Moment>>& moments() {
     const auto samples = static_cast<std::size_t>(booth->config.samples);
     if (exposure.empty()) {
-      const bool moves = booth->stage != nullptr && booth->config.exposure_ms > 0;
       for (std::size_t k = 0; k < samples; ++k) {
-        if (!moves || 2 * k + 1 == samples) {
+        if (!booth->moves() || 2 * k + 1 == samples) {
           middle();
           exposure.push_back(middle_moment);
         } else {
@@ -514,7 +531,7 @@ struct BoothSlot::Impl {
 
   const std::vector<ProjectorLight>& lights() {
     if (!projectors) {
-      projectors = booth->light(shown);
+      projectors = booth->light(shown, pictures);
     }
     return *projectors;
   }
@@ -720,6 +737,31 @@ BoothSlot Booth::slot(std::uint64_t number, const capture::Shown& shown) const {
   made->booth = impl_;
   made->number = number;
   made->shown = shown;
+  return BoothSlot(std::move(made));
+}
+
+BoothSlot Booth::slot(std::uint64_t number, std::vector<capture::GreyImage> pictures) const {
+  const std::vector<capture::RigProjector>& projectors = impl_->rig.projectors;
+  if (pictures.size() != projectors.size()) {
+    throw Error(ErrorKind::Usage, fmt::format("virtual booth: {} pictures for {} projectors", pictures.size(),
+                                              projectors.size()));
+  }
+  for (std::size_t p = 0; p < pictures.size(); ++p) {
+    const capture::GreyImage& picture = pictures[p];
+    const capture::Lens& lens = projectors[p].lens;
+    if (!picture.values.empty() &&
+        (picture.width_px != lens.width_px || picture.height_px != lens.height_px)) {
+      throw Error(
+          ErrorKind::Usage,
+          fmt::format("virtual booth: a picture of {}x{} px for projector '{}' of {}x{}", picture.width_px,
+                      picture.height_px, projectors[p].name, lens.width_px, lens.height_px));
+    }
+  }
+  auto made = std::make_unique<BoothSlot::Impl>();
+  made->booth = impl_;
+  made->number = number;
+  made->shown = {capture::Shown::Kind::Picture, number};
+  made->pictures = std::move(pictures);
   return BoothSlot(std::move(made));
 }
 
