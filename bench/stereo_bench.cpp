@@ -10,6 +10,7 @@
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
+#include <numbers>
 #include <optional>
 #include <string>
 #include <thread>
@@ -203,7 +204,17 @@ std::vector<std::vector<float>> spacetime(facet::gpu::Context& context, const St
     }
     out.push_back(map.depth_mm);
   }
-  fmt::print("  error / sigma, rms: {:.2f}\n", std::sqrt(square / n));
+  std::size_t wrong = 0;
+  for (std::size_t slot = footage.first_judged; slot < footage.past_judged; ++slot) {
+    for (std::size_t at = 0; at < maps[slot].depth_mm.size(); ++at) {
+      const float truth = footage.truth_mm[slot][at];
+      wrong +=
+          maps[slot].depth_mm[at] > 0 && truth > 0 && std::abs(maps[slot].depth_mm[at] - truth) > 2 ? 1 : 0;
+    }
+  }
+  fmt::print(
+      "  error / sigma, rms: {:.2f}; {} px of the surface, seen by both or not, are off by more than 2 mm\n",
+      std::sqrt(square / n), wrong);
   explain_holes(footage, options, stereo, matcher, maps);
   return out;
 }
@@ -315,6 +326,101 @@ void run_structured(const facet::simulation::Booth& booth, const std::string& sc
   }
 }
 
+/// What of the actor's skin has a depth: by the angle at which the camera that sees it flattest does, for
+/// each pair and for both together. Counted are the skin's vertices; a depth within 2 mm of one is its.
+void run_skin(facet::gpu::Context& context, const facet::simulation::Booth& booth, const Options& options) {
+  namespace stereo = facet::stereo;
+  constexpr std::array<double, 6> kAngles_deg = {0, 60, 70, 75, 80, 90};
+  constexpr double kBelongs_mm = 2;
+  struct Count {
+    std::size_t seen = 0;
+    std::size_t found = 0;
+    void add(bool has_depth) {
+      ++seen;
+      found += has_depth ? 1 : 0;
+    }
+  };
+  std::array<std::array<Count, kAngles_deg.size()>, 3> counts;  // pair 0, pair 1, both; the last: all angles
+  std::vector<StereoFootage> footage;
+  std::vector<std::vector<std::vector<float>>> maps;
+  for (const std::size_t pair : {std::size_t{0}, std::size_t{1}}) {
+    footage.push_back(facet::bench::booth_footage(booth, "actor", pair, options.scene));
+    maps.push_back(spacetime(context, footage.back(), options, options.stereo, "global"));
+  }
+  for (std::size_t slot = footage[0].first_judged; slot < footage[0].past_judged; ++slot) {
+    if (!footage[0].slots[slot].has_pattern) {
+      continue;
+    }
+    const auto surface = booth.slot(static_cast<std::uint64_t>(options.scene.first_slot) + slot).surface();
+    const facet::render::Raycaster raycaster(surface.vertices_mm, surface.triangles);
+    for (Eigen::Index v = 0; v < surface.vertices_mm.cols(); ++v) {
+      if (!(booth.skin()[v] > 0.5F)) {
+        continue;
+      }
+      const Eigen::Vector3f point = surface.vertices_mm.col(v);
+      double flattest_deg = 90;
+      bool found_by_any = false;
+      for (std::size_t pair = 0; pair < 2; ++pair) {
+        const StereoFootage& of_pair = footage[pair];
+        double flatter_deg = 0;
+        bool seen = true;
+        for (const std::size_t camera : {of_pair.pair.left, of_pair.pair.right}) {
+          const facet::capture::Lens& lens = of_pair.rig.cameras[camera].lens;
+          const Eigen::Vector3f centre = lens.centre_mm().cast<float>();
+          const float cosine = surface.normals.col(v).dot((centre - point).normalized());
+          const auto pixel = lens.project(point.cast<double>());
+          seen = seen && cosine > 0 && pixel && pixel->minCoeff() >= 4 && pixel->x() < lens.width_px - 4 &&
+                 pixel->y() < lens.height_px - 4 && !raycaster.occluded(point, centre, 1);
+          flatter_deg = std::max(flatter_deg, std::acos(std::clamp(static_cast<double>(cosine), 0.0, 1.0)) *
+                                                  180 / std::numbers::pi);
+        }
+        if (!seen) {
+          continue;
+        }
+        const auto at = of_pair.lens.project(point.cast<double>());
+        const Eigen::Vector2i px(at->array().round().cast<int>());
+        if (px.minCoeff() < 0 || px.x() >= of_pair.width_px || px.y() >= of_pair.height_px) {
+          continue;
+        }
+        const float depth = maps[pair][slot][static_cast<std::size_t>(px.y() * of_pair.width_px + px.x())];
+        const double z = (of_pair.lens.camera_from_rig * point.cast<double>()).z();
+        const bool found = depth > 0 && std::abs(static_cast<double>(depth) - z) < kBelongs_mm;
+        found_by_any = found_by_any || found;
+        flattest_deg = std::min(flattest_deg, flatter_deg);
+        std::size_t bin = 0;
+        while (bin + 2 < kAngles_deg.size() && flatter_deg >= kAngles_deg.at(bin + 1)) {
+          ++bin;
+        }
+        counts.at(pair).at(bin).add(found);
+        counts.at(pair).back().add(found);
+      }
+      if (flattest_deg < 90) {
+        std::size_t bin = 0;
+        while (bin + 2 < kAngles_deg.size() && flattest_deg >= kAngles_deg.at(bin + 1)) {
+          ++bin;
+        }
+        counts[2].at(bin).add(found_by_any);
+        counts[2].back().add(found_by_any);
+      }
+    }
+  }
+  fmt::print(
+      "\n| skin that both cameras see | at less than 60 deg | 60 to 70 | 70 to 75 | 75 to 80 | above 80 | "
+      "all |\n"
+      "|---|---|---|---|---|---|---|\n");
+  constexpr std::array kNames = {"left pair", "right pair", "either pair"};
+  for (std::size_t row = 0; row < counts.size(); ++row) {
+    fmt::print("| {}: fill % (share of its skin %) |", kNames.at(row));
+    for (const Count& count : counts.at(row)) {
+      const auto seen = static_cast<double>(std::max<std::size_t>(count.seen, 1));
+      fmt::print(" {:.1f} ({:.1f}) |", 100 * static_cast<double>(count.found) / seen,
+                 100 * static_cast<double>(count.seen) /
+                     static_cast<double>(std::max<std::size_t>(counts.at(row).back().seen, 1)));
+    }
+    fmt::print("\n");
+  }
+}
+
 void run(const Options& options) {
   facet::gpu::ContextOptions context_options;
   context_options.device = options.device;
@@ -329,6 +435,13 @@ void run(const Options& options) {
         model = facet::face::FaceModel::load(options.model);
       }
       booth.emplace(model ? &*model : nullptr, config);
+    }
+    if (options.methods == std::vector<std::string>{"skin"}) {
+      if (scene != "actor") {
+        throw facet::Error(facet::ErrorKind::Usage, "skin is the actor's");
+      }
+      run_skin(context, *booth, options);
+      continue;
     }
     const StereoFootage footage =
         booth ? facet::bench::booth_footage(*booth, scene, options.pair, options.scene)
@@ -368,9 +481,10 @@ int main(int argc, char** argv) {
   app.add_option("--scenes", options.scenes,
                  "actor, still, booth-plane, booth-sphere; plane, sphere, wave, step")
       ->delimiter(',');
-  app.add_option("--methods", options.methods,
-                 "global, local, direct, frame, start, windows, sgbm, vector (global, and its time beside "
-                 "hand-written C++), structured (light, of still scenes)")
+  app.add_option(
+         "--methods", options.methods,
+         "global, local, direct, frame, start, windows, sgbm, vector (global, and its time beside "
+         "hand-written C++), structured (light, of still scenes); skin alone: fill of both pairs by angle")
       ->delimiter(',');
   app.add_option("--model", options.model, "face model of the actor");
   app.add_option("--pair", options.pair, "of the booth: 0 or 1");
@@ -388,6 +502,8 @@ int main(int argc, char** argv) {
   app.add_option("--start-slots", options.stereo.start.window_t);
   app.add_option("--step-cost", options.stereo.start.step_cost);
   app.add_option("--jump-cost", options.stereo.start.jump_cost);
+  app.add_option("--grow", options.stereo.start.grow_px);
+  app.add_option("--grow-cost", options.stereo.start.grow_cost);
   app.add_option("--most-cost", options.stereo.start.most_cost);
   app.add_option("--uniqueness", options.stereo.start.uniqueness);
   app.add_option("--break", options.stereo.spacetime.break_px);

@@ -179,8 +179,11 @@ void report(const stereo::DecodedView& view, const std::string& camera, const st
     }
   }
   if (view.faults[static_cast<std::size_t>(stereo::PhaseFault::None)] == 0) {
-    throw Error(ErrorKind::UnreadableInput,
-                fmt::format("camera '{}' ({}): no pixel could be decoded", camera, folder));
+    throw Error(
+        ErrorKind::UnreadableInput,
+        fmt::format(
+            "camera '{}' ({}): no pixel could be decoded. `--explain` shows what each file is taken for",
+            camera, folder));
   }
 }
 

@@ -78,6 +78,9 @@ void check(const face::FaceModel* model, const BoothConfig& config) {
   if (config.pose_s && !(*config.pose_s >= 0 && *config.pose_s <= kPerformance_s)) {
     refuse(fmt::format("a pose at {} s: 0 to {} s", *config.pose_s, kPerformance_s));
   }
+  if (!(config.target_shift_mm.norm() <= 200)) {
+    refuse(fmt::format("a target {:.0f} mm off its place: 0 to 200", config.target_shift_mm.norm()));
+  }
   if (!(config.ambient >= 0 && config.ambient <= 10)) {
     refuse(fmt::format("room light of {}: 0 to 10", config.ambient));
   }
@@ -106,7 +109,7 @@ mesh::Triangles grid_triangles(int columns, int rows) {
   return triangles;
 }
 
-Target make_plate(std::uint64_t seed) {
+Target make_plate(std::uint64_t seed, const Vector3d& shift_mm) {
   constexpr double kSide_mm = 240;
   constexpr double kTilt_rad = 12 * std::numbers::pi / 180;
   constexpr int kPoints = 81;
@@ -117,7 +120,7 @@ Target make_plate(std::uint64_t seed) {
       (Eigen::AngleAxisd(yaw, Vector3d::UnitY()) * Eigen::AngleAxisd(pitch, Vector3d::UnitX()))
           .toRotationMatrix();
   Target plate;
-  plate.form.centre_mm = {0, 0, static_cast<double>(random.uniform(-15, 15))};
+  plate.form.centre_mm = shift_mm + Vector3d(0, 0, static_cast<double>(random.uniform(-15, 15)));
   plate.form.normal = turn.col(2);
   mesh::Vertices points_mm(3, kPoints * kPoints);
   for (int row = 0; row < kPoints; ++row) {
@@ -137,7 +140,7 @@ Target make_plate(std::uint64_t seed) {
 }
 
 /// Facets of 0.7 mm lie within 0.001 mm of the ball.
-Target make_ball(std::uint64_t seed) {
+Target make_ball(std::uint64_t seed, const Vector3d& shift_mm) {
   constexpr double kRadius_mm = 60;
   constexpr int kAround = 513;
   constexpr int kAlong = 257;
@@ -146,7 +149,7 @@ Target make_ball(std::uint64_t seed) {
   const double x_mm = static_cast<double>(random.uniform(-10, 10));
   const double y_mm = static_cast<double>(random.uniform(-10, 10));
   const double z_mm = static_cast<double>(random.uniform(-10, 10));
-  ball.form.centre_mm = {x_mm, y_mm, z_mm};
+  ball.form.centre_mm = shift_mm + Vector3d(x_mm, y_mm, z_mm);
   ball.form.radius_mm = kRadius_mm;
   mesh::Vertices points_mm(3, kAround * kAlong);
   Eigen::Matrix3Xf normals(3, points_mm.cols());
@@ -361,7 +364,8 @@ struct Booth::Impl {
       stage->put(Eigen::Matrix3f::Identity(), Vector3f::Zero(), static_cast<float>(config.head_motion));
       skin = stage->actor().face_skin();
     } else {
-      Target made = config.scene == BoothScene::Plane ? make_plate(config.seed) : make_ball(config.seed);
+      Target made = config.scene == BoothScene::Plane ? make_plate(config.seed, config.target_shift_mm)
+                                                      : make_ball(config.seed, config.target_shift_mm);
       target = made.form;
       skin = Eigen::VectorXf::Ones(made.scene.vertices_mm.cols());
       still = std::make_shared<const Moment>(std::move(made.scene));

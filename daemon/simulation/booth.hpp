@@ -34,6 +34,8 @@ struct BoothConfig {
   double head_motion = 0.4;
   /// The actor holds the pose of this moment of the performance, s, as for a still scan; nothing: performs.
   std::optional<double> pose_s;
+  /// A target stands this far from where the seed puts it, mm, rig frame. Up to 200.
+  Eigen::Vector3d target_shift_mm{0, 0, 0};
   /// Room light at the face, of what both projectors give in white.
   double ambient = 0.05;
   double projector_blur_px = 0.6;  ///< sigma, projector's pixels; 0 to 3

@@ -253,7 +253,7 @@ DepthRange depths_of(const capture::DepthMap& map, const DepthRange& expected) {
   std::sort(depths.begin(), depths.end());
   const float nearest = depths[depths.size() / 200];
   const float farthest = depths[depths.size() - 1 - depths.size() / 200];
-  const float margin = 0.1F * (farthest - nearest) + 0.01F * farthest;
+  const float margin = 0.25F * (farthest - nearest) + 0.01F * farthest;
   return {std::max(nearest - margin, 0.5F * nearest), farthest + margin};
 }
 

@@ -123,7 +123,7 @@ Figures judge(const StereoScene& scene, const capture::DepthMap& map) {
   return out;
 }
 
-// One px of disparity is 21 mm of depth here, a period of the fringes 11 px: exact phases leave what
+// One px of disparity is 21 mm of depth here, a period of the fringes 4 px: exact phases leave what
 // interpolation bends.
 TEST(StructuredLight, TwoCamerasMeetWhereTheirPhasesDo) {
   for (const Surface surface : {Surface::Plane, Surface::Wave}) {
@@ -192,7 +192,7 @@ TEST(StructuredLight, WrongPeriodsMakeNoSurface) {
   // A patch of the right picture is two periods off, which is more than it is wide: what it would match has
   // another match.
   for (int y = 60; y < 100; ++y) {
-    for (int x = 100; x < 116; ++x) {
+    for (int x = 100; x < 107; ++x) {
       right.columns.phase_rad[static_cast<std::size_t>(y * kWidth + x)] += static_cast<float>(2 * kTurn);
     }
   }
@@ -220,9 +220,9 @@ TEST(StructuredLight, DepthsAreFoundWithoutBeingGiven) {
   for (const DepthRange& depths :
        {find_depths(scene.rig, {0, 1}, left, view_of(scene, 1, true)), find_depths(scene.rig, 0, 0, left)}) {
     EXPECT_LT(static_cast<double>(depths.nearest_mm), *nearest + 10);  // a corner that one camera sees
-    EXPECT_GT(static_cast<double>(depths.nearest_mm), *nearest - 60);
+    EXPECT_GT(static_cast<double>(depths.nearest_mm), *nearest - 100);
     EXPECT_GT(static_cast<double>(depths.farthest_mm), *farthest - 10);
-    EXPECT_LT(static_cast<double>(depths.farthest_mm), *farthest + 60);
+    EXPECT_LT(static_cast<double>(depths.farthest_mm), *farthest + 100);
   }
 }
 
