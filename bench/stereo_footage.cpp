@@ -92,6 +92,7 @@ StereoFootage scene_footage(const std::string& name, const SceneOptions& options
   out.seen.resize(out.slots.size());
   out.nothing.resize(out.slots.size());
   const stereo::Rectification rectification = out.rectification();
+  out.lens = rectification.left();
   render::for_each_row(slots, [&](int slot) {
     const auto at = static_cast<std::size_t>(slot);
     out.slots[at].left = scene.picture(out.pair.left, slot);
@@ -108,20 +109,72 @@ StereoFootage scene_footage(const std::string& name, const SceneOptions& options
   return out;
 }
 
-StereoFootage booth_footage(const face::FaceModel& model, const std::string& name, std::size_t pair,
-                            const SceneOptions& options) {
-  simulation::BoothConfig config;
-  config.seed = options.seed;
-  if (name == "actor") {
-    config.scene = simulation::BoothScene::Actor;
-  } else if (name == "booth-plane") {
-    config.scene = simulation::BoothScene::Plane;
-  } else if (name == "booth-sphere") {
-    config.scene = simulation::BoothScene::Sphere;
-  } else {
-    throw Error(ErrorKind::Usage, fmt::format("no scene {}: actor, booth-plane, booth-sphere", name));
+namespace {
+
+/// Adds a slot's truth as footage.lens sees it. camera: whose picture the lens is, with its distortion;
+/// other: what must see a point too for it to be judged.
+void add_truth(const simulation::Booth& booth, const simulation::BoothSlot& shot, std::size_t camera,
+               const capture::Lens& other, StereoFootage& footage) {
+  const capture::Lens& lens = footage.lens;
+  const CameraIntrinsics intrinsics{static_cast<float>(lens.fx_px),
+                                    static_cast<float>(lens.fy_px),
+                                    static_cast<float>(lens.cx_px),
+                                    static_cast<float>(lens.cy_px),
+                                    lens.width_px,
+                                    lens.height_px};
+  const Eigen::Vector3f other_centre = (lens.camera_from_rig * other.centre_mm()).cast<float>();
+  const Eigen::Isometry3d rig_from_lens = lens.camera_from_rig.inverse();
+  const simulation::TruthMesh surface = shot.surface();
+  const mesh::Vertices vertices =
+      (lens.camera_from_rig.cast<float>() * surface.vertices_mm.colwise().homogeneous()).eval();
+  const render::Raycaster raycaster(vertices, surface.triangles);
+  const render::HitImage hits = raycaster.cast(intrinsics);
+  const Eigen::MatrixXf skin = render::interpolate(hits, surface.triangles, booth.skin().transpose());
+  const std::size_t count = hits.depth_mm.size();
+  std::vector<std::uint8_t> seen(count, 0);
+  const auto point_at = [&](int x, int y, double depth) {
+    return Eigen::Vector3d(depth *
+                           Eigen::Vector3d((x - lens.cx_px) / lens.fx_px, (y - lens.cy_px) / lens.fy_px, 1));
+  };
+  render::for_each_row(lens.height_px, [&](int y) {
+    for (int x = 0; x < lens.width_px; ++x) {
+      const std::size_t at =
+          static_cast<std::size_t>(y) * static_cast<std::size_t>(lens.width_px) + static_cast<std::size_t>(x);
+      const double depth = static_cast<double>(hits.depth_mm[at]);
+      if (depth > 0 && skin(0, static_cast<Eigen::Index>(at)) > 0.5F) {
+        const Eigen::Vector3d point = point_at(x, y, depth);
+        const auto there = other.project(rig_from_lens * point);
+        seen[at] = there && there->x() >= 3 && there->x() < other.width_px - 4 &&
+                           !raycaster.occluded(point.cast<float>(), other_centre, 1.0F)
+                       ? 1
+                       : 0;
+      }
+    }
+  });
+  // Hair, neck and eyes are in the pictures and not in the surface.
+  const simulation::DepthTruth whole = shot.depth(camera);
+  const capture::Lens& picture = booth.rig().cameras[camera].lens;
+  std::vector<bool> nothing(count, false);
+  for (std::size_t at = 0; at < count; ++at) {
+    const auto width = static_cast<std::size_t>(lens.width_px);
+    const auto pixel = picture.project(
+        rig_from_lens * point_at(static_cast<int>(at % width), static_cast<int>(at / width), 1));
+    bool empty = !(hits.depth_mm[at] > 0);
+    for (int k = 0; pixel && empty && k < 9; ++k) {
+      const int x = static_cast<int>(std::lround(pixel->x())) + k % 3 - 1;
+      const int y = static_cast<int>(std::lround(pixel->y())) + k / 3 - 1;
+      empty = x < 0 || y < 0 || x >= whole.width_px || y >= whole.height_px ||
+              !(whole.depth_mm[static_cast<std::size_t>(y) * static_cast<std::size_t>(whole.width_px) +
+                               static_cast<std::size_t>(x)] > 0);
+    }
+    nothing[at] = empty;
   }
-  const simulation::Booth booth(&model, config);
+  footage.nothing.push_back(std::move(nothing));
+  footage.truth_mm.push_back(hits.depth_mm);
+  footage.seen.emplace_back(seen.begin(), seen.end());
+}
+
+StereoFootage empty_footage(const simulation::Booth& booth, const std::string& name, std::size_t pair) {
   StereoFootage out;
   out.name = name;
   out.rig = booth.rig();
@@ -129,69 +182,93 @@ StereoFootage booth_footage(const face::FaceModel& model, const std::string& nam
   out.depths = {880, 1130};
   out.width_px = 640;
   out.height_px = 480;
+  out.lens = out.rectification().left();
+  return out;
+}
+
+}  // namespace
+
+simulation::BoothConfig booth_config(const std::string& name, const SceneOptions& options) {
+  simulation::BoothConfig config;
+  config.seed = options.seed;
+  if (name == "actor") {
+    config.scene = simulation::BoothScene::Actor;
+  } else if (name == "still") {
+    config.scene = simulation::BoothScene::Actor;
+    config.pose_s = options.first_slot / config.slots_per_second;
+  } else if (name == "booth-plane") {
+    config.scene = simulation::BoothScene::Plane;
+  } else if (name == "booth-sphere") {
+    config.scene = simulation::BoothScene::Sphere;
+  } else {
+    throw Error(ErrorKind::Usage, fmt::format("no scene {}: actor, still, booth-plane, booth-sphere", name));
+  }
+  return config;
+}
+
+StereoFootage booth_footage(const simulation::Booth& booth, const std::string& name, std::size_t pair,
+                            const SceneOptions& options) {
+  StereoFootage out = empty_footage(booth, name, pair);
   const stereo::Rectification rectification = out.rectification();
-  const capture::Lens& lens = rectification.left();
-  const CameraIntrinsics camera{static_cast<float>(lens.fx_px),
-                                static_cast<float>(lens.fy_px),
-                                static_cast<float>(lens.cx_px),
-                                static_cast<float>(lens.cy_px),
-                                lens.width_px,
-                                lens.height_px};
-  const Eigen::Vector3f right_centre =
-      (lens.camera_from_rig * rectification.right().centre_mm()).cast<float>();
   for (int slot = 0; slot < options.slots; ++slot) {
     const simulation::BoothSlot shot = booth.slot(static_cast<std::uint64_t>(options.first_slot + slot));
     stereo::StereoSlot& pictures = out.slots.emplace_back();
     pictures.left = shot.frame(out.pair.left);
     pictures.right = shot.frame(out.pair.right);
     pictures.has_pattern = shot.shown().kind == capture::Shown::Kind::Stripes;
-    const simulation::TruthMesh surface = shot.surface();
-    const mesh::Vertices vertices =
-        (lens.camera_from_rig.cast<float>() * surface.vertices_mm.colwise().homogeneous()).eval();
-    const render::Raycaster raycaster(vertices, surface.triangles);
-    const render::HitImage hits = raycaster.cast(camera);
-    const Eigen::MatrixXf skin = render::interpolate(hits, surface.triangles, booth.skin().transpose());
-    const std::size_t count = hits.depth_mm.size();
-    std::vector<std::uint8_t> seen(count, 0);
-    render::for_each_row(lens.height_px, [&](int y) {
-      for (int x = 0; x < lens.width_px; ++x) {
-        const std::size_t at = static_cast<std::size_t>(y) * static_cast<std::size_t>(lens.width_px) +
-                               static_cast<std::size_t>(x);
-        const double depth = static_cast<double>(hits.depth_mm[at]);
-        if (depth > 0 && skin(0, static_cast<Eigen::Index>(at)) > 0.5F) {
-          const Eigen::Vector3f point =
-              (depth * Eigen::Vector3d((x - lens.cx_px) / lens.fx_px, (y - lens.cy_px) / lens.fy_px, 1))
-                  .cast<float>();
-          const double there = x - rectification.disparity_px(depth);
-          seen[at] = there >= 3 && there < lens.width_px - 4 && !raycaster.occluded(point, right_centre, 1.0F)
-                         ? 1
-                         : 0;
-        }
-      }
-    });
-    // Hair, neck and eyes are in the pictures and not in the surface.
-    const simulation::DepthTruth whole = shot.depth(out.pair.left);
-    std::vector<bool> nothing(count, false);
-    for (std::size_t at = 0; at < count; ++at) {
-      const auto width = static_cast<std::size_t>(lens.width_px);
-      const std::size_t row = at / width;
-      const auto pixel =
-          rectification.left_picture_px({static_cast<double>(at % width), static_cast<double>(row)});
-      bool empty = !(hits.depth_mm[at] > 0);
-      for (int k = 0; pixel && empty && k < 9; ++k) {
-        const int x = static_cast<int>(std::lround(pixel->x())) + k % 3 - 1;
-        const int y = static_cast<int>(std::lround(pixel->y())) + k / 3 - 1;
-        empty = x < 0 || y < 0 || x >= whole.width_px || y >= whole.height_px ||
-                !(whole.depth_mm[static_cast<std::size_t>(y) * static_cast<std::size_t>(whole.width_px) +
-                                 static_cast<std::size_t>(x)] > 0);
-      }
-      nothing[at] = empty;
-    }
-    out.nothing.push_back(std::move(nothing));
-    out.truth_mm.push_back(hits.depth_mm);
-    out.seen.emplace_back(seen.begin(), seen.end());
+    add_truth(booth, shot, out.pair.left, rectification.right(), out);
   }
   judge_middle(out);
+  return out;
+}
+
+CodedFootage coded_footage(const simulation::Booth& booth, const std::string& name, std::size_t pair,
+                           const SceneOptions& options, const stereo::DecodeOptions& decode) {
+  CodedFootage out;
+  out.pair = empty_footage(booth, name, pair);
+  out.projector = out.pair;
+  out.left_camera = out.pair.pair.left;
+  out.projector_index = pair;  // the one on the pair's side
+  const capture::Rig& rig = booth.rig();
+  const capture::Lens& light = rig.projectors.at(out.projector_index).lens;
+  capture::PatternConfig config = booth.config().patterns;
+  config.width_px = light.width_px;
+  config.height_px = light.height_px;
+  const auto decoder_of = [&](std::size_t camera) {
+    return stereo::PhaseDecoder(options.sequence, rig.cameras[camera].lens.width_px,
+                                rig.cameras[camera].lens.height_px, decode);
+  };
+  stereo::PhaseDecoder left = decoder_of(out.pair.pair.left);
+  stereo::PhaseDecoder right = decoder_of(out.pair.pair.right);
+  std::vector<float> grey;
+  const auto add = [&](stereo::PhaseDecoder& decoder, std::size_t picture, const Frame& frame) {
+    grey.clear();
+    for (int y = 0; y < frame.height_px; ++y) {
+      for (int x = 0; x < frame.width_px; ++x) {
+        grey.push_back(static_cast<float>(frame.row(y)[4 * x]) / 255);
+      }
+    }
+    decoder.add(picture, grey);
+  };
+  for (std::size_t picture = 0; picture < options.sequence.pictures.size(); ++picture) {
+    std::vector<capture::GreyImage> shown(rig.projectors.size());
+    shown[out.projector_index] = capture::draw_coded(config, options.sequence, picture);
+    const simulation::BoothSlot shot =
+        booth.slot(static_cast<std::uint64_t>(options.first_slot) + picture, std::move(shown));
+    add(left, picture, shot.frame(out.pair.pair.left));
+    add(right, picture, shot.frame(out.pair.pair.right));
+  }
+  out.left = left.decode();
+  out.right = right.decode();
+  const simulation::BoothSlot shot = booth.slot(static_cast<std::uint64_t>(options.first_slot));
+  add_truth(booth, shot, out.left_camera, out.pair.rectification().right(), out.pair);
+  out.projector.lens = rig.cameras[out.left_camera].lens;
+  out.projector.lens.distortion = {};
+  add_truth(booth, shot, out.left_camera, light, out.projector);
+  for (StereoFootage* footage : {&out.pair, &out.projector}) {
+    footage->slots.resize(1);
+    footage->past_judged = 1;
+  }
   return out;
 }
 

@@ -4,8 +4,11 @@
 #include <string>
 #include <vector>
 
+#include "capture/code_sequence.hpp"
 #include "capture/rig.hpp"
 #include "face/face_model.hpp"
+#include "simulation/booth.hpp"
+#include "stereo/phase_decoder.hpp"
 #include "stereo/rectification.hpp"
 #include "stereo/stereo_matcher.hpp"
 
@@ -19,8 +22,9 @@ struct StereoFootage {
   stereo::DepthRange depths;
   int width_px = 0;
   int height_px = 0;
+  capture::Lens lens;  ///< of the depth maps: the rectified left one
   std::vector<stereo::StereoSlot> slots;
-  std::vector<std::vector<float>> truth_mm;  ///< [slots][height][width] rectified left; 0 where nothing is
+  std::vector<std::vector<float>> truth_mm;  ///< [slots][height][width] of lens; 0 where nothing is
   std::vector<std::vector<bool>> seen;  ///< [slots][height][width] to judge: skin, or all of a target, that
                                         ///< both cameras see
   std::vector<std::vector<bool>>
@@ -40,15 +44,32 @@ struct SceneOptions {
   std::uint32_t seed = 1;
   double speed_mm_per_slot = 1.5;
   double stripe_mm = 2;
-  double noise = 0.008;  ///< of a linear grey value at full light
+  double noise = 0.008;            ///< of a linear grey value at full light
+  capture::CodeSequence sequence;  ///< of structured light
 };
 
 /// scene: "plane", "sphere", "wave" or "step". Throws Error(Usage) for another.
 StereoFootage scene_footage(const std::string& scene, const SceneOptions& options);
 
-/// The virtual booth, whose pictures are 640 x 480: scene "actor", "booth-plane" or "booth-sphere"; pair 0
-/// or 1. model: of the actor. Throws Error(Usage) for another scene.
-StereoFootage booth_footage(const face::FaceModel& model, const std::string& scene, std::size_t pair,
+/// The virtual booth, whose pictures are 640 x 480: scene "actor", "still" (the actor holds the pose of the
+/// first slot), "booth-plane" or "booth-sphere". model: of the actor. Throws Error(Usage) for another scene.
+simulation::BoothConfig booth_config(const std::string& scene, const SceneOptions& options);
+
+/// What a pair of the booth sees, slot by slot.
+StereoFootage booth_footage(const simulation::Booth& booth, const std::string& scene, std::size_t pair,
                             const SceneOptions& options);
+
+/// A still scene in structured light from one projector, as a pair's cameras see it.
+struct CodedFootage {
+  stereo::DecodedView left, right;
+  /// One slot, with the same truth as the pair's slots: what both cameras see of the skin or target.
+  StereoFootage pair;
+  /// The same of the left camera's lens without distortion: what it sees and the projector lights.
+  StereoFootage projector;
+  std::size_t left_camera = 0;
+  std::size_t projector_index = 0;
+};
+CodedFootage coded_footage(const simulation::Booth& booth, const std::string& scene, std::size_t pair,
+                           const SceneOptions& options, const stereo::DecodeOptions& decode);
 
 }  // namespace facet::bench

@@ -74,9 +74,8 @@ double DepthFigures::ridges_mm() const {
 }
 
 render::Picture relief(const StereoFootage& footage, const std::vector<float>& depth_mm) {
-  const stereo::Rectification rectification = footage.rectification();
   render::Picture out = render::plain_picture(footage.width_px, footage.height_px, {30, 40, 90});
-  const capture::Lens& lens = rectification.left();
+  const capture::Lens& lens = footage.lens;
   const auto point = [&](int x, int y) -> Eigen::Vector3d {
     const auto depth = static_cast<double>(
         depth_mm[static_cast<std::size_t>(y) * static_cast<std::size_t>(footage.width_px) +

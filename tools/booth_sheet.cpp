@@ -11,6 +11,7 @@
 
 #include "capture/rig_file.hpp"
 #include "depth_folder.hpp"
+#include "depth_pictures.hpp"
 #include "evaluation.hpp"
 #include "facet/error.hpp"
 #include "files/pfm.hpp"
@@ -231,8 +232,12 @@ class Drawer {
                   fmt::format("{}: {} x {} px, rig.toml beside it says {} x {}", file.string(), map.width_px,
                               map.height_px, depth_lens_->width_px, depth_lens_->height_px));
     }
-    return fitted(trimmed(draw_relief(map.values, *depth_lens_),
-                          [&](std::size_t pixel) { return map.values[pixel] > 0; }));
+    capture::DepthMap relief;
+    relief.width_px = map.width_px;
+    relief.height_px = map.height_px;
+    relief.lens = *depth_lens_;
+    relief.depth_mm = map.values;
+    return fitted(trimmed(relief_of(relief), [&](std::size_t pixel) { return map.values[pixel] > 0; }));
   }
 
   Picture compare_with(std::uint64_t slot, const mesh::MeshFrame& frame, const FrameGeometry& geometry,
@@ -288,41 +293,6 @@ class Drawer {
 };
 
 }  // namespace
-
-Picture draw_relief(const std::vector<float>& depth_mm, const capture::Lens& lens) {
-  constexpr float kMostStep_mm = 5;
-  Picture picture = render::plain_picture(lens.width_px, lens.height_px, kDark);
-  const auto at = [&](int x, int y) {
-    return static_cast<std::size_t>(y) * static_cast<std::size_t>(lens.width_px) +
-           static_cast<std::size_t>(x);
-  };
-  const auto point = [&](int x, int y) -> Vector3f {
-    const auto z = static_cast<double>(depth_mm[at(x, y)]);
-    return Eigen::Vector3d((x - lens.cx_px) / lens.fx_px * z, (y - lens.cy_px) / lens.fy_px * z, z)
-        .cast<float>();
-  };
-  for (int y = 1; y + 1 < lens.height_px; ++y) {
-    for (int x = 1; x + 1 < lens.width_px; ++x) {
-      const float here = depth_mm[at(x, y)];
-      const std::array beside{depth_mm[at(x - 1, y)], depth_mm[at(x + 1, y)], depth_mm[at(x, y - 1)],
-                              depth_mm[at(x, y + 1)]};
-      const bool whole = here > 0 && std::all_of(beside.begin(), beside.end(), [&](float depth) {
-                           return depth > 0 && std::abs(depth - here) < kMostStep_mm;
-                         });
-      if (!whole) {
-        continue;
-      }
-      const Vector3f normal =
-          (point(x, y + 1) - point(x, y - 1)).cross(point(x + 1, y) - point(x - 1, y)).normalized();
-      const mesh::Vertices grey = grey_shading(normal);
-      for (std::size_t channel = 0; channel < 3; ++channel) {
-        picture.rgb[3 * at(x, y) + channel] =
-            render::linear_to_srgb8(grey(static_cast<Eigen::Index>(channel), 0));
-      }
-    }
-  }
-  return picture;
-}
 
 Picture make_booth_sheet(const BoothSheetSources& sources, const std::vector<std::int64_t>& frames,
                          const std::function<void(int)>& done, std::vector<BoothError>& errors) {

@@ -38,7 +38,4 @@ struct BoothError {
 render::Picture make_booth_sheet(const BoothSheetSources& sources, const std::vector<std::int64_t>& frames,
                                  const std::function<void(int)>& done, std::vector<BoothError>& errors);
 
-/// A depth map as a relief, lit from the upper left; holes are dark. Every value z in mm at its pixel.
-render::Picture draw_relief(const std::vector<float>& depth_mm, const capture::Lens& lens);
-
 }  // namespace facet::tools

@@ -26,6 +26,7 @@ void add_process_command(CLI::App& app);
 void add_record_command(CLI::App& app);
 void add_reset_identity_command(CLI::App& app);
 void add_rig_command(CLI::App& app);
+void add_scan_command(CLI::App& app);
 void add_shutdown_command(CLI::App& app);
 void add_status_command(CLI::App& app);
 void add_takes_command(CLI::App& app);

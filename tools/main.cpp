@@ -45,6 +45,7 @@ int main(int argc, char** argv) {
   add_record_command(app);
   add_reset_identity_command(app);
   add_rig_command(app);
+  add_scan_command(app);
   add_shutdown_command(app);
   add_status_command(app);
   add_takes_command(app);

@@ -40,24 +40,6 @@ void check(const PatternConfig& config) {
   }
 }
 
-/// Values for a projector's evenly spaced light: the power is too slow for every pixel.
-class Encoder {
- public:
-  explicit Encoder(double gamma) : values_(kSteps + 1) {
-    for (std::size_t k = 0; k <= kSteps; ++k) {
-      values_[k] =
-          static_cast<std::uint8_t>(std::lround(255 * std::pow(static_cast<double>(k) / kSteps, 1 / gamma)));
-    }
-  }
-  std::uint8_t operator()(double light) const {
-    return values_[static_cast<std::size_t>(std::lround(std::clamp(light, 0.0, 1.0) * kSteps))];
-  }
-
- private:
-  static constexpr std::size_t kSteps = 1 << 16;
-  std::vector<std::uint8_t> values_;
-};
-
 /// The engine's numbers are the same with every library, std's distributions are not.
 class Random {
  public:
@@ -124,7 +106,23 @@ std::vector<double> light_across(double first_px, double length_px, const Patter
   return table;
 }
 
+constexpr std::size_t kEncoderSteps = 1 << 16;
+
 }  // namespace
+
+ProjectorEncoder::ProjectorEncoder(const PatternConfig& config) {
+  check(config);
+  const auto gamma = static_cast<double>(config.gamma);
+  values_.reserve(kEncoderSteps + 1);
+  for (std::size_t k = 0; k <= kEncoderSteps; ++k) {
+    values_.push_back(static_cast<std::uint8_t>(
+        std::lround(255 * std::pow(static_cast<double>(k) / kEncoderSteps, 1 / gamma))));
+  }
+}
+
+std::uint8_t ProjectorEncoder::operator()(double light) const {
+  return values_[static_cast<std::size_t>(std::lround(std::clamp(light, 0.0, 1.0) * kEncoderSteps))];
+}
 
 Shown shown_in_slot(std::uint64_t slot) {
   const std::uint64_t phase = slot % kSlotsPerPeriod;
@@ -135,8 +133,10 @@ Shown shown_in_slot(std::uint64_t slot) {
 }
 
 GreyImage draw_pattern(const PatternConfig& config, const Shown& shown, std::size_t projector) {
-  check(config);
-  const Encoder encode(static_cast<double>(config.gamma));
+  const ProjectorEncoder encode(config);
+  if (shown.kind == Shown::Kind::Picture) {
+    throw Error(ErrorKind::Usage, "a picture of its own is no pattern that could be drawn");
+  }
   GreyImage image{config.width_px, config.height_px, {}};
   image.values.assign(static_cast<std::size_t>(config.width_px) * static_cast<std::size_t>(config.height_px),
                       shown.kind == Shown::Kind::Blank ? encode(kBlankLight) : std::uint8_t{0});

@@ -12,6 +12,7 @@ struct Shown {
     Dark,     ///< nothing: off
     Blank,    ///< an even grey, for texture and flow
     Stripes,  ///< pattern `number`, for depth
+    Picture,  ///< a picture that is none of these
   };
   Kind kind = Kind::Dark;
   std::uint64_t number = 0;  ///< of the stripes: two of them a period, never the same again
@@ -42,12 +43,24 @@ struct GreyImage {
   std::vector<std::uint8_t> values;  ///< [height_px][width_px]
 };
 
+/// What a projector is given so that its light comes out as wanted.
+class ProjectorEncoder {
+ public:
+  /// Throws Error(Usage) where the configuration is out of range.
+  explicit ProjectorEncoder(const PatternConfig& config);
+  /// light: 0 to 1 of white, clamped
+  std::uint8_t operator()(double light) const;
+
+ private:
+  std::vector<std::uint8_t> values_;  ///< of evenly spaced light: the power is too slow for every pixel
+};
+
 /// Random stripes as in Zhang et al. 2004, upright but for a slant of up to 8 degrees, so that no two rows
 /// are the same. Each has its own width (0.6 to 1.4 of the mean) and light (0 to 1, a quarter at least from
 /// its neighbour's); edges are soft (Gaussian, sigma 0.8 px), so that nothing is finer than the projector can
 /// show. Blank is half of white's light. Everything follows from seed, number and projector (which counts
 /// from 0: projectors that light the same skin need different stripes), and is the same on every machine.
-/// Throws Error(Usage) where the configuration is out of range.
+/// Throws Error(Usage) where the configuration is out of range or a Picture is wanted.
 GreyImage draw_pattern(const PatternConfig& config, const Shown& shown, std::size_t projector = 0);
 
 }  // namespace facet::capture

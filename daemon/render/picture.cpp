@@ -97,24 +97,50 @@ void write_png(const Picture& picture, const std::filesystem::path& file) {
   }
 }
 
-Picture read_image(const std::filesystem::path& file) {
+namespace {
+
+/// Throws Error(UnreadableInput) naming the file and what it should be.
+cv::Mat decode(const std::filesystem::path& file, int flags, const char* wanted) {
   std::ifstream stream(file, std::ios::binary);
   const std::vector<std::uint8_t> bytes{std::istreambuf_iterator<char>(stream), {}};
   cv::Mat bgr;
   try {
     if (!bytes.empty()) {
-      bgr = cv::imdecode(bytes, cv::IMREAD_COLOR);
+      bgr = cv::imdecode(bytes, flags);
     }
   } catch (const cv::Exception& failure) {
     throw Error(ErrorKind::UnreadableInput, fmt::format("{}: {}", file.string(), failure.err));
   }
   if (bgr.empty()) {
     throw Error(ErrorKind::UnreadableInput,
-                fmt::format("{}: not a readable PNG or JPEG picture", file.string()));
+                fmt::format("{}: not a readable {} picture", file.string(), wanted));
   }
+  return bgr;
+}
+
+}  // namespace
+
+Picture read_image(const std::filesystem::path& file) {
+  const cv::Mat bgr = decode(file, cv::IMREAD_COLOR, "PNG or JPEG");
   Picture picture{bgr.cols, bgr.rows, std::vector<std::uint8_t>(byte_count(bgr.cols, bgr.rows))};
   cv::Mat rgb = view_of(picture);
   cv::cvtColor(bgr, rgb, cv::COLOR_BGR2RGB);
+  return picture;
+}
+
+GreyPicture read_grey(const std::filesystem::path& file) {
+  const cv::Mat bgr = decode(file, cv::IMREAD_COLOR | cv::IMREAD_ANYDEPTH, "PNG, JPEG, BMP or TIFF");
+  if (bgr.depth() != CV_8U && bgr.depth() != CV_16U) {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("{}: has neither 8 nor 16 bits a channel", file.string()));
+  }
+  cv::Mat3f values;
+  bgr.convertTo(values, CV_32F, bgr.depth() == CV_8U ? 1.0 / 255 : 1.0 / 65535);
+  GreyPicture picture{bgr.cols, bgr.rows, {}};
+  picture.values.reserve(values.total());
+  for (const cv::Vec3f& value : values) {
+    picture.values.push_back((value[0] + 2 * value[1] + value[2]) / 4);
+  }
   return picture;
 }
 

@@ -140,6 +140,15 @@ void write_png(const Picture& picture, const std::filesystem::path& file);
 /// Reads PNG or JPEG. Throws Error(UnreadableInput).
 Picture read_image(const std::filesystem::path& file);
 
+/// A picture's brightness as coded, (R + 2 G + B) / 4, 0 to 1, top row first.
+struct GreyPicture {
+  int width_px = 0;
+  int height_px = 0;
+  std::vector<float> values;  ///< [height_px][width_px]
+};
+/// Reads PNG, JPEG, BMP, TIFF of 8 or 16 bits a channel. Throws Error(UnreadableInput).
+GreyPicture read_grey(const std::filesystem::path& file);
+
 /// Antialiased text whose first line's box has its top left corner at (x, y). scale 1 is 12 px high, 2 twice
 /// that. '\n' begins a new line; what lies outside the picture is cut.
 void draw_text(Picture& picture, int x_px, int y_px, const std::string& text, std::array<std::uint8_t, 3> rgb,

@@ -75,6 +75,12 @@ void check(const face::FaceModel* model, const BoothConfig& config) {
   if (!(config.head_motion >= 0 && config.head_motion <= 1)) {
     refuse(fmt::format("a head motion of {}: 0 to 1", config.head_motion));
   }
+  if (config.pose_s && !(*config.pose_s >= 0 && *config.pose_s <= kPerformance_s)) {
+    refuse(fmt::format("a pose at {} s: 0 to {} s", *config.pose_s, kPerformance_s));
+  }
+  if (!(config.target_shift_mm.norm() <= 200)) {
+    refuse(fmt::format("a target {:.0f} mm off its place: 0 to 200", config.target_shift_mm.norm()));
+  }
   if (!(config.ambient >= 0 && config.ambient <= 10)) {
     refuse(fmt::format("room light of {}: 0 to 10", config.ambient));
   }
@@ -103,7 +109,7 @@ mesh::Triangles grid_triangles(int columns, int rows) {
   return triangles;
 }
 
-Target make_plate(std::uint64_t seed) {
+Target make_plate(std::uint64_t seed, const Vector3d& shift_mm) {
   constexpr double kSide_mm = 240;
   constexpr double kTilt_rad = 12 * std::numbers::pi / 180;
   constexpr int kPoints = 81;
@@ -114,7 +120,7 @@ Target make_plate(std::uint64_t seed) {
       (Eigen::AngleAxisd(yaw, Vector3d::UnitY()) * Eigen::AngleAxisd(pitch, Vector3d::UnitX()))
           .toRotationMatrix();
   Target plate;
-  plate.form.centre_mm = {0, 0, static_cast<double>(random.uniform(-15, 15))};
+  plate.form.centre_mm = shift_mm + Vector3d(0, 0, static_cast<double>(random.uniform(-15, 15)));
   plate.form.normal = turn.col(2);
   mesh::Vertices points_mm(3, kPoints * kPoints);
   for (int row = 0; row < kPoints; ++row) {
@@ -134,7 +140,7 @@ Target make_plate(std::uint64_t seed) {
 }
 
 /// Facets of 0.7 mm lie within 0.001 mm of the ball.
-Target make_ball(std::uint64_t seed) {
+Target make_ball(std::uint64_t seed, const Vector3d& shift_mm) {
   constexpr double kRadius_mm = 60;
   constexpr int kAround = 513;
   constexpr int kAlong = 257;
@@ -143,7 +149,7 @@ Target make_ball(std::uint64_t seed) {
   const double x_mm = static_cast<double>(random.uniform(-10, 10));
   const double y_mm = static_cast<double>(random.uniform(-10, 10));
   const double z_mm = static_cast<double>(random.uniform(-10, 10));
-  ball.form.centre_mm = {x_mm, y_mm, z_mm};
+  ball.form.centre_mm = shift_mm + Vector3d(x_mm, y_mm, z_mm);
   ball.form.radius_mm = kRadius_mm;
   mesh::Vertices points_mm(3, kAround * kAlong);
   Eigen::Matrix3Xf normals(3, points_mm.cols());
@@ -340,7 +346,7 @@ struct Booth::Impl {
   capture::Rig rig;
   std::unique_ptr<Stage> stage;  ///< the actor's
   std::optional<BoothTarget> target;
-  std::shared_ptr<const Moment> still;  ///< the target's
+  std::shared_ptr<const Moment> still;  ///< of a target or an actor that holds its pose
   Eigen::VectorXf skin;
   std::array<float, 9> room{};  ///< light of the room in the basis of eq. 1 (Ma & Deng 2019), rig frame
   std::vector<CameraView> cameras;
@@ -358,7 +364,8 @@ struct Booth::Impl {
       stage->put(Eigen::Matrix3f::Identity(), Vector3f::Zero(), static_cast<float>(config.head_motion));
       skin = stage->actor().face_skin();
     } else {
-      Target made = config.scene == BoothScene::Plane ? make_plate(config.seed) : make_ball(config.seed);
+      Target made = config.scene == BoothScene::Plane ? make_plate(config.seed, config.target_shift_mm)
+                                                      : make_ball(config.seed, config.target_shift_mm);
       target = made.form;
       skin = Eigen::VectorXf::Ones(made.scene.vertices_mm.cols());
       still = std::make_shared<const Moment>(std::move(made.scene));
@@ -367,7 +374,16 @@ struct Booth::Impl {
     for (std::size_t camera = 0; camera < rig.cameras.size(); ++camera) {
       cameras.emplace_back(rig.cameras[camera], gains[camera]);
     }
+    if (stage && config.pose_s) {
+      still = moment(*config.pose_s);
+    }
   }
+
+  std::vector<float> light_of(const capture::GreyImage& image) const {
+    return blurred_light(image, config.patterns.gamma, static_cast<float>(config.projector_blur_px));
+  }
+
+  bool moves() const { return !still && config.exposure_ms > 0; }
 
   double start_s(std::uint64_t slot) const { return static_cast<double>(slot) / config.slots_per_second; }
 
@@ -381,22 +397,27 @@ struct Booth::Impl {
   }
 
   /// The projectors' light; white without `shown`.
-  std::vector<ProjectorLight> light(const std::optional<capture::Shown>& shown) const {
+  /// pictures: of each projector, where they show pictures of their own
+  std::vector<ProjectorLight> light(const std::optional<capture::Shown>& shown,
+                                    const std::vector<capture::GreyImage>& pictures = {}) const {
     std::vector<ProjectorLight> lights;
     for (std::size_t p = 0; p < rig.projectors.size(); ++p) {
-      if (shown && shown->kind == capture::Shown::Kind::Dark) {
+      const bool own_picture = shown && shown->kind == capture::Shown::Kind::Picture;
+      if ((shown && shown->kind == capture::Shown::Kind::Dark) ||
+          (own_picture && pictures[p].values.empty())) {
         continue;
       }
       ProjectorLight made;
       made.lens = &rig.projectors[p].lens;
       made.centre_mm = made.lens->centre_mm().cast<float>();
       made.reference_mm = made.lens->camera_from_rig.translation().z();  // the depth of the rig's origin
-      if (shown) {
+      if (own_picture) {
+        made.light = light_of(pictures[p]);
+      } else if (shown) {
         capture::PatternConfig patterns = config.patterns;
         patterns.width_px = made.lens->width_px;
         patterns.height_px = made.lens->height_px;
-        made.light = blurred_light(capture::draw_pattern(patterns, *shown, p), patterns.gamma,
-                                   static_cast<float>(config.projector_blur_px));
+        made.light = light_of(capture::draw_pattern(patterns, *shown, p));
       }
       lights.push_back(std::move(made));
     }
@@ -479,6 +500,7 @@ struct BoothSlot::Impl {
   std::shared_ptr<const Booth::Impl> booth;
   std::uint64_t number = 0;
   capture::Shown shown;
+  std::vector<capture::GreyImage> pictures;  ///< that are shown in place of patterns
   // Made when they are first needed.
   std::vector<std::shared_ptr<const Moment>> exposure;  ///< [samples]
   std::shared_ptr<const Moment> middle_moment;
@@ -498,9 +520,8 @@ struct BoothSlot::Impl {
   const std::vector<std::shared_ptr<const Moment>>& moments() {
     const auto samples = static_cast<std::size_t>(booth->config.samples);
     if (exposure.empty()) {
-      const bool moves = booth->stage != nullptr && booth->config.exposure_ms > 0;
       for (std::size_t k = 0; k < samples; ++k) {
-        if (!moves || 2 * k + 1 == samples) {
+        if (!booth->moves() || 2 * k + 1 == samples) {
           middle();
           exposure.push_back(middle_moment);
         } else {
@@ -514,7 +535,7 @@ struct BoothSlot::Impl {
 
   const std::vector<ProjectorLight>& lights() {
     if (!projectors) {
-      projectors = booth->light(shown);
+      projectors = booth->light(shown, pictures);
     }
     return *projectors;
   }
@@ -720,6 +741,31 @@ BoothSlot Booth::slot(std::uint64_t number, const capture::Shown& shown) const {
   made->booth = impl_;
   made->number = number;
   made->shown = shown;
+  return BoothSlot(std::move(made));
+}
+
+BoothSlot Booth::slot(std::uint64_t number, std::vector<capture::GreyImage> pictures) const {
+  const std::vector<capture::RigProjector>& projectors = impl_->rig.projectors;
+  if (pictures.size() != projectors.size()) {
+    throw Error(ErrorKind::Usage, fmt::format("virtual booth: {} pictures for {} projectors", pictures.size(),
+                                              projectors.size()));
+  }
+  for (std::size_t p = 0; p < pictures.size(); ++p) {
+    const capture::GreyImage& picture = pictures[p];
+    const capture::Lens& lens = projectors[p].lens;
+    if (!picture.values.empty() &&
+        (picture.width_px != lens.width_px || picture.height_px != lens.height_px)) {
+      throw Error(
+          ErrorKind::Usage,
+          fmt::format("virtual booth: a picture of {}x{} px for projector '{}' of {}x{}", picture.width_px,
+                      picture.height_px, projectors[p].name, lens.width_px, lens.height_px));
+    }
+  }
+  auto made = std::make_unique<BoothSlot::Impl>();
+  made->booth = impl_;
+  made->number = number;
+  made->shown = {capture::Shown::Kind::Picture, number};
+  made->pictures = std::move(pictures);
   return BoothSlot(std::move(made));
 }
 

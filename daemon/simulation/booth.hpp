@@ -32,6 +32,10 @@ struct BoothConfig {
   /// Share of the performance's head motion that the actor makes: who sits in a booth turns by 10 degrees at
   /// most. 0 to 1.
   double head_motion = 0.4;
+  /// The actor holds the pose of this moment of the performance, s, as for a still scan; nothing: performs.
+  std::optional<double> pose_s;
+  /// A target stands this far from where the seed puts it, mm, rig frame. Up to 200.
+  Eigen::Vector3d target_shift_mm{0, 0, 0};
   /// Room light at the face, of what both projectors give in white.
   double ambient = 0.05;
   double projector_blur_px = 0.6;  ///< sigma, projector's pixels; 0 to 3
@@ -108,6 +112,9 @@ class Booth {
   BoothSlot slot(std::uint64_t number) const;
   /// A slot in which the projectors show something else.
   BoothSlot slot(std::uint64_t number, const capture::Shown& shown) const;
+  /// A slot in which each projector shows a picture of its size, in the rig's order; an empty picture: it is
+  /// dark. Throws Error(Usage) where number or sizes are others.
+  BoothSlot slot(std::uint64_t number, std::vector<capture::GreyImage> pictures) const;
 
  private:
   friend class BoothSlot;

@@ -11,6 +11,7 @@
 #include "facet/error.hpp"
 #include "gpu/device_array.hpp"
 #include "shaders/stereo/layout.h"
+#include "stereo/islands.hpp"
 #include "stereo_shaders.hpp"
 
 namespace facet::stereo {
@@ -81,7 +82,6 @@ struct StereoMatcher::Impl {
   void find_start(std::span<const StereoSlot> slots, const Alive& alive);
   void finish(std::size_t slot, capture::DepthMap& map);
   void drop_hidden(std::span<const float> disparity_px, std::span<float> depth_mm);
-  void drop_islands(std::span<const float> disparity_px, std::span<float> depth_mm);
 
   StereoOptions options;
   Rectification rectification;
@@ -94,9 +94,8 @@ struct StereoMatcher::Impl {
 
   std::vector<float> left_grey, right_grey, start_px;
   DisparityField field;
-  std::vector<float> nearest;            ///< [width] of a row of the right picture
-  std::vector<std::int32_t> island;      ///< [height][width]
-  std::vector<std::size_t> open, piece;  ///< of the flood fill
+  std::vector<float> nearest;  ///< [width] of a row of the right picture
+  Islands islands;
   std::string failure;
   StereoTimes times;
 };
@@ -115,15 +114,13 @@ StereoMatcher::Impl::Impl(gpu::Context& context, const capture::Rig& rig, const 
             options.most_slots, "right pictures"),
       usable(context, static_cast<std::size_t>(options.most_slots) * sizeof(float), gpu::Memory::Upload,
              "usable"),
-      batch(context, "rectification") {
+      batch(context, "rectification"),
+      islands(options.width_px, options.height_px) {
   const VolumeSize& size = solver.size();
   left_grey.resize(size.voxels());
   right_grey.resize(size.voxels());
   start_px.resize(size.voxels());
   nearest.resize(static_cast<std::size_t>(size.width_px));
-  island.resize(size.slot_voxels());
-  open.reserve(size.slot_voxels());
-  piece.reserve(size.slot_voxels());
   batch.stage("rectify");
   const auto record = [&](const View& view, const gpu::Buffer& volume) {
     for (int slot = 0; slot < size.slots; ++slot) {
@@ -213,44 +210,6 @@ void StereoMatcher::Impl::drop_hidden(std::span<const float> disparity_px, std::
   }
 }
 
-/// Drops connected pieces that are too small to be a surface.
-void StereoMatcher::Impl::drop_islands(std::span<const float> disparity_px, std::span<float> depth_mm) {
-  const int width = options.width_px;
-  const int height = options.height_px;
-  std::fill(island.begin(), island.end(), 0);
-  for (std::size_t seed = 0; seed < island.size(); ++seed) {
-    if (island[seed] != 0 || !(depth_mm[seed] > 0)) {
-      continue;
-    }
-    island[seed] = 1;
-    open.assign(1, seed);
-    piece.clear();
-    while (!open.empty()) {
-      const std::size_t at = open.back();
-      open.pop_back();
-      piece.push_back(at);
-      const int x = static_cast<int>(at % static_cast<std::size_t>(width));
-      const int y = static_cast<int>(at / static_cast<std::size_t>(width));
-      const auto visit = [&](bool there, std::size_t next) {
-        if (there && island[next] == 0 && depth_mm[next] > 0 &&
-            std::abs(disparity_px[next] - disparity_px[at]) <= options.spacetime.break_px) {
-          island[next] = 1;
-          open.push_back(next);
-        }
-      };
-      visit(x > 0, at - 1);
-      visit(x + 1 < width, at + 1);
-      visit(y > 0, at - static_cast<std::size_t>(width));
-      visit(y + 1 < height, at + static_cast<std::size_t>(width));
-    }
-    if (piece.size() < static_cast<std::size_t>(options.least_island_px)) {
-      for (const std::size_t at : piece) {
-        depth_mm[at] = 0;
-      }
-    }
-  }
-}
-
 void StereoMatcher::Impl::finish(std::size_t slot, capture::DepthMap& map) {
   const std::size_t count = solver.size().slot_voxels();
   const auto part = [&](const std::vector<float>& whole) {
@@ -276,7 +235,7 @@ void StereoMatcher::Impl::finish(std::size_t slot, capture::DepthMap& map) {
     }
   }
   drop_hidden(disparity, map.depth_mm);
-  drop_islands(disparity, map.depth_mm);
+  islands.drop(disparity, options.spacetime.break_px, options.least_island_px, map.depth_mm);
   for (std::size_t at = 0; at < count; ++at) {
     if (map.depth_mm[at] > 0) {
       map.sigma_mm[at] = sigma_mm(at);

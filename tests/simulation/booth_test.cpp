@@ -521,5 +521,64 @@ TEST(Booth, WhatMakesNoSenseIsRefused) {
   EXPECT_THROW(booth.slot(0).depth(0, 6), Error);
 }
 
+TEST(Booth, ProjectorsShowGivenPictures) {
+  BoothConfig config = plain(BoothScene::Plane);
+  config.sensor_noise = true;
+  const Booth booth(nullptr, config);
+  const auto drawn = [&](std::size_t projector) {
+    capture::PatternConfig patterns = config.patterns;
+    patterns.width_px = booth.rig().projectors[projector].lens.width_px;
+    patterns.height_px = booth.rig().projectors[projector].lens.height_px;
+    return capture::draw_pattern(patterns, {Shown::Kind::Stripes, 3}, projector);
+  };
+  const BoothSlot own = booth.slot(4, {drawn(0), drawn(1)});
+  EXPECT_EQ(own.shown().kind, Shown::Kind::Picture);
+  const Frame given = own.frame(0);
+  const Frame program = booth.slot(4).frame(0);
+  const Frame one = booth.slot(4, {drawn(0), {}}).frame(0);
+  const Frame none = booth.slot(4, {{}, {}}).frame(0);
+  const Frame dark = booth.slot(4, Shown{}).frame(0);
+  double light_of_both = 0;
+  double light_of_one = 0;
+  for (int y = 0; y < 480; ++y) {
+    for (int x = 0; x < 640; ++x) {
+      ASSERT_EQ(given.row(y)[4 * x], program.row(y)[4 * x]);
+      ASSERT_EQ(none.row(y)[4 * x], dark.row(y)[4 * x]);
+      light_of_both += linear(given, x, y);
+      light_of_one += linear(one, x, y);
+    }
+  }
+  EXPECT_LT(light_of_one, 0.8 * light_of_both);
+  EXPECT_GT(light_of_one, 0.2 * light_of_both);
+  EXPECT_THROW(booth.slot(4, std::vector<capture::GreyImage>{drawn(0)}), Error);
+  capture::GreyImage small = drawn(1);
+  small.height_px -= 1;
+  EXPECT_THROW(booth.slot(4, {drawn(0), small}), Error);
+}
+
+TEST(Booth, AnActorHoldsThePoseOfAMoment) {
+  BoothConfig config = plain(BoothScene::Actor);
+  config.pose_s = 20 / config.slots_per_second;
+  const Booth still(&model(), config);
+  const std::vector<float> held = still.slot(3).depth(0).depth_mm;
+  EXPECT_EQ(still.slot(200).depth(0).depth_mm, held);
+  EXPECT_EQ(actor_booth().slot(20).depth(0).depth_mm, held);
+  EXPECT_NE(actor_booth().slot(200).depth(0).depth_mm, held);
+  config.pose_s = -1;
+  EXPECT_THROW(Booth(&model(), config), Error);
+}
+
+TEST(Booth, TargetsStandWhereTheyAreMoved) {
+  BoothConfig config = plain(BoothScene::Sphere);
+  const Vector3d before = Booth(nullptr, config).target()->centre_mm;
+  config.target_shift_mm = {30, -20, 10};
+  const Booth moved(nullptr, config);
+  EXPECT_LT((moved.target()->centre_mm - before - config.target_shift_mm).norm(), 1e-9);
+  const Vector3f mean = moved.slot(0).surface().vertices_mm.rowwise().mean();
+  EXPECT_LT((mean.cast<double>() - moved.target()->centre_mm).norm(), 1);
+  config.target_shift_mm = {300, 0, 0};
+  EXPECT_THROW(Booth(nullptr, config), Error);
+}
+
 }  // namespace
 }  // namespace facet::simulation

@@ -13,6 +13,7 @@
 #include <thread>
 
 #include "camera/factory.hpp"
+#include "capture/code_sequence.hpp"
 #include "capture/patterns.hpp"
 #include "capture/rig_file.hpp"
 #include "facet/error.hpp"
@@ -536,6 +537,108 @@ TEST_F(BoothDemo, ATeamFindsTheSameAndGoesOnAfterAMemberWasKilled) {
                  "--depth", file("alone"), "--frames", "150:156"}),
             static_cast<int>(ErrorKind::Usage));
   EXPECT_THAT(output_, HasSubstr("another take, rig or range"));
+}
+
+TEST_F(Command, ScanMakesASurfaceOfStructuredLightPictures) {
+  const std::string code = "phase:4x64,gray-pairs:6";
+  const capture::CodeSequence sequence = capture::parse_sequence(code);
+  simulation::BoothConfig config;
+  config.scene = simulation::BoothScene::Plane;
+  config.samples = 1;
+  config.sensor_noise = false;
+  const simulation::Booth booth(nullptr, config);
+  capture::write_rig(booth.rig(), file("rig.toml"));
+  const capture::StereoPair pair = booth.rig().pairs.front();
+  capture::PatternConfig screen;
+  screen.width_px = booth.rig().projectors[0].lens.width_px;
+  screen.height_px = booth.rig().projectors[0].lens.height_px;
+  std::filesystem::create_directories(file("l"));
+  std::filesystem::create_directories(file("r"));
+  for (std::size_t k = 0; k < sequence.pictures.size(); ++k) {
+    const auto shot = booth.slot(k, {capture::draw_coded(screen, sequence, k), {}});
+    // Names that sort by number alone.
+    render::write_png(render::to_picture(shot.frame(pair.left)), file(fmt::format("l/shot{}.png", k)));
+    render::write_png(render::to_picture(shot.frame(pair.right)), file(fmt::format("r/shot{}.png", k)));
+  }
+  const std::vector<std::string> two = {"scan",    "--rig",   file("rig.toml"), "--left",
+                                        file("l"), "--right", file("r"),        "--sequence",
+                                        code,      "-o",      file("two.ply")};
+  ASSERT_EQ(run(two), 0) << output_;
+  EXPECT_THAT(output_,
+              AllOf(HasSubstr("response of the cameras: srgb"), HasSubstr("points, standard deviation")));
+  const std::vector<std::string> one = {"scan",
+                                        "--rig",
+                                        file("rig.toml"),
+                                        "--left",
+                                        booth.rig().cameras[pair.left].name + "=" + file("l"),
+                                        "--projector",
+                                        booth.rig().projectors[0].name,
+                                        "--sequence",
+                                        code,
+                                        "-o",
+                                        file("one.ply")};
+  ASSERT_EQ(run(one), 0) << output_;
+  for (const char* name : {"two", "one"}) {
+    SCOPED_TRACE(name);
+    const files::FloatImage depth = files::read_pfm(file(std::string(name) + ".pfm"));
+    const capture::Lens lens = capture::read_rig(file(std::string(name) + ".toml")).cameras.front().lens;
+    EXPECT_TRUE(std::filesystem::exists(file(std::string(name) + ".png")));
+    std::size_t points = 0;
+    double squares = 0;
+    for (int y = 0; y < depth.height_px; ++y) {
+      for (int x = 0; x < depth.width_px; ++x) {
+        const auto z = static_cast<double>(depth.values[static_cast<std::size_t>(y * depth.width_px + x)]);
+        if (z > 0) {
+          const Eigen::Vector3d at =
+              lens.camera_from_rig.inverse() *
+              Eigen::Vector3d(z * (x - lens.cx_px) / lens.fx_px, z * (y - lens.cy_px) / lens.fy_px, z);
+          squares += std::pow(booth.target()->normal.dot(at - booth.target()->centre_mm), 2);
+          ++points;
+        }
+      }
+    }
+    EXPECT_GT(points, 80'000U);
+    EXPECT_LT(std::sqrt(squares / static_cast<double>(points)), 0.15);
+    std::ifstream ply(file(std::string(name) + ".ply"), std::ios::binary);
+    const std::string text{std::istreambuf_iterator<char>(ply), {}};
+    EXPECT_THAT(text.substr(0, 200), HasSubstr(fmt::format("element vertex {}\n", points)));
+  }
+  std::vector<std::string> explained = two;
+  explained.emplace_back("--explain");
+  ASSERT_EQ(run(explained), 0);
+  EXPECT_THAT(output_, HasSubstr("columns-gray-3 "));
+  EXPECT_LT(output_.find("shot9.png"), output_.find("shot10.png"));
+  // What a user may get wrong.
+  std::vector<std::string> wrong = two;
+  wrong[8] = "phase:4x64,gray:6";
+  EXPECT_EQ(run(wrong), static_cast<int>(ErrorKind::UnreadableInput));
+  EXPECT_THAT(output_, AllOf(HasSubstr("has 16 pictures (shot0.png to shot15.png), the sequence 10")));
+  wrong[8] = "gray-pairs:6,phase:4x64";
+  EXPECT_EQ(run(wrong), static_cast<int>(ErrorKind::UnreadableInput));
+  EXPECT_THAT(output_, HasSubstr("--explain"));
+  wrong = one;
+  wrong[6] = "projector-of-nobody";
+  EXPECT_EQ(run(wrong), static_cast<int>(ErrorKind::Usage));
+  EXPECT_THAT(output_, HasSubstr("there is no projector 'projector-of-nobody'"));
+  render::write_png(render::plain_picture(64, 48, {9, 9, 9}), file("r/shot5.png"));
+  EXPECT_EQ(run(two), static_cast<int>(ErrorKind::UnreadableInput));
+  EXPECT_THAT(output_, AllOf(HasSubstr("shot5.png: has 64x48 px"), HasSubstr("has 640x480")));
+  std::filesystem::remove(file("r/shot5.png"));
+  std::ofstream(file("r/shot5.png")) << "not a picture";
+  EXPECT_EQ(run(two), static_cast<int>(ErrorKind::UnreadableInput));
+  EXPECT_THAT(output_, HasSubstr("shot5.png: not a readable"));
+}
+
+TEST_F(Command, PatternsWritesStructuredLightToo) {
+  ASSERT_EQ(run({"patterns", "write", file("coded"), "--size", "128x64", "--sequence", "phase:4x8,gray:3"}),
+            0)
+      << output_;
+  EXPECT_TRUE(std::filesystem::exists(file("coded/000-columns-phase-8-shift-0.png")));
+  EXPECT_TRUE(std::filesystem::exists(file("coded/006-columns-gray-2.png")));
+  EXPECT_EQ(files_in("coded").size(), 7U);
+  EXPECT_EQ(run({"patterns", "write", file("coded"), "--size", "128x64", "--sequence", "phase:4x8"}),
+            static_cast<int>(ErrorKind::Usage));
+  EXPECT_THAT(output_, HasSubstr("needs Gray bits"));
 }
 
 }  // namespace
