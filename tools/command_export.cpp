@@ -97,7 +97,7 @@ int export_meshes(take::TakeReader& reader, const Selection& selection, const Ex
       return signal;
     }
     ++done;
-    const auto frame = reader.frame(index);
+    const auto frame = reader.frame(index, take::Pictures::Described);
     if (take::has_mesh(*frame)) {
       take::build_export_mesh(*frame, level, mesh);
       const std::string name = fmt::format("frame_{:06}.{}", frame->sequence, take::extension(format));
@@ -137,7 +137,7 @@ int export_signals(take::TakeReader& reader, const Selection& selection, const E
                                     : fmt::format("nothing was written to '{}'", options.output));
       return signal;
     }
-    const std::string line = take::frame_json(*reader.frame(index), index) + "\n";
+    const std::string line = take::frame_json(*reader.frame(index, take::Pictures::Described), index) + "\n";
     if (to_standard_output) {
       fmt::print("{}", line);
     } else {
@@ -159,16 +159,30 @@ int export_pictures(take::TakeReader& reader, const Selection& selection, const 
   make_folder(options.output);
   Progress progress("Exporting", selection.size());
   std::size_t written = 0;
+  std::vector<std::uint64_t> unreadable;
+  std::string first_fault;
   for (const std::int64_t index : selection) {
     if (const int signal = signals.pending(); signal != 0) {
       fmt::print(stderr, "facet: broken off: '{}' holds {} pictures\n", options.output, written);
       return signal;
     }
-    const auto frame = reader.frame(index);
-    written += frame->images != nullptr ? write_set_pictures(*frame->images, options.output) : 0;
+    std::shared_ptr<const FrameSet> images;
+    try {
+      images = reader.frame(index)->images;
+    } catch (const Error& fault) {
+      first_fault = unreadable.empty() ? fault.what() : first_fault;
+      unreadable.push_back(reader.entry(index).sequence);
+    }
+    written += images != nullptr ? write_set_pictures(*images, options.output) : 0;
     progress.advance();
   }
   progress.finish();
+  if (!unreadable.empty()) {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("{}; '{}' holds {} pictures; {} of {} frames can't be read and were left out: {}",
+                            first_fault, options.output, written, unreadable.size(), selection.size(),
+                            ranges_text(unreadable)));
+  }
   if (written == 0) {
     throw Error(ErrorKind::UnreadableInput,
                 fmt::format("'{}' holds no pictures: they are recorded in mode \"frames\"", options.take));

@@ -22,6 +22,38 @@ namespace {
 struct Options {
   std::string take;
   bool last_mesh_frame = false;
+  bool verify = false;
+};
+
+/// What the frame sets of a take hold.
+struct PictureFigures {
+  struct Camera {
+    std::string name;
+    int width_px = 0;  ///< of its last picture
+    int height_px = 0;
+    std::int64_t pictures = 0;
+    std::int64_t corrupt = 0;
+  };
+  std::vector<Camera> cameras;
+  std::int64_t sets = 0;
+  std::int64_t complete = 0;
+
+  void add(const FrameSet& set) {
+    ++sets;
+    complete += set.complete() ? 1 : 0;
+    for (std::size_t i = 0; i < set.frames.size(); ++i) {
+      if (i == cameras.size()) {
+        cameras.push_back({set.camera_names->at(i)});
+      }
+      if ((set.missing >> i & 1U) == 0) {
+        Camera& camera = cameras[i];
+        camera.width_px = set.frames[i].width_px;
+        camera.height_px = set.frames[i].height_px;
+        ++camera.pictures;
+        camera.corrupt += set.frames[i].corrupt ? 1 : 0;
+      }
+    }
+  }
 };
 
 struct Stage {
@@ -72,6 +104,64 @@ void print_last_mesh_frame(take::TakeReader& reader) {
               fmt::format("{}: no frame of this take has a mesh", reader.info().file.string()));
 }
 
+void print_pictures(const PictureFigures& figures, const take::TakeInfo& info, double rate_hz) {
+  fmt::print("pictures      {} cameras; {} sets, {} complete\n", figures.cameras.size(), figures.sets,
+             figures.complete);
+  for (const PictureFigures::Camera& camera : figures.cameras) {
+    fmt::print("  {:<12}{}x{}, {} pictures, missing in {} sets{}\n", camera.name, camera.width_px,
+               camera.height_px, camera.pictures, figures.sets - camera.pictures,
+               camera.corrupt > 0 ? fmt::format(", {} damaged as the driver says", camera.corrupt) : "");
+  }
+  std::uint64_t bytes = 0;
+  std::int64_t sets = 0;
+  for (const take::TakeSegment& segment : info.segments) {
+    bytes += segment.bytes;
+    sets += segment.frame_count;
+  }
+  if (sets > 0) {
+    const double megabytes_a_set = static_cast<double>(bytes) / 1e6 / static_cast<double>(sets);
+    fmt::print("segments      {}, {:.2f} MB a set{}\n", info.segments.size(), megabytes_a_set,
+               rate_hz > 0 ? fmt::format(", {:.1f} MB a second", megabytes_a_set * rate_hz) : "");
+  }
+}
+
+/// The segments that can't be read whole; how many.
+int print_faults(take::TakeReader& reader) {
+  int faults = 0;
+  for (const take::TakeSegment& segment : reader.info().segments) {
+    if (!segment.fault.empty()) {
+      ++faults;
+      fmt::print("damaged       {} (frames {} to {})\n", segment.fault,
+                 reader.entry(segment.first_frame).sequence, reader.entry(segment.last_frame).sequence);
+    }
+  }
+  return faults;
+}
+
+/// Reads every picture. Throws Error(UnreadableInput) where one is damaged.
+void verify(take::TakeReader& reader) {
+  std::int64_t damaged = 0;
+  Progress progress("Verifying", static_cast<std::uint64_t>(reader.frame_count()));
+  for (std::int64_t i = 0; i < reader.frame_count(); ++i) {
+    try {
+      reader.frame(i);
+    } catch (const Error& error) {
+      constexpr std::int64_t kMostNamed = 20;
+      if (++damaged <= kMostNamed) {
+        fmt::print("damaged       {}\n", error.what());
+      }
+    }
+    progress.advance();
+  }
+  progress.finish();
+  if (damaged > 0) {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("{}: {} of {} frames are damaged", reader.info().file.string(), damaged,
+                            reader.frame_count()));
+  }
+  fmt::print("verified      {} frames with all their pictures\n", reader.frame_count());
+}
+
 void run(const Options& options) {
   take::TakeReader reader(options.take);
   if (options.last_mesh_frame) {
@@ -89,11 +179,15 @@ void run(const Options& options) {
   std::int64_t finest_vertices = 0;
   std::size_t levels = 0;
   std::string degraded_reason;
+  PictureFigures pictures;
   {
     Progress progress("Reading", static_cast<std::uint64_t>(frame_count));
     for (std::int64_t i = 0; i < frame_count; ++i) {
-      const auto frame = reader.frame(i);
+      const auto frame = reader.frame(i, take::Pictures::Described);
       ++states[static_cast<std::size_t>(frame->state)];
+      if (frame->images != nullptr) {
+        pictures.add(*frame->images);
+      }
       if (frame->degraded) {
         ++degraded;
         degraded_reason = frame->degraded_reason;
@@ -136,12 +230,17 @@ void run(const Options& options) {
   if (refined > 0) {
     fmt::print("mesh          {} vertices on the finest of {} levels\n", finest_vertices, levels);
   }
-  if (frame_count > 1 && seconds > 0) {
-    fmt::print("rate          {:.2f} frames per second\n", static_cast<double>(frame_count - 1) / seconds);
+  const double rate_hz = frame_count > 1 && seconds > 0 ? static_cast<double>(frame_count - 1) / seconds : 0;
+  if (rate_hz > 0) {
+    fmt::print("rate          {:.2f} frames per second\n", rate_hz);
   }
   fmt::print("size          {:.1f} MB, {:.1f} KB a frame\n", static_cast<double>(info.file_bytes) / 1e6,
              static_cast<double>(info.file_bytes) / 1e3 /
                  static_cast<double>(std::max<std::int64_t>(1, frame_count)));
+  if (pictures.sets > 0) {
+    print_pictures(pictures, info, rate_hz);
+  }
+  const int faults = print_faults(reader);
   if (!reprojection_px.empty()) {
     fmt::print("reprojection  {:.2f} px median of the frames' medians\n", quantile(reprojection_px, 0.5));
   }
@@ -156,17 +255,26 @@ void run(const Options& options) {
                  quantile(times_ms[s], 0.5), quantile(times_ms[s], 0.95), times_ms[s].size());
     }
   }
+  if (options.verify) {
+    fmt::print("\n");
+    verify(reader);
+  } else if (faults > 0) {
+    throw Error(ErrorKind::UnreadableInput, fmt::format("{}: {} of {} segments can't be read whole",
+                                                        info.file.string(), faults, info.segments.size()));
+  }
 }
 
 }  // namespace
 
 void add_summary_command(CLI::App& app) {
   auto options = std::make_shared<Options>();
-  CLI::App* command =
-      app.add_subcommand("summary", "What is in a take: frames by state, rate, times per stage, errors");
+  CLI::App* command = app.add_subcommand(
+      "summary", "What is in a take: frames by state, pictures, rate, times per stage, errors");
   command->add_option("take", options->take, "The take")->required();
   command->add_flag("--last-mesh-frame", options->last_mesh_frame,
                     "Print only the number, in the source, of the last frame that has a mesh");
+  command->add_flag("--verify", options->verify,
+                    "Read every frame with its pictures and name those that are damaged");
   command->callback([options] { run(*options); });
 }
 

@@ -22,7 +22,7 @@ struct ControlConfig {
 struct TakesConfig {
   std::filesystem::path folder = "/var/lib/facet/takes";
   std::uint64_t disk_reserve_bytes = 256ULL << 20;
-  int compression_level = 1;    ///< of zstd
+  int compression_level = 1;    ///< of zstd, for meshes
   std::string record_at_start;  ///< name of a take that begins with the first frame; empty: none
 };
 

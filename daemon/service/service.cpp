@@ -41,8 +41,6 @@ constexpr std::chrono::milliseconds kLoopPeriod{100};
 constexpr std::chrono::milliseconds kImpatientPeriod{10};
 /// How often the service manager is told how the daemon does, where that changes.
 constexpr std::chrono::seconds kStatusPeriod{2};
-/// Frame sets with their pictures that wait for the disk.
-constexpr int kQueuedSets = 16;
 /// How long a stop waits for threads that a driver holds; with the stream's farewells it stays below a
 /// second.
 constexpr std::chrono::milliseconds kStopPatience{600};
@@ -257,11 +255,8 @@ void Service::Impl::begin_take(const std::string& name) {
   recorder.source = source_name;
   recorder.software = software_name();
   recorder.when_full = live ? take::WhenFull::Drop : take::WhenFull::Wait;
-  if (config.mode == Mode::Frames ||
-      (config.mode == Mode::Booth && config.booth_record == BoothRecord::Pictures)) {
-    recorder.with_images = true;
-    recorder.queue_frames = kQueuedSets;
-  }
+  recorder.with_images = config.mode == Mode::Frames ||
+                         (config.mode == Mode::Booth && config.booth_record == BoothRecord::Pictures);
   recorder.disk_reserve_bytes = config.takes.disk_reserve_bytes;
   recorder.compression_level = config.takes.compression_level;
   takes.begin(recorder);

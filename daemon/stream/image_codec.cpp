@@ -2,11 +2,11 @@
 
 #include <algorithm>
 #include <array>
-#include <cstring>
 #include <string>
 #include <vector>
 
 #include "facet/error.hpp"
+#include "stream/pixel_packing.hpp"
 #include "stream/protocol.hpp"
 
 namespace facet::stream {
@@ -21,37 +21,6 @@ std::size_t pixel_count(const Frame& frame) {
   return static_cast<std::size_t>(frame.width_px) * static_cast<std::size_t>(frame.height_px);
 }
 
-/// Whether red, green and blue are the same everywhere. Most colour pictures say no within the first pixels.
-bool is_grey(const Frame& frame) {
-  for (int y = 0; y < frame.height_px; ++y) {
-    const std::uint8_t* row = frame.row(y);
-    unsigned difference = 0;
-    for (int x = 0; x < frame.width_px; ++x) {
-      const std::uint8_t* pixel = row + static_cast<std::size_t>(x) * kRgbaBytes;
-      difference |= static_cast<unsigned>(pixel[0] ^ pixel[1]) | static_cast<unsigned>(pixel[1] ^ pixel[2]);
-    }
-    if (difference != 0) {
-      return false;
-    }
-  }
-  return true;
-}
-
-std::size_t channel_count(const Frame& frame) {
-  return is_grey(frame) ? 1 : 3;
-}
-
-template <std::size_t Channels>
-void pack(const Frame& frame, std::uint8_t* out) {
-  for (int y = 0; y < frame.height_px; ++y) {
-    const std::uint8_t* row = frame.row(y);
-    for (int x = 0; x < frame.width_px; ++x) {
-      std::copy_n(row + static_cast<std::size_t>(x) * kRgbaBytes, Channels, out);
-      out += Channels;
-    }
-  }
-}
-
 Offset<wire::Image> write_image(FlatBufferBuilder& builder, const Frame& frame, std::size_t camera,
                                 bool with_pixels) {
   Offset<flatbuffers::Vector<std::uint8_t>> pixels;
@@ -59,7 +28,7 @@ Offset<wire::Image> write_image(FlatBufferBuilder& builder, const Frame& frame, 
   if (with_pixels) {
     std::uint8_t* out = nullptr;
     pixels = builder.CreateUninitializedVector(pixel_count(frame) * channels, &out);
-    channels == 1 ? pack<1>(frame, out) : pack<3>(frame, out);
+    pack_pixels(frame, channels, out);
   }
   return wire::CreateImage(builder, static_cast<std::uint8_t>(camera), frame.sequence, frame.timestamp_ns,
                            frame.corrupt, static_cast<std::uint16_t>(frame.width_px),
@@ -70,18 +39,6 @@ Offset<wire::Image> write_image(FlatBufferBuilder& builder, const Frame& frame, 
 void require(bool holds, const char* what) {
   if (!holds) {
     throw Error(ErrorKind::UnreadableInput, std::string("damaged or foreign message: frame set: ") + what);
-  }
-}
-
-template <std::size_t Channels>
-void unpack(const std::uint8_t* in, std::size_t count, std::uint8_t* rgba) {
-  for (std::size_t i = 0; i < count; ++i) {
-    for (std::size_t channel = 0; channel < 3; ++channel) {
-      rgba[channel] = in[Channels == 1 ? 0 : channel];
-    }
-    rgba[3] = 255;
-    rgba += kRgbaBytes;
-    in += Channels;
   }
 }
 
@@ -102,10 +59,7 @@ Frame read_image(const wire::Image& image) {
   }
   const std::size_t count = pixel_count(frame);
   require(image.pixels()->size() == count * image.channels(), "number of an image's pixels");
-  auto pixels = std::make_shared<std::uint8_t[]>(count * kRgbaBytes);
-  image.channels() == 1 ? unpack<1>(image.pixels()->data(), count, pixels.get())
-                        : unpack<3>(image.pixels()->data(), count, pixels.get());
-  frame.pixels = std::move(pixels);
+  frame.pixels = unpack_pixels(image.pixels()->data(), image.channels(), count);
   return frame;
 }
 

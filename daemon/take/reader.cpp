@@ -14,6 +14,8 @@
 #include "facet/error.hpp"
 #include "stream/decoder.hpp"
 #include "take/database.hpp"
+#include "take/picture_records.hpp"
+#include "take/segment.hpp"
 #include "take/take_file.hpp"
 
 namespace facet::take {
@@ -79,6 +81,13 @@ struct TakeReader::Impl {
   std::unique_ptr<Statement> select_subject{prepare("SELECT data FROM subject WHERE id = ?")};
   std::unique_ptr<Statement> select_albedo{
       prepare("SELECT data FROM albedo WHERE subject_id = ? AND version = ?")};
+  std::unique_ptr<Statement> select_pictures{
+      info.format_version < 2
+          ? nullptr
+          : prepare("SELECT segment, position, bytes FROM pictures WHERE number = ?")};  ///< null before
+                                                                                         ///< version 2
+  std::unique_ptr<SegmentReader> segments;  ///< null before version 2
+  PictureReader pictures;
 
   static Database open_checked(const std::filesystem::path& take) {
     try {
@@ -113,13 +122,15 @@ struct TakeReader::Impl {
 
   bool check_schema();
   void read_info();
+  void read_segments();
   std::string meta(std::string_view key);
   void require_index(std::int64_t index) const;
   /// The blob of the only row of a bound statement, decompressed into `message`.
   void load(Statement& statement, const std::string& what);
   std::shared_ptr<const mesh::Subject> subject(std::uint64_t id);
   std::shared_ptr<const mesh::Albedo> albedo_of(std::uint64_t subject_id, std::uint64_t version);
-  std::shared_ptr<const mesh::MeshFrame> frame(std::int64_t index);
+  std::shared_ptr<const mesh::MeshFrame> frame(std::int64_t index, Pictures wanted_pictures);
+  std::shared_ptr<const FrameSet> with_pixels(std::int64_t index, const FrameSet& described);
 };
 
 bool TakeReader::Impl::check_schema() {
@@ -142,13 +153,15 @@ bool TakeReader::Impl::check_schema() {
       const std::string name = schema.column_text(0);
       const std::string sql = schema.column_text(1);
       if (std::none_of(kTables.begin(), kTables.end(), [&](const TableDefinition& table) {
-            return table.name == name && table.sql == sql;
+            return table.name == name && table.sql == sql && table.since <= version;
           })) {
         reject(file, fmt::format("its table '{}' is not that of a take", name));
       }
       ++known;
     }
-    if (known != kTables.size()) {
+    if (known != static_cast<std::size_t>(
+                     std::count_if(kTables.begin(), kTables.end(),
+                                   [&](const TableDefinition& table) { return table.since <= version; }))) {
       reject(file, "tables are missing");
     }
   });
@@ -191,7 +204,38 @@ void TakeReader::Impl::read_info() {
       const std::uintmax_t bytes = std::filesystem::file_size(file.string() + part, error);
       info.file_bytes += error ? 0 : bytes;
     }
+    if (info.format_version >= 2) {
+      read_segments();
+    }
   });
+}
+
+void TakeReader::Impl::read_segments() {
+  segments = std::make_unique<SegmentReader>(file, take_id_from(meta("take_id")));
+  Statement select(
+      database,
+      "SELECT segment, min(number), max(number), count(*), sum(bytes), max(position + bytes) FROM "
+      "pictures GROUP BY segment ORDER BY segment");
+  while (select.step()) {
+    TakeSegment segment;
+    segment.number = select.column_int64(0);
+    segment.file = segment_file(file, segment.number);
+    segment.first_frame = select.column_int64(1);
+    segment.last_frame = select.column_int64(2);
+    segment.frame_count = select.column_int64(3);
+    segment.bytes = static_cast<std::uint64_t>(std::max<std::int64_t>(0, select.column_int64(4)));
+    try {
+      const std::uint64_t size = segments->check(segment.number);
+      info.file_bytes += size;
+      if (std::cmp_less(size, select.column_int64(5))) {
+        segment.fault = fmt::format("segment '{}': it ends at byte {} of {}: the rest is lost",
+                                    segment.file.string(), size, select.column_int64(5));
+      }
+    } catch (const Error& fault) {
+      segment.fault = fault.what();
+    }
+    info.segments.push_back(std::move(segment));
+  }
 }
 
 void TakeReader::Impl::require_index(std::int64_t index) const {
@@ -240,7 +284,31 @@ std::shared_ptr<const mesh::Albedo> TakeReader::Impl::albedo_of(std::uint64_t su
   return albedo.albedo;
 }
 
-std::shared_ptr<const mesh::MeshFrame> TakeReader::Impl::frame(std::int64_t index) {
+/// The set with its pictures' pixels, where they were recorded.
+std::shared_ptr<const FrameSet> TakeReader::Impl::with_pixels(std::int64_t index, const FrameSet& described) {
+  select_pictures->bind(1, index);
+  if (!select_pictures->step()) {
+    return nullptr;
+  }
+  const Extent extent{select_pictures->column_int64(0), select_pictures->column_int64(1),
+                      select_pictures->column_int64(2)};
+  select_pictures->reset();
+  auto set = std::make_shared<FrameSet>(described);
+  for (Frame& picture : set->frames) {
+    picture.pixels = nullptr;
+  }
+  const auto records = segments->read(extent);
+  try {
+    pictures.read(records, static_cast<std::uint64_t>(index), *set);
+  } catch (const Error& error) {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("segment '{}', byte {}: {}", segment_file(file, extent.segment).string(),
+                            extent.position, error.what()));
+  }
+  return set;
+}
+
+std::shared_ptr<const mesh::MeshFrame> TakeReader::Impl::frame(std::int64_t index, Pictures wanted_pictures) {
   const std::string what = fmt::format("frame {}", index);
   select_data->bind(1, index);
   load(*select_data, what);
@@ -254,6 +322,11 @@ std::shared_ptr<const mesh::MeshFrame> TakeReader::Impl::frame(std::int64_t inde
   decoded(what, [&] {
     stream::decode_frame(frame_message, std::move(wanted_subject), std::move(wanted_albedo), out);
   });
+  if (wanted_pictures == Pictures::Decoded && select_pictures != nullptr && out.frame.images != nullptr) {
+    if (auto set = decoded(what, [&] { return with_pixels(index, *out.frame.images); })) {
+      out.frame.images = std::move(set);
+    }
+  }
   return std::make_shared<mesh::MeshFrame>(std::move(out.frame));
 }
 
@@ -296,9 +369,9 @@ FrameEntry TakeReader::entry(std::int64_t index) {
   });
 }
 
-std::shared_ptr<const mesh::MeshFrame> TakeReader::frame(std::int64_t index) {
+std::shared_ptr<const mesh::MeshFrame> TakeReader::frame(std::int64_t index, Pictures pictures) {
   impl_->require_index(index);
-  return impl_->guarded([&] { return impl_->frame(index); });
+  return impl_->guarded([&] { return impl_->frame(index, pictures); });
 }
 
 std::vector<std::shared_ptr<const mesh::Subject>> TakeReader::subjects() {

@@ -11,6 +11,17 @@
 
 namespace facet::take {
 
+/// A file of a take's pictures.
+struct TakeSegment {
+  std::int64_t number = 0;
+  std::filesystem::path file;
+  std::int64_t first_frame = 0;  ///< FrameEntry::index
+  std::int64_t last_frame = 0;
+  std::int64_t frame_count = 0;  ///< with pictures in it
+  std::uint64_t bytes = 0;       ///< of these frames' pictures
+  std::string fault;  ///< empty, or why some or all of it can't be read: missing, another take's, cut off
+};
+
 /// What a take says of itself.
 struct TakeInfo {
   std::filesystem::path file;
@@ -26,7 +37,8 @@ struct TakeInfo {
   std::int64_t first_timestamp_ns = 0;  ///< of the first and last frame
   std::int64_t last_timestamp_ns = 0;
   std::int64_t subject_count = 0;
-  std::uint64_t file_bytes = 0;
+  std::vector<TakeSegment> segments;  ///< of the pictures, in their order; none in format version 1
+  std::uint64_t file_bytes = 0;       ///< with the segments
 };
 
 /// What the index knows of a frame without decoding it.
@@ -39,9 +51,16 @@ struct FrameEntry {
   bool has_mesh = false;
 };
 
+/// Whether a frame's pictures are wanted with their pixels.
+enum class Pictures {
+  Decoded,
+  Described,  ///< their sizes and times alone, without a look at the segments (format version 1: with pixels)
+};
+
 /// Reads a take, also while it is being recorded or after its recorder was killed. Everything in the file is
 /// checked before use. One thread. Throws Error(UnreadableInput) naming the file and what is wrong: missing,
-/// not a take, made by a newer version, damaged (with the frame).
+/// not a take, made by a newer version, damaged (with the frame, and the segment where it is one that is
+/// damaged or missing). Frames that are sound stay readable.
 class TakeReader {
  public:
   explicit TakeReader(const std::filesystem::path& file);
@@ -55,7 +74,7 @@ class TakeReader {
 
   FrameEntry entry(std::int64_t index);
   /// Subjects and albedos are cached: frames that share one share the object.
-  std::shared_ptr<const mesh::MeshFrame> frame(std::int64_t index);
+  std::shared_ptr<const mesh::MeshFrame> frame(std::int64_t index, Pictures pictures = Pictures::Decoded);
   /// All subjects in the order in which they appear.
   std::vector<std::shared_ptr<const mesh::Subject>> subjects();
 

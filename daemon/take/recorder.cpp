@@ -25,6 +25,8 @@
 #include "stream/decoder.hpp"
 #include "stream/encoder.hpp"
 #include "take/database.hpp"
+#include "take/picture_records.hpp"
+#include "take/segment.hpp"
 #include "take/take_file.hpp"
 
 namespace facet::take {
@@ -42,6 +44,7 @@ constexpr int kCheckpointPages = 512;
 // without it too.
 constexpr int kCloseTimeoutMs = 200;
 constexpr std::size_t kMaxTakeNameBytes = 100;
+constexpr int kMostPackers = 16;
 
 std::string utc_text(std::chrono::system_clock::time_point time, const char* format) {
   const auto seconds = std::chrono::system_clock::to_time_t(time);
@@ -65,6 +68,11 @@ void create_file(const std::filesystem::path& file) {
                           error == ENOENT ? ": create its folder first" : ""));
 }
 
+bool take_exists(const std::filesystem::path& file) {
+  std::error_code ignored;
+  return std::filesystem::exists(file, ignored) || std::filesystem::exists(segments_folder(file), ignored);
+}
+
 std::int64_t stored_id(std::uint64_t id) {
   return std::bit_cast<std::int64_t>(id);
 }
@@ -83,11 +91,71 @@ const char* to_string(RecorderState state) {
   return "unknown";
 }
 
-/// The file and its statements: facet-take only, once started.
+/// A frame as it is written. What it refers to is written before it.
+struct PackedFrame {
+  std::int64_t number = 0;
+  std::uint64_t sequence = 0;
+  std::int64_t timestamp_ns = 0;
+  std::int64_t media_time_ns = 0;
+  mesh::TrackingState state = mesh::TrackingState::Searching;
+  bool has_mesh = false;
+  std::shared_ptr<const mesh::Subject> subject;
+  std::shared_ptr<const mesh::Albedo> albedo;
+  std::vector<std::uint8_t> message;  ///< compressed
+  std::vector<std::uint8_t> records;  ///< of the pictures; empty: none
+  std::string fault;                  ///< why it could not be packed
+};
+
+/// Encodes frames: one in each facet-pack thread.
+class FramePacker {
+ public:
+  explicit FramePacker(const TakeRecorderConfig& config)
+      : with_images_(config.with_images), compressor_(config.compression_level) {}
+
+  void pack(const mesh::MeshFrame& frame, std::int64_t number, PackedFrame& out);
+
+ private:
+  void encode(const mesh::MeshFrame& frame, PackedFrame& out);
+
+  bool with_images_;
+  stream::Encoder encoder_;
+  BlobCompressor compressor_;
+  PictureWriter pictures_;
+};
+
+void FramePacker::encode(const mesh::MeshFrame& frame, PackedFrame& out) {
+  const auto message = encoder_.frame(frame, stream::Profile::Displacements);
+  out.has_mesh = stream::frame_references(message).subject_id != 0;
+  const auto blob = compressor_.compress(message);
+  out.message.assign(blob.begin(), blob.end());
+}
+
+void FramePacker::pack(const mesh::MeshFrame& frame, std::int64_t number, PackedFrame& out) {
+  out.number = number;
+  out.sequence = frame.sequence;
+  out.timestamp_ns = frame.timestamp_ns;
+  out.media_time_ns = frame.media_time_ns;
+  out.state = frame.state;
+  out.subject = frame.subject;
+  out.albedo = frame.albedo;
+  out.records.clear();
+  out.fault.clear();
+  if (with_images_ && frame.images != nullptr &&
+      !pictures_.append(*frame.images, static_cast<std::uint64_t>(number), out.records)) {
+    mesh::MeshFrame without = frame;
+    without.degraded = true;
+    without.degraded_reason = "pictures left out: too large for a take";
+    encode(without, out);
+    return;
+  }
+  encode(frame, out);
+}
+
+/// The files and their statements: facet-take only, once started.
 class TakeWriter {
  public:
   explicit TakeWriter(const TakeRecorderConfig& config)
-      : with_images_(config.with_images),
+      : id_(new_take_id()),
         compressor_(config.compression_level),
         database_(config.file, Database::Mode::ReadWrite),
         schema_(make_schema(config)),
@@ -95,12 +163,23 @@ class TakeWriter {
         insert_albedo_(database_, "INSERT OR IGNORE INTO albedo(subject_id, version, data) VALUES(?, ?, ?)"),
         insert_frame_(database_, "INSERT INTO frame VALUES(?, ?, ?, ?, ?, ?)"),
         insert_data_(database_, "INSERT INTO frame_data VALUES(?, ?)"),
-        set_meta_(database_, "INSERT OR REPLACE INTO meta VALUES(?, ?)") {}
+        insert_pictures_(database_, "INSERT INTO pictures VALUES(?, ?, ?, ?)"),
+        set_meta_(database_, "INSERT OR REPLACE INTO meta VALUES(?, ?)") {
+    if (config.with_images) {
+      segments_.emplace(config.file, id_, config.segment_bytes);
+    }
+  }
 
-  /// Writes a frame and what it refers to into the open transaction. Returns the size of the frame's blob.
-  std::size_t write(const mesh::MeshFrame& frame, std::int64_t number, bool& has_mesh);
+  /// Writes a frame and what it refers to into the open transaction.
+  void write(const PackedFrame& frame);
   void begin() { database_.execute("BEGIN"); }
-  void commit() { database_.execute("COMMIT"); }
+  /// The pictures first: no index ever names what is not on the disk.
+  void commit() {
+    if (segments_) {
+      segments_->sync();
+    }
+    database_.execute("COMMIT");
+  }
   void rollback() {
     if (database_.in_transaction()) {
       database_.execute("ROLLBACK");
@@ -110,13 +189,14 @@ class TakeWriter {
     albedo_version_ = 0;
   }
   void set_meta(std::string_view key, std::string_view value);
+  void close_segments() { segments_.reset(); }
   /// Folds the write-ahead log into the file and removes it.
   void close_log();
 
  private:
   bool make_schema(const TakeRecorderConfig& config);
 
-  bool with_images_;
+  TakeId id_;
   stream::Encoder encoder_;
   BlobCompressor compressor_;
   Database database_;
@@ -125,8 +205,10 @@ class TakeWriter {
   Statement insert_albedo_;
   Statement insert_frame_;
   Statement insert_data_;
+  Statement insert_pictures_;
   Statement set_meta_;
-  std::uint64_t subject_id_ = 0;  ///< written last
+  std::optional<SegmentWriter> segments_;  ///< none without pictures
+  std::uint64_t subject_id_ = 0;           ///< written last
   std::uint64_t albedo_version_ = 0;
 };
 
@@ -146,6 +228,7 @@ bool TakeWriter::make_schema(const TakeRecorderConfig& config) {
   const std::pair<std::string_view, std::string> entries[] = {
       {"source", config.source},
       {"software", config.software},
+      {"take_id", to_text(id_)},
       {"created_utc", utc_text(std::chrono::system_clock::now(), "{:%Y-%m-%dT%H:%M:%SZ}")}};
   for (const auto& [key, value] : entries) {
     meta.bind(1, key);
@@ -156,7 +239,10 @@ bool TakeWriter::make_schema(const TakeRecorderConfig& config) {
   return true;
 }
 
-std::size_t TakeWriter::write(const mesh::MeshFrame& frame, std::int64_t number, bool& has_mesh) {
+void TakeWriter::write(const PackedFrame& frame) {
+  if (!frame.fault.empty()) {
+    throw Error(ErrorKind::Internal, frame.fault);
+  }
   if (frame.subject != nullptr && frame.subject->id != subject_id_) {
     if (const std::string_view fault = stream::subject_fault(*frame.subject); !fault.empty()) {
       throw Error(ErrorKind::Usage, std::string(fault));
@@ -175,20 +261,24 @@ std::size_t TakeWriter::write(const mesh::MeshFrame& frame, std::int64_t number,
     insert_albedo_.run();
     albedo_version_ = frame.albedo->version;
   }
-  const auto message = encoder_.frame(frame, stream::Profile::Displacements, with_images_);
-  has_mesh = stream::frame_references(message).subject_id != 0;
-  insert_frame_.bind(1, number);
+  insert_frame_.bind(1, frame.number);
   insert_frame_.bind(2, stored_id(frame.sequence));
   insert_frame_.bind(3, frame.timestamp_ns);
   insert_frame_.bind(4, frame.media_time_ns);
   insert_frame_.bind(5, static_cast<std::int64_t>(frame.state));
-  insert_frame_.bind(6, static_cast<std::int64_t>(has_mesh));
+  insert_frame_.bind(6, static_cast<std::int64_t>(frame.has_mesh));
   insert_frame_.run();
-  const auto blob = compressor_.compress(message);
-  insert_data_.bind(1, number);
-  insert_data_.bind(2, blob);
+  insert_data_.bind(1, frame.number);
+  insert_data_.bind(2, std::span(frame.message));
   insert_data_.run();
-  return blob.size();
+  if (!frame.records.empty()) {
+    const Extent extent = segments_->append(frame.records);
+    insert_pictures_.bind(1, frame.number);
+    insert_pictures_.bind(2, extent.segment);
+    insert_pictures_.bind(3, extent.position);
+    insert_pictures_.bind(4, extent.bytes);
+    insert_pictures_.run();
+  }
 }
 
 void TakeWriter::set_meta(std::string_view key, std::string_view value) {
@@ -209,26 +299,39 @@ struct TakeRecorder::Impl {
     shown.file = config.file;
   }
 
+  /// A frame in the queue: first as it came, then packed; in between a facet-pack has it.
+  struct Place {
+    std::shared_ptr<const mesh::MeshFrame> frame;
+    std::unique_ptr<PackedFrame> packed;
+  };
+
   TakeRecorderConfig config;
   std::optional<TakeWriter> writer;  ///< facet-take only, once started
-  std::thread thread;
+  std::thread thread;                ///< facet-take
+  std::vector<std::thread> packers;  ///< facet-pack-N
 
   mutable std::mutex mutex;
-  std::condition_variable work;  ///< a frame came, or the end
-  std::condition_variable room;  ///< WhenFull::Wait: a place came free, or the end
-  std::vector<std::shared_ptr<const mesh::MeshFrame>> ring;  ///< guarded by mutex
-  std::size_t first = 0;                                     ///< guarded by mutex
-  std::size_t queued = 0;                                    ///< guarded by mutex
-  bool stopping = false;                                     ///< guarded by mutex: takes no more frames
-  RecorderStatus shown;                                      ///< guarded by mutex
+  std::condition_variable to_pack;  ///< a frame came, or the end
+  std::condition_variable work;     ///< the next frame is packed, or the end
+  std::condition_variable room;     ///< WhenFull::Wait: a place came free, or the end
+  // Guarded by mutex. Frame n of the take is in place n % size, from when it is taken until it is written.
+  std::vector<Place> ring;
+  std::uint64_t taken = 0;                          ///< frames so far
+  std::uint64_t packing = 0;                        ///< of these, given to a facet-pack
+  std::uint64_t written = 0;                        ///< of these, given to facet-take
+  std::vector<std::unique_ptr<PackedFrame>> spare;  ///< keep their memory; as many as were ever in use
+  bool stopping = false;                            ///< takes no more frames
+  RecorderStatus shown;
 
   // facet-take only.
   RecorderStatus counted;                       ///< with what the open transaction holds
   std::optional<Clock::time_point> commit_due;  ///< set while a transaction is open
 
-  std::shared_ptr<const mesh::MeshFrame> wait_for_frame(bool& ended);
+  std::size_t queued() const { return static_cast<std::size_t>(taken - written); }  ///< under mutex
+  void pack_until_stopped(int index);
+  std::unique_ptr<PackedFrame> wait_for_frame(bool& ended);
   void write_until_stopped();
-  void write(const mesh::MeshFrame& frame);
+  void write(const PackedFrame& frame);
   void commit();
   void check_disk() const;
   void fail(const std::string& reason);
@@ -236,23 +339,63 @@ struct TakeRecorder::Impl {
   void run();
 };
 
-/// The next frame; null at the commit's time or, with `ended`, at the end of the queue after request_stop.
-std::shared_ptr<const mesh::MeshFrame> TakeRecorder::Impl::wait_for_frame(bool& ended) {
+void TakeRecorder::Impl::pack_until_stopped(int index) {
+  ::pthread_setname_np(::pthread_self(), fmt::format("facet-pack-{}", index).c_str());
+  // Who hands a frame in must not give up its processor to the one whom it wakes.
+  const sched_param any{};
+  ::pthread_setschedparam(::pthread_self(), SCHED_BATCH, &any);
+  FramePacker packer(config);
   std::unique_lock lock(mutex);
-  const auto ready = [this] { return queued > 0 || stopping; };
+  while (true) {
+    to_pack.wait(lock, [this] { return packing < taken || stopping; });
+    if (packing >= taken) {
+      return;
+    }
+    const std::uint64_t number = packing++;
+    std::shared_ptr<const mesh::MeshFrame> frame = std::exchange(ring[number % ring.size()].frame, nullptr);
+    std::unique_ptr<PackedFrame> packed;
+    if (!spare.empty()) {
+      packed = std::move(spare.back());
+      spare.pop_back();
+    }
+    lock.unlock();
+    if (packed == nullptr) {
+      packed = std::make_unique<PackedFrame>();
+    }
+    try {
+      packer.pack(*frame, static_cast<std::int64_t>(number), *packed);
+    } catch (const std::exception& error) {
+      packed->fault = error.what();
+    }
+    frame = nullptr;  // the pictures go back to their cameras
+    lock.lock();
+    ring[number % ring.size()].packed = std::move(packed);
+    if (number == written) {
+      work.notify_one();
+    }
+  }
+}
+
+/// The next frame; null at the commit's time or, with `ended`, at the end of the queue after request_stop.
+std::unique_ptr<PackedFrame> TakeRecorder::Impl::wait_for_frame(bool& ended) {
+  std::unique_lock lock(mutex);
+  const auto ready = [this] {
+    return queued() > 0 ? ring[written % ring.size()].packed != nullptr : stopping;
+  };
   if (commit_due) {
     work.wait_until(lock, *commit_due, ready);
   } else {
     work.wait(lock, ready);
   }
-  ended = stopping && queued == 0;
-  if (queued == 0) {
+  ended = stopping && queued() == 0;
+  if (queued() == 0) {
     return nullptr;
   }
-  std::shared_ptr<const mesh::MeshFrame> frame = std::exchange(ring[first], nullptr);
-  first = (first + 1) % ring.size();
-  --queued;
-  room.notify_one();
+  std::unique_ptr<PackedFrame> frame = std::move(ring[written % ring.size()].packed);
+  if (frame != nullptr) {
+    ++written;
+    room.notify_one();
+  }
   return frame;
 }
 
@@ -282,22 +425,26 @@ void TakeRecorder::Impl::commit() {
   check_disk();
 }
 
-void TakeRecorder::Impl::write(const mesh::MeshFrame& frame) {
+void TakeRecorder::Impl::write(const PackedFrame& frame) {
   if (!commit_due) {
     writer->begin();
     commit_due = Clock::now() + kCommitPeriod;
   }
-  bool has_mesh = false;
-  counted.bytes += writer->write(frame, static_cast<std::int64_t>(counted.frames), has_mesh);
+  writer->write(frame);
+  counted.bytes += frame.message.size() + frame.records.size();
   ++counted.frames;
-  counted.mesh_frames += has_mesh ? 1 : 0;
+  counted.mesh_frames += frame.has_mesh ? 1 : 0;
 }
 
 void TakeRecorder::Impl::write_until_stopped() {
   for (bool ended = false; !ended;) {
-    const std::shared_ptr<const mesh::MeshFrame> frame = wait_for_frame(ended);
+    std::unique_ptr<PackedFrame> frame = wait_for_frame(ended);
     if (frame != nullptr) {
       write(*frame);
+      frame->subject = nullptr;
+      frame->albedo = nullptr;
+      const std::lock_guard lock(mutex);
+      spare.push_back(std::move(frame));
     }
     if (commit_due && (ended || Clock::now() >= *commit_due)) {
       commit();
@@ -311,11 +458,13 @@ void TakeRecorder::Impl::fail(const std::string& reason) {
   stopping = true;
   shown.state = RecorderState::Failed;
   shown.reason = reason;
-  shown.dropped += queued + (counted.frames - shown.frames);
-  for (auto& entry : ring) {
-    entry = nullptr;
+  shown.dropped += taken - shown.frames;
+  for (Place& place : ring) {
+    place.frame = nullptr;
   }
-  queued = 0;
+  packing = taken;
+  written = taken;
+  to_pack.notify_all();
   room.notify_all();
 }
 
@@ -328,6 +477,7 @@ void TakeRecorder::Impl::finish() {
   }();
   bool marked = false;
   try {
+    writer->close_segments();
     writer->rollback();
     writer->begin();
     writer->set_meta("dropped", std::to_string(end.dropped));
@@ -382,13 +532,21 @@ TakeRecorder::~TakeRecorder() {
 }
 
 void TakeRecorder::start() {
-  impl_->thread = std::thread([this] { impl_->run(); });
+  Impl& impl = *impl_;
+  const int processors = static_cast<int>(std::clamp(std::thread::hardware_concurrency(), 1U, 4U));
+  const int automatic = impl.config.with_images ? processors : 1;
+  const int count =
+      impl.config.pack_threads > 0 ? std::min(impl.config.pack_threads, kMostPackers) : automatic;
+  for (int i = 0; i < count; ++i) {
+    impl.packers.emplace_back([&impl, i] { impl.pack_until_stopped(i); });
+  }
+  impl.thread = std::thread([&impl] { impl.run(); });
 }
 
 bool TakeRecorder::record(std::shared_ptr<const mesh::MeshFrame> frame) {
   Impl& impl = *impl_;
   std::unique_lock lock(impl.mutex);
-  const auto has_room = [&impl] { return impl.queued < impl.ring.size() || impl.stopping; };
+  const auto has_room = [&impl] { return impl.queued() < impl.ring.size() || impl.stopping; };
   if (impl.config.when_full == WhenFull::Wait) {
     impl.room.wait(lock, has_room);
   }
@@ -401,15 +559,16 @@ bool TakeRecorder::record(std::shared_ptr<const mesh::MeshFrame> frame) {
     impl.shown.dropped += ended_on_request ? 0 : 1;
     return false;
   }
-  impl.ring[(impl.first + impl.queued) % impl.ring.size()] = std::move(frame);
-  ++impl.queued;
-  impl.work.notify_one();
+  impl.ring[impl.taken++ % impl.ring.size()].frame = std::move(frame);
+  lock.unlock();
+  impl.to_pack.notify_one();
   return true;
 }
 
 void TakeRecorder::request_stop() {
   const std::lock_guard lock(impl_->mutex);
   impl_->stopping = true;
+  impl_->to_pack.notify_all();
   impl_->work.notify_all();
   impl_->room.notify_all();
 }
@@ -418,6 +577,10 @@ RecorderStatus TakeRecorder::stop() {
   request_stop();
   if (impl_->thread.joinable()) {
     impl_->thread.join();
+    for (std::thread& packer : impl_->packers) {
+      packer.join();
+    }
+    impl_->packers.clear();
   } else if (impl_->writer) {
     impl_->finish();  // never started: the empty take is closed properly
   }
@@ -427,7 +590,7 @@ RecorderStatus TakeRecorder::stop() {
 RecorderStatus TakeRecorder::status() const {
   const std::lock_guard lock(impl_->mutex);
   RecorderStatus status = impl_->shown;
-  status.queued = impl_->queued;
+  status.queued = impl_->queued();
   return status;
 }
 
@@ -443,10 +606,11 @@ std::filesystem::path take_path(const std::filesystem::path& folder, const std::
                             name, kMaxTakeNameBytes));
   }
   std::filesystem::path file = folder / (name + ".take");
-  std::error_code ignored;
-  if (std::filesystem::exists(file, ignored)) {
+  if (take_exists(file)) {
     throw Error(ErrorKind::Storage,
-                fmt::format("take '{}' exists already: choose another name or move it away", file.string()));
+                fmt::format("take '{}', or its folder of pictures, exists already: choose another "
+                            "name or move it away",
+                            file.string()));
   }
   return file;
 }
@@ -458,8 +622,7 @@ std::string default_take_name(const std::filesystem::path& folder,
 
 std::string free_take_name(const std::filesystem::path& folder, const std::string& base) {
   std::string name = base;
-  std::error_code ignored;
-  for (int next = 2; std::filesystem::exists(folder / (name + ".take"), ignored); ++next) {
+  for (int next = 2; take_exists(folder / (name + ".take")); ++next) {
     name = fmt::format("{}-{}", base, next);
   }
   return name;

@@ -24,8 +24,11 @@ struct TakeRecorderConfig {
   int queue_frames = 64;
   /// Recording stops with a reason while this much of the disk is still free, bytes.
   std::uint64_t disk_reserve_bytes = 256ULL << 20;
-  int compression_level = 1;  ///< of zstd, 1 to 19
-  bool with_images = false;   ///< the pictures of MeshFrame::images too, losslessly
+  int compression_level = 1;  ///< of zstd, 1 to 19; pictures have a codec of their own
+  bool with_images = false;   ///< the pictures of MeshFrame::images too, losslessly, in segments
+  /// A segment of pictures is ended before it would be longer, bytes.
+  std::uint64_t segment_bytes = 1ULL << 30;
+  int pack_threads = 0;  ///< 1 to 16; 0: as many as there are processors, 4 at most, and one without pictures
 };
 
 enum class RecorderState {
@@ -43,12 +46,14 @@ struct RecorderStatus {
   std::uint64_t frames = 0;       ///< committed
   std::uint64_t mesh_frames = 0;  ///< of these, with a mesh
   std::uint64_t dropped = 0;      ///< lost to a full queue, or after a failure
-  std::uint64_t bytes = 0;        ///< of frame blobs committed
+  std::uint64_t bytes = 0;        ///< of frame blobs and pictures committed
   std::size_t queued = 0;         ///< waiting to be written
 };
 
-/// Writes one take: one SQLite file, committed every half second, so that a killed process or a full disk
-/// loses one second at most. The thread `facet-take` does all work; it blocks on the disk.
+/// Writes one take: one SQLite file, and beside it the segments of its pictures. Both are committed every
+/// half second, so that a killed process or a full disk loses one second at most. The threads `facet-pack-N`
+/// encode frames and let go of their pictures; `facet-take` writes in the frames' order and alone blocks on
+/// the disk. What waits for the disk is encoded: `queue_frames` of it.
 ///
 /// Life: construct (creates the file, may throw Error) -> start -> record ... -> request_stop -> stop ->
 /// destroy.
@@ -68,8 +73,8 @@ class TakeRecorder {
 
   /// First phase: takes no more frames. Any thread, returns at once, idempotent.
   void request_stop();
-  /// Second phase: what is queued is written, the write-ahead log is folded into the one file, the thread
-  /// joins. Idempotent; the destructor calls both.
+  /// Second phase: what is queued is written, the write-ahead log is folded into the one file, the threads
+  /// join. Idempotent; the destructor calls both.
   RecorderStatus stop();
 
   RecorderStatus status() const;  ///< any thread

@@ -14,7 +14,7 @@ namespace facet::take {
 /// SQLite application_id of a take: "FCTK".
 inline constexpr std::int32_t kApplicationId = 0x4643544B;
 /// SQLite user_version: version of tables and blobs. History in docs/take-format.md.
-inline constexpr std::int32_t kFormatVersion = 1;
+inline constexpr std::int32_t kFormatVersion = 2;
 
 /// Biggest blob, uncompressed, that is written or read (stream::kMaxMessageBytes).
 inline constexpr std::size_t kMaxBlobBytes = 64U << 20;
@@ -22,20 +22,27 @@ inline constexpr std::size_t kMaxBlobBytes = 64U << 20;
 struct TableDefinition {
   std::string_view name;
   std::string_view sql;  ///< as it stands in sqlite_schema; a reader accepts nothing else
+  std::int32_t since;    ///< format version
 };
 
-/// The tables of format version 1. 64-bit ids are stored as the signed integer of the same bits.
-inline constexpr std::array<TableDefinition, 5> kTables{{
-    {"meta", "CREATE TABLE meta(key TEXT PRIMARY KEY, value TEXT NOT NULL)"},
+/// 64-bit ids are stored as the signed integer of the same bits.
+inline constexpr std::array<TableDefinition, 6> kTables{{
+    {"meta", "CREATE TABLE meta(key TEXT PRIMARY KEY, value TEXT NOT NULL)", 1},
     {"subject",
-     "CREATE TABLE subject(number INTEGER PRIMARY KEY, id INTEGER NOT NULL UNIQUE, data BLOB NOT NULL)"},
+     "CREATE TABLE subject(number INTEGER PRIMARY KEY, id INTEGER NOT NULL UNIQUE, data BLOB NOT NULL)", 1},
     {"albedo",
      "CREATE TABLE albedo(number INTEGER PRIMARY KEY, subject_id INTEGER NOT NULL, version INTEGER NOT NULL, "
-     "data BLOB NOT NULL, UNIQUE(subject_id, version))"},
+     "data BLOB NOT NULL, UNIQUE(subject_id, version))",
+     1},
     {"frame",
      "CREATE TABLE frame(number INTEGER PRIMARY KEY, sequence INTEGER NOT NULL, timestamp_ns INTEGER NOT "
-     "NULL, media_time_ns INTEGER NOT NULL, state INTEGER NOT NULL, has_mesh INTEGER NOT NULL)"},
-    {"frame_data", "CREATE TABLE frame_data(number INTEGER PRIMARY KEY, data BLOB NOT NULL)"},
+     "NULL, media_time_ns INTEGER NOT NULL, state INTEGER NOT NULL, has_mesh INTEGER NOT NULL)",
+     1},
+    {"frame_data", "CREATE TABLE frame_data(number INTEGER PRIMARY KEY, data BLOB NOT NULL)", 1},
+    {"pictures",
+     "CREATE TABLE pictures(number INTEGER PRIMARY KEY, segment INTEGER NOT NULL, position INTEGER NOT NULL, "
+     "bytes INTEGER NOT NULL)",
+     2},
 }};
 
 /// Compresses blobs: one zstd frame each, with content size and checksum. One thread; memory is reused.

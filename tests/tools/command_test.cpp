@@ -10,6 +10,7 @@
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <random>
 #include <thread>
 
 #include "camera/factory.hpp"
@@ -110,6 +111,75 @@ class CommandWithAssets : public Command {
   }
   bool take_exists() const { return std::filesystem::exists(file("new.take")); }
 };
+
+/// Frame sets of two cameras, 60 a second, numbered from 200, in several segments.
+std::shared_ptr<const mesh::MeshFrame> set_frame(std::uint64_t slot) {
+  auto set = std::make_shared<FrameSet>();
+  set->slot = slot;
+  set->camera_names =
+      std::make_shared<const std::vector<std::string>>(std::vector<std::string>{"left", "right"});
+  std::mt19937 random(static_cast<std::uint32_t>(slot));
+  for (int camera = 0; camera < 2; ++camera) {
+    Frame picture;
+    picture.width_px = 48;
+    picture.height_px = 32;
+    picture.stride_bytes = 4 * 48;
+    auto pixels = std::make_shared<std::uint8_t[]>(picture.stride_bytes * 32, std::uint8_t{255});
+    for (std::size_t i = 0; i < std::size_t{48} * 32; ++i) {
+      pixels.get()[4 * i] = static_cast<std::uint8_t>(random());
+    }
+    picture.pixels = std::move(pixels);
+    set->frames.push_back(picture);
+  }
+  auto frame = std::make_shared<mesh::MeshFrame>();
+  frame->sequence = slot;
+  frame->timestamp_ns = static_cast<std::int64_t>(slot) * 16'666'667;
+  frame->control_vertices_mm.resize(3, 0);
+  frame->images = std::move(set);
+  return frame;
+}
+
+TEST_F(Command, TakesWithPicturesAreToldExportedAndVerified) {
+  take::TakeRecorder recorder({.file = file("sets.take"),
+                               .source = "two cameras",
+                               .software = "test",
+                               .when_full = take::WhenFull::Wait,
+                               .disk_reserve_bytes = 0,
+                               .with_images = true,
+                               .segment_bytes = 10'000});
+  recorder.start();
+  for (std::uint64_t slot = 200; slot < 220; ++slot) {
+    recorder.record(set_frame(slot));
+  }
+  recorder.stop();
+  const auto segments = take::TakeReader(file("sets.take")).info().segments;
+  ASSERT_GT(segments.size(), 3U);
+
+  EXPECT_EQ(run({"summary", file("sets.take"), "--verify"}), 0) << output_;
+  EXPECT_THAT(output_, AllOf(HasSubstr("2 cameras; 20 sets, 20 complete"), HasSubstr("48x32, 20 pictures"),
+                             HasSubstr(fmt::format("segments      {}", segments.size())),
+                             HasSubstr("MB a second"), HasSubstr("verified      20 frames")));
+  EXPECT_EQ(
+      run({"export", file("sets.take"), "--format", "png", "--frames", "203:205", "-o", file("pictures")}), 0)
+      << output_;
+  EXPECT_THAT(files_in("pictures"), ElementsAre("frame_000203_left.png", "frame_000203_right.png",
+                                                "frame_000204_left.png", "frame_000204_right.png"));
+  const render::Picture picture = render::read_image(file("pictures/frame_000204_right.png"));
+  EXPECT_EQ(picture.rgb, render::to_picture(set_frame(204)->images->frames[1]).rgb);
+
+  std::filesystem::remove(segments[1].file);
+  const std::string lost =
+      fmt::format("{} to {}", 200 + segments[1].first_frame, 200 + segments[1].last_frame);
+  EXPECT_EQ(run({"summary", file("sets.take")}), 3);
+  EXPECT_THAT(output_, AllOf(HasSubstr("20 sets"), HasSubstr("missing"), HasSubstr("frames " + lost)));
+  EXPECT_EQ(run({"summary", file("sets.take"), "--verify"}), 3);
+  EXPECT_THAT(output_, HasSubstr(fmt::format("{} of 20 frames are damaged", segments[1].frame_count)));
+  EXPECT_EQ(run({"export", file("sets.take"), "--format", "png", "-o", file("rest")}), 3);
+  EXPECT_THAT(output_, AllOf(HasSubstr(segments[1].file.string()), HasSubstr("left out")));
+  EXPECT_EQ(files_in("rest").size(), 2 * static_cast<std::size_t>(20 - segments[1].frame_count));
+  EXPECT_EQ(run({"export", file("sets.take"), "--format", "jsonl", "-o", file("signals.jsonl")}), 0)
+      << output_;
+}
 
 TEST_F(Command, WrongUsageIsStatus2AndSaysWhatIsAllowed) {
   EXPECT_EQ(run({}), 2);

@@ -154,7 +154,7 @@ def records_while_the_camera_fails():
         daemon.facet("record", "stop")
         daemon.stop()
         camera.end()
-    summary = run(BIN / "facet", "summary", next((FOLDER / "takes").glob("faults*")))
+    summary = run(BIN / "facet", "summary", next((FOLDER / "takes").glob("faults*.take")))
     figure("summary", " ".join(summary.split())[:200])
 
 

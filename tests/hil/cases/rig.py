@@ -190,7 +190,7 @@ def the_disk_becomes_read_only():
         rig.wait_sets(30)
         lost_ns = guest.now_ns()
         Path(f"/sys/fs/ext4/{Path(disk.device).name}/trigger_fs_error").write_text("a test")
-        recording_ends(rig, ("read-only", "readonly", "disk I/O error"))
+        recording_ends(rig, ("read-only", "readonly", "Read-only", "Input/output error", "disk I/O error"))
         refused = subprocess.run([BIN / "facet", "record", "start", "next", f"--config={rig.config}"], capture_output=True, text=True,
                                  check=False)
         check(refused.returncode != 0, "a second take was begun")
@@ -198,7 +198,7 @@ def the_disk_becomes_read_only():
         rig.stop()
         copy = Path("/tmp/copy")
         copy.mkdir(exist_ok=True)
-        run("cp", *take.parent.glob("readonly.take*"), copy)
+        run("cp", "-r", *take.parent.glob("readonly.*"), copy)
         check_take(copy / take.name, lost_ns)
 
 

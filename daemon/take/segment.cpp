@@ -1,0 +1,350 @@
+#include "take/segment.hpp"
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <sys/random.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <charconv>
+#include <cstddef>
+#include <cstring>
+#include <system_error>
+#include <utility>
+
+#include "facet/error.hpp"
+#include "take/checksum.hpp"
+#include "take/picture_records.hpp"
+
+namespace facet::take {
+namespace {
+
+constexpr std::array<char, 8> kSegmentMagic = {'F', 'C', 'T', 'K', 'S', 'E', 'G', '\n'};
+/// The kernel is told to write as soon as so much is new, so that the sync has little left to wait for.
+constexpr std::uint64_t kWriteBackBytes = 4U << 20;
+/// zstd cannot make a set's pixels longer than this, heads of records included.
+constexpr std::int64_t kMaxExtentBytes = kMaxSetBytes + (kMaxSetBytes >> 6U);
+
+/// The head of a segment, little-endian as it lies in the file.
+struct SegmentHead {
+  std::array<char, 8> magic = kSegmentMagic;
+  std::uint32_t version = kSegmentVersion;
+  std::uint32_t number = 0;
+  TakeId take_id{};
+  std::uint8_t unused[28] = {};
+  std::uint32_t crc = 0;  ///< crc32c of what stands before it
+};
+static_assert(sizeof(SegmentHead) == 64 && offsetof(SegmentHead, crc) == 60);
+
+std::span<const std::uint8_t> bytes_of(const SegmentHead& head) {
+  return {reinterpret_cast<const std::uint8_t*>(&head), sizeof(head)};
+}
+
+/// A descriptor that closes.
+class File {
+ public:
+  File() = default;
+  explicit File(int fd) : fd_(fd) {}
+  ~File() {
+    if (fd_ >= 0) {
+      ::close(fd_);
+    }
+  }
+  File(File&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
+  File& operator=(File&& other) noexcept {
+    std::swap(fd_, other.fd_);
+    return *this;
+  }
+  int get() const { return fd_; }
+  explicit operator bool() const { return fd_ >= 0; }
+
+ private:
+  int fd_ = -1;
+};
+
+[[noreturn]] void storage_error(const std::filesystem::path& file, const char* what, int error) {
+  throw Error(ErrorKind::Storage,
+              fmt::format("cannot {} '{}': {}", what, file.string(), std::strerror(error)));
+}
+
+/// A new name in a folder is on the disk when the folder is.
+void sync_folder(const std::filesystem::path& folder) {
+  const File opened(::open(folder.empty() ? "." : folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
+  if (!opened || ::fsync(opened.get()) != 0) {
+    storage_error(folder, "sync the folder", errno);
+  }
+}
+
+}  // namespace
+
+TakeId new_take_id() {
+  TakeId id{};
+  if (::getrandom(id.data(), id.size(), 0) != static_cast<ssize_t>(id.size())) {
+    throw Error(ErrorKind::Internal, fmt::format("no random numbers: {}", std::strerror(errno)));
+  }
+  return id;
+}
+
+std::string to_text(const TakeId& id) {
+  std::string text;
+  for (const std::uint8_t byte : id) {
+    text += fmt::format("{:02x}", byte);
+  }
+  return text;
+}
+
+TakeId take_id_from(const std::string& text) {
+  TakeId id{};
+  if (text.size() != 2 * id.size()) {
+    return {};
+  }
+  for (std::size_t i = 0; i < id.size(); ++i) {
+    const char* digits = text.data() + 2 * i;
+    if (std::from_chars(digits, digits + 2, id[i], 16).ptr != digits + 2) {
+      return {};
+    }
+  }
+  return id;
+}
+
+std::filesystem::path segments_folder(const std::filesystem::path& take) {
+  return std::filesystem::path(take).replace_extension(".frames");
+}
+
+std::filesystem::path segment_file(const std::filesystem::path& take, std::int64_t number) {
+  return segments_folder(take) / fmt::format("{:06}.seg", number);
+}
+
+struct SegmentWriter::Impl {
+  std::filesystem::path take;
+  TakeId id{};
+  std::uint64_t segment_bytes = 0;
+  File file;
+  std::filesystem::path path;  ///< of `file`
+  std::int64_t number = 0;
+  std::uint64_t size = 0;
+  std::uint64_t written_back = 0;  ///< the kernel was told to write what stands before
+  std::uint64_t synced = 0;
+  bool new_name = false;  ///< the folder does not know the file yet
+  bool closed = false;
+
+  void write(std::span<const std::uint8_t> bytes);
+  void begin_next();
+  void sync();
+};
+
+SegmentWriter::SegmentWriter(const std::filesystem::path& take, const TakeId& id, std::uint64_t segment_bytes)
+    : impl_(std::make_unique<Impl>()) {
+  impl_->take = take;
+  impl_->id = id;
+  impl_->segment_bytes = segment_bytes;
+  const std::filesystem::path folder = segments_folder(take);
+  if (::mkdir(folder.c_str(), 0755) != 0) {
+    const int error = errno;
+    if (error == EEXIST) {
+      throw Error(
+          ErrorKind::Storage,
+          fmt::format("'{}' exists already, perhaps of a take that was deleted or moved away without it: "
+                      "choose another name or move it away",
+                      folder.string()));
+    }
+    storage_error(folder, "create the folder", error);
+  }
+  sync_folder(folder.parent_path());
+}
+
+SegmentWriter::~SegmentWriter() {
+  close();
+}
+
+void SegmentWriter::Impl::write(std::span<const std::uint8_t> bytes) {
+  while (!bytes.empty()) {
+    const ssize_t written = ::pwrite(file.get(), bytes.data(), bytes.size(), static_cast<off_t>(size));
+    if (written < 0 && errno != EINTR) {
+      storage_error(path, "write", errno);
+    }
+    const auto count = static_cast<std::size_t>(std::max<ssize_t>(written, 0));
+    size += count;
+    bytes = bytes.subspan(count);
+  }
+}
+
+void SegmentWriter::Impl::begin_next() {
+  sync();
+  ++number;
+  path = segment_file(take, number);
+  file = File(::open(path.c_str(), O_CREAT | O_EXCL | O_WRONLY | O_CLOEXEC, 0644));
+  if (!file) {
+    storage_error(path, "create", errno);
+  }
+  size = written_back = synced = 0;
+  new_name = true;
+  SegmentHead head;
+  head.number = static_cast<std::uint32_t>(number);
+  head.take_id = id;
+  head.crc = crc32c(bytes_of(head).first(offsetof(SegmentHead, crc)));
+  write(bytes_of(head));
+}
+
+Extent SegmentWriter::append(std::span<const std::uint8_t> records) {
+  Impl& impl = *impl_;
+  const bool full = impl.size > sizeof(SegmentHead) && impl.size + records.size() > impl.segment_bytes;
+  if (!impl.file || full) {
+    impl.begin_next();
+  }
+  const Extent extent{impl.number, static_cast<std::int64_t>(impl.size),
+                      static_cast<std::int64_t>(records.size())};
+  impl.write(records);
+  if (impl.size - impl.written_back >= kWriteBackBytes) {
+    // Only a hint: what does not come of it, the sync does.
+    ::sync_file_range(impl.file.get(), static_cast<off_t>(impl.written_back),
+                      static_cast<off_t>(impl.size - impl.written_back), SYNC_FILE_RANGE_WRITE);
+    impl.written_back = impl.size;
+  }
+  return extent;
+}
+
+void SegmentWriter::Impl::sync() {
+  if (!file || synced == size) {
+    return;
+  }
+  if (::fdatasync(file.get()) != 0) {
+    storage_error(path, "sync", errno);
+  }
+  synced = size;
+  if (new_name) {
+    sync_folder(path.parent_path());
+    new_name = false;
+  }
+}
+
+void SegmentWriter::sync() {
+  impl_->sync();
+}
+
+void SegmentWriter::close() {
+  Impl& impl = *impl_;
+  if (std::exchange(impl.closed, true)) {
+    return;
+  }
+  // What follows the last sync is in no index; should it stay, it is only a waste.
+  if (impl.file && impl.synced == 0) {
+    ::unlink(impl.path.c_str());
+  } else if (impl.file && impl.synced != impl.size) {
+    [[maybe_unused]] const int ignored = ::ftruncate(impl.file.get(), static_cast<off_t>(impl.synced));
+  }
+  impl.file = File();
+  ::rmdir(segments_folder(impl.take).c_str());  // fails, as it should, where segments lie in it
+}
+
+struct SegmentReader::Impl {
+  std::filesystem::path take;
+  TakeId id{};
+  File file;
+  std::int64_t number = 0;  ///< of `file`; 0: none
+  std::uint64_t size = 0;   ///< of `file` when it was opened
+  std::vector<std::uint8_t> buffer;
+
+  [[noreturn]] void reject(std::int64_t segment, const std::string& what) const {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("segment '{}': {}", segment_file(take, segment).string(), what));
+  }
+  void read(std::int64_t segment, std::uint64_t position, std::span<std::uint8_t> out) const;
+  void open(std::int64_t segment);
+  void refresh();
+};
+
+SegmentReader::SegmentReader(std::filesystem::path take, const TakeId& id) : impl_(std::make_unique<Impl>()) {
+  impl_->take = std::move(take);
+  impl_->id = id;
+}
+
+SegmentReader::~SegmentReader() = default;
+SegmentReader::SegmentReader(SegmentReader&&) noexcept = default;
+SegmentReader& SegmentReader::operator=(SegmentReader&&) noexcept = default;
+
+void SegmentReader::Impl::read(std::int64_t segment, std::uint64_t position,
+                               std::span<std::uint8_t> out) const {
+  while (!out.empty()) {
+    const ssize_t got = ::pread(file.get(), out.data(), out.size(), static_cast<off_t>(position));
+    if (got == 0) {
+      reject(segment, fmt::format("it ends at byte {}: the rest is lost", position));
+    }
+    if (got < 0 && errno != EINTR) {
+      reject(segment, fmt::format("cannot be read: {}", std::strerror(errno)));
+    }
+    const auto count = static_cast<std::size_t>(std::max<ssize_t>(got, 0));
+    position += count;
+    out = out.subspan(count);
+  }
+}
+
+void SegmentReader::Impl::open(std::int64_t segment) {
+  number = 0;
+  // Not blocking: what stands in a segment's place may be no file.
+  file = File(::open(segment_file(take, segment).c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));
+  if (!file) {
+    reject(segment,
+           errno == ENOENT ? "it is missing" : fmt::format("cannot be opened: {}", std::strerror(errno)));
+  }
+  struct stat status {};
+  if (::fstat(file.get(), &status) != 0 || !S_ISREG(status.st_mode)) {
+    reject(segment, "this is not a file");
+  }
+  size = static_cast<std::uint64_t>(status.st_size);
+  SegmentHead head;
+  read(segment, 0, {reinterpret_cast<std::uint8_t*>(&head), sizeof(head)});
+  if (head.magic != kSegmentMagic) {
+    reject(segment, "this is no segment of a take");
+  }
+  if (head.version != kSegmentVersion) {
+    reject(segment, fmt::format("its version is {}, this program reads {}: use a newer Facet", head.version,
+                                kSegmentVersion));
+  }
+  if (head.crc != crc32c(bytes_of(head).first(offsetof(SegmentHead, crc)))) {
+    reject(segment, "its head is damaged");
+  }
+  if (head.take_id != id || head.number != segment) {
+    reject(segment, head.take_id != id ? "it belongs to another take" : "it has another number");
+  }
+  number = segment;
+}
+
+void SegmentReader::Impl::refresh() {
+  struct stat status {};
+  size = ::fstat(file.get(), &status) == 0 ? static_cast<std::uint64_t>(status.st_size) : size;
+}
+
+std::uint64_t SegmentReader::check(std::int64_t number) {
+  impl_->open(number);
+  return impl_->size;
+}
+
+std::span<const std::uint8_t> SegmentReader::read(const Extent& extent) {
+  Impl& impl = *impl_;
+  if (extent.position < static_cast<std::int64_t>(sizeof(SegmentHead)) || extent.bytes <= 0 ||
+      extent.bytes > kMaxExtentBytes) {
+    throw Error(ErrorKind::UnreadableInput, "the index is damaged");
+  }
+  if (impl.number != extent.segment) {
+    impl.open(extent.segment);
+  }
+  const auto position = static_cast<std::uint64_t>(extent.position);
+  const auto bytes = static_cast<std::uint64_t>(extent.bytes);
+  if (position > impl.size || bytes > impl.size - position) {
+    impl.refresh();  // it may have grown: a take is read while it is recorded
+    if (position > impl.size || bytes > impl.size - position) {
+      impl.reject(extent.segment, fmt::format("it ends at byte {}: the rest is lost", impl.size));
+    }
+  }
+  if (impl.buffer.size() < bytes) {
+    impl.buffer.resize(bytes);
+  }
+  const std::span<std::uint8_t> out = std::span(impl.buffer).first(bytes);
+  impl.read(extent.segment, position, out);
+  return out;
+}
+
+}  // namespace facet::take
