@@ -31,14 +31,14 @@ Eigen::Vector3d normal_at(const capture::DepthMap& map, int x, int y, float brea
   const float own = map.depth_mm[index_of(map, x, y)];
   // From the neighbours on both sides, or from one where the other is not of the surface.
   const auto along = [&](int dx, int dy) -> Eigen::Vector3d {
-    Eigen::Vector3d ends[2] = {point_mm(map, x, y), point_mm(map, x, y)};
-    for (const int side : {0, 1}) {
+    std::array<Eigen::Vector3d, 2> ends = {point_mm(map, x, y), point_mm(map, x, y)};
+    for (const std::size_t side : {std::size_t{0}, std::size_t{1}}) {
       const int there_x = x + (side == 0 ? -dx : dx);
       const int there_y = y + (side == 0 ? -dy : dy);
       if (there_x >= 0 && there_y >= 0 && there_x < map.width_px && there_y < map.height_px) {
         const float there = map.depth_mm[index_of(map, there_x, there_y)];
         if (there > 0 && std::abs(there - own) <= break_mm) {
-          ends[side] = point_mm(map, there_x, there_y);
+          ends.at(side) = point_mm(map, there_x, there_y);
         }
       }
     }

@@ -536,7 +536,7 @@ TEST(Booth, ProjectorsShowGivenPictures) {
   const Frame given = own.frame(0);
   const Frame program = booth.slot(4).frame(0);
   const Frame one = booth.slot(4, {drawn(0), {}}).frame(0);
-  const Frame none = booth.slot(4, {{}, {}}).frame(0);
+  const Frame none = booth.slot(4, std::vector<capture::GreyImage>(2)).frame(0);
   const Frame dark = booth.slot(4, Shown{}).frame(0);
   double light_of_both = 0;
   double light_of_one = 0;
