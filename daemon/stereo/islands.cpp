@@ -5,7 +5,7 @@
 
 namespace facet::stereo {
 
-Islands::Islands(int width_px, int height_px) : width_(width_px), height_(height_px) {
+Islands::Islands(int width_px, int height_px) : width_(width_px) {
   seen_.resize(static_cast<std::size_t>(width_px) * static_cast<std::size_t>(height_px));
   open_.reserve(seen_.size());
   piece_.reserve(seen_.size());

@@ -21,7 +21,6 @@ class Islands {
 
  private:
   int width_;
-  int height_;
   std::vector<std::uint8_t> seen_;         ///< [height][width]
   std::vector<std::size_t> open_, piece_;  ///< of the flood fill
 };
