@@ -178,6 +178,8 @@ PhaseDecoder::PhaseDecoder(const capture::CodeSequence& sequence, int width_px, 
   impl.given.resize(sequence.pictures.size());
 }
 PhaseDecoder::~PhaseDecoder() = default;
+PhaseDecoder::PhaseDecoder(PhaseDecoder&& other) noexcept = default;
+PhaseDecoder& PhaseDecoder::operator=(PhaseDecoder&& other) noexcept = default;
 
 void PhaseDecoder::add(std::size_t picture, std::span<const float> grey) {
   Impl& impl = *impl_;

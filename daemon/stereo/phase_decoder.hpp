@@ -85,6 +85,8 @@ class PhaseDecoder {
   PhaseDecoder(const capture::CodeSequence& sequence, int width_px, int height_px,
                const DecodeOptions& options);
   ~PhaseDecoder();
+  PhaseDecoder(PhaseDecoder&& other) noexcept;
+  PhaseDecoder& operator=(PhaseDecoder&& other) noexcept;
 
   /// Takes a picture in, in any order, each once.
   /// picture  index into the sequence's pictures
