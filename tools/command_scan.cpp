@@ -262,9 +262,12 @@ void write(const stereo::StructuredDepth& depth, const capture::Lens& camera, co
 void run_scan(ScanOptions options) {
   const capture::Rig rig = capture::read_rig(options.rig);
   const capture::CodeSequence sequence = capture::parse_sequence(options.sequence);
-  const std::optional<std::size_t> first =
-      !rig.pairs.empty() ? std::optional(rig.pairs.front().left)
-                         : (rig.cameras.size() == 1 ? std::optional<std::size_t>(0) : std::nullopt);
+  std::optional<std::size_t> first;
+  if (!rig.pairs.empty()) {
+    first = rig.pairs.front().left;
+  } else if (rig.cameras.size() == 1) {
+    first = 0;
+  }
   const Footage left = footage_of(options, rig, options.left, first, sequence, "--left");
   std::optional<Footage> right;
   std::optional<std::size_t> projector;
