@@ -509,8 +509,8 @@ void TemplateFitter::Impl::remember(const mesh::Vertices& vertices_mm) {
   last_mm = vertices_mm;
 }
 
-/// Thresholds lie well off what a followed face shows: seen 0.73 to 0.85, rejected below 0.23 (what others hide
-/// lies behind them), rms below 0.9 mm, trust above 0.74.
+/// Thresholds lie well off what a followed face shows: seen 0.73 to 0.85, rejected below 0.23 (what others
+/// hide lies behind them), rms below 0.9 mm, trust above 0.74.
 void TemplateFitter::Impl::judge(FitReport& report, bool with_flow) const {
   if (report.seen < kLostSeen) {
     report.lost_because = fmt::format("only {:.0f} % of the skin lies on a depth map", 100 * report.seen);
