@@ -248,6 +248,19 @@ class Footage {
   mutable std::uint64_t maps_slot_ = 0;
 };
 
+/// What a sensor adds anew to each picture of the same thing.
+void add_noise(Frame& frame, std::mt19937_64& random) {
+  constexpr double kLevels = 1.5;
+  std::normal_distribution<double> noise(0, kLevels);
+  const std::size_t size = frame.stride_bytes * static_cast<std::size_t>(frame.height_px);
+  auto pixels = std::make_shared<std::uint8_t[]>(size);
+  for (std::size_t i = 0; i < size; ++i) {
+    pixels[i] = static_cast<std::uint8_t>(
+        std::lround(std::clamp(static_cast<double>(frame.pixels[i]) + noise(random), 0.0, 255.0)));
+  }
+  frame.pixels = std::move(pixels);
+}
+
 struct Follower {
   std::int32_t triangle = -1;
   Eigen::Vector2f barycentric{0, 0};
@@ -374,7 +387,12 @@ int run(int argc, char** argv) {
   int meshes = 30;
   double noise_mm = 0.1;
   bool no_flow = false;
+  int still = 1'000'000;
+  std::vector<int> gap = {1'000'000, 0};
   bool no_reference = false;
+  bool no_redraw = false;
+  float reference_weight = fit::kReferenceWeight;
+  float reference_sigma_px = fit::kReferenceSigmaPx;
   bool all_cameras = false;
   bool with_stereo = false;
   std::uint64_t first_slot = 150;
@@ -392,9 +410,18 @@ int run(int argc, char** argv) {
   app.add_option("--alpha", options.alpha);
   app.add_option("--beta", options.beta);
   app.add_option("--steps", options.steps);
+  app.add_option("--model-steps", options.model_steps, "Over pose and expressions before each fit");
+  app.add_flag("!--no-unfold", options.unfolds, "Folded triangles are left");
+  app.add_option("--reference-weight", reference_weight);
+  app.add_option("--reference-sigma", reference_sigma_px, "px");
+  app.add_option("--gamma", options.gamma, "Of the temporal term");
+  app.add_option("--sigma-t", options.sigma_t_mm, "mm");
+  app.add_option("--still", still, "Meshes from this one on see its slot again, with other noise");
+  app.add_option("--gap", gap, "First mesh that is left out, and how many")->expected(2);
   app.add_option("--cg", options.cg_iterations);
   app.add_flag("--no-flow", no_flow, "Depth alone");
   app.add_flag("--all-cameras", all_cameras, "Flow in the monochrome cameras' blank pictures, too");
+  app.add_flag("--no-redraw", no_redraw, "The picture before is not drawn again where the mesh is found");
   app.add_flag("--no-reference", no_reference, "Flow from picture to picture alone, as in the paper");
   app.add_flag("!--no-expressions", options.knows_expressions, "E_r knows the pose alone");
   app.add_flag("!--fixed-rest", options.turns_with_the_head, "E_r as in the paper");
@@ -440,6 +467,7 @@ int run(int argc, char** argv) {
   std::vector<fit::OpticalFlow> flows(colour.size());
   std::vector<Frame> before(colour.size());
   std::vector<fit::ReferencePicture> references;
+  std::vector<fit::ReferencePicture> previous;
   mesh::Vertices control_mm;
   model.evaluate({}, {}, control_mm);
   mesh::Vertices now_mm;
@@ -453,12 +481,28 @@ int run(int argc, char** argv) {
   std::vector<std::uint8_t> folded_triangles;
   std::vector<std::uint8_t> fine_folded_triangles;
   int folded_ever = 0;
+  mesh::Vertices older_mm;
+  mesh::Vertices last_mm;
+  mesh::Vertices before_truth_mm;
+  double jitter_squares = 0;
+  double jitter_count = 0;
+  double lag_sum = 0;
+  double lag_squares = 0;
+  double worst_rejected = 0;
+  double worst_rms = 0;
+  double least_trust = 1;
+  double least_seen = 1;
+  double worst_drift = 0;
+  double worst_drift_95 = 0;
   int fine_folded = 0;
   mesh::Vertices fine_mm;
   Eigen::Matrix3Xf fine_normals;
   for (int m = 0; m < meshes; ++m) {
-    const std::uint64_t slot = first_slot + static_cast<std::uint64_t>(3 * m + 2);
-    std::mt19937_64 random(config.seed * 100'000 + slot);
+    if (m >= gap[0] && m < gap[0] + gap[1]) {
+      continue;
+    }
+    const std::uint64_t slot = first_slot + static_cast<std::uint64_t>(3 * std::min(m, still) + 2);
+    std::mt19937_64 random(config.seed * 100'000 + first_slot + static_cast<std::uint64_t>(3 * m));
     const simulation::TruthMesh truth = footage.truth(slot);
     std::vector<capture::DepthMap> maps;
     if (with_stereo) {
@@ -470,11 +514,14 @@ int run(int argc, char** argv) {
     std::vector<Frame> pictures;
     for (const std::size_t camera : colour) {
       pictures.push_back(footage.picture(slot, camera));
+      if (m > still) {
+        add_noise(pictures.back(), random);
+      }
     }
     const render::Raycaster caster(truth.vertices_mm, truth.triangles);
     fit::FitReport report;
-    if (m == 0) {
-      // Landmarks as a detector finds them: 1 mm of noise.
+    // Landmarks as a detector finds them: 1 mm of noise.
+    const auto placed_by_landmarks = [&] {
       std::vector<fit::Correspondence> correspondences;
       std::normal_distribution<double> noise(0, 1);
       for (const face::LandmarkAnchor& anchor : model.landmarks) {
@@ -487,8 +534,51 @@ int run(int argc, char** argv) {
               {anchor, at + Eigen::Vector3d(noise(random), noise(random), noise(random))});
         }
       }
-      const fit::Placement placed = fit::place(*surface, control_mm, correspondences);
+      fit::Placement placed = fit::place(*surface, control_mm, correspondences);
       fmt::print("placed by {} landmarks, rms {:.2f} mm\n", correspondences.size(), placed.rms_mm);
+      return placed;
+    };
+    /// Flow from the skin of earlier pictures, drawn where the mesh is now, to the pictures.
+    const auto flow_from = [&](const std::vector<fit::ReferencePicture>& drawn_from,
+                               std::vector<fit::Flow>& found) {
+      std::vector<std::uint8_t> visible;
+      std::vector<std::uint8_t> drawn;
+      found.resize(colour.size());
+      mesh::vertex_normals(now_mm, surface->triangles, normals);
+      for (std::size_t k = 0; k < colour.size(); ++k) {
+        fit::find_visible(rig.cameras[colour[k]].lens, now_mm, normals, surface->triangles, 4, 0, visible);
+        flows[k].find(drawn_from[k].draw(pictures[k], now_mm, visible, drawn), pictures[k], found[k]);
+        for (std::size_t i = 0; i < drawn.size(); ++i) {
+          found[k].confidence[i] *= static_cast<float>(drawn[i]);
+        }
+      }
+    };
+    const auto view = [&](std::size_t k, const fit::Flow& flow) {
+      return fit::FlowView{rig.cameras[colour[k]].lens, flow.width_px, flow.height_px, flow.flow_px,
+                           flow.confidence};
+    };
+    if (m == gap[0] + gap[1]) {
+      // Found again: the same person where the landmarks are, then drawn to where its skin was.
+      const mesh::Vertices stale_mm = now_mm;
+      mesh::Vertices there_mm = stale_mm;
+      const fit::FitReport judged = fitter.fit(maps, there_mm);
+      fmt::print("mesh {:3d}: after the gap, from where it was: {}\n", m,
+                 judged.lost ? "lost, " + judged.lost_because : "not noticed");
+      now_mm = fitter.shape_like(placed_by_landmarks().rest.vertices_mm);
+      fitter.forget();
+      report = fitter.fit(maps, now_mm);
+      std::vector<fit::Flow> found;
+      for (int i = 0; i < 3 && !no_reference; ++i) {
+        flow_from(references, found);
+        const mesh::Vertices drawn_mm = now_mm;
+        std::vector<fit::FlowView> views;
+        for (std::size_t k = 0; k < colour.size(); ++k) {
+          views.push_back(view(k, found[k]));
+        }
+        report = fitter.track(maps, views, drawn_mm, now_mm);
+      }
+    } else if (m == 0) {
+      const fit::Placement placed = placed_by_landmarks();
       now_mm = placed.rest.vertices_mm;
       fit::FitOptions start = options;
       start.steps = 30;
@@ -522,30 +612,46 @@ int run(int argc, char** argv) {
       std::vector<fit::FlowView> views;
       for (std::size_t k = 0; k < colour.size() && !no_flow; ++k) {
         flows[k].find(before[k], pictures[k], found[k]);
-        views.push_back({rig.cameras[colour[k]].lens, found[k].width_px, found[k].height_px, found[k].flow_px,
-                         found[k].confidence});
+        views.push_back(view(k, found[k]));
       }
       flow_ms.push_back(ms_since(begun));
       begun = Clock::now();
       const mesh::Vertices before_mm = now_mm;
       report = fitter.track(maps, views, before_mm, now_mm);
-      if (!no_reference) {
-        mesh::vertex_normals(now_mm, surface->triangles, normals);
-        std::vector<std::uint8_t> visible;
-        std::vector<std::uint8_t> drawn;
-        for (std::size_t k = 0; k < colour.size(); ++k) {
-          fit::find_visible(views[k].lens, now_mm, normals, surface->triangles, 4, 0, visible);
-          const Frame expected = references[k].draw(pictures[k], now_mm, visible, drawn);
-          flows[k].find(expected, pictures[k], found[k]);
-          for (std::size_t i = 0; i < drawn.size(); ++i) {
-            found[k].confidence[i] *= static_cast<float>(drawn[i]);
+      if (!no_flow && !(no_redraw && no_reference)) {
+        const mesh::Vertices drawn_mm = now_mm;
+        std::vector<fit::Flow> again;
+        std::vector<fit::Flow> drifted;
+        if (!no_redraw) {
+          flow_from(previous, again);
+          for (std::size_t k = 0; k < colour.size(); ++k) {
+            views[k] = view(k, again[k]);
+            views[k].from_mm = &drawn_mm;
           }
         }
-        const mesh::Vertices drifted_mm = now_mm;
-        report = fitter.track(maps, views, drifted_mm, now_mm);
+        if (!no_reference) {
+          flow_from(references, drifted);
+          for (std::size_t k = 0; k < colour.size(); ++k) {
+            views.push_back(view(k, drifted[k]));
+            views.back().from_mm = &drawn_mm;
+            views.back().weight = reference_weight;
+            views.back().sigma_px = reference_sigma_px;
+          }
+        }
+        report = fitter.track(maps, views, before_mm, now_mm);
       }
       fit_ms.push_back(ms_since(begun));
     }
+    fitter.remember(now_mm);
+    if (report.lost) {
+      fmt::print("mesh {:3d}: lost, {}\n", m, report.lost_because);
+    }
+    worst_rejected = std::max(worst_rejected, report.rejected);
+    worst_rms = std::max(worst_rms, report.surface_rms_mm);
+    if (m > 0) {
+      least_trust = std::min(least_trust, report.flow_trust);
+    }
+    least_seen = std::min(least_seen, report.seen);
     std::vector<double> distances;
     std::vector<double> drifts;
     for (std::size_t v = 0; v < followers.size(); ++v) {
@@ -561,6 +667,35 @@ int run(int argc, char** argv) {
       drifts.push_back(static_cast<double>((true_mm - at).norm()));
       drift_heat[v] = static_cast<float>(drifts.back()) / 3.0F;
     }
+    // Second differences over three meshes, and how far it lags behind what moves.
+    if (older_mm.cols() > 0) {
+      for (std::size_t v = 0; v < followers.size(); ++v) {
+        if (followers[v].triangle >= 0) {
+          const auto column = static_cast<Eigen::Index>(v);
+          jitter_squares += static_cast<double>(
+              (now_mm.col(column) - 2 * last_mm.col(column) + older_mm.col(column)).squaredNorm());
+          jitter_count += 1;
+        }
+      }
+    }
+    older_mm = last_mm;
+    last_mm = now_mm;
+    const mesh::Vertices truth_move_mm =
+        m > 0 ? mesh::Vertices(truth.vertices_mm - before_truth_mm) : mesh::Vertices();
+    for (std::size_t v = 0; v < followers.size() && m > 0; ++v) {
+      if (followers[v].triangle >= 0) {
+        const Eigen::Vector3f move = render::interpolate(truth.triangles, followers[v].triangle,
+                                                         followers[v].barycentric, truth_move_mm);
+        const Eigen::Vector3f behind = render::interpolate(truth.triangles, followers[v].triangle,
+                                                           followers[v].barycentric, truth.vertices_mm) -
+                                       now_mm.col(static_cast<Eigen::Index>(v));
+        if (move.norm() > 2) {
+          lag_sum += static_cast<double>(behind.dot(move));
+          lag_squares += static_cast<double>(move.squaredNorm());
+        }
+      }
+    }
+    before_truth_mm = truth.vertices_mm;
     const int folded = find_folded(
         surface->triangles, now_mm, [&](std::size_t v) { return followers[v].triangle >= 0; },
         folded_triangles);
@@ -580,6 +715,8 @@ int run(int argc, char** argv) {
     all_distances.insert(all_distances.end(), distances.begin(), distances.end());
     const Spread distance(std::move(distances));
     const Spread drift(std::move(drifts));
+    worst_drift = std::max(worst_drift, drift.mean());
+    worst_drift_95 = std::max(worst_drift_95, drift.at(0.95));
     if (m < 3 || m % 10 == 9 || m + 1 == meshes) {
       fmt::print(
           "mesh {:3d}: distance mean {:.3f} p95 {:.3f} mm, drift mean {:.3f} p95 {:.3f} max {:.1f} mm, "
@@ -629,6 +766,14 @@ int run(int argc, char** argv) {
       }
       render::write_png(out, file);
     }
+    previous.clear();
+    mesh::vertex_normals(now_mm, surface->triangles, normals);
+    for (std::size_t k = 0; k < colour.size(); ++k) {
+      const capture::Lens& lens = rig.cameras[colour[k]].lens;
+      std::vector<std::uint8_t> visible;
+      fit::find_visible(lens, now_mm, normals, surface->triangles, 4, 0, visible);
+      previous.emplace_back(lens, pictures[k], now_mm, surface->triangles, visible);
+    }
     before = std::move(pictures);
   }
   const Spread all(std::move(all_distances));
@@ -637,6 +782,12 @@ int run(int argc, char** argv) {
       "ms "
       "a mesh\n",
       all.mean(), all.at(0.95), folded_ever, Spread(fit_ms).mean(), colour.size(), Spread(flow_ms).mean());
+  fmt::print(
+      "worst drift mean {:.3f} p95 {:.3f} mm; second differences {:.4f} mm rms, lag {:.4f} meshes; seen >= "
+      "{:.2f}, "
+      "rejected <= {:.3f}, rms <= {:.2f} mm, flow trust >= {:.2f}\n",
+      worst_drift, worst_drift_95, std::sqrt(jitter_squares / std::max(jitter_count, 1.0)),
+      lag_sum / std::max(lag_squares, 1e-9), least_seen, worst_rejected, worst_rms, least_trust);
   if (fine != nullptr) {
     for (const auto& [name, error] :
          {std::pair<const char*, const SurfaceError&>("template", template_error), {"fine", fine_error}}) {

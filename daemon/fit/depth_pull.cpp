@@ -83,10 +83,10 @@ std::optional<DepthPull> pull_of(const DepthMap& map, const Pinhole& camera, con
   const Vector3f along_x(depth->slope_x * px + z / camera.fx, depth->slope_x * py, depth->slope_x);
   const Vector3f along_y(depth->slope_y * px, depth->slope_y * py + z / camera.fy, depth->slope_y);
   const Vector3f map_normal = along_y.cross(along_x).normalized();
-  const float alike = map_normal.dot(camera.rotation * normal);
+  pull.alike = map_normal.dot(camera.rotation * normal);
   // Along z a steep surface's error is longer than it is: what counts is the distance to the surface.
   pull.facing = std::max(0.0F, -map_normal.dot(at.normalized()));
-  pull.weight = depth->confidence * std::max(0.0F, alike) * pull.facing * pull.facing *
+  pull.weight = depth->confidence * std::max(0.0F, pull.alike) * pull.facing * pull.facing *
                 tukey_weight(pull.difference_mm, sigma_mm);
   // d(z - Z(x, y)) by the point, camera frame: what the vertex passes over counts, too.
   const Vector3f slope(-depth->slope_x * camera.fx / at.z(), -depth->slope_y * camera.fy / at.z(),

@@ -27,6 +27,7 @@ struct Pinhole {
 struct DepthPull {
   float difference_mm = 0;  ///< along the map's z axis: the point's less the map's
   float facing = 0;         ///< cosine between the map's normal and the way to the camera, at least 0
+  float alike = 0;          ///< cosine between the map's normal and the template's
   /// Confidence x max(0, normal . template normal) x facing^2 x Tukey's weight; 0 where turned away or
   /// farther off than sigma.
   float weight = 0;

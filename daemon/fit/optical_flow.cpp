@@ -29,7 +29,11 @@ struct OpticalFlow::Impl {
   cv::Mat earlier, later, there, back;
 };
 
-OpticalFlow::OpticalFlow() : impl_(std::make_unique<Impl>()) {}
+OpticalFlow::OpticalFlow() : impl_(std::make_unique<Impl>()) {
+  // Down to whole pixels: where a mouth corner moves quickly the preset's half pixels are wrong by one and a
+  // half, and correspondence is lost there.
+  impl_->dis->setFinestScale(0);
+}
 OpticalFlow::~OpticalFlow() = default;
 
 void OpticalFlow::find(const Frame& earlier, const Frame& later, Flow& out) {

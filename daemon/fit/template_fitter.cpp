@@ -28,7 +28,22 @@ constexpr float kSettledMm = 0.005F;
 constexpr double kLeastSeen = 0.05;
 constexpr float kCameraFacing = 0.15F;  ///< least cosine between normal and view for a flow to count
 constexpr float kVisibilityMarginMm = 4;
+constexpr float kOffMm = 5;          ///< from a map's surface: not that surface
+constexpr float kTurnedAway = 0.3F;  ///< cosine; a surface seen more steeply tells nothing of that
+constexpr double kLostSeen = 0.25;
+constexpr double kLostRejected = 0.45;
+constexpr double kLostSurfaceMm = 2.5;
+constexpr double kLostTrust = 0.3;
+constexpr float kVelocityGain = 0.3F;     ///< how much of a vertex's last move its velocity takes over
+constexpr double kModelChange = 0.3;      ///< of an expression's weight from one mesh to the next, typically
+constexpr double kModelSettledMm = 0.02;  ///< the model's steps end there
+constexpr float kLinkSlackMm = 2;         ///< beyond the nearest
+constexpr float kLeastUpright = 0.1F;     ///< cosine between a triangle's normal and its vertices'
+constexpr int kUnfoldRounds = 12;
+constexpr int kUnfoldSweeps = 6;
 constexpr double kPatches = 100;
+constexpr double kLeastExpression = -0.25;
+constexpr double kMostExpression = 1.25;
 constexpr double kExpressionMisfitMm = 0.5;  ///< what expressions do not explain, typically
 constexpr float kRimPx = 5;                  ///< half of a flow's patch and a little
 constexpr float kRimJumpMm = 12;             ///< in depth: another part of the face
@@ -189,7 +204,8 @@ struct TemplateFitter::Impl {
   Impl(std::shared_ptr<const TemplateMesh> with, const FitOptions& how)
       : surface(std::move(with)), options(how) {
     if (!(options.alpha > 0) || !(options.beta >= 0) || !(options.sigma_s_mm > 0) ||
-        !(options.sigma_m_px > 0) || options.steps < 1 || options.cg_iterations < 1) {
+        !(options.sigma_m_px > 0) || !(options.gamma >= 0) || !(options.sigma_t_mm > 0) ||
+        options.steps < 1 || options.cg_iterations < 1) {
       throw Error(ErrorKind::Usage,
                   "the options of the template fit make no sense: alpha, sigmas and counts are above 0, beta "
                   "not below");
@@ -201,15 +217,27 @@ struct TemplateFitter::Impl {
          {&gradient, &step, &residual, &direction, &product, &preconditioned, &normals, &offset}) {
       field->setZero(3, surface->vertex_count());
     }
+    skin = static_cast<double>(std::count(surface->is_skin.begin(), surface->is_skin.end(), std::uint8_t{1}));
     depth_pull.resize(count);
+    on_map.resize(count);
+    off_map.resize(count);
     flow_pull.resize(count);
-    edge_weights.resize(surface->one_rings.neighbours.size());
+    hang_together();
+    edge_weights.resize(neighbours.size());
   }
 
   FitReport solve(std::span<const DepthMap> maps, std::span<const FlowView> flows,
                   const mesh::Vertices* before_mm, mesh::Vertices& vertices_mm);
   void set_rest(RestShape shape);
+  void hang_together();
   void bring_along(const mesh::Vertices& vertices_mm);
+  void add_expectation(const mesh::Vertices& vertices_mm);
+  void judge(FitReport& report, bool with_flow) const;
+  void remember(const mesh::Vertices& vertices_mm);
+  bool add_data(std::span<const DepthMap> maps, std::span<const FlowView> flows,
+                const mesh::Vertices* before_mm, const mesh::Vertices& vertices_mm, FitReport& report);
+  double model_step(mesh::Vertices& vertices_mm);
+  int unfold(mesh::Vertices& vertices_mm);
   void add_smoothness(const mesh::Vertices& vertices_mm);
   void add_depth(const DepthMap& map, const mesh::Vertices& vertices_mm);
   void add_motion(const FlowView& flow, const mesh::Vertices& before_mm,
@@ -222,19 +250,87 @@ struct TemplateFitter::Impl {
   RestShape placed;             ///< as it was set
   Eigen::MatrixXf expressions;  ///< [3 * vertex_count][expression_count] of placed; 0 off the skin
   Eigen::LLT<Eigen::MatrixXd> expression_normals;
-  Eigen::VectorXd expression;       ///< [expression_count]
-  Eigen::VectorXf misfit;           ///< [3 * vertex_count]
-  mesh::Vertices expressed;         ///< placed, with the expression
-  mesh::Vertices rest;              ///< the template, turned with the head
-  std::vector<float> edge_weights;  ///< [one-ring entries] alpha / ||s_n1 - s_n2||^2
-  std::vector<float> edge_sums;     ///< [vertex_count]
-  std::vector<Matrix3f> blocks;     ///< [vertex_count] data terms' part of the normal equations
-  std::vector<Matrix3f> inverse;    ///< of the diagonal blocks, the preconditioner
+  Eigen::VectorXd expression;                                       ///< [expression_count]
+  Eigen::VectorXf misfit;                                           ///< [3 * vertex_count]
+  mesh::Vertices expressed;                                         ///< placed, with the expression
+  mesh::Vertices rest;                                              ///< the template, turned with the head
+  Eigen::Isometry3f rig_from_rest = Eigen::Isometry3f::Identity();  ///< of the placed one
+  Eigen::MatrixXf model, pulled_model;   ///< [3 * pulled vertices][6 + expression_count]
+  std::vector<std::int32_t> offsets;     ///< [vertex_count + 1] into neighbours
+  std::vector<std::int32_t> neighbours;  ///< the one-rings' and what a loose piece hangs on
+  std::vector<float> edge_weights;       ///< [neighbours] alpha / ||s_n1 - s_n2||^2
+  std::vector<float> edge_sums;          ///< [vertex_count]
+  std::vector<Matrix3f> blocks;          ///< [vertex_count] data terms' part of the normal equations
+  std::vector<Matrix3f> inverse;         ///< of the diagonal blocks, the preconditioner
   Matrix3Xf gradient, step, residual, direction, product, preconditioned, normals, offset;
   std::vector<float> depth_pull, flow_pull;
   std::vector<std::vector<std::uint8_t>> visible;
+  double skin = 0;                            ///< vertices of it
+  mesh::Vertices last_mm, velocity_mm;        ///< of the slots before; no columns: nothing is expected
+  std::vector<std::uint8_t> on_map, off_map;  ///< [vertex_count]
+  double flow_trust = 0, flow_count = 0;
   double surface_squares = 0, surface_weight = 0, motion_squares = 0, motion_weight = 0;
 };
+
+/// The edges of E_r. Pieces of the mesh without skin (eyeballs) have no data and no edge to where there are:
+/// their vertices are joined to the nearest ones of the rest, so that they go where the skin around them
+/// goes.
+void TemplateFitter::Impl::hang_together() {
+  const mesh::OneRings& rings = surface->one_rings;
+  const std::int32_t count = surface->vertex_count();
+  std::vector<std::vector<std::int32_t>> joined(static_cast<std::size_t>(count));
+  std::vector<std::int32_t> piece_of(static_cast<std::size_t>(count), -1);
+  std::vector<std::vector<std::int32_t>> loose;
+  for (std::int32_t first = 0; first < count; ++first) {
+    if (piece_of[static_cast<std::size_t>(first)] >= 0) {
+      continue;
+    }
+    std::vector<std::int32_t> piece = {first};
+    piece_of[static_cast<std::size_t>(first)] = first;
+    bool has_skin = false;
+    for (std::size_t i = 0; i < piece.size(); ++i) {
+      const auto vertex = static_cast<std::size_t>(piece[i]);
+      has_skin = has_skin || surface->is_skin[vertex] != 0;
+      for (auto e = rings.offsets[vertex]; e < rings.offsets[vertex + 1]; ++e) {
+        const std::int32_t other = rings.neighbours[static_cast<std::size_t>(e)];
+        if (piece_of[static_cast<std::size_t>(other)] < 0) {
+          piece_of[static_cast<std::size_t>(other)] = first;
+          piece.push_back(other);
+        }
+      }
+    }
+    if (!has_skin) {
+      loose.push_back(std::move(piece));
+    }
+  }
+  for (const std::vector<std::int32_t>& piece : loose) {
+    std::vector<std::pair<float, std::int32_t>> nearest;
+    for (const std::int32_t v : piece) {
+      std::pair<float, std::int32_t> best{std::numeric_limits<float>::infinity(), -1};
+      for (std::int32_t other = 0; other < count; ++other) {
+        if (piece_of[static_cast<std::size_t>(other)] != piece_of[static_cast<std::size_t>(v)]) {
+          best =
+              std::min(best, {(surface->neutral_mm.col(v) - surface->neutral_mm.col(other)).norm(), other});
+        }
+      }
+      nearest.push_back(best);
+    }
+    const float least = std::min_element(nearest.begin(), nearest.end())->first;
+    for (std::size_t i = 0; i < piece.size(); ++i) {
+      if (nearest[i].second >= 0 && nearest[i].first <= least + kLinkSlackMm) {
+        joined[static_cast<std::size_t>(piece[i])].push_back(nearest[i].second);
+        joined[static_cast<std::size_t>(nearest[i].second)].push_back(piece[i]);
+      }
+    }
+  }
+  offsets.assign(1, 0);
+  for (std::size_t v = 0; v < joined.size(); ++v) {
+    neighbours.insert(neighbours.end(), rings.neighbours.begin() + rings.offsets[v],
+                      rings.neighbours.begin() + rings.offsets[v + 1]);
+    neighbours.insert(neighbours.end(), joined[v].begin(), joined[v].end());
+    offsets.push_back(static_cast<std::int32_t>(neighbours.size()));
+  }
+}
 
 /// Eq. 11: 1 / ||s_n1 - s_n2||^2 of every edge, times alpha; and the normal equations of the expressions.
 void TemplateFitter::Impl::set_rest(RestShape shape) {
@@ -247,30 +343,27 @@ void TemplateFitter::Impl::set_rest(RestShape shape) {
                 fmt::format("the template's rest shape does not have its {} vertices", count));
   }
   placed = std::move(shape);
+  last_mm.resize(3, 0);
   expressed = placed.vertices_mm;
-  const mesh::OneRings& rings = surface->one_rings;
   edge_sums.assign(static_cast<std::size_t>(count), 0);
   for (std::int32_t v = 0; v < count; ++v) {
-    for (auto e = rings.offsets[static_cast<std::size_t>(v)];
-         e < rings.offsets[static_cast<std::size_t>(v) + 1]; ++e) {
+    for (auto e = offsets[static_cast<std::size_t>(v)]; e < offsets[static_cast<std::size_t>(v) + 1]; ++e) {
       const auto edge = static_cast<std::size_t>(e);
       const float length2 =
-          (placed.vertices_mm.col(v) - placed.vertices_mm.col(rings.neighbours[edge])).squaredNorm();
+          (placed.vertices_mm.col(v) - placed.vertices_mm.col(neighbours[edge])).squaredNorm();
       edge_weights[edge] = static_cast<float>(options.alpha) / std::max(length2, 1e-2F);
       edge_sums[static_cast<std::size_t>(v)] += edge_weights[edge];
     }
   }
   const auto known = options.knows_expressions ? static_cast<Eigen::Index>(placed.expressions_mm.size()) : 0;
   expression.setZero(known);
+  expressions.resize(3 * static_cast<Eigen::Index>(count), known);
   if (known == 0) {
     return;
   }
-  expressions.resize(3 * static_cast<Eigen::Index>(count), known);
   misfit.resize(expressions.rows());
-  double skin = 0;
   for (std::int32_t v = 0; v < count; ++v) {
     const bool counts = surface->is_skin[static_cast<std::size_t>(v)] != 0;
-    skin += counts ? 1 : 0;
     for (Eigen::Index e = 0; e < known; ++e) {
       expressions.block<3, 1>(Eigen::Index{3} * v, e) =
           counts ? Vector3f(placed.expressions_mm[static_cast<std::size_t>(e)].col(v)) : Vector3f::Zero();
@@ -288,6 +381,7 @@ void TemplateFitter::Impl::set_rest(RestShape shape) {
 void TemplateFitter::Impl::bring_along(const mesh::Vertices& vertices_mm) {
   if (!options.turns_with_the_head) {
     rest = placed.vertices_mm;
+    rig_from_rest.setIdentity();
     return;
   }
   Eigen::VectorXd weights(vertices_mm.cols());
@@ -298,14 +392,14 @@ void TemplateFitter::Impl::bring_along(const mesh::Vertices& vertices_mm) {
     return Eigen::Isometry3f(
         align_rigidly(shape.cast<double>(), vertices_mm.cast<double>(), weights).cast<float>());
   };
-  Eigen::Isometry3f rig_from_rest = pose_of(expressed);
+  rig_from_rest = pose_of(expressed);
   if (expression.size() > 0) {
     const Eigen::Isometry3f rest_from_rig = rig_from_rest.inverse();
     Eigen::Map<Matrix3Xf>(misfit.data(), 3, vertices_mm.cols()) =
         ((rest_from_rig.linear() * vertices_mm).colwise() + rest_from_rig.translation()) - placed.vertices_mm;
     expression = expression_normals.solve((expressions.transpose() * misfit).cast<double>())
-                     .cwiseMax(-0.25)
-                     .cwiseMin(1.25);
+                     .cwiseMax(kLeastExpression)
+                     .cwiseMin(kMostExpression);
     expressed = placed.vertices_mm;
     for (Eigen::Index e = 0; e < expression.size(); ++e) {
       expressed += static_cast<float>(expression[e]) * placed.expressions_mm[static_cast<std::size_t>(e)];
@@ -317,14 +411,12 @@ void TemplateFitter::Impl::bring_along(const mesh::Vertices& vertices_mm) {
 
 /// Gradient of alpha E_r at the current displacements.
 void TemplateFitter::Impl::add_smoothness(const mesh::Vertices& vertices_mm) {
-  const mesh::OneRings& rings = surface->one_rings;
   offset = vertices_mm - rest;
   for (std::int32_t v = 0; v < surface->vertex_count(); ++v) {
     Vector3f sum = Vector3f::Zero();
-    for (auto e = rings.offsets[static_cast<std::size_t>(v)];
-         e < rings.offsets[static_cast<std::size_t>(v) + 1]; ++e) {
+    for (auto e = offsets[static_cast<std::size_t>(v)]; e < offsets[static_cast<std::size_t>(v) + 1]; ++e) {
       const auto edge = static_cast<std::size_t>(e);
-      sum += edge_weights[edge] * (offset.col(v) - offset.col(rings.neighbours[edge]));
+      sum += edge_weights[edge] * (offset.col(v) - offset.col(neighbours[edge]));
     }
     gradient.col(v) += sum;
   }
@@ -340,6 +432,10 @@ void TemplateFitter::Impl::add_depth(const DepthMap& map, const mesh::Vertices& 
       continue;
     }
     const auto pull = pull_of(map, camera, vertices_mm.col(v), normals.col(v), sigma);
+    if (pull && pull->facing > kTurnedAway && pull->alike > kTurnedAway) {
+      on_map[vertex] = 1;
+      off_map[vertex] |= static_cast<std::uint8_t>(std::abs(pull->difference_mm) * pull->facing > kOffMm);
+    }
     if (!pull || !(pull->weight > 0)) {
       continue;
     }
@@ -356,8 +452,8 @@ void TemplateFitter::Impl::add_depth(const DepthMap& map, const mesh::Vertices& 
 /// beta times eq. 13 of one camera: where the vertex is seen to go against where the flow goes.
 void TemplateFitter::Impl::add_motion(const FlowView& flow, const mesh::Vertices& before_mm,
                                       std::span<const std::uint8_t> seen, const mesh::Vertices& vertices_mm) {
-  const auto sigma = static_cast<float>(options.sigma_m_px);
-  const auto beta = static_cast<float>(options.beta);
+  const auto sigma = flow.sigma_px > 0 ? flow.sigma_px : static_cast<float>(options.sigma_m_px);
+  const float beta = static_cast<float>(options.beta) * flow.weight;
   for (std::int32_t v = 0; v < surface->vertex_count(); ++v) {
     const auto vertex = static_cast<std::size_t>(v);
     if (surface->is_skin[vertex] == 0 || seen[vertex] == 0) {
@@ -368,13 +464,15 @@ void TemplateFitter::Impl::add_motion(const FlowView& flow, const mesh::Vertices
       continue;
     }
     float confidence = 0;
+    flow_count += 1;
     const auto moved = sample(flow, static_cast<float>(from->x()), static_cast<float>(from->y()), confidence);
+    flow_trust += static_cast<double>(moved ? confidence : 0);
     const auto now = moved ? project(flow.lens, vertices_mm.col(v)) : std::nullopt;
     if (!now) {
       continue;
     }
     const Vector2f difference = now->pixel - from->cast<float>() - *moved;
-    const float robust = confidence * tukey_weight(difference.norm(), sigma);
+    const float robust = confidence * confidence * tukey_weight(difference.norm(), sigma);
     if (!(robust > 0)) {
       continue;
     }
@@ -386,15 +484,56 @@ void TemplateFitter::Impl::add_motion(const FlowView& flow, const mesh::Vertices
   }
 }
 
+/// gamma sum over vertices of rho(||v - (last + velocity)||, sigma_t): quiet where data are weak or noisy.
+void TemplateFitter::Impl::add_expectation(const mesh::Vertices& vertices_mm) {
+  const auto gamma = static_cast<float>(options.gamma);
+  const auto sigma = static_cast<float>(options.sigma_t_mm);
+  for (Eigen::Index v = 0; v < last_mm.cols(); ++v) {
+    const Vector3f difference = vertices_mm.col(v) - last_mm.col(v) - velocity_mm.col(v);
+    const float weight = gamma * tukey_weight(difference.norm(), sigma);
+    blocks[static_cast<std::size_t>(v)].diagonal().array() += weight;
+    gradient.col(v) += weight * difference;
+  }
+}
+
+void TemplateFitter::Impl::remember(const mesh::Vertices& vertices_mm) {
+  if (vertices_mm.cols() != surface->vertex_count()) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("a mesh of {} vertices is no result of the template fit", vertices_mm.cols()));
+  }
+  if (last_mm.cols() == 0) {
+    velocity_mm = mesh::Vertices::Zero(3, vertices_mm.cols());
+  } else {
+    velocity_mm += kVelocityGain * (vertices_mm - last_mm - velocity_mm);
+  }
+  last_mm = vertices_mm;
+}
+
+/// Thresholds lie well off what a followed face shows: seen 0.73 to 0.85, rejected below 0.23 (what others
+/// hide lies behind them), rms below 0.9 mm, trust above 0.74.
+void TemplateFitter::Impl::judge(FitReport& report, bool with_flow) const {
+  if (report.seen < kLostSeen) {
+    report.lost_because = fmt::format("only {:.0f} % of the skin lies on a depth map", 100 * report.seen);
+  } else if (report.rejected > kLostRejected) {
+    report.lost_because = fmt::format("{:.0f} % of the skin lies more than {} mm off the depth maps",
+                                      100 * report.rejected, kOffMm);
+  } else if (report.surface_rms_mm > kLostSurfaceMm) {
+    report.lost_because = fmt::format("the skin lies {:.1f} mm off the depth maps", report.surface_rms_mm);
+  } else if (with_flow && report.flow_trust < kLostTrust) {
+    report.lost_because = fmt::format("the flow comes back to where it began on {:.0f} % of the skin only",
+                                      100 * report.flow_trust);
+  }
+  report.lost = !report.lost_because.empty();
+}
+
 /// out = (data blocks + alpha Laplacian) in.
 void TemplateFitter::Impl::apply(const Matrix3Xf& in, Matrix3Xf& out) const {
-  const mesh::OneRings& rings = surface->one_rings;
   for (std::int32_t v = 0; v < surface->vertex_count(); ++v) {
     const auto vertex = static_cast<std::size_t>(v);
     Vector3f sum = edge_sums[vertex] * in.col(v);
-    for (auto e = rings.offsets[vertex]; e < rings.offsets[vertex + 1]; ++e) {
+    for (auto e = offsets[vertex]; e < offsets[vertex + 1]; ++e) {
       const auto edge = static_cast<std::size_t>(e);
-      sum -= edge_weights[edge] * in.col(rings.neighbours[edge]);
+      sum -= edge_weights[edge] * in.col(neighbours[edge]);
     }
     out.col(v).noalias() = blocks[vertex] * in.col(v) + sum;
   }
@@ -446,65 +585,224 @@ FitReport TemplateFitter::Impl::solve(std::span<const DepthMap> maps, std::span<
   }
   std::fill(depth_pull.begin(), depth_pull.end(), 1.0F);  // nothing is known yet: all of it is brought along
   if (before_mm != nullptr) {
-    mesh::vertex_normals(*before_mm, surface->triangles, normals);
     visible.resize(std::max(visible.size(), flows.size()));
     for (std::size_t k = 0; k < flows.size(); ++k) {
-      find_visible(flows[k].lens, *before_mm, normals, surface->triangles, kVisibilityMarginMm, kRimPx,
+      const mesh::Vertices& from_mm = flows[k].from_mm != nullptr ? *flows[k].from_mm : *before_mm;
+      if (from_mm.cols() != vertices_mm.cols()) {
+        throw Error(ErrorKind::Usage, "a flow of the template fit leads away from a mesh of other vertices");
+      }
+      mesh::vertex_normals(from_mm, surface->triangles, normals);
+      find_visible(flows[k].lens, from_mm, normals, surface->triangles, kVisibilityMarginMm, kRimPx,
                    visible[k]);
     }
   }
-  double skin = 0;
-  for (const std::uint8_t one : surface->is_skin) {
-    skin += one;
-  }
   const mesh::Vertices given = vertices_mm;
-  for (report.steps = 0; report.steps < options.steps;) {
+  const auto give_up = [&](FitOutcome outcome, std::string failure) {
+    vertices_mm = given;
+    report.outcome = outcome;
+    report.lost = true;
+    report.lost_because = failure;
+    report.failure = std::move(failure);
+    return report;
+  };
+  const auto no_data = [&] {
+    return give_up(FitOutcome::NoData, fmt::format("only {:.1f} % of the template's skin lies on a depth map",
+                                                   100 * report.seen));
+  };
+  bring_along(vertices_mm);
+  for (int i = 0; i < (options.turns_with_the_head ? options.model_steps : 0); ++i) {
+    if (!add_data(maps, flows, before_mm, vertices_mm, report)) {
+      return no_data();
+    }
+    const double moved = model_step(vertices_mm);
+    if (!std::isfinite(moved)) {
+      return give_up(FitOutcome::NumericalFailure, "the model's step of the template fit is not finite");
+    }
+    if (moved < kModelSettledMm) {
+      break;
+    }
+  }
+  report.outcome = FitOutcome::NotConverged;
+  while (report.steps < options.steps && report.outcome != FitOutcome::Converged) {
     bring_along(vertices_mm);
-    mesh::vertex_normals(vertices_mm, surface->triangles, normals);
-    std::fill(blocks.begin(), blocks.end(), Matrix3f::Zero());
-    gradient.setZero();
-    std::fill(depth_pull.begin(), depth_pull.end(), 0.0F);
-    std::fill(flow_pull.begin(), flow_pull.end(), 0.0F);
-    surface_squares = surface_weight = motion_squares = motion_weight = 0;
-    for (const DepthMap& map : maps) {
-      add_depth(map, vertices_mm);
+    if (!add_data(maps, flows, before_mm, vertices_mm, report)) {
+      return no_data();
     }
-    for (std::size_t k = 0; before_mm != nullptr && k < flows.size(); ++k) {
-      add_motion(flows[k], *before_mm, visible[k], vertices_mm);
-    }
-    const auto pulled = [&](const std::vector<float>& pull) {
-      return static_cast<double>(std::count_if(pull.begin(), pull.end(), [](float one) { return one > 0; })) /
-             std::max(skin, 1.0);
-    };
-    report.seen = pulled(depth_pull);
-    report.followed = pulled(flow_pull);
-    report.surface_rms_mm = surface_weight > 0 ? std::sqrt(surface_squares / surface_weight) : 0;
-    report.motion_rms_px = motion_weight > 0 ? std::sqrt(motion_squares / motion_weight) : 0;
-    if (report.seen < kLeastSeen && report.followed < kLeastSeen) {
-      vertices_mm = given;
-      report.outcome = FitOutcome::NoData;
-      report.failure =
-          fmt::format("only {:.1f} % of the template's skin lies on a depth map", 100 * report.seen);
-      return report;
-    }
+    add_expectation(vertices_mm);
     add_smoothness(vertices_mm);
     conjugate_gradients();
     ++report.steps;
     if (!step.allFinite()) {
-      vertices_mm = given;
-      report.outcome = FitOutcome::NumericalFailure;
-      report.failure = fmt::format("step {} of the template fit is not finite", report.steps);
-      return report;
+      return give_up(FitOutcome::NumericalFailure,
+                     fmt::format("step {} of the template fit is not finite", report.steps));
     }
     vertices_mm += step;
     report.last_move_mm = static_cast<double>(step.colwise().norm().maxCoeff());
     if (report.last_move_mm < static_cast<double>(kSettledMm)) {
       report.outcome = FitOutcome::Converged;
-      return report;
     }
   }
-  report.outcome = FitOutcome::NotConverged;
+  if (options.unfolds) {
+    bring_along(vertices_mm);
+    report.unfolded = unfold(vertices_mm);
+  }
+  judge(report, before_mm != nullptr && !flows.empty());
   return report;
+}
+
+/// Normal equations of the data terms at the vertices as they are; false where hardly any of them sees
+/// anything.
+bool TemplateFitter::Impl::add_data(std::span<const DepthMap> maps, std::span<const FlowView> flows,
+                                    const mesh::Vertices* before_mm, const mesh::Vertices& vertices_mm,
+                                    FitReport& report) {
+  mesh::vertex_normals(vertices_mm, surface->triangles, normals);
+  std::fill(blocks.begin(), blocks.end(), Matrix3f::Zero());
+  gradient.setZero();
+  std::fill(depth_pull.begin(), depth_pull.end(), 0.0F);
+  std::fill(flow_pull.begin(), flow_pull.end(), 0.0F);
+  surface_squares = surface_weight = motion_squares = motion_weight = flow_trust = flow_count = 0;
+  std::fill(on_map.begin(), on_map.end(), std::uint8_t{0});
+  std::fill(off_map.begin(), off_map.end(), std::uint8_t{0});
+  for (const DepthMap& map : maps) {
+    add_depth(map, vertices_mm);
+  }
+  for (std::size_t k = 0; before_mm != nullptr && k < flows.size(); ++k) {
+    add_motion(flows[k], flows[k].from_mm != nullptr ? *flows[k].from_mm : *before_mm, visible[k],
+               vertices_mm);
+  }
+  const auto pulled = [&](const std::vector<float>& pull) {
+    return static_cast<double>(std::count_if(pull.begin(), pull.end(), [](float one) { return one > 0; })) /
+           std::max(skin, 1.0);
+  };
+  report.seen = pulled(depth_pull);
+  report.followed = pulled(flow_pull);
+  report.surface_rms_mm = surface_weight > 0 ? std::sqrt(surface_squares / surface_weight) : 0;
+  report.motion_rms_px = motion_weight > 0 ? std::sqrt(motion_squares / motion_weight) : 0;
+  report.rejected =
+      static_cast<double>(std::count(off_map.begin(), off_map.end(), std::uint8_t{1})) /
+      std::max(static_cast<double>(std::count(on_map.begin(), on_map.end(), std::uint8_t{1})), 1.0);
+  report.flow_trust = flow_trust / std::max(flow_count, 1.0);
+  return report.seen >= kLeastSeen || report.followed >= kLeastSeen;
+}
+
+/// One Gauss-Newton step of the data terms over the pose and the expressions' weights alone: what moves fast
+/// and together (the head, the jaw) is in place before each vertex goes its own way, which it does only over
+/// the few edges that a conjugate gradient step carries it. The weights' changes are small and few (a prior
+/// of kModelChange, and as much again of the absolute value by its quadratic bound). Returns the largest move
+/// of a vertex, mm.
+double TemplateFitter::Impl::model_step(mesh::Vertices& vertices_mm) {
+  const Eigen::Index known = expression.size();
+  const Eigen::Index unknowns = 6 + known;
+  std::vector<std::int32_t> pulled;
+  for (std::int32_t v = 0; v < surface->vertex_count(); ++v) {
+    if (depth_pull[static_cast<std::size_t>(v)] > 0 || flow_pull[static_cast<std::size_t>(v)] > 0) {
+      pulled.push_back(v);
+    }
+  }
+  const auto rows = 3 * static_cast<Eigen::Index>(pulled.size());
+  model.resize(rows, unknowns);
+  pulled_model.resize(rows, unknowns);
+  const Vector3f middle = vertices_mm.rowwise().mean();
+  const Matrix3f turned = rig_from_rest.linear();
+  Eigen::VectorXf slope = Eigen::VectorXf::Zero(unknowns);
+  for (std::size_t i = 0; i < pulled.size(); ++i) {
+    const std::int32_t v = pulled[i];
+    const auto row = 3 * static_cast<Eigen::Index>(i);
+    const Vector3f arm = vertices_mm.col(v) - middle;
+    auto own = model.middleRows<3>(row);
+    own.leftCols<3>() << 0, arm.z(), -arm.y(), -arm.z(), 0, arm.x(), arm.y(), -arm.x(), 0;
+    own.middleCols<3>(3).setIdentity();
+    own.rightCols(known).noalias() = turned * expressions.middleRows<3>(Eigen::Index{3} * v);
+    pulled_model.middleRows<3>(row).noalias() = blocks[static_cast<std::size_t>(v)] * own;
+    slope.noalias() += own.transpose() * gradient.col(v);
+  }
+  Eigen::MatrixXd matrix = (model.transpose() * pulled_model).cast<double>();
+  const double firmness = static_cast<double>(pulled.size()) / kPatches * kExpressionMisfitMm *
+                          kExpressionMisfitMm / (kModelChange * kModelChange);
+  matrix.diagonal().head(3).array() += 1e-3;
+  matrix.diagonal().tail(known).array() += firmness;
+  const auto solve = [&] { return Eigen::VectorXd(-matrix.ldlt().solve(slope.cast<double>())); };
+  Eigen::VectorXd change = solve();
+  // |x| <= x^2 / (2 |x0|) + |x0| / 2: few large changes rather than many small ones.
+  for (Eigen::Index e = 0; e < known; ++e) {
+    matrix(6 + e, 6 + e) += firmness * kModelChange / std::max(std::abs(change[6 + e]), 0.02);
+  }
+  change = solve();
+  for (Eigen::Index e = 0; e < known; ++e) {
+    change[6 + e] =
+        std::clamp(expression[e] + change[6 + e], kLeastExpression, kMostExpression) - expression[e];
+  }
+  const Eigen::VectorXf by = change.cast<float>();
+  if (!by.allFinite()) {
+    return std::numeric_limits<double>::quiet_NaN();
+  }
+  offset.setZero();
+  for (Eigen::Index e = 0; e < known; ++e) {
+    offset += by[6 + e] * placed.expressions_mm[static_cast<std::size_t>(e)];
+  }
+  const float angle = by.head<3>().norm();
+  const Matrix3f turn = angle > 0 ? Eigen::AngleAxisf(angle, by.head<3>() / angle).toRotationMatrix()
+                                  : Matrix3f(Matrix3f::Identity());
+  offset = ((turn * ((vertices_mm + turned * offset).colwise() - middle)).colwise() +
+            (middle + by.segment<3>(3))) -
+           vertices_mm;
+  vertices_mm += offset;
+  expression += change.tail(known);
+  return static_cast<double>(offset.colwise().norm().maxCoeff());
+}
+
+/// Data that turn a triangle over are wrong there (the rim of a lid, what shows between the lips): E_r alone
+/// decides where its vertices are, and those around them where that is not enough. Returns how many vertices.
+int TemplateFitter::Impl::unfold(mesh::Vertices& vertices_mm) {
+  const mesh::Triangles& triangles = surface->triangles;
+  std::vector<std::uint8_t> is_free(static_cast<std::size_t>(surface->vertex_count()), 0);
+  std::vector<std::int32_t> freed;
+  const auto set_free = [&](std::int32_t v) {
+    if (is_free[static_cast<std::size_t>(v)] == 0) {
+      is_free[static_cast<std::size_t>(v)] = 1;
+      freed.push_back(v);
+    }
+  };
+  for (int round = 0; round < kUnfoldRounds; ++round) {
+    mesh::vertex_normals(vertices_mm, triangles, normals);
+    bool folded = false;
+    for (Eigen::Index t = 0; t < triangles.cols(); ++t) {
+      const auto corner = triangles.col(t);
+      const Vector3f across = (vertices_mm.col(corner[1]) - vertices_mm.col(corner[0]))
+                                  .cross(vertices_mm.col(corner[2]) - vertices_mm.col(corner[0]));
+      const Vector3f outwards = normals.col(corner[0]) + normals.col(corner[1]) + normals.col(corner[2]);
+      if (across.dot(outwards) > kLeastUpright * across.norm() * outwards.norm()) {
+        continue;
+      }
+      folded = true;
+      for (Eigen::Index i = 0; i < 3; ++i) {
+        const std::int32_t v = corner[i];
+        if (is_free[static_cast<std::size_t>(v)] == 0) {
+          set_free(v);
+          continue;
+        }
+        for (auto e = offsets[static_cast<std::size_t>(v)]; e < offsets[static_cast<std::size_t>(v) + 1];
+             ++e) {
+          set_free(neighbours[static_cast<std::size_t>(e)]);
+        }
+      }
+    }
+    if (!folded) {
+      break;
+    }
+    for (int sweep = 0; sweep < kUnfoldSweeps; ++sweep) {
+      for (const std::int32_t v : freed) {
+        Vector3f sum = Vector3f::Zero();
+        for (auto e = offsets[static_cast<std::size_t>(v)]; e < offsets[static_cast<std::size_t>(v) + 1];
+             ++e) {
+          const auto edge = static_cast<std::size_t>(e);
+          sum += edge_weights[edge] * (vertices_mm.col(neighbours[edge]) - rest.col(neighbours[edge]));
+        }
+        vertices_mm.col(v) = rest.col(v) + sum / edge_sums[static_cast<std::size_t>(v)];
+      }
+    }
+  }
+  return static_cast<int>(freed.size());
 }
 
 TemplateFitter::TemplateFitter(std::shared_ptr<const TemplateMesh> surface, const FitOptions& options)
@@ -522,6 +820,23 @@ FitReport TemplateFitter::fit(std::span<const DepthMap> maps, mesh::Vertices& ve
 FitReport TemplateFitter::track(std::span<const DepthMap> maps, std::span<const FlowView> flows,
                                 const mesh::Vertices& before_mm, mesh::Vertices& vertices_mm) {
   return impl_->solve(maps, flows, &before_mm, vertices_mm);
+}
+
+void TemplateFitter::remember(const mesh::Vertices& vertices_mm) {
+  impl_->remember(vertices_mm);
+}
+
+void TemplateFitter::forget() {
+  impl_->last_mm.resize(3, 0);
+}
+
+mesh::Vertices TemplateFitter::shape_like(const mesh::Vertices& other_mm) {
+  if (impl_->placed.vertices_mm.cols() != other_mm.cols()) {
+    throw Error(ErrorKind::Usage, "the template fit has no rest shape yet, or other vertices");
+  }
+  std::fill(impl_->depth_pull.begin(), impl_->depth_pull.end(), 1.0F);
+  impl_->bring_along(other_mm);
+  return impl_->rest;
 }
 
 const Eigen::VectorXd& TemplateFitter::expression() const {

@@ -21,7 +21,19 @@ struct FlowView {
   /// [height_px][width_px] from a pixel of the earlier picture to where it is in the later one.
   std::span<const Eigen::Vector2f> flow_px;
   std::span<const float> confidence;  ///< [height_px][width_px] 0 where nothing is known, up to 1
+  /// [3][vertex_count] the mesh that the flow leads away from, rig frame; null: the one before. A flow from a
+  /// ReferencePicture leads away from the mesh that it was drawn with.
+  const mesh::Vertices* from_mm = nullptr;
+  float weight = 1;    ///< against the others; kReferenceWeight for one from a ReferencePicture
+  float sigma_px = 0;  ///< Tukey's; 0: the options'
 };
+
+/// Flow from picture to picture is wrong by a tenth of a pixel and adds up; flow from a reference picture is
+/// wrong by six tenths (the light on the skin and its wrinkles are others by then), but does not. These
+/// weights make the drift of both together least (a steady Kalman filter's gain); docs/template-fit.md,
+/// "Drift".
+constexpr float kReferenceWeight = 0.15F;
+constexpr float kReferenceSigmaPx = 4;
 
 /// Zhang et al. 2004, section 4, and its constants.
 struct FitOptions {
@@ -29,8 +41,17 @@ struct FitOptions {
   double beta = 0.5;       ///< of E_m, eq. 14
   double sigma_s_mm = 20;  ///< Tukey's, of depth, eq. 10
   double sigma_m_px = 20;  ///< Tukey's, of motion, eq. 13
+  /// Of what ties a vertex to where its last velocity leads (past the paper), and Tukey's sigma of that: a
+  /// vertex that does otherwise by more is not held. Needs TemplateFitter::remember.
+  double gamma = 0.2;
+  double sigma_t_mm = 1;
   int steps = 6;           ///< Gauss-Newton, at most; ends early once no vertex moves by more than 0.005 mm
   int cg_iterations = 60;  ///< per step, at most
+  /// Gauss-Newton over pose and expressions alone before those over all vertices, at most (past the paper);
+  /// they end early once no vertex moves by more than 0.02 mm.
+  int model_steps = 4;
+  /// Where the data turn triangles over, E_r alone decides (past the paper).
+  bool unfolds = true;
   /// What E_r compares with follows the mesh found before each step, so that it tells bending from turning
   /// and from what the model knows of faces (past the paper, where it is the template as it was placed).
   bool turns_with_the_head = true;
@@ -60,6 +81,13 @@ struct FitReport {
   double motion_rms_px = 0;   ///< of the flow, over what counts; 0 without flow
   double seen = 0;            ///< share of the skin's vertices that a depth map pulls
   double followed = 0;        ///< share that a flow pulls
+  double rejected = 0;    ///< share of the skin's vertices on a map that lie more than 5 mm off its surface
+  double flow_trust = 0;  ///< mean confidence of the flows where they see skin; 0 without flow
+  /// The mesh is not on the face: too little of it seen, too much off the surface, or no flow comes back to
+  /// where it began. It is to be placed again (TemplateFitter::shape_like).
+  bool lost = false;
+  std::string lost_because;  ///< for people; empty unless lost
+  int unfolded = 0;          ///< vertices that the data would have folded and E_r decided on
 };
 
 /// Fits the template to depth maps, and follows the skin through a take. One thread at a time.
@@ -82,6 +110,17 @@ class TemplateFitter {
   /// vertices_mm  as above
   FitReport track(std::span<const capture::DepthMap> maps, std::span<const FlowView> flows,
                   const mesh::Vertices& before_mm, mesh::Vertices& vertices_mm);
+
+  /// The result for a slot, once it is final: the next slot's vertices are expected to go on as they went.
+  /// [3] [vertex_count], rig frame. Throws Error(Usage) where it has other vertices than the template.
+  void remember(const mesh::Vertices& vertices_mm);
+  /// Expects nothing from the slots before: after a gap, or once lost. set_rest does so, too.
+  void forget();
+
+  /// The person's own rest shape in the pose and with the expression that come closest to another mesh, such
+  /// as the template placed by landmarks once more: where to begin after a gap, with the correspondence, rest
+  /// shape and reference pictures of before. [3][vertex_count] both, rig frame.
+  mesh::Vertices shape_like(const mesh::Vertices& other_mm);
 
   /// Of the last call: [vertex_count] how strongly depth maps pull a vertex, 0 where none sees it.
   const std::vector<float>& depth_weight() const;

@@ -5,6 +5,7 @@
 
 #include <Eigen/Geometry>
 #include <cmath>
+#include <random>
 
 #include "facet/error.hpp"
 #include "render/renderer.hpp"
@@ -44,11 +45,12 @@ Lens lens_at(double angle_rad) {
   return lens;
 }
 
-DepthMap depth_of(const mesh::Vertices& vertices_mm, const Lens& lens) {
+DepthMap depth_of(const mesh::Vertices& vertices_mm, const Lens& lens,
+                  const mesh::Triangles& triangles = scene().surface->triangles) {
   const Eigen::Isometry3f camera_from_rig = lens.camera_from_rig.cast<float>();
   const mesh::Vertices seen =
       (camera_from_rig.linear() * vertices_mm).colwise() + camera_from_rig.translation();
-  const render::Raycaster caster(seen, scene().surface->triangles);
+  const render::Raycaster caster(seen, triangles);
   DepthMap map;
   map.width_px = lens.width_px;
   map.height_px = lens.height_px;
@@ -233,6 +235,245 @@ TEST(TemplateFitter, KnowsTurningAndExpressionsFromBending) {
   vertices_mm = scene().surface->neutral_mm;
   paper.fit(depths_of(truth_mm), vertices_mm);
   EXPECT_LT(knowing, 0.5 * static_cast<double>((vertices_mm - truth_mm).colwise().norm().mean()));
+}
+
+TEST(TemplateFitter, TheModelMovesFirst) {
+  // A jaw that opens by centimetres within a step: the displacements alone are not there yet.
+  const auto& expressions = scene().surface->expressions_mm;
+  std::size_t largest = 0;
+  for (std::size_t e = 1; e < expressions.size(); ++e) {
+    largest = expressions[e].squaredNorm() > expressions[largest].squaredNorm() ? e : largest;
+  }
+  const mesh::Vertices truth_mm = scene().surface->neutral_mm + 0.7F * expressions[largest];
+  const auto error_mm = [&](int model_steps) {
+    FitOptions options;
+    options.steps = 1;
+    options.model_steps = model_steps;
+    TemplateFitter fitter(scene().surface, options);
+    fitter.set_rest(rest());
+    mesh::Vertices vertices_mm = scene().surface->neutral_mm;
+    fitter.fit(depths_of(truth_mm), vertices_mm);
+    return static_cast<double>((vertices_mm - truth_mm).colwise().norm().mean());
+  };
+  EXPECT_LT(error_mm(4), 0.6 * error_mm(0));
+}
+
+TEST(TemplateFitter, TurnsNoTriangleOver) {
+  // A flow that is wrong by far on a spot of the cheek, trusted more than the template's stiffness.
+  const mesh::Vertices truth_mm = scene().surface->neutral_mm;
+  const Lens lens = lens_at(0);
+  TrueFlow wrong(lens, truth_mm, truth_mm);
+  for (int y = 170; y < 184; ++y) {
+    for (int x = 190; x < 204; ++x) {
+      wrong.flow_px[static_cast<std::size_t>(y) * 320 + static_cast<std::size_t>(x)] = {-18, 0};
+    }
+  }
+  const auto folded = [&](bool unfolds, int& unfolded) {
+    FitOptions options;
+    options.alpha = 0.01;
+    options.beta = 20;
+    options.sigma_m_px = 100;
+    options.cg_iterations = 200;
+    options.model_steps = 0;
+    options.unfolds = unfolds;
+    TemplateFitter fitter(scene().surface, options);
+    fitter.set_rest(rest());
+    mesh::Vertices vertices_mm = truth_mm;
+    unfolded =
+        fitter.track(depths_of(truth_mm), std::vector<FlowView>{wrong.view}, truth_mm, vertices_mm).unfolded;
+    Eigen::Matrix3Xf normals;
+    mesh::vertex_normals(vertices_mm, scene().surface->triangles, normals);
+    int count = 0;
+    for (Eigen::Index t = 0; t < scene().surface->triangles.cols(); ++t) {
+      const auto corner = scene().surface->triangles.col(t);
+      const Vector3f across = (vertices_mm.col(corner[1]) - vertices_mm.col(corner[0]))
+                                  .cross(vertices_mm.col(corner[2]) - vertices_mm.col(corner[0]));
+      count +=
+          across.dot(normals.col(corner[0]) + normals.col(corner[1]) + normals.col(corner[2])) < 0 ? 1 : 0;
+    }
+    return count;
+  };
+  int unfolded = 0;
+  EXPECT_GT(folded(false, unfolded), 0) << "or the test shows nothing";
+  EXPECT_EQ(unfolded, 0);
+  EXPECT_EQ(folded(true, unfolded), 0);
+  EXPECT_GT(unfolded, 0);
+}
+
+TEST(TemplateFitter, WhatHasNoSkinGoesWhereTheSkinAroundItGoes) {
+  // A loose ball behind a sheet, as an eyeball behind its lids.
+  TemplateMesh made;
+  constexpr int kSide = 12;
+  made.neutral_mm.resize(3, kSide * kSide + 4);
+  std::vector<Eigen::Vector3i> corners;
+  for (int y = 0; y < kSide; ++y) {
+    for (int x = 0; x < kSide; ++x) {
+      made.neutral_mm.col(y * kSide + x) =
+          Vector3f(10.0F * static_cast<float>(x) - 55, 10.0F * static_cast<float>(y) - 55, 0);
+      if (x + 1 < kSide && y + 1 < kSide) {
+        const int at = y * kSide + x;
+        corners.emplace_back(at, at + 1, at + kSide);
+        corners.emplace_back(at + 1, at + kSide + 1, at + kSide);
+      }
+    }
+  }
+  const int ball = kSide * kSide;
+  made.neutral_mm.rightCols(4) << -4, 4, 0, 0, -4, -4, 5, 0, -5, -5, -5, -12;
+  for (const Eigen::Vector3i& face : {Eigen::Vector3i(0, 1, 2), {0, 3, 1}, {1, 3, 2}, {2, 3, 0}}) {
+    corners.emplace_back(face.array() + ball);
+  }
+  made.triangles.resize(3, static_cast<Eigen::Index>(corners.size()));
+  for (std::size_t t = 0; t < corners.size(); ++t) {
+    made.triangles.col(static_cast<Eigen::Index>(t)) = corners[t];
+  }
+  made.one_rings = mesh::build_one_rings(made.triangles, ball + 4);
+  made.is_skin.assign(static_cast<std::size_t>(ball), 1);
+  made.is_skin.resize(static_cast<std::size_t>(ball) + 4, 0);
+  mesh::Vertices truth_mm = made.neutral_mm.colwise() + Vector3f(0, 0, 6);
+  const auto surface = std::make_shared<const TemplateMesh>(std::move(made));
+  FitOptions options;
+  options.steps = 20;
+  options.cg_iterations = 200;
+  options.turns_with_the_head = false;  // so that nothing but E_r carries it
+  TemplateFitter fitter(surface, options);
+  fitter.set_rest({surface->neutral_mm, {}});
+  mesh::Vertices vertices_mm = surface->neutral_mm;
+  fitter.fit(std::vector<DepthMap>{depth_of(truth_mm, lens_at(0), surface->triangles)}, vertices_mm);
+  EXPECT_LT((vertices_mm - truth_mm).rightCols(4).row(2).cwiseAbs().maxCoeff(), 0.5F);
+}
+
+TEST(TemplateFitter, AFlowMayLeadAwayFromAnotherMesh) {
+  const mesh::Vertices truth_mm = scene().surface->neutral_mm;
+  mesh::Vertices slid_mm = truth_mm;  // where the mesh has drifted to
+  for (Eigen::Index v = 0; v < slid_mm.cols(); ++v) {
+    const Vector3f at = slid_mm.col(v);
+    slid_mm.col(v) += 2 * std::exp(-at.head<2>().squaredNorm() / 2000) * Vector3f(1, 0.5F, 0);
+  }
+  const std::vector<DepthMap> maps = depths_of(truth_mm);
+  const TrueFlow left(lens_at(-0.3), slid_mm, truth_mm);
+  const TrueFlow right(lens_at(0.3), slid_mm, truth_mm);
+  std::vector<FlowView> flows = {left.view, right.view};
+  for (FlowView& flow : flows) {
+    flow.from_mm = &slid_mm;
+    flow.sigma_px = kReferenceSigmaPx;
+  }
+  FitOptions options;
+  options.steps = 20;
+  options.cg_iterations = 200;
+  TemplateFitter fitter(scene().surface, options);
+  fitter.set_rest(rest());
+  mesh::Vertices back_mm = slid_mm;
+  const mesh::Vertices elsewhere_mm = slid_mm.colwise() + Vector3f(7, 0, 0);
+  const FitReport report = fitter.track(maps, flows, elsewhere_mm, back_mm);
+  EXPECT_GT(report.followed, 0.5);
+  double before = 0;
+  double after = 0;
+  for (Eigen::Index v = 0; v < truth_mm.cols(); ++v) {
+    if ((slid_mm.col(v) - truth_mm.col(v)).norm() > 1) {
+      before += static_cast<double>((slid_mm.col(v) - truth_mm.col(v)).norm());
+      after += static_cast<double>((back_mm.col(v) - truth_mm.col(v)).norm());
+    }
+  }
+  ASSERT_GT(before, 100);
+  EXPECT_LT(after, 0.25 * before);
+  const mesh::Vertices other = mesh::Vertices::Zero(3, 7);
+  flows[0].from_mm = &other;
+  EXPECT_THROW(fitter.track(maps, flows, elsewhere_mm, back_mm), Error);
+}
+
+TEST(TemplateFitter, KnowsWhenItIsLost) {
+  TemplateFitter fitter(scene().surface, {});
+  fitter.set_rest(rest());
+  mesh::Vertices vertices_mm = scene().surface->neutral_mm;
+  FitReport report = fitter.fit(depths_of(swollen()), vertices_mm);
+  EXPECT_FALSE(report.lost) << report.lost_because;
+  EXPECT_LT(report.rejected, 0.02);
+  // The face is 12 mm nearer than where it was left.
+  const std::vector<DepthMap> maps = depths_of(scene().surface->neutral_mm.colwise() + Vector3f(0, 0, 12));
+  FitOptions one;
+  one.steps = 1;
+  one.model_steps = 0;  // or it would be found
+  TemplateFitter there(scene().surface, one);
+  there.set_rest(rest());
+  vertices_mm = scene().surface->neutral_mm;
+  report = there.fit(maps, vertices_mm);
+  EXPECT_TRUE(report.lost);
+  EXPECT_THAT(report.lost_because, ::testing::HasSubstr("off the depth maps"));
+  // Nothing is seen.
+  vertices_mm = scene().surface->neutral_mm;
+  report = fitter.fit({}, vertices_mm);
+  EXPECT_TRUE(report.lost);
+  EXPECT_THAT(report.lost_because, ::testing::HasSubstr("on a depth map"));
+  // Flow that leads nowhere.
+  vertices_mm = scene().surface->neutral_mm;
+  TrueFlow nowhere(lens_at(0), vertices_mm, vertices_mm);
+  std::fill(nowhere.confidence.begin(), nowhere.confidence.end(), 0.1F);
+  nowhere.view.confidence = nowhere.confidence;
+  const mesh::Vertices before_mm = vertices_mm;
+  report = fitter.track(depths_of(vertices_mm), std::vector<FlowView>{nowhere.view}, before_mm, vertices_mm);
+  EXPECT_TRUE(report.lost);
+  EXPECT_THAT(report.lost_because, ::testing::HasSubstr("flow"));
+}
+
+TEST(TemplateFitter, ComesBackAsTheSamePerson) {
+  // The person's own shape, elsewhere and with another expression, as landmarks alone place it: the mean's
+  // shape.
+  TemplateFitter fitter(scene().surface, {});
+  RestShape person = rest();
+  person.vertices_mm = swollen();
+  fitter.set_rest(person);
+  const Eigen::AngleAxisf turn(0.3F, Vector3f::UnitY());
+  const auto moved = [&](const mesh::Vertices& shape) {
+    return mesh::Vertices((turn.toRotationMatrix() * shape).colwise() + Vector3f(20, -10, 30));
+  };
+  const mesh::Vertices truth_mm = moved(person.vertices_mm + 0.6F * person.expressions_mm[1]);
+  mesh::Vertices placed_mm = truth_mm;
+  for (Eigen::Index v = 0; v < placed_mm.cols(); ++v) {
+    placed_mm.col(v) +=
+        1.5F * Vector3f(std::sin(0.7F * static_cast<float>(v)), std::cos(1.1F * static_cast<float>(v)), 0.3F);
+  }
+  const mesh::Vertices found_mm = fitter.shape_like(placed_mm);
+  EXPECT_LT((found_mm - truth_mm).colwise().norm().mean(), 0.7F);
+  EXPECT_THROW(fitter.shape_like(mesh::Vertices::Zero(3, 7)), Error);
+}
+
+TEST(TemplateFitter, ExpectsThatAVertexGoesOnAsItWent) {
+  const mesh::Vertices& truth_mm = scene().surface->neutral_mm;
+  const auto run = [&](double gamma, float move_mm) {
+    FitOptions options;
+    options.gamma = gamma;
+    TemplateFitter fitter(scene().surface, options);
+    fitter.set_rest(rest());
+    std::mt19937_64 random(5);
+    std::normal_distribution<float> noise(0, 0.3F);
+    mesh::Vertices vertices_mm = truth_mm;
+    mesh::Vertices last_mm;
+    mesh::Vertices older_mm;
+    double squares = 0;
+    double error = 0;
+    for (int m = 0; m < 7; ++m) {
+      const mesh::Vertices now_mm = truth_mm.colwise() + Vector3f(0, 0, move_mm * static_cast<float>(m));
+      std::vector<DepthMap> maps = depths_of(now_mm);
+      for (DepthMap& map : maps) {
+        for (float& depth : map.depth_mm) {
+          depth += depth > 0 ? noise(random) : 0.0F;
+        }
+      }
+      fitter.fit(maps, vertices_mm);
+      fitter.remember(vertices_mm);
+      if (m > 3) {
+        squares += static_cast<double>((vertices_mm - 2 * last_mm + older_mm).squaredNorm());
+        error = static_cast<double>((vertices_mm - now_mm).row(2).mean());
+      }
+      older_mm = last_mm;
+      last_mm = vertices_mm;
+    }
+    return std::pair(squares, std::abs(error));
+  };
+  EXPECT_LT(run(1, 0).first, 0.8 * run(0, 0).first) << "quieter on a still face";
+  EXPECT_LT(run(1, 8).second, run(0, 8).second + 0.1) << "no lag behind a face that moves by 8 mm a mesh";
+  TemplateFitter fitter(scene().surface, {});
+  EXPECT_THROW(fitter.remember(mesh::Vertices::Zero(3, 7)), Error);
 }
 
 TEST(TemplateFitter, WithoutDepthItStaysWhereItIsAndSaysSo) {
