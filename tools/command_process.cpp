@@ -156,7 +156,7 @@ take::TakeRecorderConfig recorder_of(const Options& options, const service::Conf
 void conclude(const Options& options, const pipeline::PipelineStatus& status,
               const std::optional<take::RecorderStatus>& written,
               const std::vector<pipeline::Messages::Message>& messages, int broken_off_by,
-              const StopSignals& signals) {
+              const StopSignals& signals, const std::function<void()>& check) {
   for (const pipeline::Messages::Message& message : messages) {
     fmt::print(stderr, "facet: {}{}\n", message.warning ? "warning: " : "", message.text);
   }
@@ -175,7 +175,7 @@ void conclude(const Options& options, const pipeline::PipelineStatus& status,
                    : fmt::format("'{}' holds the first {} frames", options.take, status.processed));
     signals.die_of(broken_off_by);
   }
-  check_result(options, status);
+  check();
   if (status.degraded_frames > 0) {
     fmt::print(stderr, "facet: warning: {} frames are degraded, the last one because: {}\n",
                status.degraded_frames, status.degraded_reason);
@@ -196,7 +196,9 @@ void run_monocular(const Options& options) {
                                        {config.pipeline.hierarchy, config.pipeline.frames, {}}, {&take});
   const int broken_off_by = run_to_end(pipeline, signals, expected_frames(source, config.pipeline.frames));
   const std::optional<take::RecorderStatus> written = take.end();
-  conclude(options, pipeline.status(), written, pipeline.take_messages(), broken_off_by, signals);
+  const pipeline::PipelineStatus status = pipeline.status();
+  conclude(options, status, written, pipeline.take_messages(), broken_off_by, signals,
+           [&] { check_result(options, status); });
 }
 
 std::string booth_note(const pipeline::PipelineStatus& status) {
@@ -282,6 +284,25 @@ int run_to_end(pipeline::BoothMeshes& meshes, take::TakeReader& input, const std
   return broken_off_by;
 }
 
+/// What a booth's take came to, where it came to nothing.
+void check_booth_result(const Options& options, const pipeline::PipelineStatus& status) {
+  if (status.state == pipeline::PipelineState::Failed) {
+    throw Error(status.failure_kind, status.reason);
+  }
+  if (status.processed == 0) {
+    throw Error(
+        ErrorKind::UnreadableInput,
+        fmt::format("'{}' has no blank slot with pictures in the range asked for: choose another with "
+                    "--frames, or give the trigger's program with --config",
+                    options.input));
+  }
+  if (status.mesh_frames == 0) {
+    throw Error(ErrorKind::NoFace,
+                fmt::format("no mesh in the {} blank slots of '{}'; the last one because: {}",
+                            status.processed, options.input, status.degraded_reason));
+  }
+}
+
 /// Another member than the leader: finds depth maps, and nothing else.
 void help_booth(const Options& options, const Team& team, const StopSignals& signals) {
   service::Config config = configure(options);
@@ -292,8 +313,12 @@ void help_booth(const Options& options, const Team& team, const StopSignals& sig
   stages.tracker.reset();
   stages.depth = std::make_unique<SharedDepth>(std::move(stages.depth), team, nullptr);
   pipeline::BoothMeshes meshes(std::move(stages), pipeline::BoothMeshes::WhenBusy::Wait, {});
-  if (run_to_end(meshes, input, slots, signals, [] {}) != 0) {
-    team.abort(1);
+  try {
+    if (run_to_end(meshes, input, slots, signals, [] {}) != 0) {
+      team.abort(1);
+    }
+  } catch (const Error&) {
+    // A damaged take is the leader's to tell: it meets the same damage.
   }
   pipeline::PipelineStatus status;
   meshes.fill(status);
@@ -342,7 +367,7 @@ void lead_booth(const Options& options, const Team& team, const StopSignals& sig
   int broken_off_by = 0;
   try {
     broken_off_by = run_to_end(meshes, input, slots, signals, show);
-  } catch (const Error&) {
+  } catch (...) {
     damage = std::current_exception();
   }
   progress.finish();
@@ -352,7 +377,12 @@ void lead_booth(const Options& options, const Team& team, const StopSignals& sig
                "facet: the depth maps found so far are kept in '{}': the same command goes on from there\n",
                options.depth);
   }
-  conclude(options, status, written, meshes.take_messages(), broken_off_by, signals);
+  conclude(options, status, written, meshes.take_messages(), broken_off_by, signals, [&] {
+    if (damage != nullptr && status.mesh_frames == 0) {
+      std::rethrow_exception(damage);
+    }
+    check_booth_result(options, status);
+  });
   if (damage != nullptr) {
     std::rethrow_exception(damage);
   }
@@ -370,6 +400,12 @@ void run_booth(const Options& options) {
     // The others wait for this one.
     fmt::print(stderr, "facet: process {} of {}: {}\n", team.rank() + 1, team.size(), error.what());
     team.abort(static_cast<int>(error.kind()));
+  } catch (const std::exception& error) {
+    if (team.size() == 1) {
+      throw;
+    }
+    fmt::print(stderr, "facet: process {} of {}: {}\n", team.rank() + 1, team.size(), error.what());
+    team.abort(static_cast<int>(ErrorKind::Internal));
   }
 }
 

@@ -45,7 +45,15 @@ std::filesystem::path depth_file(const std::filesystem::path& folder, const std:
 DepthFolder::DepthFolder(std::filesystem::path folder, const capture::Rig& rig, const std::string& made_of)
     : folder_(std::move(folder)) {
   for (const capture::StereoPair& pair : rig.pairs) {
-    names_.push_back(rig.cameras[pair.left].name);
+    const std::string& name = rig.cameras[pair.left].name;
+    if (std::find(names_.begin(), names_.end(), name) != names_.end()) {
+      throw Error(
+          ErrorKind::Usage,
+          fmt::format("two pairs of the rig have the left camera '{}', and depth maps are named by it: "
+                      "process without --depth",
+                      name));
+    }
+    names_.push_back(name);
     files::make_folder(folder_ / names_.back());
   }
   const std::filesystem::path description = folder_ / "depth.json";

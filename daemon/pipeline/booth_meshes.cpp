@@ -45,6 +45,11 @@ struct Run {
   std::uint64_t first_slot = 0;
   std::vector<RunSlot> slots;  ///< consecutive
   Clock::time_point complete;  ///< when its last slot came
+
+  std::size_t wanted() const {
+    return static_cast<std::size_t>(
+        std::count_if(slots.begin(), slots.end(), [](const RunSlot& slot) { return slot.wanted; }));
+  }
 };
 
 /// A blank slot with its depth.
@@ -186,21 +191,22 @@ void BoothMeshes::Impl::add(std::uint64_t slot, FramePointer frame) {
 /// Makes a run of the window once enough blank slots in it have all the slots around them that they ever
 /// will.
 void BoothMeshes::Impl::hand_on(bool at_end) {
+  // From the first blank slot that waits to the last that a run may have: where one between them is missing,
+  // the run has fewer.
+  const std::size_t reach = static_cast<std::size_t>(stages.blanks_per_run - 1) * stages.stripes.size();
+  const auto waits = [](const RunSlot& slot) { return slot.wanted; };
+  const auto first =
+      static_cast<std::size_t>(std::find_if(window.begin(), window.end(), waits) - window.begin());
   std::size_t ready = 0;
-  std::size_t last = 0;  // the last ready one
-  for (std::size_t i = 0; i < window.size(); ++i) {
+  std::size_t last = first;  // the last ready one
+  for (std::size_t i = first; i < window.size() && i <= first + reach; ++i) {
     if (window[i].wanted && (at_end || i + kDepthReach < window.size())) {
       ++ready;
       last = i;
-      if (ready == static_cast<std::size_t>(stages.blanks_per_run)) {
-        break;
-      }
     }
   }
-  if (ready > 0 && (at_end || ready == static_cast<std::size_t>(stages.blanks_per_run))) {
-    const auto first = static_cast<std::size_t>(
-        std::find_if(window.begin(), window.end(), [](const RunSlot& slot) { return slot.wanted; }) -
-        window.begin());
+  const bool whole = first + reach + kDepthReach < window.size();
+  if (ready > 0 && (at_end || whole)) {
     const std::size_t begin = first - std::min(first, kDepthReach);
     const std::size_t end = std::min(window.size(), last + kDepthReach + 1);
     Run run;
@@ -215,10 +221,10 @@ void BoothMeshes::Impl::hand_on(bool at_end) {
     if (when_busy == WhenBusy::Wait) {
       runs.push(std::move(run));
     } else {
-      const bool full = runs.size() > 0;
-      runs.push_newest(std::move(run));
+      Run dropped;
+      runs.push_newest(std::move(run), dropped);
       const std::lock_guard lock(mutex);
-      shown.dropped += full ? ready : 0;
+      shown.dropped += dropped.wanted();
     }
   }
   // A blank slot to come, or one that waits, looks back this far.
@@ -352,7 +358,7 @@ void BoothMeshes::Impl::perform(Seen& item) {
   frame->degraded = item.frame->degraded || !item.wrong.empty();
   frame->degraded_reason = item.wrong.empty() ? item.frame->degraded_reason : item.wrong;
   frame->stage_ms.depth_ms = item.depth_ms;
-  if (take_depth) {
+  if (take_depth && item.wrong.empty()) {
     take_depth(frame->sequence, item.maps);
   }
   stages.tracker->process(*item.set, item.maps, *frame);

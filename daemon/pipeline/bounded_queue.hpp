@@ -30,7 +30,11 @@ class BoundedQueue {
 
   /// Never waits: where there is no room the oldest item is thrown away. Returns false once closed.
   bool push_newest(Item&& item) {
-    [[maybe_unused]] Item oldest;  // dies after the lock is gone
+    Item oldest;  // dies after the lock is gone
+    return push_newest(std::move(item), oldest);
+  }
+  /// The same; what was thrown away is handed out, where something was.
+  bool push_newest(Item&& item, Item& oldest) {
     const std::lock_guard lock(mutex_);
     if (count_ == slots_.size()) {
       oldest = take();

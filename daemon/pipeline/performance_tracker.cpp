@@ -180,8 +180,8 @@ std::string PerformanceTracker::Impl::place(const FrameSet& set, std::span<const
   first_options.cg_iterations = kPlacingCgIterations;
   fit::TemplateFitter first(surface, first_options);
   first.set_rest(placed.rest);
-  now_mm = placed.rest.vertices_mm;
-  const fit::FitReport report = first.fit(maps, now_mm);
+  mesh::Vertices fitted_mm = placed.rest.vertices_mm;
+  const fit::FitReport report = first.fit(maps, fitted_mm);
   const bool fits =
       report.outcome == fit::FitOutcome::Converged || report.outcome == fit::FitOutcome::NotConverged;
   if (!fits || report.surface_rms_mm > kPlacedRms_mm || report.seen < kPlacedSeen) {
@@ -189,6 +189,7 @@ std::string PerformanceTracker::Impl::place(const FrameSet& set, std::span<const
         "the template does not fit the depth maps: {}, {:.1f} mm away, {:.0f} % of the skin on them",
         fit::to_string(report.outcome), report.surface_rms_mm, 100 * report.seen);
   }
+  now_mm = std::move(fitted_mm);
   fitter.set_rest({now_mm, placed.rest.expressions_mm});
   const Eigen::Isometry3d head_from_rig =
       fit::align_rigidly(now_mm.cast<double>(), surface->neutral_mm.cast<double>(), rigid_weights);
@@ -322,7 +323,7 @@ void PerformanceTracker::process(const FrameSet& set, std::span<const capture::D
   Impl& impl = *impl_;
   out.camera = intrinsics_of(impl.views.front().camera->lens);
   out.control_vertices_mm.resize(3, 0);
-  const bool followed = impl.subject != nullptr && impl.gaps <= kMostGaps;
+  const bool followed = impl.subject != nullptr && impl.gaps < kMostGaps;
   Clock::time_point begun = Clock::now();
   const std::string missing = followed ? impl.follow(set, maps) : impl.place(set, maps, out);
   out.stage_ms.fit_ms = ms_since(begun) - out.stage_ms.landmarks_ms;

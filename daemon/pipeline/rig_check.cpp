@@ -123,10 +123,14 @@ std::string RigCheck::look(const FrameSet& set) {
   ++pair.slots;
   if (pair.matches.size() >= kEnoughMatches || pair.slots >= kMostSlots) {
     const capture::PairCheck check = capture::check_pair(left, right, pair.matches);
-    const bool bad =
-        check.verdict == capture::PairVerdict::Swapped || check.verdict == capture::PairVerdict::Misaligned;
+    std::string wrong = std::move(pair.wrong);
+    if (check.verdict == capture::PairVerdict::Fine) {
+      wrong.clear();
+    } else if (check.verdict != capture::PairVerdict::TooFewMatches) {
+      wrong = check.message;
+    }
     pair = {};
-    pair.wrong = bad ? check.message : "";
+    pair.wrong = std::move(wrong);
   }
   next_ = (next_ + 1) % pairs_.size();
   for (const Pair& one : pairs_) {

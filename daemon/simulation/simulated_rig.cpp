@@ -300,6 +300,14 @@ void Footage::add(const FrameSet& set) {
       throw Error(ErrorKind::UnreadableInput,
                   fmt::format("slot {} of the footage has no picture of camera '{}'", set.slot, name));
     }
+    const auto camera = pictures.size();
+    if (const Picture& first = slots.front()[camera];
+        slots.size() > 1 && (frame->width_px != first.width_px || frame->height_px != first.height_px)) {
+      throw Error(
+          ErrorKind::UnreadableInput,
+          fmt::format("slot {} of the footage has a picture of camera '{}' of another size than before",
+                      set.slot, name));
+    }
     Picture& picture = pictures.emplace_back();
     picture.width_px = frame->width_px;
     picture.height_px = frame->height_px;

@@ -342,7 +342,7 @@ TEST(Booth, SkinIsLitByTheProjectorsThatReachIt) {
 }
 
 TEST(Booth, WhatNothingLightsIsBlack) {
-  const Frame frame = actor_booth().slot(150, {}).frame(0);
+  const Frame frame = actor_booth().slot(150, capture::Shown{}).frame(0);
   for (int y = 0; y < 480; ++y) {
     for (int x = 0; x < 640; ++x) {
       ASSERT_LT(linear(frame, x, y), 0.01);
@@ -377,8 +377,8 @@ TEST(Booth, VertexDifferencesAreTheFlowOfTheSkin) {
   config.head_motion = 1;
   const Booth booth(&model(), config);
   constexpr std::size_t kCamera = 4;
-  const BoothSlot before = booth.slot(200, {});
-  const BoothSlot after = booth.slot(209, {});
+  const BoothSlot before = booth.slot(200, capture::Shown{});
+  const BoothSlot after = booth.slot(209, capture::Shown{});
   const TruthMesh from = before.surface();
   const TruthMesh to = after.surface();
   ASSERT_EQ(from.triangles, to.triangles);
