@@ -354,7 +354,7 @@ std::string set_controls(const LiveConfig& config, const V4l2Request& request) {
     // Anew for each: what one control takes may depend on another.
     const std::vector<NamedControl> controls = list_controls(request);
     const Match wanted = match(controls, setting);
-    const std::string refused = wanted.fault.empty() ? set_named(request, wanted, setting) : wanted.fault;
+    std::string refused = wanted.fault.empty() ? set_named(request, wanted, setting) : wanted.fault;
     if (!refused.empty()) {
       return refused;
     }
