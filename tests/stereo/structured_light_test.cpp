@@ -219,9 +219,9 @@ TEST(StructuredLight, DepthsAreFoundWithoutBeingGiven) {
   const auto [nearest, farthest] = std::minmax_element(truth.begin(), truth.end());
   for (const DepthRange& depths :
        {find_depths(scene.rig, {0, 1}, left, view_of(scene, 1, true)), find_depths(scene.rig, 0, 0, left)}) {
-    EXPECT_LT(static_cast<double>(depths.nearest_mm), *nearest + 10);  // a corner that one camera sees
+    EXPECT_LT(static_cast<double>(depths.nearest_mm), *nearest + 20);  // corners that one camera alone sees
     EXPECT_GT(static_cast<double>(depths.nearest_mm), *nearest - 100);
-    EXPECT_GT(static_cast<double>(depths.farthest_mm), *farthest - 10);
+    EXPECT_GT(static_cast<double>(depths.farthest_mm), *farthest - 20);
     EXPECT_LT(static_cast<double>(depths.farthest_mm), *farthest + 100);
   }
 }

@@ -103,7 +103,6 @@ inline mesh::MeshFrame patch_frame(std::uint64_t sequence, std::shared_ptr<const
   frame.stage_ms.landmarks_ms = 3.5F;
   frame.stage_ms.displacement_ms = uniform(10, 20);
   frame.stage_ms.latency_ms = 42.0F;
-  frame.stage_ms.depth_ms = 7.25F;
   frame.subject = std::move(subject);
   frame.albedo = std::move(albedo);
   return frame;
