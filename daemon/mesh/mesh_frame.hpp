@@ -33,8 +33,8 @@ struct StageTimes {
   float albedo_ms = 0;        ///< eq. 4
   float displacement_ms = 0;  ///< eq. 6, all levels
   float readback_ms = 0;
-  float depth_ms = 0;         ///< a booth's depth maps
   float latency_ms = 0;  ///< from the frame's delivery to the mesh's hand-out
+  float depth_ms = 0;    ///< a booth's depth maps
 };
 
 /// What does not change from frame to frame of one subject.
