@@ -119,7 +119,7 @@ std::shared_ptr<const Footage> six_slots() {
     set.camera_names = names;
     for (const bool colour : {true, false}) {
       auto pixels = std::make_shared<std::uint8_t[]>(4 * 64 * 16);
-      for (std::size_t i = 0; i < 64 * 16; ++i) {
+      for (std::ptrdiff_t i = 0; i < 64 * 16; ++i) {
         pixels[4 * i] = static_cast<std::uint8_t>(slot + (colour ? 100 : 0));
         pixels[4 * i + 1] = pixels[4 * i + 2] = slot;
         pixels[4 * i + 3] = 255;
