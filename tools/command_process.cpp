@@ -304,7 +304,7 @@ void check_booth_result(const Options& options, const pipeline::PipelineStatus& 
 }
 
 /// Another member than the leader: finds depth maps, and nothing else.
-void help_booth(const Options& options, const Team& team, const StopSignals& signals) {
+void help_booth(const Options& options, Team& team, const StopSignals& signals) {
   service::Config config = configure(options);
   config.rig_file = options.rig;
   take::TakeReader input(options.input);
@@ -327,7 +327,7 @@ void help_booth(const Options& options, const Team& team, const StopSignals& sig
   }
 }
 
-void lead_booth(const Options& options, const Team& team, const StopSignals& signals) {
+void lead_booth(const Options& options, Team& team, const StopSignals& signals) {
   service::Config config = configure(options);
   config.rig_file = options.rig;
   take::TakeReader input(options.input);
@@ -388,9 +388,10 @@ void lead_booth(const Options& options, const Team& team, const StopSignals& sig
   }
 }
 
-void run_booth(const Options& options) {
+void run_booth(const Options& options, const std::function<std::unique_ptr<Team>()>& join) {
   const StopSignals signals;
-  const Team team;
+  const std::unique_ptr<Team> joined = join();
+  Team& team = *joined;
   try {
     team.leads() ? lead_booth(options, team, signals) : help_booth(options, team, signals);
   } catch (const Error& error) {
@@ -411,7 +412,7 @@ void run_booth(const Options& options) {
 
 }  // namespace
 
-void add_process_command(CLI::App& app) {
+void add_process_command(CLI::App& app, std::unique_ptr<Team> (*join)()) {
   auto options = std::make_shared<Options>();
   CLI::App* command = app.add_subcommand(
       "process", "Turn a video of a face, or the pictures that a booth recorded, into a take of meshes");
@@ -435,7 +436,8 @@ void add_process_command(CLI::App& app) {
           "Folder for the depth maps of every blank slot (PFM, mm) and their lenses (rig.toml); maps that an "
           "earlier run left there are not found again")
       ->needs("--rig");
-  command->callback([options] { options->rig.empty() ? run_monocular(*options) : run_booth(*options); });
+  command->callback(
+      [options, join] { options->rig.empty() ? run_monocular(*options) : run_booth(*options, join); });
 }
 
 }  // namespace facet::tools

@@ -1,10 +1,14 @@
 #pragma once
 
+#include <memory>
+
 namespace CLI {
 class App;
 }
 
 namespace facet::tools {
+
+class Team;
 
 /// Each adds one subcommand of `facet` to the program: its options, its help text and the callback that runs
 /// it. A callback reports failure by throwing facet::Error; main turns the error's kind into the exit status.
@@ -22,7 +26,8 @@ void add_synth_command(CLI::App& app);
 void add_synth_booth_command(CLI::App& app);
 void add_view_command(CLI::App& app);
 void add_watch_command(CLI::App& app);
-void add_process_command(CLI::App& app);
+/// join: called once, by a run that reads a booth's take.
+void add_process_command(CLI::App& app, std::unique_ptr<Team> (*join)());
 void add_record_command(CLI::App& app);
 void add_reset_identity_command(CLI::App& app);
 void add_rig_command(CLI::App& app);

@@ -1,30 +1,16 @@
 #include "depth_team.hpp"
 
-#include <mpi.h>
-
 #include <array>
-#include <chrono>
 #include <cstdlib>
 #include <cstring>
-#include <limits>
 #include <span>
-#include <thread>
+#include <stdexcept>
 #include <utility>
 
 #include "facet/error.hpp"
 
 namespace facet::tools {
 namespace {
-
-/// MPI's own waiting keeps a core busy; a depth map takes much longer than this.
-constexpr std::chrono::milliseconds kPollPeriod{3};
-constexpr int kTag = 1;
-
-/// Set by Open MPI's mpirun and by those that follow PMIx and PMI.
-bool started_together() {
-  return std::getenv("OMPI_COMM_WORLD_SIZE") != nullptr || std::getenv("PMIX_RANK") != nullptr ||
-         std::getenv("PMI_RANK") != nullptr;
-}
 
 /// Plain data of a map, as it travels.
 struct MapHeader {
@@ -102,57 +88,45 @@ capture::DepthMap take_map(Taker& taker) {
 
 }  // namespace
 
-Team::Team() {
-  if (!started_together()) {
-    return;
-  }
-  int provided = 0;
-  ::MPI_Init_thread(nullptr, nullptr, MPI_THREAD_SERIALIZED, &provided);
-  started_ = true;
-  ::MPI_Comm_rank(MPI_COMM_WORLD, &rank_);
-  ::MPI_Comm_size(MPI_COMM_WORLD, &size_);
-  if (provided < MPI_THREAD_SERIALIZED) {
-    abort(static_cast<int>(ErrorKind::Internal));
-  }
-}
-
-Team::~Team() {
-  if (started_) {
-    ::MPI_Finalize();
-  }
-}
-
 void Team::abort(int status) const {
-  if (started_ && size_ > 1) {
-    ::MPI_Abort(MPI_COMM_WORLD, status);
-  }
   std::_Exit(status);
 }
 
-/// A run's maps on their way to the leader.
-struct SharedDepth::Message {
-  std::vector<char> bytes;
-  MPI_Request request = MPI_REQUEST_NULL;
-};
+void Team::share(std::vector<std::uint64_t>&) const {}
 
-SharedDepth::SharedDepth(std::unique_ptr<pipeline::DepthSource> own, const Team& team,
+void Team::send(std::vector<char>, const stereo::Alive&) {
+  throw std::logic_error("a process that is alone has no leader");
+}
+
+void Team::finish_sending(const stereo::Alive&) {}
+
+std::vector<char> Team::receive(int, const stereo::Alive&) {
+  throw std::logic_error("a process that is alone has no other members");
+}
+
+std::unique_ptr<Team> join_nobody() {
+  // What Open MPI's mpirun tells the processes that it starts.
+  const char* size = std::getenv("OMPI_COMM_WORLD_SIZE");
+  if (size != nullptr && std::string(size) != "1") {
+    throw Error(ErrorKind::Usage,
+                "several processes share a take's work as `facet-team process`, not as `facet process`");
+  }
+  return std::make_unique<Team>();
+}
+
+SharedDepth::SharedDepth(std::unique_ptr<pipeline::DepthSource> own, Team& team,
                          std::shared_ptr<DepthFolder> folder)
     : own_(std::move(own)), team_(team), folder_(std::move(folder)) {
   std::vector<std::uint64_t> kept;
   if (folder_ != nullptr) {
     kept.assign(folder_->kept().begin(), folder_->kept().end());
   }
-  if (team_.size() > 1) {
-    auto count = static_cast<std::uint64_t>(kept.size());
-    ::MPI_Bcast(&count, 1, MPI_UINT64_T, 0, MPI_COMM_WORLD);
-    kept.resize(count);
-    ::MPI_Bcast(kept.data(), static_cast<int>(count), MPI_UINT64_T, 0, MPI_COMM_WORLD);
-  }
+  team_.share(kept);
   kept_.insert(kept.begin(), kept.end());
 }
 
 SharedDepth::~SharedDepth() {
-  finish_sending([] {});
+  team_.finish_sending([] {});
 }
 
 std::string SharedDepth::device() const {
@@ -190,22 +164,9 @@ std::string SharedDepth::find(std::uint64_t first_slot, std::span<const pipeline
   return team_.leads() ? receive(member, maps, alive) : std::string();
 }
 
-void SharedDepth::finish_sending(const stereo::Alive& alive) {
-  for (int done = 0; sending_ != nullptr && done == 0;) {
-    ::MPI_Test(&sending_->request, &done, MPI_STATUS_IGNORE);
-    if (done == 0) {
-      alive();
-      std::this_thread::sleep_for(kPollPeriod);
-    }
-  }
-  sending_.reset();
-}
-
 void SharedDepth::send(const std::vector<std::vector<capture::DepthMap>>& maps, const std::string& wrong,
                        const stereo::Alive& alive) {
-  finish_sending(alive);
-  sending_ = std::make_unique<Message>();
-  std::vector<char>& bytes = sending_->bytes;
+  std::vector<char> bytes;
   const auto length = static_cast<std::uint32_t>(wrong.size());
   put(bytes, &length, 1);
   put(bytes, wrong.data(), wrong.size());
@@ -216,27 +177,12 @@ void SharedDepth::send(const std::vector<std::vector<capture::DepthMap>>& maps, 
       put_map(bytes, map);
     }
   }
-  if (bytes.size() > std::numeric_limits<int>::max()) {
-    throw Error(ErrorKind::Usage, "the depth maps are too large for several processes: run one alone");
-  }
-  ::MPI_Isend(bytes.data(), static_cast<int>(bytes.size()), MPI_CHAR, 0, kTag, MPI_COMM_WORLD,
-              &sending_->request);
+  team_.send(std::move(bytes), alive);
 }
 
 std::string SharedDepth::receive(int member, std::vector<std::vector<capture::DepthMap>>& maps,
                                  const stereo::Alive& alive) {
-  MPI_Status status;
-  for (int there = 0; there == 0;) {
-    ::MPI_Iprobe(member, kTag, MPI_COMM_WORLD, &there, &status);
-    if (there == 0) {
-      alive();
-      std::this_thread::sleep_for(kPollPeriod);
-    }
-  }
-  int length = 0;
-  ::MPI_Get_count(&status, MPI_CHAR, &length);
-  std::vector<char> bytes(static_cast<std::size_t>(length));
-  ::MPI_Recv(bytes.data(), length, MPI_CHAR, member, kTag, MPI_COMM_WORLD, MPI_STATUS_IGNORE);
+  const std::vector<char> bytes = team_.receive(member, alive);
   Taker taker(bytes);
   std::string wrong(taker.take<std::uint32_t>(), ' ');
   taker.take(wrong.data(), wrong.size());

@@ -11,26 +11,34 @@
 
 namespace facet::tools {
 
-/// This process among those that `mpirun` started together; a process that it did not start is alone. One at
-/// a time, made and freed by the main thread.
+/// The processes that find the depth maps of one take together; here, one that is alone. Made and freed by
+/// the main thread; its messages are one thread's at a time.
 class Team {
  public:
-  Team();
-  ~Team();
+  Team() = default;
+  virtual ~Team() = default;
   Team(const Team&) = delete;
   Team& operator=(const Team&) = delete;
 
-  int rank() const { return rank_; }
-  int size() const { return size_; }
-  bool leads() const { return rank_ == 0; }
+  virtual int rank() const { return 0; }
+  virtual int size() const { return 1; }
+  bool leads() const { return rank() == 0; }
   /// Ends the whole team with a status, at once.
-  [[noreturn]] void abort(int status) const;
+  [[noreturn]] virtual void abort(int status) const;
 
- private:
-  int rank_ = 0;
-  int size_ = 1;
-  bool started_ = false;
+  /// The leader's numbers become everybody's. All members call it at once.
+  virtual void share(std::vector<std::uint64_t>& numbers) const;
+  /// Sends bytes to the leader, once what was sent before is there; returns while they are under way.
+  virtual void send(std::vector<char> bytes, const stereo::Alive& alive);
+  /// Waits for what was sent last to be there.
+  virtual void finish_sending(const stereo::Alive& alive);
+  /// The next bytes of a member. The leader's alone.
+  virtual std::vector<char> receive(int member, const stereo::Alive& alive);
 };
+
+/// For a process that is alone. Throws facet::Error{Usage} where mpirun started several: each would do the
+/// whole work.
+std::unique_ptr<Team> join_nobody();
 
 /// The runs of a take shared out: run n is found by member n modulo the team's size and sent to the leader,
 /// so that the depth maps are those of a single process, number for number. What the folder keeps is read by
@@ -39,8 +47,7 @@ class SharedDepth final : public pipeline::DepthSource {
  public:
   /// folder: null where none is kept, and for members other than the leader. All members make theirs at once;
   /// main thread.
-  SharedDepth(std::unique_ptr<pipeline::DepthSource> own, const Team& team,
-              std::shared_ptr<DepthFolder> folder);
+  SharedDepth(std::unique_ptr<pipeline::DepthSource> own, Team& team, std::shared_ptr<DepthFolder> folder);
   ~SharedDepth() override;
 
   const stereo::DepthRange& depths() const override { return own_->depths(); }
@@ -49,19 +56,16 @@ class SharedDepth final : public pipeline::DepthSource {
                    std::vector<std::vector<capture::DepthMap>>& maps, const stereo::Alive& alive) override;
 
  private:
-  struct Message;
   std::string receive(int member, std::vector<std::vector<capture::DepthMap>>& maps,
                       const stereo::Alive& alive);
   void send(const std::vector<std::vector<capture::DepthMap>>& maps, const std::string& wrong,
             const stereo::Alive& alive);
-  void finish_sending(const stereo::Alive& alive);
 
   std::unique_ptr<pipeline::DepthSource> own_;
-  const Team& team_;
+  Team& team_;
   std::shared_ptr<DepthFolder> folder_;
-  std::set<std::uint64_t> kept_;      ///< by the leader's folder
-  int run_ = 0;                       ///< that are not kept, so far
-  std::unique_ptr<Message> sending_;  ///< null: none under way
+  std::set<std::uint64_t> kept_;  ///< by the leader's folder
+  int run_ = 0;                   ///< that are not kept, so far
 };
 
 }  // namespace facet::tools

@@ -562,7 +562,7 @@ TEST_F(BoothDemo, ATeamFindsTheSameAndGoesOnAfterAMemberWasKilled) {
             "-o",      file(name), "--depth",        file(depth)};
   };
   const auto team = [&](const std::string& name) {
-    std::vector<std::string> arguments = {"-n", "2", "--oversubscribe", "--bind-to", "none", FACET_PROGRAM};
+    std::vector<std::string> arguments = {"-n", "2", "--oversubscribe", "--bind-to", "none", FACET_TEAM_PROGRAM};
     const auto rest = process(name, "team");
     arguments.insert(arguments.end(), rest.begin(), rest.end());
     return std::make_unique<ChildProcess>(
