@@ -22,9 +22,7 @@
 #include "face/face_model.hpp"
 #include "facet/error.hpp"
 #include "fit/fine_surface.hpp"
-#include "fit/optical_flow.hpp"
-#include "fit/reference_picture.hpp"
-#include "fit/template_fitter.hpp"
+#include "fit/skin_tracker.hpp"
 #include "fit/template_mesh.hpp"
 #include "gpu/context.hpp"
 #include "render/renderer.hpp"
@@ -389,14 +387,12 @@ int run(int argc, char** argv) {
   bool no_flow = false;
   int still = 1'000'000;
   std::vector<int> gap = {1'000'000, 0};
-  bool no_reference = false;
-  bool no_redraw = false;
-  float reference_weight = fit::kReferenceWeight;
-  float reference_sigma_px = fit::kReferenceSigmaPx;
+  std::uint64_t stranger = 0;
   bool all_cameras = false;
   bool with_stereo = false;
   std::uint64_t first_slot = 150;
-  fit::FitOptions options;
+  fit::SkinTrackerOptions tracking;
+  fit::FitOptions& options = tracking.fit;
   std::int32_t vertices = 18'000;
   app.add_option("--model", model_file, "Face model");
   app.add_option("--seed", config.seed, "Of booth and actor");
@@ -412,17 +408,20 @@ int run(int argc, char** argv) {
   app.add_option("--steps", options.steps);
   app.add_option("--model-steps", options.model_steps, "Over pose and expressions before each fit");
   app.add_flag("!--no-unfold", options.unfolds, "Folded triangles are left");
-  app.add_option("--reference-weight", reference_weight);
-  app.add_option("--reference-sigma", reference_sigma_px, "px");
+  app.add_option("--reference-weight", tracking.reference_weight);
+  app.add_option("--reference-sigma", tracking.reference_sigma_px, "px");
   app.add_option("--gamma", options.gamma, "Of the temporal term");
   app.add_option("--sigma-t", options.sigma_t_mm, "mm");
   app.add_option("--still", still, "Meshes from this one on see its slot again, with other noise");
   app.add_option("--gap", gap, "First mesh that is left out, and how many")->expected(2);
+  app.add_option("--stranger", stranger, "Seed of somebody else's face, seen once at the gap's end");
   app.add_option("--cg", options.cg_iterations);
   app.add_flag("--no-flow", no_flow, "Depth alone");
   app.add_flag("--all-cameras", all_cameras, "Flow in the monochrome cameras' blank pictures, too");
-  app.add_flag("--no-redraw", no_redraw, "The picture before is not drawn again where the mesh is found");
-  app.add_flag("--no-reference", no_reference, "Flow from picture to picture alone, as in the paper");
+  app.add_flag("!--no-redraw", tracking.redraws,
+               "The picture before is not drawn again where the mesh is found");
+  app.add_flag("!--no-reference", tracking.uses_reference,
+               "Flow from picture to picture alone, as in the paper");
   app.add_flag("!--no-expressions", options.knows_expressions, "E_r knows the pose alone");
   app.add_flag("!--fixed-rest", options.turns_with_the_head, "E_r as in the paper");
   app.add_option("--fine", fine_options.sweeps, "Sweeps below the template; 0: none");
@@ -438,7 +437,6 @@ int run(int argc, char** argv) {
   const simulation::Booth booth(&model, config);
   const capture::Rig& rig = booth.rig();
   const auto surface = std::make_shared<const fit::TemplateMesh>(fit::make_template(model, vertices));
-  fit::TemplateFitter fitter(surface, options);
   fmt::print("template: {} vertices, {} triangles\n", surface->vertex_count(), surface->triangles.cols());
   std::vector<std::size_t> colour;
   for (std::size_t i = 0; i < rig.cameras.size(); ++i) {
@@ -446,6 +444,11 @@ int run(int argc, char** argv) {
       colour.push_back(i);
     }
   }
+  std::vector<capture::Lens> lenses;
+  for (const std::size_t camera : colour) {
+    lenses.push_back(rig.cameras[camera].lens);
+  }
+  fit::SkinTracker tracker(surface, lenses, tracking);
   std::unique_ptr<gpu::Context> context;
   std::unique_ptr<StereoDepth> depth;
   if (with_stereo) {
@@ -464,19 +467,12 @@ int run(int argc, char** argv) {
     fmt::print("fine surface: {} vertices, {} triangles\n", fine->hierarchy()->finest().vertex_count,
                fine->hierarchy()->finest().triangles.cols());
   }
-  std::vector<fit::OpticalFlow> flows(colour.size());
-  std::vector<Frame> before(colour.size());
-  std::vector<fit::ReferencePicture> references;
-  std::vector<fit::ReferencePicture> previous;
   mesh::Vertices control_mm;
   model.evaluate({}, {}, control_mm);
-  mesh::Vertices now_mm;
   std::vector<Follower> followers(static_cast<std::size_t>(surface->vertex_count()));
-  std::vector<double> fit_ms;
-  std::vector<double> flow_ms;
+  std::vector<double> follow_ms;
   std::vector<float> distance_heat(followers.size());
   std::vector<float> drift_heat(followers.size());
-  Eigen::Matrix3Xf normals;
   std::vector<double> all_distances;
   std::vector<std::uint8_t> folded_triangles;
   std::vector<std::uint8_t> fine_folded_triangles;
@@ -490,6 +486,7 @@ int run(int argc, char** argv) {
   double lag_squares = 0;
   double worst_rejected = 0;
   double worst_rms = 0;
+  double worst_shape = 0;
   double least_trust = 1;
   double least_seen = 1;
   double worst_drift = 0;
@@ -521,14 +518,14 @@ int run(int argc, char** argv) {
     const render::Raycaster caster(truth.vertices_mm, truth.triangles);
     fit::FitReport report;
     // Landmarks as a detector finds them: 1 mm of noise.
-    const auto placed_by_landmarks = [&] {
+    const auto placed_by_landmarks = [&](const simulation::TruthMesh& face) {
       std::vector<fit::Correspondence> correspondences;
       std::normal_distribution<double> noise(0, 1);
       for (const face::LandmarkAnchor& anchor : model.landmarks) {
         if (anchor.weights[0] + anchor.weights[1] + anchor.weights[2] > 0.5F &&
             correspondences.size() < 468) {
           const Eigen::Vector3d at =
-              face::FaceModel::anchor_point(anchor, truth.vertices_mm.leftCols(model.vertex_count()))
+              face::FaceModel::anchor_point(anchor, face.vertices_mm.leftCols(model.vertex_count()))
                   .cast<double>();
           correspondences.push_back(
               {anchor, at + Eigen::Vector3d(noise(random), noise(random), noise(random))});
@@ -538,116 +535,61 @@ int run(int argc, char** argv) {
       fmt::print("placed by {} landmarks, rms {:.2f} mm\n", correspondences.size(), placed.rms_mm);
       return placed;
     };
-    /// Flow from the skin of earlier pictures, drawn where the mesh is now, to the pictures.
-    const auto flow_from = [&](const std::vector<fit::ReferencePicture>& drawn_from,
-                               std::vector<fit::Flow>& found) {
-      std::vector<std::uint8_t> visible;
-      std::vector<std::uint8_t> drawn;
-      found.resize(colour.size());
-      mesh::vertex_normals(now_mm, surface->triangles, normals);
-      for (std::size_t k = 0; k < colour.size(); ++k) {
-        fit::find_visible(rig.cameras[colour[k]].lens, now_mm, normals, surface->triangles, 4, 0, visible);
-        flows[k].find(drawn_from[k].draw(pictures[k], now_mm, visible, drawn), pictures[k], found[k]);
-        for (std::size_t i = 0; i < drawn.size(); ++i) {
-          found[k].confidence[i] *= static_cast<float>(drawn[i]);
-        }
-      }
-    };
-    const auto view = [&](std::size_t k, const fit::Flow& flow) {
-      return fit::FlowView{rig.cameras[colour[k]].lens, flow.width_px, flow.height_px, flow.flow_px,
-                           flow.confidence};
-    };
-    if (m == gap[0] + gap[1]) {
-      // Found again: the same person where the landmarks are, then drawn to where its skin was.
-      const mesh::Vertices stale_mm = now_mm;
-      mesh::Vertices there_mm = stale_mm;
-      const fit::FitReport judged = fitter.fit(maps, there_mm);
-      fmt::print("mesh {:3d}: after the gap, from where it was: {}\n", m,
-                 judged.lost ? "lost, " + judged.lost_because : "not noticed");
-      now_mm = fitter.shape_like(placed_by_landmarks().rest.vertices_mm);
-      fitter.forget();
-      report = fitter.fit(maps, now_mm);
-      std::vector<fit::Flow> found;
-      for (int i = 0; i < 3 && !no_reference; ++i) {
-        flow_from(references, found);
-        const mesh::Vertices drawn_mm = now_mm;
-        std::vector<fit::FlowView> views;
-        for (std::size_t k = 0; k < colour.size(); ++k) {
-          views.push_back(view(k, found[k]));
-        }
-        report = fitter.track(maps, views, drawn_mm, now_mm);
-      }
-    } else if (m == 0) {
-      const fit::Placement placed = placed_by_landmarks();
-      now_mm = placed.rest.vertices_mm;
-      fit::FitOptions start = options;
-      start.steps = 30;
-      start.cg_iterations = 200;
-      fit::TemplateFitter first(surface, start);
-      const auto begun = Clock::now();
-      first.set_rest(placed.rest);
-      report = first.fit(maps, now_mm);
+    const std::vector<Frame> none(pictures.size());
+    const std::span<const Frame> seen_pictures(no_flow ? none.data() : pictures.data(), pictures.size());
+    const auto asked = Clock::now();
+    if (m == 0) {
+      const fit::Placement placed = placed_by_landmarks(truth);
+      report = tracker.start(placed, maps, seen_pictures);
       fmt::print("fit: {} after {} steps, {:.0f} ms, rms {:.3f} mm, {:.0f} % seen\n",
-                 to_string(report.outcome), report.steps, ms_since(begun), report.surface_rms_mm,
+                 to_string(report.outcome), report.steps, ms_since(asked), report.surface_rms_mm,
                  100 * report.seen);
-      fitter.set_rest({now_mm, placed.rest.expressions_mm});
-      mesh::vertex_normals(now_mm, surface->triangles, normals);
-      std::vector<std::uint8_t> visible;
-      for (std::size_t k = 0; k < colour.size(); ++k) {
-        const capture::Lens& lens = rig.cameras[colour[k]].lens;
-        fit::find_visible(lens, now_mm, normals, surface->triangles, 4, 0, visible);
-        references.emplace_back(lens, pictures[k], now_mm, surface->triangles, visible);
-      }
       for (std::int32_t v = 0; v < surface->vertex_count(); ++v) {
         const auto vertex = static_cast<std::size_t>(v);
-        const auto hit = caster.closest_point(now_mm.col(v), 2);
-        if (surface->is_skin[vertex] != 0 && first.depth_weight()[vertex] > 0.2F && hit.triangle >= 0 &&
+        const auto hit = caster.closest_point(tracker.vertices_mm().col(v), 2);
+        if (surface->is_skin[vertex] != 0 && tracker.depth_weight()[vertex] > 0.2F && hit.triangle >= 0 &&
             booth.skin()[truth.triangles(0, hit.triangle)] > 0.9F) {
           followers[vertex] = {hit.triangle, hit.barycentric};
         }
       }
     } else {
-      auto begun = Clock::now();
-      std::vector<fit::Flow> found(colour.size());
-      std::vector<fit::FlowView> views;
-      for (std::size_t k = 0; k < colour.size() && !no_flow; ++k) {
-        flows[k].find(before[k], pictures[k], found[k]);
-        views.push_back(view(k, found[k]));
-      }
-      flow_ms.push_back(ms_since(begun));
-      begun = Clock::now();
-      const mesh::Vertices before_mm = now_mm;
-      report = fitter.track(maps, views, before_mm, now_mm);
-      if (!no_flow && !(no_redraw && no_reference)) {
-        const mesh::Vertices drawn_mm = now_mm;
-        std::vector<fit::Flow> again;
-        std::vector<fit::Flow> drifted;
-        if (!no_redraw) {
-          flow_from(previous, again);
-          for (std::size_t k = 0; k < colour.size(); ++k) {
-            views[k] = view(k, again[k]);
-            views[k].from_mm = &drawn_mm;
+      if (m == gap[0] + gap[1]) {
+        report = tracker.follow(maps, seen_pictures);
+        fmt::print("mesh {:3d}: after the gap, from where it was: {}\n", m,
+                   report.lost ? "lost, " + report.lost_because : "not noticed");
+        if (stranger != 0) {
+          simulation::BoothConfig other_config = config;
+          other_config.seed = stranger;
+          const simulation::Booth other(&model, other_config);
+          const Footage other_footage(other, cache);
+          const simulation::TruthMesh other_truth = other_footage.truth(slot);
+          std::vector<capture::DepthMap> other_maps;
+          for (const capture::StereoPair& pair : rig.pairs) {
+            other_maps.push_back(depth_of(other_truth, rig.cameras[pair.left].lens, noise_mm, random));
           }
-        }
-        if (!no_reference) {
-          flow_from(references, drifted);
-          for (std::size_t k = 0; k < colour.size(); ++k) {
-            views.push_back(view(k, drifted[k]));
-            views.back().from_mm = &drawn_mm;
-            views.back().weight = reference_weight;
-            views.back().sigma_px = reference_sigma_px;
+          std::vector<Frame> other_pictures;
+          for (const std::size_t camera : colour) {
+            other_pictures.push_back(other_footage.picture(slot, camera));
           }
+          const fit::FitReport judged =
+              tracker.find_again(placed_by_landmarks(other_truth), other_maps, other_pictures);
+          fmt::print("mesh {:3d}: somebody else: {}, shape {:.2f} mm, rms {:.2f} mm, flow trust {:.2f}\n", m,
+                     judged.lost ? "lost, " + judged.lost_because : "not noticed", judged.shape_rms_mm,
+                     judged.surface_rms_mm, judged.flow_trust);
         }
-        report = fitter.track(maps, views, before_mm, now_mm);
+        report = tracker.find_again(placed_by_landmarks(truth), maps, seen_pictures);
+      } else {
+        report = tracker.follow(maps, seen_pictures);
       }
-      fit_ms.push_back(ms_since(begun));
+      follow_ms.push_back(ms_since(asked));
     }
-    fitter.remember(now_mm);
+    const mesh::Vertices& now_mm = tracker.vertices_mm();
     if (report.lost) {
       fmt::print("mesh {:3d}: lost, {}\n", m, report.lost_because);
     }
     worst_rejected = std::max(worst_rejected, report.rejected);
     worst_rms = std::max(worst_rms, report.surface_rms_mm);
+    worst_shape = std::max(worst_shape, m > 0 ? report.shape_rms_mm : 0);
     if (m > 0) {
       least_trust = std::min(least_trust, report.flow_trust);
     }
@@ -766,28 +708,16 @@ int run(int argc, char** argv) {
       }
       render::write_png(out, file);
     }
-    previous.clear();
-    mesh::vertex_normals(now_mm, surface->triangles, normals);
-    for (std::size_t k = 0; k < colour.size(); ++k) {
-      const capture::Lens& lens = rig.cameras[colour[k]].lens;
-      std::vector<std::uint8_t> visible;
-      fit::find_visible(lens, now_mm, normals, surface->triangles, 4, 0, visible);
-      previous.emplace_back(lens, pictures[k], now_mm, surface->triangles, visible);
-    }
-    before = std::move(pictures);
   }
   const Spread all(std::move(all_distances));
-  fmt::print(
-      "all: distance mean {:.3f} p95 {:.3f} mm, folded {} in all; track {:.0f} ms, flow of {} cameras {:.0f} "
-      "ms "
-      "a mesh\n",
-      all.mean(), all.at(0.95), folded_ever, Spread(fit_ms).mean(), colour.size(), Spread(flow_ms).mean());
+  fmt::print("all: distance mean {:.3f} p95 {:.3f} mm, folded {} in all; {:.0f} ms a mesh with {} cameras\n",
+             all.mean(), all.at(0.95), folded_ever, Spread(follow_ms).mean(), colour.size());
   fmt::print(
       "worst drift mean {:.3f} p95 {:.3f} mm; second differences {:.4f} mm rms, lag {:.4f} meshes; seen >= "
       "{:.2f}, "
-      "rejected <= {:.3f}, rms <= {:.2f} mm, flow trust >= {:.2f}\n",
+      "rejected <= {:.3f}, rms <= {:.2f} mm, shape <= {:.2f} mm, flow trust >= {:.2f}\n",
       worst_drift, worst_drift_95, std::sqrt(jitter_squares / std::max(jitter_count, 1.0)),
-      lag_sum / std::max(lag_squares, 1e-9), least_seen, worst_rejected, worst_rms, least_trust);
+      lag_sum / std::max(lag_squares, 1e-9), least_seen, worst_rejected, worst_rms, worst_shape, least_trust);
   if (fine != nullptr) {
     for (const auto& [name, error] :
          {std::pair<const char*, const SurfaceError&>("template", template_error), {"fine", fine_error}}) {

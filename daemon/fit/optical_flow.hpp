@@ -8,6 +8,14 @@
 
 namespace facet::fit {
 
+/// A part of a picture.
+struct PixelBox {
+  int left = 0;
+  int top = 0;
+  int width = 0;
+  int height = 0;
+};
+
 /// Where everything in a picture went, and how far that is to be trusted.
 struct Flow {
   int width_px = 0;
@@ -25,8 +33,9 @@ class OpticalFlow {
   OpticalFlow();
   ~OpticalFlow();
 
-  /// Throws Error(Usage) where the pictures are empty or of different sizes.
-  void find(const Frame& earlier, const Frame& later, Flow& out);
+  /// Within a box, which is enlarged to 64 px a side where the pictures have them; beside it nothing is known
+  /// (confidence 0). Throws Error(Usage) where the pictures are empty or of different sizes.
+  void find(const Frame& earlier, const Frame& later, const PixelBox& box, Flow& out);
 
  private:
   struct Impl;

@@ -642,8 +642,17 @@ FitReport TemplateFitter::Impl::solve(std::span<const DepthMap> maps, std::span<
       report.outcome = FitOutcome::Converged;
     }
   }
+  bring_along(vertices_mm);
+  double squares = 0;
+  double count = 0;
+  for (std::int32_t v = 0; v < surface->vertex_count(); ++v) {
+    if (depth_pull[static_cast<std::size_t>(v)] > 0) {
+      squares += static_cast<double>((vertices_mm.col(v) - rest.col(v)).squaredNorm());
+      ++count;
+    }
+  }
+  report.shape_rms_mm = std::sqrt(squares / std::max(count, 1.0));
   if (options.unfolds) {
-    bring_along(vertices_mm);
     report.unfolded = unfold(vertices_mm);
   }
   judge(report, before_mm != nullptr && !flows.empty());

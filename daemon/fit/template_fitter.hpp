@@ -82,6 +82,9 @@ struct FitReport {
   double seen = 0;            ///< share of the skin's vertices that a depth map pulls
   double followed = 0;        ///< share that a flow pulls
   double rejected = 0;    ///< share of the skin's vertices on a map that lie more than 5 mm off its surface
+  /// Of the skin that depth maps pull, from the shape at rest in the pose and with the expression that come
+  /// closest: where it is large this is somebody else's face.
+  double shape_rms_mm = 0;
   double flow_trust = 0;  ///< mean confidence of the flows where they see skin; 0 without flow
   /// The mesh is not on the face: too little of it seen, too much off the surface, or no flow comes back to
   /// where it began. It is to be placed again (TemplateFitter::shape_like).

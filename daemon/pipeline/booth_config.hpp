@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "fit/template_fitter.hpp"
+#include "fit/skin_tracker.hpp"
 #include "stereo/rectification.hpp"
 
 namespace facet::pipeline {
@@ -21,7 +21,7 @@ struct BoothConfig {
   std::filesystem::path model_file;
   std::filesystem::path landmark_assets;
   std::string gpu_device = "auto";
-  fit::FitOptions fit;
+  fit::SkinTrackerOptions skin;
 };
 
 /// Throws Error(Usage) where the configuration makes no sense.

@@ -91,7 +91,7 @@ BoothStages open_booth(const BoothConfig& config, int blanks_per_run) {
   stages.blanks_per_run = blanks_per_run;
   const auto model = std::make_shared<const face::FaceModel>(face::FaceModel::load(config.model_file));
   stages.tracker =
-      std::make_unique<PerformanceTracker>(model, config.landmark_assets, stages.rig, config.fit);
+      std::make_unique<PerformanceTracker>(model, config.landmark_assets, stages.rig, config.skin);
   const auto slots_between = static_cast<int>(config.stripes.size());
   const int most_slots = (blanks_per_run - 1) * slots_between + 1 + 2 * static_cast<int>(kDepthReach);
   stages.depth = std::make_unique<BoothDepth>(config.gpu_device, stages.rig, config.depths, most_slots);

@@ -13,8 +13,7 @@
 
 #include "facet/error.hpp"
 #include "fit/fine_surface.hpp"
-#include "fit/optical_flow.hpp"
-#include "fit/reference_picture.hpp"
+#include "fit/skin_tracker.hpp"
 #include "fit/template_mesh.hpp"
 #include "pipeline/face_in_space.hpp"
 #include "pipeline/subject_builder.hpp"
@@ -26,18 +25,8 @@ namespace {
 using Clock = std::chrono::steady_clock;
 
 constexpr std::size_t kLeastLandmarks = 60;
-constexpr int kPlacingSteps = 30;
-constexpr int kPlacingCgIterations = 200;
-/// Of the first fit: farther from the depth maps, or with less of the skin on them, it is no face.
-constexpr double kPlacedRms_mm = 2;
-constexpr double kPlacedSeen = 0.15;
-/// Of a mesh that is followed.
-constexpr double kFollowedRms_mm = 2.5;
-constexpr double kFollowedSeen = 0.1;
-/// Slots without a mesh after which the face is looked for again.
-constexpr int kMostGaps = 3;
-/// How far behind the mesh's own surface a vertex counts as hidden.
-constexpr float kVisibleMargin_mm = 4;
+/// Slots in a row in which a face is seen, placed and not found to be the person of before: another one.
+constexpr int kStrangerSlots = 3;
 
 float ms_since(Clock::time_point start) {
   return std::chrono::duration<float, std::milli>(Clock::now() - start).count();
@@ -53,7 +42,7 @@ CameraIntrinsics intrinsics_of(const capture::Lens& lens) {
           lens.height_px};
 }
 
-/// A camera that sees texture, and what is remembered of its pictures.
+/// A camera that sees texture.
 struct View {
   View(const capture::Rig& rig, std::size_t given_index, track::Landmarker given_landmarker)
       : camera(&rig.cameras[given_index]), index(given_index), landmarker(std::move(given_landmarker)) {}
@@ -61,23 +50,28 @@ struct View {
   const capture::RigCamera* camera;
   std::size_t index;  ///< in the rig
   track::Landmarker landmarker;
-  fit::OpticalFlow flow;
-  fit::Flow found;
-  Frame before;  ///< empty where the slot before had none
-  std::optional<fit::ReferencePicture> reference;
 };
+
+std::vector<capture::Lens> colour_lenses(const capture::Rig& rig) {
+  std::vector<capture::Lens> lenses;
+  for (const capture::RigCamera& camera : rig.cameras) {
+    if (camera.colour) {
+      lenses.push_back(camera.lens);
+    }
+  }
+  return lenses;
+}
 
 }  // namespace
 
 struct PerformanceTracker::Impl {
   Impl(std::shared_ptr<const face::FaceModel> given_model, const std::filesystem::path& assets,
-       std::shared_ptr<const capture::Rig> given_rig, const fit::FitOptions& given_options);
+       std::shared_ptr<const capture::Rig> given_rig, const fit::SkinTrackerOptions& given_options);
 
   std::shared_ptr<const face::FaceModel> model;
   std::shared_ptr<const capture::Rig> rig;
-  fit::FitOptions options;
   std::shared_ptr<const fit::TemplateMesh> surface;
-  fit::TemplateFitter fitter;
+  fit::SkinTracker skin;
   fit::FineSurface fine;
   mesh::Vertices control_mm;      ///< of the model's mean face, head frame
   Eigen::VectorXd rigid_weights;  ///< [vertex_count] 1 on skin that expressions hardly move
@@ -86,8 +80,8 @@ struct PerformanceTracker::Impl {
   std::shared_ptr<const mesh::Subject> subject;  ///< null: nobody is followed
   std::uint32_t subject_count = 0;
   Eigen::Matrix3Xd rest_mm;             ///< [3][vertex_count] the person in the first slot, head frame
-  mesh::Vertices now_mm;                ///< rig frame
-  int gaps = 0;                         ///< slots since the last mesh
+  bool lost = false;                    ///< the last slot had no mesh
+  int strangers = 0;                    ///< slots in a row in which somebody else is seen
   std::vector<float> displacements_mm;  ///< [finest vertex_count]
   std::vector<float> confidence;
   VertexTexture texture;
@@ -97,25 +91,23 @@ struct PerformanceTracker::Impl {
   std::vector<std::uint8_t> visible;
   std::vector<std::uint8_t> drawn;
 
-  const Frame& picture(const FrameSet& set, const View& view) const { return set.frames.at(view.index); }
-  std::string place(const FrameSet& set, std::span<const capture::DepthMap> maps, mesh::MeshFrame& out);
-  std::string follow(const FrameSet& set, std::span<const capture::DepthMap> maps);
-  fit::FitReport follow_flow(const FrameSet& set, std::span<const capture::DepthMap> maps);
-  void refine(const FrameSet& set, std::span<const capture::DepthMap> maps, mesh::MeshFrame& out);
-  void remember(const FrameSet& set);
-  void forget_pictures();
+  std::vector<Frame> pictures;  ///< [views] of the slot
+
+  std::string place(std::span<const capture::DepthMap> maps, mesh::MeshFrame& out);
+  std::string follow(std::span<const capture::DepthMap> maps);
+  void begin_subject();
+  void refine(std::span<const capture::DepthMap> maps, mesh::MeshFrame& out);
   void fill(mesh::MeshFrame& out);
 };
 
 PerformanceTracker::Impl::Impl(std::shared_ptr<const face::FaceModel> given_model,
                                const std::filesystem::path& assets,
                                std::shared_ptr<const capture::Rig> given_rig,
-                               const fit::FitOptions& given_options)
+                               const fit::SkinTrackerOptions& given_options)
     : model(std::move(given_model)),
       rig(std::move(given_rig)),
-      options(given_options),
       surface(std::make_shared<const fit::TemplateMesh>(fit::make_template(*model))),
-      fitter(surface, options),
+      skin(surface, colour_lenses(*rig), given_options),
       fine(model->control, surface) {
   model->evaluate({}, {}, control_mm);
   // Expressions move the upper face little: what lies above the mouth's corners by the neutral face.
@@ -140,14 +132,14 @@ PerformanceTracker::Impl::Impl(std::shared_ptr<const face::FaceModel> given_mode
   }
 }
 
-/// Looks for a face and fits the template to it. Returns why there is no mesh; empty where there is one.
-std::string PerformanceTracker::Impl::place(const FrameSet& set, std::span<const capture::DepthMap> maps,
-                                            mesh::MeshFrame& out) {
+/// Looks for a face: the person of before, or a new one. Returns why there is no mesh; empty where there is
+/// one.
+std::string PerformanceTracker::Impl::place(std::span<const capture::DepthMap> maps, mesh::MeshFrame& out) {
   const Clock::time_point begun = Clock::now();
   std::vector<SeenLandmarks> seen;
-  std::vector<const track::LandmarkResult*> results;
+  std::size_t at = 0;
   for (View& view : views) {
-    const track::LandmarkResult& result = view.landmarker.process(picture(set, view));
+    const track::LandmarkResult& result = view.landmarker.process(pictures[at++]);
     if (result.found) {
       seen.push_back({&view.camera->lens, &result.face});
     }
@@ -175,97 +167,45 @@ std::string PerformanceTracker::Impl::place(const FrameSet& set, std::span<const
   } catch (const Error& error) {
     return error.what();
   }
-  fit::FitOptions first_options = options;
-  first_options.steps = kPlacingSteps;
-  first_options.cg_iterations = kPlacingCgIterations;
-  fit::TemplateFitter first(surface, first_options);
-  first.set_rest(placed.rest);
-  mesh::Vertices fitted_mm = placed.rest.vertices_mm;
-  const fit::FitReport report = first.fit(maps, fitted_mm);
-  const bool fits =
-      report.outcome == fit::FitOutcome::Converged || report.outcome == fit::FitOutcome::NotConverged;
-  if (!fits || report.surface_rms_mm > kPlacedRms_mm || report.seen < kPlacedSeen) {
-    return fmt::format(
-        "the template does not fit the depth maps: {}, {:.1f} mm away, {:.0f} % of the skin on them",
-        fit::to_string(report.outcome), report.surface_rms_mm, 100 * report.seen);
+  if (subject != nullptr) {
+    const fit::FitReport report = skin.find_again(placed, maps, pictures);
+    if (!report.lost) {
+      return {};
+    }
+    if (++strangers < kStrangerSlots) {
+      return fmt::format("a face is seen that is not the one of before: {}", report.lost_because);
+    }
   }
-  now_mm = std::move(fitted_mm);
-  fitter.set_rest({now_mm, placed.rest.expressions_mm});
+  const fit::FitReport report = skin.start(placed, maps, pictures);
+  if (report.lost) {
+    return fmt::format(
+        "the template does not fit the depth maps: {}; are the projectors on, and is nothing before the "
+        "face?",
+        report.lost_because);
+  }
+  begin_subject();
+  return {};
+}
+
+void PerformanceTracker::Impl::begin_subject() {
+  const mesh::Vertices& now_mm = skin.vertices_mm();
   const Eigen::Isometry3d head_from_rig =
       fit::align_rigidly(now_mm.cast<double>(), surface->neutral_mm.cast<double>(), rigid_weights);
   rest_mm = head_from_rig * now_mm.cast<double>();
   subject = build_template_subject(*surface, fine.hierarchy(), *model, ++subject_count);
   texture.begin(fine.hierarchy()->finest().vertex_count);
   displacements_mm.clear();
-  mesh::vertex_normals(now_mm, surface->triangles, normals);
-  for (View& view : views) {
-    view.reference.reset();
-    const Frame& frame = picture(set, view);
-    const capture::Lens& lens = view.camera->lens;
-    if (!frame.empty() && !frame.corrupt) {
-      fit::find_visible(lens, now_mm, normals, surface->triangles, kVisibleMargin_mm, 0, visible);
-      view.reference.emplace(lens, frame, now_mm, surface->triangles, visible);
-    }
-  }
-  return {};
-}
-
-/// Flow from the slot before, then from the first picture's skin drawn where the mesh is (against drift).
-fit::FitReport PerformanceTracker::Impl::follow_flow(const FrameSet& set,
-                                                     std::span<const capture::DepthMap> maps) {
-  std::vector<fit::FlowView> flows;
-  const auto add = [&](View& view) {
-    flows.push_back({view.camera->lens, view.found.width_px, view.found.height_px, view.found.flow_px,
-                     view.found.confidence});
-  };
-  for (View& view : views) {
-    const Frame& frame = picture(set, view);
-    if (!frame.empty() && !frame.corrupt && !view.before.empty()) {
-      view.flow.find(view.before, frame, view.found);
-      add(view);
-    }
-  }
-  const mesh::Vertices before_mm = now_mm;
-  fit::FitReport report = fitter.track(maps, flows, before_mm, now_mm);
-  flows.clear();
-  mesh::vertex_normals(now_mm, surface->triangles, normals);
-  for (View& view : views) {
-    const Frame& frame = picture(set, view);
-    if (frame.empty() || frame.corrupt || !view.reference) {
-      continue;
-    }
-    fit::find_visible(view.camera->lens, now_mm, normals, surface->triangles, kVisibleMargin_mm, 0, visible);
-    const Frame expected = view.reference->draw(frame, now_mm, visible, drawn);
-    view.flow.find(expected, frame, view.found);
-    for (std::size_t i = 0; i < drawn.size(); ++i) {
-      view.found.confidence[i] *= static_cast<float>(drawn[i]);
-    }
-    add(view);
-  }
-  if (flows.empty()) {
-    return report;
-  }
-  const mesh::Vertices drifted_mm = now_mm;
-  return fitter.track(maps, flows, drifted_mm, now_mm);
 }
 
 /// Returns why there is no mesh in this slot; empty where there is one.
-std::string PerformanceTracker::Impl::follow(const FrameSet& set, std::span<const capture::DepthMap> maps) {
-  const mesh::Vertices before_mm = now_mm;
-  const fit::FitReport report = follow_flow(set, maps);
-  const bool fits =
-      report.outcome == fit::FitOutcome::Converged || report.outcome == fit::FitOutcome::NotConverged;
-  if (fits && report.surface_rms_mm <= kFollowedRms_mm && report.seen >= kFollowedSeen) {
-    return {};
-  }
-  now_mm = before_mm;
-  return fmt::format("the face is lost: {}, {:.1f} mm from the depth maps, {:.0f} % of the skin on them",
-                     fit::to_string(report.outcome), report.surface_rms_mm, 100 * report.seen);
+std::string PerformanceTracker::Impl::follow(std::span<const capture::DepthMap> maps) {
+  const fit::FitReport report = skin.follow(maps, pictures);
+  return report.lost ? "the face is lost: " + report.lost_because : std::string();
 }
 
 /// The fine levels, and the texture on them.
-void PerformanceTracker::Impl::refine(const FrameSet& set, std::span<const capture::DepthMap> maps,
-                                      mesh::MeshFrame& out) {
+void PerformanceTracker::Impl::refine(std::span<const capture::DepthMap> maps, mesh::MeshFrame& out) {
+  const mesh::Vertices& now_mm = skin.vertices_mm();
   Clock::time_point begun = Clock::now();
   fine.fit(maps, now_mm, displacements_mm, confidence);
   out.displacements_mm.assign(displacements_mm.begin(), displacements_mm.end());
@@ -274,36 +214,24 @@ void PerformanceTracker::Impl::refine(const FrameSet& set, std::span<const captu
   begun = Clock::now();
   const mesh::Hierarchy& hierarchy = *fine.hierarchy();
   mesh::rebuild_finest(hierarchy, now_mm, displacements_mm, fine_mm, fine_normals);
+  std::size_t at = 0;
   for (const View& view : views) {
-    texture.add(view.camera->lens, picture(set, view), fine_mm, fine_normals, hierarchy.finest().triangles);
+    texture.add(view.camera->lens, pictures[at++], fine_mm, fine_normals, hierarchy.finest().triangles);
   }
   texture.publish();
   out.stage_ms.albedo_ms = ms_since(begun);
 }
 
-/// What the next slot's flow begins with.
-void PerformanceTracker::Impl::remember(const FrameSet& set) {
-  for (View& view : views) {
-    const Frame& frame = picture(set, view);
-    view.before = frame.corrupt ? Frame() : frame;
-  }
-}
-
-void PerformanceTracker::Impl::forget_pictures() {
-  for (View& view : views) {
-    view.before = {};
-  }
-}
-
 void PerformanceTracker::Impl::fill(mesh::MeshFrame& out) {
   const View& view = views.front();
+  const mesh::Vertices& now_mm = skin.vertices_mm();
   const Eigen::Isometry3d rig_from_head = fit::align_rigidly(rest_mm, now_mm.cast<double>(), rigid_weights);
   out.subject = subject;
   out.camera = intrinsics_of(view.camera->lens);
   out.camera_from_head = (view.camera->lens.camera_from_rig * rig_from_head).cast<float>();
   out.control_vertices_mm = (rig_from_head.inverse() * now_mm.cast<double>()).cast<float>();
   out.expression.assign(model->expression_names.size(), 0.0F);
-  const Eigen::VectorXd& expression = fitter.expression();
+  const Eigen::VectorXd& expression = skin.expression();
   for (Eigen::Index e = 0; e < std::min<Eigen::Index>(expression.size(), std::ssize(out.expression)); ++e) {
     out.expression[static_cast<std::size_t>(e)] = static_cast<float>(std::clamp(expression[e], 0.0, 1.0));
   }
@@ -313,7 +241,7 @@ void PerformanceTracker::Impl::fill(mesh::MeshFrame& out) {
 PerformanceTracker::PerformanceTracker(std::shared_ptr<const face::FaceModel> model,
                                        const std::filesystem::path& landmark_assets,
                                        std::shared_ptr<const capture::Rig> rig,
-                                       const fit::FitOptions& options)
+                                       const fit::SkinTrackerOptions& options)
     : impl_(std::make_unique<Impl>(std::move(model), landmark_assets, std::move(rig), options)) {}
 
 PerformanceTracker::~PerformanceTracker() = default;
@@ -323,19 +251,30 @@ void PerformanceTracker::process(const FrameSet& set, std::span<const capture::D
   Impl& impl = *impl_;
   out.camera = intrinsics_of(impl.views.front().camera->lens);
   out.control_vertices_mm.resize(3, 0);
-  const bool followed = impl.subject != nullptr && impl.gaps < kMostGaps;
-  Clock::time_point begun = Clock::now();
-  const std::string missing = followed ? impl.follow(set, maps) : impl.place(set, maps, out);
+  impl.pictures.clear();
+  for (const View& view : impl.views) {
+    impl.pictures.push_back(set.frames.at(view.index));
+  }
+  const Clock::time_point begun = Clock::now();
+  std::string missing;
+  bool followed = impl.subject != nullptr && !impl.lost;
+  if (followed) {
+    missing = impl.follow(maps);
+    followed = missing.empty();
+  }
+  if (!followed) {
+    // Landmarks tell where the face is now, or that there is none.
+    const std::string unplaced = impl.place(maps, out);
+    missing = missing.empty() || unplaced.empty() ? unplaced : missing + "; " + unplaced;
+  }
   out.stage_ms.fit_ms = ms_since(begun) - out.stage_ms.landmarks_ms;
+  impl.lost = !missing.empty();
   if (missing.empty()) {
-    impl.gaps = 0;
+    impl.strangers = 0;
     out.state = mesh::TrackingState::Tracking;
-    impl.refine(set, maps, out);
+    impl.refine(maps, out);
     impl.fill(out);
-    impl.remember(set);
   } else {
-    ++impl.gaps;
-    impl.forget_pictures();  // the flow from the last mesh's picture would be too long to follow
     out.state = impl.subject != nullptr ? mesh::TrackingState::Lost : mesh::TrackingState::Searching;
     out.degraded = true;
     out.degraded_reason = out.degraded_reason.empty() ? missing : out.degraded_reason + "; " + missing;
@@ -344,15 +283,14 @@ void PerformanceTracker::process(const FrameSet& set, std::span<const capture::D
 
 void PerformanceTracker::reset() {
   impl_->subject.reset();
-  impl_->gaps = 0;
-  impl_->forget_pictures();
+  impl_->lost = false;
   for (View& view : impl_->views) {
     view.landmarker.forget();
   }
 }
 
 const mesh::Vertices* PerformanceTracker::vertices_mm() const {
-  return impl_->subject != nullptr ? &impl_->now_mm : nullptr;
+  return impl_->subject != nullptr ? &impl_->skin.vertices_mm() : nullptr;
 }
 
 }  // namespace facet::pipeline

@@ -9,7 +9,7 @@
 #include "capture/rig.hpp"
 #include "face/face_model.hpp"
 #include "facet/frame_set.hpp"
-#include "fit/template_fitter.hpp"
+#include "fit/skin_tracker.hpp"
 #include "mesh/mesh_frame.hpp"
 
 namespace facet::pipeline {
@@ -23,7 +23,7 @@ class PerformanceTracker {
   /// landmark nets and for a model that can't be refined.
   PerformanceTracker(std::shared_ptr<const face::FaceModel> model,
                      const std::filesystem::path& landmark_assets, std::shared_ptr<const capture::Rig> rig,
-                     const fit::FitOptions& options);
+                     const fit::SkinTrackerOptions& options);
   ~PerformanceTracker();
 
   /// The next blank slot, in order of time. set: frames in the rig's order. maps: [pairs] of that slot.

@@ -7,74 +7,18 @@
 #include <cmath>
 #include <random>
 
+#include "face_scene.hpp"
 #include "facet/error.hpp"
-#include "render/renderer.hpp"
-#include "support/synthetic_model.hpp"
 
 namespace facet::fit {
 namespace {
 
-using capture::DepthMap;
-using capture::Lens;
-using Eigen::Vector3d;
-using Eigen::Vector3f;
-
-/// A template that looks along z at a camera 900 mm away.
-struct Scene {
-  Scene() {
-    const face::FaceModel model = test::synthetic_model();
-    surface = std::make_shared<const TemplateMesh>(make_template(model, 3000));
-  }
-  std::shared_ptr<const TemplateMesh> surface;
-};
-const Scene& scene() {
-  static const Scene made;
-  return made;
-}
-
-Lens lens_at(double angle_rad) {
-  Lens lens;
-  lens.width_px = 320;
-  lens.height_px = 320;
-  lens.fx_px = lens.fy_px = 1000;
-  lens.cx_px = lens.cy_px = 159.5;
-  Eigen::Matrix3d upright;  // looks along -z, y down
-  upright << 1, 0, 0, 0, -1, 0, 0, 0, -1;
-  lens.camera_from_rig = Eigen::Translation3d(0, 0, 900) * Eigen::Isometry3d(Eigen::Quaterniond(upright)) *
-                         Eigen::AngleAxisd(angle_rad, Vector3d::UnitY());
-  return lens;
-}
-
-DepthMap depth_of(const mesh::Vertices& vertices_mm, const Lens& lens,
-                  const mesh::Triangles& triangles = scene().surface->triangles) {
-  const Eigen::Isometry3f camera_from_rig = lens.camera_from_rig.cast<float>();
-  const mesh::Vertices seen =
-      (camera_from_rig.linear() * vertices_mm).colwise() + camera_from_rig.translation();
-  const render::Raycaster caster(seen, triangles);
-  DepthMap map;
-  map.width_px = lens.width_px;
-  map.height_px = lens.height_px;
-  map.lens = lens;
-  map.depth_mm = caster
-                     .cast({static_cast<float>(lens.fx_px), static_cast<float>(lens.fy_px),
-                            static_cast<float>(lens.cx_px), static_cast<float>(lens.cy_px), lens.width_px,
-                            lens.height_px})
-                     .depth_mm;
-  map.sigma_mm.assign(map.depth_mm.size(), 0.1F);
-  for (const float depth : map.depth_mm) {
-    map.confidence.push_back(depth > 0 ? 1.0F : 0.0F);
-  }
-  return map;
-}
-
-std::vector<DepthMap> depths_of(const mesh::Vertices& vertices_mm) {
-  return {depth_of(vertices_mm, lens_at(-0.35)), depth_of(vertices_mm, lens_at(0.35))};
-}
+using namespace scene;
 
 /// Mean distance of the vertices that the maps pulled to a surface.
 double mean_distance_mm(const mesh::Vertices& vertices_mm, const mesh::Vertices& truth_mm,
                         const std::vector<float>& weight) {
-  const render::Raycaster caster(truth_mm, scene().surface->triangles);
+  const render::Raycaster caster(truth_mm, surface()->triangles);
   double sum = 0;
   int count = 0;
   for (std::size_t v = 0; v < weight.size(); ++v) {
@@ -87,35 +31,20 @@ double mean_distance_mm(const mesh::Vertices& vertices_mm, const mesh::Vertices&
   return sum / std::max(count, 1);
 }
 
-/// The neutral template with a swollen cheek and a tilt.
-mesh::Vertices swollen() {
-  mesh::Vertices vertices_mm = scene().surface->neutral_mm;
-  for (Eigen::Index v = 0; v < vertices_mm.cols(); ++v) {
-    const Vector3f at = vertices_mm.col(v);
-    vertices_mm(2, v) += 5 * std::exp(-((at.x() - 30) * (at.x() - 30) + (at.y() + 25) * (at.y() + 25)) / 450);
-  }
-  const Eigen::AngleAxisf tilt(0.05F, Vector3f(0.3F, 1, 0).normalized());
-  return (tilt.toRotationMatrix() * vertices_mm).colwise() + Vector3f(2, -1, 4);
-}
-
-RestShape rest() {
-  return {scene().surface->neutral_mm, scene().surface->expressions_mm};
-}
-
 TEST(TemplateFitter, ComesToLieOnTheDepthMaps) {
   const mesh::Vertices truth_mm = swollen();
   FitOptions options;
   options.steps = 30;
   options.cg_iterations = 200;
-  TemplateFitter fitter(scene().surface, options);
+  TemplateFitter fitter(surface(), options);
   fitter.set_rest(rest());
-  mesh::Vertices vertices_mm = scene().surface->neutral_mm;
+  mesh::Vertices vertices_mm = surface()->neutral_mm;
   const FitReport report = fitter.fit(depths_of(truth_mm), vertices_mm);
   EXPECT_LT(report.last_move_mm, 0.05) << to_string(report.outcome);
   EXPECT_GT(report.seen, 0.8);
   EXPECT_LT(report.surface_rms_mm, 0.2);
   EXPECT_LT(mean_distance_mm(vertices_mm, truth_mm, fitter.depth_weight()), 0.05);
-  EXPECT_GT(mean_distance_mm(scene().surface->neutral_mm, truth_mm, fitter.depth_weight()), 1.0)
+  EXPECT_GT(mean_distance_mm(surface()->neutral_mm, truth_mm, fitter.depth_weight()), 1.0)
       << "or the test shows nothing";
 }
 
@@ -132,12 +61,12 @@ TEST(TemplateFitter, OutliersOfDepthDoNotPull) {
   FitOptions options;
   options.steps = 30;
   options.cg_iterations = 200;
-  TemplateFitter fitter(scene().surface, options);
+  TemplateFitter fitter(surface(), options);
   fitter.set_rest(rest());
-  mesh::Vertices vertices_mm = scene().surface->neutral_mm;
+  mesh::Vertices vertices_mm = surface()->neutral_mm;
   EXPECT_TRUE(fitter.fit(maps, vertices_mm).failure.empty());
   const std::vector<float> everywhere(static_cast<std::size_t>(vertices_mm.cols()), 1.0F);
-  const render::Raycaster caster(truth_mm, scene().surface->triangles);
+  const render::Raycaster caster(truth_mm, surface()->triangles);
   EXPECT_LT(mean_distance_mm(vertices_mm, truth_mm, fitter.depth_weight()), 0.1);
   EXPECT_LT(mean_distance_mm(vertices_mm, truth_mm, everywhere), 0.6) << "what the hand hides is guessed";
 }
@@ -146,7 +75,7 @@ TEST(TemplateFitter, OutliersOfDepthDoNotPull) {
 struct TrueFlow {
   TrueFlow(const Lens& lens, const mesh::Vertices& before_mm, const mesh::Vertices& after_mm) {
     const Eigen::Isometry3f camera_from_rig = lens.camera_from_rig.cast<float>();
-    const mesh::Triangles& triangles = scene().surface->triangles;
+    const mesh::Triangles& triangles = surface()->triangles;
     const mesh::Vertices seen =
         (camera_from_rig.linear() * before_mm).colwise() + camera_from_rig.translation();
     const render::HitImage hits = render::Raycaster(seen, triangles)
@@ -174,7 +103,7 @@ struct TrueFlow {
 
 TEST(TemplateFitter, FollowsTheSkinAlongTheSurface) {
   // The skin slides within a surface that hardly changes: only the flow can tell.
-  const mesh::Vertices before_mm = scene().surface->neutral_mm;
+  const mesh::Vertices before_mm = surface()->neutral_mm;
   mesh::Vertices after_mm = before_mm;
   for (Eigen::Index v = 0; v < after_mm.cols(); ++v) {
     const Vector3f at = after_mm.col(v);
@@ -187,7 +116,7 @@ TEST(TemplateFitter, FollowsTheSkinAlongTheSurface) {
   FitOptions options;
   options.steps = 20;
   options.cg_iterations = 200;
-  TemplateFitter fitter(scene().surface, options);
+  TemplateFitter fitter(surface(), options);
   fitter.set_rest(rest());
   mesh::Vertices followed_mm = before_mm;
   const FitReport report = fitter.track(maps, flows, before_mm, followed_mm);
@@ -212,46 +141,46 @@ TEST(TemplateFitter, FollowsTheSkinAlongTheSurface) {
 }
 
 TEST(TemplateFitter, KnowsTurningAndExpressionsFromBending) {
-  const auto& expressions = scene().surface->expressions_mm;
+  const auto& expressions = surface()->expressions_mm;
   std::size_t largest = 0;
   for (std::size_t e = 1; e < expressions.size(); ++e) {
     largest = expressions[e].squaredNorm() > expressions[largest].squaredNorm() ? e : largest;
   }
-  mesh::Vertices truth_mm = scene().surface->neutral_mm + 0.8F * expressions[largest];
+  mesh::Vertices truth_mm = surface()->neutral_mm + 0.8F * expressions[largest];
   truth_mm = Eigen::AngleAxisf(0.12F, Vector3f::UnitY()).toRotationMatrix() * truth_mm;
   FitOptions options;
   options.steps = 40;
   options.cg_iterations = 300;
-  TemplateFitter fitter(scene().surface, options);
+  TemplateFitter fitter(surface(), options);
   fitter.set_rest(rest());
-  mesh::Vertices vertices_mm = scene().surface->neutral_mm;
+  mesh::Vertices vertices_mm = surface()->neutral_mm;
   fitter.fit(depths_of(truth_mm), vertices_mm);
   ASSERT_EQ(fitter.expression().size(), static_cast<Eigen::Index>(expressions.size()));
   EXPECT_NEAR(fitter.expression()[static_cast<Eigen::Index>(largest)], 0.8, 0.2);
   const double knowing = (vertices_mm - truth_mm).colwise().norm().mean();
   options.turns_with_the_head = false;
-  TemplateFitter paper(scene().surface, options);
+  TemplateFitter paper(surface(), options);
   paper.set_rest(rest());
-  vertices_mm = scene().surface->neutral_mm;
+  vertices_mm = surface()->neutral_mm;
   paper.fit(depths_of(truth_mm), vertices_mm);
   EXPECT_LT(knowing, 0.5 * static_cast<double>((vertices_mm - truth_mm).colwise().norm().mean()));
 }
 
 TEST(TemplateFitter, TheModelMovesFirst) {
   // A jaw that opens by centimetres within a step: the displacements alone are not there yet.
-  const auto& expressions = scene().surface->expressions_mm;
+  const auto& expressions = surface()->expressions_mm;
   std::size_t largest = 0;
   for (std::size_t e = 1; e < expressions.size(); ++e) {
     largest = expressions[e].squaredNorm() > expressions[largest].squaredNorm() ? e : largest;
   }
-  const mesh::Vertices truth_mm = scene().surface->neutral_mm + 0.7F * expressions[largest];
+  const mesh::Vertices truth_mm = surface()->neutral_mm + 0.7F * expressions[largest];
   const auto error_mm = [&](int model_steps) {
     FitOptions options;
     options.steps = 1;
     options.model_steps = model_steps;
-    TemplateFitter fitter(scene().surface, options);
+    TemplateFitter fitter(surface(), options);
     fitter.set_rest(rest());
-    mesh::Vertices vertices_mm = scene().surface->neutral_mm;
+    mesh::Vertices vertices_mm = surface()->neutral_mm;
     fitter.fit(depths_of(truth_mm), vertices_mm);
     return static_cast<double>((vertices_mm - truth_mm).colwise().norm().mean());
   };
@@ -260,7 +189,7 @@ TEST(TemplateFitter, TheModelMovesFirst) {
 
 TEST(TemplateFitter, TurnsNoTriangleOver) {
   // A flow that is wrong by far on a spot of the cheek, trusted more than the template's stiffness.
-  const mesh::Vertices truth_mm = scene().surface->neutral_mm;
+  const mesh::Vertices truth_mm = surface()->neutral_mm;
   const Lens lens = lens_at(0);
   TrueFlow wrong(lens, truth_mm, truth_mm);
   for (int y = 170; y < 184; ++y) {
@@ -276,16 +205,16 @@ TEST(TemplateFitter, TurnsNoTriangleOver) {
     options.cg_iterations = 200;
     options.model_steps = 0;
     options.unfolds = unfolds;
-    TemplateFitter fitter(scene().surface, options);
+    TemplateFitter fitter(surface(), options);
     fitter.set_rest(rest());
     mesh::Vertices vertices_mm = truth_mm;
     unfolded =
         fitter.track(depths_of(truth_mm), std::vector<FlowView>{wrong.view}, truth_mm, vertices_mm).unfolded;
     Eigen::Matrix3Xf normals;
-    mesh::vertex_normals(vertices_mm, scene().surface->triangles, normals);
+    mesh::vertex_normals(vertices_mm, surface()->triangles, normals);
     int count = 0;
-    for (Eigen::Index t = 0; t < scene().surface->triangles.cols(); ++t) {
-      const auto corner = scene().surface->triangles.col(t);
+    for (Eigen::Index t = 0; t < surface()->triangles.cols(); ++t) {
+      const auto corner = surface()->triangles.col(t);
       const Vector3f across = (vertices_mm.col(corner[1]) - vertices_mm.col(corner[0]))
                                   .cross(vertices_mm.col(corner[2]) - vertices_mm.col(corner[0]));
       count +=
@@ -343,7 +272,7 @@ TEST(TemplateFitter, WhatHasNoSkinGoesWhereTheSkinAroundItGoes) {
 }
 
 TEST(TemplateFitter, AFlowMayLeadAwayFromAnotherMesh) {
-  const mesh::Vertices truth_mm = scene().surface->neutral_mm;
+  const mesh::Vertices truth_mm = surface()->neutral_mm;
   mesh::Vertices slid_mm = truth_mm;  // where the mesh has drifted to
   for (Eigen::Index v = 0; v < slid_mm.cols(); ++v) {
     const Vector3f at = slid_mm.col(v);
@@ -360,7 +289,7 @@ TEST(TemplateFitter, AFlowMayLeadAwayFromAnotherMesh) {
   FitOptions options;
   options.steps = 20;
   options.cg_iterations = 200;
-  TemplateFitter fitter(scene().surface, options);
+  TemplateFitter fitter(surface(), options);
   fitter.set_rest(rest());
   mesh::Vertices back_mm = slid_mm;
   const mesh::Vertices elsewhere_mm = slid_mm.colwise() + Vector3f(7, 0, 0);
@@ -382,30 +311,30 @@ TEST(TemplateFitter, AFlowMayLeadAwayFromAnotherMesh) {
 }
 
 TEST(TemplateFitter, KnowsWhenItIsLost) {
-  TemplateFitter fitter(scene().surface, {});
+  TemplateFitter fitter(surface(), {});
   fitter.set_rest(rest());
-  mesh::Vertices vertices_mm = scene().surface->neutral_mm;
+  mesh::Vertices vertices_mm = surface()->neutral_mm;
   FitReport report = fitter.fit(depths_of(swollen()), vertices_mm);
   EXPECT_FALSE(report.lost) << report.lost_because;
   EXPECT_LT(report.rejected, 0.02);
   // The face is 12 mm nearer than where it was left.
-  const std::vector<DepthMap> maps = depths_of(scene().surface->neutral_mm.colwise() + Vector3f(0, 0, 12));
+  const std::vector<DepthMap> maps = depths_of(surface()->neutral_mm.colwise() + Vector3f(0, 0, 12));
   FitOptions one;
   one.steps = 1;
   one.model_steps = 0;  // or it would be found
-  TemplateFitter there(scene().surface, one);
+  TemplateFitter there(surface(), one);
   there.set_rest(rest());
-  vertices_mm = scene().surface->neutral_mm;
+  vertices_mm = surface()->neutral_mm;
   report = there.fit(maps, vertices_mm);
   EXPECT_TRUE(report.lost);
   EXPECT_THAT(report.lost_because, ::testing::HasSubstr("off the depth maps"));
   // Nothing is seen.
-  vertices_mm = scene().surface->neutral_mm;
+  vertices_mm = surface()->neutral_mm;
   report = fitter.fit({}, vertices_mm);
   EXPECT_TRUE(report.lost);
   EXPECT_THAT(report.lost_because, ::testing::HasSubstr("on a depth map"));
   // Flow that leads nowhere.
-  vertices_mm = scene().surface->neutral_mm;
+  vertices_mm = surface()->neutral_mm;
   TrueFlow nowhere(lens_at(0), vertices_mm, vertices_mm);
   std::fill(nowhere.confidence.begin(), nowhere.confidence.end(), 0.1F);
   nowhere.view.confidence = nowhere.confidence;
@@ -418,7 +347,7 @@ TEST(TemplateFitter, KnowsWhenItIsLost) {
 TEST(TemplateFitter, ComesBackAsTheSamePerson) {
   // The person's own shape, elsewhere and with another expression, as landmarks alone place it: the mean's
   // shape.
-  TemplateFitter fitter(scene().surface, {});
+  TemplateFitter fitter(surface(), {});
   RestShape person = rest();
   person.vertices_mm = swollen();
   fitter.set_rest(person);
@@ -438,11 +367,11 @@ TEST(TemplateFitter, ComesBackAsTheSamePerson) {
 }
 
 TEST(TemplateFitter, ExpectsThatAVertexGoesOnAsItWent) {
-  const mesh::Vertices& truth_mm = scene().surface->neutral_mm;
+  const mesh::Vertices& truth_mm = surface()->neutral_mm;
   const auto run = [&](double gamma, float move_mm) {
     FitOptions options;
     options.gamma = gamma;
-    TemplateFitter fitter(scene().surface, options);
+    TemplateFitter fitter(surface(), options);
     fitter.set_rest(rest());
     std::mt19937_64 random(5);
     std::normal_distribution<float> noise(0, 0.3F);
@@ -472,19 +401,19 @@ TEST(TemplateFitter, ExpectsThatAVertexGoesOnAsItWent) {
   };
   EXPECT_LT(run(1, 0).first, 0.8 * run(0, 0).first) << "quieter on a still face";
   EXPECT_LT(run(1, 8).second, run(0, 8).second + 0.1) << "no lag behind a face that moves by 8 mm a mesh";
-  TemplateFitter fitter(scene().surface, {});
+  TemplateFitter fitter(surface(), {});
   EXPECT_THROW(fitter.remember(mesh::Vertices::Zero(3, 7)), Error);
 }
 
 TEST(TemplateFitter, WithoutDepthItStaysWhereItIsAndSaysSo) {
-  TemplateFitter fitter(scene().surface, {});
+  TemplateFitter fitter(surface(), {});
   fitter.set_rest(rest());
   mesh::Vertices vertices_mm = swollen();
   const mesh::Vertices given = vertices_mm;
   EXPECT_EQ(fitter.fit({}, vertices_mm).outcome, FitOutcome::NoData);
   EXPECT_EQ(vertices_mm, given);
   // A face that has left the volume: the maps see something else.
-  const std::vector<DepthMap> maps = depths_of(scene().surface->neutral_mm.colwise() + Vector3f(0, 0, 300));
+  const std::vector<DepthMap> maps = depths_of(surface()->neutral_mm.colwise() + Vector3f(0, 0, 300));
   const FitReport report = fitter.fit(maps, vertices_mm);
   EXPECT_EQ(report.outcome, FitOutcome::NoData);
   EXPECT_THAT(report.failure, ::testing::HasSubstr("of the template's skin lies on a depth map"));
@@ -492,14 +421,14 @@ TEST(TemplateFitter, WithoutDepthItStaysWhereItIsAndSaysSo) {
 }
 
 TEST(TemplateFitter, NumbersThatAreNoneDoNoHarm) {
-  TemplateFitter fitter(scene().surface, {});
+  TemplateFitter fitter(surface(), {});
   fitter.set_rest(rest());
-  std::vector<DepthMap> maps = depths_of(scene().surface->neutral_mm);
+  std::vector<DepthMap> maps = depths_of(surface()->neutral_mm);
   for (std::size_t i = 0; i < maps[0].depth_mm.size(); i += 3) {
     maps[0].depth_mm[i] =
         i % 2 == 0 ? std::numeric_limits<float>::quiet_NaN() : std::numeric_limits<float>::infinity();
   }
-  mesh::Vertices vertices_mm = scene().surface->neutral_mm;
+  mesh::Vertices vertices_mm = surface()->neutral_mm;
   const FitReport report = fitter.fit(maps, vertices_mm);
   EXPECT_NE(report.outcome, FitOutcome::NumericalFailure);
   EXPECT_TRUE(vertices_mm.allFinite());
@@ -508,9 +437,9 @@ TEST(TemplateFitter, NumbersThatAreNoneDoNoHarm) {
 TEST(TemplateFitter, WrongUseIsNamed) {
   FitOptions options;
   options.alpha = 0;
-  EXPECT_THROW(TemplateFitter(scene().surface, options), Error);
-  TemplateFitter fitter(scene().surface, {});
-  mesh::Vertices vertices_mm = scene().surface->neutral_mm;
+  EXPECT_THROW(TemplateFitter(surface(), options), Error);
+  TemplateFitter fitter(surface(), {});
+  mesh::Vertices vertices_mm = surface()->neutral_mm;
   EXPECT_THAT([&] { fitter.fit({}, vertices_mm); },
               ::testing::ThrowsMessage<Error>(::testing::HasSubstr("no rest shape")));
   EXPECT_THROW(fitter.set_rest({mesh::Vertices::Zero(3, 7), {}}), Error);

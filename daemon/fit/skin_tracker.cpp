@@ -1,0 +1,287 @@
+#include "fit/skin_tracker.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <deque>
+#include <optional>
+#include <utility>
+
+#include "facet/error.hpp"
+#include "fit/optical_flow.hpp"
+#include "fit/reference_picture.hpp"
+
+namespace facet::fit {
+namespace {
+
+constexpr int kPlacingSteps = 30;
+constexpr int kPlacingCgIterations = 200;
+/// How far behind the mesh's own surface a vertex counts as hidden.
+constexpr float kVisibleMargin_mm = 4;
+/// How often a mesh that was found again is drawn to its skin: landmarks leave it millimetres off.
+constexpr int kPasses = 3;
+/// A followed person's shape comes as close to its own at rest as 0.8 mm; another's, 6 mm.
+constexpr double kSamePerson_mm = 3;
+/// Around the mesh, in shares of its size in the picture: what may have moved from slot to slot, and what
+/// lies around skin that was drawn where it is.
+constexpr double kReach = 0.3;
+constexpr double kRim = 0.1;
+
+bool usable(const Frame& picture) {
+  return !picture.empty() && !picture.corrupt;
+}
+
+/// A camera that sees texture, and what is remembered of its pictures.
+struct View {
+  explicit View(capture::Lens given) : lens(std::move(given)) {}
+
+  capture::Lens lens;
+  OpticalFlow flow;
+  Flow from_before;
+  Flow from_drawn;
+  Flow from_reference;
+  Frame before;                              ///< empty where the slot before had none
+  std::optional<ReferencePicture> previous;  ///< the same, with the mesh that it shows
+  std::optional<ReferencePicture> reference;
+};
+
+}  // namespace
+
+struct SkinTracker::Impl {
+  Impl(std::shared_ptr<const TemplateMesh> given_surface, std::vector<capture::Lens> lenses,
+       const SkinTrackerOptions& given_options)
+      : surface(std::move(given_surface)), options(given_options), fitter(surface, options.fit) {
+    for (capture::Lens& lens : lenses) {
+      views.emplace_back(std::move(lens));
+    }
+  }
+
+  std::shared_ptr<const TemplateMesh> surface;
+  SkinTrackerOptions options;
+  TemplateFitter fitter;
+  std::deque<View> views;
+  mesh::Vertices now_mm;
+  Eigen::VectorXd expression;  ///< of now_mm
+  std::vector<float> depth_weight;
+  Eigen::Matrix3Xf normals;
+  std::vector<std::uint8_t> visible;
+  std::vector<std::uint8_t> drawn;
+
+  void check(std::span<const Frame> pictures, bool started) const {
+    if (pictures.size() != views.size()) {
+      throw Error(ErrorKind::Usage, "the skin tracker needs a picture, or an empty one, of every camera");
+    }
+    if (started && now_mm.cols() == 0) {
+      throw Error(ErrorKind::Usage, "the skin tracker was not started");
+    }
+  }
+  ReferencePicture picture_of_skin(const View& view, const Frame& picture,
+                                   const mesh::Vertices& vertices_mm) {
+    find_visible(view.lens, vertices_mm, normals, surface->triangles, kVisibleMargin_mm, 0, visible);
+    return {view.lens, picture, vertices_mm, surface->triangles, visible};
+  }
+  PixelBox box_of(const View& view, const Frame& picture, const mesh::Vertices& vertices_mm,
+                  double reach) const;
+  void flow_from(const ReferencePicture& skin, View& view, const Frame& picture,
+                 const mesh::Vertices& vertices_mm, Flow& found);
+  void add(const View& view, const Flow& flow, const mesh::Vertices* from_mm, bool from_reference,
+           std::vector<FlowView>& flows) const;
+  FitReport conclude(const FitReport& report, const TemplateFitter& by, mesh::Vertices&& found_mm,
+                     std::span<const Frame> pictures);
+};
+
+/// The part of a picture that a mesh covers, and some more.
+PixelBox SkinTracker::Impl::box_of(const View& view, const Frame& picture, const mesh::Vertices& vertices_mm,
+                                   double reach) const {
+  Eigen::AlignedBox2d box;
+  for (Eigen::Index v = 0; v < vertices_mm.cols(); ++v) {
+    if (surface->is_skin[static_cast<std::size_t>(v)] != 0) {
+      if (const auto pixel = view.lens.project(vertices_mm.col(v).cast<double>())) {
+        box.extend(*pixel);
+      }
+    }
+  }
+  if (box.isEmpty()) {
+    return {0, 0, picture.width_px, picture.height_px};
+  }
+  const double more = reach * box.sizes().maxCoeff();
+  const auto whole = [](double at, int limit) {
+    return static_cast<int>(std::clamp(at, 0.0, static_cast<double>(limit)));
+  };
+  PixelBox result;
+  result.left = whole(std::floor(box.min().x() - more), picture.width_px);
+  result.top = whole(std::floor(box.min().y() - more), picture.height_px);
+  result.width = whole(std::ceil(box.max().x() + more), picture.width_px) - result.left;
+  result.height = whole(std::ceil(box.max().y() + more), picture.height_px) - result.top;
+  return result;
+}
+
+/// Flow from skin that was seen before, drawn where the mesh is, to the picture.
+void SkinTracker::Impl::flow_from(const ReferencePicture& skin, View& view, const Frame& picture,
+                                  const mesh::Vertices& vertices_mm, Flow& found) {
+  view.flow.find(skin.draw(picture, vertices_mm, visible, drawn), picture,
+                 box_of(view, picture, vertices_mm, kRim), found);
+  for (std::size_t i = 0; i < drawn.size(); ++i) {
+    found.confidence[i] *= static_cast<float>(drawn[i]);
+  }
+}
+
+void SkinTracker::Impl::add(const View& view, const Flow& flow, const mesh::Vertices* from_mm,
+                            bool from_reference, std::vector<FlowView>& flows) const {
+  flows.push_back({view.lens, flow.width_px, flow.height_px, flow.flow_px, flow.confidence, from_mm});
+  if (from_reference) {
+    flows.back().weight = options.reference_weight;
+    flows.back().sigma_px = options.reference_sigma_px;
+  }
+}
+
+/// Takes over what was found, unless it is lost.
+FitReport SkinTracker::Impl::conclude(const FitReport& report, const TemplateFitter& by,
+                                      mesh::Vertices&& found_mm, std::span<const Frame> pictures) {
+  depth_weight = by.depth_weight();
+  if (report.lost) {
+    fitter.forget();
+    for (View& view : views) {
+      view.before = {};
+      view.previous.reset();
+    }
+    return report;
+  }
+  now_mm = std::move(found_mm);
+  expression = by.expression();
+  fitter.remember(now_mm);
+  mesh::vertex_normals(now_mm, surface->triangles, normals);
+  for (std::size_t k = 0; k < views.size(); ++k) {
+    View& view = views[k];
+    view.previous.reset();
+    view.before = {};
+    if (!usable(pictures[k])) {
+      continue;
+    }
+    view.before = pictures[k];
+    view.previous.emplace(picture_of_skin(view, pictures[k], now_mm));
+    if (!view.reference) {  // the camera's first picture
+      view.reference.emplace(picture_of_skin(view, pictures[k], now_mm));
+    }
+  }
+  return report;
+}
+
+SkinTracker::SkinTracker(std::shared_ptr<const TemplateMesh> surface, std::vector<capture::Lens> lenses,
+                         const SkinTrackerOptions& options)
+    : impl_(std::make_unique<Impl>(std::move(surface), std::move(lenses), options)) {}
+
+SkinTracker::~SkinTracker() = default;
+
+FitReport SkinTracker::start(const Placement& placed, std::span<const capture::DepthMap> maps,
+                             std::span<const Frame> pictures) {
+  Impl& impl = *impl_;
+  impl.check(pictures, false);
+  FitOptions options = impl.options.fit;
+  options.steps = kPlacingSteps;
+  options.cg_iterations = kPlacingCgIterations;
+  TemplateFitter first(impl.surface, options);
+  first.set_rest(placed.rest);
+  mesh::Vertices found_mm = placed.rest.vertices_mm;
+  const FitReport report = first.fit(maps, found_mm);
+  if (report.lost) {
+    return report;
+  }
+  impl.fitter.set_rest({found_mm, placed.rest.expressions_mm});
+  for (View& view : impl.views) {
+    view.reference.reset();
+  }
+  return impl.conclude(report, first, std::move(found_mm), pictures);
+}
+
+FitReport SkinTracker::follow(std::span<const capture::DepthMap> maps, std::span<const Frame> pictures) {
+  Impl& impl = *impl_;
+  impl.check(pictures, true);
+  std::vector<FlowView> flows;
+  for (std::size_t k = 0; k < impl.views.size(); ++k) {
+    View& view = impl.views[k];
+    if (usable(pictures[k]) && !view.before.empty()) {
+      view.flow.find(view.before, pictures[k], impl.box_of(view, pictures[k], impl.now_mm, kReach),
+                     view.from_before);
+      impl.add(view, view.from_before, nullptr, false, flows);
+    }
+  }
+  mesh::Vertices found_mm = impl.now_mm;
+  FitReport report = impl.fitter.track(maps, flows, impl.now_mm, found_mm);
+  // The way that is left is short: once more from the skin drawn where it was found.
+  const mesh::Vertices drawn_mm = found_mm;
+  std::vector<FlowView> again;
+  mesh::vertex_normals(drawn_mm, impl.surface->triangles, impl.normals);
+  for (std::size_t k = 0; k < impl.views.size(); ++k) {
+    View& view = impl.views[k];
+    const bool redraws = impl.options.redraws && view.previous;
+    const bool compares = impl.options.uses_reference && view.reference;
+    if (!usable(pictures[k]) || !(redraws || compares)) {
+      continue;
+    }
+    find_visible(view.lens, drawn_mm, impl.normals, impl.surface->triangles, kVisibleMargin_mm, 0,
+                 impl.visible);
+    if (redraws) {
+      impl.flow_from(*view.previous, view, pictures[k], drawn_mm, view.from_drawn);
+      impl.add(view, view.from_drawn, &drawn_mm, false, again);
+    } else if (!view.before.empty()) {
+      impl.add(view, view.from_before, nullptr, false, again);
+    }
+    if (compares) {
+      impl.flow_from(*view.reference, view, pictures[k], drawn_mm, view.from_reference);
+      impl.add(view, view.from_reference, &drawn_mm, true, again);
+    }
+  }
+  if (!again.empty()) {
+    report = impl.fitter.track(maps, again, impl.now_mm, found_mm);
+  }
+  return impl.conclude(report, impl.fitter, std::move(found_mm), pictures);
+}
+
+FitReport SkinTracker::find_again(const Placement& placed, std::span<const capture::DepthMap> maps,
+                                  std::span<const Frame> pictures) {
+  Impl& impl = *impl_;
+  impl.check(pictures, true);
+  impl.fitter.forget();
+  mesh::Vertices found_mm = impl.fitter.shape_like(placed.rest.vertices_mm);
+  FitReport report = impl.fitter.fit(maps, found_mm);
+  for (int pass = 0; pass < kPasses && impl.options.uses_reference && !report.lost; ++pass) {
+    const mesh::Vertices drawn_mm = found_mm;
+    mesh::vertex_normals(drawn_mm, impl.surface->triangles, impl.normals);
+    std::vector<FlowView> flows;
+    for (std::size_t k = 0; k < impl.views.size(); ++k) {
+      View& view = impl.views[k];
+      if (usable(pictures[k]) && view.reference) {
+        find_visible(view.lens, drawn_mm, impl.normals, impl.surface->triangles, kVisibleMargin_mm, 0,
+                     impl.visible);
+        impl.flow_from(*view.reference, view, pictures[k], drawn_mm, view.from_reference);
+        impl.add(view, view.from_reference, nullptr, false, flows);
+      }
+    }
+    if (flows.empty()) {
+      break;
+    }
+    report = impl.fitter.track(maps, flows, drawn_mm, found_mm);
+  }
+  if (!report.lost && report.shape_rms_mm > kSamePerson_mm) {
+    report.lost = true;
+    report.lost_because = fmt::format("the face differs by {:.1f} mm from the one that was followed before",
+                                      report.shape_rms_mm);
+  }
+  return impl.conclude(report, impl.fitter, std::move(found_mm), pictures);
+}
+
+const mesh::Vertices& SkinTracker::vertices_mm() const {
+  return impl_->now_mm;
+}
+
+const Eigen::VectorXd& SkinTracker::expression() const {
+  return impl_->expression;
+}
+
+const std::vector<float>& SkinTracker::depth_weight() const {
+  return impl_->depth_weight;
+}
+
+}  // namespace facet::fit

@@ -1,0 +1,194 @@
+#include "fit/skin_tracker.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <functional>
+
+#include "face_scene.hpp"
+#include "facet/error.hpp"
+
+namespace facet::fit {
+namespace {
+
+using namespace scene;
+using Paint = std::function<float(const Vector3f&)>;  ///< brightness of the skin, by its place at rest
+
+/// One person's skin and another's.
+Paint skin(float seed) {
+  return [seed](const Vector3f& at) {
+    return 128 + 35 * std::sin(0.31F * at.x() + seed + std::sin(0.13F * at.y())) +
+           35 * std::sin(0.27F * at.y() + 2 * seed + std::cos(0.11F * at.x() + seed));
+  };
+}
+
+std::vector<Lens> colour_lenses() {
+  return {lens_at(-0.2), lens_at(0.2)};
+}
+
+Frame picture_of(const mesh::Vertices& vertices_mm, const Lens& lens, const Paint& paint) {
+  const Eigen::Isometry3f camera_from_rig = lens.camera_from_rig.cast<float>();
+  const mesh::Triangles& triangles = surface()->triangles;
+  const mesh::Vertices seen =
+      (camera_from_rig.linear() * vertices_mm).colwise() + camera_from_rig.translation();
+  const render::HitImage hits = render::Raycaster(seen, triangles)
+                                    .cast({static_cast<float>(lens.fx_px), static_cast<float>(lens.fy_px),
+                                           static_cast<float>(lens.cx_px), static_cast<float>(lens.cy_px),
+                                           lens.width_px, lens.height_px});
+  Frame frame;
+  frame.width_px = lens.width_px;
+  frame.height_px = lens.height_px;
+  frame.stride_bytes = 4 * static_cast<std::size_t>(lens.width_px);
+  auto pixels = std::make_shared<std::uint8_t[]>(4 * hits.triangle.size());
+  for (std::size_t i = 0; i < hits.triangle.size(); ++i) {
+    const float grey = hits.triangle[i] < 0
+                           ? 20
+                           : paint(render::interpolate(triangles, hits.triangle[i], hits.barycentric[i],
+                                                       surface()->neutral_mm));
+    std::fill_n(pixels.get() + 4 * i, 3, static_cast<std::uint8_t>(std::lround(grey)));
+    pixels[4 * i + 3] = 255;
+  }
+  frame.pixels = std::move(pixels);
+  return frame;
+}
+
+std::vector<Frame> pictures_of(const mesh::Vertices& vertices_mm, const Paint& paint) {
+  std::vector<Frame> pictures;
+  for (const Lens& lens : colour_lenses()) {
+    pictures.push_back(picture_of(vertices_mm, lens, paint));
+  }
+  return pictures;
+}
+
+/// The skin slides within a surface that hardly changes, by 0.9 mm a slot, while the head turns.
+mesh::Vertices performance(int slot) {
+  const auto time = static_cast<float>(slot);
+  mesh::Vertices vertices_mm = surface()->neutral_mm;
+  for (Eigen::Index v = 0; v < vertices_mm.cols(); ++v) {
+    const Vector3f at = vertices_mm.col(v);
+    vertices_mm.col(v) +=
+        0.9F * time * std::exp(-at.head<2>().squaredNorm() / 2000) * Vector3f(0.9F, 0.45F, 0);
+  }
+  return Eigen::AngleAxisf(0.02F * time, Vector3f::UnitY()).toRotationMatrix() * vertices_mm;
+}
+
+/// The template where landmarks put it: off by some mm.
+Placement placed_at(const mesh::Vertices& truth_mm) {
+  Placement placed;
+  placed.rest = rest();
+  placed.rest.vertices_mm = truth_mm;
+  for (Eigen::Index v = 0; v < truth_mm.cols(); ++v) {
+    placed.rest.vertices_mm.col(v) +=
+        1.2F * Vector3f(std::sin(0.7F * static_cast<float>(v)), std::cos(1.1F * static_cast<float>(v)), 0.3F);
+  }
+  return placed;
+}
+
+/// Placed without an error, so that what is measured is drift alone.
+Placement placed_well() {
+  Placement placed;
+  placed.rest = rest();
+  return placed;
+}
+
+/// How far the vertices in the middle of the face are from their skin.
+double drift_mm(const SkinTracker& tracker, const mesh::Vertices& truth_mm) {
+  double sum = 0;
+  int count = 0;
+  for (Eigen::Index v = 0; v < truth_mm.cols(); ++v) {
+    if (surface()->is_skin[static_cast<std::size_t>(v)] != 0 && surface()->neutral_mm(2, v) > 0 &&
+        surface()->neutral_mm.col(v).head<2>().norm() < 45) {
+      sum += static_cast<double>((truth_mm.col(v) - tracker.vertices_mm().col(v)).norm());
+      ++count;
+    }
+  }
+  EXPECT_GT(count, 100);
+  return sum / std::max(count, 1);
+}
+
+TEST(SkinTracker, FollowsTheSkinWithoutDrift) {
+  const auto drift_after = [](const SkinTrackerOptions& options, bool with_pictures) {
+    SkinTracker tracker(surface(), colour_lenses(), options);
+    for (int slot = 0; slot < 8; ++slot) {
+      const mesh::Vertices truth_mm = performance(slot);
+      const auto pictures = with_pictures ? pictures_of(truth_mm, skin(1)) : std::vector<Frame>(2);
+      const FitReport report = slot == 0 ? tracker.start(placed_well(), depths_of(truth_mm), pictures)
+                                         : tracker.follow(depths_of(truth_mm), pictures);
+      EXPECT_FALSE(report.lost) << report.lost_because;
+    }
+    return drift_mm(tracker, performance(7));
+  };
+  const double drift = drift_after({}, true);
+  EXPECT_LT(drift, 0.4);
+  EXPECT_GT(drift_after({}, false), 5 * drift) << "depth alone can't tell";
+}
+
+TEST(SkinTracker, FindsThePersonAgainAfterAGap) {
+  SkinTracker tracker(surface(), colour_lenses(), {});
+  const mesh::Vertices first_mm = performance(0);
+  ASSERT_FALSE(tracker.start(placed_well(), depths_of(first_mm), pictures_of(first_mm, skin(1))).lost);
+  const FitReport gone = tracker.follow({}, std::vector<Frame>(2));
+  EXPECT_TRUE(gone.lost);
+  EXPECT_LT(drift_mm(tracker, first_mm), 0.2) << "stays what it was";
+
+  const mesh::Vertices back_mm = performance(6).colwise() + Vector3f(15, -8, 12);
+  const FitReport found =
+      tracker.find_again(placed_at(back_mm), depths_of(back_mm), pictures_of(back_mm, skin(1)));
+  EXPECT_FALSE(found.lost) << found.lost_because;
+  EXPECT_LT(drift_mm(tracker, back_mm), 0.3);
+  const mesh::Vertices next_mm = performance(7).colwise() + Vector3f(15, -8, 12);
+  EXPECT_FALSE(tracker.follow(depths_of(next_mm), pictures_of(next_mm, skin(1))).lost);
+  EXPECT_LT(drift_mm(tracker, next_mm), 0.3);
+}
+
+TEST(SkinTracker, SomebodyElseIsNotThePerson) {
+  SkinTracker tracker(surface(), colour_lenses(), {});
+  const mesh::Vertices first_mm = performance(0);
+  ASSERT_FALSE(tracker.start(placed_well(), depths_of(first_mm), pictures_of(first_mm, skin(1))).lost);
+  const mesh::Vertices other_mm = Eigen::Vector3f(1.1F, 0.93F, 1).asDiagonal() * swollen();
+  const auto pictures = pictures_of(other_mm, skin(7));
+  const FitReport report = tracker.find_again(placed_at(other_mm), depths_of(other_mm), pictures);
+  EXPECT_TRUE(report.lost);
+  EXPECT_THAT(report.lost_because, ::testing::HasSubstr("differs"));
+  EXPECT_EQ(tracker.vertices_mm().cols(), first_mm.cols());
+  EXPECT_LT(drift_mm(tracker, first_mm), 0.2) << "stays what it was";
+  // A new person then.
+  EXPECT_FALSE(tracker.start(placed_at(other_mm), depths_of(other_mm), pictures).lost);
+  EXPECT_FALSE(tracker.follow(depths_of(other_mm), pictures).lost);
+}
+
+TEST(SkinTracker, GoesOnWithThePicturesThatThereAre) {
+  SkinTracker tracker(surface(), colour_lenses(), {});
+  for (int slot = 0; slot < 8; ++slot) {
+    const mesh::Vertices truth_mm = performance(slot);
+    auto pictures = pictures_of(truth_mm, skin(1));
+    if (slot < 3) {
+      pictures[1] = {};  // comes late
+    }
+    if (slot == 4) {
+      pictures[0].corrupt = true;
+    }
+    if (slot == 5) {
+      pictures.assign(2, Frame());
+    }
+    const FitReport report = slot == 0 ? tracker.start(placed_well(), depths_of(truth_mm), pictures)
+                                       : tracker.follow(depths_of(truth_mm), pictures);
+    EXPECT_FALSE(report.lost) << slot << ": " << report.lost_because;
+  }
+  EXPECT_LT(drift_mm(tracker, performance(7)), 1);
+}
+
+TEST(SkinTracker, WrongUseIsNamed) {
+  SkinTracker tracker(surface(), colour_lenses(), {});
+  const mesh::Vertices first_mm = performance(0);
+  const auto pictures = pictures_of(first_mm, skin(1));
+  EXPECT_THROW(tracker.follow(depths_of(first_mm), pictures), Error);
+  EXPECT_THROW(tracker.find_again(placed_well(), depths_of(first_mm), pictures), Error);
+  EXPECT_THROW(tracker.start(placed_well(), depths_of(first_mm), std::vector<Frame>(1)), Error);
+  // What can't be placed leaves it as it was: not started.
+  EXPECT_TRUE(tracker.start(placed_well(), {}, pictures).lost);
+  EXPECT_THROW(tracker.follow(depths_of(first_mm), pictures), Error);
+}
+
+}  // namespace
+}  // namespace facet::fit
