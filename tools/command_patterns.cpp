@@ -1,8 +1,12 @@
 // `facet patterns`: what the projectors of a booth show.
 
 #include <fmt/format.h>
+#include <unistd.h>
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
 #include <filesystem>
 #include <memory>
 #include <optional>
@@ -117,6 +121,95 @@ void run_write(const PatternsOptions& options) {
   }
 }
 
+struct ShowOptions {
+  std::string folder;
+  double rate_hz = 0;
+  int screen = -1;
+  bool console = false;
+  std::string connector;
+  std::vector<std::string> player;
+};
+
+/// Becomes the player: its keys, its signals and its exit status are the command's.
+void run_show(const ShowOptions& options) {
+  std::vector<std::string> pictures;
+  try {
+    for (const auto& entry : std::filesystem::directory_iterator(options.folder)) {
+      if (entry.path().extension() == ".png") {
+        pictures.push_back(std::filesystem::absolute(entry.path()).string());
+      }
+    }
+  } catch (const std::filesystem::filesystem_error& error) {
+    throw Error(ErrorKind::UnreadableInput, fmt::format("{}: {}", options.folder, error.code().message()));
+  }
+  if (pictures.empty()) {
+    throw Error(
+        ErrorKind::UnreadableInput,
+        fmt::format("{}: no PNG pictures there; `facet patterns write` makes them, a folder of its own for "
+                    "each projector of a rig",
+                    options.folder));
+  }
+  std::sort(pictures.begin(), pictures.end());
+  std::vector<std::string> words = {"mpv",
+                                    "--no-config",
+                                    "--fullscreen",
+                                    "--no-audio",
+                                    "--no-osc",
+                                    "--msg-level=all=warn",
+                                    "--osd-level=0",
+                                    "--cursor-autohide=always",
+                                    "--background=#000000",
+                                    "--video-unscaled=yes",
+                                    "--stop-screensaver=yes",
+                                    "--loop-playlist=inf"};
+  words.push_back(options.rate_hz > 0 ? fmt::format("--image-display-duration={:.9f}", 1 / options.rate_hz)
+                                      : "--image-display-duration=inf");
+  words.push_back("--prefetch-playlist=yes");
+  if (options.screen >= 0) {
+    words.push_back(fmt::format("--fs-screen={}", options.screen));
+  }
+  if (options.console) {
+    words.emplace_back("--vo=drm");
+    if (!options.connector.empty()) {
+      words.push_back("--drm-connector=" + options.connector);
+    }
+  }
+  words.insert(words.end(), options.player.begin(), options.player.end());
+  words.emplace_back("--");
+  words.insert(words.end(), pictures.begin(), pictures.end());
+  std::vector<char*> arguments;
+  for (std::string& word : words) {
+    arguments.push_back(word.data());
+  }
+  arguments.push_back(nullptr);
+  ::execvp(arguments[0], arguments.data());
+  throw Error(ErrorKind::Usage,
+              fmt::format("the player mpv can't be started ({}): apt install mpv", std::strerror(errno)));
+}
+
+void add_show_command(CLI::App& command) {
+  auto options = std::make_shared<ShowOptions>();
+  CLI::App* show = command.add_subcommand(
+      "show",
+      "Show a folder's pictures on a projector's screen: full-screen, pixel by pixel, again and again");
+  show->add_option("folder", options->folder, "Of one projector, as `facet patterns write` made it")
+      ->required();
+  show->add_option(
+          "--rate", options->rate_hz,
+          "Pictures a second; without it each stays until the key > (or <, back) is pressed. A desktop's "
+          "player keeps no exact time: projectors that the trigger steps play the pictures themselves")
+      ->check(CLI::Range(0.01, 1000.0));
+  show->add_option("--screen", options->screen, "Number of the screen, from 0")->check(CLI::Range(0, 31));
+  auto* console = show->add_flag("--console", options->console,
+                                 "Without a desktop, on the kernel's own display (DRM/KMS)");
+  show->add_option("--connector", options->connector,
+                   "Of the projector, such as HDMI-A-1: see /sys/class/drm")
+      ->needs(console);
+  show->add_option("--player", options->player, "More options of the player, mpv");
+  show->footer("Key q ends it. Needs the program mpv.");
+  show->callback([options] { run_show(*options); });
+}
+
 }  // namespace
 
 void add_patterns_command(CLI::App& app) {
@@ -155,6 +248,7 @@ void add_patterns_command(CLI::App& app) {
     }
     run_write(*options);
   });
+  add_show_command(*command);
 }
 
 }  // namespace facet::tools

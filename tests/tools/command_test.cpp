@@ -562,7 +562,8 @@ TEST_F(BoothDemo, ATeamFindsTheSameAndGoesOnAfterAMemberWasKilled) {
             "-o",      file(name), "--depth",        file(depth)};
   };
   const auto team = [&](const std::string& name) {
-    std::vector<std::string> arguments = {"-n", "2", "--oversubscribe", "--bind-to", "none", FACET_TEAM_PROGRAM};
+    std::vector<std::string> arguments = {"-n",        "2",    "--oversubscribe",
+                                          "--bind-to", "none", FACET_TEAM_PROGRAM};
     const auto rest = process(name, "team");
     arguments.insert(arguments.end(), rest.begin(), rest.end());
     return std::make_unique<ChildProcess>(
@@ -711,6 +712,38 @@ TEST_F(Command, PatternsWritesStructuredLightToo) {
   EXPECT_EQ(run({"patterns", "write", file("coded"), "--size", "128x64", "--sequence", "phase:4x8"}),
             static_cast<int>(ErrorKind::Usage));
   EXPECT_THAT(output_, HasSubstr("needs Gray bits"));
+}
+
+TEST_F(Command, PatternsAreShownByThePlayer) {
+  ASSERT_EQ(run({"patterns", "write", file("stripes"), "--size", "64x48", "--periods", "1"}), 0) << output_;
+  // A player that says what it was asked for.
+  std::filesystem::create_directory(file("bin"));
+  std::ofstream(file("bin/mpv")) << "#!/bin/sh\nprintf '%s\\n' \"$@\"\nexit 3\n";
+  std::filesystem::permissions(file("bin/mpv"), std::filesystem::perms::owner_all);
+  const auto show = [&](std::vector<std::string> arguments, const std::string& path) {
+    arguments.insert(arguments.begin(), {"patterns", "show"});
+    ChildProcess player(FACET_PROGRAM, arguments, folder_.path() / "log",
+                        {.environment = {"PATH=" + path}, .pending_signal = 0});
+    const int status = player.wait();
+    output_ = player.output();
+    return status;
+  };
+  const std::string path = file("bin") + ":/usr/bin:/bin";
+  EXPECT_EQ(show({file("stripes"), "--rate", "60", "--screen", "1"}, path), 3) << "the player's own status";
+  EXPECT_THAT(output_, AllOf(HasSubstr("--fullscreen"), HasSubstr("--image-display-duration=0.016666667"),
+                             HasSubstr("--fs-screen=1"), HasSubstr("--video-unscaled=yes")));
+  const auto first = output_.find("slot_000000.png");
+  EXPECT_LT(first, output_.find("slot_000001.png"));
+  EXPECT_LT(output_.find("slot_000001.png"), output_.find("slot_000002.png"));
+  EXPECT_EQ(show({file("stripes"), "--console", "--connector", "HDMI-A-1"}, path), 3);
+  EXPECT_THAT(output_, AllOf(HasSubstr("--vo=drm"), HasSubstr("--drm-connector=HDMI-A-1"),
+                             HasSubstr("--image-display-duration=inf")));
+
+  EXPECT_EQ(show({file("stripes")}, file("nowhere")), static_cast<int>(ErrorKind::Usage));
+  EXPECT_THAT(output_, HasSubstr("apt install mpv"));
+  EXPECT_EQ(show({file("bin")}, path), static_cast<int>(ErrorKind::UnreadableInput));
+  EXPECT_THAT(output_, HasSubstr("no PNG pictures there"));
+  EXPECT_EQ(show({file("nowhere")}, path), static_cast<int>(ErrorKind::UnreadableInput));
 }
 
 }  // namespace
