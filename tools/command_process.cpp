@@ -23,6 +23,7 @@
 #include "depth_team.hpp"
 #include "facet/error.hpp"
 #include "pipeline/booth_meshes.hpp"
+#include "pipeline/face_points.hpp"
 #include "pipeline/monocular.hpp"
 #include "pipeline/take_sink.hpp"
 #include "progress.hpp"
@@ -48,6 +49,7 @@ struct Options {
   std::string device;
   std::string rig;
   std::string depth;
+  std::string points;
 };
 
 void set_budget(const std::string& budget, refine::RefinerConfig& refiner) {
@@ -229,6 +231,26 @@ std::vector<std::int64_t> slots_of(take::TakeReader& take, const pipeline::Frame
   return found;
 }
 
+/// What the booth's stages are to be made with. Throws Error(Usage) where the face is pointed at in a slot
+/// that gets no mesh.
+pipeline::BoothConfig booth_of(const Options& options, const service::Config& config, take::TakeReader& input,
+                               const std::vector<std::int64_t>& slots) {
+  pipeline::BoothConfig booth = service::booth_config(config);
+  booth.points_file = options.points;
+  if (!options.points.empty()) {
+    const std::uint64_t slot = pipeline::read_face_points(options.points).slot;
+    const bool gets_a_mesh = std::any_of(slots.begin(), slots.end(), [&](std::int64_t i) {
+      return input.entry(i).sequence == slot && booth.stripes[slot % booth.stripes.size()] == 0;
+    });
+    if (!gets_a_mesh) {
+      throw Error(ErrorKind::Usage,
+                  fmt::format("'{}': slot {} is no blank slot of '{}' in the range asked for", options.points,
+                              slot, options.input));
+    }
+  }
+  return booth;
+}
+
 /// What tells one computation of depth maps from another.
 std::string made_of(const take::TakeReader& take, const pipeline::BoothConfig& booth,
                     const pipeline::BoothStages& stages, const Options& options) {
@@ -309,7 +331,7 @@ void help_booth(const Options& options, Team& team, const StopSignals& signals) 
   config.rig_file = options.rig;
   take::TakeReader input(options.input);
   const std::vector<std::int64_t> slots = slots_of(input, config.pipeline.frames);
-  pipeline::BoothStages stages = pipeline::open_booth(service::booth_config(config), kBlanksPerRun);
+  pipeline::BoothStages stages = pipeline::open_booth(booth_of(options, config, input, slots), kBlanksPerRun);
   stages.tracker.reset();
   stages.depth = std::make_unique<SharedDepth>(std::move(stages.depth), team, nullptr);
   pipeline::BoothMeshes meshes(std::move(stages), pipeline::BoothMeshes::WhenBusy::Wait, {});
@@ -332,7 +354,7 @@ void lead_booth(const Options& options, Team& team, const StopSignals& signals) 
   config.rig_file = options.rig;
   take::TakeReader input(options.input);
   const std::vector<std::int64_t> slots = slots_of(input, config.pipeline.frames);
-  const pipeline::BoothConfig booth = service::booth_config(config);
+  const pipeline::BoothConfig booth = booth_of(options, config, input, slots);
   const auto blanks =
       static_cast<std::uint64_t>(std::count_if(slots.begin(), slots.end(), [&](std::int64_t i) {
         return booth.stripes[input.entry(i).sequence % booth.stripes.size()] == 0;
@@ -435,6 +457,11 @@ void add_process_command(CLI::App& app, std::unique_ptr<Team> (*join)()) {
           "--depth", options->depth,
           "Folder for the depth maps of every blank slot (PFM, mm) and their lenses (rig.toml); maps that an "
           "earlier run left there are not found again")
+      ->needs("--rig");
+  command
+      ->add_option("--points", options->points,
+                   "Where the face is in one slot, pointed at by hand, if the landmark net does not find it "
+                   "(docs/booth.md)")
       ->needs("--rig");
   command->callback(
       [options, join] { options->rig.empty() ? run_monocular(*options) : run_booth(*options, join); });

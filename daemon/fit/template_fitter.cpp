@@ -237,7 +237,9 @@ struct TemplateFitter::Impl {
   bool add_data(std::span<const DepthMap> maps, std::span<const FlowView> flows,
                 const mesh::Vertices* before_mm, const mesh::Vertices& vertices_mm, FitReport& report);
   double model_step(mesh::Vertices& vertices_mm);
-  int unfold(mesh::Vertices& vertices_mm);
+  void weigh_edges();
+  Eigen::Isometry3f pose_of(const mesh::Vertices& shape, const mesh::Vertices& vertices_mm) const;
+  int unfold(mesh::Vertices& vertices_mm, const mesh::Vertices& shape);
   void add_smoothness(const mesh::Vertices& vertices_mm);
   void add_depth(const DepthMap& map, const mesh::Vertices& vertices_mm);
   void add_motion(const FlowView& flow, const mesh::Vertices& before_mm,
@@ -333,6 +335,31 @@ void TemplateFitter::Impl::hang_together() {
 }
 
 /// Eq. 11: 1 / ||s_n1 - s_n2||^2 of every edge, times alpha; and the normal equations of the expressions.
+/// Of E_r, by the lengths that the edges have in the placed shape.
+void TemplateFitter::Impl::weigh_edges() {
+  edge_sums.assign(static_cast<std::size_t>(surface->vertex_count()), 0);
+  for (std::int32_t v = 0; v < surface->vertex_count(); ++v) {
+    for (auto e = offsets[static_cast<std::size_t>(v)]; e < offsets[static_cast<std::size_t>(v) + 1]; ++e) {
+      const auto edge = static_cast<std::size_t>(e);
+      const float length2 =
+          (placed.vertices_mm.col(v) - placed.vertices_mm.col(neighbours[edge])).squaredNorm();
+      edge_weights[edge] = static_cast<float>(options.alpha) / std::max(length2, 1e-2F);
+      edge_sums[static_cast<std::size_t>(v)] += edge_weights[edge];
+    }
+  }
+}
+
+/// Where a shape comes closest to a mesh, judged by the skin that depth maps pull.
+Eigen::Isometry3f TemplateFitter::Impl::pose_of(const mesh::Vertices& shape,
+                                                const mesh::Vertices& vertices_mm) const {
+  Eigen::VectorXd weights(vertices_mm.cols());
+  for (Eigen::Index v = 0; v < weights.size(); ++v) {
+    weights[v] = depth_pull[static_cast<std::size_t>(v)] > 0 ? 1 : 1e-6;
+  }
+  return Eigen::Isometry3f(
+      align_rigidly(shape.cast<double>(), vertices_mm.cast<double>(), weights).cast<float>());
+}
+
 void TemplateFitter::Impl::set_rest(RestShape shape) {
   const std::int32_t count = surface->vertex_count();
   const bool fits = shape.vertices_mm.cols() == count &&
@@ -344,17 +371,13 @@ void TemplateFitter::Impl::set_rest(RestShape shape) {
   }
   placed = std::move(shape);
   last_mm.resize(3, 0);
-  expressed = placed.vertices_mm;
-  edge_sums.assign(static_cast<std::size_t>(count), 0);
-  for (std::int32_t v = 0; v < count; ++v) {
-    for (auto e = offsets[static_cast<std::size_t>(v)]; e < offsets[static_cast<std::size_t>(v) + 1]; ++e) {
-      const auto edge = static_cast<std::size_t>(e);
-      const float length2 =
-          (placed.vertices_mm.col(v) - placed.vertices_mm.col(neighbours[edge])).squaredNorm();
-      edge_weights[edge] = static_cast<float>(options.alpha) / std::max(length2, 1e-2F);
-      edge_sums[static_cast<std::size_t>(v)] += edge_weights[edge];
-    }
+  weigh_edges();
+  // Landmarks and depth may have turned lids and corners of the mouth over.
+  if (options.unfolds) {
+    unfold(placed.vertices_mm, surface->neutral_mm);
+    weigh_edges();
   }
+  expressed = placed.vertices_mm;
   const auto known = options.knows_expressions ? static_cast<Eigen::Index>(placed.expressions_mm.size()) : 0;
   expression.setZero(known);
   expressions.resize(3 * static_cast<Eigen::Index>(count), known);
@@ -384,15 +407,7 @@ void TemplateFitter::Impl::bring_along(const mesh::Vertices& vertices_mm) {
     rig_from_rest.setIdentity();
     return;
   }
-  Eigen::VectorXd weights(vertices_mm.cols());
-  for (Eigen::Index v = 0; v < weights.size(); ++v) {
-    weights[v] = depth_pull[static_cast<std::size_t>(v)] > 0 ? 1 : 1e-6;
-  }
-  const auto pose_of = [&](const mesh::Vertices& shape) {
-    return Eigen::Isometry3f(
-        align_rigidly(shape.cast<double>(), vertices_mm.cast<double>(), weights).cast<float>());
-  };
-  rig_from_rest = pose_of(expressed);
+  rig_from_rest = pose_of(expressed, vertices_mm);
   if (expression.size() > 0) {
     const Eigen::Isometry3f rest_from_rig = rig_from_rest.inverse();
     Eigen::Map<Matrix3Xf>(misfit.data(), 3, vertices_mm.cols()) =
@@ -404,7 +419,7 @@ void TemplateFitter::Impl::bring_along(const mesh::Vertices& vertices_mm) {
     for (Eigen::Index e = 0; e < expression.size(); ++e) {
       expressed += static_cast<float>(expression[e]) * placed.expressions_mm[static_cast<std::size_t>(e)];
     }
-    rig_from_rest = pose_of(expressed);
+    rig_from_rest = pose_of(expressed, vertices_mm);
   }
   rest = (rig_from_rest.linear() * expressed).colwise() + rig_from_rest.translation();
 }
@@ -653,7 +668,9 @@ FitReport TemplateFitter::Impl::solve(std::span<const DepthMap> maps, std::span<
   }
   report.shape_rms_mm = std::sqrt(squares / std::max(count, 1.0));
   if (options.unfolds) {
-    report.unfolded = unfold(vertices_mm);
+    report.unfolded = unfold(vertices_mm, expressed);
+    // The rest shape with its expression may be folded itself; the model's face is not.
+    report.unfolded += unfold(vertices_mm, surface->neutral_mm);
   }
   judge(report, before_mm != nullptr && !flows.empty());
   return report;
@@ -760,10 +777,12 @@ double TemplateFitter::Impl::model_step(mesh::Vertices& vertices_mm) {
   return static_cast<double>(offset.colwise().norm().maxCoeff());
 }
 
-/// Data that turn a triangle over are wrong there (the rim of a lid, what shows between the lips): E_r alone
-/// decides where its vertices are, and those around them where that is not enough. Returns how many vertices.
-int TemplateFitter::Impl::unfold(mesh::Vertices& vertices_mm) {
+/// Data that turn a triangle over are wrong there (the rim of a lid, what shows between the lips): E_r
+/// against a shape, brought to the mesh's pose, alone decides where its vertices are, and those around them
+/// where that is not enough. Returns how many vertices.
+int TemplateFitter::Impl::unfold(mesh::Vertices& vertices_mm, const mesh::Vertices& shape) {
   const mesh::Triangles& triangles = surface->triangles;
+  const Matrix3f turn = pose_of(shape, vertices_mm).linear();
   std::vector<std::uint8_t> is_free(static_cast<std::size_t>(surface->vertex_count()), 0);
   std::vector<std::int32_t> freed;
   const auto set_free = [&](std::int32_t v) {
@@ -805,9 +824,10 @@ int TemplateFitter::Impl::unfold(mesh::Vertices& vertices_mm) {
         for (auto e = offsets[static_cast<std::size_t>(v)]; e < offsets[static_cast<std::size_t>(v) + 1];
              ++e) {
           const auto edge = static_cast<std::size_t>(e);
-          sum += edge_weights[edge] * (vertices_mm.col(neighbours[edge]) - rest.col(neighbours[edge]));
+          sum += edge_weights[edge] *
+                 (vertices_mm.col(neighbours[edge]) + turn * (shape.col(v) - shape.col(neighbours[edge])));
         }
-        vertices_mm.col(v) = rest.col(v) + sum / edge_sums[static_cast<std::size_t>(v)];
+        vertices_mm.col(v) = sum / edge_sums[static_cast<std::size_t>(v)];
       }
     }
   }

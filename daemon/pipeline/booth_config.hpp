@@ -20,6 +20,7 @@ struct BoothConfig {
   std::vector<std::uint8_t> stripes = {1, 1, 0};
   std::filesystem::path model_file;
   std::filesystem::path landmark_assets;
+  std::filesystem::path points_file;  ///< FacePoints to begin with; empty: the landmark net finds the face
   std::string gpu_device = "auto";
   fit::SkinTrackerOptions skin;
 };

@@ -90,8 +90,12 @@ BoothStages open_booth(const BoothConfig& config, int blanks_per_run) {
   stages.stripes = config.stripes;
   stages.blanks_per_run = blanks_per_run;
   const auto model = std::make_shared<const face::FaceModel>(face::FaceModel::load(config.model_file));
-  stages.tracker =
-      std::make_unique<PerformanceTracker>(model, config.landmark_assets, stages.rig, config.skin);
+  std::optional<FacePoints> points;
+  if (!config.points_file.empty()) {
+    points = read_face_points(config.points_file);
+  }
+  stages.tracker = std::make_unique<PerformanceTracker>(model, config.landmark_assets, stages.rig,
+                                                        config.skin, std::move(points));
   const auto slots_between = static_cast<int>(config.stripes.size());
   const int most_slots = (blanks_per_run - 1) * slots_between + 1 + 2 * static_cast<int>(kDepthReach);
   stages.depth = std::make_unique<BoothDepth>(config.gpu_device, stages.rig, config.depths, most_slots);

@@ -25,6 +25,7 @@ namespace {
 using Clock = std::chrono::steady_clock;
 
 constexpr std::size_t kLeastLandmarks = 60;
+constexpr std::size_t kLeastPoints = 8;  ///< that a person pointed at
 /// Slots in a row in which a face is seen, placed and not found to be the person of before: another one.
 constexpr int kStrangerSlots = 3;
 
@@ -66,7 +67,8 @@ std::vector<capture::Lens> colour_lenses(const capture::Rig& rig) {
 
 struct PerformanceTracker::Impl {
   Impl(std::shared_ptr<const face::FaceModel> given_model, const std::filesystem::path& assets,
-       std::shared_ptr<const capture::Rig> given_rig, const fit::SkinTrackerOptions& given_options);
+       std::shared_ptr<const capture::Rig> given_rig, const fit::SkinTrackerOptions& given_options,
+       std::optional<FacePoints> given_points);
 
   std::shared_ptr<const face::FaceModel> model;
   std::shared_ptr<const capture::Rig> rig;
@@ -77,6 +79,7 @@ struct PerformanceTracker::Impl {
   Eigen::VectorXd rigid_weights;  ///< [vertex_count] 1 on skin that expressions hardly move
   std::list<View> views;          ///< colour cameras
 
+  std::optional<FacePoints> points;
   std::shared_ptr<const mesh::Subject> subject;  ///< null: nobody is followed
   std::uint32_t subject_count = 0;
   Eigen::Matrix3Xd rest_mm;             ///< [3][vertex_count] the person in the first slot, head frame
@@ -93,7 +96,9 @@ struct PerformanceTracker::Impl {
 
   std::vector<Frame> pictures;  ///< [views] of the slot
 
-  std::string place(std::span<const capture::DepthMap> maps, mesh::MeshFrame& out);
+  std::vector<SeenLandmarks> find_landmarks(mesh::MeshFrame& out);
+  std::vector<SeenLandmarks> pointed_at() const;
+  std::string place(std::uint64_t slot, std::span<const capture::DepthMap> maps, mesh::MeshFrame& out);
   std::string follow(std::span<const capture::DepthMap> maps);
   void begin_subject();
   void refine(std::span<const capture::DepthMap> maps, mesh::MeshFrame& out);
@@ -103,12 +108,14 @@ struct PerformanceTracker::Impl {
 PerformanceTracker::Impl::Impl(std::shared_ptr<const face::FaceModel> given_model,
                                const std::filesystem::path& assets,
                                std::shared_ptr<const capture::Rig> given_rig,
-                               const fit::SkinTrackerOptions& given_options)
+                               const fit::SkinTrackerOptions& given_options,
+                               std::optional<FacePoints> given_points)
     : model(std::move(given_model)),
       rig(std::move(given_rig)),
       surface(std::make_shared<const fit::TemplateMesh>(fit::make_template(*model))),
       skin(surface, colour_lenses(*rig), given_options),
-      fine(model->control, surface) {
+      fine(model->control, surface),
+      points(std::move(given_points)) {
   model->evaluate({}, {}, control_mm);
   // Expressions move the upper face little: what lies above the mouth's corners by the neutral face.
   const auto mouth = static_cast<std::size_t>(61);  // the mouth's corner in MediaPipe's order
@@ -130,11 +137,17 @@ PerformanceTracker::Impl::Impl(std::shared_ptr<const face::FaceModel> given_mode
     throw Error(ErrorKind::Usage,
                 "no camera of the rig is marked as colour = true: one at least must see the face's texture");
   }
+  for (const FacePoints::Camera& camera : points ? points->cameras : std::vector<FacePoints::Camera>()) {
+    if (std::none_of(rig->cameras.begin(), rig->cameras.end(),
+                     [&](const capture::RigCamera& one) { return one.name == camera.name; })) {
+      throw Error(
+          ErrorKind::Usage,
+          fmt::format("the face points are of a camera '{}', which the rig does not have", camera.name));
+    }
+  }
 }
 
-/// Looks for a face: the person of before, or a new one. Returns why there is no mesh; empty where there is
-/// one.
-std::string PerformanceTracker::Impl::place(std::span<const capture::DepthMap> maps, mesh::MeshFrame& out) {
+std::vector<SeenLandmarks> PerformanceTracker::Impl::find_landmarks(mesh::MeshFrame& out) {
   const Clock::time_point begun = Clock::now();
   std::vector<SeenLandmarks> seen;
   std::size_t at = 0;
@@ -150,16 +163,39 @@ std::string PerformanceTracker::Impl::place(std::span<const capture::DepthMap> m
     }
   }
   out.stage_ms.landmarks_ms = ms_since(begun);
+  return seen;
+}
+
+std::vector<SeenLandmarks> PerformanceTracker::Impl::pointed_at() const {
+  std::vector<SeenLandmarks> seen;
+  for (const FacePoints::Camera& camera : points->cameras) {
+    const auto at = std::find_if(rig->cameras.begin(), rig->cameras.end(),
+                                 [&](const capture::RigCamera& one) { return one.name == camera.name; });
+    seen.push_back({&at->lens, &camera.face});
+  }
+  return seen;
+}
+
+/// Looks for a face: the person of before, or a new one. Returns why there is no mesh; empty where there is
+/// one.
+std::string PerformanceTracker::Impl::place(std::uint64_t slot, std::span<const capture::DepthMap> maps,
+                                            mesh::MeshFrame& out) {
+  if (points && slot < points->slot) {
+    return fmt::format("the face is pointed at in slot {}", points->slot);
+  }
+  const bool pointed = points && slot == points->slot;
+  const std::vector<SeenLandmarks> seen = pointed ? pointed_at() : find_landmarks(out);
   if (seen.empty()) {
     return "no face in the colour cameras' pictures";
   }
   const std::vector<fit::Correspondence> correspondences = landmarks_in_space(seen, maps, model->landmarks);
-  if (correspondences.size() < kLeastLandmarks) {
+  const std::size_t least = pointed ? kLeastPoints : kLeastLandmarks;
+  if (correspondences.size() < least) {
     return fmt::format(
         "a face is seen, but only {} of its landmarks have a depth (at least {} must): are the projectors "
         "on, "
         "and is it within the depths that are looked at?",
-        correspondences.size(), kLeastLandmarks);
+        correspondences.size(), least);
   }
   fit::Placement placed;
   try {
@@ -241,8 +277,10 @@ void PerformanceTracker::Impl::fill(mesh::MeshFrame& out) {
 PerformanceTracker::PerformanceTracker(std::shared_ptr<const face::FaceModel> model,
                                        const std::filesystem::path& landmark_assets,
                                        std::shared_ptr<const capture::Rig> rig,
-                                       const fit::SkinTrackerOptions& options)
-    : impl_(std::make_unique<Impl>(std::move(model), landmark_assets, std::move(rig), options)) {}
+                                       const fit::SkinTrackerOptions& options,
+                                       std::optional<FacePoints> points)
+    : impl_(std::make_unique<Impl>(std::move(model), landmark_assets, std::move(rig), options,
+                                   std::move(points))) {}
 
 PerformanceTracker::~PerformanceTracker() = default;
 
@@ -264,7 +302,7 @@ void PerformanceTracker::process(const FrameSet& set, std::span<const capture::D
   }
   if (!followed) {
     // Landmarks tell where the face is now, or that there is none.
-    const std::string unplaced = impl.place(maps, out);
+    const std::string unplaced = impl.place(set.slot, maps, out);
     missing = missing.empty() || unplaced.empty() ? unplaced : missing + "; " + unplaced;
   }
   out.stage_ms.fit_ms = ms_since(begun) - out.stage_ms.landmarks_ms;

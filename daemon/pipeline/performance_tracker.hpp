@@ -2,6 +2,7 @@
 
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 
@@ -11,6 +12,7 @@
 #include "facet/frame_set.hpp"
 #include "fit/skin_tracker.hpp"
 #include "mesh/mesh_frame.hpp"
+#include "pipeline/face_points.hpp"
 
 namespace facet::pipeline {
 
@@ -19,11 +21,12 @@ namespace facet::pipeline {
 /// (docs/template-fit.md). A face that is lost is looked for again. One thread at a time, on the CPU.
 class PerformanceTracker {
  public:
-  /// rig: one colour camera at least. Throws Error: Usage where there is none, UnreadableInput for the
+  /// rig: one colour camera at least. points: where the first person's face is in their slot, of cameras of
+  /// the rig; no mesh before that. Throws Error: Usage where there is no such camera, UnreadableInput for the
   /// landmark nets and for a model that can't be refined.
   PerformanceTracker(std::shared_ptr<const face::FaceModel> model,
                      const std::filesystem::path& landmark_assets, std::shared_ptr<const capture::Rig> rig,
-                     const fit::SkinTrackerOptions& options);
+                     const fit::SkinTrackerOptions& options, std::optional<FacePoints> points = {});
   ~PerformanceTracker();
 
   /// The next blank slot, in order of time. set: frames in the rig's order. maps: [pairs] of that slot.

@@ -8,6 +8,8 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
+#include <fstream>
 #include <map>
 #include <optional>
 #include <thread>
@@ -444,6 +446,47 @@ TEST_F(Booth, GoesOnWithoutOnePairsCameraAndWithoutASlot) {
   ASSERT_EQ(frames_.size(), 1U) << status_.reason;
   EXPECT_EQ(frames_[0]->state, mesh::TrackingState::Tracking) << frames_[0]->degraded_reason;
   EXPECT_TRUE(frames_[0]->degraded) << "a camera is missing, and that is said";
+}
+
+TEST_F(Booth, AFaceThatIsPointedAtNeedsNoLandmarkNet) {
+  // The colour cameras see nothing; a person has marked landmarks in a stripe camera's blank picture of slot
+  // 155.
+  write_half_a_rig();
+  const capture::Rig& rig = footage_->booth.rig();
+  const capture::RigCamera& camera = rig.cameras[rig.pairs[0].left];
+  const std::uint64_t slot = kFirst + 5;
+  const simulation::TruthMesh truth = footage_->booth.slot(slot).surface();
+  config_.points_file = folder_.path() / "points.toml";
+  {
+    std::ofstream points(config_.points_file);
+    points << "slot = " << slot << "\n[camera.\"" << camera.name << "\"]\n";
+    for (const int landmark : {33, 133, 362, 263, 46, 55, 285, 276, 168, 1, 129, 358, 61, 291, 0, 17, 152}) {
+      const Eigen::Vector3f at =
+          face::FaceModel::anchor_point(footage_->model.landmarks.at(static_cast<std::size_t>(landmark)),
+                                        truth.vertices_mm.leftCols(footage_->model.vertex_count()));
+      const Eigen::Vector2d pixel = camera.lens.project(at.cast<double>()).value();
+      points << landmark << " = [" << std::lround(pixel.x()) << ", " << std::lround(pixel.y()) << "]\n";
+    }
+  }
+  std::vector<FrameSet> sets = footage_->sets;
+  for (FrameSet& set : sets) {
+    for (std::size_t i = 0; i < rig.cameras.size(); ++i) {
+      if (rig.cameras[i].colour) {
+        lose(set, i);
+      }
+    }
+  }
+  run(sets);
+  ASSERT_EQ(frames_.size(), 2U) << status_.reason;
+  EXPECT_EQ(frames_[0]->state, mesh::TrackingState::Searching);
+  EXPECT_THAT(frames_[0]->degraded_reason, HasSubstr("pointed at in slot 155"));
+  ASSERT_EQ(frames_[1]->state, mesh::TrackingState::Tracking) << frames_[1]->degraded_reason;
+  EXPECT_LT(distance_to_truth(*frames_[1]), 1);
+
+  // A camera that the rig does not have is named.
+  config_.points_file = folder_.path() / "other.toml";
+  std::ofstream(config_.points_file) << "slot = 155\n[camera.nose]\nnose_tip = [1, 2]\n";
+  EXPECT_THAT([&] { open_booth(config_, 1); }, testing::ThrowsMessage<Error>(HasSubstr("'nose'")));
 }
 
 TEST_F(Booth, WithTheProjectorsOffThereIsNoMesh) {
