@@ -133,7 +133,8 @@ class Footage {
       : booth_(booth), folder_(std::move(folder)), triangles_(booth.slot(0).surface().triangles) {
     if (!folder_.empty()) {
       const simulation::BoothConfig& config = booth.config();
-      folder_ /= fmt::format("{}-{}-{}", config.seed, config.samples, config.head_motion);
+      folder_ /= fmt::format("{}-{}-{}{}", config.seed, config.samples, config.head_motion,
+                             config.actor_seed ? fmt::format("-{}", *config.actor_seed) : "");
       std::filesystem::create_directories(folder_);
     }
   }
@@ -559,7 +560,7 @@ int run(int argc, char** argv) {
                    report.lost ? "lost, " + report.lost_because : "not noticed");
         if (stranger != 0) {
           simulation::BoothConfig other_config = config;
-          other_config.seed = stranger;
+          other_config.actor_seed = stranger;
           const simulation::Booth other(&model, other_config);
           const Footage other_footage(other, cache);
           const simulation::TruthMesh other_truth = other_footage.truth(slot);

@@ -360,7 +360,7 @@ struct Booth::Impl {
                 (0.8F * distant_light_sh(Vector3f(0, 0.6F, 0.8F))[k] + (k == 0 ? 0.4F : 0));
     }
     if (config.scene == BoothScene::Actor) {
-      stage = std::make_unique<Stage>(*model, config.seed, false, kPerformance_s);
+      stage = std::make_unique<Stage>(*model, config.actor_seed.value_or(config.seed), false, kPerformance_s);
       stage->put(Eigen::Matrix3f::Identity(), Vector3f::Zero(), static_cast<float>(config.head_motion));
       skin = stage->actor().face_skin();
     } else {

@@ -22,7 +22,8 @@ enum class BoothScene : std::uint8_t {
 };
 
 struct BoothConfig {
-  std::uint64_t seed = 1;  ///< of rig, actor, performance, targets, noise
+  std::uint64_t seed = 1;                   ///< of rig, actor, performance, targets, noise
+  std::optional<std::uint64_t> actor_seed;  ///< of somebody else, and another performance, in the same booth
   BoothScene scene = BoothScene::Actor;
   double slots_per_second = 60;
   /// From the trigger on; the actor moves meanwhile. 0: a moment.

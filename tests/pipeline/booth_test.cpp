@@ -448,6 +448,26 @@ TEST_F(Booth, GoesOnWithoutOnePairsCameraAndWithoutASlot) {
   EXPECT_TRUE(frames_[0]->degraded) << "a camera is missing, and that is said";
 }
 
+TEST_F(Booth, SomebodyElseBecomesANewSubject) {
+  simulation::BoothConfig other_config = Footage::config();
+  other_config.actor_seed = 11;
+  const simulation::Booth other(&footage_->model, other_config);
+  std::vector<FrameSet> sets = footage_->sets;
+  for (std::uint64_t slot = kFirst + kSlots; slot < kFirst + kSlots + 9; ++slot) {
+    sets.push_back(other.slot(slot).frame_set());
+  }
+  run(sets);
+  ASSERT_EQ(frames_.size(), 5U) << status_.reason;
+  ASSERT_EQ(frames_[0]->state, mesh::TrackingState::Tracking) << frames_[0]->degraded_reason;
+  // Half of the second's slots show the one, half the other: in that a face may be seen, or none.
+  EXPECT_EQ(frames_[1]->state, mesh::TrackingState::Lost);
+  EXPECT_EQ(frames_[2]->state, mesh::TrackingState::Lost);
+  EXPECT_THAT(frames_[2]->degraded_reason, HasSubstr("not the one of before"));
+  ASSERT_EQ(frames_[4]->state, mesh::TrackingState::Tracking) << frames_[4]->degraded_reason;
+  EXPECT_NE(frames_[4]->subject->id, frames_[0]->subject->id);
+  EXPECT_EQ(status_.subjects, 2U);
+}
+
 TEST_F(Booth, AFaceThatIsPointedAtNeedsNoLandmarkNet) {
   // The colour cameras see nothing; a person has marked landmarks in a stripe camera's blank picture of slot
   // 155.
