@@ -21,7 +21,7 @@ constexpr int kPlacingCgIterations = 200;
 constexpr float kVisibleMargin_mm = 4;
 /// How often a mesh that was found again is drawn to its skin: landmarks leave it millimetres off.
 constexpr int kPasses = 3;
-/// A followed person's shape comes as close to its own at rest as 0.8 mm; others', 3.7 mm and more.
+/// A followed person's shape is at most 2.1 mm from its own at rest; others', 3.7 mm and more.
 constexpr double kSamePerson_mm = 3;
 /// Around the mesh, in shares of its size in the picture: what may have moved from slot to slot, and what
 /// lies around skin that was drawn where it is.

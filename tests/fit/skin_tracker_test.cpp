@@ -45,8 +45,9 @@ Frame picture_of(const mesh::Vertices& vertices_mm, const Lens& lens, const Pain
                            ? 20
                            : paint(render::interpolate(triangles, hits.triangle[i], hits.barycentric[i],
                                                        surface()->neutral_mm));
-    std::fill_n(pixels.get() + 4 * i, 3, static_cast<std::uint8_t>(std::lround(grey)));
-    pixels[4 * i + 3] = 255;
+    std::fill_n(pixels.get() + static_cast<std::ptrdiff_t>(4 * i), 3,
+                static_cast<std::uint8_t>(std::lround(grey)));
+    pixels[static_cast<std::ptrdiff_t>(4 * i + 3)] = 255;
   }
   frame.pixels = std::move(pixels);
   return frame;
