@@ -11,6 +11,7 @@ struct VectorStereoResult {
   std::vector<float> disparity_px;  ///< [slots][height][width]
   double windows_ms = 0;            ///< of a Gauss-Newton step, all slots: the windows' normal equations
   double solve_ms = 0;              ///< of a Gauss-Newton step, all slots: CG
+  double cpu_ms = 0;                ///< of a Gauss-Newton step, all slots: CPU time of all threads
 };
 
 /// The global Gauss-Newton step (docs/stereo.md, S2 to S9) written for a CPU's vector units, as the yardstick

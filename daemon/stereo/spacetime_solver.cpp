@@ -179,6 +179,8 @@ SpacetimeSolver::Impl::Impl(gpu::Context& context, const VolumeSize& whole, cons
       energies(context, blocks.size() * static_cast<std::size_t>(chosen.steps) * groups.x * sizeof(float),
                gpu::Memory::Readback, "energies"),
       batch(context, "spacetime stereo") {
+  // Windows in slots that the volume does not have are read with the weight 0 and never written.
+  gpu::clear(context, {&hessians.buffer, &gradients.buffer, &products.buffer});
   batch.stage("start");
   batch.copy(start, disparities.buffer);
   batch.copy(start_links, links.buffer);
@@ -193,7 +195,11 @@ SpacetimeSolver::Impl::Impl(gpu::Context& context, const VolumeSize& whole, cons
   for (const Block& block : blocks) {
     const BlockPush push = push_of(block);
     record_windows(push);
-    batch.dispatch(quality, {{"sums_xy", sums_xy.view}, {"links", links.view}, {"qualities", qualities}},
+    batch.dispatch(quality,
+                   {{"sums_xy", sums_xy.view},
+                    {"disparities", disparities.view},
+                    {"links", links.view},
+                    {"qualities", qualities}},
                    groups, push);
   }
   batch.copy(disparities.buffer, found);

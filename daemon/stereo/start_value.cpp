@@ -57,7 +57,6 @@ StartValue::StartValue(int width_px, int height_px, int least_px, int most_px, c
   paths_.resize(std::size_t{8} * (width + 2) * (count_ + 2 * kLanes));
   path_least_.resize(std::size_t{8} * (width + 2));
   columns_.resize(3 * width);
-  grown_.resize(pixels);
 }
 
 /// Takes mean and contrast of the surroundings out, so that gain and bias of either camera do not count.
@@ -275,45 +274,6 @@ void StartValue::semi_global(std::span<float> start_px) {
   for (int y = 0; y < height_; ++y) {
     choose(y, start_px.subspan(static_cast<std::size_t>(y) * static_cast<std::size_t>(width_),
                                static_cast<std::size_t>(width_)));
-  }
-  grow(start_px);
-}
-
-/// Goes on along each row's slope into pixels without a value, one px a step. The left-right check leaves
-/// holes where the surface turns away from the right camera; whether the pictures agree there is the solver's
-/// to say.
-void StartValue::grow(std::span<float> start_px) {
-  const auto width = static_cast<std::size_t>(width_);
-  constexpr float kMostSlope = 1;  // px a px: beyond, the right camera sees nothing of it
-  for (int step = 0; step < options_.grow_px; ++step) {
-    std::copy(start_px.begin(), start_px.end(), grown_.begin());
-    for (int y = 0; y < height_; ++y) {
-      const float* row = grown_.data() + static_cast<std::size_t>(y) * width;
-      for (int x = 0; x < width_; ++x) {
-        if (!std::isnan(row[x])) {
-          continue;
-        }
-        for (const int towards : {-1, 1}) {
-          // The slope over four pixels on one side; nothing where one of them has no value.
-          constexpr int kRun = 4;
-          const int last = x + towards * kRun;
-          if (last < 0 || last >= width_) {
-            continue;
-          }
-          const float near = row[x + towards];
-          const float slope = (near - row[last]) / static_cast<float>(kRun - 1);  // px towards x
-          if (!(std::abs(slope) < kMostSlope)) {                                  // true for NaN
-            continue;
-          }
-          const float value = near + slope;
-          const auto k = static_cast<int>(std::lround(value)) - least_;
-          if (k >= 0 && k < static_cast<int>(used_) && costs(x, y)[k] <= options_.grow_cost) {
-            start_px[static_cast<std::size_t>(y) * width + static_cast<std::size_t>(x)] = value;
-            break;
-          }
-        }
-      }
-    }
   }
 }
 

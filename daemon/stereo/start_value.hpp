@@ -23,11 +23,6 @@ struct StartOptions {
   int occlusion_cost = 24;   ///< scan lines: of a pixel that one camera alone sees
   int most_cost = 60;        ///< of a match; beyond, nothing fits
   float uniqueness = 0.02F;  ///< semi-global: by how much any other disparity must cost more
-  /// Semi-global: how far lit pixels without a value take one from their neighbours', where what they would
-  /// match is alike to grow_cost: skin that turns away from the right camera, several of whose left pixels
-  /// share a right one.
-  int grow_px = 0;
-  int grow_cost = 30;
   float least_grey = 0.15F;  ///< what no slot of the window shows brighter is not lit, and says nothing
 };
 
@@ -56,7 +51,6 @@ class StartValue {
   void sweep(bool backward);
   void choose(int row, std::span<float> line_px);
   void scan_lines(std::span<float> start_px);
-  void grow(std::span<float> start_px);
 
   std::uint8_t* costs(int x, int y) {
     return costs_.data() +
@@ -84,7 +78,6 @@ class StartValue {
   std::vector<std::uint16_t> paths_;                     ///< [2][4][width + 2][count_ + 2 pads]
   std::vector<std::uint16_t> path_least_;                ///< [2][4][width + 2]
   std::vector<double> columns_;                          ///< [3][width]
-  std::vector<float> grown_;                             ///< [height][width]
 };
 
 }  // namespace facet::stereo

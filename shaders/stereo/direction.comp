@@ -37,32 +37,28 @@ void main() {
   int plane = extent.x * extent.y * extent.z;
   int search_width = extent.x + 2;
   int search_slice = search_width * (extent.y + 2);
-  ivec2 rows = rows_of(extent.y * extent.z);
+  ivec2 cells = cells_of(extent, origin.z);
   float curvature = 0;
-  for (int row = rows.x; row < rows.y; ++row) {
-    int y = row % extent.y;
-    int t = row / extent.y;
-    for (int i = int(gl_LocalInvocationID.x); i < extent.x; i += int(kGroupSize)) {
-      int at = row * extent.x + i;
-      ivec3 here = origin + ivec3(i, y, t);
-      vec4 q = vec4(0);
-      if (inside(here)) {
-        uint word = texelFetch(links, voxel_of(here)).x;
-        int from = (t + 1) * search_slice + (y + 1) * search_width + i + 1;
-        float own = search_at(from, beta);
-        vec4 s = vec4(own, slope_of(from, 1, axis_bits(word, 0), beta),
-                      slope_of(from, search_width, axis_bits(word, 1), beta),
-                      slope_of(from, search_slice, axis_bits(word, 2), beta));
-        vec4 first = texelFetch(hessians, at);
-        vec4 second = texelFetch(hessians, at + plane);
-        vec2 third = texelFetch(hessians, at + 2 * plane).xy;
-        q = vec4(dot(first, s), dot(vec4(first.y, second.xyz), s), dot(vec4(first.z, second.yw, third.x), s),
-                 dot(vec4(first.w, second.z, third), s));
-        bool in_block = i > 0 && i + 1 < extent.x && y > 0 && y + 1 < extent.y && t > 0 && t + 1 < extent.z;
-        curvature += dot(s, q) + (in_block ? push.damping * own * own : 0);
-      }
-      products[at] = q;
+  for (int at = cells.x + int(gl_LocalInvocationID.x); at < cells.y; at += int(kGroupSize)) {
+    ivec3 cell = cell_at(at, extent);
+    ivec3 here = origin + cell;
+    vec4 q = vec4(0);
+    if (inside(here)) {
+      uint word = texelFetch(links, voxel_of(here)).x;
+      int from = (cell.z + 1) * search_slice + (cell.y + 1) * search_width + cell.x + 1;
+      float own = search_at(from, beta);
+      vec4 s = vec4(own, slope_of(from, 1, axis_bits(word, 0), beta),
+                    slope_of(from, search_width, axis_bits(word, 1), beta),
+                    slope_of(from, search_slice, axis_bits(word, 2), beta));
+      vec4 first = texelFetch(hessians, at);
+      vec4 second = texelFetch(hessians, at + plane);
+      vec2 third = texelFetch(hessians, at + 2 * plane).xy;
+      q = vec4(dot(first, s), dot(vec4(first.y, second.xyz), s), dot(vec4(first.z, second.yw, third.x), s),
+               dot(vec4(first.w, second.z, third), s));
+      bool in_block = all(greaterThan(cell, ivec3(0))) && all(lessThan(cell, extent - 1));
+      curvature += dot(s, q) + (in_block ? push.damping * own * own : 0);
     }
+    products[at] = q;
   }
   float total = workgroup_sum(vec4(curvature, 0, 0, 0)).x;
   if (gl_LocalInvocationID.x == 0) {

@@ -51,30 +51,25 @@ void main() {
   ivec3 extent = search_extent();
   ivec3 windows = window_extent();
   int plane = windows.x * windows.y * windows.z;
-  ivec2 rows = rows_of(extent.y * extent.z);
+  ivec2 cells = cells_of(extent, push.origin.z - 2);
   float rz = 0;
-  for (int row = rows.x; row < rows.y; ++row) {
-    int y = row % extent.y - 2;
-    int t = row / extent.y - 2;
-    bool row_in_block = y >= 0 && y < push.extent.y && t >= 0 && t < push.extent.z;
-    for (int i = int(gl_LocalInvocationID.x); i < extent.x; i += int(kGroupSize)) {
-      int x = i - 2;
-      float z = 0;
-      if (row_in_block && x >= 0 && x < push.extent.x) {
-        uint word = texelFetch(links, voxel_of(push.origin.xyz + ivec3(x, y, t))).x;
-        vec4 state = vec4(0);
-        if ((word & kSolved) != 0) {
-          int at = ((t + 1) * windows.y + y + 1) * windows.x + x + 1;
-          state.x = -adjoint(gradients, at, windows.x, windows.x * windows.y, word);
-          state.y = 1 / (diagonal(at, plane, windows.x, windows.x * windows.y, word) + push.damping);
-          state.w = push.damping;
-          z = state.y * state.x;
-          rz += state.x * z;
-        }
-        solver_states[(t * push.extent.y + y) * push.extent.x + x] = state;
+  for (int cell = cells.x + int(gl_LocalInvocationID.x); cell < cells.y; cell += int(kGroupSize)) {
+    ivec3 here = cell_at(cell, extent) - 2;
+    float z = 0;
+    if (all(greaterThanEqual(here, ivec3(0))) && all(lessThan(here, push.extent.xyz))) {
+      uint word = texelFetch(links, voxel_of(push.origin.xyz + here)).x;
+      vec4 state = vec4(0);
+      if ((word & kSolved) != 0) {
+        int at = ((here.z + 1) * windows.y + here.y + 1) * windows.x + here.x + 1;
+        state.x = -adjoint(gradients, at, windows.x, windows.x * windows.y, word);
+        state.y = 1 / (diagonal(at, plane, windows.x, windows.x * windows.y, word) + push.damping);
+        state.w = push.damping;
+        z = state.y * state.x;
+        rz += state.x * z;
       }
-      searches[row * extent.x + i] = vec2(z, 0);
+      solver_states[(here.z * push.extent.y + here.y) * push.extent.x + here.x] = state;
     }
+    searches[cell] = vec2(z, 0);
   }
   float total = workgroup_sum(vec4(rz, 0, 0, 0)).x;
   if (gl_LocalInvocationID.x == 0) {

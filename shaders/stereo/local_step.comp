@@ -17,18 +17,15 @@ buffer Disparities {
 void main() {
   ivec3 windows = window_extent();
   int plane = windows.x * windows.y * windows.z;
-  ivec2 rows = rows_of(push.extent.y * push.extent.z);
-  for (int row = rows.x; row < rows.y; ++row) {
-    int y = row % push.extent.y;
-    int t = row / push.extent.y;
-    for (int i = int(gl_LocalInvocationID.x); i < push.extent.x; i += int(kGroupSize)) {
-      int voxel = voxel_of(push.origin.xyz + ivec3(i, y, t));
-      int at = ((t + 1) * windows.y + y + 1) * windows.x + i + 1;
-      if ((texelFetch(links, voxel).x & kSolved) != 0) {
-        vec4 moved = solve4(texelFetch(hessians, at), texelFetch(hessians, at + plane),
-                            texelFetch(hessians, at + 2 * plane).xy, push.damping, -texelFetch(gradients, at));
-        disparities[voxel] += clamp(moved.x, -push.most_move_px, push.most_move_px);
-      }
+  ivec2 cells = cells_of(push.extent.xyz, push.origin.z);
+  for (int at = cells.x + int(gl_LocalInvocationID.x); at < cells.y; at += int(kGroupSize)) {
+    ivec3 cell = cell_at(at, push.extent.xyz);
+    int voxel = voxel_of(push.origin.xyz + cell);
+    int window = ((cell.z + 1) * windows.y + cell.y + 1) * windows.x + cell.x + 1;
+    if ((texelFetch(links, voxel).x & kSolved) != 0) {
+      vec4 moved = solve4(texelFetch(hessians, window), texelFetch(hessians, window + plane),
+                          texelFetch(hessians, window + 2 * plane).xy, push.damping, -texelFetch(gradients, window));
+      disparities[voxel] += clamp(moved.x, -push.most_move_px, push.most_move_px);
     }
   }
 }

@@ -26,25 +26,21 @@ void main() {
   ivec3 extent = window_extent();
   ivec3 origin = window_origin();
   int plane = extent.x * extent.y * extent.z;
-  ivec2 rows = rows_of(extent.y * extent.z);
+  ivec2 cells = cells_of(extent, origin.z);
   float energy = 0;
-  for (int row = rows.x; row < rows.y; ++row) {
-    int y = row % extent.y;
-    int t = row / extent.y;
-    for (int i = int(gl_LocalInvocationID.x); i < extent.x; i += int(kGroupSize)) {
-      int at = row * extent.x + i;
-      ivec3 here = origin + ivec3(i, y, t);
-      Window window = no_window();
-      if (inside(here)) {
-        window = window_of(at, voxel_of(here));
-      }
-      hessians[at] = window.j_first;
-      hessians[at + plane] = window.j_second;
-      hessians[at + 2 * plane] = vec4(window.j_third, 0, 0);
-      gradients[at] = window.b;
-      bool in_block = i > 0 && i + 1 < extent.x && y > 0 && y + 1 < extent.y && t > 0 && t + 1 < extent.z;
-      energy += in_block ? window.energy : 0;
+  for (int at = cells.x + int(gl_LocalInvocationID.x); at < cells.y; at += int(kGroupSize)) {
+    ivec3 cell = cell_at(at, extent);
+    ivec3 here = origin + cell;
+    Window window = no_window();
+    if (inside(here)) {
+      window = window_of(at, voxel_of(here), here.z);
     }
+    hessians[at] = window.j_first;
+    hessians[at + plane] = window.j_second;
+    hessians[at + 2 * plane] = vec4(window.j_third, 0, 0);
+    gradients[at] = window.b;
+    bool in_block = all(greaterThan(cell, ivec3(0))) && all(lessThan(cell, extent - 1));
+    energy += in_block ? window.energy : 0;
   }
   float total = workgroup_sum(vec4(energy, 0, 0, 0)).x;
   if (gl_LocalInvocationID.x == 0) {

@@ -10,6 +10,7 @@ struct Window {
   float energy;    // E(p), weighted
   float variance;  // of a grey value after the match
   float correlation;
+  float bias_square;  // of d, px^2, of what the field bends within the window
 };
 
 float slope_of(int voxel, int stride, uint bits) {
@@ -19,11 +20,11 @@ float slope_of(int voxel, int stride, uint bits) {
 }
 
 Window no_window() {
-  return Window(vec4(0), vec4(0), vec2(0), vec4(0), 0, 0, 0);
+  return Window(vec4(0), vec4(0), vec2(0), vec4(0), 0, 0, 0, 0);
 }
 
-// at_window: index in the windows' region; voxel in the volume.
-Window window_of(int at_window, int voxel) {
+// at_window: index in the windows' region; voxel in the volume; slot its slot.
+Window window_of(int at_window, int voxel, int slot) {
   uint word = texelFetch(links, voxel).x;
   if ((word & kSolved) == 0) {
     return no_window();
@@ -42,15 +43,18 @@ Window window_of(int at_window, int voxel) {
   vec4 m_second = vec4(0);  // hh (uu, uv, us, vv)
   vec2 m_third = vec2(0);   // hh (vs, ss)
   for (int k = 0; k <= 2 * radius_t; ++k) {
-    int from = at_window + k * slice;
+    // A slot that the volume does not have counts as 0 times one that it has.
+    int there = clamp(k, radius_t - slot, radius_t + push.volume.z - 1 - slot);
+    float has = there == k ? 1 : 0;
+    int from = at_window + there * slice;
     float s = float(k - radius_t);
-    a += texelFetch(sums_xy, from);
-    c += texelFetch(sums_xy, from + plane);
-    vec4 f2 = texelFetch(sums_xy, from + 2 * plane);
-    vec4 f3 = texelFetch(sums_xy, from + 3 * plane);
-    vec4 f4 = texelFetch(sums_xy, from + 4 * plane);
-    vec4 f5 = texelFetch(sums_xy, from + 5 * plane);
-    vec4 f6 = texelFetch(sums_xy, from + 6 * plane);
+    a += has * texelFetch(sums_xy, from);
+    c += has * texelFetch(sums_xy, from + plane);
+    vec4 f2 = has * texelFetch(sums_xy, from + 2 * plane);
+    vec4 f3 = has * texelFetch(sums_xy, from + 3 * plane);
+    vec4 f4 = has * texelFetch(sums_xy, from + 4 * plane);
+    vec4 f5 = has * texelFetch(sums_xy, from + 5 * plane);
+    vec4 f6 = has * texelFetch(sums_xy, from + 6 * plane);
     h += vec4(f2.xyz, f2.x * s);
     hhdd += f2.w;
     hw += vec4(f3.xyz, f3.x * s);
@@ -93,6 +97,9 @@ Window window_of(int at_window, int voxel) {
                  dot(vec4(m_first.z, m_second.yw, m_third.x), p), dot(vec4(m_first.w, m_second.z, m_third), p));
   float stray = max(dot(p, mp) - 2 * dot(p, hhd) + hhdd, 0) / max(m_first.x, 1e-12);
   float bend = 1 / (1 + stray / (push.straddle_px * push.straddle_px));
+  // A parabola u^2 about the plane that fits it best: off by the mean of u^2 in the middle, and by the root of the mean
+  // of u^4, 9/5 of the square, over the window. The pull to the plane is taken back by `bend`.
+  window.bias_square = bend * bend * stray * (5.0 / 9.0);
 
   vec4 hwc = hw - mean_w * h;
   vec4 hlc = hl - mean_l * h;

@@ -6,8 +6,8 @@
 #include "windows.glsl"
 #include "inverse4.glsl"
 
-// How well each disparity is known: its standard deviation from the window's Hessian and the match's residual, and
-// the correlation of the pictures over the window.
+// How well each disparity is known: its standard deviation from the window's Hessian, the match's residual and what
+// the window smooths away (docs/stereo.md, eq. S10), and the correlation of the pictures over the window.
 
 uniform samplerBuffer sums_xy;
 uniform samplerBuffer disparities;
@@ -20,20 +20,17 @@ writeonly buffer Qualities {
 
 void main() {
   ivec3 windows = window_extent();
-  ivec2 rows = rows_of(push.extent.y * push.extent.z);
-  for (int row = rows.x; row < rows.y; ++row) {
-    int y = row % push.extent.y;
-    int t = row / push.extent.y;
-    for (int i = int(gl_LocalInvocationID.x); i < push.extent.x; i += int(kGroupSize)) {
-      int voxel = voxel_of(push.origin.xyz + ivec3(i, y, t));
-      Window window = window_of(((t + 1) * windows.y + y + 1) * windows.x + i + 1, voxel);
-      vec2 quality = vec2(0);
-      if (window.correlation > 0) {
-        // J is weighted by 1 / variance, so that its inverse is the parameters' covariance.
-        vec4 column = solve4(window.j_first, window.j_second, window.j_third, push.damping, vec4(1, 0, 0, 0));
-        quality = vec2(sqrt(max(column.x, 0)), window.correlation);
-      }
-      qualities[voxel] = quality;
+  ivec2 cells = cells_of(push.extent.xyz, push.origin.z);
+  for (int at = cells.x + int(gl_LocalInvocationID.x); at < cells.y; at += int(kGroupSize)) {
+    ivec3 cell = cell_at(at, push.extent.xyz);
+    int voxel = voxel_of(push.origin.xyz + cell);
+    Window window = window_of(((cell.z + 1) * windows.y + cell.y + 1) * windows.x + cell.x + 1, voxel, push.origin.z + cell.z);
+    vec2 quality = vec2(0);
+    if (window.correlation > 0) {
+      // J is weighted by 1 / variance, so that its inverse is the parameters' covariance.
+      vec4 column = solve4(window.j_first, window.j_second, window.j_third, push.damping, vec4(1, 0, 0, 0));
+      quality = vec2(sqrt(max(column.x, 0) + window.bias_square), window.correlation);
     }
+    qualities[voxel] = quality;
   }
 }

@@ -15,36 +15,33 @@ writeonly buffer SumsX {
 void main() {
   ivec3 extent = window_extent() + ivec3(0, 2 * radius_y, 2 * radius_t);
   int plane = extent.x * extent.y * extent.z;
-  int width = extent.x + 2 * radius_x;
-  ivec2 rows = rows_of(extent.y * extent.z);
-  for (int row = rows.x; row < rows.y; ++row) {
-    for (int i = int(gl_LocalInvocationID.x); i < extent.x; i += int(kGroupSize)) {
-      vec4 a = vec4(0);  // 1, l, w, ll
-      vec4 b = vec4(0);  // lw, ww, hd, hdw
-      vec4 c = vec4(0);  // h, hu, hw, hwu
-      vec4 e = vec4(0);  // hl, hlu, hhd, hhdu
-      vec4 g = vec4(0);  // hh, hhu, hhuu, hhdd
-      for (int k = -radius_x; k <= radius_x; ++k) {
-        vec4 s = texelFetch(samples, row * width + i + radius_x + k);
-        float u = float(k);
-        float hw = s.z * s.y;
-        float hl = s.z * s.x;
-        float hh = s.z * s.z;
-        float hd = s.z * s.w;
-        float hhu = hh * u;
-        float hhd = hd * s.z;
-        a += vec4(s.w > 0.5 * kNoSample ? 1 : 0, s.x, s.y, s.x * s.x);
-        b += vec4(s.x * s.y, s.y * s.y, hd, hd * s.y);
-        c += vec4(s.z, s.z * u, hw, hw * u);
-        e += vec4(hl, hl * u, hhd, hhd * u);
-        g += vec4(hh, hhu, hhu * u, hd * hd);
-      }
-      int at = row * extent.x + i;
-      sums_x[at] = a;
-      sums_x[at + plane] = b;
-      sums_x[at + 2 * plane] = c;
-      sums_x[at + 3 * plane] = e;
-      sums_x[at + 4 * plane] = g;
+  ivec2 cells = cells_of(extent, window_origin().z - radius_t);
+  for (int cell = cells.x + int(gl_LocalInvocationID.x); cell < cells.y; cell += int(kGroupSize)) {
+    int first = cell + 2 * radius_x * divided(cell, extent.x).x;
+    vec4 a = vec4(0);  // 1, l, w, ll
+    vec4 b = vec4(0);  // lw, ww, hd, hdw
+    vec4 c = vec4(0);  // h, hu, hw, hwu
+    vec4 e = vec4(0);  // hl, hlu, hhd, hhdu
+    vec4 g = vec4(0);  // hh, hhu, hhuu, hhdd
+    for (int k = -radius_x; k <= radius_x; ++k) {
+      vec4 s = texelFetch(samples, first + radius_x + k);
+      float u = float(k);
+      float hw = s.z * s.y;
+      float hl = s.z * s.x;
+      float hh = s.z * s.z;
+      float hd = s.z * s.w;
+      float hhu = hh * u;
+      float hhd = hd * s.z;
+      a += vec4(s.w > 0.5 * kNoSample ? 1 : 0, s.x, s.y, s.x * s.x);
+      b += vec4(s.x * s.y, s.y * s.y, hd, hd * s.y);
+      c += vec4(s.z, s.z * u, hw, hw * u);
+      e += vec4(hl, hl * u, hhd, hhd * u);
+      g += vec4(hh, hhu, hhu * u, hd * hd);
     }
+    sums_x[cell] = a;
+    sums_x[cell + plane] = b;
+    sums_x[cell + 2 * plane] = c;
+    sums_x[cell + 3 * plane] = e;
+    sums_x[cell + 4 * plane] = g;
   }
 }

@@ -30,32 +30,28 @@ void main() {
   float alpha = pcg_alpha(sums_so_far, push.iteration);
   ivec3 windows = window_extent();
   ivec3 region = search_extent();
-  ivec2 rows = rows_of(push.extent.y * push.extent.z);
+  ivec2 cells = cells_of(push.extent.xyz, push.origin.z);
   float rz = 0;
-  for (int row = rows.x; row < rows.y; ++row) {
-    int y = row % push.extent.y;
-    int t = row / push.extent.y;
-    for (int i = int(gl_LocalInvocationID.x); i < push.extent.x; i += int(kGroupSize)) {
-      int voxel = voxel_of(push.origin.xyz + ivec3(i, y, t));
-      int at = row * push.extent.x + i;
-      int in_region = ((t + 2) * region.y + y + 2) * region.x + i + 2;
-      uint word = texelFetch(links, voxel).x;
-      vec4 state = solver_states[at];
-      vec2 search = searches[in_region];
-      float s = search.x + beta * search.y;
-      state.z += alpha * s;
-      if (push.last != 0) {
-        disparities[voxel] += clamp(state.z, -push.most_move_px, push.most_move_px);
-      } else {
-        int window = ((t + 1) * windows.y + y + 1) * windows.x + i + 1;
-        float product = adjoint(products, window, windows.x, windows.x * windows.y, word) + state.w * s;
-        // What is no unknown has the preconditioner 0, which keeps z and s at 0.
-        state.x -= alpha * product;
-        float z = state.y * state.x;
-        rz += state.x * z;
-        searches[in_region] = vec2(z, s);
-        solver_states[at] = state;
-      }
+  for (int at = cells.x + int(gl_LocalInvocationID.x); at < cells.y; at += int(kGroupSize)) {
+    ivec3 cell = cell_at(at, push.extent.xyz);
+    int voxel = voxel_of(push.origin.xyz + cell);
+    int in_region = ((cell.z + 2) * region.y + cell.y + 2) * region.x + cell.x + 2;
+    uint word = texelFetch(links, voxel).x;
+    vec4 state = solver_states[at];
+    vec2 search = searches[in_region];
+    float s = search.x + beta * search.y;
+    state.z += alpha * s;
+    if (push.last != 0) {
+      disparities[voxel] += clamp(state.z, -push.most_move_px, push.most_move_px);
+    } else {
+      int window = ((cell.z + 1) * windows.y + cell.y + 1) * windows.x + cell.x + 1;
+      float product = adjoint(products, window, windows.x, windows.x * windows.y, word) + state.w * s;
+      // What is no unknown has the preconditioner 0, which keeps z and s at 0.
+      state.x -= alpha * product;
+      float z = state.y * state.x;
+      rz += state.x * z;
+      searches[in_region] = vec2(z, s);
+      solver_states[at] = state;
     }
   }
   float total = workgroup_sum(vec4(rz, 0, 0, 0)).x;

@@ -1,7 +1,8 @@
 // Regions of a block, each one [t][y][x]: the block; its windows (one voxel more on each side, since the slopes
 // of a border voxel reach into the block); the search vector (two more); the samples (the windows' reach).
-// Rows of a region are spread over the workgroups, the voxels of a row over the invocations, so that no voxel
-// costs a division.
+// The cells of a region are spread over the workgroups in contiguous runs, each walked in one loop: a loop over rows
+// with one over the row's few cells in it leaves most lanes of a CPU's vectors idle at the end of every row. Cells in
+// slots that the volume does not have are left out; nothing reads them but with the weight 0.
 
 layout(push_constant) uniform Push {
   BlockPush push;
@@ -11,11 +12,30 @@ ivec3 window_extent() { return push.extent.xyz + 2; }
 ivec3 window_origin() { return push.origin.xyz - 1; }
 ivec3 search_extent() { return push.extent.xyz + 4; }
 
-// First and past-the-end row of this workgroup.
-ivec2 rows_of(int row_count) {
-  int size = (row_count + int(gl_NumWorkGroups.x) - 1) / int(gl_NumWorkGroups.x);
-  int first = int(gl_WorkGroupID.x) * size;
-  return ivec2(first, min(first + size, row_count));
+// First and past-the-end cell of this workgroup, of a region whose first cell lies in the slot first_slot.
+ivec2 cells_of(ivec3 extent, int first_slot) {
+  int slice = extent.x * extent.y;
+  int first = max(0, -first_slot) * slice;
+  int past = clamp(push.volume.z - first_slot, 0, extent.z) * slice;
+  int stride = int(gl_NumWorkGroups.x * kGroupSize);
+  int size = (max(past - first, 0) + stride - 1) / stride * int(kGroupSize);
+  int begin = first + int(gl_WorkGroupID.x) * size;
+  return ivec2(begin, min(begin + size, past));
+}
+
+// Quotient and remainder by the reciprocal: CPUs have no vectors of integer divisions. One off by rounding is put right.
+ivec2 divided(int value, int by) {
+  int quotient = int(float(value) * (1.0 / float(by)));
+  int rest = value - quotient * by;
+  int off = rest < 0 ? -1 : rest >= by ? 1 : 0;
+  return ivec2(quotient + off, rest - off * by);
+}
+
+// Where a cell is in its region.
+ivec3 cell_at(int cell, ivec3 extent) {
+  ivec2 row = divided(cell, extent.x);
+  ivec2 slice = divided(row.x, extent.y);
+  return ivec3(row.y, slice.y, slice.x);
 }
 
 bool inside(ivec3 at) {

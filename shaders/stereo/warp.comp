@@ -20,35 +20,31 @@ writeonly buffer Samples {
 void main() {
   ivec3 extent = window_extent() + 2 * radius();
   ivec3 origin = window_origin() - radius();
-  ivec2 rows = rows_of(extent.y * extent.z);
-  for (int row = rows.x; row < rows.y; ++row) {
-    int y = origin.y + row % extent.y;
-    int t = origin.z + row / extent.y;
-    for (int i = int(gl_LocalInvocationID.x); i < extent.x; i += int(kGroupSize)) {
-      vec4 sample_here = vec4(0, 0, 0, kNoSample);
-      ivec3 at = ivec3(origin.x + i, y, t);
-      if (inside(at) && at.x > 0 && at.x + 1 < push.volume.x) {
-        int voxel = voxel_of(at);
-        float l = texelFetch(left, voxel).x;
-        if (l >= 0 && (texelFetch(links, voxel).x & kSolved) != 0) {
-          float d = texelFetch(disparities, voxel).x;
-          float from = float(at.x) - d;
-          int corner = int(floor(from));
-          if (corner >= 1 && corner + 2 < push.volume.x) {
-            float f = from - float(corner);
-            int first = voxel - at.x + corner - 1;
-            vec4 taps = vec4(texelFetch(right, first).x, texelFetch(right, first + 1).x, texelFetch(right, first + 2).x,
-                             texelFetch(right, first + 3).x);
-            vec2 beside = vec2(texelFetch(left, voxel - 1).x, texelFetch(left, voxel + 1).x);
-            if (min(min(min(taps.x, taps.y), min(taps.z, taps.w)), min(beside.x, beside.y)) >= 0) {
-              // Both pictures through the same blur.
-              float own = (beside.x + 4 * l + beside.y) * (1.0 / 6.0);
-              sample_here = vec4(own - 0.5, dot(bspline(f), taps) - 0.5, -dot(bspline_slope(f), taps), d);
-            }
+  ivec2 cells = cells_of(extent, origin.z);
+  for (int cell = cells.x + int(gl_LocalInvocationID.x); cell < cells.y; cell += int(kGroupSize)) {
+    vec4 sample_here = vec4(0, 0, 0, kNoSample);
+    ivec3 at = origin + cell_at(cell, extent);
+    if (inside(at) && at.x > 0 && at.x + 1 < push.volume.x) {
+      int voxel = voxel_of(at);
+      float l = texelFetch(left, voxel).x;
+      if (l >= 0 && (texelFetch(links, voxel).x & kSolved) != 0) {
+        float d = texelFetch(disparities, voxel).x;
+        float from = float(at.x) - d;
+        int corner = int(floor(from));
+        if (corner >= 1 && corner + 2 < push.volume.x) {
+          float f = from - float(corner);
+          int first = voxel - at.x + corner - 1;
+          vec4 taps = vec4(texelFetch(right, first).x, texelFetch(right, first + 1).x, texelFetch(right, first + 2).x,
+                           texelFetch(right, first + 3).x);
+          vec2 beside = vec2(texelFetch(left, voxel - 1).x, texelFetch(left, voxel + 1).x);
+          if (min(min(min(taps.x, taps.y), min(taps.z, taps.w)), min(beside.x, beside.y)) >= 0) {
+            // Both pictures through the same blur.
+            float own = (beside.x + 4 * l + beside.y) * (1.0 / 6.0);
+            sample_here = vec4(own - 0.5, dot(bspline(f), taps) - 0.5, -dot(bspline_slope(f), taps), d);
           }
         }
       }
-      samples[row * extent.x + i] = sample_here;
     }
+    samples[cell] = sample_here;
   }
 }

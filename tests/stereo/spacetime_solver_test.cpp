@@ -22,7 +22,9 @@ constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 
 /// Random smooth texture seen through a slanted, moving disparity field with other gain and bias on the
 /// right; start values that are off by up to `error_px`, and some holes, blank samples and a step.
-Volume make_volume(const VolumeSize& size, std::uint32_t seed, double error_px, bool with_holes) {
+/// bend_px  height of waves of 24 px along the rows, which windows of 9 px smooth
+Volume make_volume(const VolumeSize& size, std::uint32_t seed, double error_px, bool with_holes,
+                   double bend_px = 0) {
   Volume out;
   out.size = size;
   std::mt19937 random(seed);
@@ -43,7 +45,8 @@ Volume make_volume(const VolumeSize& size, std::uint32_t seed, double error_px, 
     };
     for (int y = 0; y < size.height_px; ++y) {
       for (int x = 0; x < size.width_px; ++x) {
-        const double d = 1.3 + 0.04 * x - 0.03 * y + 0.2 * t;
+        const double d =
+            1.3 + 0.04 * x - 0.03 * y + 0.2 * t + bend_px * std::sin(2 * std::numbers::pi * x / 24);
         const bool blank = with_holes && t == 1;
         out.left.push_back(blank ? -1 : static_cast<float>(texture(x - d, y)));
         out.right.push_back(blank ? -1 : static_cast<float>(0.8 * texture(x, y) + 0.05));
@@ -179,6 +182,33 @@ TEST_F(SpacetimeSolverTest, FindsTheFieldBelowAHundredthOfAPixel) {
     }
   }
   EXPECT_LT(std::sqrt(square / count), 0.01);
+}
+
+// Without noise the whole error of a bent field is what the windows smooth away, and sigma has to know it.
+TEST_F(SpacetimeSolverTest, SigmaKnowsWhatTheWindowsSmoothAway) {
+  constexpr double kBend_px = 0.4;
+  SpacetimeOptions options;
+  options.steps = 8;
+  const DisparityField flat = solve(context(), make_volume({97, 31, 5}, 83, 0.4, false), options);
+  const Volume volume = make_volume({97, 31, 5}, 83, 0.4, false, kBend_px);
+  const DisparityField bent = solve(context(), volume, options);
+  double error_square = 0;
+  double sigma_square = 0;
+  double flat_square = 0;
+  for (int y = 4; y < 27; ++y) {
+    for (int x = 12; x < 85; ++x) {
+      const std::size_t voxel = volume.size.voxel(x, y, 2);
+      const double error = static_cast<double>(bent.disparity_px[voxel]) -
+                           (1.7 + 0.04 * x - 0.03 * y + kBend_px * std::sin(2 * std::numbers::pi * x / 24));
+      error_square += error * error;
+      sigma_square += static_cast<double>(bent.sigma_px[voxel] * bent.sigma_px[voxel]);
+      flat_square += static_cast<double>(flat.sigma_px[voxel] * flat.sigma_px[voxel]);
+    }
+  }
+  const double ratio = std::sqrt(error_square / sigma_square);
+  EXPECT_GT(ratio, 0.4);
+  EXPECT_LT(ratio, 1.6);
+  EXPECT_GT(sigma_square, 9 * flat_square);
 }
 
 TEST_F(SpacetimeSolverTest, WherePicturesSayNothingTheStartStaysAndIsNotTrusted) {
