@@ -209,11 +209,8 @@ static int receive_some(facet_client* client, uint8_t* out, size_t size, size_t*
     return AGAIN;
   }
   if (count <= 0) {
-    /* A goodbye that came before says more. */
-    if (client->message[0] == '\0') {
-      say(client, "the server at '%s' is gone: %s", client->address.sun_path,
-          count == 0 ? "it closed the connection" : strerror(errno));
-    }
+    say(client, "the server at '%s' is gone: %s", client->address.sun_path,
+        count == 0 ? "it closed the connection" : strerror(errno));
     return FACET_CLOSED;
   }
   take_descriptors(client, &message);
@@ -621,7 +618,7 @@ int facet_client_next(facet_client* client, int timeout_ms) {
     }
     const int64_t left_ms = timeout_ms < 0 ? -1 : deadline_ms - now_ms();
     if (timeout_ms >= 0 && left_ms <= 0) {
-      if (client->fd >= 0 && client->message[0] == '\0') {
+      if (client->fd >= 0) {
         say(client, "no frame within %d ms", timeout_ms);
       }
       return FACET_TIMEOUT;

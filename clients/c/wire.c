@@ -515,7 +515,8 @@ size_t wire_subscribe(uint8_t out[WIRE_MAX_SUBSCRIBE_BYTES], int profile, int wa
                       uint32_t ring_version) {
   /* Offsets by hand: root, identifier, Message {type, body} with its vtable, Subscribe with its own, the name. */
   enum { MESSAGE_VTABLE = 8, MESSAGE = 16, SUBSCRIBE_VTABLE = 28, SUBSCRIBE = 44, NAME = 64 };
-  const size_t name_bytes = strnlen(name, WIRE_MAX_NAME_BYTES);
+  const char* end = memchr(name, 0, WIRE_MAX_NAME_BYTES);
+  const size_t name_bytes = end != NULL ? (size_t)(end - name) : WIRE_MAX_NAME_BYTES;
   const uint16_t message_vtable[4] = {8, 12, 8, 4};
   const uint16_t subscribe_vtable[8] = {16, 20, 4, 16, 17, 12, 0, 8};
   const uint32_t root = MESSAGE;

@@ -52,7 +52,7 @@ struct wire_array {
   size_t count;
 };
 
-/* message: aligned to 8 bytes, and at least as long as what is read of it. Each returns NULL, or what is wrong. The
+/* message: [size], aligned to 8 bytes. Each returns NULL, or what is wrong. The
  * pointers that come out point into the message. */
 int wire_kind(const uint8_t* message, size_t size); /* WIRE_BROKEN where it is no message */
 const char* wire_hello(const uint8_t* message, size_t size, uint32_t* protocol_version);
