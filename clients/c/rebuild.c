@@ -56,9 +56,9 @@ static void apply(const struct wire_level* level, const float* in, float* out) {
     for (; entry < end; ++entry) {
       const float* from = in + 3 * (size_t)level->columns[entry];
       const float weight = level->weights[entry];
-      x += weight * from[0];
-      y += weight * from[1];
-      z += weight * from[2];
+      x = fmaf(weight, from[0], x);
+      y = fmaf(weight, from[1], y);
+      z = fmaf(weight, from[2], z);
     }
     *out++ = x;
     *out++ = y;
@@ -66,8 +66,8 @@ static void apply(const struct wire_level* level, const float* in, float* out) {
   }
 }
 
-/* Area-weighted unit normals (eq. 5 of Ma & Deng 2019 at d = 0); 0 where a vertex has no area. One operation a
- * statement, in the order in which the C++ library does them: the same bits. */
+/* Area-weighted unit normals (eq. 5 of Ma & Deng 2019 at d = 0); 0 where a vertex has no area. Operation by operation as
+ * mesh::vertex_normals: the same bits. */
 static void vertex_normals(const float* vertices, const facet_subject* subject, float* normals) {
   memset(normals, 0, (size_t)subject->vertex_count * 3 * sizeof(float));
   for (size_t t = 0; t < subject->triangle_count; ++t) {
@@ -84,9 +84,7 @@ static void vertex_normals(const float* vertices, const facet_subject* subject, 
     for (int i = 0; i < 3; ++i) {
       const int j = (i + 1) % 3;
       const int k = (i + 2) % 3;
-      const float plus = a[j] * b[k];
-      const float minus = a[k] * b[j];
-      const float doubled_area = plus - minus;
+      const float doubled_area = fmaf(-a[k], b[j], a[j] * b[k]);
       for (int corner = 0; corner < 3; ++corner) {
         normals[3 * (size_t)corners[corner] + (size_t)i] += doubled_area;
       }
@@ -94,11 +92,8 @@ static void vertex_normals(const float* vertices, const facet_subject* subject, 
   }
   for (size_t v = 0; v < subject->vertex_count; ++v) {
     float* normal = normals + 3 * v;
-    const float xx = normal[0] * normal[0];
-    const float yy = normal[1] * normal[1];
-    const float zz = normal[2] * normal[2];
-    const float yz = yy + zz;
-    const float length = sqrtf(xx + yz);
+    const float length =
+        sqrtf(fmaf(normal[0], normal[0], fmaf(normal[2], normal[2], normal[1] * normal[1])));
     if (length > 0) {
       normal[0] /= length;
       normal[1] /= length;
@@ -110,8 +105,7 @@ static void vertex_normals(const float* vertices, const facet_subject* subject, 
 static void displace(const float* displacements_mm, const float* normals, size_t vertex_count, float* vertices) {
   for (size_t v = 0; v < vertex_count; ++v) {
     for (size_t i = 0; i < 3; ++i) {
-      const float along = normals[3 * v + i] * displacements_mm[v];
-      vertices[3 * v + i] += along;
+      vertices[3 * v + i] = fmaf(normals[3 * v + i], displacements_mm[v], vertices[3 * v + i]);
     }
   }
 }
