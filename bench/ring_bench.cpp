@@ -15,8 +15,8 @@
 #include <thread>
 #include <vector>
 
+#include "facet-client.h"
 #include "facet/error.hpp"
-#include "stream/client.hpp"
 #include "stream/encoder.hpp"
 #include "stream/ring.hpp"
 #include "stream/server.hpp"
@@ -35,6 +35,7 @@ struct Options {
   double rate_hz = 60;
   double seconds = 10;
   std::uint64_t hostile_reads = 0;
+  bool build = false;
 };
 
 std::int64_t now_ns() {
@@ -94,25 +95,28 @@ void measure(const Options& options, stream::Profile profile, int reader_count, 
   readers.reserve(latencies_ns.size());
   for (auto& mine : latencies_ns) {
     readers.emplace_back([&] {
-      stream::Subscription wanted;
-      wanted.profile = profile;
-      wanted.ring_version = by_ring ? FACET_RING_VERSION : 0;
-      stream::StreamClient client(config.socket, wanted);
-      stream::DecodedFrame got;
+      facet_client* client = facet_client_new(config.socket.c_str(), static_cast<int>(profile),
+                                              by_ring ? FACET_WANT_RING : 0, "bench");
       bool first = true;
       while (!done.load()) {
-        if (client.next(got, std::chrono::milliseconds(200)) != stream::ReceiveOutcome::Received) {
+        if (facet_client_next(client, 200) != FACET_OK) {
           continue;
+        }
+        const std::int64_t at_ns = now_ns();
+        const facet_mesh* mesh = nullptr;
+        if (options.build) {
+          facet_client_mesh(client, &mesh);
         }
         if (first) {  // came with the topology
           first = false;
           ++ready;
         } else {
-          mine.push_back(now_ns() - got.frame.timestamp_ns);
+          mine.push_back((options.build ? now_ns() : at_ns) - facet_client_frame(client)->timestamp_ns);
         }
       }
-      dropped += client.dropped();
-      overwritten += client.overwritten();
+      dropped += facet_client_statistics(client)->dropped;
+      overwritten += facet_client_statistics(client)->overwritten;
+      facet_client_free(client);
     });
   }
   const auto publish = [&](std::size_t count) {
@@ -211,6 +215,8 @@ int main(int argc, char** argv) {
   app.add_option("--profile", what)
       ->check(CLI::IsMember({"signals", "displacements", "vertices"}))
       ->capture_default_str();
+  app.add_flag("--build", options.build,
+               "Until the mesh is rebuilt, not until the frame is in the reader's hands");
   app.add_flag("--socket-too", socket_too, "The same over the socket");
   app.add_option("--hostile-reads", options.hostile_reads, "Only reads against a writer without pause");
   CLI11_PARSE(app, argc, argv);

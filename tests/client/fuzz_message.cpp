@@ -69,7 +69,7 @@ struct Known {
   }
   std::vector<std::vector<std::uint64_t>> messages;
   std::vector<std::shared_ptr<const mesh::Subject>> decoded;
-  std::vector<wire_subject> parsed;
+  std::vector<struct wire_subject> parsed;
 };
 
 void check_frame(std::span<const std::uint8_t> message) {
@@ -109,7 +109,7 @@ void check_frame(std::span<const std::uint8_t> message) {
 }
 
 void check(std::span<const std::uint8_t> message) {
-  static wire_subject subject;
+  static struct wire_subject subject;
   facet_albedo albedo;
   std::uint32_t number = 0;
   std::uint64_t total = 0;
