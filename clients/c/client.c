@@ -52,8 +52,7 @@ struct facet_client {
   struct buffer incoming;
   int passed[PASSED_DESCRIPTORS];
   int passed_count;
-  uint64_t dropped_before; /* of earlier connections and rings */
-  uint64_t dropped_told;
+  uint64_t dropped_told; /* by the server, over this connection */
 
   struct ring ring;
   int ring_head_waits; /* the newest frame's head is known, its subject is not */
@@ -120,7 +119,6 @@ static void hang_up(facet_client* client) {
   client->subscribed = 0;
   client->header_filled = 0;
   client->incoming.size = 0;
-  client->dropped_before = client->statistics.dropped;
   client->dropped_told = 0;
   client->ring.number = 0;
   client->has_frame = 0;
@@ -438,7 +436,9 @@ static int next_of_ring(facet_client* client) {
   if (wrong != NULL) {
     return bad_data(client, wrong);
   }
-  client->statistics.dropped += ring->number > 0 ? ring->slot.number - ring->number - 1 : 0;
+  if (ring->number > 0 && ring->slot.number > ring->number) {
+    client->statistics.dropped += ring->slot.number - ring->number - 1;
+  }
   ring->number = ring->slot.number;
   return FACET_OK;
 }

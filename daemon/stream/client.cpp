@@ -196,7 +196,7 @@ bool StreamClient::Impl::next_ring_frame(DecodedFrame& out) {
       ++overwritten;
       continue;
     }
-    dropped += ring_number > 0 ? ring->number() - ring_number - 1 : 0;
+    dropped += ring_number > 0 && ring->number() > ring_number ? ring->number() - ring_number - 1 : 0;
     ring_number = ring->number();
     return true;
   }
