@@ -1,5 +1,5 @@
-// A stream server with one frame for programs that are tested from outside: says "ready", ends with its input.
-// Usage: patch_server SOCKET
+// A stream server with one frame for programs that are tested from outside: says "ready", ends with its
+// input. Usage: patch_server SOCKET
 
 #include <cstdio>
 
@@ -16,7 +16,8 @@ int main(int argc, char** argv) {
   stream::StreamServer server(config);
   server.start();
   const auto subject = test::patch_subject();
-  server.publish(std::make_shared<mesh::MeshFrame>(test::patch_frame(7, subject, test::patch_albedo(*subject))));
+  server.publish(
+      std::make_shared<mesh::MeshFrame>(test::patch_frame(7, subject, test::patch_albedo(*subject))));
   std::puts("ready");
   std::fflush(stdout);
   while (std::getchar() != EOF) {
