@@ -95,14 +95,16 @@ static int get_scalar(struct reader* in, const struct table* table, unsigned id,
   return at != 0;
 }
 
-/* Where the offset at `at` leads; 0: nowhere. */
-static size_t follow(struct reader* in, size_t at) {
-  const uint32_t offset = get_u32(in, at);
-  if (offset == 0 || offset > INT32_MAX) {
-    fail(in, "structure is broken");
-    return 0;
-  }
+/* Where the offset at `at` leads; 0: nowhere. In a vector it may be 0 (FlatBuffers' own verifier lets that pass). */
+static size_t follow_element(struct reader* in, size_t at) {
+  const size_t offset = get_u32(in, at);
   return in->wrong == NULL && inside(in, at + offset, 4) ? at + offset : 0;
+}
+
+/* The same for a field. */
+static size_t follow(struct reader* in, size_t at) {
+  require(in, get_u32(in, at) != 0, "structure is broken");
+  return follow_element(in, at);
 }
 
 /* 1 where the table is there. */
@@ -298,7 +300,7 @@ static void read_hierarchy(struct reader* in, const struct table* table, struct 
   require(in, with_stencils || levels.count == 1, "hierarchy: several levels without control vertices");
   uint32_t coarser = out->shown.control_vertex_count;
   for (size_t k = 0; k < levels.count && in->wrong == NULL; ++k) {
-    const size_t at = follow(in, (size_t)(levels.data - in->bytes) + 4 * k);
+    const size_t at = follow_element(in, (size_t)(levels.data - in->bytes) + 4 * k);
     const struct table level = get_table(in, at);
     read_level(in, &level, coarser, with_stencils, &out->levels[k], &out->shown);
     require(in, k == 0 || out->levels[k].vertex_count >= coarser, "hierarchy: a finer level is smaller");
@@ -324,7 +326,7 @@ const char* wire_subject(const uint8_t* message, size_t size, struct wire_subjec
   require(&in, identity.count <= WIRE_MAX_COEFFICIENTS && all_finite(floats(identity), identity.count),
           "subject: identity");
   for (size_t k = 0; k < names.count && in.wrong == NULL; ++k) {
-    const size_t at = follow(&in, (size_t)(names.data - in.bytes) + 4 * k);
+    const size_t at = follow_element(&in, (size_t)(names.data - in.bytes) + 4 * k);
     out->names[k] = at != 0 ? string_at(&in, at, WIRE_MAX_NAME_BYTES, "subject: expression name") : "";
   }
   out->shown.expression_names = out->names;

@@ -6,9 +6,12 @@
 
 #include <atomic>
 #include <cerrno>
+#include <cstdlib>
 #include <cstring>
+#include <filesystem>
+#include <fstream>
 #include <functional>
-#include <numeric>
+#include <iterator>
 #include <string>
 #include <thread>
 
@@ -293,6 +296,40 @@ TEST(Ring, HoldsWhatTheMessageHolds) {
       EXPECT_EQ(by_ring.vertices_mm.cols() == 0, profile != Profile::Vertices || sequence == 3);
     }
   }
+}
+
+// The seed of fuzz_stream_ring: a ring of two small slots with one frame. FACET_WRITE_GOLDEN=1 writes it
+// anew.
+TEST(Ring, SeedOfTheFuzzerIsARing) {
+  const std::filesystem::path seed =
+      std::filesystem::path(FACET_SOURCE_DIR) / "tests/fuzz/corpus/stream_ring/displacements";
+  const auto subject = test::patch_subject(5, 3, 1);
+  if (std::getenv("FACET_WRITE_GOLDEN") != nullptr) {
+    Encoder encoder;
+    const RingFrame parts =
+        encoder.ring_frame(test::patch_frame(1, subject, nullptr), Profile::Displacements);
+    RingWriter writer(Profile::Displacements, 2, ring_slot_bytes(parts));
+    writer.write(1, parts);
+    const auto* memory = reinterpret_cast<const char*>(writer.memory().data());
+    std::filesystem::create_directories(seed.parent_path());
+    std::ofstream(seed, std::ios::binary)
+        .write(memory, sizeof(facet_ring_page))
+        .write(memory + FACET_RING_PAGE_BYTES,
+               static_cast<std::streamsize>(writer.bytes() - FACET_RING_PAGE_BYTES));
+  }
+  std::ifstream file(seed, std::ios::binary);
+  const std::vector<char> bytes{std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
+  ASSERT_GT(bytes.size(), sizeof(facet_ring_page));
+  std::vector<std::uint64_t> words((FACET_RING_PAGE_BYTES + bytes.size()) / 8 + 1);
+  auto* memory = reinterpret_cast<std::uint8_t*>(words.data());
+  std::memcpy(memory, bytes.data(), sizeof(facet_ring_page));
+  std::memcpy(memory + FACET_RING_PAGE_BYTES, bytes.data() + sizeof(facet_ring_page),
+              bytes.size() - sizeof(facet_ring_page));
+  RingReader reader({memory, FACET_RING_PAGE_BYTES + bytes.size() - sizeof(facet_ring_page)});
+  ASSERT_EQ(reader.newest(), RingReader::Outcome::Frame);
+  DecodedFrame out;
+  decode_frame(reader, subject, nullptr, out);
+  EXPECT_EQ(out.frame.sequence, 1U);
 }
 
 }  // namespace
