@@ -2,7 +2,7 @@
 # exposes that room alone, so an include of a room that the target does not link does not compile.
 
 add_library(facet_options INTERFACE)
-target_compile_options(facet_options INTERFACE -Wall -Wextra -Wshadow -Wconversion -Wnon-virtual-dtor -Werror
+target_compile_options(facet_options INTERFACE -Wall -Wextra -Wshadow -Wconversion $<$<COMPILE_LANGUAGE:CXX>:-Wnon-virtual-dtor> -Werror
                        -fno-math-errno -fno-trapping-math)
 if(CMAKE_SYSTEM_PROCESSOR MATCHES "x86_64|AMD64")
   # AVX2 and FMA: every x86-64 machine of the last ten years. facetd and facet check it at start.

@@ -150,9 +150,10 @@ void print(const json& status) {
   fmt::print("stream        {}: {} readers\n", status["stream"]["socket"].get<std::string>(),
              status["stream"]["readers"].size());
   for (const json& reader : status["stream"]["readers"]) {
-    fmt::print("              {} (process {}): {} frames sent, {} dropped\n",
+    fmt::print("              {} (process {}){}: {} frames sent, {} dropped\n",
                reader["client"].get<std::string>(), reader["pid"].get<int>(),
-               reader["frames_sent"].get<std::uint64_t>(), reader["frames_dropped"].get<std::uint64_t>());
+               reader.value("ring", false) ? ", by ring" : "", reader["frames_sent"].get<std::uint64_t>(),
+               reader["frames_dropped"].get<std::uint64_t>());
   }
   print_recording(status["recording"]);
   print_stages(status["stage_ms"]);

@@ -18,6 +18,7 @@
 #include "facet/error.hpp"
 #include "set_pictures.hpp"
 #include "stream/client.hpp"
+#include "stream/ring_layout.h"
 #include "take/export.hpp"
 
 namespace facet::tools {
@@ -33,6 +34,7 @@ struct WatchOptions {
   std::string save_last;
   std::string save_images;
   double wait_s = 0;
+  bool ring = false;
 };
 
 /// What the line shows: the last second of frames.
@@ -180,6 +182,10 @@ void run_watch(const WatchOptions& options) {
       options.save_last.empty() ? stream::Profile::Signals : stream::Profile::Displacements;
   subscription.client = "facet watch";
   subscription.want_images = !options.save_images.empty();
+  if (options.ring && subscription.want_images) {
+    throw Error(ErrorKind::Usage, "--ring and --save-images: pictures come over the socket alone");
+  }
+  subscription.ring_version = options.ring ? FACET_RING_VERSION : 0;
   const auto client = connect(options, subscription);
 
   LiveLine line;
@@ -216,7 +222,8 @@ void run_watch(const WatchOptions& options) {
     }
   }
   line.finish();
-  fmt::print(stderr, "{} frames received, {} dropped, {:.1f} MB\n", received, client->dropped(),
+  fmt::print(stderr, "{} frames received{}, {} dropped, {:.1f} MB over the socket\n", received,
+             client->by_ring() ? " by ring" : "", client->dropped(),
              static_cast<double>(client->bytes_received()) * 1e-6);
   if (!options.save_last.empty()) {
     save_mesh(last_with_mesh, options.save_last);
@@ -246,6 +253,8 @@ void add_watch_command(CLI::App& app) {
                       "At the end write the newest frame with a mesh to this .ply, .obj or .glb file");
   command->add_option("--save-images", options->save_images,
                       "At the end write the newest pictures of the cameras into this folder");
+  command->add_flag("--ring", options->ring,
+                    "Read the frames out of shared memory; over the socket where facetd offers none");
   command->add_option("--wait", options->wait_s, "Seconds to go on trying while facetd is not there yet")
       ->capture_default_str()
       ->check(CLI::Range(0.0, 86400.0));

@@ -213,9 +213,12 @@ void rebuild_finest(const Hierarchy& hierarchy, const Vertices& control_mm,
   if (displacements_mm.empty()) {
     return;
   }
-  const Eigen::Map<const Eigen::RowVectorXf> displacements(
-      displacements_mm.data(), static_cast<Eigen::Index>(displacements_mm.size()));
-  vertices_mm.array() += normals.array().rowwise() * displacements.array();
+  for (Eigen::Index v = 0; v < vertices_mm.cols(); ++v) {
+    const float displacement_mm = displacements_mm[static_cast<std::size_t>(v)];
+    for (Eigen::Index i = 0; i < 3; ++i) {
+      vertices_mm(i, v) = std::fma(normals(i, v), displacement_mm, vertices_mm(i, v));
+    }
+  }
   vertex_normals(vertices_mm, triangles, normals);
 }
 

@@ -94,7 +94,8 @@ std::shared_ptr<const Hierarchy> build_hierarchy_below(const ControlMesh& contro
 void push_positions(const Hierarchy& hierarchy, const Vertices& control, std::vector<Vertices>& out);
 
 /// The refined mesh at the finest level: vertex + displacement * unit coarse normal (Ma & Deng 2019,
-/// section 4.3), and its unit normals. For consumers of the stream and of takes; allocates scratch.
+/// section 4.3), and its unit normals. For consumers of the stream and of takes; allocates scratch. The same
+/// bits whatever the compiler, and the same as libfacet-client's (clients/c/rebuild.c): change both together.
 ///
 /// control_mm        [3][control_vertex_count]
 /// displacements_mm  [finest vertex_count]; empty = 0

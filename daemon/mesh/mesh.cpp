@@ -132,13 +132,20 @@ void vertex_normals(const Vertices& vertices, const Triangles& triangles, Eigen:
     const std::int32_t j = triangles(1, t);
     const std::int32_t k = triangles(2, t);
     const Eigen::Vector3f origin = vertices.col(i);
-    const Eigen::Vector3f doubled_area = (vertices.col(j) - origin).cross(vertices.col(k) - origin);
+    const Eigen::Vector3f a = vertices.col(j) - origin;
+    const Eigen::Vector3f b = vertices.col(k) - origin;
+    // Which product of a sum is rounded is said, not left to the compiler: other readers rebuild the same
+    // bits.
+    const Eigen::Vector3f doubled_area(std::fma(-a.z(), b.y(), a.y() * b.z()),
+                                       std::fma(-a.x(), b.z(), a.z() * b.x()),
+                                       std::fma(-a.y(), b.x(), a.x() * b.y()));
     normals.col(i) += doubled_area;
     normals.col(j) += doubled_area;
     normals.col(k) += doubled_area;
   }
   for (Eigen::Index v = 0; v < normals.cols(); ++v) {
-    const float length = normals.col(v).norm();
+    const Eigen::Vector3f sum = normals.col(v);
+    const float length = std::sqrt(std::fma(sum.x(), sum.x(), std::fma(sum.z(), sum.z(), sum.y() * sum.y())));
     if (length > 0) {
       normals.col(v) /= length;
     }
@@ -175,9 +182,9 @@ void apply(const SparseRows& stencils, const Vertices& in, Vertices& out) {
     for (; entry < end; ++entry) {
       const float* from = source + 3 * static_cast<std::ptrdiff_t>(columns[entry]);
       const float weight = weights[entry];
-      x += weight * from[0];
-      y += weight * from[1];
-      z += weight * from[2];
+      x = std::fma(weight, from[0], x);
+      y = std::fma(weight, from[1], y);
+      z = std::fma(weight, from[2], z);
     }
     *target++ = x;
     *target++ = y;

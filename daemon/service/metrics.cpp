@@ -224,6 +224,9 @@ void collect_trigger(Families& out, const TriggerStatus& trigger) {
 
 void collect_stream(Families& out, const stream::StreamStatistics& stream) {
   out.gauge("stream_readers", "Readers of the stream.", static_cast<double>(stream.readers.size()));
+  out.gauge("stream_ring_readers", "Those of them that read through shared memory.",
+            static_cast<double>(std::count_if(stream.readers.begin(), stream.readers.end(),
+                                              [](const auto& reader) { return reader.ring; })));
   out.counter("stream_published_total", "Frames given to the stream.", stream.published);
   out.counter("stream_skipped_total", "Frames that a newer one replaced before any reader could get them.",
               stream.skipped);

@@ -132,6 +132,7 @@ json to_json(const stream::StreamStatistics& statistics) {
                        {"pid", reader.pid},
                        {"uid", reader.uid},
                        {"subscribed", reader.subscribed},
+                       {"ring", reader.ring},
                        {"frames_sent", reader.frames_sent},
                        {"frames_dropped", reader.frames_dropped},
                        {"bytes_sent", reader.bytes_sent}});

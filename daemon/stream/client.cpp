@@ -1,13 +1,16 @@
 #include "stream/client.hpp"
 
+#include <fcntl.h>
 #include <fmt/format.h>
 #include <poll.h>
 #include <sys/socket.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <array>
 #include <cerrno>
 #include <cstring>
+#include <optional>
 #include <span>
 #include <utility>
 #include <vector>
@@ -15,6 +18,7 @@
 #include "facet/error.hpp"
 #include "stream/encoder.hpp"
 #include "stream/framing.hpp"
+#include "stream/ring.hpp"
 #include "stream/unix_socket.hpp"
 
 namespace facet::stream {
@@ -23,6 +27,34 @@ namespace {
 using Clock = std::chrono::steady_clock;
 
 constexpr std::size_t kReceiveBytes = 256U << 10;
+constexpr std::size_t kMaxPassed = 2;  // descriptors with one message
+
+/// recv() that takes in the descriptors that come beside the bytes.
+ssize_t receive_some(int fd, std::span<std::uint8_t> out, std::vector<FileDescriptor>& passed) {
+  iovec part{out.data(), out.size()};
+  msghdr message{};
+  message.msg_iov = &part;
+  message.msg_iovlen = 1;
+  alignas(cmsghdr) std::array<char, CMSG_SPACE(kMaxPassed * sizeof(int))> control{};
+  message.msg_control = control.data();
+  message.msg_controllen = control.size();
+  const ssize_t count = ::recvmsg(fd, &message, MSG_DONTWAIT | MSG_CMSG_CLOEXEC);
+  if (count < 0) {
+    return count;
+  }
+  for (cmsghdr* header = CMSG_FIRSTHDR(&message); header != nullptr; header = CMSG_NXTHDR(&message, header)) {
+    if (header->cmsg_level == SOL_SOCKET && header->cmsg_type == SCM_RIGHTS) {
+      passed.clear();  // of one message at most
+      const std::size_t bytes = header->cmsg_len - CMSG_LEN(0);
+      for (std::size_t k = 0; k + sizeof(int) <= bytes; k += sizeof(int)) {
+        int one = -1;
+        std::memcpy(&one, CMSG_DATA(header) + k, sizeof(int));
+        passed.emplace_back(one);
+      }
+    }
+  }
+  return count;
+}
 
 }  // namespace
 
@@ -43,9 +75,19 @@ struct StreamClient::Impl {
   bool closed = false;
   std::string closed_reason;
 
-  bool wait_readable(Clock::time_point deadline);
+  std::vector<FileDescriptor> passed;  ///< came beside the bytes, not yet taken
+  std::optional<RingReader> ring;
+  FileDescriptor ring_wake;       ///< readable with each frame of the ring
+  std::uint64_t ring_number = 0;  ///< of the newest frame that was read; 0: none
+  std::uint64_t overwritten = 0;
+  bool waiting_for_subject = false;  ///< the ring's newest frame is known but for its subject
+
+  enum class Event { Socket, Ring, Deadline };
+  Event wait(Clock::time_point deadline);
   bool receive(Clock::time_point deadline);
   bool next_message(Clock::time_point deadline);
+  bool next_ring_frame(DecodedFrame& out);
+  void open_ring(const RingOffer& offer);
   void close(const std::string& reason);
   bool accept(std::span<const std::uint8_t> message, DecodedFrame& out);
   void send_all(std::span<const std::uint8_t> bytes);
@@ -58,17 +100,17 @@ void StreamClient::Impl::close(const std::string& reason) {
   }
 }
 
-/// False at the deadline.
-bool StreamClient::Impl::wait_readable(Clock::time_point deadline) {
+StreamClient::Impl::Event StreamClient::Impl::wait(Clock::time_point deadline) {
   for (;;) {
     const auto left = std::chrono::ceil<std::chrono::milliseconds>(deadline - Clock::now());
-    pollfd entry{fd.get(), POLLIN, 0};
-    const int ready = ::poll(&entry, 1, static_cast<int>(std::clamp<std::int64_t>(left.count(), 0, 1 << 30)));
+    std::array<pollfd, 2> entries{pollfd{fd.get(), POLLIN, 0}, pollfd{ring_wake.get(), POLLIN, 0}};
+    const int ready = ::poll(entries.data(), ring ? 2 : 1,
+                             static_cast<int>(std::clamp<std::int64_t>(left.count(), 0, 1 << 30)));
     if (ready > 0) {
-      return true;
+      return entries[0].revents != 0 ? Event::Socket : Event::Ring;
     }
     if (ready == 0) {
-      return false;
+      return Event::Deadline;
     }
     if (errno != EINTR) {
       throw Error(ErrorKind::Unavailable,
@@ -77,13 +119,13 @@ bool StreamClient::Impl::wait_readable(Clock::time_point deadline) {
   }
 }
 
-/// Fills `unread`. False at the deadline or once closed.
+/// Fills `unread`. False at the deadline, once closed and when the ring has a frame.
 bool StreamClient::Impl::receive(Clock::time_point deadline) {
   while (!closed) {
-    if (!wait_readable(deadline)) {
+    if (wait(deadline) != Event::Socket) {
       return false;
     }
-    const ssize_t count = ::recv(fd.get(), received.data(), received.size(), MSG_DONTWAIT);
+    const ssize_t count = receive_some(fd.get(), received, passed);
     if (count > 0) {
       unread = {received.data(), static_cast<std::size_t>(count)};
       bytes_received += static_cast<std::uint64_t>(count);
@@ -98,7 +140,8 @@ bool StreamClient::Impl::receive(Clock::time_point deadline) {
   return false;
 }
 
-/// Puts the next whole message into the assembler. False at the deadline or once closed.
+/// Puts the next whole message into the assembler. False at the deadline, once closed and when the ring has a
+/// frame.
 bool StreamClient::Impl::next_message(Clock::time_point deadline) {
   for (;;) {
     if (unread.empty() && !receive(deadline)) {
@@ -118,6 +161,46 @@ bool StreamClient::Impl::next_message(Clock::time_point deadline) {
                                                             path.string(), kMaxMessageBytes));
     }
   }
+}
+
+/// From here on frames come through the ring whose descriptors came with the offer.
+void StreamClient::Impl::open_ring(const RingOffer& offer) {
+  if (offer.version != FACET_RING_VERSION || passed.size() != 2) {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("stream '{}': a ring of version {} with {} descriptors", path.string(),
+                            offer.version, passed.size()));
+  }
+  ring.emplace(passed[0]);
+  ring_wake = std::move(passed[1]);
+  passed.clear();
+  ::fcntl(ring_wake.get(), F_SETFL, O_NONBLOCK);
+}
+
+/// True where a frame is in `out`. False where the newest is known already, or its subject is still on the
+/// way.
+bool StreamClient::Impl::next_ring_frame(DecodedFrame& out) {
+  // First the wake-ups, then the frame: one that comes in between wakes again.
+  std::array<char, 64> wake_ups{};
+  [[maybe_unused]] const ssize_t ignored = ::read(ring_wake.get(), wake_ups.data(), wake_ups.size());
+  while (ring->newest() == RingReader::Outcome::Frame || waiting_for_subject) {
+    const FrameReferences wanted = frame_references(ring->head());
+    waiting_for_subject = wanted.subject_id != 0 && (subject == nullptr || subject->id != wanted.subject_id);
+    if (waiting_for_subject) {
+      return false;
+    }
+    const bool albedo_fits = albedo.albedo != nullptr && albedo.subject_id == wanted.subject_id &&
+                             albedo.albedo->version == wanted.albedo_version;
+    decode_frame(*ring, wanted.subject_id != 0 ? subject : nullptr, albedo_fits ? albedo.albedo : nullptr,
+                 out);
+    if (!ring->intact()) {
+      ++overwritten;
+      continue;
+    }
+    dropped += ring_number > 0 && ring->number() > ring_number ? ring->number() - ring_number - 1 : 0;
+    ring_number = ring->number();
+    return true;
+  }
+  return false;
 }
 
 /// Takes in one message. True where it was a frame.
@@ -148,6 +231,9 @@ bool StreamClient::Impl::accept(std::span<const std::uint8_t> message, DecodedFr
                    out);
       return true;
     }
+    case MessageType::Ring:
+      open_ring(decode_ring(message));
+      break;
     case MessageType::Subscribe:
     case MessageType::Unknown:
       break;
@@ -199,14 +285,22 @@ StreamClient::~StreamClient() = default;
 
 ReceiveOutcome StreamClient::next(DecodedFrame& out, std::chrono::milliseconds timeout) {
   const auto deadline = Clock::now() + timeout;
-  while (impl_->next_message(deadline)) {
-    const bool is_frame = impl_->accept(impl_->assembler.message(), out);
-    impl_->assembler.next();
-    if (is_frame) {
+  for (;;) {
+    if (impl_->ring && impl_->next_ring_frame(out)) {
       return ReceiveOutcome::Received;
     }
+    if (impl_->next_message(deadline)) {
+      const bool is_frame = impl_->accept(impl_->assembler.message(), out);
+      impl_->assembler.next();
+      if (is_frame) {
+        return ReceiveOutcome::Received;
+      }
+    } else if (impl_->closed) {
+      return ReceiveOutcome::Closed;
+    } else if (!impl_->ring || Clock::now() >= deadline) {
+      return ReceiveOutcome::Timeout;
+    }
   }
-  return impl_->closed ? ReceiveOutcome::Closed : ReceiveOutcome::Timeout;
 }
 
 const Hello& StreamClient::hello() const {
@@ -223,6 +317,14 @@ std::shared_ptr<const mesh::Albedo> StreamClient::albedo() const {
 
 std::uint64_t StreamClient::dropped() const {
   return impl_->dropped;
+}
+
+bool StreamClient::by_ring() const {
+  return impl_->ring.has_value();
+}
+
+std::uint64_t StreamClient::overwritten() const {
+  return impl_->overwritten;
 }
 
 std::uint64_t StreamClient::bytes_received() const {

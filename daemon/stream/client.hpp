@@ -19,6 +19,10 @@ enum class ReceiveOutcome {
 
 /// Reads a stream in C++: connects, subscribes, keeps subject and albedo current, hands out frames. One
 /// thread.
+///
+/// With Subscription::ring_version = FACET_RING_VERSION frames are read out of shared memory where the server
+/// offers it (by_ring), and come as messages where not. Through a ring, a frame may be there before the
+/// albedo that it refers to: DecodedFrame's is null until then.
 class StreamClient {
  public:
   /// Connects and subscribes. Throws Error(Unavailable) where nobody answers within `timeout`,
@@ -37,7 +41,10 @@ class StreamClient {
   /// The newest subject and albedo that were sent; null before the first.
   std::shared_ptr<const mesh::Subject> subject() const;
   std::shared_ptr<const mesh::Albedo> albedo() const;
-  std::uint64_t dropped() const;  ///< frames lost since connecting, as the server told
+  std::uint64_t dropped() const;  ///< frames lost since connecting, as the server told or their numbers say
+  bool by_ring() const;           ///< frames come through shared memory
+  /// Frames that were overwritten while they were read, and thrown away.
+  std::uint64_t overwritten() const;
   std::uint64_t bytes_received() const;
   const std::string& closed_reason() const;
 

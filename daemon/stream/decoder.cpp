@@ -159,15 +159,55 @@ bool good_step(float step_mm) {
   return step_mm > 0.0F && step_mm <= kMaxStepMm * 1.001F;
 }
 
-/// out must have values.size() places.
-void decode_fixed_point(const wire::FixedPoint& values, float* out) {
-  const float step_mm = values.step_mm();
-  std::transform(values.values()->begin(), values.values()->end(), out,
-                 [&](std::int16_t value) { return static_cast<float>(value) * step_mm; });
-}
+/// Numbers of a message, or of a ring's slot.
+template <typename T>
+struct Numbers {
+  const WireVector<T>* in_message = nullptr;
+  RingArray in_ring;
 
-void require_fixed_point(const wire::FixedPoint* values, std::size_t count, const char* what) {
-  require(values != nullptr && size_of(values->values()) == count && good_step(values->step_mm()), what);
+  bool absent() const { return in_message == nullptr && in_ring.data == nullptr; }
+  std::size_t size() const { return size_of(in_message) + in_ring.count; }
+  /// out must have size() places.
+  void scaled_by(float step, float* out) const {
+    if (in_message != nullptr) {
+      std::transform(in_message->begin(), in_message->end(), out,
+                     [step](T value) { return static_cast<float>(value) * step; });
+    }
+    for_each_number<T>(in_ring, [=](std::size_t k, T value) { out[k] = static_cast<float>(value) * step; });
+  }
+};
+
+/// The long arrays of a frame, wherever they lie.
+struct Arrays {
+  Arrays(const wire::Frame& frame, const RingReader* ring) {
+    if (ring != nullptr) {
+      control_vertices.in_ring = ring->array(FACET_RING_CONTROL_VERTICES);
+      displacements.in_ring = ring->array(FACET_RING_DISPLACEMENTS);
+      vertices.in_ring = ring->array(FACET_RING_VERTICES);
+      normals.in_ring = ring->array(FACET_RING_NORMALS);
+      confidence.in_ring = ring->array(FACET_RING_CONFIDENCE);
+      return;
+    }
+    const auto values = [](const wire::FixedPoint* in) { return in == nullptr ? nullptr : in->values(); };
+    control_vertices.in_message = values(frame.control_vertices());
+    displacements.in_message = values(frame.displacements());
+    vertices.in_message = values(frame.vertices());
+    normals.in_message = frame.normals();
+    confidence.in_message = frame.confidence();
+  }
+
+  Numbers<std::int16_t> control_vertices;
+  Numbers<std::int16_t> displacements;
+  Numbers<std::int16_t> vertices;
+  Numbers<std::int16_t> normals;
+  Numbers<std::uint8_t> confidence;
+};
+
+/// out has `count` places.
+void decode_fixed_point(const wire::FixedPoint* table, const Numbers<std::int16_t>& values, std::size_t count,
+                        float* out, const char* what) {
+  require(table != nullptr && values.size() == count && good_step(table->step_mm()), what);
+  values.scaled_by(table->step_mm(), out);
 }
 
 Eigen::Isometry3f decode_pose(const wire::Pose* pose) {
@@ -219,43 +259,40 @@ CameraIntrinsics decode_camera(const wire::Camera* camera) {
   return {camera->fx(), camera->fy(), camera->cx(), camera->cy(), camera->width_px(), camera->height_px()};
 }
 
-void decode_geometry(const wire::Frame& in, DecodedFrame& out) {
+void decode_geometry(const wire::Frame& in, const Arrays& arrays, DecodedFrame& out) {
   const mesh::Subject& subject = *out.frame.subject;
   if (subject.hierarchy == nullptr) {
     require(in.control_vertices() == nullptr && in.vertices() == nullptr && in.displacements() == nullptr &&
-                in.confidence() == nullptr,
+                arrays.confidence.absent(),
             "frame: geometry for a subject without topology");
     return;
   }
   const auto finest = static_cast<std::size_t>(subject.hierarchy->finest().vertex_count);
   const auto control = static_cast<std::size_t>(subject.hierarchy->control_vertex_count);
   if (control > 0) {
-    require_fixed_point(in.control_vertices(), 3 * control, "frame: control vertices");
     out.frame.control_vertices_mm.resize(3, static_cast<Eigen::Index>(control));
-    decode_fixed_point(*in.control_vertices(), out.frame.control_vertices_mm.data());
+    decode_fixed_point(in.control_vertices(), arrays.control_vertices, 3 * control,
+                       out.frame.control_vertices_mm.data(), "frame: control vertices");
     if (in.displacements() != nullptr) {
-      require_fixed_point(in.displacements(), finest, "frame: displacements");
       out.frame.displacements_mm.resize(finest);
-      decode_fixed_point(*in.displacements(), out.frame.displacements_mm.data());
+      decode_fixed_point(in.displacements(), arrays.displacements, finest, out.frame.displacements_mm.data(),
+                         "frame: displacements");
     }
   } else {
-    require_fixed_point(in.vertices(), 3 * finest, "frame: vertices");
-    require(size_of(in.normals()) == 3 * finest, "frame: normals");
     out.vertices_mm.resize(3, static_cast<Eigen::Index>(finest));
-    decode_fixed_point(*in.vertices(), out.vertices_mm.data());
+    decode_fixed_point(in.vertices(), arrays.vertices, 3 * finest, out.vertices_mm.data(), "frame: vertices");
+    require(arrays.normals.size() == 3 * finest, "frame: normals");
     out.normals.resize(3, static_cast<Eigen::Index>(finest));
-    std::transform(in.normals()->begin(), in.normals()->end(), out.normals.data(),
-                   [](std::int16_t value) { return static_cast<float>(value) * (1.0F / 32767.0F); });
+    arrays.normals.scaled_by(1.0F / 32767.0F, out.normals.data());
   }
-  if (in.confidence() != nullptr) {
-    require(in.confidence()->size() == finest, "frame: confidence");
+  if (!arrays.confidence.absent()) {
+    require(arrays.confidence.size() == finest, "frame: confidence");
     out.frame.confidence.resize(finest);
-    std::transform(in.confidence()->begin(), in.confidence()->end(), out.frame.confidence.begin(),
-                   [](std::uint8_t value) { return static_cast<float>(value) * (1.0F / 255.0F); });
+    arrays.confidence.scaled_by(1.0F / 255.0F, out.frame.confidence.data());
   }
 }
 
-void decode_mesh_part(const wire::Frame& in, DecodedFrame& out) {
+void decode_mesh_part(const wire::Frame& in, const Arrays& arrays, DecodedFrame& out) {
   mesh::MeshFrame& frame = out.frame;
   frame.camera_from_head = decode_pose(in.camera_from_head());
   require(size_of(in.expression()) == frame.subject->expression_names.size() && all_finite(in.expression()),
@@ -268,7 +305,51 @@ void decode_mesh_part(const wire::Frame& in, DecodedFrame& out) {
   }
   require(std::isfinite(in.photometric_rms()), "frame: photometric rms");
   frame.photometric_rms = in.photometric_rms();
-  decode_geometry(in, out);
+  decode_geometry(in, arrays, out);
+}
+
+void decode_whole_frame(const wire::Frame& body, const RingReader* ring,
+                        std::shared_ptr<const mesh::Subject> subject,
+                        std::shared_ptr<const mesh::Albedo> albedo, DecodedFrame& out) {
+  require(static_cast<std::uint8_t>(body.state()) <= static_cast<std::uint8_t>(mesh::TrackingState::Lost),
+          "frame: unknown tracking state");
+  require(size_of(body.landmarks_px()) <= kMaxLandmarks, "frame: number of landmarks");
+  require(std::isfinite(body.reprojection_px()), "frame: reprojection");
+
+  DecodedFrame decoded;
+  mesh::MeshFrame& frame = decoded.frame;
+  frame.sequence = body.sequence();
+  frame.timestamp_ns = body.timestamp_ns();
+  frame.media_time_ns = body.media_time_ns();
+  frame.state = static_cast<mesh::TrackingState>(body.state());
+  frame.degraded = body.degraded();
+  frame.degraded_reason = text(body.degraded_reason(), kMaxTextBytes, "frame: degraded reason");
+  frame.camera = decode_camera(body.camera());
+  frame.stage_ms = decode_stage_times(body.stage_ms());
+  frame.reprojection_px = body.reprojection_px();
+  if (body.landmarks_px() != nullptr) {
+    frame.landmarks_px.reserve(body.landmarks_px()->size());
+    for (const wire::Point* point : *body.landmarks_px()) {
+      require(std::isfinite(point->x_px()) && std::isfinite(point->y_px()), "frame: landmark");
+      frame.landmarks_px.emplace_back(point->x_px(), point->y_px());
+    }
+  }
+  if (body.subject_id() != 0) {
+    require(subject != nullptr && subject->id == body.subject_id(), "frame: its subject was not sent");
+    frame.subject = std::move(subject);
+    if (albedo != nullptr && body.albedo_version() != 0 && frame.subject->hierarchy != nullptr) {
+      require(albedo->version == body.albedo_version(), "frame: albedo of another version");
+      require(albedo->linear_rgb.size() ==
+                  std::size_t{3} * static_cast<std::size_t>(frame.subject->hierarchy->finest().vertex_count),
+              "albedo: number of values differs from the finest level's vertices");
+      frame.albedo = std::move(albedo);
+    }
+    decode_mesh_part(body, Arrays(body, ring), decoded);
+  }
+  if (body.frame_set() != nullptr) {
+    frame.images = read_frame_set(*body.frame_set());
+  }
+  out = std::move(decoded);
 }
 
 }  // namespace
@@ -289,6 +370,8 @@ const char* to_string(MessageType type) {
       return "albedo";
     case MessageType::Frame:
       return "frame";
+    case MessageType::Ring:
+      return "ring";
     case MessageType::Unknown:
       break;
   }
@@ -311,6 +394,8 @@ MessageType message_type(std::span<const std::uint8_t> message) {
       return MessageType::Albedo;
     case wire::Body::Frame:
       return MessageType::Frame;
+    case wire::Body::Ring:
+      return MessageType::Ring;
     case wire::Body::NONE:
       reject("no body");
   }
@@ -345,6 +430,7 @@ Subscription decode_subscription(std::span<const std::uint8_t> message) {
   out.want_albedo = body.want_albedo();
   out.client = text(body.client(), kMaxNameBytes, "subscription: client");
   out.want_images = body.want_images();
+  out.ring_version = body.ring_version();
   return out;
 }
 
@@ -355,6 +441,11 @@ Dropped decode_dropped(std::span<const std::uint8_t> message) {
 
 std::string decode_goodbye(std::span<const std::uint8_t> message) {
   return text(body_of<wire::Goodbye>(message, "not a goodbye").reason(), kMaxTextBytes, "goodbye: reason");
+}
+
+RingOffer decode_ring(std::span<const std::uint8_t> message) {
+  const auto& body = body_of<wire::Ring>(message, "not a ring");
+  return {body.version(), body.bytes()};
 }
 
 std::shared_ptr<const mesh::Subject> decode_subject(std::span<const std::uint8_t> message) {
@@ -405,46 +496,14 @@ FrameReferences frame_references(std::span<const std::uint8_t> message) {
 
 void decode_frame(std::span<const std::uint8_t> message, std::shared_ptr<const mesh::Subject> subject,
                   std::shared_ptr<const mesh::Albedo> albedo, DecodedFrame& out) {
-  const auto& body = body_of<wire::Frame>(message, "not a frame");
-  require(static_cast<std::uint8_t>(body.state()) <= static_cast<std::uint8_t>(mesh::TrackingState::Lost),
-          "frame: unknown tracking state");
-  require(size_of(body.landmarks_px()) <= kMaxLandmarks, "frame: number of landmarks");
-  require(std::isfinite(body.reprojection_px()), "frame: reprojection");
+  decode_whole_frame(body_of<wire::Frame>(message, "not a frame"), nullptr, std::move(subject),
+                     std::move(albedo), out);
+}
 
-  DecodedFrame decoded;
-  mesh::MeshFrame& frame = decoded.frame;
-  frame.sequence = body.sequence();
-  frame.timestamp_ns = body.timestamp_ns();
-  frame.media_time_ns = body.media_time_ns();
-  frame.state = static_cast<mesh::TrackingState>(body.state());
-  frame.degraded = body.degraded();
-  frame.degraded_reason = text(body.degraded_reason(), kMaxTextBytes, "frame: degraded reason");
-  frame.camera = decode_camera(body.camera());
-  frame.stage_ms = decode_stage_times(body.stage_ms());
-  frame.reprojection_px = body.reprojection_px();
-  if (body.landmarks_px() != nullptr) {
-    frame.landmarks_px.reserve(body.landmarks_px()->size());
-    for (const wire::Point* point : *body.landmarks_px()) {
-      require(std::isfinite(point->x_px()) && std::isfinite(point->y_px()), "frame: landmark");
-      frame.landmarks_px.emplace_back(point->x_px(), point->y_px());
-    }
-  }
-  if (body.subject_id() != 0) {
-    require(subject != nullptr && subject->id == body.subject_id(), "frame: its subject was not sent");
-    frame.subject = std::move(subject);
-    if (albedo != nullptr && body.albedo_version() != 0 && frame.subject->hierarchy != nullptr) {
-      require(albedo->version == body.albedo_version(), "frame: albedo of another version");
-      require(albedo->linear_rgb.size() ==
-                  std::size_t{3} * static_cast<std::size_t>(frame.subject->hierarchy->finest().vertex_count),
-              "albedo: number of values differs from the finest level's vertices");
-      frame.albedo = std::move(albedo);
-    }
-    decode_mesh_part(body, decoded);
-  }
-  if (body.frame_set() != nullptr) {
-    frame.images = read_frame_set(*body.frame_set());
-  }
-  out = std::move(decoded);
+void decode_frame(const RingReader& ring, std::shared_ptr<const mesh::Subject> subject,
+                  std::shared_ptr<const mesh::Albedo> albedo, DecodedFrame& out) {
+  decode_whole_frame(body_of<wire::Frame>(ring.head(), "not a frame"), &ring, std::move(subject),
+                     std::move(albedo), out);
 }
 
 }  // namespace facet::stream

@@ -7,6 +7,7 @@
 
 #include "mesh/mesh_frame.hpp"
 #include "stream/protocol.hpp"
+#include "stream/ring.hpp"
 
 namespace facet::stream {
 
@@ -18,6 +19,7 @@ enum class MessageType : std::uint8_t {
   Subject,
   Albedo,
   Frame,
+  Ring,
   Unknown,  ///< sound, but of a kind that came with a later version: a client skips it
 };
 
@@ -51,6 +53,7 @@ Hello decode_hello(std::span<const std::uint8_t> message);
 Subscription decode_subscription(std::span<const std::uint8_t> message);
 Dropped decode_dropped(std::span<const std::uint8_t> message);
 std::string decode_goodbye(std::span<const std::uint8_t> message);
+RingOffer decode_ring(std::span<const std::uint8_t> message);
 
 /// Profile Displacements gives the Subject as it was published. Profile Vertices: its hierarchy has one
 /// level, the finest, without stencils, and control_vertex_count 0. Profile Signals: hierarchy is null.
@@ -60,6 +63,10 @@ DecodedAlbedo decode_albedo(std::span<const std::uint8_t> message);
 FrameReferences frame_references(std::span<const std::uint8_t> message);
 /// subject and albedo must be those of frame_references (null where 0; albedo may be null if not wanted).
 void decode_frame(std::span<const std::uint8_t> message, std::shared_ptr<const mesh::Subject> subject,
+                  std::shared_ptr<const mesh::Albedo> albedo, DecodedFrame& out);
+/// The newest frame of a ring: its head message as above, its arrays from where they lie. What comes out
+/// counts only where ring.intact() holds afterwards.
+void decode_frame(const RingReader& ring, std::shared_ptr<const mesh::Subject> subject,
                   std::shared_ptr<const mesh::Albedo> albedo, DecodedFrame& out);
 
 }  // namespace facet::stream

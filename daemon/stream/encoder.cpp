@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -33,33 +34,41 @@ Offset<flatbuffers::String> bounded_string(FlatBufferBuilder& builder, std::stri
 }
 
 float finite_or_zero(float value) {
-  return std::isfinite(value) ? value : 0.0F;
+  // Comparisons with NaN are false.
+  return std::abs(value) <= std::numeric_limits<float>::max() ? value : 0.0F;
 }
 
 float largest_magnitude(std::span<const float> values) {
-  float largest = 0.0F;
-  for (const float value : values) {
+  // Several at a time: the maximum of many is the same in any order, which compilers don't take for granted.
+  constexpr std::size_t kLanes = 16;
+  std::array<float, kLanes> largest{};
+  const auto take = [](float& so_far, float value) {
     const float magnitude = std::abs(value);
     // Comparisons with NaN are false; infinity must not become the scale.
-    largest = magnitude > largest && magnitude <= 3.0e38F ? magnitude : largest;
+    const float sound = magnitude <= 3.0e38F ? magnitude : 0.0F;
+    so_far = sound > so_far ? sound : so_far;
+  };
+  std::size_t k = 0;
+  for (; k + kLanes <= values.size(); k += kLanes) {
+    for (std::size_t lane = 0; lane < kLanes; ++lane) {
+      take(largest[lane], values[k + lane]);
+    }
   }
-  return largest;
+  for (; k < values.size(); ++k) {
+    take(largest[0], values[k]);
+  }
+  return *std::max_element(largest.begin(), largest.end());
 }
 
+/// To the nearest, as std::lrint does, but in a way that compilers turn into vector instructions.
 std::int16_t to_int16(float scaled) {
-  return std::isfinite(scaled)
-             ? static_cast<std::int16_t>(std::lrint(std::clamp(scaled, -kInt16Max, kInt16Max)))
-             : std::int16_t{0};
+  const float nearest = std::rint(std::min(std::max(finite_or_zero(scaled), -kInt16Max), kInt16Max));
+  return static_cast<std::int16_t>(static_cast<std::int32_t>(nearest));
 }
 
-Offset<wire::FixedPoint> fixed_point(FlatBufferBuilder& builder, std::span<const float> values,
-                                     float finest_step_mm) {
-  const float step_mm = std::clamp(largest_magnitude(values) / kInt16Max, finest_step_mm, kMaxStepMm);
-  const float per_mm = 1.0F / step_mm;
-  std::int16_t* out = nullptr;
-  const auto vector = builder.CreateUninitializedVector(values.size(), &out);
-  std::transform(values.begin(), values.end(), out, [&](float value) { return to_int16(value * per_mm); });
-  return wire::CreateFixedPoint(builder, step_mm, vector);
+std::uint8_t to_uint8(float value) {
+  const float nearest = std::rint(std::min(std::max(finite_or_zero(value), 0.0F), 1.0F) * 255.0F);
+  return static_cast<std::uint8_t>(static_cast<std::int32_t>(nearest));
 }
 
 template <typename Derived>
@@ -188,6 +197,11 @@ struct Encoder::Impl {
   mesh::Vertices vertices_mm;  ///< [3][finest vertex_count], profile Vertices
   Eigen::Matrix3Xf normals;    ///< [3][finest vertex_count]
 
+  /// Where the numbers of the long vectors go: into the message, or beside it for a ring.
+  bool beside = false;
+  std::array<std::vector<std::int16_t>, FACET_RING_CONFIDENCE> beside_numbers;
+  std::vector<std::uint8_t> beside_confidence;
+
   /// What a frame refers to, made before its table begins.
   struct Parts {
     Offset<flatbuffers::String> degraded_reason;
@@ -202,7 +216,15 @@ struct Encoder::Impl {
     Offset<wire::FrameSet> frame_set;
   };
 
+  template <typename T>
+  Offset<flatbuffers::Vector<T>> place(std::vector<T>& beside_vector, std::size_t count, T** out);
+  Offset<flatbuffers::Vector<std::int16_t>> scaled(std::size_t which, std::span<const float> values,
+                                                   float scale);
+  Offset<wire::FixedPoint> fixed_point(std::size_t which, std::span<const float> values,
+                                       float finest_step_mm);
   void geometry_parts(const mesh::MeshFrame& frame, Profile profile, Parts& parts);
+  std::span<const std::uint8_t> frame_message(const mesh::MeshFrame& frame, Profile profile,
+                                              bool with_pixels);
   Offset<wire::StageTimes> stage_times(const mesh::StageTimes& times);
   Offset<flatbuffers::Vector<const wire::Point*>> landmarks(const std::vector<Eigen::Vector2f>& points);
 };
@@ -228,9 +250,9 @@ std::span<const std::uint8_t> Encoder::subscription(const Subscription& subscrip
   FlatBufferBuilder& builder = impl_->builder;
   builder.Clear();
   const auto client = bounded_string(builder, subscription.client, kMaxNameBytes);
-  const auto body = wire::CreateSubscribe(builder, subscription.protocol_version,
-                                          static_cast<wire::Profile>(subscription.profile),
-                                          subscription.want_albedo, client, subscription.want_images);
+  const auto body = wire::CreateSubscribe(
+      builder, subscription.protocol_version, static_cast<wire::Profile>(subscription.profile),
+      subscription.want_albedo, client, subscription.want_images, subscription.ring_version);
   return finish(builder, wire::Body::Subscribe, body.Union());
 }
 
@@ -246,6 +268,12 @@ std::span<const std::uint8_t> Encoder::goodbye(std::string_view reason) {
   builder.Clear();
   const auto text = bounded_string(builder, reason, kMaxTextBytes);
   return finish(builder, wire::Body::Goodbye, wire::CreateGoodbye(builder, text).Union());
+}
+
+std::span<const std::uint8_t> Encoder::ring(const RingOffer& offer) {
+  FlatBufferBuilder& builder = impl_->builder;
+  builder.Clear();
+  return finish(builder, wire::Body::Ring, wire::CreateRing(builder, offer.version, offer.bytes).Union());
 }
 
 std::span<const std::uint8_t> Encoder::subject(const mesh::Subject& subject, Profile profile) {
@@ -308,6 +336,33 @@ Offset<flatbuffers::Vector<const wire::Point*>> Encoder::Impl::landmarks(
   return vector;
 }
 
+/// Room for `count` numbers; the vector is null where they lie beside the message.
+template <typename T>
+Offset<flatbuffers::Vector<T>> Encoder::Impl::place(std::vector<T>& beside_vector, std::size_t count,
+                                                    T** out) {
+  if (beside) {
+    beside_vector.resize(count);
+    *out = beside_vector.data();
+    return {};
+  }
+  return builder.CreateUninitializedVector(count, out);
+}
+
+Offset<flatbuffers::Vector<std::int16_t>> Encoder::Impl::scaled(std::size_t which,
+                                                                std::span<const float> values, float scale) {
+  std::int16_t* out = nullptr;
+  const auto vector = place(beside_numbers.at(which), values.size(), &out);
+  std::transform(values.begin(), values.end(), out, [scale](float value) { return to_int16(value * scale); });
+  return vector;
+}
+
+Offset<wire::FixedPoint> Encoder::Impl::fixed_point(std::size_t which, std::span<const float> values,
+                                                    float finest_step_mm) {
+  const float step_mm = std::clamp(largest_magnitude(values) / kInt16Max, finest_step_mm, kMaxStepMm);
+  const auto vector = scaled(which, values, 1.0F / step_mm);
+  return wire::CreateFixedPoint(builder, step_mm, vector);
+}
+
 void Encoder::Impl::geometry_parts(const mesh::MeshFrame& frame, Profile profile, Parts& parts) {
   parts.expression = builder.CreateVector(frame.expression);
   if (profile == Profile::Signals) {
@@ -315,30 +370,49 @@ void Encoder::Impl::geometry_parts(const mesh::MeshFrame& frame, Profile profile
   }
   if (!frame.confidence.empty()) {
     std::uint8_t* out = nullptr;
-    parts.confidence = builder.CreateUninitializedVector(frame.confidence.size(), &out);
-    std::transform(frame.confidence.begin(), frame.confidence.end(), out, [](float value) {
-      return static_cast<std::uint8_t>(std::lrint(std::clamp(finite_or_zero(value), 0.0F, 1.0F) * 255.0F));
-    });
+    parts.confidence = place(beside_confidence, frame.confidence.size(), &out);
+    std::transform(frame.confidence.begin(), frame.confidence.end(), out, to_uint8);
   }
   if (profile == Profile::Displacements) {
-    parts.control_vertices = fixed_point(builder, flat(frame.control_vertices_mm), kPositionStepMm);
+    parts.control_vertices =
+        fixed_point(FACET_RING_CONTROL_VERTICES, flat(frame.control_vertices_mm), kPositionStepMm);
     if (!frame.displacements_mm.empty()) {
-      parts.displacements = fixed_point(builder, frame.displacements_mm, kDisplacementStepMm);
+      parts.displacements =
+          fixed_point(FACET_RING_DISPLACEMENTS, frame.displacements_mm, kDisplacementStepMm);
     }
     return;
   }
   mesh::rebuild_finest(*frame.subject->hierarchy, frame.control_vertices_mm, frame.displacements_mm,
                        vertices_mm, normals);
-  parts.vertices = fixed_point(builder, flat(vertices_mm), kPositionStepMm);
-  std::int16_t* out = nullptr;
-  parts.normals = builder.CreateUninitializedVector(static_cast<std::size_t>(normals.size()), &out);
-  std::transform(normals.data(), normals.data() + normals.size(), out,
-                 [](float value) { return to_int16(value * kInt16Max); });
+  parts.vertices = fixed_point(FACET_RING_VERTICES, flat(vertices_mm), kPositionStepMm);
+  parts.normals = scaled(FACET_RING_NORMALS, flat(normals), kInt16Max);
 }
 
 std::span<const std::uint8_t> Encoder::frame(const mesh::MeshFrame& frame, Profile profile,
                                              bool with_pixels) {
-  FlatBufferBuilder& builder = impl_->builder;
+  impl_->beside = false;
+  return impl_->frame_message(frame, profile, with_pixels);
+}
+
+RingFrame Encoder::ring_frame(const mesh::MeshFrame& frame, Profile profile) {
+  for (auto& numbers : impl_->beside_numbers) {
+    numbers.clear();
+  }
+  impl_->beside_confidence.clear();
+  impl_->beside = true;
+  RingFrame out;
+  out.head = impl_->frame_message(frame, profile, false);
+  for (std::size_t which = 0; which < impl_->beside_numbers.size(); ++which) {
+    const std::vector<std::int16_t>& numbers = impl_->beside_numbers.at(which);
+    out.arrays.at(which) = {reinterpret_cast<const std::uint8_t*>(numbers.data()),
+                            numbers.size() * sizeof(std::int16_t)};
+  }
+  out.arrays[FACET_RING_CONFIDENCE] = impl_->beside_confidence;
+  return out;
+}
+
+std::span<const std::uint8_t> Encoder::Impl::frame_message(const mesh::MeshFrame& frame, Profile profile,
+                                                           bool with_pixels) {
   builder.Clear();
   bool with_mesh = carries_mesh(frame);
   bool degraded = frame.degraded;
@@ -357,12 +431,12 @@ std::span<const std::uint8_t> Encoder::frame(const mesh::MeshFrame& frame, Profi
         "pictures left out: together they are larger than a message may be (64 MiB): use smaller pictures";
   }
 
-  Impl::Parts parts;
+  Parts parts;
   parts.degraded_reason = bounded_string(builder, degraded_reason, kMaxTextBytes);
-  parts.stage_ms = impl_->stage_times(frame.stage_ms);
-  parts.landmarks_px = impl_->landmarks(frame.landmarks_px);
+  parts.stage_ms = stage_times(frame.stage_ms);
+  parts.landmarks_px = landmarks(frame.landmarks_px);
   if (with_mesh) {
-    impl_->geometry_parts(frame, profile, parts);
+    geometry_parts(frame, profile, parts);
   }
   if (frame.images != nullptr && !frame.images->frames.empty()) {
     parts.frame_set = write_frame_set(builder, *frame.images, with_pixels);

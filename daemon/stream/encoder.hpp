@@ -7,6 +7,7 @@
 
 #include "mesh/mesh_frame.hpp"
 #include "stream/protocol.hpp"
+#include "stream/ring.hpp"
 
 namespace facet::stream {
 
@@ -33,6 +34,7 @@ class Encoder {
   std::span<const std::uint8_t> subscription(const Subscription& subscription);
   std::span<const std::uint8_t> dropped(const Dropped& dropped);
   std::span<const std::uint8_t> goodbye(std::string_view reason);
+  std::span<const std::uint8_t> ring(const RingOffer& offer);
   std::span<const std::uint8_t> subject(const mesh::Subject& subject, Profile profile);
   std::span<const std::uint8_t> albedo(std::uint64_t subject_id, const mesh::Albedo& albedo);
   /// A frame without a subject, or with one that has a subject_fault, carries no geometry in any profile; the
@@ -43,6 +45,8 @@ class Encoder {
   /// that would make the message too long come without pixels; the frame is degraded and says so.
   std::span<const std::uint8_t> frame(const mesh::MeshFrame& frame, Profile profile,
                                       bool with_pixels = false);
+  /// The same frame in the two parts that a ring holds; never with pixels.
+  RingFrame ring_frame(const mesh::MeshFrame& frame, Profile profile);
 
  private:
   struct Impl;

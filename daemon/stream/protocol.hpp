@@ -35,6 +35,11 @@ inline constexpr std::uint32_t kMaxImagePx = 16384;  ///< width and height
 inline constexpr std::size_t kMaxNameBytes = 64;
 inline constexpr std::size_t kMaxTextBytes = 1024;  ///< degraded_reason, goodbye reason, server
 
+/// Frames of a ring: what a reader reads in place stays for this many frames but one.
+inline constexpr std::uint32_t kRingSlots = 8;
+/// Rings offered to one connection: descriptors that a reader lets lie in its socket are bounded.
+inline constexpr int kMaxRingOffers = 32;
+
 /// Coarsest errors of the fixed-point fields for values within their stated range (see Encoder).
 inline constexpr float kDisplacementStepMm = 0.0005F;  ///< as long as |d| <= 16 mm
 inline constexpr float kPositionStepMm = 0.002F;       ///< as long as |x| <= 65 mm; grows with the extent
@@ -63,6 +68,14 @@ struct Subscription {
   bool want_albedo = true;
   std::string client;  ///< for people, kMaxNameBytes at most
   bool want_images = false;
+  /// Newest layout of a shared-memory ring that the client reads (ring_layout.h); 0: frames over the socket.
+  std::uint32_t ring_version = 0;
+};
+
+/// A ring of frames for a reader that asked for one; its descriptors come beside the message.
+struct RingOffer {
+  std::uint32_t version = 0;
+  std::uint64_t bytes = 0;
 };
 
 struct Dropped {

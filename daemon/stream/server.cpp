@@ -5,6 +5,7 @@
 #include <pthread.h>
 #include <sys/epoll.h>
 #include <sys/eventfd.h>
+#include <sys/ioctl.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
@@ -25,6 +26,7 @@
 #include "stream/decoder.hpp"
 #include "stream/encoder.hpp"
 #include "stream/framing.hpp"
+#include "stream/ring.hpp"
 
 namespace facet::stream {
 namespace {
@@ -60,6 +62,27 @@ struct Reader {
   std::uint64_t last_number = 0;  ///< newest publication that was sent or counted as dropped
   std::uint64_t dropped_since_frame = 0;
   std::uint64_t dropped_told = 0;
+
+  /// Wake-ups of a ring's reader. A pipe and no eventfd: both ends of an eventfd are one open file, whose
+  /// O_NONBLOCK the reader could take away, and then fill it so that the next wake-up never returns.
+  FileDescriptor wake;
+  FileDescriptor wake_far_end;         ///< the reader's, kept so that nobody gets SIGPIPE
+  std::vector<FileDescriptor> passed;  ///< go with the first byte of outgoing
+  std::uint64_t ring_generation = 0;   ///< of the ring that was offered last; 0: none
+  int ring_offers = 0;
+
+  /// Frames come through a ring. Pictures never do.
+  bool by_ring() const {
+    return statistics.subscribed && subscription.ring_version >= FACET_RING_VERSION &&
+           !subscription.want_images;
+  }
+};
+
+/// The ring of one profile, made when it is first asked for.
+struct Ring {
+  std::optional<RingWriter> writer;
+  std::uint64_t generation = 0;  ///< another one for every ring of the server
+  std::uint64_t number = 0;      ///< of the newest frame in it
 };
 
 FileDescriptor open_checked(int fd, const char* what) {
@@ -67,6 +90,30 @@ FileDescriptor open_checked(int fd, const char* what) {
     throw Error(ErrorKind::Internal, fmt::format("stream: {}: {}", what, std::strerror(errno)));
   }
   return FileDescriptor(fd);
+}
+
+/// send() that passes descriptors on with the first byte; it never blocks.
+ssize_t send_some(int fd, std::span<const std::uint8_t> bytes, const std::vector<FileDescriptor>& passed) {
+  constexpr std::size_t kMaxPassed = 2;
+  // The socket API takes what is sent by a pointer that is not const.
+  iovec part{const_cast<std::uint8_t*>(bytes.data()), bytes.size()};
+  msghdr message{};
+  message.msg_iov = &part;
+  message.msg_iovlen = 1;
+  alignas(cmsghdr) std::array<char, CMSG_SPACE(kMaxPassed * sizeof(int))> control{};
+  if (!passed.empty()) {
+    std::array<int, kMaxPassed> fds{};
+    std::transform(passed.begin(), passed.end(), fds.begin(),
+                   [](const FileDescriptor& entry) { return entry.get(); });
+    message.msg_control = control.data();
+    message.msg_controllen = CMSG_SPACE(passed.size() * sizeof(int));
+    cmsghdr* header = CMSG_FIRSTHDR(&message);
+    header->cmsg_level = SOL_SOCKET;
+    header->cmsg_type = SCM_RIGHTS;
+    header->cmsg_len = CMSG_LEN(passed.size() * sizeof(int));
+    std::memcpy(CMSG_DATA(header), fds.data(), passed.size() * sizeof(int));
+  }
+  return ::sendmsg(fd, &message, MSG_NOSIGNAL | MSG_DONTWAIT);
 }
 
 FileDescriptor open_spare() {
@@ -120,6 +167,8 @@ struct StreamServer::Impl {
   std::array<std::array<std::shared_ptr<const Packet>, kProfileCount>, 2> frame_packets;
   std::array<std::shared_ptr<const Packet>, kProfileCount> subject_packets;  ///< of subject
   std::shared_ptr<const Packet> albedo_packet;                               ///< of albedo
+  std::array<Ring, kProfileCount> rings;
+  std::uint64_t ring_generations = 0;
 
   std::shared_ptr<const Packet> packet(std::span<const std::uint8_t> message);
   void run();
@@ -135,6 +184,10 @@ struct StreamServer::Impl {
   bool send_outgoing(Reader& reader);
   std::shared_ptr<const Packet> next_packet(Reader& reader);
   std::shared_ptr<const Packet> frame_packet(const Subscription& subscription);
+  bool fill_ring(Profile profile);
+  void announce(Reader& reader);
+  void announce_to_all();
+  std::shared_ptr<const Packet> ring_packet(Reader& reader);
   void arm(Reader& reader, bool waits_for_room);
   void remove_gone();
   void farewell();
@@ -311,6 +364,12 @@ void StreamServer::Impl::accept_request(Reader& reader) {
   }
   reader.subscription = wanted;
   reader.statistics.subscribed = true;
+  reader.statistics.ring = reader.by_ring();
+  if (!reader.by_ring()) {
+    reader.ring_generation = 0;
+    reader.wake.reset();
+    reader.wake_far_end.reset();
+  }
   reader.statistics.profile = wanted.profile;
   reader.statistics.client = wanted.client;
 }
@@ -336,6 +395,90 @@ std::shared_ptr<const Packet> StreamServer::Impl::frame_packet(const Subscriptio
     statistics.encoded_bytes += cached->bytes.size();
   }
   return cached;
+}
+
+/// Puts the current frame into the ring of a profile; into a new, larger ring where it does not fit. False
+/// where none is to be had.
+bool StreamServer::Impl::fill_ring(Profile profile) {
+  Ring& ring = rings.at(static_cast<std::size_t>(profile));
+  if (ring.number == current_number) {
+    return true;
+  }
+  const RingFrame frame = encoder.ring_frame(*current, profile);
+  const std::size_t bytes = ring_slot_bytes(frame);
+  if (!ring.writer || ring.writer->slot_bytes() < bytes) {
+    try {
+      // Readers keep the ring that they have: only ever larger by a quarter, rings can't pile up.
+      ring.writer = RingWriter(profile, kRingSlots, bytes + bytes / 4);
+      ring.generation = ++ring_generations;
+    } catch (const Error& error) {
+      statistics.last_refusal = fmt::format("frames go over the socket: {}", error.what());
+      return false;
+    }
+  }
+  ring.writer->write(current_number, frame);
+  ring.number = current_number;
+  statistics.encoded_bytes += bytes;
+  return true;
+}
+
+/// Wakes a ring's reader for the current frame. One that has not seen the last wake-up has lost that frame.
+void StreamServer::Impl::announce(Reader& reader) {
+  if (reader.last_number >= current_number) {
+    return;
+  }
+  const std::uint64_t missed = current_number - reader.last_number - 1;
+  reader.last_number = current_number;
+  int unseen = 0;
+  if (::ioctl(reader.wake_far_end.get(), FIONREAD, &unseen) == 0 && unseen > 0) {
+    reader.statistics.frames_dropped += missed + 1;
+  } else {
+    const char wake_up = 1;
+    [[maybe_unused]] const ssize_t ignored = ::write(reader.wake.get(), &wake_up, 1);
+    reader.statistics.frames_dropped += missed;
+    ++reader.statistics.frames_sent;
+  }
+  // Readers of a ring see what they lost by the frames' numbers.
+  reader.dropped_told = reader.statistics.frames_dropped;
+}
+
+/// Rings come before sockets: their readers want the least delay.
+void StreamServer::Impl::announce_to_all() {
+  for (const std::unique_ptr<Reader>& reader : readers) {
+    if (reader->by_ring() && reader->ring_generation != 0 && fill_ring(reader->subscription.profile) &&
+        reader->ring_generation ==
+            rings.at(static_cast<std::size_t>(reader->subscription.profile)).generation) {
+      announce(*reader);
+    }
+  }
+}
+
+/// The offer of a ring that the reader does not have yet; else null.
+std::shared_ptr<const Packet> StreamServer::Impl::ring_packet(Reader& reader) {
+  const Ring& ring = rings.at(static_cast<std::size_t>(reader.subscription.profile));
+  if (reader.ring_generation == ring.generation) {
+    announce(reader);
+    return nullptr;
+  }
+  std::array<int, 2> ends{-1, -1};
+  FileDescriptor memory(::fcntl(ring.writer->fd(), F_DUPFD_CLOEXEC, 0));
+  if (!memory || ::pipe2(ends.data(), O_CLOEXEC | O_NONBLOCK) != 0) {
+    refuse(reader, fmt::format("no file descriptor left for a ring: {}", std::strerror(errno)));
+    return nullptr;
+  }
+  reader.wake_far_end.reset(ends[0]);
+  reader.wake.reset(ends[1]);
+  reader.passed.clear();
+  reader.passed.push_back(std::move(memory));
+  reader.passed.emplace_back(::fcntl(reader.wake_far_end.get(), F_DUPFD_CLOEXEC, 0));
+  if (!reader.passed.back() || ++reader.ring_offers > kMaxRingOffers) {
+    reader.passed.clear();
+    refuse(reader, fmt::format("no ring: descriptors used up, or more than {} asked for", kMaxRingOffers));
+    return nullptr;
+  }
+  reader.ring_generation = ring.generation;
+  announce(reader);
+  return packet(encoder.ring({FACET_RING_VERSION, ring.writer->bytes()}));
 }
 
 /// What this reader needs next: hello, then subject, albedo and drop notice before the frame that needs them.
@@ -366,6 +509,13 @@ std::shared_ptr<const Packet> StreamServer::Impl::next_packet(Reader& reader) {
     }
     return albedo_packet;
   }
+  if (reader.by_ring() && current_number > 0) {
+    if (fill_ring(profile)) {
+      return ring_packet(reader);
+    }
+    reader.subscription.ring_version = 0;
+    reader.statistics.ring = false;
+  }
   if (reader.last_number >= current_number) {
     return nullptr;
   }
@@ -387,8 +537,8 @@ std::shared_ptr<const Packet> StreamServer::Impl::next_packet(Reader& reader) {
 bool StreamServer::Impl::send_outgoing(Reader& reader) {
   const std::vector<std::uint8_t>& bytes = reader.outgoing->bytes;
   while (reader.sent_bytes < bytes.size()) {
-    const ssize_t count = ::send(reader.fd.get(), bytes.data() + reader.sent_bytes,
-                                 bytes.size() - reader.sent_bytes, MSG_NOSIGNAL | MSG_DONTWAIT);
+    const ssize_t count =
+        send_some(reader.fd.get(), std::span(bytes).subspan(reader.sent_bytes), reader.passed);
     if (count < 0 && errno == EINTR) {
       continue;
     }
@@ -396,6 +546,7 @@ bool StreamServer::Impl::send_outgoing(Reader& reader) {
       reader.gone = errno != EAGAIN && errno != EWOULDBLOCK;
       return false;
     }
+    reader.passed.clear();
     reader.sent_bytes += static_cast<std::size_t>(count);
     reader.statistics.bytes_sent += static_cast<std::uint64_t>(count);
   }
@@ -409,6 +560,9 @@ void StreamServer::Impl::pump(Reader& reader) {
     if (reader.outgoing == nullptr) {
       reader.outgoing = next_packet(reader);
       reader.sent_bytes = 0;
+    }
+    if (reader.gone) {
+      return;
     }
     if (reader.outgoing == nullptr) {
       arm(reader, false);
@@ -465,6 +619,7 @@ void StreamServer::Impl::run_until_stopped() {
       // Non-blocking; only empties the counter.
       [[maybe_unused]] const ssize_t ignored = ::read(wake.get(), &wakes, sizeof(wakes));
       take_newest();
+      announce_to_all();
       for (const std::unique_ptr<Reader>& reader : readers) {
         if (reader->outgoing == nullptr) {
           pump(*reader);

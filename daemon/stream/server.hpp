@@ -26,7 +26,8 @@ struct ReaderStatistics {
   std::uint32_t uid = 0;
   Profile profile = Profile::Displacements;
   bool subscribed = false;
-  std::uint64_t frames_sent = 0;
+  bool ring = false;              ///< frames go through shared memory
+  std::uint64_t frames_sent = 0;  ///< ring: announced to a reader that had seen the announcement before
   std::uint64_t frames_dropped = 0;
   std::uint64_t bytes_sent = 0;
 };
@@ -36,7 +37,7 @@ struct StreamStatistics {
   std::uint64_t skipped = 0;    ///< frames that were replaced before the stream thread saw them
   std::uint64_t connections = 0;
   std::uint64_t refused = 0;        ///< connections closed for a wrong or oversized request, or too many
-  std::string last_refusal;         ///< for people
+  std::string last_refusal;         ///< for people; also why there was no ring
   std::uint64_t encoded_bytes = 0;  ///< frame messages, each profile counted once
   std::string failure;              ///< empty; else why the stream thread ended early
   std::vector<ReaderStatistics> readers;
@@ -44,12 +45,13 @@ struct StreamStatistics {
 
 /// Hands the newest frame to every reader over a Unix stream socket. A reader slower than the frames loses
 /// whole frames, the newest wins, and is told how many (message Dropped); it never slows the pipeline or
-/// another reader. A reader that joins late first gets the current subject and albedo.
+/// another reader. A reader that joins late first gets the current subject and albedo. Readers that ask for
+/// it get frames through shared memory (ring.hpp), one ring per profile, which stays until the server ends.
 ///
 /// Life: construct (binds the socket, may throw Error) -> start -> publish ... -> request_stop -> stop ->
 /// destroy. start begins the one thread `facet-stream`, which owns all connections and all encoding and
 /// blocks only in epoll; stop joins it. Memory: one encoded frame per profile in use, one more for every
-/// reader in the middle of an older one.
+/// reader in the middle of an older one, kRingSlots frames and a quarter per profile with a ring.
 class StreamServer {
  public:
   /// passed: a socket that the service manager listens on, see ListeningSocket.

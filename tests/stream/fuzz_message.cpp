@@ -40,6 +40,9 @@ void decode(std::span<const std::uint8_t> message, const std::shared_ptr<const m
       stream::decode_frame(message, subject, nullptr, out);
       break;
     }
+    case stream::MessageType::Ring:
+      stream::decode_ring(message);
+      break;
     case stream::MessageType::Unknown:
       break;
   }

@@ -137,6 +137,11 @@ class Server : public testing::Test {
   static Subscription wanted(Profile profile, bool want_albedo = true) {
     return {kProtocolVersion, profile, want_albedo, "test"};
   }
+  static Subscription by_ring_wanted(Profile profile) {
+    Subscription subscription = wanted(profile);
+    subscription.ring_version = FACET_RING_VERSION;
+    return subscription;
+  }
   std::uint64_t published = 0;
 };
 
@@ -199,6 +204,220 @@ TEST_F(Server, PicturesGoToThoseWhoWantThem) {
   ASSERT_NE(got.frame.images, nullptr);
   EXPECT_EQ(got.frame.images->slot, 5U);
   EXPECT_TRUE(got.frame.images->frames[0].empty());
+}
+
+TEST_F(Server, ReadersOfARingGetTheSameFrames) {
+  start();
+  publish_and_wait(0);
+  for (const Profile profile : {Profile::Signals, Profile::Displacements, Profile::Vertices}) {
+    StreamClient by_ring(path, by_ring_wanted(profile));
+    StreamClient by_socket(path, wanted(profile));
+    DecodedFrame got;
+    DecodedFrame expected;
+    for (int round = 0; round < 12; ++round) {  // once round the ring
+      ASSERT_EQ(by_socket.next(expected, kPatience), ReceiveOutcome::Received);
+      ASSERT_EQ(by_ring.next(got, kPatience), ReceiveOutcome::Received);
+      EXPECT_EQ(got.frame.sequence, expected.frame.sequence);
+      EXPECT_EQ(got.frame.timestamp_ns, expected.frame.timestamp_ns);
+      EXPECT_EQ(got.frame.control_vertices_mm, expected.frame.control_vertices_mm);
+      EXPECT_EQ(got.frame.displacements_mm, expected.frame.displacements_mm);
+      EXPECT_EQ(got.frame.confidence, expected.frame.confidence);
+      EXPECT_EQ(got.vertices_mm, expected.vertices_mm);
+      EXPECT_EQ(got.normals, expected.normals);
+      EXPECT_EQ(got.frame.expression, expected.frame.expression);
+      publish_and_wait(published);
+    }
+    EXPECT_TRUE(by_ring.by_ring());
+    EXPECT_FALSE(by_socket.by_ring());
+    EXPECT_EQ(by_ring.dropped(), 0U);
+    ASSERT_EQ(by_ring.subject() == nullptr, false);
+    EXPECT_EQ(by_ring.subject()->id, subject->id);
+  }
+  EXPECT_TRUE(
+      eventually([&] { return server->statistics().readers.empty() || (publish(0), ++published, false); }));
+}
+
+TEST_F(Server, ARingOfferedBeforeTheFirstFaceGrowsWithIt) {
+  start();
+  StreamClient client(path, by_ring_wanted(Profile::Displacements));
+  wait_for_subscribers(1);
+  DecodedFrame got;
+  EXPECT_EQ(client.next(got, 0ms), ReceiveOutcome::Timeout);
+  server->publish(std::make_shared<mesh::MeshFrame>(test::searching_frame(0)));
+  ASSERT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
+  EXPECT_EQ(got.frame.state, mesh::TrackingState::Searching);
+  EXPECT_TRUE(client.by_ring());
+  publish(1);
+  ASSERT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
+  EXPECT_EQ(got.frame.sequence, 1U);
+  EXPECT_EQ(got.frame.displacements_mm.size(),
+            static_cast<std::size_t>(subject->hierarchy->finest().vertex_count));
+  subject = test::patch_subject(7, 20);  // four times the vertices
+  albedo = nullptr;
+  publish(2);
+  ASSERT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
+  EXPECT_EQ(got.frame.sequence, 2U);
+  EXPECT_EQ(got.frame.subject->id, 7U);
+  EXPECT_EQ(client.dropped(), 0U);
+}
+
+TEST_F(Server, ARingReaderThatStandsStillLosesFramesAlone) {
+  start();
+  StreamClient still(path, by_ring_wanted(Profile::Displacements));
+  StreamClient quick(path, by_ring_wanted(Profile::Displacements));
+  wait_for_subscribers(2);
+  DecodedFrame got;
+  publish(0);
+  ASSERT_EQ(still.next(got, kPatience), ReceiveOutcome::Received);
+  ASSERT_EQ(quick.next(got, kPatience), ReceiveOutcome::Received);
+  constexpr std::uint64_t kFrames = 100;
+  for (std::uint64_t sequence = 1; sequence <= kFrames; ++sequence) {
+    publish(sequence);
+    ASSERT_EQ(quick.next(got, kPatience), ReceiveOutcome::Received);
+    ASSERT_EQ(got.frame.sequence, sequence);
+  }
+  EXPECT_EQ(quick.dropped(), 0U);
+  ASSERT_EQ(still.next(got, kPatience), ReceiveOutcome::Received);
+  EXPECT_EQ(got.frame.sequence, kFrames) << "the newest wins";
+  EXPECT_EQ(still.dropped(), kFrames - 1);
+  ASSERT_TRUE(eventually([&] { return server->statistics().published == kFrames + 1; }));
+  publish(kFrames + 1);
+  ASSERT_TRUE(eventually([&] { return server->statistics().published == kFrames + 2; }));
+  const StreamStatistics statistics = server->statistics();
+  ASSERT_EQ(statistics.readers.size(), 2U);
+  EXPECT_TRUE(statistics.readers[0].ring);
+  EXPECT_EQ(statistics.readers[0].frames_dropped, kFrames - 1) << "counted for that reader";
+  EXPECT_EQ(statistics.readers[1].frames_dropped, 0U);
+}
+
+TEST_F(Server, PicturesNeverGoThroughARing) {
+  start();
+  Subscription with_images = by_ring_wanted(Profile::Signals);
+  with_images.want_images = true;
+  StreamClient client(path, with_images);
+  wait_for_subscribers(1);
+  publish(0);
+  DecodedFrame got;
+  ASSERT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
+  EXPECT_FALSE(client.by_ring());
+  EXPECT_FALSE(server->statistics().readers.at(0).ring);
+}
+
+// Readers of older releases never see the message; one of a later release that asks for a layout of its own,
+// and at least this one, gets this one.
+TEST_F(Server, OnlyThoseWhoAskAreOfferedARing) {
+  start();
+  publish_and_wait(0);
+  RawPeer old(path);
+  old.subscribe(Profile::Signals);
+  RawPeer later(path);
+  Encoder encoder;
+  Subscription asks = wanted(Profile::Signals);
+  asks.ring_version = FACET_RING_VERSION + 1;
+  later.send_message(encoder.subscription(asks));
+  const auto types = [](RawPeer& peer, int count) {
+    std::vector<MessageType> got;
+    for (int i = 0; i < count; ++i) {
+      const auto message = peer.receive();
+      got.push_back(message ? message_type(*message) : MessageType::Unknown);
+    }
+    return got;
+  };
+  using enum MessageType;
+  EXPECT_THAT(types(old, 3), testing::ElementsAre(Hello, Subject, Frame));
+  EXPECT_THAT(types(later, 3), testing::ElementsAre(Hello, Subject, Ring));
+}
+
+TEST_F(Server, AReaderThatAsksForRingsWithoutEndIsRefused) {
+  start();
+  server->publish(std::make_shared<mesh::MeshFrame>(test::searching_frame(0)));
+  ASSERT_TRUE(eventually([&] { return server->statistics().published == 1; }));
+  RawPeer greedy(path);
+  Encoder encoder;
+  int offers = 0;
+  std::string reason;
+  for (int i = 0; i <= kMaxRingOffers && reason.empty(); ++i) {
+    Subscription asks = wanted(i % 2 == 0 ? Profile::Signals : Profile::Displacements);
+    asks.ring_version = FACET_RING_VERSION;
+    greedy.send_message(encoder.subscription(asks));
+    for (MessageType type = MessageType::Hello; type == MessageType::Hello;) {
+      const auto message = greedy.receive();
+      ASSERT_TRUE(message.has_value());
+      type = message_type(*message);
+      offers += type == MessageType::Ring ? 1 : 0;
+      reason = type == MessageType::Goodbye ? decode_goodbye(*message) : "";
+    }
+  }
+  EXPECT_EQ(offers, kMaxRingOffers);
+  EXPECT_THAT(reason, HasSubstr("no ring"));
+  StreamClient client(path, by_ring_wanted(Profile::Signals));
+  DecodedFrame got;
+  EXPECT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
+}
+
+TEST_F(Server, RingReadersThatDieAreForgotten) {
+  start();
+  for (int round = 0; round < 20; ++round) {
+    StreamClient client(path, by_ring_wanted(static_cast<Profile>(round % kProfileCount)));
+    publish_and_wait(static_cast<std::uint64_t>(round));
+    DecodedFrame got;
+    ASSERT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
+  }
+  EXPECT_TRUE(eventually([&] {
+    publish(100);
+    return server->statistics().readers.empty();
+  }));
+  EXPECT_EQ(server->statistics().failure, "");
+}
+
+TEST_F(Server, RingReadersWhileThePublisherNeverPauses) {
+  start();
+  publish(0);
+  std::atomic<bool> done{false};
+  std::thread publisher([&] {
+    // Made before: the publisher is to be faster than the readers.
+    std::vector<std::shared_ptr<const mesh::MeshFrame>> frames;
+    for (std::uint64_t sequence = 0; sequence < 16; ++sequence) {
+      frames.push_back(std::make_shared<mesh::MeshFrame>(test::patch_frame(sequence, subject, albedo)));
+    }
+    for (std::uint64_t count = 0; !done.load(); ++count) {
+      server->publish(frames[count % frames.size()]);
+    }
+  });
+  std::vector<DecodedFrame> expected(16);
+  {
+    Encoder encoder;
+    for (std::uint64_t sequence = 0; sequence < 16; ++sequence) {
+      decode_frame(encoder.frame(test::patch_frame(sequence, subject, albedo), Profile::Displacements),
+                   subject, nullptr, expected[sequence]);
+    }
+  }
+  std::vector<std::thread> readers;
+  std::atomic<int> wrong{0};
+  for (int i = 0; i < 3; ++i) {
+    readers.emplace_back([&] {
+      StreamClient client(path, by_ring_wanted(Profile::Displacements));
+      DecodedFrame got;
+      for (int frame = 0; frame < 200; ++frame) {
+        if (client.next(got, kPatience) != ReceiveOutcome::Received) {
+          ++wrong;
+          return;
+        }
+        const DecodedFrame& same = expected[got.frame.sequence % 16];
+        wrong += got.frame.displacements_mm == same.frame.displacements_mm &&
+                         got.frame.control_vertices_mm == same.frame.control_vertices_mm &&
+                         got.frame.confidence == same.frame.confidence
+                     ? 0
+                     : 1;
+      }
+    });
+  }
+  for (std::thread& reader : readers) {
+    reader.join();
+  }
+  done.store(true);
+  publisher.join();
+  EXPECT_EQ(wrong.load(), 0);
 }
 
 TEST_F(Server, SubjectAndAlbedoAreSentAnewWhenTheyChange) {

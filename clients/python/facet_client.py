@@ -1,0 +1,202 @@
+"""The live meshes of a running facetd, in Python: libfacet-client through ctypes, arrays as NumPy views.
+
+    import facet_client
+    with facet_client.Client(profile=facet_client.DISPLACEMENTS, ring=True, reconnect=True) as client:
+        for frame in client:
+            mesh = client.mesh()
+            if mesh is not None:
+                vertices_mm, normals = mesh  # [vertex_count][3] float32, head frame
+
+Arrays are views of the client's memory, read-only, and hold until its next frame: copy() what is to stay. One thread at a
+time. Needs NumPy and libfacet-client (facet-client-dev); FACET_CLIENT_LIBRARY names another file of it.
+"""
+import ctypes
+import os
+from types import SimpleNamespace
+
+import numpy
+
+DEFAULT_SOCKET = "/run/facet/stream.sock"
+SIGNALS, DISPLACEMENTS, VERTICES = range(3)
+STATES = ("searching", "acquiring", "tracking", "lost")
+_WANT_ALBEDO, _WANT_RING, _RECONNECT = 1, 2, 4
+_OK, _TIMEOUT, _UNAVAILABLE, _CLOSED, _BAD_DATA, _OVERWRITTEN, _NO_MESH, _OUT_OF_MEMORY = range(8)
+
+
+class Error(Exception):
+    """The server is not there, said goodbye, or what it sends breaks the protocol."""
+
+
+class _FixedPoint(ctypes.Structure):
+    _fields_ = [("values", ctypes.POINTER(ctypes.c_int16)), ("count", ctypes.c_size_t), ("step_mm", ctypes.c_float)]
+
+
+class _Frame(ctypes.Structure):
+    _fields_ = [
+        ("sequence", ctypes.c_uint64), ("timestamp_ns", ctypes.c_int64), ("media_time_ns", ctypes.c_int64),
+        ("state", ctypes.c_int32), ("degraded", ctypes.c_int32), ("degraded_reason", ctypes.c_char_p),
+        ("fx", ctypes.c_float), ("fy", ctypes.c_float), ("cx", ctypes.c_float), ("cy", ctypes.c_float),
+        ("width_px", ctypes.c_int32), ("height_px", ctypes.c_int32),
+        ("landmarks_px", ctypes.POINTER(ctypes.c_float)), ("landmark_count", ctypes.c_size_t),
+        ("reprojection_px", ctypes.c_float), ("latency_ms", ctypes.c_float),
+        ("subject_id", ctypes.c_uint64), ("albedo_version", ctypes.c_uint64), ("camera_from_head", ctypes.c_float * 12),
+        ("expression", ctypes.POINTER(ctypes.c_float)), ("expression_count", ctypes.c_size_t),
+        ("photometric_rms", ctypes.c_float), ("lighting", ctypes.c_float * 9),
+        ("control_vertices", _FixedPoint), ("displacements", _FixedPoint), ("vertices", _FixedPoint),
+        ("normals", ctypes.POINTER(ctypes.c_int16)), ("confidence", ctypes.POINTER(ctypes.c_uint8)),
+        ("in_ring", ctypes.c_int32)]
+
+
+class _Subject(ctypes.Structure):
+    _fields_ = [
+        ("id", ctypes.c_uint64), ("expression_names", ctypes.POINTER(ctypes.c_char_p)), ("expression_count", ctypes.c_size_t),
+        ("identity", ctypes.POINTER(ctypes.c_float)), ("identity_count", ctypes.c_size_t),
+        ("control_vertex_count", ctypes.c_uint32), ("vertex_count", ctypes.c_uint32), ("triangle_count", ctypes.c_uint32),
+        ("triangles", ctypes.POINTER(ctypes.c_uint32)), ("texture_coordinates", ctypes.POINTER(ctypes.c_float))]
+
+
+class _Albedo(ctypes.Structure):
+    _fields_ = [
+        ("subject_id", ctypes.c_uint64), ("version", ctypes.c_uint64), ("scale", ctypes.c_float),
+        ("linear_rgb", ctypes.POINTER(ctypes.c_uint16)), ("vertex_count", ctypes.c_size_t)]
+
+
+class _Mesh(ctypes.Structure):
+    _fields_ = [
+        ("vertex_count", ctypes.c_uint32), ("vertices_mm", ctypes.POINTER(ctypes.c_float)),
+        ("normals", ctypes.POINTER(ctypes.c_float))]
+
+
+class _Statistics(ctypes.Structure):
+    _fields_ = [(name, ctypes.c_uint64) for name in ("received", "dropped", "overwritten", "connections", "bytes")] + [
+        ("by_ring", ctypes.c_int32)]
+
+
+def _load():
+    library = ctypes.CDLL(os.environ.get("FACET_CLIENT_LIBRARY", "libfacet-client.so.0"), use_errno=True)
+    client = ctypes.c_void_p
+    for name, result, arguments in (
+            ("new", client, (ctypes.c_char_p, ctypes.c_int, ctypes.c_uint, ctypes.c_char_p)),
+            ("free", None, (client,)),
+            ("next", ctypes.c_int, (client, ctypes.c_int)),
+            ("message", ctypes.c_char_p, (client,)),
+            ("frame", ctypes.POINTER(_Frame), (client,)),
+            ("subject", ctypes.POINTER(_Subject), (client,)),
+            ("albedo", ctypes.POINTER(_Albedo), (client,)),
+            ("mesh", ctypes.c_int, (client, ctypes.POINTER(ctypes.POINTER(_Mesh)))),
+            ("intact", ctypes.c_int, (client,)),
+            ("statistics", ctypes.POINTER(_Statistics), (client,))):
+        function = getattr(library, f"facet_client_{name}")
+        function.restype, function.argtypes = result, arguments
+    return library
+
+
+def _view(pointer, *shape):
+    """A read-only array of the memory behind a pointer; None where there is none."""
+    if not pointer:
+        return None
+    array = numpy.ctypeslib.as_array(pointer, shape=shape)
+    array.flags.writeable = False
+    return array
+
+
+class Client:
+    """Reads the stream; connects with the first frame that is asked for.
+
+    profile    SIGNALS, DISPLACEMENTS or VERTICES: how much of a frame comes
+    ring       frames through shared memory where the server offers it
+    reconnect  a server that is not there, or no longer, is waited for
+    """
+
+    def __init__(self, socket=DEFAULT_SOCKET, profile=DISPLACEMENTS, albedo=False, ring=False, reconnect=False, name="python"):
+        self._library = _load()
+        flags = (_WANT_ALBEDO if albedo else 0) | (_WANT_RING if ring else 0) | (_RECONNECT if reconnect else 0)
+        self._client = self._library.facet_client_new(os.fsencode(socket), profile, flags, name.encode())
+        if not self._client:
+            raise Error(f"no client: {os.strerror(ctypes.get_errno())}")
+
+    def close(self):
+        self._library.facet_client_free(self._client)
+        self._client = None
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+
+    def __iter__(self):
+        """Frames until the server ends; with reconnect without end."""
+        while True:
+            try:
+                frame = self.next(timeout_s=None)
+            except ConnectionResetError:
+                return
+            if frame is not None:
+                yield frame
+
+    def next(self, timeout_s=1.0):
+        """The newest frame that was not had yet; None where none comes in time. timeout_s None waits without end.
+
+        Raises ConnectionResetError where the server said goodbye or is gone, Error for all else."""
+        outcome = self._library.facet_client_next(self._client, -1 if timeout_s is None else int(timeout_s * 1000))
+        if outcome == _TIMEOUT:
+            return None
+        if outcome == _CLOSED:
+            raise ConnectionResetError(self.message)
+        if outcome != _OK:
+            raise Error(self.message)
+        frame = self._library.facet_client_frame(self._client).contents
+        return SimpleNamespace(
+            sequence=frame.sequence, timestamp_ns=frame.timestamp_ns, media_time_ns=frame.media_time_ns,
+            state=STATES[frame.state], degraded=bool(frame.degraded), degraded_reason=frame.degraded_reason.decode(errors="replace"),
+            camera=(frame.fx, frame.fy, frame.cx, frame.cy, frame.width_px, frame.height_px),
+            landmarks_px=_view(frame.landmarks_px, frame.landmark_count, 2), latency_ms=frame.latency_ms,
+            subject_id=frame.subject_id, albedo_version=frame.albedo_version,
+            camera_from_head=numpy.array(frame.camera_from_head, numpy.float32).reshape(3, 4),
+            expression=_view(frame.expression, frame.expression_count),
+            photometric_rms=frame.photometric_rms, lighting=numpy.array(frame.lighting, numpy.float32))
+
+    def mesh(self):
+        """(vertices_mm, normals) of the frame, [vertex_count][3] float32 each; None where it has none, or where it was
+        overwritten in the ring meanwhile."""
+        mesh = ctypes.POINTER(_Mesh)()
+        outcome = self._library.facet_client_mesh(self._client, ctypes.byref(mesh))
+        if outcome in (_NO_MESH, _OVERWRITTEN):
+            return None
+        if outcome != _OK:
+            raise Error("no memory for a mesh")
+        count = mesh.contents.vertex_count
+        return _view(mesh.contents.vertices_mm, count, 3), _view(mesh.contents.normals, count, 3)
+
+    @property
+    def subject(self):
+        """What does not change from frame to frame; None before the first mesh."""
+        pointer = self._library.facet_client_subject(self._client)
+        if not pointer:
+            return None
+        subject = pointer.contents
+        return SimpleNamespace(
+            id=subject.id, expression_names=[subject.expression_names[k].decode(errors="replace") for k in range(subject.expression_count)],
+            identity=_view(subject.identity, subject.identity_count), vertex_count=subject.vertex_count,
+            triangles=_view(subject.triangles, subject.triangle_count, 3),
+            texture_coordinates=_view(subject.texture_coordinates, subject.vertex_count, 2))
+
+    @property
+    def albedo(self):
+        """(version, linear RGB [vertex_count][3] float32); None before the first."""
+        pointer = self._library.facet_client_albedo(self._client)
+        if not pointer:
+            return None
+        albedo = pointer.contents
+        return albedo.version, _view(albedo.linear_rgb, albedo.vertex_count, 3) * numpy.float32(albedo.scale / 65535)
+
+    @property
+    def statistics(self):
+        statistics = self._library.facet_client_statistics(self._client).contents
+        return SimpleNamespace(**{name: getattr(statistics, name) for name, _ in _Statistics._fields_})
+
+    @property
+    def message(self):
+        """Why the last frame did not come, for people."""
+        return self._library.facet_client_message(self._client).decode(errors="replace")

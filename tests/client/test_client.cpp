@@ -1,0 +1,468 @@
+// libfacet-client against a live stream server, beside the C++ client.
+
+#include <facet-client.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <poll.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <chrono>
+#include <cstring>
+#include <fstream>
+#include <functional>
+#include <memory>
+#include <sstream>
+#include <thread>
+
+#include "stream/client.hpp"
+#include "stream/encoder.hpp"
+#include "stream/framing.hpp"
+#include "stream/server.hpp"
+#include "support/child_process.hpp"
+#include "support/mesh_frames.hpp"
+#include "support/paths.hpp"
+
+namespace facet::stream {
+namespace {
+
+using namespace std::chrono_literals;
+using testing::HasSubstr;
+
+// How long a test waits before it gives up on something that must come; passing never takes it.
+constexpr int kPatienceMs = 60'000;
+constexpr auto kPatience = std::chrono::milliseconds(kPatienceMs);
+
+struct Free {
+  void operator()(facet_client* client) const { facet_client_free(client); }
+};
+using CClient = std::unique_ptr<facet_client, Free>;
+
+bool same_bits(const float* got, const float* expected, std::size_t count) {
+  return std::memcmp(got, expected, count * sizeof(float)) == 0;
+}
+
+bool eventually(const std::function<bool()>& holds) {
+  const auto end = std::chrono::steady_clock::now() + kPatience;
+  while (!holds()) {
+    if (std::chrono::steady_clock::now() > end) {
+      return false;
+    }
+    std::this_thread::sleep_for(1ms);
+  }
+  return true;
+}
+
+class Client : public testing::Test {
+ protected:
+  test::TemporaryFolder folder;
+  std::filesystem::path path = folder.path() / "stream.sock";
+  std::shared_ptr<const mesh::Subject> subject = test::patch_subject();
+  std::shared_ptr<const mesh::Albedo> albedo = test::patch_albedo(*subject, 1);
+  std::unique_ptr<StreamServer> server;
+
+  void start() {
+    StreamServerConfig config;
+    config.socket = path;
+    server = std::make_unique<StreamServer>(config);
+    server->start();
+  }
+  void publish(std::uint64_t sequence) {
+    server->publish(std::make_shared<mesh::MeshFrame>(test::patch_frame(sequence, subject, albedo)));
+  }
+  void wait_for_readers(std::size_t count) {
+    ASSERT_TRUE(eventually([&] {
+      std::size_t subscribed = 0;
+      for (const ReaderStatistics& reader : server->statistics().readers) {
+        subscribed += reader.subscribed ? 1 : 0;
+      }
+      return subscribed == count;
+    }));
+  }
+  CClient connect(int profile, unsigned flags) {
+    CClient client(facet_client_new(path.c_str(), profile, flags, "test"));
+    EXPECT_NE(client, nullptr);
+    return client;
+  }
+};
+
+class EveryWay : public Client, public testing::WithParamInterface<std::tuple<int, unsigned>> {};
+
+// The same frames to both clients: the same numbers, bit by bit, rebuilt ones too.
+TEST_P(EveryWay, SameBitsAsTheCppClient) {
+  const auto [profile, flags] = GetParam();
+  start();
+  publish(0);
+  Subscription wanted;
+  wanted.profile = static_cast<Profile>(profile);
+  StreamClient reference(path, wanted);
+  const CClient client = connect(profile, flags | FACET_WANT_ALBEDO);
+  DecodedFrame expected;
+  for (std::uint64_t sequence = 0; sequence < 12; ++sequence) {
+    ASSERT_EQ(reference.next(expected, kPatience), ReceiveOutcome::Received);
+    ASSERT_EQ(facet_client_next(client.get(), kPatienceMs), FACET_OK) << facet_client_message(client.get());
+    const facet_frame* frame = facet_client_frame(client.get());
+    ASSERT_EQ(frame->sequence, expected.frame.sequence);
+    EXPECT_EQ(frame->timestamp_ns, expected.frame.timestamp_ns);
+    EXPECT_EQ(frame->state, FACET_TRACKING);
+    EXPECT_EQ(frame->fx, expected.frame.camera.fx);
+    EXPECT_EQ(frame->width_px, expected.frame.camera.width_px);
+    EXPECT_EQ(frame->latency_ms, expected.frame.stage_ms.latency_ms);
+    EXPECT_EQ(frame->camera_from_head[1][3], expected.frame.camera_from_head.matrix()(1, 3));
+    EXPECT_EQ(frame->lighting[4], expected.frame.lighting[4]);
+    EXPECT_EQ(frame->photometric_rms, expected.frame.photometric_rms);
+    ASSERT_EQ(frame->expression_count, 3U);
+    EXPECT_TRUE(same_bits(frame->expression, expected.frame.expression.data(), 3));
+    ASSERT_EQ(frame->landmark_count, expected.frame.landmarks_px.size());
+    EXPECT_TRUE(
+        same_bits(frame->landmarks_px, expected.frame.landmarks_px[0].data(), 2 * frame->landmark_count));
+    const facet_subject* known = facet_client_subject(client.get());
+    ASSERT_NE(known, nullptr);
+    EXPECT_EQ(known->id, subject->id);
+    EXPECT_STREQ(known->expression_names[1], "eyeBlinkLeft");
+    EXPECT_EQ(known->identity_count, 4U);
+
+    const facet_mesh* mesh = nullptr;
+    if (profile == FACET_SIGNALS) {
+      EXPECT_EQ(facet_client_mesh(client.get(), &mesh), FACET_NO_MESH);
+    } else {
+      ASSERT_EQ(facet_client_mesh(client.get(), &mesh), FACET_OK);
+      mesh::Vertices vertices_mm = expected.vertices_mm;
+      Eigen::Matrix3Xf normals = expected.normals;
+      if (profile == FACET_DISPLACEMENTS) {
+        mesh::rebuild_finest(*reference.subject()->hierarchy, expected.frame.control_vertices_mm,
+                             expected.frame.displacements_mm, vertices_mm, normals);
+      }
+      ASSERT_EQ(mesh->vertex_count, static_cast<std::uint32_t>(vertices_mm.cols()));
+      EXPECT_TRUE(
+          same_bits(mesh->vertices_mm, vertices_mm.data(), static_cast<std::size_t>(vertices_mm.size())));
+      EXPECT_TRUE(same_bits(mesh->normals, normals.data(), static_cast<std::size_t>(normals.size())));
+      const auto& finest = reference.subject()->hierarchy->finest();
+      ASSERT_EQ(known->triangle_count, static_cast<std::uint32_t>(finest.triangles.cols()));
+      EXPECT_EQ(known->triangles[7], static_cast<std::uint32_t>(finest.triangles.data()[7]));
+      EXPECT_EQ(known->vertex_count, mesh->vertex_count);
+      EXPECT_NEAR(static_cast<float>(frame->confidence[5]) / 255.0F, expected.frame.confidence[5], 1e-6F);
+      EXPECT_EQ(frame->in_ring, (flags & FACET_WANT_RING) != 0 ? 1 : 0);
+    }
+    EXPECT_EQ(facet_client_intact(client.get()), 1);
+    publish(sequence + 1);
+  }
+  if (profile != FACET_SIGNALS) {
+    const facet_albedo* colours = facet_client_albedo(client.get());
+    ASSERT_NE(colours, nullptr);
+    EXPECT_EQ(colours->version, 1U);
+    EXPECT_EQ(3 * colours->vertex_count, albedo->linear_rgb.size());
+    EXPECT_NEAR(static_cast<float>(colours->linear_rgb[4]) / 65535.0F * colours->scale, albedo->linear_rgb[4],
+                1e-4F);
+  }
+  const facet_statistics* statistics = facet_client_statistics(client.get());
+  EXPECT_EQ(statistics->received, 12U);
+  EXPECT_EQ(statistics->dropped, 0U);
+  EXPECT_EQ(statistics->connections, 1U);
+  EXPECT_EQ(statistics->by_ring, (flags & FACET_WANT_RING) != 0 ? 1 : 0);
+}
+
+INSTANTIATE_TEST_SUITE_P(Profiles, EveryWay,
+                         testing::Combine(testing::Values(FACET_SIGNALS, FACET_DISPLACEMENTS, FACET_VERTICES),
+                                          testing::Values(0U, static_cast<unsigned>(FACET_WANT_RING))));
+
+TEST_F(Client, SeveralSeedsOfMeshesAreRebuiltToTheBit) {
+  start();
+  const CClient client = connect(FACET_DISPLACEMENTS, 0);
+  for (const int side : {2, 7, 13, 40}) {
+    subject = test::patch_subject(static_cast<std::uint64_t>(side), side, 4);
+    albedo = nullptr;
+    for (const std::uint64_t seed : {11U, 222U, 3333U}) {
+      publish(seed);
+      do {
+        ASSERT_EQ(facet_client_next(client.get(), kPatienceMs), FACET_OK)
+            << facet_client_message(client.get());
+      } while (facet_client_frame(client.get())->sequence != seed);
+      const facet_mesh* mesh = nullptr;
+      ASSERT_EQ(facet_client_mesh(client.get(), &mesh), FACET_OK);
+      Encoder encoder;
+      DecodedFrame expected;
+      decode_frame(encoder.frame(test::patch_frame(seed, subject, nullptr), Profile::Displacements), subject,
+                   nullptr, expected);
+      mesh::Vertices vertices_mm;
+      Eigen::Matrix3Xf normals;
+      mesh::rebuild_finest(*subject->hierarchy, expected.frame.control_vertices_mm,
+                           expected.frame.displacements_mm, vertices_mm, normals);
+      EXPECT_TRUE(
+          same_bits(mesh->vertices_mm, vertices_mm.data(), static_cast<std::size_t>(vertices_mm.size())));
+      EXPECT_TRUE(same_bits(mesh->normals, normals.data(), static_cast<std::size_t>(normals.size())));
+    }
+  }
+}
+
+TEST_F(Client, FramesWithoutAFaceAndAFaceAfterwards) {
+  start();
+  for (const unsigned flags : {0U, static_cast<unsigned>(FACET_WANT_RING)}) {
+    server->publish(std::make_shared<mesh::MeshFrame>(test::searching_frame(1)));
+    const CClient client = connect(FACET_DISPLACEMENTS, flags);
+    do {
+      ASSERT_EQ(facet_client_next(client.get(), kPatienceMs), FACET_OK);
+    } while (facet_client_frame(client.get())->sequence != 1);
+    const facet_mesh* mesh = nullptr;
+    EXPECT_EQ(facet_client_frame(client.get())->subject_id, 0U);
+    EXPECT_EQ(facet_client_mesh(client.get(), &mesh), FACET_NO_MESH);
+    publish(2);
+    ASSERT_EQ(facet_client_next(client.get(), kPatienceMs), FACET_OK);
+    EXPECT_EQ(facet_client_mesh(client.get(), &mesh), FACET_OK);
+  }
+}
+
+TEST_F(Client, AFrameThatWasOverwrittenIsNotTakenForOne) {
+  start();
+  publish(0);
+  const CClient client = connect(FACET_VERTICES, FACET_WANT_RING);
+  ASSERT_EQ(facet_client_next(client.get(), kPatienceMs), FACET_OK);
+  EXPECT_EQ(facet_client_intact(client.get()), 1);
+  for (std::uint64_t k = 1; k <= kRingSlots; ++k) {
+    publish(k);
+    ASSERT_TRUE(eventually([&] { return server->statistics().published == k + 1; }));
+  }
+  const facet_mesh* mesh = nullptr;
+  EXPECT_EQ(facet_client_intact(client.get()), 0);
+  EXPECT_EQ(facet_client_mesh(client.get(), &mesh), FACET_OVERWRITTEN);
+  EXPECT_EQ(mesh, nullptr);
+  ASSERT_EQ(facet_client_next(client.get(), kPatienceMs), FACET_OK);
+  EXPECT_EQ(facet_client_mesh(client.get(), &mesh), FACET_OK);
+  EXPECT_EQ(facet_client_statistics(client.get())->dropped, kRingSlots - 1U);
+  EXPECT_EQ(facet_client_statistics(client.get())->overwritten, 1U);
+}
+
+TEST_F(Client, ServerGoneAndBack) {
+  for (const unsigned flags : {0U, static_cast<unsigned>(FACET_WANT_RING)}) {
+    const CClient client = connect(FACET_DISPLACEMENTS, flags | FACET_RECONNECT);
+    EXPECT_EQ(facet_client_next(client.get(), 0), FACET_TIMEOUT);
+    EXPECT_THAT(facet_client_message(client.get()), HasSubstr("nobody answers"));
+    for (std::uint64_t life = 1; life <= 3; ++life) {
+      start();
+      publish(100 * life);
+      ASSERT_EQ(facet_client_next(client.get(), kPatienceMs), FACET_OK) << facet_client_message(client.get());
+      EXPECT_EQ(facet_client_frame(client.get())->sequence, 100 * life);
+      const facet_mesh* mesh = nullptr;
+      EXPECT_EQ(facet_client_mesh(client.get(), &mesh), FACET_OK);
+      server.reset();
+      EXPECT_EQ(facet_client_next(client.get(), 1), FACET_TIMEOUT);
+      EXPECT_EQ(facet_client_frame(client.get()), nullptr);
+    }
+    EXPECT_EQ(facet_client_statistics(client.get())->connections, 3U);
+  }
+}
+
+TEST_F(Client, WithoutReconnectTheEndIsTold) {
+  const CClient client = connect(FACET_SIGNALS, 0);
+  EXPECT_EQ(facet_client_next(client.get(), kPatienceMs), FACET_UNAVAILABLE);
+  start();
+  publish(0);
+  ASSERT_EQ(facet_client_next(client.get(), kPatienceMs), FACET_OK);
+  server.reset();
+  EXPECT_EQ(facet_client_next(client.get(), kPatienceMs), FACET_CLOSED);
+  EXPECT_STREQ(facet_client_message(client.get()), "the server stops");
+}
+
+TEST_F(Client, WrongArgumentsAreNamed) {
+  EXPECT_EQ(facet_client_new(path.c_str(), 3, 0, nullptr), nullptr);
+  EXPECT_EQ(errno, EINVAL);
+  EXPECT_EQ(facet_client_new(std::string(200, 'x').c_str(), 0, 0, nullptr), nullptr);
+  EXPECT_EQ(facet_client_new("", 0, 0, nullptr), nullptr);
+  facet_client_free(nullptr);
+}
+
+/// A server by hand, for what a real one never sends: says what it is told to every connection, then hangs
+/// up.
+class Impostor {
+ public:
+  Impostor(const std::filesystem::path& path, std::vector<std::uint8_t> says)
+      : socket_(path, {}), says_(std::move(says)), thread_([this] { run(); }) {}
+  ~Impostor() {
+    done_.store(true);
+    thread_.join();
+  }
+
+ private:
+  void run() {
+    while (!done_.load()) {
+      pollfd entry{socket_.fd(), POLLIN, 0};
+      if (::poll(&entry, 1, 10) <= 0) {
+        continue;
+      }
+      const FileDescriptor connection(::accept(socket_.fd(), nullptr, nullptr));
+      std::span<const std::uint8_t> left = says_;
+      while (!left.empty()) {
+        const ssize_t count = ::send(connection.get(), left.data(), left.size(), MSG_NOSIGNAL);
+        if (count <= 0) {
+          break;
+        }
+        left = left.subspan(static_cast<std::size_t>(count));
+      }
+      ::shutdown(connection.get(), SHUT_WR);
+      char byte = 0;
+      while (::recv(connection.get(), &byte, 1, 0) > 0) {
+      }
+    }
+  }
+  ListeningSocket socket_;
+  std::vector<std::uint8_t> says_;
+  std::atomic<bool> done_{false};
+  std::thread thread_;
+};
+
+class BadServer : public Client {
+ protected:
+  Encoder encoder;
+
+  static void append(std::vector<std::uint8_t>& out, std::span<const std::uint8_t> message) {
+    const auto header = make_header(message.size());
+    out.insert(out.end(), header.begin(), header.end());
+    out.insert(out.end(), message.begin(), message.end());
+  }
+  std::vector<std::uint8_t> greeting(std::uint32_t version = kProtocolVersion) {
+    std::vector<std::uint8_t> out;
+    Hello hello;
+    hello.protocol_version = version;
+    append(out, encoder.hello(hello));
+    return out;
+  }
+  /// What the client says of a server that says `bytes`, and then nothing.
+  std::pair<int, std::string> verdict(std::vector<std::uint8_t> bytes, unsigned flags = 0) {
+    const Impostor impostor(path, std::move(bytes));
+    const CClient client = connect(FACET_DISPLACEMENTS, flags);
+    const int outcome = facet_client_next(client.get(), kPatienceMs);
+    return {outcome, facet_client_message(client.get())};
+  }
+};
+
+TEST_F(BadServer, ForeignAndFutureOnesAreNamed) {
+  const std::string http = "HTTP/1.1 400 Bad Request\r\n\r\n";
+  const auto foreign = verdict({http.begin(), http.end()});
+  EXPECT_EQ(foreign.first, FACET_BAD_DATA);
+  EXPECT_THAT(foreign.second, HasSubstr("another socket"));
+  const auto future = verdict(greeting(kProtocolVersion + 1));
+  EXPECT_EQ(future.first, FACET_BAD_DATA);
+  EXPECT_THAT(future.second, HasSubstr("version 2"));
+  auto long_message = greeting();
+  const auto header = make_header(kMaxMessageBytes + 1);
+  long_message.insert(long_message.end(), header.begin(), header.end());
+  const auto oversized = verdict(long_message);
+  EXPECT_EQ(oversized.first, FACET_BAD_DATA);
+  EXPECT_THAT(oversized.second, HasSubstr("64 MiB"));
+}
+
+TEST_F(BadServer, TruncatedAndDamagedMessagesAreRefused) {
+  auto whole = greeting();
+  append(whole, encoder.subject(*subject, Profile::Displacements));
+  const std::size_t before_frame = whole.size();
+  append(whole, encoder.frame(test::patch_frame(1, subject, nullptr), Profile::Displacements));
+  EXPECT_EQ(verdict(whole).first, FACET_OK);
+  // Cut anywhere, the connection ends in the middle of a message.
+  for (std::size_t cut = 1; cut < whole.size(); cut += whole.size() / 7) {
+    EXPECT_EQ(verdict({whole.begin(), whole.begin() + static_cast<std::ptrdiff_t>(cut)}).first, FACET_CLOSED);
+  }
+  // A message that is shorter than what it holds.
+  auto frame = encoder.frame(test::patch_frame(1, subject, nullptr), Profile::Displacements);
+  std::vector<std::uint8_t> short_frame(whole.begin(),
+                                        whole.begin() + static_cast<std::ptrdiff_t>(before_frame));
+  append(short_frame, frame.first(frame.size() / 2));
+  EXPECT_EQ(verdict(short_frame).first, FACET_BAD_DATA);
+  // A frame of a subject that was never sent.
+  auto orphan = greeting();
+  append(orphan, encoder.frame(test::patch_frame(1, subject, nullptr), Profile::Displacements));
+  EXPECT_THAT(verdict(orphan).second, HasSubstr("subject was not sent"));
+  auto empty = greeting();
+  append(empty, {});
+  EXPECT_EQ(verdict(empty).first, FACET_BAD_DATA);
+}
+
+TEST_F(BadServer, AMessageOfALaterReleaseIsSkipped) {
+  auto bytes = greeting();
+  // A Goodbye whose kind is one that is not known yet.
+  const auto goodbye = encoder.goodbye("later");
+  std::vector<std::uint8_t> later(goodbye.begin(), goodbye.end());
+  const auto kind = std::find(later.begin() + 8, later.end(), std::uint8_t{4});
+  std::vector<std::ptrdiff_t> fours;
+  for (auto at = later.begin() + 8; at != later.end(); ++at) {
+    if (*at == 4) {
+      fours.push_back(at - later.begin());
+    }
+  }
+  ASSERT_NE(kind, later.end());
+  bool changed = false;
+  for (const std::ptrdiff_t at : fours) {
+    auto copy = later;
+    copy[static_cast<std::size_t>(at)] = 99;
+    try {
+      if (message_type(copy) == MessageType::Unknown) {
+        append(bytes, copy);
+        changed = true;
+        break;
+      }
+    } catch (const std::exception&) {
+    }
+  }
+  ASSERT_TRUE(changed);
+  append(bytes, encoder.frame(test::searching_frame(9), Profile::Displacements));
+  EXPECT_EQ(verdict(bytes).first, FACET_OK);
+}
+
+TEST_F(BadServer, ARingWithoutDescriptorsIsRefused) {
+  auto bytes = greeting();
+  append(bytes, encoder.ring({FACET_RING_VERSION, 65536}));
+  const auto without = verdict(bytes, FACET_WANT_RING);
+  EXPECT_EQ(without.first, FACET_BAD_DATA);
+  EXPECT_THAT(without.second, HasSubstr("ring"));
+}
+
+std::string text_of(const std::filesystem::path& file) {
+  std::ifstream stream(file);
+  std::ostringstream out;
+  out << stream.rdbuf();
+  return out.str();
+}
+
+TEST_F(Client, ExamplePrints) {
+  start();
+  publish(7);
+  test::ChildProcess print(FACET_CLIENT_PRINT, {path.string(), "1"}, folder.path() / "out");
+  EXPECT_EQ(print.wait(), 0) << text_of(folder.path() / "out");
+  EXPECT_THAT(text_of(folder.path() / "out"), testing::ContainsRegex("frame 7 jawOpen [0-9.]+ eyeBlinkLeft"));
+}
+
+TEST_F(Client, ExampleWritesObj) {
+  start();
+  publish(3);
+  const auto file = folder.path() / "face.obj";
+  test::ChildProcess write(FACET_CLIENT_WRITE_OBJ, {path.string(), file.string()}, folder.path() / "out");
+  ASSERT_EQ(write.wait(), 0) << text_of(folder.path() / "out");
+  Encoder encoder;
+  DecodedFrame expected;
+  decode_frame(encoder.frame(test::patch_frame(3, subject, nullptr), Profile::Displacements), subject,
+               nullptr, expected);
+  mesh::Vertices vertices_mm;
+  Eigen::Matrix3Xf normals;
+  mesh::rebuild_finest(*subject->hierarchy, expected.frame.control_vertices_mm,
+                       expected.frame.displacements_mm, vertices_mm, normals);
+  std::ifstream obj(file);
+  std::string word;
+  Eigen::Index vertex = 0;
+  Eigen::Index faces = 0;
+  for (std::string line; std::getline(obj, line);) {
+    std::istringstream words(line);
+    words >> word;
+    faces += word == "f" ? 1 : 0;
+    if (word == "v") {
+      Eigen::Vector3f at;
+      words >> at.x() >> at.y() >> at.z();
+      ASSERT_EQ(at, vertices_mm.col(vertex)) << "nine digits bring back every bit";
+      ++vertex;
+    }
+  }
+  EXPECT_EQ(vertex, vertices_mm.cols());
+  EXPECT_EQ(faces, subject->hierarchy->finest().triangles.cols());
+}
+
+}  // namespace
+}  // namespace facet::stream
