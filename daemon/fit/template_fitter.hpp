@@ -81,7 +81,7 @@ struct FitReport {
   double motion_rms_px = 0;   ///< of the flow, over what counts; 0 without flow
   double seen = 0;            ///< share of the skin's vertices that a depth map pulls
   double followed = 0;        ///< share that a flow pulls
-  double rejected = 0;    ///< share of the skin's vertices on a map that lie more than 5 mm off its surface
+  double rejected = 0;  ///< share of the skin's vertices on a map that lie more than 5 mm off its surface
   /// Of the skin that depth maps pull, from the shape at rest in the pose and with the expression that come
   /// closest: where it is large this is somebody else's face.
   double shape_rms_mm = 0;
