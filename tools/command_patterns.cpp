@@ -164,7 +164,7 @@ void run_show(const ShowOptions& options) {
                                     "--loop-playlist=inf"};
   words.push_back(options.rate_hz > 0 ? fmt::format("--image-display-duration={:.9f}", 1 / options.rate_hz)
                                       : "--image-display-duration=inf");
-  words.push_back("--prefetch-playlist=yes");
+  words.emplace_back("--prefetch-playlist=yes");
   if (options.screen >= 0) {
     words.push_back(fmt::format("--fs-screen={}", options.screen));
   }
@@ -178,6 +178,7 @@ void run_show(const ShowOptions& options) {
   words.emplace_back("--");
   words.insert(words.end(), pictures.begin(), pictures.end());
   std::vector<char*> arguments;
+  arguments.reserve(words.size() + 1);
   for (std::string& word : words) {
     arguments.push_back(word.data());
   }

@@ -184,7 +184,7 @@ FitReport SkinTracker::start(const Placement& placed, std::span<const capture::D
   TemplateFitter first(impl.surface, options);
   first.set_rest(placed.rest);
   mesh::Vertices found_mm = placed.rest.vertices_mm;
-  const FitReport report = first.fit(maps, found_mm);
+  FitReport report = first.fit(maps, found_mm);
   if (report.lost) {
     return report;
   }
