@@ -1,12 +1,13 @@
 #ifndef FACET_CLIENT_H
 #define FACET_CLIENT_H
 
-/* libfacet-client: the live meshes of a running facetd, in C11 with nothing but libc. facet-client(3) is its manual,
- * docs/stream-protocol.md what it speaks. A client belongs to one thread at a time. Pointers that a client gives are
- * its own and stay valid until the next call of facet_client_next or facet_client_free. Structs only ever grow at
- * their end: they are made by the library alone.
+/* libfacet-client: the live meshes of a running facetd, in C11 with nothing but libc. facet-client(3) is its
+ * manual, docs/stream-protocol.md what it speaks. A client belongs to one thread at a time. Pointers that a
+ * client gives are its own and stay valid until the next call of facet_client_next or facet_client_free.
+ * Structs only ever grow at their end: they are made by the library alone.
  *
- * Head frame: x to the subject's left, y up, z out of the face. Camera frame: x right, y down, z forward. Both mm. */
+ * Head frame: x to the subject's left, y up, z out of the face. Camera frame: x right, y down, z forward.
+ * Both mm. */
 
 #include <stddef.h>
 #include <stdint.h>
@@ -29,7 +30,7 @@ typedef struct facet_client facet_client;
 enum {
   FACET_SIGNALS = 0,       /* state, pose, expression, lighting: no geometry */
   FACET_DISPLACEMENTS = 1, /* and the mesh, compact: facet_client_mesh rebuilds it */
-  FACET_VERTICES = 2       /* and the finest vertices and normals: nothing to rebuild, about four times the bytes */
+  FACET_VERTICES = 2 /* and the finest vertices and normals: nothing to rebuild, about four times the bytes */
 };
 
 enum {
@@ -40,19 +41,21 @@ enum {
 
 enum {
   FACET_OK = 0,
-  FACET_TIMEOUT = 1,       /* no frame within the time given; call again */
-  FACET_UNAVAILABLE = 2,   /* nobody answers at the socket */
-  FACET_CLOSED = 3,        /* the server said goodbye or is gone */
-  FACET_BAD_DATA = 4,      /* what came breaks the protocol, or is of another version; the connection is given up */
-  FACET_OVERWRITTEN = 5,   /* the frame was overwritten in the ring while it was read; call facet_client_next */
-  FACET_NO_MESH = 6,       /* the frame has none */
+  FACET_TIMEOUT = 1,     /* no frame within the time given; call again */
+  FACET_UNAVAILABLE = 2, /* nobody answers at the socket */
+  FACET_CLOSED = 3,      /* the server said goodbye or is gone */
+  FACET_BAD_DATA =
+      4, /* what came breaks the protocol, or is of another version; the connection is given up */
+  FACET_OVERWRITTEN = 5, /* the frame was overwritten in the ring while it was read; call facet_client_next */
+  FACET_NO_MESH = 6,     /* the frame has none */
   FACET_OUT_OF_MEMORY = 7
 };
 
 enum { FACET_SEARCHING = 0, FACET_ACQUIRING = 1, FACET_TRACKING = 2, FACET_LOST = 3 };
 
-/* Fixed point: value = values[k] * step_mm. In a frame that comes through a ring, values lie in shared memory that
- * is overwritten some frames later: what was made of them counts only where facet_client_intact says so after. */
+/* Fixed point: value = values[k] * step_mm. In a frame that comes through a ring, values lie in shared memory
+ * that is overwritten some frames later: what was made of them counts only where facet_client_intact says so
+ * after. */
 typedef struct facet_fixed_point {
   const int16_t* values; /* [count] NULL: not there */
   size_t count;
@@ -133,7 +136,8 @@ typedef struct facet_statistics {
  * profile  FACET_SIGNALS, FACET_DISPLACEMENTS or FACET_VERTICES
  * flags    FACET_WANT_ALBEDO and so on, added
  * name     for people, in the server's statistics; 64 bytes of it at most; NULL: "libfacet-client"
- * returns  NULL where memory is out, or with errno EINVAL where an argument is wrong (path too long, unknown profile) */
+ * returns  NULL where memory is out, or with errno EINVAL where an argument is wrong (path too long, unknown
+ * profile) */
 FACET_API facet_client* facet_client_new(const char* socket, int profile, unsigned flags, const char* name);
 /* NULL is allowed. */
 FACET_API void facet_client_free(facet_client* client);
@@ -141,23 +145,24 @@ FACET_API void facet_client_free(facet_client* client);
 /* Waits for the newest frame that this client has not had yet, connecting first where needed.
  *
  * timeout_ms  0: what is there already; below 0: without end
- * returns     FACET_OK: facet_client_frame is it. FACET_TIMEOUT. Without FACET_RECONNECT also FACET_UNAVAILABLE and
- *             FACET_CLOSED. FACET_BAD_DATA, FACET_OUT_OF_MEMORY: the connection is closed; the next call makes a new
- *             one. Of whatever is not FACET_OK, facet_client_message tells the reason. */
+ * returns     FACET_OK: facet_client_frame is it. FACET_TIMEOUT. Without FACET_RECONNECT also
+ * FACET_UNAVAILABLE and FACET_CLOSED. FACET_BAD_DATA, FACET_OUT_OF_MEMORY: the connection is closed; the next
+ * call makes a new one. Of whatever is not FACET_OK, facet_client_message tells the reason. */
 FACET_API int facet_client_next(facet_client* client, int timeout_ms);
 /* For people; never NULL. */
 FACET_API const char* facet_client_message(const facet_client* client);
 
-/* NULL where there is none. The subject and the albedo are the newest that came; a frame's are those whose id and
- * version it names. */
+/* NULL where there is none. The subject and the albedo are the newest that came; a frame's are those whose id
+ * and version it names. */
 FACET_API const facet_frame* facet_client_frame(const facet_client* client);
 FACET_API const facet_subject* facet_client_subject(const facet_client* client);
 FACET_API const facet_albedo* facet_client_albedo(const facet_client* client);
 
-/* The finest mesh of the frame: rebuilt (coarse mesh through the levels' stencils, vertex + displacement * unit
- * normal; Ma & Deng 2019, section 4.3) or scaled. The memory is the client's.
+/* The finest mesh of the frame: rebuilt (coarse mesh through the levels' stencils, vertex + displacement *
+ * unit normal; Ma & Deng 2019, section 4.3) or scaled. The memory is the client's.
  *
- * returns  FACET_OK, FACET_NO_MESH, FACET_OVERWRITTEN, FACET_OUT_OF_MEMORY; `mesh` is set with FACET_OK alone */
+ * returns  FACET_OK, FACET_NO_MESH, FACET_OVERWRITTEN, FACET_OUT_OF_MEMORY; `mesh` is set with FACET_OK alone
+ */
 FACET_API int facet_client_mesh(facet_client* client, const facet_mesh** mesh);
 
 /* 1: nothing that was read of the frame's arrays so far was overwritten; always so over the socket. */

@@ -4,8 +4,9 @@
 #include "facet-client.h"
 #include "stream/ring_layout.h"
 
-/* The messages of the stream protocol (daemon/stream/facet.fbs), read where they lie: every offset and length is
- * checked before it is followed, every index and number before it is given out. Bytes from outside; any thread. */
+/* The messages of the stream protocol (daemon/stream/facet.fbs), read where they lie: every offset and length
+ * is checked before it is followed, every index and number before it is given out. Bytes from outside; any
+ * thread. */
 
 /* Limits of docs/stream-protocol.md. */
 enum {
@@ -64,7 +65,8 @@ const char* wire_albedo(const uint8_t* message, size_t size, facet_albedo* out);
 /* Of a frame, before the subject that it needs is known: 0 where it has none or is broken. */
 uint64_t wire_frame_subject(const uint8_t* message, size_t size);
 /* subject  that the frame names; NULL only where it names none
- * arrays   [FACET_RING_ARRAY_COUNT] of the slot of which `message` is the head; NULL: they are in the message */
+ * arrays   [FACET_RING_ARRAY_COUNT] of the slot of which `message` is the head; NULL: they are in the message
+ */
 const char* wire_frame(const uint8_t* message, size_t size, const struct wire_subject* subject,
                        const struct wire_array* arrays, facet_frame* out);
 

@@ -88,11 +88,8 @@ struct PerformanceTracker::Impl {
   std::vector<float> displacements_mm;  ///< [finest vertex_count]
   std::vector<float> confidence;
   VertexTexture texture;
-  Eigen::Matrix3Xf normals;  ///< of now_mm
-  mesh::Vertices fine_mm;    ///< [3][finest vertex_count] rig frame
+  mesh::Vertices fine_mm;  ///< [3][finest vertex_count] rig frame
   Eigen::Matrix3Xf fine_normals;
-  std::vector<std::uint8_t> visible;
-  std::vector<std::uint8_t> drawn;
 
   std::vector<Frame> pictures;  ///< [views] of the slot
 
@@ -322,6 +319,7 @@ void PerformanceTracker::process(const FrameSet& set, std::span<const capture::D
 void PerformanceTracker::reset() {
   impl_->subject.reset();
   impl_->lost = false;
+  impl_->strangers = 0;
   for (View& view : impl_->views) {
     view.landmarker.forget();
   }

@@ -3,13 +3,14 @@
 
 #include <stdint.h>
 
-/* The shared-memory ring as it lies in memory (docs/stream-protocol.md, "The ring"); for C11 and C++20, little-endian:
+/* The shared-memory ring as it lies in memory (docs/stream-protocol.md, "The ring"); for C11 and C++20,
+ * little-endian:
  *
  *   0                                      struct facet_ring_page
  *   FACET_RING_PAGE_BYTES + k * slot_bytes slot k: struct facet_ring_slot, the head message, the arrays
  *
- * Publication n (from 1) lies in slot (n - 1) % slot_count. One process writes; every access to what changes is an
- * atomic one of 64 aligned bits. To read publication n:
+ * Publication n (from 1) lies in slot (n - 1) % slot_count. One process writes; every access to what changes
+ * is an atomic one of 64 aligned bits. To read publication n:
  *
  *   load sequence, acquire; it must be 2 n
  *   copy slot and head message word by word, relaxed
@@ -23,13 +24,15 @@
 #define FACET_RING_ALIGNMENT 64u /* of slots, and of arrays within their slot */
 #define FACET_RING_MAX_SLOTS 64u
 
-/* The arrays beside a head message: what the message of the same profile on the socket holds in its vectors. */
+/* The arrays beside a head message: what the message of the same profile on the socket holds in its vectors.
+ */
 enum {
-  FACET_RING_CONTROL_VERTICES = 0, /* int16 [control_vertex_count][3], times control_vertices.step_mm of the head */
-  FACET_RING_DISPLACEMENTS = 1,    /* int16 [finest vertex_count], times displacements.step_mm */
-  FACET_RING_VERTICES = 2,         /* int16 [finest vertex_count][3], times vertices.step_mm */
-  FACET_RING_NORMALS = 3,          /* int16 [finest vertex_count][3], 32767 is 1 */
-  FACET_RING_CONFIDENCE = 4,       /* uint8 [finest vertex_count], 255 is 1 */
+  FACET_RING_CONTROL_VERTICES =
+      0, /* int16 [control_vertex_count][3], times control_vertices.step_mm of the head */
+  FACET_RING_DISPLACEMENTS = 1, /* int16 [finest vertex_count], times displacements.step_mm */
+  FACET_RING_VERTICES = 2,      /* int16 [finest vertex_count][3], times vertices.step_mm */
+  FACET_RING_NORMALS = 3,       /* int16 [finest vertex_count][3], 32767 is 1 */
+  FACET_RING_CONFIDENCE = 4,    /* uint8 [finest vertex_count], 255 is 1 */
   FACET_RING_ARRAY_COUNT = 5
 };
 

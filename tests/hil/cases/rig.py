@@ -189,7 +189,8 @@ def the_disk_fills_up():
             except OSError:
                 full_ns = guest.now_ns()
         recording_ends(rig, ("space", "full", "free"))
-        check_take(take, full_ns)
+        # Filling the disk keeps an emulated processor busy that facetd needs: 0.9 to 1.3 s were seen.
+        check_take(take, full_ns, most_lost_s=2.0)
         filler.unlink()
         again = rig.record("again")
         rig.wait_sets(15)
