@@ -49,6 +49,7 @@ struct DemoOptions {
   std::uint64_t seed = 5;
   std::uint64_t slots = 30;
   int samples = 2;
+  double resolution = 1;
   std::string model = default_model_file().string();
   std::string landmark_assets = default_landmark_assets().string();
   std::string device = "auto";
@@ -196,7 +197,8 @@ class Demo {
   void render() const {
     files::make_folder(folder_);
     step({"synth-booth", "--seed", std::to_string(options_.seed), "--slots", std::to_string(options_.slots),
-          "--samples", std::to_string(options_.samples), "--model", options_.model, "-o", in("booth")});
+          "--samples", std::to_string(options_.samples), "--resolution",
+          fmt::format("{}", options_.resolution), "--model", options_.model, "-o", in("booth")});
   }
 
   void write_config(const std::filesystem::path& sockets) const {
@@ -358,6 +360,11 @@ void add_booth_demo_command(CLI::App& app) {
   command->add_option("--slots", options->slots, "Length of the performance; a third of it become meshes")
       ->capture_default_str()
       ->check(CLI::Range(9, 3600));
+  command
+      ->add_option("--resolution", options->resolution,
+                   "Of the cameras: 1 is 640x480 px, 0.5 is 320x240, a quarter of the work")
+      ->capture_default_str()
+      ->check(CLI::Range(0.25, 4.0));
   command->add_option("--samples", options->samples, "Rays a pixel")
       ->capture_default_str()
       ->check(CLI::Range(1, 64));

@@ -91,6 +91,7 @@ void write_description(const SynthBoothOptions& options, const Booth& booth) {
                    {"slots_per_second", config.slots_per_second},
                    {"exposure_ms", config.exposure_ms},
                    {"samples", config.samples},
+                   {"resolution", config.resolution},
                    {"head_motion", config.head_motion},
                    {"ambient", config.ambient},
                    {"projector_blur_px", config.projector_blur_px},
@@ -178,6 +179,11 @@ void add_synth_booth_command(CLI::App& app) {
                    "The actor begins calmly: by slot 150 the head moves as it does later")
       ->capture_default_str()
       ->check(CLI::Range(0, 36'000));
+  command
+      ->add_option("--resolution", options->booth.resolution,
+                   "Of the cameras: 1 is 640x480 px, 0.5 is 320x240, a quarter of the work")
+      ->capture_default_str()
+      ->check(CLI::Range(0.25, 4.0));
   command->add_option("--exposure", options->booth.exposure_ms, "Of all cameras, ms; 0: nothing blurs")
       ->capture_default_str();
   command->add_option("--samples", options->booth.samples, "Rays a pixel, spread over the exposure")

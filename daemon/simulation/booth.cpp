@@ -62,6 +62,9 @@ void check(const face::FaceModel* model, const BoothConfig& config) {
   if (config.scene == BoothScene::Actor && model == nullptr) {
     refuse("an actor needs a face model");
   }
+  if (!(config.resolution >= 0.25 && config.resolution <= 4)) {
+    refuse(fmt::format("cameras of {} times 640x480 px: 0.25 to 4", config.resolution));
+  }
   if (!(config.slots_per_second >= 1 && config.slots_per_second <= 1000)) {
     refuse(fmt::format("{} slots per second: 1 to 1000", config.slots_per_second));
   }
@@ -353,7 +356,7 @@ struct Booth::Impl {
 
   Impl(const face::FaceModel* model, const BoothConfig& given) : config(given) {
     check(model, config);
-    rig = make_booth_rig(config.seed);
+    rig = make_booth_rig(config.seed, config.resolution);
     for (std::size_t k = 0; k < room.size(); ++k) {
       // From above and in front, and a little from everywhere.
       room[k] = static_cast<float>(config.ambient) *

@@ -25,6 +25,7 @@ struct BoothConfig {
   std::uint64_t seed = 1;                   ///< of rig, actor, performance, targets, noise
   std::optional<std::uint64_t> actor_seed;  ///< of somebody else, and another performance, in the same booth
   BoothScene scene = BoothScene::Actor;
+  double resolution = 1;  ///< of the cameras, of 640x480 px; 0.25 to 4 (make_booth_rig)
   double slots_per_second = 60;
   /// From the trigger on; the actor moves meanwhile. 0: a moment.
   double exposure_ms = 5;

@@ -73,6 +73,17 @@ capture::Lens make_camera_lens(const Plan& plan, Random& random) {
   return lens;
 }
 
+/// The same view in more or fewer pixels. A pixel's centre is at whole numbers.
+capture::Lens at_resolution(capture::Lens lens, double resolution) {
+  lens.width_px = static_cast<int>(std::lround(lens.width_px * resolution));
+  lens.height_px = static_cast<int>(std::lround(lens.height_px * resolution));
+  lens.fx_px *= resolution;
+  lens.fy_px *= resolution;
+  lens.cx_px = (lens.cx_px + 0.5) * resolution - 0.5;
+  lens.cy_px = (lens.cy_px + 0.5) * resolution - 0.5;
+  return lens;
+}
+
 capture::Lens make_projector_lens(const Plan& plan, Random& random) {
   capture::Lens lens;
   lens.width_px = 1024;
@@ -88,11 +99,12 @@ capture::Lens make_projector_lens(const Plan& plan, Random& random) {
 
 }  // namespace
 
-capture::Rig make_booth_rig(std::uint64_t seed) {
+capture::Rig make_booth_rig(std::uint64_t seed, double resolution) {
   Random random(seed, kStream);
   capture::Rig rig;
   for (const Plan& plan : kCameras) {
-    rig.cameras.push_back({plan.name, make_camera_lens(plan, random), rig.cameras.size() >= kFirstColour});
+    rig.cameras.push_back({plan.name, at_resolution(make_camera_lens(plan, random), resolution),
+                           rig.cameras.size() >= kFirstColour});
   }
   rig.pairs = {{0, 1}, {2, 3}};
   for (const Plan& plan : kProjectors) {

@@ -493,8 +493,8 @@ TEST_F(BoothDemo, GoesItsWholeWay) {
   }
   const std::string demo = file("demo");
   ASSERT_EQ(
-      run({"booth-demo", "--slots", "9", "--samples", "1", "--model", test::default_model().string(),
-           "--landmark-assets",
+      run({"booth-demo", "--slots", "9", "--samples", "1", "--resolution", "0.625", "--model",
+           test::default_model().string(), "--landmark-assets",
            (test::assets() / "mediapipe" / "face_mesh_solution_packed_assets.data").string(), "-o", demo}),
       0)
       << output_;
@@ -550,8 +550,8 @@ TEST_F(BoothDemo, ATeamFindsTheSameAndGoesOnAfterAMemberWasKilled) {
     GTEST_SKIP() << error.what();
   }
   // Four blank slots are two runs; one pair is enough.
-  ASSERT_EQ(run({"synth-booth", "--seed", "5", "--slots", "12", "--samples", "1", "--meshes", "none", "-o",
-                 file("booth")}),
+  ASSERT_EQ(run({"synth-booth", "--seed", "5", "--slots", "12", "--samples", "1", "--resolution", "0.5",
+                 "--meshes", "none", "-o", file("booth")}),
             0)
       << output_;
   capture::Rig rig = capture::read_rig(file("booth/rig.toml"));
