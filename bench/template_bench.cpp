@@ -391,6 +391,7 @@ int run(int argc, char** argv) {
   std::uint64_t stranger = 0;
   bool all_cameras = false;
   bool with_stereo = false;
+  bool with_between = false;
   std::uint64_t first_slot = 150;
   fit::SkinTrackerOptions tracking;
   fit::FitOptions& options = tracking.fit;
@@ -402,6 +403,7 @@ int run(int argc, char** argv) {
   app.add_option("--samples", config.samples, "Rays a pixel");
   app.add_option("--head-motion", config.head_motion, "Share of the performance's");
   app.add_flag("--stereo", with_stereo, "Depth from the cameras' pictures");
+  app.add_flag("--between", with_between, "The slots with stripes, too: a mesh between those of blank slots");
   app.add_option("--first-slot", first_slot, "A multiple of 3; the face is at rest before 150");
   app.add_option("--depth-noise", noise_mm, "mm");
   app.add_option("--alpha", options.alpha);
@@ -493,6 +495,11 @@ int run(int argc, char** argv) {
   double worst_drift = 0;
   double worst_drift_95 = 0;
   int fine_folded = 0;
+  struct {
+    std::array<std::vector<double>, 2> distances;  ///< [0]: of the way between the meshes, [1]: settled
+    std::array<std::vector<double>, 2> drifts;
+    std::vector<double> ms;
+  } between;
   mesh::Vertices fine_mm;
   Eigen::Matrix3Xf fine_normals;
   for (int m = 0; m < meshes; ++m) {
@@ -502,13 +509,17 @@ int run(int argc, char** argv) {
     const std::uint64_t slot = first_slot + static_cast<std::uint64_t>(3 * std::min(m, still) + 2);
     std::mt19937_64 random(config.seed * 100'000 + first_slot + static_cast<std::uint64_t>(3 * m));
     const simulation::TruthMesh truth = footage.truth(slot);
-    std::vector<capture::DepthMap> maps;
-    if (with_stereo) {
-      maps = footage.stereo(slot, *depth);
-    }
-    for (const capture::StereoPair& pair : with_stereo ? std::vector<capture::StereoPair>() : rig.pairs) {
-      maps.push_back(depth_of(truth, rig.cameras[pair.left].lens, noise_mm, random));
-    }
+    const auto maps_of = [&](std::uint64_t at, const simulation::TruthMesh& face) {
+      if (with_stereo) {
+        return footage.stereo(at, *depth);
+      }
+      std::vector<capture::DepthMap> found;
+      for (const capture::StereoPair& pair : rig.pairs) {
+        found.push_back(depth_of(face, rig.cameras[pair.left].lens, noise_mm, random));
+      }
+      return found;
+    };
+    const std::vector<capture::DepthMap> maps = maps_of(slot, truth);
     std::vector<Frame> pictures;
     for (const std::size_t camera : colour) {
       pictures.push_back(footage.picture(slot, camera));
@@ -609,6 +620,31 @@ int run(int argc, char** argv) {
                                                           followers[v].barycentric, truth.vertices_mm);
       drifts.push_back(static_cast<double>((true_mm - at).norm()));
       drift_heat[v] = static_cast<float>(drifts.back()) / 3.0F;
+    }
+    for (int k = 1; k <= 2 && with_between && tracker.follows() && m < still; ++k) {
+      const std::uint64_t slot_between = slot - 3 + static_cast<std::uint64_t>(k);
+      const simulation::TruthMesh truth_between = footage.truth(slot_between);
+      const auto settling = Clock::now();
+      mesh::Vertices settled_mm;
+      Eigen::VectorXd expression;
+      tracker.between(k / 3.0, maps_of(slot_between, truth_between), settled_mm, expression);
+      between.ms.push_back(ms_since(settling));
+      const mesh::Vertices way_mm = last_mm + static_cast<float>(k) / 3 * (now_mm - last_mm);
+      const render::Raycaster there(truth_between.vertices_mm, truth_between.triangles);
+      for (std::size_t v = 0; v < followers.size(); ++v) {
+        if (followers[v].triangle < 0) {
+          continue;
+        }
+        const Eigen::Vector3f true_mm = render::interpolate(
+            truth.triangles, followers[v].triangle, followers[v].barycentric, truth_between.vertices_mm);
+        for (const bool settled : {false, true}) {
+          const Eigen::Vector3f at = (settled ? settled_mm : way_mm).col(static_cast<Eigen::Index>(v));
+          const auto hit = there.closest_point(at, 30);
+          between.distances[settled].push_back(hit.triangle >= 0 ? static_cast<double>(hit.distance_mm)
+                                                                 : 30.0);
+          between.drifts[settled].push_back(static_cast<double>((true_mm - at).norm()));
+        }
+      }
     }
     // Second differences over three meshes, and how far it lags behind what moves.
     if (older_mm.cols() > 0) {
@@ -713,6 +749,16 @@ int run(int argc, char** argv) {
   const Spread all(std::move(all_distances));
   fmt::print("all: distance mean {:.3f} p95 {:.3f} mm, folded {} in all; {:.0f} ms a mesh with {} cameras\n",
              all.mean(), all.at(0.95), folded_ever, Spread(follow_ms).mean(), colour.size());
+  for (const bool settled : {false, true}) {
+    if (with_between) {
+      const Spread distance(between.distances[settled]);
+      const Spread drift(between.drifts[settled]);
+      fmt::print("between, {}: distance mean {:.3f} p95 {:.3f} mm, skin point mean {:.2f} p95 {:.2f} mm{}\n",
+                 settled ? "on the depth maps" : "half way alone", distance.mean(), distance.at(0.95),
+                 drift.mean(), drift.at(0.95),
+                 settled ? fmt::format("; {:.0f} ms a mesh", Spread(between.ms).mean()) : "");
+    }
+  }
   fmt::print(
       "worst drift mean {:.3f} p95 {:.3f} mm; second differences {:.4f} mm rms, lag {:.4f} meshes; seen >= "
       "{:.2f}, "

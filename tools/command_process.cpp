@@ -50,6 +50,7 @@ struct Options {
   std::string rig;
   std::string depth;
   std::string points;
+  bool every_slot = false;
 };
 
 void set_budget(const std::string& budget, refine::RefinerConfig& refiner) {
@@ -237,6 +238,7 @@ pipeline::BoothConfig booth_of(const Options& options, const service::Config& co
                                const std::vector<std::int64_t>& slots) {
   pipeline::BoothConfig booth = service::booth_config(config);
   booth.points_file = options.points;
+  booth.every_slot = booth.every_slot || options.every_slot;
   if (!options.points.empty()) {
     const std::uint64_t slot = pipeline::read_face_points(options.points).slot;
     const bool gets_a_mesh = std::any_of(slots.begin(), slots.end(), [&](std::int64_t i) {
@@ -254,7 +256,7 @@ pipeline::BoothConfig booth_of(const Options& options, const service::Config& co
 /// What tells one computation of depth maps from another.
 std::string made_of(const take::TakeReader& take, const pipeline::BoothConfig& booth,
                     const pipeline::BoothStages& stages, const Options& options) {
-  const nlohmann::ordered_json text = {
+  nlohmann::ordered_json text = {
       {"take", take.info().source},
       {"created_utc", take.info().created_utc},
       {"first_timestamp_ns", take.info().first_timestamp_ns},
@@ -266,6 +268,9 @@ std::string made_of(const take::TakeReader& take, const pipeline::BoothConfig& b
       {"software", FACET_VERSION},
       {"rig", capture::format_rig(*stages.rig)},
   };
+  if (booth.every_slot) {
+    text["every_slot"] = true;
+  }
   return text.dump(1) + "\n";
 }
 
@@ -320,7 +325,7 @@ void check_booth_result(const Options& options, const pipeline::PipelineStatus& 
   }
   if (status.mesh_frames == 0) {
     throw Error(ErrorKind::NoFace,
-                fmt::format("no mesh in the {} blank slots of '{}'; the last one because: {}",
+                fmt::format("no mesh in the {} slots of '{}' that were to get one; the last one because: {}",
                             status.processed, options.input, status.degraded_reason));
   }
 }
@@ -355,9 +360,9 @@ void lead_booth(const Options& options, Team& team, const StopSignals& signals) 
   take::TakeReader input(options.input);
   const std::vector<std::int64_t> slots = slots_of(input, config.pipeline.frames);
   const pipeline::BoothConfig booth = booth_of(options, config, input, slots);
-  const auto blanks =
+  const auto wanted =
       static_cast<std::uint64_t>(std::count_if(slots.begin(), slots.end(), [&](std::int64_t i) {
-        return booth.stripes[input.entry(i).sequence % booth.stripes.size()] == 0;
+        return booth.every_slot || booth.stripes[input.entry(i).sequence % booth.stripes.size()] == 0;
       }));
   pipeline::BoothStages stages = pipeline::open_booth(booth, kBlanksPerRun);
   std::shared_ptr<DepthFolder> folder;
@@ -378,7 +383,7 @@ void lead_booth(const Options& options, Team& team, const StopSignals& signals) 
   stages.depth = std::make_unique<SharedDepth>(std::move(stages.depth), team, folder);
   pipeline::BoothMeshes meshes(std::move(stages), pipeline::BoothMeshes::WhenBusy::Wait, {&take},
                                std::move(keep));
-  Progress progress("Processing", blanks, "meshes");
+  Progress progress("Processing", wanted, "meshes");
   pipeline::PipelineStatus status;
   const auto show = [&] {
     status = {};
@@ -453,10 +458,14 @@ void add_process_command(CLI::App& app, std::unique_ptr<Team> (*join)()) {
   command->add_option("--device", options->device,
                       "Vulkan device: auto, part of its name, or none (coarse meshes only)");
   command
-      ->add_option(
-          "--depth", options->depth,
-          "Folder for the depth maps of every blank slot (PFM, mm) and their lenses (rig.toml); maps that an "
-          "earlier run left there are not found again")
+      ->add_flag("--every-slot", options->every_slot,
+                 "A mesh for slots with stripes, too: between the blank ones' meshes, on its own depth maps")
+      ->needs("--rig");
+  command
+      ->add_option("--depth", options->depth,
+                   "Folder for the depth maps of every slot that gets a mesh (PFM, mm) and their lenses "
+                   "(rig.toml); maps that an "
+                   "earlier run left there are not found again")
       ->needs("--rig");
   command
       ->add_option("--points", options->points,

@@ -16,8 +16,8 @@ namespace facet::tools {
 
 /// The depth maps of a take on disk: for each pair, named by its left camera, a folder with a float map of
 /// depths (slot_%06d.pfm, mm along z of its lens, 0 in a hole) and one of their standard deviations
-/// (slot_%06d-sigma.pfm) for every blank slot; rig.toml holds the lenses, depth.json says of what they were
-/// made. A process that was broken off goes on with what it finds there. One thread.
+/// (slot_%06d-sigma.pfm) for every slot that gets a mesh; rig.toml holds the lenses, depth.json says of what
+/// they were made. A process that was broken off goes on with what it finds there. One thread.
 class DepthFolder {
  public:
   /// made_of: text that tells one computation from another (take, rig, depths, slots). Throws Error: Storage

@@ -62,7 +62,10 @@ struct SkinTracker::Impl {
   TemplateFitter fitter;
   std::deque<View> views;
   mesh::Vertices now_mm;
-  Eigen::VectorXd expression;  ///< of now_mm
+  Eigen::VectorXd expression;         ///< of now_mm
+  mesh::Vertices before_mm;           ///< of the slot that now_mm follows on; no columns: it follows on none
+  Eigen::VectorXd expression_before;  ///< of before_mm
+  mesh::Vertices expected_mm;
   std::vector<float> depth_weight;
   Eigen::Matrix3Xf normals;
   std::vector<std::uint8_t> visible;
@@ -140,6 +143,7 @@ void SkinTracker::Impl::add(const View& view, const Flow& flow, const mesh::Vert
 FitReport SkinTracker::Impl::conclude(const FitReport& report, const TemplateFitter& by,
                                       mesh::Vertices&& found_mm, std::span<const Frame> pictures) {
   depth_weight = by.depth_weight();
+  before_mm.resize(3, 0);
   if (report.lost) {
     fitter.forget();
     for (View& view : views) {
@@ -236,7 +240,28 @@ FitReport SkinTracker::follow(std::span<const capture::DepthMap> maps, std::span
   if (!again.empty()) {
     report = impl.fitter.track(maps, again, impl.now_mm, found_mm);
   }
-  return impl.conclude(report, impl.fitter, std::move(found_mm), pictures);
+  mesh::Vertices before_mm = impl.now_mm;
+  impl.expression_before = impl.expression;
+  report = impl.conclude(report, impl.fitter, std::move(found_mm), pictures);
+  if (!report.lost) {
+    impl.before_mm = std::move(before_mm);
+  }
+  return report;
+}
+
+bool SkinTracker::follows() const {
+  return impl_->before_mm.cols() > 0;
+}
+
+FitReport SkinTracker::between(double fraction, std::span<const capture::DepthMap> maps,
+                               mesh::Vertices& vertices_mm, Eigen::VectorXd& expression) {
+  Impl& impl = *impl_;
+  if (!follows()) {
+    throw Error(ErrorKind::Usage, "the skin tracker's last slot did not follow on the one before");
+  }
+  impl.expected_mm = impl.before_mm + static_cast<float>(fraction) * (impl.now_mm - impl.before_mm);
+  expression = impl.expression_before + fraction * (impl.expression - impl.expression_before);
+  return impl.fitter.settle(maps, impl.expected_mm, vertices_mm);
 }
 
 FitReport SkinTracker::find_again(const Placement& placed, std::span<const capture::DepthMap> maps,

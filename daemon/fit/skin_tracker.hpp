@@ -46,6 +46,16 @@ class SkinTracker {
   FitReport find_again(const Placement& placed, std::span<const capture::DepthMap> maps,
                        std::span<const Frame> pictures);
 
+  /// Whether `between` has two slots to go between: the last call followed the one before it.
+  bool follows() const;
+  /// A slot without texture between the last two: the way between their meshes, and off it where the slot's
+  /// depth maps pull (TemplateFitter::settle). Nothing else changes. Throws Error(Usage) unless follows().
+  /// fraction     of the time from the one to the other, 0 to 1
+  /// vertices_mm  out, [3][vertex_count] rig frame
+  /// expression   out, [expression_count]
+  FitReport between(double fraction, std::span<const capture::DepthMap> maps, mesh::Vertices& vertices_mm,
+                    Eigen::VectorXd& expression);
+
   /// [3][vertex_count] of the last slot that was not lost, rig frame.
   const mesh::Vertices& vertices_mm() const;
   /// [expression_count], of the last slot.

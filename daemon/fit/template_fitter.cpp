@@ -47,6 +47,7 @@ constexpr double kMostExpression = 1.25;
 constexpr double kExpressionMisfitMm = 0.5;  ///< what expressions do not explain, typically
 constexpr float kRimPx = 5;                  ///< half of a flow's patch and a little
 constexpr float kRimJumpMm = 12;             ///< in depth: another part of the face
+constexpr float kTieAcross = 0.02F;          ///< of a tie along the surface, which weighs 1
 constexpr float kResidualReduction = 1e-4F;  ///< of the conjugate gradients
 
 /// A bilinear sample of a flow; nothing where one of its pixels knows nothing.
@@ -228,10 +229,14 @@ struct TemplateFitter::Impl {
 
   FitReport solve(std::span<const DepthMap> maps, std::span<const FlowView> flows,
                   const mesh::Vertices* before_mm, mesh::Vertices& vertices_mm);
+  FitReport settle(std::span<const DepthMap> maps, const mesh::Vertices& expected_mm,
+                   mesh::Vertices& vertices_mm);
+  bool take_step(mesh::Vertices& vertices_mm, FitReport& report);
   void set_rest(RestShape shape);
   void hang_together();
   void bring_along(const mesh::Vertices& vertices_mm);
   void add_expectation(const mesh::Vertices& vertices_mm);
+  void add_ties(const mesh::Vertices& vertices_mm);
   void judge(FitReport& report, bool with_flow) const;
   void remember(const mesh::Vertices& vertices_mm);
   bool add_data(std::span<const DepthMap> maps, std::span<const FlowView> flows,
@@ -645,16 +650,9 @@ FitReport TemplateFitter::Impl::solve(std::span<const DepthMap> maps, std::span<
     }
     add_expectation(vertices_mm);
     add_smoothness(vertices_mm);
-    conjugate_gradients();
-    ++report.steps;
-    if (!step.allFinite()) {
+    if (!take_step(vertices_mm, report)) {
       return give_up(FitOutcome::NumericalFailure,
                      fmt::format("step {} of the template fit is not finite", report.steps));
-    }
-    vertices_mm += step;
-    report.last_move_mm = static_cast<double>(step.colwise().norm().maxCoeff());
-    if (report.last_move_mm < static_cast<double>(kSettledMm)) {
-      report.outcome = FitOutcome::Converged;
     }
   }
   bring_along(vertices_mm);
@@ -674,6 +672,61 @@ FitReport TemplateFitter::Impl::solve(std::span<const DepthMap> maps, std::span<
   }
   judge(report, before_mm != nullptr && !flows.empty());
   return report;
+}
+
+/// The Gauss-Newton step of the normal equations as they stand; false where it is not finite.
+bool TemplateFitter::Impl::take_step(mesh::Vertices& vertices_mm, FitReport& report) {
+  conjugate_gradients();
+  ++report.steps;
+  if (!step.allFinite()) {
+    return false;
+  }
+  vertices_mm += step;
+  report.last_move_mm = static_cast<double>(step.colwise().norm().maxCoeff());
+  if (report.last_move_mm < static_cast<double>(kSettledMm)) {
+    report.outcome = FitOutcome::Converged;
+  }
+  return true;
+}
+
+FitReport TemplateFitter::Impl::settle(std::span<const DepthMap> maps, const mesh::Vertices& expected_mm,
+                                       mesh::Vertices& vertices_mm) {
+  if (placed.vertices_mm.cols() != expected_mm.cols()) {
+    throw Error(ErrorKind::Usage, "the template fit has no rest shape yet, or other vertices");
+  }
+  FitReport report;
+  rest = expected_mm;
+  vertices_mm = expected_mm;
+  while (report.steps < options.steps && report.outcome != FitOutcome::Converged) {
+    const bool seen = add_data(maps, {}, nullptr, vertices_mm, report);
+    add_ties(vertices_mm);
+    add_smoothness(vertices_mm);
+    if (!seen || !take_step(vertices_mm, report)) {
+      vertices_mm = expected_mm;
+      report.outcome = seen ? FitOutcome::NumericalFailure : FitOutcome::NoData;
+      report.lost = true;
+      report.failure =
+          seen ? fmt::format("step {} of the template fit is not finite", report.steps)
+               : fmt::format("only {:.1f} % of the template's skin lies on a depth map", 100 * report.seen);
+      report.lost_because = report.failure;
+      return report;
+    }
+  }
+  if (options.unfolds) {
+    report.unfolded = unfold(vertices_mm, expected_mm);
+  }
+  judge(report, false);
+  return report;
+}
+
+/// Sum over vertices of ||v - s||^2, s the mesh that is expected: fully along its surface, hardly across.
+void TemplateFitter::Impl::add_ties(const mesh::Vertices& vertices_mm) {
+  for (Eigen::Index v = 0; v < vertices_mm.cols(); ++v) {
+    const Vector3f normal = normals.col(v);
+    const Matrix3f tie = Matrix3f::Identity() - (1 - kTieAcross) * normal * normal.transpose();
+    blocks[static_cast<std::size_t>(v)] += tie;
+    gradient.col(v) += tie * (vertices_mm.col(v) - rest.col(v));
+  }
 }
 
 /// Normal equations of the data terms at the vertices as they are; false where hardly any of them sees
@@ -849,6 +902,11 @@ FitReport TemplateFitter::fit(std::span<const DepthMap> maps, mesh::Vertices& ve
 FitReport TemplateFitter::track(std::span<const DepthMap> maps, std::span<const FlowView> flows,
                                 const mesh::Vertices& before_mm, mesh::Vertices& vertices_mm) {
   return impl_->solve(maps, flows, &before_mm, vertices_mm);
+}
+
+FitReport TemplateFitter::settle(std::span<const DepthMap> maps, const mesh::Vertices& expected_mm,
+                                 mesh::Vertices& vertices_mm) {
+  return impl_->settle(maps, expected_mm, vertices_mm);
 }
 
 void TemplateFitter::remember(const mesh::Vertices& vertices_mm) {

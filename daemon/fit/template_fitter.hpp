@@ -114,6 +114,14 @@ class TemplateFitter {
   FitReport track(std::span<const capture::DepthMap> maps, std::span<const FlowView> flows,
                   const mesh::Vertices& before_mm, mesh::Vertices& vertices_mm);
 
+  /// Past the paper, whose meshes are of blank slots alone: a slot without a picture of the texture, between
+  /// two that have one. Depth maps (eq. 10) pull the skin along the surface's normals; along the surface it
+  /// stays where it is expected, and what E_r (eq. 11) compares with is the mesh that is expected.
+  /// expected_mm  [3][vertex_count] rig frame, such as a mean of the meshes before and after
+  /// vertices_mm  out
+  FitReport settle(std::span<const capture::DepthMap> maps, const mesh::Vertices& expected_mm,
+                   mesh::Vertices& vertices_mm);
+
   /// The result for a slot, once it is final: the next slot's vertices are expected to go on as they went.
   /// [3] [vertex_count], rig frame. Throws Error(Usage) where it has other vertices than the template.
   void remember(const mesh::Vertices& vertices_mm);

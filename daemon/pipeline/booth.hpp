@@ -22,12 +22,12 @@ void check(const RigConfig& devices, const BoothConfig& booth);
 /// among the devices.
 Booth open_booth(const RigConfig& devices, const BoothConfig& config);
 
-/// A live booth: frame sets as FramesPipeline makes them, and a mesh for every blank slot as BoothMeshes
-/// makes them; their threads. Slots for which the stages are too slow have no mesh, and are counted as
+/// A live booth: frame sets as FramesPipeline makes them, and meshes as BoothMeshes makes
+/// them; their threads. Slots for which the stages are too slow have no mesh, and are counted as
 /// dropped.
 class BoothPipeline final : public Pipeline {
  public:
-  /// set_sinks: get every frame set; mesh_sinks: every blank slot that was worked on, later.
+  /// set_sinks: get every frame set; mesh_sinks: every slot that a mesh was asked of, later.
   BoothPipeline(Booth booth, std::vector<MeshSink*> set_sinks, std::vector<MeshSink*> mesh_sinks);
   ~BoothPipeline() override;
 

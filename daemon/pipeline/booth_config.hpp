@@ -16,8 +16,11 @@ struct BoothConfig {
   /// Along the pairs' viewing directions. 0 to 0: around the point that the pairs look at (depth_range).
   stereo::DepthRange depths;
   /// Of the trigger's slots, again and again: 1 where the projectors show stripes, 0 in a blank one, which
-  /// gets a mesh. At least one of either.
+  /// gets a mesh by what its pictures show. At least one of either.
   std::vector<std::uint8_t> stripes = {1, 1, 0};
+  /// A mesh for every slot, not for blank ones alone: slots with stripes get theirs once the blank slot after
+  /// them has its own.
+  bool every_slot = false;
   std::filesystem::path model_file;
   std::filesystem::path landmark_assets;
   std::filesystem::path points_file;  ///< FacePoints to begin with; empty: the landmark net finds the face

@@ -28,6 +28,9 @@ enum Worker : std::size_t { kDepth, kPerform };
 /// A gap of more slots ends a run.
 constexpr std::uint64_t kMostGap = 2 * kDepthReach;
 
+/// So many periods without a blank slot that is whole, and slots with stripes wait no longer for one.
+constexpr std::size_t kMostPeriods = 4;
+
 /// The rig is looked at in one of so many blank slots.
 constexpr std::uint64_t kCheckPeriod = 5;
 
@@ -52,15 +55,22 @@ struct Run {
   }
 };
 
-/// A blank slot with its depth.
+/// A slot with its depth.
 struct Seen {
   FramePointer frame;
   std::shared_ptr<const FrameSet> set;  ///< in the rig's order
   std::vector<capture::DepthMap> maps;  ///< [pairs]
+  bool stripes = false;
   std::string wrong;
   float depth_ms = 0;
   Clock::time_point complete;
 };
+
+/// From the first slot that gets a mesh by a run to the last.
+std::size_t reach_of_run(const BoothStages& stages) {
+  const auto blanks = static_cast<std::size_t>(stages.blanks_per_run);
+  return stages.every_slot ? blanks * stages.stripes.size() - 1 : (blanks - 1) * stages.stripes.size();
+}
 
 }  // namespace
 
@@ -88,6 +98,7 @@ BoothStages open_booth(const BoothConfig& config, int blanks_per_run) {
   BoothStages stages;
   stages.rig = std::make_shared<const capture::Rig>(capture::read_rig(config.rig_file));
   stages.stripes = config.stripes;
+  stages.every_slot = config.every_slot;
   stages.blanks_per_run = blanks_per_run;
   const auto model = std::make_shared<const face::FaceModel>(face::FaceModel::load(config.model_file));
   std::optional<FacePoints> points;
@@ -96,9 +107,9 @@ BoothStages open_booth(const BoothConfig& config, int blanks_per_run) {
   }
   stages.tracker = std::make_unique<PerformanceTracker>(model, config.landmark_assets, stages.rig,
                                                         config.skin, std::move(points));
-  const auto slots_between = static_cast<int>(config.stripes.size());
-  const int most_slots = (blanks_per_run - 1) * slots_between + 1 + 2 * static_cast<int>(kDepthReach);
-  stages.depth = std::make_unique<BoothDepth>(config.gpu_device, stages.rig, config.depths, most_slots);
+  const std::size_t most_slots = reach_of_run(stages) + 1 + 2 * kDepthReach;
+  stages.depth = std::make_unique<BoothDepth>(config.gpu_device, stages.rig, config.depths,
+                                              static_cast<int>(most_slots));
   stages.check = std::make_unique<RigCheck>(stages.rig, stages.depth->depths());
   return stages;
 }
@@ -140,7 +151,7 @@ struct BoothMeshes::Impl {
   // The delivering thread only.
   std::deque<RunSlot> window;    ///< the last slots, consecutive
   std::uint64_t first_slot = 0;  ///< of the window
-  std::size_t wanted = 0;        ///< blank slots in it that no run has taken
+  std::size_t wanted = 0;        ///< slots in it that get a mesh and that no run has taken
 
   // facet-depth only.
   std::vector<std::size_t> rig_from_set;  ///< [rig cameras] the frame in a set
@@ -148,6 +159,8 @@ struct BoothMeshes::Impl {
 
   // facet-perform only.
   FramePool pool;
+  std::deque<Seen> waiting;        ///< with stripes, for the blank slot after them
+  std::int64_t last_blank_ns = 0;  ///< time of the last blank slot
   std::uint32_t subjects = 0;
   std::uint64_t subject_id = 0;
   std::uint64_t unchecked = 0;  ///< slots since the rig was looked at
@@ -164,6 +177,9 @@ struct BoothMeshes::Impl {
   void check_size(const FrameSet& set) const;
   void perform();
   void perform(Seen& item);
+  void perform_waiting(std::int64_t blank_ns);
+  std::shared_ptr<mesh::MeshFrame> begin_frame(const Seen& item);
+  void hand_out(const Seen& item, const std::shared_ptr<mesh::MeshFrame>& frame);
   void check_rig(const FrameSet& set, mesh::MeshFrame& frame);
   void tell(const mesh::MeshFrame& frame);
 };
@@ -186,18 +202,18 @@ void BoothMeshes::Impl::add(std::uint64_t slot, FramePointer frame) {
   RunSlot& one = window.emplace_back();
   one.stripes = is_stripes(slot);
   const auto has_picture = [](const Frame& picture) { return !picture.empty(); };
-  one.wanted = !one.stripes && frame != nullptr &&
+  one.wanted = (!one.stripes || stages.every_slot) && frame != nullptr &&
                std::any_of(frame->images->frames.begin(), frame->images->frames.end(), has_picture);
   one.frame = std::move(frame);
   wanted += one.wanted ? 1 : 0;
 }
 
-/// Makes a run of the window once enough blank slots in it have all the slots around them that they ever
+/// Makes a run of the window once enough slots that are wanted have all the slots around them that they ever
 /// will.
 void BoothMeshes::Impl::hand_on(bool at_end) {
-  // From the first blank slot that waits to the last that a run may have: where one between them is missing,
-  // the run has fewer.
-  const std::size_t reach = static_cast<std::size_t>(stages.blanks_per_run - 1) * stages.stripes.size();
+  // From the first slot that waits to the last that a run may have: where one between them is missing, the
+  // run has fewer.
+  const std::size_t reach = reach_of_run(stages);
   const auto waits = [](const RunSlot& slot) { return slot.wanted; };
   const auto first =
       static_cast<std::size_t>(std::find_if(window.begin(), window.end(), waits) - window.begin());
@@ -231,7 +247,7 @@ void BoothMeshes::Impl::hand_on(bool at_end) {
       shown.dropped += dropped.wanted();
     }
   }
-  // A blank slot to come, or one that waits, looks back this far.
+  // A slot to come, or one that waits, looks back this far.
   std::size_t keep = kDepthReach;
   for (std::size_t i = 0; i < window.size() && wanted > 0; ++i) {
     if (window[i].wanted) {
@@ -326,6 +342,7 @@ void BoothMeshes::Impl::find_depth(Run& run) {
       item.set = sets[i];
       item.depth_ms = depth_ms / static_cast<float>(maps.size());
       item.maps = std::move(maps[at++]);
+      item.stripes = run.slots[i].stripes;
       item.wrong = wrong;
       item.complete = run.complete;
       seen.push(std::move(item), [this] { workers.beat(kDepth); });
@@ -340,21 +357,51 @@ void BoothMeshes::Impl::perform() {
   const auto beat = [this] { workers.beat(kPerform); };
   while (seen.pop(item, beat)) {
     beat();
-    if (!stopping) {
+    if (!stopping && stages.tracker != nullptr) {
       perform(item);
     }
     item = {};
   }
+  if (!stopping) {
+    perform_waiting(last_blank_ns);
+  }
 }
 
 void BoothMeshes::Impl::perform(Seen& item) {
-  if (stages.tracker == nullptr) {
-    return;
-  }
   if (wants_new_identity.exchange(false)) {
     stages.tracker->reset();
   }
-  const std::shared_ptr<mesh::MeshFrame> frame = pool.take();
+  if (item.stripes) {
+    waiting.push_back(std::move(item));
+    if (waiting.size() > kMostPeriods * stages.stripes.size()) {
+      perform_waiting(last_blank_ns);
+    }
+    return;
+  }
+  const std::shared_ptr<mesh::MeshFrame> frame = begin_frame(item);
+  stages.tracker->process(*item.set, item.maps, *frame);
+  check_rig(*item.set, *frame);
+  perform_waiting(item.frame->timestamp_ns);
+  last_blank_ns = item.frame->timestamp_ns;
+  tell(*frame);
+  hand_out(item, frame);
+}
+
+/// The slots with stripes between the last blank slot and that of blank_ns; the same: no blank slot has come
+/// after them.
+void BoothMeshes::Impl::perform_waiting(std::int64_t blank_ns) {
+  for (Seen& item : waiting) {
+    workers.beat(kPerform);
+    const std::shared_ptr<mesh::MeshFrame> frame = begin_frame(item);
+    const auto after = static_cast<double>(item.frame->timestamp_ns - last_blank_ns);
+    stages.tracker->process_between(after / static_cast<double>(blank_ns - last_blank_ns), item.maps, *frame);
+    hand_out(item, frame);
+  }
+  waiting.clear();
+}
+
+std::shared_ptr<mesh::MeshFrame> BoothMeshes::Impl::begin_frame(const Seen& item) {
+  std::shared_ptr<mesh::MeshFrame> frame = pool.take();
   frame->sequence = item.frame->sequence;
   frame->timestamp_ns = item.frame->timestamp_ns;
   frame->media_time_ns = item.frame->media_time_ns;
@@ -365,10 +412,11 @@ void BoothMeshes::Impl::perform(Seen& item) {
   if (take_depth && item.wrong.empty()) {
     take_depth(frame->sequence, item.maps);
   }
-  stages.tracker->process(*item.set, item.maps, *frame);
+  return frame;
+}
+
+void BoothMeshes::Impl::hand_out(const Seen& item, const std::shared_ptr<mesh::MeshFrame>& frame) {
   frame->stage_ms.latency_ms = ms_since(item.complete);
-  check_rig(*item.set, *frame);
-  tell(*frame);
   for (MeshSink* sink : sinks) {
     sink->deliver(frame);
   }

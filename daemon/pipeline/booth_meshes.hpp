@@ -22,6 +22,7 @@ namespace facet::pipeline {
 struct BoothStages {
   std::shared_ptr<const capture::Rig> rig;
   std::vector<std::uint8_t> stripes;  ///< BoothConfig::stripes
+  bool every_slot = false;            ///< BoothConfig::every_slot
   std::unique_ptr<DepthSource> depth;
   std::unique_ptr<PerformanceTracker> tracker;  ///< null: depth alone, and nothing is handed out
   std::unique_ptr<RigCheck> check;
@@ -33,7 +34,8 @@ struct BoothStages {
 /// rig and the configuration, UnreadableInput for files, NoDevice.
 BoothStages open_booth(const BoothConfig& config, int blanks_per_run);
 
-/// Frame sets in, one mesh for every blank slot out. Threads, what each does and what it may block on:
+/// Frame sets in, one mesh for every blank slot, or for every slot, out, in their order. Threads, what each
+/// does and what it may block on:
 /// * whoever delivers: the order of slots, windows in time.
 /// * `facet-depth`: BoothDepth. An empty queue, the GPU, room in a queue.
 /// * `facet-perform`: PerformanceTracker, MeshSink::deliver. An empty queue, a sink.
@@ -44,7 +46,8 @@ class BoothMeshes final : public MeshSink {
     Wait,  ///< recorded: deliver waits
   };
 
-  /// Told of every blank slot's depth maps, [pairs], before its mesh is made; on `facet-perform`.
+  /// Told of the depth maps, [pairs], of every slot that gets a mesh, before that is made; on
+  /// `facet-perform`.
   using DepthTaker = std::function<void(std::uint64_t slot, std::span<const capture::DepthMap> maps)>;
 
   BoothMeshes(BoothStages stages, WhenBusy when_busy, std::vector<MeshSink*> sinks,

@@ -87,6 +87,8 @@ struct PerformanceTracker::Impl {
   int strangers = 0;                    ///< slots in a row in which somebody else is seen
   std::vector<float> displacements_mm;  ///< [finest vertex_count]
   std::vector<float> confidence;
+  mesh::Vertices between_mm;  ///< of the last slot between
+  Eigen::VectorXd expression_between;
   VertexTexture texture;
   mesh::Vertices fine_mm;  ///< [3][finest vertex_count] rig frame
   Eigen::Matrix3Xf fine_normals;
@@ -98,8 +100,11 @@ struct PerformanceTracker::Impl {
   std::string place(std::uint64_t slot, std::span<const capture::DepthMap> maps, mesh::MeshFrame& out);
   std::string follow(std::span<const capture::DepthMap> maps);
   void begin_subject();
-  void refine(std::span<const capture::DepthMap> maps, mesh::MeshFrame& out);
-  void fill(mesh::MeshFrame& out);
+  void refine(std::span<const capture::DepthMap> maps, const mesh::Vertices& vertices_mm,
+              mesh::MeshFrame& out);
+  void paint(mesh::MeshFrame& out);
+  void fill(const mesh::Vertices& vertices_mm, const Eigen::VectorXd& expression, mesh::MeshFrame& out);
+  void leave_out(const std::string& missing, mesh::MeshFrame& out) const;
 };
 
 PerformanceTracker::Impl::Impl(std::shared_ptr<const face::FaceModel> given_model,
@@ -236,17 +241,21 @@ std::string PerformanceTracker::Impl::follow(std::span<const capture::DepthMap> 
   return report.lost ? "the face is lost: " + report.lost_because : std::string();
 }
 
-/// The fine levels, and the texture on them.
-void PerformanceTracker::Impl::refine(std::span<const capture::DepthMap> maps, mesh::MeshFrame& out) {
-  const mesh::Vertices& now_mm = skin.vertices_mm();
-  Clock::time_point begun = Clock::now();
-  fine.fit(maps, now_mm, displacements_mm, confidence);
+/// The fine levels of a slot's mesh, from those of the mesh made last.
+void PerformanceTracker::Impl::refine(std::span<const capture::DepthMap> maps,
+                                      const mesh::Vertices& vertices_mm, mesh::MeshFrame& out) {
+  const Clock::time_point begun = Clock::now();
+  fine.fit(maps, vertices_mm, displacements_mm, confidence);
   out.displacements_mm.assign(displacements_mm.begin(), displacements_mm.end());
   out.confidence.assign(confidence.begin(), confidence.end());
   out.stage_ms.displacement_ms = ms_since(begun);
-  begun = Clock::now();
+}
+
+/// The texture of the blank slot's mesh.
+void PerformanceTracker::Impl::paint(mesh::MeshFrame& out) {
+  const Clock::time_point begun = Clock::now();
   const mesh::Hierarchy& hierarchy = *fine.hierarchy();
-  mesh::rebuild_finest(hierarchy, now_mm, displacements_mm, fine_mm, fine_normals);
+  mesh::rebuild_finest(hierarchy, skin.vertices_mm(), displacements_mm, fine_mm, fine_normals);
   std::size_t at = 0;
   for (const View& view : views) {
     texture.add(view.camera->lens, pictures[at++], fine_mm, fine_normals, hierarchy.finest().triangles);
@@ -255,20 +264,28 @@ void PerformanceTracker::Impl::refine(std::span<const capture::DepthMap> maps, m
   out.stage_ms.albedo_ms = ms_since(begun);
 }
 
-void PerformanceTracker::Impl::fill(mesh::MeshFrame& out) {
+void PerformanceTracker::Impl::fill(const mesh::Vertices& vertices_mm, const Eigen::VectorXd& expression,
+                                    mesh::MeshFrame& out) {
   const View& view = views.front();
-  const mesh::Vertices& now_mm = skin.vertices_mm();
-  const Eigen::Isometry3d rig_from_head = fit::align_rigidly(rest_mm, now_mm.cast<double>(), rigid_weights);
+  const Eigen::Isometry3d rig_from_head =
+      fit::align_rigidly(rest_mm, vertices_mm.cast<double>(), rigid_weights);
+  out.state = mesh::TrackingState::Tracking;
   out.subject = subject;
   out.camera = intrinsics_of(view.camera->lens);
   out.camera_from_head = (view.camera->lens.camera_from_rig * rig_from_head).cast<float>();
-  out.control_vertices_mm = (rig_from_head.inverse() * now_mm.cast<double>()).cast<float>();
+  out.control_vertices_mm = (rig_from_head.inverse() * vertices_mm.cast<double>()).cast<float>();
   out.expression.assign(model->expression_names.size(), 0.0F);
-  const Eigen::VectorXd& expression = skin.expression();
   for (Eigen::Index e = 0; e < std::min<Eigen::Index>(expression.size(), std::ssize(out.expression)); ++e) {
     out.expression[static_cast<std::size_t>(e)] = static_cast<float>(std::clamp(expression[e], 0.0, 1.0));
   }
   out.albedo = texture.latest();
+}
+
+/// No mesh of this slot, and why.
+void PerformanceTracker::Impl::leave_out(const std::string& missing, mesh::MeshFrame& out) const {
+  out.state = subject != nullptr ? mesh::TrackingState::Lost : mesh::TrackingState::Searching;
+  out.degraded = true;
+  out.degraded_reason = out.degraded_reason.empty() ? missing : out.degraded_reason + "; " + missing;
 }
 
 PerformanceTracker::PerformanceTracker(std::shared_ptr<const face::FaceModel> model,
@@ -306,14 +323,34 @@ void PerformanceTracker::process(const FrameSet& set, std::span<const capture::D
   impl.lost = !missing.empty();
   if (missing.empty()) {
     impl.strangers = 0;
-    out.state = mesh::TrackingState::Tracking;
-    impl.refine(maps, out);
-    impl.fill(out);
+    impl.refine(maps, impl.skin.vertices_mm(), out);
+    impl.paint(out);
+    impl.fill(impl.skin.vertices_mm(), impl.skin.expression(), out);
   } else {
-    out.state = impl.subject != nullptr ? mesh::TrackingState::Lost : mesh::TrackingState::Searching;
-    out.degraded = true;
-    out.degraded_reason = out.degraded_reason.empty() ? missing : out.degraded_reason + "; " + missing;
+    impl.leave_out(missing, out);
   }
+}
+
+void PerformanceTracker::process_between(double fraction, std::span<const capture::DepthMap> maps,
+                                         mesh::MeshFrame& out) {
+  Impl& impl = *impl_;
+  out.camera = intrinsics_of(impl.views.front().camera->lens);
+  out.control_vertices_mm.resize(3, 0);
+  const bool has_both = fraction > 0 && fraction < 1;
+  if (!has_both || impl.subject == nullptr || impl.lost || !impl.skin.follows()) {
+    impl.leave_out(has_both ? "one of the blank slots around it has no mesh" : "no blank slot comes after it",
+                   out);
+    return;
+  }
+  const Clock::time_point begun = Clock::now();
+  const fit::FitReport report = impl.skin.between(fraction, maps, impl.between_mm, impl.expression_between);
+  out.stage_ms.fit_ms = ms_since(begun);
+  if (report.lost) {
+    impl.leave_out(report.lost_because, out);
+    return;
+  }
+  impl.refine(maps, impl.between_mm, out);
+  impl.fill(impl.between_mm, impl.expression_between, out);
 }
 
 void PerformanceTracker::reset() {

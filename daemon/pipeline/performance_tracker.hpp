@@ -18,7 +18,8 @@ namespace facet::pipeline {
 
 /// From the depth maps and the colour pictures of blank slots to one mesh in correspondence: the face is
 /// looked for by its landmarks, the template is placed and fitted, then followed from slot to slot
-/// (docs/template-fit.md). A face that is lost is looked for again. One thread at a time, on the CPU.
+/// (docs/template-fit.md). A face that is lost is looked for again. Slots with stripes between blank ones
+/// get a mesh by their depth maps. One thread at a time, on the CPU.
 class PerformanceTracker {
  public:
   /// rig: one colour camera at least. points: where the first person's face is in their slot, of cameras of
@@ -33,6 +34,11 @@ class PerformanceTracker {
   /// out: state, subject, pose, expression and vertices, as seen by the rig's first colour camera; the times
   /// of landmarks and fit. Says in degraded_reason what was missing.
   void process(const FrameSet& set, std::span<const capture::DepthMap> maps, mesh::MeshFrame& out);
+
+  /// A slot with stripes between the last two that `process` was given, after the later one. fraction: of the
+  /// time from the one to the other; not between 0 and 1: no blank slot has come after it, and there is no
+  /// mesh. maps, out: as above, without landmarks; the albedo is the latest.
+  void process_between(double fraction, std::span<const capture::DepthMap> maps, mesh::MeshFrame& out);
 
   /// Forgets the person; the next slots are searched for a face.
   void reset();

@@ -50,6 +50,7 @@ struct Config {
   pipeline::RigConfig rig;             ///< modes Frames and Booth
   stereo::DepthRange booth_depths;     ///< BoothConfig::depths
   std::filesystem::path rig_file;      ///< mode Booth
+  bool booth_every_slot = false;       ///< BoothConfig::every_slot
   BoothRecord booth_record = BoothRecord::Pictures;
   bool exit_at_end = false;  ///< or where the source fails
   bool wait_for_reader = false;

@@ -179,6 +179,58 @@ TEST(SkinTracker, GoesOnWithThePicturesThatThereAre) {
   EXPECT_LT(drift_mm(tracker, performance(7)), 1);
 }
 
+TEST(SkinTracker, GoesBetweenTwoSlotsOnDepthAlone) {
+  SkinTracker tracker(surface(), colour_lenses(), {});
+  const mesh::Vertices before_mm = performance(0);
+  const mesh::Vertices after_mm = performance(1);
+  // Half way the skin bulges by 2 mm, which neither of the slots around it shows.
+  mesh::Vertices truth_mm = (before_mm + after_mm) / 2;
+  for (Eigen::Index v = 0; v < truth_mm.cols(); ++v) {
+    const Vector3f at = surface()->neutral_mm.col(v);
+    truth_mm.col(v).z() += 2 * std::exp(-(at - Vector3f(10, -10, at.z())).squaredNorm() / 600);
+  }
+  mesh::Vertices settled_mm;
+  Eigen::VectorXd expression;
+  EXPECT_FALSE(tracker.follows());
+  tracker.start(placed_well(), depths_of(before_mm), pictures_of(before_mm, skin(1)));
+  EXPECT_FALSE(tracker.follows()) << "there is nothing before it";
+  EXPECT_THROW(tracker.between(0.5, depths_of(truth_mm), settled_mm, expression), Error);
+  tracker.follow(depths_of(after_mm), pictures_of(after_mm, skin(1)));
+  ASSERT_TRUE(tracker.follows());
+  const mesh::Vertices now_mm = tracker.vertices_mm();
+  const FitReport report = tracker.between(0.5, depths_of(truth_mm), settled_mm, expression);
+  EXPECT_FALSE(report.lost) << report.lost_because;
+  EXPECT_EQ(expression.size(), tracker.expression().size());
+  EXPECT_EQ(tracker.vertices_mm(), now_mm) << "the slots around it stay as they were";
+  const mesh::Vertices way_mm = (before_mm + after_mm) / 2;
+  const render::Raycaster truth(truth_mm, surface()->triangles);
+  double off = 0;
+  double off_the_way = 0;
+  double from_skin = 0;
+  double way_from_skin = 0;
+  int count = 0;
+  for (Eigen::Index v = 0; v < truth_mm.cols(); ++v) {
+    const Vector3f at = surface()->neutral_mm.col(v);
+    if (surface()->is_skin[static_cast<std::size_t>(v)] != 0 && at.z() > 0 && at.head<2>().norm() < 35) {
+      off += static_cast<double>(truth.closest_point(settled_mm.col(v), 20).distance_mm);
+      off_the_way += static_cast<double>(truth.closest_point(way_mm.col(v), 20).distance_mm);
+      from_skin += static_cast<double>((settled_mm.col(v) - truth_mm.col(v)).norm());
+      way_from_skin += static_cast<double>((way_mm.col(v) - truth_mm.col(v)).norm());
+      ++count;
+    }
+  }
+  ASSERT_GT(count, 100);
+  EXPECT_GT(off_the_way / count, 0.5);
+  EXPECT_LT(off / count, 0.1);
+  EXPECT_LT(from_skin, 0.8 * way_from_skin) << "along the surface nothing is known";
+
+  // Without depth it is the way between, and says so.
+  EXPECT_TRUE(tracker.between(0.25, {}, settled_mm, expression).lost);
+  EXPECT_TRUE(settled_mm.isApprox(tracker.vertices_mm() / 4 + 3 * placed_well().rest.vertices_mm / 4, 1e-2F));
+  EXPECT_TRUE(tracker.follow({}, pictures_of(after_mm, skin(1))).lost);
+  EXPECT_FALSE(tracker.follows());
+}
+
 TEST(SkinTracker, WrongUseIsNamed) {
   SkinTracker tracker(surface(), colour_lenses(), {});
   const mesh::Vertices first_mm = performance(0);

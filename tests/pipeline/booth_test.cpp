@@ -436,6 +436,30 @@ TEST_F(Booth, EveryBlankSlotBecomesAMesh) {
   EXPECT_EQ(status_.subjects, 1U);
 }
 
+TEST_F(Booth, EverySlotBetweenBlankOnesBecomesAMesh) {
+  write_half_a_rig();
+  config_.every_slot = true;
+  run(footage_->sets);
+  ASSERT_EQ(frames_.size(), kSlots) << status_.reason;
+  for (std::size_t i = 0; i < kSlots; ++i) {
+    const mesh::MeshFrame& frame = *frames_[i];
+    EXPECT_EQ(frame.sequence, kFirst + i);
+    EXPECT_EQ(frame.timestamp_ns, footage_->sets[i].trigger_ns);
+    if (i >= 2 && i <= 5) {
+      ASSERT_EQ(frame.state, mesh::TrackingState::Tracking) << i << ": " << frame.degraded_reason;
+      EXPECT_LT(distance_to_truth(frame), 1) << "one pair does not see all of it";
+      EXPECT_EQ(frame.subject->id, frames_[2]->subject->id);
+      EXPECT_FALSE(frame.displacements_mm.empty());
+    } else {
+      EXPECT_NE(frame.state, mesh::TrackingState::Tracking);
+      EXPECT_EQ(frame.control_vertices_mm.cols(), 0);
+      EXPECT_THAT(frame.degraded_reason, HasSubstr("blank slot"));
+    }
+  }
+  EXPECT_EQ(status_.mesh_frames, 4U);
+  EXPECT_EQ(status_.processed, kSlots);
+}
+
 TEST_F(Booth, GoesOnWithoutOnePairsCameraAndWithoutASlot) {
   std::vector<FrameSet> sets(footage_->sets.begin(), footage_->sets.begin() + 5);
   sets.erase(sets.begin() + 3);  // slot 153
