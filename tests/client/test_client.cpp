@@ -11,7 +11,6 @@
 #include <chrono>
 #include <cstring>
 #include <fstream>
-#include <functional>
 #include <memory>
 #include <sstream>
 #include <thread>
@@ -21,6 +20,7 @@
 #include "stream/framing.hpp"
 #include "stream/server.hpp"
 #include "support/child_process.hpp"
+#include "support/eventually.hpp"
 #include "support/mesh_frames.hpp"
 #include "support/paths.hpp"
 
@@ -28,6 +28,7 @@ namespace facet::stream {
 namespace {
 
 using namespace std::chrono_literals;
+using test::eventually;
 using testing::HasSubstr;
 
 // How long a test waits before it gives up on something that must come; passing never takes it.
@@ -41,17 +42,6 @@ using CClient = std::unique_ptr<facet_client, Free>;
 
 bool same_bits(const float* got, const float* expected, std::size_t count) {
   return std::memcmp(got, expected, count * sizeof(float)) == 0;
-}
-
-bool eventually(const std::function<bool()>& holds) {
-  const auto end = std::chrono::steady_clock::now() + kPatience;
-  while (!holds()) {
-    if (std::chrono::steady_clock::now() > end) {
-      return false;
-    }
-    std::this_thread::sleep_for(1ms);
-  }
-  return true;
 }
 
 class Client : public testing::Test {

@@ -13,6 +13,9 @@
 
 #include "daemon_fixture.hpp"
 #include "facet/error.hpp"
+#include "stream/client.hpp"
+#include "stream/ring_layout.h"
+#include "support/eventually.hpp"
 
 namespace facet::service {
 namespace {
@@ -148,7 +151,14 @@ TEST_F(Daemon, ServesMetrics) {
   const std::string log = daemon->output();
   ASSERT_TRUE(std::regex_search(log, port, std::regex("metrics on http://127.0.0.1:([0-9]+)/metrics")))
       << log;
-  EXPECT_THAT(scrape(std::stoi(port[1])), HasSubstr("facet_camera_state{camera=\"right\",state="));
+  const int at = std::stoi(port[1]);
+  EXPECT_THAT(scrape(at), HasSubstr("\nfacet_stream_ring_readers 0"));
+  stream::Subscription subscription;
+  subscription.ring_version = FACET_RING_VERSION;
+  const stream::StreamClient reader(folder_.path() / "stream.sock", subscription);
+  EXPECT_TRUE(test::eventually(
+      [&] { return scrape(at).find("\nfacet_stream_ring_readers 1") != std::string::npos; }));
+  EXPECT_THAT(scrape(at), HasSubstr("facet_camera_state{camera=\"right\",state="));
   ask("shutdown");
   expect_clean_end(*daemon);
 }

@@ -6,7 +6,6 @@
 #include <algorithm>
 #include <atomic>
 #include <chrono>
-#include <functional>
 #include <optional>
 #include <thread>
 #include <vector>
@@ -16,6 +15,7 @@
 #include "stream/encoder.hpp"
 #include "stream/framing.hpp"
 #include "stream/server.hpp"
+#include "support/eventually.hpp"
 #include "support/mesh_frames.hpp"
 #include "support/paths.hpp"
 
@@ -23,22 +23,11 @@ namespace facet::stream {
 namespace {
 
 using namespace std::chrono_literals;
+using test::eventually;
 using testing::HasSubstr;
 
 // How long a test waits before it gives up on something that must come; passing never takes it.
 constexpr auto kPatience = 60s;
-
-/// Waits until `holds`; false when patience is over.
-bool eventually(const std::function<bool()>& holds) {
-  const auto end = std::chrono::steady_clock::now() + kPatience;
-  while (!holds()) {
-    if (std::chrono::steady_clock::now() > end) {
-      return false;
-    }
-    std::this_thread::sleep_for(1ms);
-  }
-  return true;
-}
 
 /// A peer that speaks the protocol by hand, to misbehave where StreamClient can't.
 class RawPeer {

@@ -6,6 +6,7 @@
 #include <signal.h>
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <cmath>
 #include <cstring>
@@ -25,7 +26,11 @@
 #include "render/renderer.hpp"
 #include "simulation/booth.hpp"
 #include "simulation/lossless_video.hpp"
+#include "stream/client.hpp"
+#include "stream/ring_layout.h"
+#include "stream/server.hpp"
 #include "support/child_process.hpp"
+#include "support/eventually.hpp"
 #include "support/mesh_frames.hpp"
 #include "support/paths.hpp"
 #include "support/videos.hpp"
@@ -481,6 +486,75 @@ TEST_F(CommandWithAssets, ABoothsInputThatIsNoneIsTold) {
   EXPECT_EQ(process(file("rig.toml"), pictures, {"--device", "none"}), static_cast<int>(ErrorKind::Usage));
   EXPECT_THAT(output_, HasSubstr("Vulkan"));
   EXPECT_FALSE(take_exists());
+}
+
+/// A stream server that publishes a frame every 2 ms.
+class Watching : public Command {
+ protected:
+  Watching() {
+    stream::StreamServerConfig config;
+    config.socket = file("stream.sock");
+    server_ = std::make_unique<stream::StreamServer>(config);
+    server_->start();
+    publisher_ = std::thread([this] {
+      const auto subject = test::patch_subject();
+      for (std::uint64_t sequence = 0; !done_.load(); ++sequence) {
+        server_->publish(std::make_shared<mesh::MeshFrame>(test::patch_frame(sequence, subject, nullptr)));
+        std::this_thread::sleep_for(std::chrono::milliseconds(2));
+      }
+    });
+  }
+  ~Watching() override {
+    done_.store(true);
+    publisher_.join();
+  }
+  std::size_t ring_readers() const {
+    const auto readers = server_->statistics().readers;
+    return static_cast<std::size_t>(
+        std::count_if(readers.begin(), readers.end(), [](const auto& reader) { return reader.ring; }));
+  }
+
+  std::unique_ptr<stream::StreamServer> server_;
+  std::atomic<bool> done_{false};
+  std::thread publisher_;
+};
+
+TEST_F(Watching, ReadsFramesFromTheSocketAndFromTheRing) {
+  for (const bool ring : {false, true}) {
+    std::vector<std::string> arguments = {"watch", "--socket", file("stream.sock"), "--frames",
+                                          "3",     "--json",   "--save-last",       file("last.ply")};
+    if (ring) {
+      arguments.emplace_back("--ring");
+    }
+    ASSERT_EQ(run(arguments), 0) << output_;
+    EXPECT_THAT(output_, HasSubstr(ring ? "3 frames received by ring" : "3 frames received, "));
+    EXPECT_THAT(output_, HasSubstr("\"expression\""));
+    EXPECT_GT(std::filesystem::file_size(file("last.ply")), 1000U);
+    std::filesystem::remove(file("last.ply"));
+  }
+  EXPECT_EQ(run({"watch", "--socket", file("stream.sock"), "--ring", "--save-images", file("pictures")}),
+            static_cast<int>(ErrorKind::Usage));
+  EXPECT_EQ(run({"watch", "--socket", file("nobody.sock")}), static_cast<int>(ErrorKind::Unavailable));
+}
+
+TEST_F(Watching, AKilledReaderOfTheRingHarmsNobody) {
+  stream::Subscription subscription;
+  subscription.ring_version = FACET_RING_VERSION;
+  stream::StreamClient other(file("stream.sock"), subscription);
+  ChildProcess killed(FACET_PROGRAM, {"watch", "--socket", file("stream.sock"), "--ring", "--json"},
+                      folder_.path() / "killed.log");
+  ASSERT_TRUE(test::eventually([&] { return ring_readers() == 2; }));
+  ASSERT_TRUE(test::eventually([&] { return killed.output().size() > 1000; })) << "it reads";
+  killed.send(SIGKILL);
+  killed.wait();
+  EXPECT_TRUE(test::eventually([&] { return ring_readers() == 1; }));
+  stream::DecodedFrame frame;
+  std::uint64_t last = 0;
+  for (int i = 0; i < 50; ++i) {
+    ASSERT_EQ(other.next(frame, std::chrono::seconds(60)), stream::ReceiveOutcome::Received);
+    EXPECT_TRUE(i == 0 || frame.frame.sequence > last);
+    last = frame.frame.sequence;
+  }
 }
 
 /// Rendered, recorded by facetd, made into meshes, drawn: on what a user of `facet booth-demo` gets.
