@@ -89,6 +89,7 @@ class V4l2Camera final : public Camera {
   bool started_ = false;
   bool stopped_ = false;
   std::unique_ptr<V4l2Device> device_;
+  std::unique_ptr<V4l2Device> gone_;  ///< was unplugged, not closed yet
   JpegDecoder jpeg_;
   std::shared_ptr<PixelBuffers> pool_ = std::make_shared<PixelBuffers>();
   std::int64_t retry_ns_ = 0;      ///< while there is no device: when it is opened again
@@ -161,6 +162,7 @@ void V4l2Camera::wind_watchdog() {
 void V4l2Camera::stop() {
   stopped_ = true;
   device_.reset();
+  gone_.reset();
   set_state(CameraState::Idle, "");
 }
 
@@ -219,8 +221,10 @@ CaptureOutcome V4l2Camera::next(Frame& out, std::chrono::milliseconds timeout) {
   return CaptureOutcome::Timeout;
 }
 
-/// Closes the device; it is opened again after a pause.
+/// Lets go of the device; it is opened again after a pause. One that is gone is closed only then: kernels
+/// (6.1, uvcvideo) may die of a close while they still take the device down.
 void V4l2Camera::give_up(CameraState state, const std::string& reason) {
+  gone_ = state == CameraState::Absent ? std::move(device_) : nullptr;
   device_.reset();
   std::int64_t pause_ns = kAbsentPause_ns;
   if (state != CameraState::Absent) {
@@ -239,6 +243,7 @@ bool V4l2Camera::reopen(std::int64_t deadline_ns) {
       return false;
     }
   }
+  gone_.reset();
   auto device = std::make_unique<V4l2Device>(kernel_, config_.device.string());
   device->start(config_);
   device_ = std::move(device);

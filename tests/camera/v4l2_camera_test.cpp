@@ -65,6 +65,10 @@ class V4l2CameraTest : public testing::Test {
     EXPECT_EQ(status().state, state) << to_string(status().state);
     EXPECT_THAT(status().reason, HasSubstr(reason));
     EXPECT_THAT(camera_->last_error(), HasSubstr(reason));
+    // What was unplugged is closed a moment later.
+    for (int i = 0; i < 10 && state == CameraState::Absent && device_.open_count() > 0; ++i) {
+      camera_->next(frame, 50ms);
+    }
     EXPECT_EQ(device_.open_count(), 0U) << "a broken device is let go";
   }
   /// Calls next until a frame comes; how long that took, on the device's clock.
@@ -616,6 +620,8 @@ TEST_F(V4l2CameraTest, AnUnpluggedDeviceComesBack) {
   device_.at(unplugged_ns, [&] { device_.unplug(); });
   EXPECT_EQ(camera_->next(frame, 10s), CaptureOutcome::Timeout);
   EXPECT_EQ(device_.now_ns, unplugged_ns) << "noticed at once";
+  EXPECT_EQ(status().state, CameraState::Absent);
+  EXPECT_EQ(device_.open_count(), 1U) << "not closed while the kernel takes it down";
   expect_fault(CameraState::Absent, "/dev/video0: no such device");
   device_.at(device_.now_ns + 20 * kSecond_ns, [&] { device_.present = true; });
   EXPECT_LT(recover(frame), 20 * kSecond_ns + 500 * kMillisecond_ns);
