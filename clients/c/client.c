@@ -140,7 +140,7 @@ static int bad_data(facet_client* client, const char* what) {
   return lost(client, FACET_BAD_DATA);
 }
 
-/* ---- the socket ----------------------------------------------------------------------------------------------- */
+/* the socket */
 
 static int connect_now(facet_client* client) {
   client->fd = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
@@ -157,13 +157,15 @@ static int subscribe(facet_client* client) {
   uint8_t message[WIRE_HEADER_BYTES + WIRE_MAX_SUBSCRIBE_BYTES];
   const uint32_t magic = WIRE_MAGIC;
   const uint32_t ring_version = (client->flags & FACET_WANT_RING) != 0 ? FACET_RING_VERSION : 0;
-  const uint32_t length = (uint32_t)wire_subscribe(message + WIRE_HEADER_BYTES, client->profile,
-                                                   (client->flags & FACET_WANT_ALBEDO) != 0, client->name, ring_version);
+  const uint32_t length =
+      (uint32_t)wire_subscribe(message + WIRE_HEADER_BYTES, client->profile,
+                               (client->flags & FACET_WANT_ALBEDO) != 0, client->name, ring_version);
   memcpy(message, &magic, 4);
   memcpy(message + 4, &length, 4);
   client->subscribed = 1;
   /* The socket's buffer is empty: a request goes as a whole or not at all. */
-  if (send(client->fd, message, WIRE_HEADER_BYTES + length, MSG_NOSIGNAL) != (ssize_t)(WIRE_HEADER_BYTES + length)) {
+  if (send(client->fd, message, WIRE_HEADER_BYTES + length, MSG_NOSIGNAL) !=
+      (ssize_t)(WIRE_HEADER_BYTES + length)) {
     say(client, "the connection to '%s' broke: %s", client->address.sun_path, strerror(errno));
     return lost(client, FACET_CLOSED);
   }
@@ -171,7 +173,8 @@ static int subscribe(facet_client* client) {
 }
 
 static void take_descriptors(facet_client* client, struct msghdr* message) {
-  for (struct cmsghdr* header = CMSG_FIRSTHDR(message); header != NULL; header = CMSG_NXTHDR(message, header)) {
+  for (struct cmsghdr* header = CMSG_FIRSTHDR(message); header != NULL;
+       header = CMSG_NXTHDR(message, header)) {
     if (header->cmsg_level != SOL_SOCKET || header->cmsg_type != SCM_RIGHTS) {
       continue;
     }
@@ -240,8 +243,8 @@ static int receive_message(facet_client* client) {
     size_t received = 0;
     int outcome;
     if (client->header_filled < WIRE_HEADER_BYTES) {
-      outcome = receive_some(client, client->header + client->header_filled, WIRE_HEADER_BYTES - client->header_filled,
-                             &received);
+      outcome = receive_some(client, client->header + client->header_filled,
+                             WIRE_HEADER_BYTES - client->header_filled, &received);
       client->header_filled += received;
       if (outcome == FACET_OK && client->header_filled == WIRE_HEADER_BYTES) {
         uint32_t magic;
@@ -287,7 +290,7 @@ static void keep(facet_client* client, struct buffer* kept) {
   client->incoming.size = 0;
 }
 
-/* ---- the ring ------------------------------------------------------------------------------------------------- */
+/* the ring */
 
 static uint64_t load_word(const uint8_t* memory) {
   return __atomic_load_n((const uint64_t*)(const void*)memory, __ATOMIC_RELAXED);
@@ -342,7 +345,8 @@ static int intact(const struct ring* ring) {
 }
 
 /* Copies slot and head of a publication. 1: whole; 0: it was being written; -1: no memory. */
-static int copy_head(struct ring* ring, uint64_t publication, struct facet_ring_slot* slot, struct buffer* head) {
+static int copy_head(struct ring* ring, uint64_t publication, struct facet_ring_slot* slot,
+                     struct buffer* head) {
   const uint8_t* from = slot_of(ring, publication);
   uint64_t words[sizeof(*slot) / 8];
   words[0] = load_word(from);
@@ -443,7 +447,7 @@ static int next_of_ring(facet_client* client) {
   return FACET_OK;
 }
 
-/* ---- messages ------------------------------------------------------------------------------------------------- */
+/* messages */
 
 static int accept_hello(facet_client* client) {
   uint32_t version = 0;
@@ -521,7 +525,7 @@ static int accept_message(facet_client* client) {
   return wrong == NULL ? AGAIN : bad_data(client, wrong);
 }
 
-/* ---- the interface -------------------------------------------------------------------------------------------- */
+/* the interface */
 
 facet_client* facet_client_new(const char* socket_path, int profile, unsigned flags, const char* name) {
   const char* path = socket_path != NULL ? socket_path : FACET_DEFAULT_SOCKET;
@@ -627,9 +631,13 @@ int facet_client_next(facet_client* client, int timeout_ms) {
   }
 }
 
-const char* facet_client_message(const facet_client* client) { return client->message; }
+const char* facet_client_message(const facet_client* client) {
+  return client->message;
+}
 
-const facet_frame* facet_client_frame(const facet_client* client) { return client->has_frame ? &client->frame : NULL; }
+const facet_frame* facet_client_frame(const facet_client* client) {
+  return client->has_frame ? &client->frame : NULL;
+}
 
 const facet_subject* facet_client_subject(const facet_client* client) {
   return client->has_subject ? &client->subject.shown : NULL;
@@ -659,6 +667,10 @@ int facet_client_intact(const facet_client* client) {
   return !client->has_frame || !client->frame.in_ring || intact(&client->ring);
 }
 
-const facet_statistics* facet_client_statistics(const facet_client* client) { return &client->statistics; }
+const facet_statistics* facet_client_statistics(const facet_client* client) {
+  return &client->statistics;
+}
 
-const char* facet_client_version(void) { return FACET_VERSION; }
+const char* facet_client_version(void) {
+  return FACET_VERSION;
+}

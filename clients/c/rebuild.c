@@ -66,8 +66,8 @@ static void apply(const struct wire_level* level, const float* in, float* out) {
   }
 }
 
-/* Area-weighted unit normals (eq. 5 of Ma & Deng 2019 at d = 0); 0 where a vertex has no area. Operation by operation as
- * mesh::vertex_normals: the same bits. */
+/* Area-weighted unit normals (eq. 5 of Ma & Deng 2019 at d = 0); 0 where a vertex has no area. Operation by
+ * operation as mesh::vertex_normals: the same bits. */
 static void vertex_normals(const float* vertices, const facet_subject* subject, float* normals) {
   memset(normals, 0, (size_t)subject->vertex_count * 3 * sizeof(float));
   for (size_t t = 0; t < subject->triangle_count; ++t) {
@@ -92,8 +92,7 @@ static void vertex_normals(const float* vertices, const facet_subject* subject, 
   }
   for (size_t v = 0; v < subject->vertex_count; ++v) {
     float* normal = normals + 3 * v;
-    const float length =
-        sqrtf(fmaf(normal[0], normal[0], fmaf(normal[2], normal[2], normal[1] * normal[1])));
+    const float length = sqrtf(fmaf(normal[0], normal[0], fmaf(normal[2], normal[2], normal[1] * normal[1])));
     if (length > 0) {
       normal[0] /= length;
       normal[1] /= length;
@@ -102,7 +101,8 @@ static void vertex_normals(const float* vertices, const facet_subject* subject, 
   }
 }
 
-static void displace(const float* displacements_mm, const float* normals, size_t vertex_count, float* vertices) {
+static void displace(const float* displacements_mm, const float* normals, size_t vertex_count,
+                     float* vertices) {
   for (size_t v = 0; v < vertex_count; ++v) {
     for (size_t i = 0; i < 3; ++i) {
       vertices[3 * v + i] = fmaf(normals[3 * v + i], displacements_mm[v], vertices[3 * v + i]);
@@ -122,8 +122,8 @@ static int rebuild(const facet_frame* frame, const struct wire_subject* subject,
   }
   float* coarser = memory->positions[0];
   float* finer = memory->positions[1];
-  scaled(frame->control_vertices.values, frame->control_vertices.count, frame->control_vertices.step_mm, frame->in_ring,
-         coarser);
+  scaled(frame->control_vertices.values, frame->control_vertices.count, frame->control_vertices.step_mm,
+         frame->in_ring, coarser);
   for (uint32_t l = 0; l < subject->level_count; ++l) {
     apply(&subject->levels[l], coarser, finer);
     float* next = coarser;
@@ -132,7 +132,8 @@ static int rebuild(const facet_frame* frame, const struct wire_subject* subject,
   }
   vertex_normals(coarser, &subject->shown, memory->normals);
   if (frame->displacements.values != NULL) {
-    scaled(frame->displacements.values, frame->displacements.count, frame->displacements.step_mm, frame->in_ring, finer);
+    scaled(frame->displacements.values, frame->displacements.count, frame->displacements.step_mm,
+           frame->in_ring, finer);
     displace(finer, memory->normals, subject->shown.vertex_count, coarser);
     vertex_normals(coarser, &subject->shown, memory->normals);
   }
@@ -149,7 +150,8 @@ int rebuild_mesh(const facet_frame* frame, const struct wire_subject* subject, s
     if (!make_room(memory, subject->shown.vertex_count)) {
       return FACET_OUT_OF_MEMORY;
     }
-    scaled(frame->vertices.values, frame->vertices.count, frame->vertices.step_mm, frame->in_ring, memory->positions[0]);
+    scaled(frame->vertices.values, frame->vertices.count, frame->vertices.step_mm, frame->in_ring,
+           memory->positions[0]);
     scaled(frame->normals, frame->vertices.count, 1.0F / 32767.0F, frame->in_ring, memory->normals);
     out->vertices_mm = memory->positions[0];
   } else {

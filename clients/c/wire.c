@@ -7,7 +7,7 @@
 #error "numbers are read as they lie in memory: little-endian machines only"
 #endif
 
-/* ---- FlatBuffers, as far as these messages need them --------------------------------------------------------- */
+/* FlatBuffers, as far as these messages need them */
 
 /* What is read from. Once `wrong` is set, every reading gives nothing. */
 struct reader {
@@ -95,7 +95,8 @@ static int get_scalar(struct reader* in, const struct table* table, unsigned id,
   return at != 0;
 }
 
-/* Where the offset at `at` leads; 0: nowhere. In a vector it may be 0 (FlatBuffers' own verifier lets that pass). */
+/* Where the offset at `at` leads; 0: nowhere. In a vector it may be 0 (FlatBuffers' own verifier lets that
+ * pass). */
 static size_t follow_element(struct reader* in, size_t at) {
   const size_t offset = get_u32(in, at);
   return in->wrong == NULL && inside(in, at + offset, 4) ? at + offset : 0;
@@ -130,8 +131,8 @@ static struct vector vector_at(struct reader* in, size_t at, size_t element_byte
   return out;
 }
 
-static struct vector get_vector(struct reader* in, const struct table* table, unsigned id, size_t element_bytes,
-                                size_t alignment) {
+static struct vector get_vector(struct reader* in, const struct table* table, unsigned id,
+                                size_t element_bytes, size_t alignment) {
   struct vector none = {NULL, 0};
   const size_t field = get_field(in, table, id, 4);
   const size_t at = field != 0 ? follow(in, field) : 0;
@@ -157,8 +158,12 @@ static const char* get_string(struct reader* in, const struct table* table, unsi
 }
 
 /* The vectors below were checked for alignment to their numbers when they were found. */
-static const float* floats(struct vector in) { return (const float*)(const void*)in.data; }
-static const uint32_t* indices(struct vector in) { return (const uint32_t*)(const void*)in.data; }
+static const float* floats(struct vector in) {
+  return (const float*)(const void*)in.data;
+}
+static const uint32_t* indices(struct vector in) {
+  return (const uint32_t*)(const void*)in.data;
+}
 
 static int all_finite(const float* values, size_t count) {
   for (size_t k = 0; k < count; ++k) {
@@ -199,7 +204,7 @@ int wire_kind(const uint8_t* message, size_t size) {
   return in.wrong == NULL ? (int)type.at : WIRE_BROKEN;
 }
 
-/* ---- small messages ------------------------------------------------------------------------------------------- */
+/* small messages */
 
 enum { MAX_TEXT_BYTES = 1024, MAX_STENCIL_ENTRIES_PER_ROW = 64, MAX_LANDMARKS = 4096 };
 
@@ -234,15 +239,18 @@ const char* wire_ring(const uint8_t* message, size_t size, uint32_t* version) {
   return in.wrong;
 }
 
-/* ---- subject and albedo --------------------------------------------------------------------------------------- */
+/* subject and albedo */
 
-static void read_stencils(struct reader* in, const struct table* table, uint32_t coarser, struct wire_level* out) {
+static void read_stencils(struct reader* in, const struct table* table, uint32_t coarser,
+                          struct wire_level* out) {
   const struct vector offsets = get_vector(in, table, 0, 4, 4);
   const struct vector columns = get_vector(in, table, 1, 4, 4);
   const struct vector weights = get_vector(in, table, 2, 4, 4);
-  require(in, offsets.data != NULL && columns.data != NULL && weights.data != NULL, "a level has no stencils");
+  require(in, offsets.data != NULL && columns.data != NULL && weights.data != NULL,
+          "a level has no stencils");
   require(in, offsets.count == (size_t)out->vertex_count + 1, "stencils: number of rows");
-  require(in, columns.count <= (size_t)MAX_STENCIL_ENTRIES_PER_ROW * out->vertex_count, "stencils: too many entries");
+  require(in, columns.count <= (size_t)MAX_STENCIL_ENTRIES_PER_ROW * out->vertex_count,
+          "stencils: too many entries");
   require(in, weights.count == columns.count, "stencils: numbers of columns and weights differ");
   if (in->wrong != NULL) {
     return;
@@ -250,7 +258,8 @@ static void read_stencils(struct reader* in, const struct table* table, uint32_t
   out->row_offsets = indices(offsets);
   out->columns = indices(columns);
   out->weights = floats(weights);
-  require(in, out->row_offsets[0] == 0 && out->row_offsets[out->vertex_count] == columns.count, "stencils: row offsets");
+  require(in, out->row_offsets[0] == 0 && out->row_offsets[out->vertex_count] == columns.count,
+          "stencils: row offsets");
   for (uint32_t row = 0; row < out->vertex_count && in->wrong == NULL; ++row) {
     const uint32_t first = out->row_offsets[row];
     const uint32_t end = out->row_offsets[row + 1];
@@ -272,10 +281,13 @@ static void read_level(struct reader* in, const struct table* table, uint32_t co
   get_scalar(in, table, 0, &level->vertex_count, sizeof(level->vertex_count));
   require(in, level->vertex_count > 0 && level->vertex_count <= WIRE_MAX_VERTICES, "level: vertex count");
   const struct vector triangles = get_vector(in, table, 1, 4, 4);
-  require(in, triangles.data != NULL && triangles.count % 3 == 0 && triangles.count / 3 <= 2 * WIRE_MAX_VERTICES + 2,
-          "level: triangle count");
+  require(
+      in,
+      triangles.data != NULL && triangles.count % 3 == 0 && triangles.count / 3 <= 2 * WIRE_MAX_VERTICES + 2,
+      "level: triangle count");
   for (size_t k = 0; k < triangles.count && in->wrong == NULL; ++k) {
-    require(in, indices(triangles)[k] < level->vertex_count, "level: triangle names a vertex that is not there");
+    require(in, indices(triangles)[k] < level->vertex_count,
+            "level: triangle names a vertex that is not there");
   }
   if (with_stencils) {
     require(in, get_subtable(in, table, 2, &stencils), "a level has no stencils");
@@ -349,13 +361,14 @@ const char* wire_albedo(const uint8_t* message, size_t size, facet_albedo* out) 
   const struct vector values = get_vector(&in, &body, 3, 2, 2);
   require(&in, out->subject_id != 0 && out->version != 0, "albedo: id or version is 0");
   require(&in, isfinite(out->scale) && out->scale > 0, "albedo: scale");
-  require(&in, values.count % 3 == 0 && values.count <= 3 * (size_t)WIRE_MAX_VERTICES, "albedo: number of values");
+  require(&in, values.count % 3 == 0 && values.count <= 3 * (size_t)WIRE_MAX_VERTICES,
+          "albedo: number of values");
   out->linear_rgb = (const uint16_t*)(const void*)values.data;
   out->vertex_count = values.count / 3;
   return in.wrong;
 }
 
-/* ---- frames --------------------------------------------------------------------------------------------------- */
+/* frames */
 
 /* p_camera = R p_head + t: R must be a rotation. */
 static int is_pose(float pose[3][4]) {
@@ -379,8 +392,9 @@ static int is_pose(float pose[3][4]) {
 }
 
 /* Numbers with their step, out of the message or of the slot. 1 where the field is there. */
-static int read_fixed_point(struct reader* in, const struct table* frame, unsigned id, const struct wire_array* array,
-                            size_t count, facet_fixed_point* out, const char* what) {
+static int read_fixed_point(struct reader* in, const struct table* frame, unsigned id,
+                            const struct wire_array* array, size_t count, facet_fixed_point* out,
+                            const char* what) {
   struct table table;
   if (!get_subtable(in, frame, id, &table)) {
     return 0;
@@ -410,20 +424,24 @@ static void read_geometry(struct reader* in, const struct table* frame, const fa
   }
   const size_t finest = subject->vertex_count;
   if (finest == 0) {
-    require(in, get_field(in, frame, 16, 4) == 0 && get_field(in, frame, 17, 4) == 0 && get_field(in, frame, 18, 4) == 0 &&
-                    get_field(in, frame, 20, 4) == 0,
+    require(in,
+            get_field(in, frame, 16, 4) == 0 && get_field(in, frame, 17, 4) == 0 &&
+                get_field(in, frame, 18, 4) == 0 && get_field(in, frame, 20, 4) == 0,
             "frame: geometry for a subject without topology");
     return;
   }
   if (subject->control_vertex_count > 0) {
     require(in,
-            read_fixed_point(in, frame, 16, of[FACET_RING_CONTROL_VERTICES], 3 * (size_t)subject->control_vertex_count,
-                             &out->control_vertices, "frame: control vertices"),
+            read_fixed_point(in, frame, 16, of[FACET_RING_CONTROL_VERTICES],
+                             3 * (size_t)subject->control_vertex_count, &out->control_vertices,
+                             "frame: control vertices"),
             "frame: control vertices");
-    read_fixed_point(in, frame, 17, of[FACET_RING_DISPLACEMENTS], finest, &out->displacements, "frame: displacements");
+    read_fixed_point(in, frame, 17, of[FACET_RING_DISPLACEMENTS], finest, &out->displacements,
+                     "frame: displacements");
   } else {
     require(in,
-            read_fixed_point(in, frame, 18, of[FACET_RING_VERTICES], 3 * finest, &out->vertices, "frame: vertices"),
+            read_fixed_point(in, frame, 18, of[FACET_RING_VERTICES], 3 * finest, &out->vertices,
+                             "frame: vertices"),
             "frame: vertices");
     out->normals = numbers_of(in, frame, 19, 2, of[FACET_RING_NORMALS], 3 * finest, "frame: normals");
     require(in, out->normals != NULL, "frame: normals");
@@ -434,8 +452,10 @@ static void read_geometry(struct reader* in, const struct table* frame, const fa
 static void read_mesh_part(struct reader* in, const struct table* frame, const struct wire_subject* subject,
                            const struct wire_array* arrays, facet_frame* out) {
   require(in, subject != NULL && subject->shown.id == out->subject_id, "frame: its subject was not sent");
-  require(in, get_scalar(in, frame, 10, out->camera_from_head, sizeof(out->camera_from_head)), "frame: mesh without pose");
-  require(in, in->wrong != NULL || is_pose(out->camera_from_head), "frame: pose is not a rotation and a translation");
+  require(in, get_scalar(in, frame, 10, out->camera_from_head, sizeof(out->camera_from_head)),
+          "frame: mesh without pose");
+  require(in, in->wrong != NULL || is_pose(out->camera_from_head),
+          "frame: pose is not a rotation and a translation");
   require(in, get_scalar(in, frame, 14, out->lighting, sizeof(out->lighting)) && all_finite(out->lighting, 9),
           "frame: lighting");
   const struct vector expression = get_vector(in, frame, 11, 4, 4);
@@ -482,7 +502,8 @@ const char* wire_frame(const uint8_t* message, size_t size, const struct wire_su
   require(&in, state <= FACET_LOST, "frame: unknown tracking state");
   require(&in,
           isfinite(camera.fx) && isfinite(camera.fy) && isfinite(camera.cx) && isfinite(camera.cy) &&
-              camera.width_px >= 0 && camera.width_px <= 65536 && camera.height_px >= 0 && camera.height_px <= 65536,
+              camera.width_px >= 0 && camera.width_px <= 65536 && camera.height_px >= 0 &&
+              camera.height_px <= 65536,
           "frame: camera");
   if (get_subtable(&in, &body, 7, &stages)) {
     get_scalar(&in, &stages, 9, &out->latency_ms, sizeof(out->latency_ms));
@@ -511,11 +532,12 @@ const char* wire_frame(const uint8_t* message, size_t size, const struct wire_su
   return in.wrong;
 }
 
-/* ---- what the client says ------------------------------------------------------------------------------------- */
+/* what the client says */
 
 size_t wire_subscribe(uint8_t out[WIRE_MAX_SUBSCRIBE_BYTES], int profile, int want_albedo, const char* name,
                       uint32_t ring_version) {
-  /* Offsets by hand: root, identifier, Message {type, body} with its vtable, Subscribe with its own, the name. */
+  /* Offsets by hand: root, identifier, Message {type, body} with its vtable, Subscribe with its own, the
+   * name. */
   enum { MESSAGE_VTABLE = 8, MESSAGE = 16, SUBSCRIBE_VTABLE = 28, SUBSCRIBE = 44, NAME = 64 };
   const char* end = memchr(name, 0, WIRE_MAX_NAME_BYTES);
   const size_t name_bytes = end != NULL ? (size_t)(end - name) : WIRE_MAX_NAME_BYTES;

@@ -7,7 +7,8 @@
 int main(int argc, char** argv) {
   const char* socket_path = argc > 1 ? argv[1] : NULL;
   const long frames = argc > 2 ? strtol(argv[2], NULL, 10) : 0;
-  facet_client* client = facet_client_new(socket_path, FACET_SIGNALS, FACET_RECONNECT | FACET_WANT_RING, "print");
+  facet_client* client =
+      facet_client_new(socket_path, FACET_SIGNALS, FACET_RECONNECT | FACET_WANT_RING, "print");
   if (client == NULL) {
     perror("facet_client_new");
     return 1;

@@ -8,8 +8,9 @@ static int write_mesh(FILE* file, const facet_subject* subject, const facet_mesh
     const float* at = mesh->vertices_mm + 3 * v;
     const float* normal = mesh->normals + 3 * v;
     const float* uv = subject->texture_coordinates + 2 * v;
-    fprintf(file, "v %.9g %.9g %.9g\nvt %.9g %.9g\nvn %.9g %.9g %.9g\n", (double)at[0], (double)at[1], (double)at[2],
-            (double)uv[0], (double)uv[1], (double)normal[0], (double)normal[1], (double)normal[2]);
+    fprintf(file, "v %.9g %.9g %.9g\nvt %.9g %.9g\nvn %.9g %.9g %.9g\n", (double)at[0], (double)at[1],
+            (double)at[2], (double)uv[0], (double)uv[1], (double)normal[0], (double)normal[1],
+            (double)normal[2]);
   }
   for (size_t t = 0; t < subject->triangle_count; ++t) {
     const unsigned i = subject->triangles[3 * t] + 1;
