@@ -1,0 +1,360 @@
+// The face in the middle of the page: the newest frame's mesh, drawn by three.js. Draws only what is new, and less of it where
+// the machine is too slow.
+import * as THREE from 'three';
+import { coarserTriangles, edgesOf } from './level_of_detail';
+
+export type View = 'shaded' | 'normals' | 'albedo' | 'wire';
+export const kViews: View[] = ['shaded', 'normals', 'albedo', 'wire'];
+
+/** One frame's mesh as it came, arrays not copied. Positions: head frame, integer * stepMm. */
+export interface FaceMesh {
+  vertices: Int16Array;
+  normals: Int16Array;
+  stepMm: number;
+  /** Rows of camera_from_head: rotation and translation, mm; x right, y down, z forward. */
+  pose: ArrayLike<number>;
+}
+
+const vertexShader = `
+in vec3 position; in vec3 normal; in vec3 color;
+uniform mat4 modelViewMatrix; uniform mat4 projectionMatrix; uniform float step_mm; uniform float albedo_scale;
+out vec3 v_normal; out vec3 v_head_normal; out vec3 v_position; out vec3 v_albedo;
+void main() {
+  vec4 seen = modelViewMatrix * vec4(position * step_mm, 1.0);
+  v_position = seen.xyz;
+  v_head_normal = normal;
+  v_normal = mat3(modelViewMatrix) * normal;
+  v_albedo = color * albedo_scale;
+  gl_Position = projectionMatrix * seen;
+}`;
+
+// Three lights that stand still before the face; wrapped, for skin lets light pass round an edge, red more than blue.
+const fragmentShader = `
+precision highp float;
+in vec3 v_normal; in vec3 v_head_normal; in vec3 v_position; in vec3 v_albedo;
+uniform int view; uniform bool has_albedo; uniform vec3 clay;
+out vec4 colour;
+vec3 lit(vec3 n, vec3 toward, vec3 light, vec3 wrap) {
+  return light * max((vec3(dot(n, toward)) + wrap) / (1.0 + wrap), 0.0);
+}
+float glint(vec3 n, vec3 toward, vec3 eye, float power) {
+  return pow(max(dot(n, normalize(toward + eye)), 0.0), power);
+}
+vec3 srgb(vec3 linear) {
+  vec3 c = clamp(linear, 0.0, 1.0);
+  return mix(12.92 * c, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c));
+}
+void main() {
+  vec3 n = normalize(v_normal);
+  if (!gl_FrontFacing) n = -n;
+  vec3 eye = normalize(-v_position);
+  vec3 albedo = has_albedo ? v_albedo : clay;
+  if (view == 1) { colour = vec4(0.5 + 0.5 * normalize(v_head_normal), 1.0); return; }
+  if (view == 2) { colour = vec4(srgb(albedo), 1.0); return; }
+  if (view == 3) { albedo = vec3(0.035, 0.045, 0.06); }
+  vec3 key = normalize(vec3(-0.55, 0.65, 0.75)), fill = normalize(vec3(0.85, 0.05, 0.55)), rim = normalize(vec3(0.5, 0.5, -0.8));
+  vec3 wrap = view == 3 ? vec3(0.1) : vec3(0.32, 0.18, 0.12);
+  vec3 light = vec3(0.10, 0.115, 0.14) * (0.65 + 0.35 * n.y) + lit(n, key, vec3(1.45, 1.36, 1.25), wrap) + lit(n, fill, vec3(0.30, 0.36, 0.46), wrap);
+  float edge = pow(1.0 - max(dot(n, eye), 0.0), 3.0);
+  vec3 shine = vec3(0.055) * glint(n, key, eye, 28.0) + vec3(0.035) * glint(n, fill, eye, 16.0) + vec3(0.30, 0.38, 0.48) * edge * (0.25 + 0.75 * max(dot(n, rim), 0.0)) * 0.45;
+  vec3 c = albedo * light + shine;
+  colour = vec4(srgb(c / (1.0 + 0.18 * c)), 1.0);
+}`;
+
+const lineShader = `
+precision highp float;
+in vec3 v_normal; in vec3 v_position;
+out vec4 colour;
+void main() {
+  float facing = abs(dot(normalize(v_normal), normalize(-v_position)));
+  colour = vec4(mix(vec3(0.10, 0.30, 0.36), vec3(0.42, 0.86, 0.80), facing), 0.25 + 0.6 * facing);
+}`;
+
+/** How much is drawn: pixels of the screen's own, whether triangles are merged, frames per second at most. */
+interface Detail {
+  pixelRatio: number;
+  cells: number; // across the mesh; 0: every triangle
+  mostRate: number;
+}
+export const kDetails: Detail[] = [
+  { pixelRatio: 2, cells: 0, mostRate: 120 },
+  { pixelRatio: 1, cells: 0, mostRate: 120 },
+  { pixelRatio: 1, cells: 110, mostRate: 60 },
+  { pixelRatio: 0.75, cells: 70, mostRate: 30 },
+  { pixelRatio: 0.5, cells: 48, mostRate: 15 },
+];
+/** A picture that takes longer than this is too slow, one that takes less is fast enough for more detail, ms. */
+const kSlow_ms = 30;
+const kFast_ms = 9;
+const kSlowPictures = 12;
+const kFastPictures = 400;
+
+export class FaceView {
+  private readonly renderer: THREE.WebGLRenderer;
+  private readonly scene = new THREE.Scene();
+  private readonly camera = new THREE.PerspectiveCamera(24, 1, 10, 10000);
+  private readonly head = new THREE.Group();
+  private readonly uniforms = {
+    step_mm: { value: 0.002 }, albedo_scale: { value: 1 }, view: { value: 0 }, has_albedo: { value: false },
+    clay: { value: new THREE.Color().setRGB(0.50, 0.325, 0.255, THREE.LinearSRGBColorSpace) },
+  };
+  private readonly surface: THREE.Mesh;
+  private readonly wire: THREE.LineSegments;
+  private triangles: Uint32Array = new Uint32Array();
+  private vertexCount = 0;
+  private drawnCells = -1;
+  private edgesDrawn = false;
+  private readonly centre = new THREE.Vector3();
+  private radius = 120;
+  private placed = false;
+  private turn = { yaw: 0, pitch: 0, zoom: 1 };
+  private pending = false;
+  private lastDrawn_ms = 0;
+  private slow = 0;
+  private fast = 0;
+  private fallen = 0;
+  detail = 0;
+  /** Drawn by the processor. */
+  readonly software: boolean;
+  view: View = 'shaded';
+  /** Pictures drawn since the start. */
+  drawn = 0;
+
+  /** Throws where there is no WebGL 2. */
+  constructor(private readonly canvas: HTMLCanvasElement, private readonly detailChanged: () => void) {
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true, powerPreference: 'high-performance' });
+    const gl = this.renderer.getContext();
+    const names = gl.getExtension('WEBGL_debug_renderer_info');
+    const device = String(gl.getParameter(names ? names.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
+    this.software = /swiftshader|llvmpipe|softpipe|software/i.test(device);
+    this.detail = this.software ? 3 : 0;
+    const options = { glslVersion: THREE.GLSL3, uniforms: this.uniforms, vertexShader };
+    this.surface = new THREE.Mesh(new THREE.BufferGeometry(), new THREE.RawShaderMaterial({
+      ...options, fragmentShader, side: THREE.DoubleSide, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 }));
+    this.wire = new THREE.LineSegments(new THREE.BufferGeometry(), new THREE.RawShaderMaterial({
+      ...options, fragmentShader: lineShader, transparent: true, depthWrite: false }));
+    for (const object of [this.surface, this.wire]) {
+      object.frustumCulled = false;
+      this.head.add(object);
+    }
+    this.wire.visible = false;
+    this.scene.add(this.head);
+    new ResizeObserver(() => this.request()).observe(canvas);
+    this.listen();
+  }
+
+  /** A new topology: triangles [count][3] of the finest level. */
+  setSubject(triangles: Uint32Array, vertexCount: number): void {
+    this.triangles = triangles;
+    this.vertexCount = vertexCount;
+    this.placed = false;
+    this.drawnCells = -1;
+    this.edgesDrawn = false;
+    this.uniforms.has_albedo.value = false;
+    for (const object of [this.surface, this.wire]) {
+      object.geometry.dispose();
+      object.geometry = new THREE.BufferGeometry();
+    }
+  }
+
+  /** Linear colours [vertex][3] of 65535 = scale; one of another subject is passed over. */
+  setAlbedo(linear: Uint16Array, scale: number): void {
+    if (linear.length !== 3 * this.vertexCount) {
+      return;
+    }
+    this.surface.geometry.setAttribute('color', new THREE.BufferAttribute(linear, 3, true));
+    this.uniforms.albedo_scale.value = scale;
+    this.uniforms.has_albedo.value = true;
+    this.request();
+  }
+
+  setMesh(mesh: FaceMesh): void {
+    if (mesh.vertices.length !== 3 * this.vertexCount || mesh.normals.length !== mesh.vertices.length) {
+      return;
+    }
+    this.uniforms.step_mm.value = mesh.stepMm;
+    const geometry = this.surface.geometry;
+    const position = geometry.getAttribute('position') as THREE.BufferAttribute | undefined;
+    const normal = geometry.getAttribute('normal') as THREE.BufferAttribute | undefined;
+    if (position && normal) {
+      position.array = mesh.vertices;
+      position.needsUpdate = true;
+      normal.array = mesh.normals;
+      normal.needsUpdate = true;
+    } else {
+      const dynamic = (array: Int16Array, normalized: boolean) => {
+        const attribute = new THREE.BufferAttribute(array, 3, normalized);
+        attribute.setUsage(THREE.DynamicDrawUsage);
+        return attribute;
+      };
+      geometry.setAttribute('position', dynamic(mesh.vertices, false));
+      geometry.setAttribute('normal', dynamic(mesh.normals, true));
+      if (!geometry.getAttribute('color')) {
+        geometry.setAttribute('color', new THREE.BufferAttribute(new Uint16Array(3 * this.vertexCount), 3, true));
+      }
+    }
+    if (!this.placed) {
+      this.place(mesh);
+    }
+    // Seen as the camera sees it; the head stays in the middle and only turns. Camera frame to that of the screen: y and z change signs.
+    const r = mesh.pose;
+    const turned = new THREE.Matrix4().set(r[0], r[1], r[2], 0, -r[4], -r[5], -r[6], 0, -r[8], -r[9], -r[10], 0, 0, 0, 0, 1);
+    this.head.matrixAutoUpdate = false;
+    this.head.matrix.makeTranslation(-this.centre.x, -this.centre.y, -this.centre.z).premultiply(turned);
+    this.request();
+  }
+
+  setView(view: View): void {
+    this.view = view;
+    this.uniforms.view.value = kViews.indexOf(view);
+    this.wire.visible = view === 'wire';
+    this.request();
+  }
+
+  /** Turns the face by hand, radians; zoom is a factor. */
+  turnBy(yaw: number, pitch: number, zoom = 1): void {
+    const limited = (value: number, most: number) => Math.max(-most, Math.min(most, value));
+    this.turn.yaw = limited(this.turn.yaw + yaw, 1.5);
+    this.turn.pitch = limited(this.turn.pitch + pitch, 0.9);
+    this.turn.zoom = Math.max(0.5, Math.min(4, this.turn.zoom * zoom));
+    this.request();
+  }
+  turnBack(): void {
+    this.turn = { yaw: 0, pitch: 0, zoom: 1 };
+    this.request();
+  }
+
+  private listen(): void {
+    const pointers = new Map<number, PointerEvent>();
+    this.canvas.addEventListener('pointerdown', (event) => {
+      this.canvas.setPointerCapture(event.pointerId);
+      pointers.set(event.pointerId, event);
+    });
+    this.canvas.addEventListener('pointermove', (event) => {
+      const before = pointers.get(event.pointerId);
+      if (before && pointers.size === 1) {
+        this.turnBy((event.clientX - before.clientX) * 0.006, (event.clientY - before.clientY) * 0.006);
+      } else if (before) {
+        const other = [...pointers.values()].find((entry) => entry.pointerId !== event.pointerId);
+        const apart = (at: PointerEvent) => Math.hypot(at.clientX - other!.clientX, at.clientY - other!.clientY) || 1;
+        this.turnBy(0, 0, apart(event) / apart(before));
+      }
+      if (before) {
+        pointers.set(event.pointerId, event);
+      }
+    });
+    const end = (event: PointerEvent) => pointers.delete(event.pointerId);
+    this.canvas.addEventListener('pointerup', end);
+    this.canvas.addEventListener('pointercancel', end);
+    this.canvas.addEventListener('dblclick', () => this.turnBack());
+    this.canvas.addEventListener('wheel', (event) => {
+      event.preventDefault();
+      this.turnBy(0, 0, Math.exp(-event.deltaY * 0.001));
+    }, { passive: false });
+    this.canvas.addEventListener('keydown', (event) => {
+      const turns: Record<string, [number, number, number]> = {
+        ArrowLeft: [-0.1, 0, 1], ArrowRight: [0.1, 0, 1], ArrowUp: [0, -0.1, 1], ArrowDown: [0, 0.1, 1], '+': [0, 0, 1.1], '-': [0, 0, 1 / 1.1] };
+      if (event.key in turns) {
+        this.turnBy(...turns[event.key]);
+        event.preventDefault();
+      } else if (event.key === '0') {
+        this.turnBack();
+      }
+    });
+  }
+
+  /** Middle and size of the mesh, once for each subject, so that nothing jumps. */
+  private place(mesh: FaceMesh): void {
+    const box = new THREE.Box3();
+    const point = new THREE.Vector3();
+    for (let i = 0; i < mesh.vertices.length; i += 3) {
+      box.expandByPoint(point.set(mesh.vertices[i], mesh.vertices[i + 1], mesh.vertices[i + 2]).multiplyScalar(mesh.stepMm));
+    }
+    box.getCenter(this.centre);
+    const size = box.getSize(point);
+    this.radius = Math.max(size.x * 1.1, size.y) / 2;
+    this.placed = true;
+    this.drawnCells = -1;
+    this.edgesDrawn = false;
+  }
+
+  private request(): void {
+    if (!this.pending) {
+      this.pending = true;
+      requestAnimationFrame((now) => this.draw(now));
+    }
+  }
+
+  private draw(now_ms: number): void {
+    this.pending = false;
+    const detail = kDetails[this.detail];
+    if (now_ms - this.lastDrawn_ms < 1000 / detail.mostRate - 2) {
+      this.request();
+      return;
+    }
+    this.lastDrawn_ms = now_ms;
+    this.fit(detail);
+    const began = performance.now();
+    this.renderer.render(this.scene, this.camera);
+    if (this.software || this.drawn % 15 === 0) {
+      // Commands are only queued: what they cost shows once one waits for them.
+      const gl = this.renderer.getContext();
+      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+      this.judge(performance.now() - began);
+    }
+    ++this.drawn;
+    this.canvas.dataset.drawn = String(this.drawn);
+  }
+
+  /** Lowers the detail soon where pictures take too long, raises it late, and not for ever to and fro. */
+  private judge(took_ms: number): void {
+    this.slow = took_ms > kSlow_ms ? this.slow + 1 : Math.max(0, this.slow - 1);
+    this.fast = took_ms < kFast_ms ? this.fast + 1 : 0;
+    if (this.slow >= (this.software ? kSlowPictures : 3) && this.detail + 1 < kDetails.length) {
+      ++this.fallen;
+      this.changeDetail(this.detail + 1);
+    } else if (this.fast >= kFastPictures && this.detail > (this.software ? 1 : 0) && this.fallen < 3) {
+      this.changeDetail(this.detail - 1);
+    }
+  }
+  private changeDetail(level: number): void {
+    this.detail = level;
+    this.slow = this.fast = 0;
+    this.detailChanged();
+  }
+
+  /** Size, triangles and camera, as they are wanted now. */
+  private fit(detail: Detail): void {
+    const width = this.canvas.clientWidth || 1;
+    const height = this.canvas.clientHeight || 1;
+    const ratio = detail.pixelRatio >= 2 ? Math.min(window.devicePixelRatio, 2) : detail.pixelRatio;
+    if (this.renderer.getPixelRatio() !== ratio || this.canvas.width !== Math.floor(width * ratio) || this.canvas.height !== Math.floor(height * ratio)) {
+      this.renderer.setPixelRatio(ratio);
+      this.renderer.setSize(width, height, false);
+    }
+    const geometry = this.surface.geometry;
+    const position = geometry.getAttribute('position') as THREE.BufferAttribute | undefined;
+    if (position && this.placed && this.drawnCells !== detail.cells) {
+      const shown = detail.cells === 0 ? this.triangles : coarserTriangles(this.triangles, position.array as Int16Array, detail.cells);
+      geometry.setIndex(new THREE.BufferAttribute(shown, 1));
+      this.drawnCells = detail.cells;
+      this.edgesDrawn = false;
+    }
+    if (position && this.view === 'wire' && !this.edgesDrawn && geometry.index) {
+      const lines = new THREE.BufferGeometry();
+      for (const name of ['position', 'normal', 'color']) {
+        lines.setAttribute(name, geometry.getAttribute(name));
+      }
+      lines.setIndex(new THREE.BufferAttribute(edgesOf(geometry.index.array as Uint32Array), 1));
+      this.wire.geometry = lines;
+      this.edgesDrawn = true;
+    }
+    const aspect = width / height;
+    const angle = THREE.MathUtils.degToRad(this.camera.fov / 2);
+    const distance = (1.16 * this.radius) / Math.tan(angle) / Math.min(1, aspect * 1.15) / this.turn.zoom;
+    this.camera.aspect = aspect;
+    this.camera.position.set(-Math.sin(this.turn.yaw) * Math.cos(this.turn.pitch), Math.sin(this.turn.pitch), Math.cos(this.turn.yaw) * Math.cos(this.turn.pitch)).multiplyScalar(distance);
+    this.camera.lookAt(0, 0, 0);
+    this.camera.updateProjectionMatrix();
+  }
+}

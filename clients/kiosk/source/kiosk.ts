@@ -1,0 +1,441 @@
+// The page of a capture booth: brings what the daemon sends to the view and the cards, and what is pressed to the daemon.
+import type { Frame } from '../generated/facet/stream/wire/frame';
+import { ControlConnection, ControlError, StreamConnection, kPermissionDenied, kTooManyTokens } from './connection';
+import { FaceView, kViews, type View } from './face_view';
+import { Expressions, Plot, element, showCamera, showDevices, showTakes } from './panels';
+import { baseName, type NamedDevice, type Recording, type Status, type Takes } from './status';
+import { chooseLanguage, duration, number, otherLanguage, stateText, text, type Key } from './text';
+
+const kStatusPeriod_ms = 1000;
+const kCountdown_s = 3;
+
+/** The browser may forbid to keep anything. */
+const memory = {
+  get: (key: string): string => {
+    try { return localStorage.getItem(key) ?? ''; } catch { return ''; }
+  },
+  set: (key: string, value: string): void => {
+    try { localStorage.setItem(key, value); } catch { /* then not */ }
+  },
+};
+
+let view: FaceView | null = null;
+let connected = false;
+let refusal = '';
+let status: Status | null = null;
+let takes: Takes | null = null;
+let unlocked = false;
+let hasSubject = false;
+let tracking = -1; // of the newest frame: 0 searching, 1 acquiring, 2 tracking, 3 lost
+let lastMesh_ms = -Infinity;
+let vertices = 0;
+let countdown = 0; // timer; 0: none runs
+let notice: { title: string; help: string; until_ms: number } | null = null;
+let recordWhenUnlocked = false;
+const arrivals: number[] = [];
+let latency_ms = 0;
+let lastPanels_ms = 0;
+
+const expressions = new Expressions();
+const plots = [new Plot('rate', 'rate', '#7fd6c8', ''), new Plot('latency', 'latency', '#e0b062', ' ms')];
+
+const stream = new StreamConnection({
+  connected: () => { connected = true; refusal = ''; showState(); },
+  closed: (reason) => { connected = false; refusal = reason; arrivals.length = 0; showState(); },
+  subject: (subject) => {
+    const hierarchy = subject.hierarchy();
+    const finest = hierarchy && hierarchy.levelsLength() > 0 ? hierarchy.levels(hierarchy.levelsLength() - 1) : null;
+    if (!finest) {
+      return;
+    }
+    vertices = finest.vertexCount();
+    view?.setSubject(finest.trianglesArray()!, vertices);
+    expressions.setNames(Array.from({ length: subject.expressionNamesLength() }, (_, i) => subject.expressionNames(i) as string));
+    hasSubject = true;
+  },
+  albedo: (albedo) => view?.setAlbedo(albedo.linearRgbArray()!, albedo.scale()),
+  frame: showFrame,
+  dropped: () => {},
+});
+
+const control = new ControlConnection(
+  takeToken(),
+  (code) => {
+    unlocked = false;
+    recordWhenUnlocked = false;
+    memory.set('token', '');
+    element('token-wrong').textContent = text(code === kTooManyTokens ? 'token_later' : 'token_wrong');
+    element('token-wrong').hidden = false;
+    openTokenDialog();
+    showState();
+  },
+  () => { void look(); });
+
+/** From the address (#token=..., which no server sees) or from an earlier visit. */
+function takeToken(): string {
+  const given = new URLSearchParams(location.hash.slice(1)).get('token');
+  if (given) {
+    memory.set('token', given);
+    history.replaceState(null, '', location.pathname);
+  }
+  return given ?? memory.get('token');
+}
+
+function showFrame(frame: Frame): void {
+  const now = performance.now();
+  arrivals.push(now);
+  while (arrivals.length > 0 && arrivals[0] < now - 2000) {
+    arrivals.shift();
+  }
+  tracking = frame.state();
+  latency_ms = frame.stageMs()?.latencyMs() ?? latency_ms;
+  const positions = frame.vertices();
+  const pose = frame.cameraFromHead();
+  const shorts = positions?.valuesArray();
+  const normals = frame.normalsArray();
+  if (hasSubject && positions && shorts && normals && pose && frame.subjectId() !== BigInt(0)) {
+    const rows = new Float32Array(12);
+    for (let i = 0; i < 12; ++i) {
+      rows[i] = pose.bb!.readFloat32(pose.bb_pos + 4 * i);
+    }
+    view?.setMesh({ vertices: shorts, normals, stepMm: positions.stepMm(), pose: rows });
+    lastMesh_ms = now;
+  }
+  document.body.dataset.frames = String(Number(document.body.dataset.frames ?? 0) + 1);
+  if (now - lastPanels_ms > 90) {
+    const weights = frame.expressionArray();
+    if (weights) {
+      expressions.show(weights, Math.floor(now / 500) !== Math.floor(lastPanels_ms / 500));
+    }
+    lastPanels_ms = now;
+    showCamera(frame);
+  }
+  showState();
+}
+
+/** Asks the daemon how it does. */
+async function look(): Promise<void> {
+  try {
+    status = await control.call<Status>('status');
+    if (control.token !== '' && !unlocked) {
+      unlocked = true;
+      memory.set('token', control.token);
+      closeTokenDialog();
+      if (recordWhenUnlocked) {
+        recordWhenUnlocked = false;
+        beginCountdown();
+      }
+    }
+    stream.setImages(status.rig !== null);
+    takes = await control.call<Takes>('takes.list');
+  } catch {
+    status = null;
+  }
+  showAll();
+}
+
+interface Problem {
+  title: string;
+  help?: string;
+  grave?: boolean;
+}
+
+/** What keeps the face from being seen, in words; null where it is seen. */
+function problem(): Problem | null {
+  if (!view) {
+    return { title: text('problem_webgl'), grave: true };
+  }
+  if (stream.foreign) {
+    return { title: text('problem_version'), grave: true };
+  }
+  if (!connected) {
+    return refusal !== '' && refusal !== 'the server stops'
+      ? { title: text('problem_refused'), help: refusal, grave: true }
+      : { title: text('problem_offline'), help: text('problem_offline_help'), grave: true };
+  }
+  if (status) {
+    const cameras: NamedDevice[] = status.rig ? status.rig.cameras : status.camera ? [{ ...status.camera, name: text('device_camera') }] : [];
+    const states: [string, Key, Key | null][] = [
+      ['absent', 'problem_absent', 'problem_absent_help'], ['stalled', 'problem_stalled', null], ['failing', 'problem_failing', null]];
+    for (const [state, title, help] of states) {
+      const camera = cameras.find((entry) => entry.state === state);
+      if (camera) {
+        return { title: text(title, { camera: camera.name }), help: [camera.reason, help ? text(help) : ''].filter(Boolean).join('. '), grave: true };
+      }
+    }
+    switch (status.state) {
+      case 'failed':
+        return { title: text('problem_failed'), help: status.reason, grave: true };
+      case 'starting':
+      case 'preparing':
+        return { title: text('problem_starting'), help: text('problem_starting_help') };
+      case 'ended':
+        return { title: text('problem_ended'), help: status.reason };
+      case 'waiting for a reader':
+        return { title: text('problem_waiting') };
+    }
+    if (status.rig?.trigger?.state === 'failing') {
+      return { title: text('problem_trigger'), help: status.rig.trigger.reason, grave: true };
+    }
+  }
+  if (performance.now() - lastMesh_ms < 1500) {
+    return null;
+  }
+  if (tracking === 1) {
+    return { title: text('problem_acquiring'), help: text('problem_acquiring_help') };
+  }
+  if (status?.rig && status.frames.processed > 0 && status.frames.mesh === 0 && status.frames.face === 0) {
+    return { title: text('problem_no_mesh'), help: text('problem_no_mesh_help') };
+  }
+  if (tracking === 0 || tracking === 3) {
+    return { title: text('problem_no_face'), help: text('problem_no_face_help') };
+  }
+  return status ? null : { title: text('problem_starting') };
+}
+
+function setText(id: string, words: string): void {
+  const where = element(id);
+  if (where.textContent !== words) {
+    where.textContent = words;
+  }
+}
+
+function rate(): number {
+  return arrivals.length < 2 ? 0 : ((arrivals.length - 1) * 1000) / Math.max(1, arrivals[arrivals.length - 1] - arrivals[0]);
+}
+
+function showState(): void {
+  const now = performance.now();
+  const live = connected && now - lastMesh_ms < 1500;
+  document.body.dataset.connection = !connected ? 'offline' : live ? 'live' : 'idle';
+  setText('state-text', text(!connected ? 'offline' : live ? 'live' : 'idle'));
+  let wrong: Problem | null = problem();
+  if (notice && now < notice.until_ms) {
+    wrong = wrong?.grave ? wrong : { title: notice.title, help: notice.help };
+  }
+  const banner = element('banner');
+  banner.hidden = wrong === null;
+  banner.classList.toggle('grave', wrong?.grave === true);
+  setText('banner-title', wrong?.title ?? '');
+  setText('banner-text', wrong?.help ?? '');
+  element('face').classList.toggle('away', !live);
+}
+
+function showFigures(): void {
+  const live = document.body.dataset.connection === 'live';
+  setText('figures', live ? text('figures', { rate: number(rate(), rate() < 10 ? 1 : 0), latency: number(latency_ms), vertices: number(vertices) }) : '');
+  if (connected) {
+    plots[0].add(rate());
+    if (live) {
+      plots[1].add(latency_ms);
+    }
+  }
+  plots.forEach((plot) => plot.show());
+}
+
+function showRecording(): void {
+  const recording = status?.recording?.state === 'recording' ? status.recording : null;
+  const button = element<HTMLButtonElement>('record');
+  button.classList.toggle('on', recording !== null);
+  button.disabled = !connected || !status;
+  setText('record-text', text(countdown !== 0 ? 'record_cancel' : recording ? 'record_stop' : 'record'));
+  const chip = element('recording');
+  chip.hidden = recording === null;
+  if (recording) {
+    setText('recording', text('recording_since', { name: baseName(recording.file), time: duration((performance.now() - recordingSince) / 1000) }));
+  }
+}
+let recordingSince = 0;
+
+function showAll(): void {
+  document.querySelectorAll<HTMLElement>('[data-text]').forEach((where) => {
+    const words = text(where.dataset.text as Key);
+    if (where.textContent !== words) {
+      where.textContent = words;
+    }
+  });
+  setText('language', text('language'));
+  element('language').setAttribute('aria-label', text('language_label'));
+  setText('fullscreen', text('fullscreen'));
+  setText('unlock', text(unlocked ? 'unlocked' : 'unlock'));
+  element('unlock').classList.toggle('on', unlocked);
+  element('unlock').setAttribute('aria-label', text(unlocked ? 'lock_label' : 'unlock_label'));
+  element('views').setAttribute('aria-label', text('views'));
+  for (const button of element('views').children) {
+    const name = (button as HTMLElement).dataset.view as View;
+    button.textContent = text(`view_${name}`);
+    button.setAttribute('aria-pressed', String(view?.view === name));
+  }
+  element('face').setAttribute('aria-label', text('face_label', { state: stateText(['searching', 'acquiring', 'tracking', 'lost'][tracking] ?? 'starting') }));
+  const detail = element('detail');
+  detail.hidden = !view || view.detail <= (view.software ? 0 : 1);
+  detail.dataset.level = String(view?.detail ?? 0);
+  if (view) {
+    setText('detail', text(view.software ? 'detail_software' : 'detail_slow'));
+  }
+  showDevices(status, unlocked);
+  showTakes(takes);
+  showState();
+  showRecording();
+}
+
+function tell(title: string, help = ''): void {
+  notice = { title, help, until_ms: performance.now() + 5000 };
+  showState();
+}
+
+async function command<Result>(method: string): Promise<Result | null> {
+  try {
+    return await control.call<Result>(method);
+  } catch (error) {
+    if (error instanceof ControlError && error.code === kPermissionDenied) {
+      unlocked = false;
+      openTokenDialog();
+    } else {
+      tell(text('record_failed'), error instanceof Error ? error.message : '');
+    }
+    return null;
+  }
+}
+
+async function startRecording(): Promise<void> {
+  recordingSince = performance.now();
+  await command('record.start');
+  await look();
+}
+
+async function stopRecording(): Promise<void> {
+  const take = await command<Recording>('record.stop');
+  if (take) {
+    tell(text('recorded', { name: baseName(take.file), frames: number(take.frames) }), take.reason);
+  }
+  await look();
+}
+
+function beginCountdown(): void {
+  let left = kCountdown_s;
+  const show = element('countdown');
+  const step = () => {
+    show.hidden = left === 0;
+    show.textContent = left === 0 ? '' : String(left);
+    // The animation begins anew with each number.
+    show.classList.remove('beat');
+    void show.offsetWidth;
+    show.classList.add('beat');
+    if (left-- === 0) {
+      endCountdown();
+      void startRecording();
+    }
+  };
+  countdown = window.setInterval(step, 1000);
+  step();
+  showRecording();
+}
+
+function endCountdown(): void {
+  window.clearInterval(countdown);
+  countdown = 0;
+  element('countdown').hidden = true;
+  showRecording();
+}
+
+function pressRecord(): void {
+  if (countdown !== 0) {
+    endCountdown();
+  } else if (status?.recording?.state === 'recording') {
+    void stopRecording();
+  } else if (!unlocked) {
+    recordWhenUnlocked = true;
+    openTokenDialog();
+  } else {
+    beginCountdown();
+  }
+}
+
+function openTokenDialog(): void {
+  const dialog = element<HTMLDialogElement>('token-dialog');
+  if (!dialog.open) {
+    element<HTMLInputElement>('token').value = '';
+    dialog.showModal();
+  }
+}
+function closeTokenDialog(): void {
+  element('token-wrong').hidden = true;
+  element<HTMLDialogElement>('token-dialog').close();
+}
+
+function listen(): void {
+  element('record').addEventListener('click', pressRecord);
+  element('language').addEventListener('click', () => {
+    const other = otherLanguage();
+    memory.set('language', other);
+    chooseLanguage(other);
+    showAll();
+  });
+  element('fullscreen').addEventListener('click', () => {
+    void (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen());
+  });
+  element('unlock').addEventListener('click', () => {
+    if (!unlocked) {
+      openTokenDialog();
+      return;
+    }
+    unlocked = false;
+    control.token = '';
+    memory.set('token', '');
+    control.reopen();
+    showAll();
+  });
+  const dialog = element<HTMLDialogElement>('token-dialog');
+  dialog.addEventListener('close', () => {
+    const token = element<HTMLInputElement>('token').value.trim();
+    if (dialog.returnValue === 'unlock' && token !== '') {
+      element('token-wrong').hidden = true;
+      control.token = token;
+      control.reopen();
+    } else if (!unlocked) {
+      recordWhenUnlocked = false;
+    }
+    dialog.returnValue = '';
+  });
+  document.addEventListener('keydown', (event) => {
+    if (dialog.open || event.ctrlKey || event.altKey || event.metaKey) {
+      return;
+    }
+    if (event.key >= '1' && event.key <= String(kViews.length)) {
+      chooseView(kViews[Number(event.key) - 1]);
+    } else if (event.key === 'r' || event.key === 'R') {
+      pressRecord();
+    } else if (event.key === 'Escape' && countdown !== 0) {
+      endCountdown();
+    }
+  });
+}
+
+function chooseView(name: View): void {
+  view?.setView(name);
+  memory.set('view', name);
+  showAll();
+}
+
+chooseLanguage(memory.get('language') || null);
+try {
+  view = new FaceView(element<HTMLCanvasElement>('face'), showAll);
+} catch {
+  view = null; // problem() says so
+}
+for (const name of kViews) {
+  const button = document.createElement('button');
+  button.type = 'button';
+  button.dataset.view = name;
+  button.addEventListener('click', () => chooseView(name));
+  element('views').append(button);
+}
+chooseView((kViews as string[]).includes(memory.get('view')) ? (memory.get('view') as View) : 'shaded');
+listen();
+expressions.setNames([]);
+showAll();
+stream.open();
+control.open();
+window.setInterval(() => { void look(); }, kStatusPeriod_ms);
+window.setInterval(() => { showState(); showFigures(); showRecording(); }, 500);

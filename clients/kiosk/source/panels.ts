@@ -1,0 +1,257 @@
+// The cards beside the face. Each is told what is new and draws itself.
+import type { Frame } from '../generated/facet/stream/wire/frame';
+import { baseName, type Status, type Takes } from './status';
+import { bytes, dateTime, duration, number, stateText, text, type Key } from './text';
+
+export function element<Type extends HTMLElement>(id: string): Type {
+  return document.getElementById(id) as Type;
+}
+
+/** A canvas at the screen's own pixels; null while it is not shown. */
+function paper(canvas: HTMLCanvasElement): { draw: CanvasRenderingContext2D; width: number; height: number } | null {
+  const ratio = Math.min(window.devicePixelRatio, 2);
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+  const draw = canvas.getContext('2d');
+  if (!draw || width === 0 || height === 0) {
+    return null;
+  }
+  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
+    canvas.width = Math.round(width * ratio);
+    canvas.height = Math.round(height * ratio);
+  }
+  draw.setTransform(ratio, 0, 0, ratio, 0, 0);
+  draw.clearRect(0, 0, width, height);
+  return { draw, width, height };
+}
+
+/** One value over the last minute. */
+export class Plot {
+  private values: { at_ms: number; value: number }[] = [];
+
+  constructor(private readonly name: string, private readonly title: Key, private readonly colour: string, private readonly unit: string) {}
+
+  add(value: number): void {
+    const at_ms = performance.now();
+    this.values.push({ at_ms, value });
+    const first = this.values.findIndex((entry) => entry.at_ms > at_ms - 60_000);
+    this.values.splice(0, first);
+  }
+
+  show(): void {
+    const canvas = element<HTMLCanvasElement>(this.name);
+    const now = this.values.at(-1)?.value;
+    const all = this.values.map((entry) => entry.value);
+    const most = Math.max(...all, 1);
+    element(`${this.name}-now`).textContent = now === undefined ? '–' : `${number(now, now < 10 ? 1 : 0)}${this.unit}`;
+    canvas.setAttribute('aria-label', text('plot_label', {
+      name: text(this.title), now: number(now ?? 0, 1), least: number(all.length ? Math.min(...all) : 0, 1), most: number(all.length ? most : 0, 1) }));
+    const on = paper(canvas);
+    if (!on) {
+      return;
+    }
+    const { draw, width, height } = on;
+    const top = most * 1.15;
+    draw.strokeStyle = 'rgba(255,255,255,.07)';
+    for (const part of [0.25, 0.5, 0.75]) {
+      draw.strokeRect(0, Math.round(height * part) + 0.5, width, 0);
+    }
+    const end_ms = performance.now();
+    const x = (at_ms: number) => width * (1 - (end_ms - at_ms) / 60_000);
+    const y = (value: number) => height - 2 - (height - 6) * (value / top);
+    if (this.values.length < 2) {
+      return;
+    }
+    draw.beginPath();
+    this.values.forEach((entry, i) => (i === 0 ? draw.moveTo(x(entry.at_ms), y(entry.value)) : draw.lineTo(x(entry.at_ms), y(entry.value))));
+    draw.strokeStyle = this.colour;
+    draw.lineWidth = 2;
+    draw.lineJoin = 'round';
+    draw.stroke();
+    draw.lineTo(x(this.values[this.values.length - 1].at_ms), height);
+    draw.lineTo(x(this.values[0].at_ms), height);
+    draw.globalAlpha = 0.12;
+    draw.fillStyle = this.colour;
+    draw.fill();
+    draw.globalAlpha = 1;
+  }
+}
+
+/** The expression's weights as bars. */
+export class Expressions {
+  private bars: { row: HTMLElement; bar: HTMLElement; value: HTMLElement }[] = [];
+
+  setNames(names: string[]): void {
+    const list = element('expressions');
+    list.replaceChildren();
+    this.bars = names.map((name) => {
+      const row = document.createElement('div');
+      row.className = 'bar';
+      row.setAttribute('role', 'meter');
+      row.setAttribute('aria-label', name);
+      row.setAttribute('aria-valuemin', '0');
+      row.setAttribute('aria-valuemax', '1');
+      const label = document.createElement('span');
+      label.textContent = name;
+      const track = document.createElement('i');
+      const bar = document.createElement('b');
+      track.append(bar);
+      const value = document.createElement('output');
+      row.append(label, track, value);
+      list.append(row);
+      return { row, bar, value };
+    });
+    if (names.length === 0) {
+      list.textContent = text('expression_none');
+    }
+  }
+
+  /** weights: [name]. told: also to those who hear the page. */
+  show(weights: ArrayLike<number>, told: boolean): void {
+    this.bars.forEach(({ row, bar, value }, i) => {
+      const weight = weights[i] ?? 0;
+      bar.style.transform = `scaleX(${Math.min(1, Math.abs(weight)).toFixed(3)})`;
+      bar.classList.toggle('negative', weight < 0);
+      if (told) {
+        value.textContent = number(weight, 2);
+        row.setAttribute('aria-valuenow', weight.toFixed(2));
+      }
+    });
+  }
+}
+
+/** The camera's picture, where the stream has one, and the points that were found. */
+export function showCamera(frame: Frame): void {
+  const canvas = element<HTMLCanvasElement>('camera');
+  const set = frame.frameSet();
+  const image = set && set.imagesLength() > 0 ? set.images(0) : null;
+  const pixels = image?.pixelsArray();
+  const camera = frame.camera();
+  const source = { width: camera?.widthPx() || image?.widthPx() || 0, height: camera?.heightPx() || image?.heightPx() || 0 };
+  if (source.width === 0 || source.height === 0) {
+    return;
+  }
+  canvas.style.aspectRatio = `${source.width} / ${source.height}`;
+  const on = paper(canvas);
+  if (!on) {
+    return;
+  }
+  const { draw, width, height } = on;
+  canvas.setAttribute('aria-label', text(pixels ? 'camera_label' : 'landmarks_label'));
+  if (image && pixels) {
+    const copy = draw.createImageData(canvas.width, canvas.height);
+    const channels = image.channels();
+    for (let row = 0; row < copy.height; ++row) {
+      const from = Math.floor((row / copy.height) * image.heightPx()) * image.widthPx();
+      for (let column = 0; column < copy.width; ++column) {
+        const pixel = channels * (from + Math.floor((column / copy.width) * image.widthPx()));
+        const to = 4 * (row * copy.width + column);
+        for (let c = 0; c < 3; ++c) {
+          copy.data[to + c] = pixels[pixel + (channels === 3 ? c : 0)];
+        }
+        copy.data[to + 3] = 255;
+      }
+    }
+    draw.putImageData(copy, 0, 0);
+  }
+  const scale = width / source.width;
+  draw.fillStyle = '#7fd6c8';
+  for (let i = 0; i < frame.landmarksPxLength(); ++i) {
+    const point = frame.landmarksPx(i)!;
+    draw.fillRect(point.xPx() * scale - 0.8, Math.min(height, point.yPx() * scale) - 0.8, 1.6, 1.6);
+  }
+}
+
+type Health = 'good' | 'busy' | 'bad' | 'off';
+const healths: Record<string, Health> = {
+  streaming: 'good', running: 'good', tracking: 'good', recording: 'bad', absent: 'bad', stalled: 'bad', failing: 'bad', failed: 'bad', lost: 'busy',
+  searching: 'busy', acquiring: 'busy', opening: 'busy', starting: 'busy', waiting: 'busy', preparing: 'busy' };
+
+function healthRow(name: string, words: string, health: Health, reason = ''): HTMLElement {
+  const row = document.createElement('li');
+  row.className = health;
+  const [dot, label, value] = ['i', 'span', 'b'].map((tag) => document.createElement(tag));
+  dot.className = 'dot';
+  dot.setAttribute('aria-hidden', 'true');
+  label.textContent = name;
+  value.textContent = words;
+  row.append(dot, label, value);
+  if (reason !== '') {
+    const why = document.createElement('small');
+    why.textContent = reason;
+    row.append(why);
+  }
+  return row;
+}
+
+/** Replaces the children of a list only where they differ, so that nobody hears or loses them every second. */
+function replace(list: HTMLElement, rows: HTMLElement[]): void {
+  const fresh = document.createElement('ul');
+  fresh.append(...rows);
+  if (fresh.innerHTML !== list.innerHTML) {
+    list.replaceChildren(...rows);
+  }
+}
+
+export function showDevices(status: Status | null, unlocked: boolean): void {
+  if (!status) {
+    replace(element('devices'), [healthRow(text('device_service'), text('offline'), 'bad')]);
+    return;
+  }
+  const rows: HTMLElement[] = [];
+  const device = (name: string, state: string, reason: string) =>
+    rows.push(healthRow(name, stateText(state), healths[state] ?? 'off', reason));
+  device(text('device_service'), status.state, status.reason);
+  if (status.rig) {
+    status.rig.cameras.forEach((camera) => device(camera.name, camera.state, camera.reason));
+    if (status.rig.trigger) {
+      device(text('device_trigger'), status.rig.trigger.state, status.rig.trigger.reason);
+    }
+  } else if (status.camera) {
+    device(text('device_camera'), status.camera.state, status.camera.reason);
+  }
+  device(text('device_tracking'), status.tracking, '');
+  rows.push(status.gpu === '' ? healthRow(text('device_graphics'), text('device_graphics_none'), 'off')
+                              : healthRow(text('device_graphics'), status.gpu.replace(/\s*\(.*\)/, ''), 'good'));
+  const dropped = status.stream.readers.reduce((sum, reader) => sum + reader.frames_dropped, 0);
+  rows.push(healthRow(text('device_readers'), text('device_readers_value', { count: status.stream.readers.length, dropped: number(dropped) }), 'good'));
+  const recording = status.recording;
+  rows.push(recording ? healthRow(text('device_disk'), stateText(recording.state), healths[recording.state] ?? 'off', recording.reason)
+                      : healthRow(text('device_disk'), text(unlocked ? 'recording_off' : 'recording_locked'), unlocked ? 'good' : 'off'));
+  replace(element('devices'), rows);
+}
+
+export function showTakes(takes: Takes | null): void {
+  if (!takes) {
+    return;
+  }
+  const kMostShown = 30;
+  const rows = takes.takes.slice(0, kMostShown).map((take) => {
+    const row = document.createElement('li');
+    const [name, facts] = ['b', 'small'].map((tag) => document.createElement(tag));
+    name.textContent = take.name;
+    row.append(name, facts);
+    if (take.error !== undefined) {
+      facts.textContent = take.error;
+      return row;
+    }
+    facts.textContent = [dateTime(take.created_utc ?? ''), duration(take.duration_s ?? 0), text('take_frames', { frames: number(take.frames ?? 0) }),
+                         take.closed ? bytes(take.bytes ?? 0) : text('take_open')].join(' · ');
+    if (take.closed) {
+      const link = document.createElement('a');
+      link.href = `/takes/${encodeURIComponent(take.name)}`;
+      link.download = `${take.name}.take`;
+      link.className = 'button quiet';
+      link.textContent = text('download');
+      link.setAttribute('aria-label', text('download_label', { name: take.name, size: bytes(take.bytes ?? 0) }));
+      row.append(link);
+    }
+    return row;
+  });
+  if (rows.length === 0 || takes.count > rows.length) {
+    const note = document.createElement('li');
+    note.className = 'note';
+    note.textContent = rows.length === 0 ? text('takes_none') : text('takes_more', { count: takes.count - rows.length, folder: baseName(takes.folder) });
+    rows.push(note);
+  }
+  replace(element('takes'), rows);
+}

