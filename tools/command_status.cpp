@@ -150,10 +150,18 @@ void print(const json& status) {
   fmt::print("stream        {}: {} readers\n", status["stream"]["socket"].get<std::string>(),
              status["stream"]["readers"].size());
   for (const json& reader : status["stream"]["readers"]) {
-    fmt::print("              {} (process {}){}: {} frames sent, {} dropped\n",
-               reader["client"].get<std::string>(), reader["pid"].get<int>(),
-               reader.value("ring", false) ? ", by ring" : "", reader["frames_sent"].get<std::uint64_t>(),
-               reader["frames_dropped"].get<std::uint64_t>());
+    const std::string by = reader.value("web", false)
+                               ? " (over the web)"
+                               : fmt::format(" (process {}){}", reader["pid"].get<int>(),
+                                             reader.value("ring", false) ? ", by ring" : "");
+    fmt::print("              {}{}: {} frames sent, {} dropped\n", reader["client"].get<std::string>(), by,
+               reader["frames_sent"].get<std::uint64_t>(), reader["frames_dropped"].get<std::uint64_t>());
+  }
+  if (const json web = status.value("web", json()); web.is_object()) {
+    const std::string refusal = web["last_refusal"];
+    fmt::print("web           {}: {} requests, {} refused{}\n", web["url"].get<std::string>(),
+               web["requests"].get<std::uint64_t>(), web["refused"].get<std::uint64_t>(),
+               refusal.empty() ? "" : ", the last: " + refusal);
   }
   print_recording(status["recording"]);
   print_stages(status["stage_ms"]);

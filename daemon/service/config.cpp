@@ -414,17 +414,40 @@ void read_takes(Section section, TakesConfig& takes) {
   section.finish();
 }
 
-void read_metrics(Section section, MetricsConfig& metrics) {
+/// "ADDRESS:PORT", or "" for none.
+void read_listen(Section& section, std::string& listen, int sample_port) {
   if (const toml::node* node = section.find("listen")) {
-    metrics.listen = section.text(*node, "listen", files::kAnyText);
-    const std::size_t colon = metrics.listen.rfind(':');
-    const std::string port = colon == std::string::npos ? "" : metrics.listen.substr(colon + 1);
+    listen = section.text(*node, "listen", files::kAnyText);
+    const std::size_t colon = listen.rfind(':');
+    const std::string port = colon == std::string::npos ? "" : listen.substr(colon + 1);
     const bool digits = !port.empty() && port.size() <= 5 &&
                         std::all_of(port.begin(), port.end(), [](char c) { return c >= '0' && c <= '9'; });
-    if (!metrics.listen.empty() && (colon == 0 || !digits || std::stoi(port) > 65535)) {
-      section.fail(node, "listen", "must be \"ADDRESS:PORT\" such as \"127.0.0.1:9464\", or \"\" for none");
+    if (!listen.empty() && (colon == 0 || !digits || std::stoi(port) > 65535)) {
+      section.fail(
+          node, "listen",
+          fmt::format("must be \"ADDRESS:PORT\" such as \"127.0.0.1:{}\", or \"\" for none", sample_port));
     }
   }
+}
+
+void read_metrics(Section section, MetricsConfig& metrics) {
+  read_listen(section, metrics.listen, 9464);
+  section.finish();
+}
+
+void read_web(Section section, WebConfig& web) {
+  read_listen(section, web.listen, 8420);
+  section.read("page", web.page);
+  if (const toml::node* node = section.find("token_file")) {
+    if (section.text(*node, "token_file", files::kAnyText).empty()) {
+      web.token_file.clear();
+    } else {
+      section.read("token_file", web.token_file);
+    }
+  }
+  section.read("hosts", web.hosts);
+  section.read("origins", web.origins);
+  section.read_integer("max_clients", web.max_clients, 1, 1000);
   section.finish();
 }
 
@@ -451,6 +474,8 @@ void read_all(Document& document, Config& config) {
   read_control(root.section("control"), config.control);
   read_takes(root.section("takes"), config.takes);
   read_metrics(root.section("metrics"), config.metrics);
+  read_web(root.section("web"), config.web);
+  config.stream.max_web_readers = config.web.listen.empty() ? 0 : config.web.max_clients;
   Section log = root.section("log");
   constexpr std::array kLevels = {"error", "warning", "info", "debug"};
   if (const auto level = log.read_choice("level", kLevels)) {
@@ -467,6 +492,7 @@ Config default_config() {
   config.pipeline.model_file = default_model_file();
   config.pipeline.tracker.landmark_assets = default_landmark_assets();
   config.stream.socket = "/run/facet/stream.sock";
+  config.web.page = FACET_KIOSK_FOLDER;
   return config;
 }
 

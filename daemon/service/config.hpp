@@ -30,6 +30,16 @@ struct MetricsConfig {
   std::string listen = "127.0.0.1:9464";  ///< "ADDRESS:PORT"; empty: off
 };
 
+/// The page and its WebSockets (WebServer).
+struct WebConfig {
+  std::string listen;                                             ///< "ADDRESS:PORT"; empty: off
+  std::filesystem::path page;                                     ///< folder of the page's files
+  std::filesystem::path token_file = "/var/lib/facet/web-token";  ///< empty: nobody commands over the web
+  std::vector<std::string> hosts;    ///< further names under which the page may be asked for
+  std::vector<std::string> origins;  ///< further pages, "http://NAME[:PORT]", that may use the WebSockets
+  int max_clients = 16;              ///< readers of the stream over WebSockets
+};
+
 enum class Mode {
   Monocular,  ///< one source, refined meshes
   Frames,     ///< the pictures of several cameras, no meshes
@@ -58,6 +68,7 @@ struct Config {
   ControlConfig control;
   TakesConfig takes;
   MetricsConfig metrics;
+  WebConfig web;
   LogLevel log_level = LogLevel::Info;
 };
 

@@ -3,6 +3,7 @@
 #include <fcntl.h>
 #include <fmt/format.h>
 #include <sys/epoll.h>
+#include <sys/eventfd.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <unistd.h>
@@ -19,7 +20,8 @@
 namespace facet::service {
 namespace {
 
-constexpr std::uint64_t kListenTag = 0;  // epoll data; clients' ids follow
+constexpr std::uint64_t kListenTag = 0;  // epoll data
+constexpr std::uint64_t kWakeTag = 1;    // clients' ids follow
 
 stream::FileDescriptor open_spare() {
   return stream::FileDescriptor(::open("/dev/null", O_RDONLY | O_CLOEXEC));
@@ -58,12 +60,15 @@ ControlServer::ControlServer(const ControlConfig& config, ControlMethods methods
     : methods_(std::move(methods)),
       listening_(config.socket, config.access, std::move(passed)),
       epoll_(::epoll_create1(EPOLL_CLOEXEC)),
-      spare_(open_spare()) {
-  epoll_event event{};
-  event.events = EPOLLIN;
-  event.data.u64 = kListenTag;
-  if (!epoll_ || ::epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, listening_.fd(), &event) != 0) {
-    throw Error(ErrorKind::Internal, fmt::format("control socket: epoll: {}", std::strerror(errno)));
+      spare_(open_spare()),
+      wake_(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
+  for (const auto& [fd, tag] : {std::pair(listening_.fd(), kListenTag), std::pair(wake_.get(), kWakeTag)}) {
+    epoll_event event{};
+    event.events = EPOLLIN;
+    event.data.u64 = tag;
+    if (!epoll_ || ::epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, fd, &event) != 0) {
+      throw Error(ErrorKind::Internal, fmt::format("control socket: epoll: {}", std::strerror(errno)));
+    }
   }
 }
 
@@ -76,6 +81,10 @@ void ControlServer::serve() {
     const epoll_event& event = events.at(static_cast<std::size_t>(e));
     if (event.data.u64 == kListenTag) {
       accept_clients();
+      continue;
+    }
+    if (event.data.u64 == kWakeTag) {
+      admit_adopted();
       continue;
     }
     const auto client = std::find_if(clients_.begin(), clients_.end(),
@@ -112,15 +121,58 @@ void ControlServer::accept_clients() {
     }
     Client& client = clients_.emplace_back();
     client.fd = std::move(connection);
-    client.id = next_id_++;
     client.caller = caller_at(client.fd.get(), listening_.path());
-    watch(client, EPOLL_CTL_ADD);
-    if (clients_.size() > kMaxClients) {
-      say(client, error_response(kServerErrorBase - static_cast<int>(ErrorKind::Unavailable),
-                                 "too many control clients; try again"));
-      client.last_words = true;
+    admit(client);
+  }
+}
+
+void ControlServer::admit(Client& client) {
+  client.id = next_id_++;
+  watch(client, EPOLL_CTL_ADD);
+  // Pages don't take the place of those who sit at the machine, nor these theirs.
+  const auto alike =
+      static_cast<std::size_t>(std::count_if(clients_.begin(), clients_.end(), [&](const Client& entry) {
+        return entry.web.has_value() == client.web.has_value();
+      }));
+  if (alike > kMaxClients) {
+    say(client, error_response(kServerErrorBase - static_cast<int>(ErrorKind::Unavailable),
+                               "too many control clients; try again"));
+    client.last_words = true;
+    send_some(client);
+    client.gone = true;
+  }
+}
+
+void ControlServer::adopt(stream::FileDescriptor connection, const Caller& caller,
+                          std::vector<std::uint8_t> early) {
+  {
+    const std::lock_guard lock(adopted_mutex_);
+    if (adopted_.size() >= kMaxClients) {
+      return;
+    }
+    adopted_.push_back({std::move(connection), caller, std::move(early)});
+  }
+  const std::uint64_t one = 1;
+  [[maybe_unused]] const ssize_t ignored = ::write(wake_.get(), &one, sizeof(one));
+}
+
+void ControlServer::admit_adopted() {
+  std::uint64_t wakes = 0;
+  [[maybe_unused]] const ssize_t ignored = ::read(wake_.get(), &wakes, sizeof(wakes));
+  std::vector<Adopted> waiting;
+  {
+    const std::lock_guard lock(adopted_mutex_);
+    waiting.swap(adopted_);
+  }
+  for (Adopted& entry : waiting) {
+    Client& client = clients_.emplace_back();
+    client.fd = std::move(entry.connection);
+    client.caller = entry.caller;
+    client.web.emplace(kMaxRequestBytes);
+    admit(client);
+    if (!client.gone) {
+      answer_web(client, entry.early);
       send_some(client);
-      client.gone = true;
     }
   }
 }
@@ -135,15 +187,61 @@ void ControlServer::watch(const Client& client, int operation) {
 }
 
 void ControlServer::receive(Client& client) {
-  std::array<char, 16384> piece{};
+  std::array<std::uint8_t, 16384> piece{};
   const ssize_t count = ::recv(client.fd.get(), piece.data(), piece.size(), 0);
   if (count == 0 || (count < 0 && errno != EAGAIN && errno != EINTR)) {
     client.gone = true;
     return;
   }
-  if (count > 0) {
-    client.unanswered.append(piece.data(), static_cast<std::size_t>(count));
+  const std::span<const std::uint8_t> bytes(piece.data(), count > 0 ? static_cast<std::size_t>(count) : 0);
+  if (client.web) {
+    answer_web(client, bytes);
+  } else if (!bytes.empty()) {
+    client.unanswered.append(bytes.begin(), bytes.end());
     answer(client);
+  }
+}
+
+void ControlServer::answer_web(Client& client, std::span<const std::uint8_t> bytes) {
+  using Outcome = stream::WebSocketAssembler::Outcome;
+  const auto close = [&](stream::WebSocketClose code, std::string_view why) {
+    const auto frame = stream::web_socket_close(code, why);
+    client.unsent.append(frame.begin(), frame.end());
+    client.last_words = true;
+  };
+  while (!bytes.empty() && !client.last_words) {
+    switch (client.web->feed(bytes)) {
+      case Outcome::Incomplete:
+        break;
+      case Outcome::Message: {
+        if (!client.web->is_text()) {
+          close(stream::WebSocketClose::Violation, "requests are text messages");
+          break;
+        }
+        const std::span<const std::uint8_t> message = client.web->message();
+        say(client, answer_request(methods_, std::string(message.begin(), message.end()), client.caller));
+        client.web->next();
+        client.last_words = client.unsent.size() > kMaxUnreadBytes;
+        break;
+      }
+      case Outcome::Ping: {
+        const auto pong = stream::web_socket_pong(client.web->control());
+        client.unsent.append(pong.begin(), pong.end());
+        client.last_words = client.unsent.size() > kMaxUnreadBytes;
+        break;
+      }
+      case Outcome::Close:
+        close(stream::WebSocketClose::GoingAway, "");
+        break;
+      case Outcome::Violation:
+        close(stream::WebSocketClose::Violation, "not the WebSocket protocol");
+        break;
+      case Outcome::TooLong:
+        say(client,
+            error_response(kInvalidRequest, fmt::format("a request has {} bytes at most", kMaxRequestBytes)));
+        close(stream::WebSocketClose::TooLong, "request too long");
+        break;
+    }
   }
 }
 
@@ -174,7 +272,13 @@ void ControlServer::say(Client& client, const std::string& response) {
   if (client.unsent.empty()) {
     client.waits_since = std::chrono::steady_clock::now();
   }
-  client.unsent += response + '\n';
+  if (client.web) {
+    const stream::WebSocketHeader header(stream::WebSocketOpcode::Text, response.size());
+    client.unsent.append(header.view().begin(), header.view().end());
+    client.unsent += response;
+  } else {
+    client.unsent += response + '\n';
+  }
 }
 
 void ControlServer::send_some(Client& client) {

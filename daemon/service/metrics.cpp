@@ -1,9 +1,7 @@
 #include "service/metrics.hpp"
 
-#include <arpa/inet.h>
 #include <fmt/format.h>
 #include <microhttpd.h>
-#include <netdb.h>
 #include <prometheus/metric_family.h>
 #include <prometheus/text_serializer.h>
 #include <sys/socket.h>
@@ -18,6 +16,7 @@
 #include <vector>
 
 #include "facet/error.hpp"
+#include "service/listen_address.hpp"
 
 namespace facet::service {
 namespace {
@@ -227,6 +226,9 @@ void collect_stream(Families& out, const stream::StreamStatistics& stream) {
   out.gauge("stream_ring_readers", "Those of them that read through shared memory.",
             static_cast<double>(std::count_if(stream.readers.begin(), stream.readers.end(),
                                               [](const auto& reader) { return reader.ring; })));
+  out.gauge("stream_web_readers", "Those of them that read over a WebSocket.",
+            static_cast<double>(std::count_if(stream.readers.begin(), stream.readers.end(),
+                                              [](const auto& reader) { return reader.web; })));
   out.counter("stream_published_total", "Frames given to the stream.", stream.published);
   out.counter("stream_skipped_total", "Frames that a newer one replaced before any reader could get them.",
               stream.skipped);
@@ -278,26 +280,15 @@ std::string metrics_text(const MetricsSnapshot& now) {
     }
   }
   collect_stream(out, now.stream);
+  if (now.web) {
+    out.counter("web_requests_total", "Requests to the page and its WebSockets.", now.web->requests);
+    out.counter("web_refused_total", "Of them refused for host, origin, method, path or token.",
+                now.web->refused);
+    out.counter("web_wrong_tokens_total", "Of them for the token.", now.web->wrong_tokens);
+  }
   collect_take(out, now.take);
   collect_temperatures(out);
   return prometheus::TextSerializer().Serialize(out.take());
-}
-
-/// "ADDRESS:PORT" as a socket address.
-std::unique_ptr<addrinfo, decltype(&::freeaddrinfo)> resolve(const std::string& listen) {
-  const std::size_t colon = listen.rfind(':');
-  std::string host = listen.substr(0, colon);
-  if (host.size() > 2 && host.front() == '[' && host.back() == ']') {
-    host = host.substr(1, host.size() - 2);  // IPv6
-  }
-  addrinfo wanted{};
-  wanted.ai_socktype = SOCK_STREAM;
-  wanted.ai_flags = AI_PASSIVE | AI_NUMERICSERV;
-  addrinfo* found = nullptr;
-  if (::getaddrinfo(host.c_str(), listen.substr(colon + 1).c_str(), &wanted, &found) != 0) {
-    found = nullptr;
-  }
-  return {found, &::freeaddrinfo};
 }
 
 }  // namespace
@@ -339,7 +330,7 @@ struct MetricsServer::Impl {
 MetricsServer::MetricsServer(const std::string& listen, std::function<MetricsSnapshot()> snapshot)
     : impl_(std::make_unique<Impl>()) {
   impl_->snapshot = std::move(snapshot);
-  const auto address = resolve(listen);
+  const auto address = resolve_listen(listen);
   if (address != nullptr) {
     const unsigned ipv6 = address->ai_family == AF_INET6 ? MHD_USE_IPv6 : 0;
     impl_->daemon =

@@ -6,6 +6,7 @@
 #include <string>
 
 #include "pipeline/status.hpp"
+#include "service/web_server.hpp"
 #include "stream/server.hpp"
 #include "take/recorder.hpp"
 
@@ -20,6 +21,7 @@ struct MetricsSnapshot {
   pipeline::PipelineStatus pipeline;
   stream::StreamStatistics stream;
   std::optional<take::RecorderStatus> take;
+  std::optional<WebStatistics> web;  ///< none: the page is off
 };
 
 /// Serves metrics in Prometheus' text format over HTTP, path /metrics (docs/metrics.md lists them). Its one

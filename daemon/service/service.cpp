@@ -27,6 +27,7 @@
 #include "service/service_manager.hpp"
 #include "service/stage_opener.hpp"
 #include "service/status_report.hpp"
+#include "service/web_server.hpp"
 #include "stream/server.hpp"
 
 namespace facet::service {
@@ -109,15 +110,19 @@ struct Service::Impl {
   std::string source_name;
   bool live = false;                     ///< the source goes on while nobody reads
   std::optional<MetricsServer> metrics;  ///< once there is a pipeline; freed before it
-  std::atomic<bool> running{false};      ///< the pipeline was started
-  bool stopping = false;                 ///< somebody asked for the end
-  bool end_seen = false;                 ///< the pipeline's end was logged
-  std::optional<int> exit_status;        ///< set: leave the loop
+  std::optional<WebServer> web;          ///< where it could be opened
+  std::uint64_t wrong_tokens_told = 0;
+  std::atomic<bool> running{false};  ///< the pipeline was started
+  bool stopping = false;             ///< somebody asked for the end
+  bool end_seen = false;             ///< the pipeline's end was logged
+  std::optional<int> exit_status;    ///< set: leave the loop
 
   ControlMethods methods();
   json status();
   std::string state(const pipeline::PipelineStatus& now) const;
   void open_metrics();
+  void open_web();
+  void look_after_web();
   MetricsSnapshot metrics_snapshot();
   json record_start(const json& params);
   json record_stop();
@@ -188,6 +193,10 @@ json Service::Impl::status() {
   answer["state"] = state(now);
   answer["stream"] = to_json(stream->statistics());
   answer["stream"]["socket"] = config.stream.socket.string();
+  answer["web"] = web ? to_json(web->statistics()) : json(nullptr);
+  if (web) {
+    answer["web"]["url"] = web->url();
+  }
   const auto take = takes.status();
   const auto& shown = take ? take : failed_take;
   answer["recording"] = shown ? to_json(*shown) : json(nullptr);
@@ -209,7 +218,32 @@ MetricsSnapshot Service::Impl::metrics_snapshot() {
   now.disk_free_bytes = std::filesystem::space(config.takes.folder, ignored).available;
   now.stream = stream->statistics();
   now.take = takes.status();
+  if (web) {
+    now.web = web->statistics();
+  }
   return now;
+}
+
+void Service::Impl::open_web() {
+  if (config.web.listen.empty()) {
+    return;
+  }
+  try {
+    web.emplace(config.web, config.takes.folder, *stream, *control);
+    log.info(fmt::format("page on {}{}", web->url(),
+                         web->has_page() ? "" : ": its files are not there, only its WebSockets"));
+  } catch (const Error& error) {
+    log.warning(error.what());
+  }
+}
+
+void Service::Impl::look_after_web() {
+  const std::uint64_t wrong = web ? web->statistics().wrong_tokens : 0;
+  if (wrong != wrong_tokens_told && Clock::now() - told >= kStatusPeriod) {
+    log.warning(fmt::format("{} wrong tokens were shown to {}", wrong - wrong_tokens_told, web->url()),
+                {{"FACET_EVENT", "wrong-token"}});
+    wrong_tokens_told = wrong;
+  }
 }
 
 void Service::Impl::open_metrics() {
@@ -460,6 +494,7 @@ void Service::Impl::look_after() {
   if (running) {
     look_after_pipeline();
   }
+  look_after_web();
   tell_manager();
   manager.look_after(running ? pipeline->longest_silence() : std::nullopt);
   if (stopping && !exit_status) {
@@ -477,6 +512,7 @@ void Service::Impl::finish() {
   takes.request_end();
   stream->request_stop();
   metrics.reset();
+  web.reset();
   if (const auto take = takes.end()) {
     log_take(*take);
   }
@@ -504,6 +540,7 @@ int Service::run() {
     impl.log.info(fmt::format("{}: stream on {}, control on {}", software_name(),
                               impl.config.stream.socket.string(), impl.config.control.socket.string()),
                   {{"FACET_EVENT", "started"}, {"FACET_VERSION", FACET_VERSION}});
+    impl.open_web();
     impl.opener.emplace(impl.config);
     while (!impl.exit_status) {
       impl.wait_for_events();

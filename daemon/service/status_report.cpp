@@ -133,6 +133,7 @@ json to_json(const stream::StreamStatistics& statistics) {
                        {"uid", reader.uid},
                        {"subscribed", reader.subscribed},
                        {"ring", reader.ring},
+                       {"web", reader.web},
                        {"frames_sent", reader.frames_sent},
                        {"frames_dropped", reader.frames_dropped},
                        {"bytes_sent", reader.bytes_sent}});
@@ -140,6 +141,13 @@ json to_json(const stream::StreamStatistics& statistics) {
   return {{"published", statistics.published},       {"skipped", statistics.skipped},
           {"connections", statistics.connections},   {"refused", statistics.refused},
           {"last_refusal", statistics.last_refusal}, {"readers", std::move(readers)}};
+}
+
+json to_json(const WebStatistics& web) {
+  return {{"requests", web.requests},
+          {"refused", web.refused},
+          {"wrong_tokens", web.wrong_tokens},
+          {"last_refusal", web.last_refusal}};
 }
 
 json to_json(const take::RecorderStatus& status) {

@@ -27,6 +27,7 @@
 #include "stream/encoder.hpp"
 #include "stream/framing.hpp"
 #include "stream/ring.hpp"
+#include "stream/web_socket.hpp"
 
 namespace facet::stream {
 namespace {
@@ -35,6 +36,10 @@ using Clock = std::chrono::steady_clock;
 
 constexpr auto kFarewellTime = std::chrono::milliseconds(100);
 constexpr int kEventsPerWait = 64;
+/// Connections that wait to be adopted; those beyond are closed.
+constexpr std::size_t kMostWaiting = 64;
+/// Requests and pings of one web reader in a second; a reader that sends more is refused.
+constexpr int kMaxWebRequests = 50;
 constexpr std::uint64_t kWakeTag = 0;    // epoll data of the eventfd
 constexpr std::uint64_t kListenTag = 1;  // of the listening socket; readers' ids follow
 constexpr std::uint64_t kFirstReaderId = 2;
@@ -42,6 +47,21 @@ constexpr std::uint64_t kFirstReaderId = 2;
 /// A message with its header, ready to be sent; shared by the readers that are in the middle of it.
 struct Packet {
   std::vector<std::uint8_t> bytes;
+};
+
+/// A WebSocket in the place of the Unix socket's framing.
+struct WebPeer {
+  WebSocketAssembler requests{kMaxRequestBytes};
+  WebSocketHeader header;            ///< of the message that goes out
+  std::vector<std::uint8_t> answer;  ///< pong or close that is to be sent; empty: none
+  bool answer_goes_out = false;      ///< outgoing is an answer, ready as it is
+  Clock::time_point second;          ///< in which the requests are counted
+  int requests_in_second = 0;
+};
+
+struct AdoptedConnection {
+  FileDescriptor connection;
+  std::vector<std::uint8_t> early;
 };
 
 struct Reader {
@@ -71,9 +91,11 @@ struct Reader {
   std::uint64_t ring_generation = 0;   ///< of the ring that was offered last; 0: none
   int ring_offers = 0;
 
+  std::optional<WebPeer> web;  ///< none: a Unix socket
+
   /// Frames come through a ring. Pictures never do.
   bool by_ring() const {
-    return statistics.subscribed && subscription.ring_version >= FACET_RING_VERSION &&
+    return !web && statistics.subscribed && subscription.ring_version >= FACET_RING_VERSION &&
            !subscription.want_images;
   }
 };
@@ -92,14 +114,23 @@ FileDescriptor open_checked(int fd, const char* what) {
   return FileDescriptor(fd);
 }
 
-/// send() that passes descriptors on with the first byte; it never blocks.
-ssize_t send_some(int fd, std::span<const std::uint8_t> bytes, const std::vector<FileDescriptor>& passed) {
-  constexpr std::size_t kMaxPassed = 2;
+/// What of head and body lies behind their first `sent` bytes.
+std::array<iovec, 2> rest_of(std::span<const std::uint8_t> head, std::span<const std::uint8_t> body,
+                             std::size_t sent) {
+  const std::size_t of_head = std::min(sent, head.size());
+  head = head.subspan(of_head);
+  body = body.subspan(sent - of_head);
   // The socket API takes what is sent by a pointer that is not const.
-  iovec part{const_cast<std::uint8_t*>(bytes.data()), bytes.size()};
+  return {{{const_cast<std::uint8_t*>(head.data()), head.size()},
+           {const_cast<std::uint8_t*>(body.data()), body.size()}}};
+}
+
+/// send() that passes descriptors on with the first byte; it never blocks.
+ssize_t send_some(int fd, std::span<iovec> parts, const std::vector<FileDescriptor>& passed) {
+  constexpr std::size_t kMaxPassed = 2;
   msghdr message{};
-  message.msg_iov = &part;
-  message.msg_iovlen = 1;
+  message.msg_iov = parts.data();
+  message.msg_iovlen = parts.size();
   alignas(cmsghdr) std::array<char, CMSG_SPACE(kMaxPassed * sizeof(int))> control{};
   if (!passed.empty()) {
     std::array<int, kMaxPassed> fds{};
@@ -147,6 +178,9 @@ struct StreamServer::Impl {
   std::shared_ptr<const mesh::MeshFrame> newest;  ///< guarded by newest_mutex; null once taken
   std::uint64_t published = 0;                    ///< guarded by newest_mutex
 
+  std::mutex adopted_mutex;
+  std::vector<AdoptedConnection> adopted;  ///< guarded by adopted_mutex
+
   mutable std::mutex statistics_mutex;
   StreamStatistics shown_statistics;  ///< guarded by statistics_mutex
 
@@ -175,11 +209,17 @@ struct StreamServer::Impl {
   void run_until_stopped();
   void take_newest();
   void accept_readers();
+  void admit_adopted();
   void admit(FileDescriptor connection);
+  Reader* admit(std::unique_ptr<Reader> reader, int limit);
   void handle(Reader& reader, std::uint32_t events);
   void receive(Reader& reader);
-  void accept_request(Reader& reader);
-  void refuse(Reader& reader, const std::string& why);
+  void read_requests(Reader& reader, std::span<const std::uint8_t> bytes);
+  void read_web_requests(Reader& reader, std::span<const std::uint8_t> bytes);
+  void accept_request(Reader& reader, std::span<const std::uint8_t> message);
+  void refuse(Reader& reader, const std::string& why, WebSocketClose code = WebSocketClose::Refused);
+  static void set_outgoing(Reader& reader, std::shared_ptr<const Packet> message);
+  static void close_web(Reader& reader, WebSocketClose code, const std::string& why);
   void pump(Reader& reader);
   bool send_outgoing(Reader& reader);
   std::shared_ptr<const Packet> next_packet(Reader& reader);
@@ -264,29 +304,57 @@ void StreamServer::Impl::accept_readers() {
   }
 }
 
+void StreamServer::Impl::admit_adopted() {
+  std::vector<AdoptedConnection> waiting;
+  {
+    const std::lock_guard lock(adopted_mutex);
+    waiting.swap(adopted);
+  }
+  for (AdoptedConnection& entry : waiting) {
+    auto reader = std::make_unique<Reader>(std::move(entry.connection));
+    reader->web.emplace();
+    reader->statistics.web = true;
+    if (Reader* admitted = admit(std::move(reader), config.max_web_readers)) {
+      read_web_requests(*admitted, entry.early);
+      if (!admitted->gone) {
+        pump(*admitted);
+      }
+    }
+  }
+}
+
 void StreamServer::Impl::admit(FileDescriptor connection) {
   auto reader = std::make_unique<Reader>(std::move(connection));
-  reader->statistics.id = next_reader_id++;
-  ++statistics.connections;
-  if (static_cast<int>(readers.size()) >= config.max_readers) {
-    refuse(*reader, fmt::format("{} readers are connected already, which is the limit", config.max_readers));
-    return;
-  }
   ucred peer{};
   socklen_t size = sizeof(peer);
   if (::getsockopt(reader->fd.get(), SOL_SOCKET, SO_PEERCRED, &peer, &size) == 0) {
     reader->statistics.pid = peer.pid;
     reader->statistics.uid = peer.uid;
   }
+  admit(std::move(reader), config.max_readers);
+}
+
+/// The reader in its place, or null where it was refused.
+Reader* StreamServer::Impl::admit(std::unique_ptr<Reader> reader, int limit) {
+  reader->statistics.id = next_reader_id++;
+  ++statistics.connections;
+  const auto alike = std::count_if(readers.begin(), readers.end(), [&](const std::unique_ptr<Reader>& entry) {
+    return entry->statistics.web == reader->statistics.web;
+  });
+  if (alike >= limit) {
+    refuse(*reader, fmt::format("{} readers are connected already, which is the limit", limit));
+    return nullptr;
+  }
   epoll_event event{};
   event.events = EPOLLIN | EPOLLRDHUP;
   event.data.u64 = reader->statistics.id;
   if (::epoll_ctl(epoll.get(), EPOLL_CTL_ADD, reader->fd.get(), &event) != 0) {
     refuse(*reader, "no memory for one more reader");
-    return;
+    return nullptr;
   }
   readers.push_back(std::move(reader));
   pump(*readers.back());
+  return readers.back().get();
 }
 
 void StreamServer::Impl::arm(Reader& reader, bool waits_for_room) {
@@ -322,13 +390,65 @@ void StreamServer::Impl::receive(Reader& reader) {
     reader.gone = true;
     return;
   }
-  std::span<const std::uint8_t> bytes(piece.data(), count > 0 ? static_cast<std::size_t>(count) : 0);
+  const std::span<const std::uint8_t> bytes(piece.data(), count > 0 ? static_cast<std::size_t>(count) : 0);
+  if (reader.web) {
+    read_web_requests(reader, bytes);
+  } else {
+    read_requests(reader, bytes);
+  }
+}
+
+void StreamServer::Impl::read_web_requests(Reader& reader, std::span<const std::uint8_t> bytes) {
+  using Outcome = WebSocketAssembler::Outcome;
+  WebPeer& web = *reader.web;
+  while (!bytes.empty() && !reader.gone) {
+    const Outcome outcome = web.requests.feed(bytes);
+    if (outcome == Outcome::Message || outcome == Outcome::Ping) {
+      const auto now = Clock::now();
+      if (now - web.second >= std::chrono::seconds(1)) {
+        web.second = now;
+        web.requests_in_second = 0;
+      }
+      if (++web.requests_in_second > kMaxWebRequests) {
+        refuse(reader, fmt::format("more than {} requests in a second", kMaxWebRequests));
+        return;
+      }
+    }
+    switch (outcome) {
+      case Outcome::Incomplete:
+        break;
+      case Outcome::Message:
+        if (web.requests.is_text()) {
+          refuse(reader, "requests are binary messages");
+          break;
+        }
+        accept_request(reader, web.requests.message());
+        web.requests.next();
+        break;
+      case Outcome::Ping:
+        web.answer = web_socket_pong(web.requests.control());
+        break;
+      case Outcome::Close:
+        close_web(reader, WebSocketClose::GoingAway, "");
+        break;
+      case Outcome::Violation:
+        refuse(reader, "request breaks the WebSocket protocol", WebSocketClose::Violation);
+        break;
+      case Outcome::TooLong:
+        refuse(reader, fmt::format("request is longer than {} bytes", kMaxRequestBytes),
+               WebSocketClose::TooLong);
+        break;
+    }
+  }
+}
+
+void StreamServer::Impl::read_requests(Reader& reader, std::span<const std::uint8_t> bytes) {
   while (!bytes.empty() && !reader.gone) {
     switch (reader.requests.feed(bytes)) {
       case MessageAssembler::Outcome::Incomplete:
         break;
       case MessageAssembler::Outcome::Complete:
-        accept_request(reader);
+        accept_request(reader, reader.requests.message());
         reader.requests.next();
         break;
       case MessageAssembler::Outcome::WrongMagic:
@@ -341,10 +461,10 @@ void StreamServer::Impl::receive(Reader& reader) {
   }
 }
 
-void StreamServer::Impl::accept_request(Reader& reader) {
+void StreamServer::Impl::accept_request(Reader& reader, std::span<const std::uint8_t> message) {
   Subscription wanted;
   try {
-    wanted = decode_subscription(reader.requests.message());
+    wanted = decode_subscription(message);
   } catch (const Error& error) {
     refuse(reader, error.what());
     return;
@@ -375,14 +495,40 @@ void StreamServer::Impl::accept_request(Reader& reader) {
 }
 
 /// Says goodbye and drops the reader. In the middle of a message no goodbye can be sent.
-void StreamServer::Impl::refuse(Reader& reader, const std::string& why) {
+void StreamServer::Impl::refuse(Reader& reader, const std::string& why, WebSocketClose code) {
   ++statistics.refused;
   statistics.last_refusal = why;
   if (reader.outgoing == nullptr) {
-    reader.outgoing = packet(encoder.goodbye(why));
-    reader.sent_bytes = 0;
-    reader.outgoing_is_frame = false;
+    set_outgoing(reader, packet(encoder.goodbye(why)));
     send_outgoing(reader);
+  }
+  if (reader.web) {
+    close_web(reader, code, why);
+  }
+  reader.gone = true;
+}
+
+void StreamServer::Impl::set_outgoing(Reader& reader, std::shared_ptr<const Packet> message) {
+  reader.sent_bytes = 0;
+  if (reader.web) {
+    reader.web->answer_goes_out = false;
+    reader.web->header = WebSocketHeader(WebSocketOpcode::Binary, message->bytes.size() - kHeaderBytes);
+  }
+  reader.outgoing_is_frame = false;
+  reader.outgoing = std::move(message);
+}
+
+/// Ends a WebSocket. In the middle of a message there is no way to say why.
+void StreamServer::Impl::close_web(Reader& reader, WebSocketClose code, const std::string& why) {
+  if (reader.outgoing == nullptr) {
+    const std::vector<std::uint8_t> frame = web_socket_close(code, why);
+    [[maybe_unused]] const ssize_t ignored =
+        ::send(reader.fd.get(), frame.data(), frame.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+    // What lies unread when a TCP connection is closed makes the kernel throw away what was just sent.
+    std::array<std::uint8_t, kMaxRequestBytes> unread{};
+    for (int piece = 0; piece < 16 && ::recv(reader.fd.get(), unread.data(), unread.size(), MSG_DONTWAIT) > 0;
+         ++piece) {
+    }
   }
   reader.gone = true;
 }
@@ -535,10 +681,15 @@ std::shared_ptr<const Packet> StreamServer::Impl::next_packet(Reader& reader) {
 
 /// Sends what the socket takes of the outgoing message. Returns true once it is all sent.
 bool StreamServer::Impl::send_outgoing(Reader& reader) {
-  const std::vector<std::uint8_t>& bytes = reader.outgoing->bytes;
-  while (reader.sent_bytes < bytes.size()) {
-    const ssize_t count =
-        send_some(reader.fd.get(), std::span(bytes).subspan(reader.sent_bytes), reader.passed);
+  std::span<const std::uint8_t> body = reader.outgoing->bytes;
+  std::span<const std::uint8_t> head;
+  if (reader.web && !reader.web->answer_goes_out) {
+    head = reader.web->header.view();
+    body = body.subspan(kHeaderBytes);
+  }
+  while (reader.sent_bytes < head.size() + body.size()) {
+    std::array<iovec, 2> parts = rest_of(head, body, reader.sent_bytes);
+    const ssize_t count = send_some(reader.fd.get(), parts, reader.passed);
     if (count < 0 && errno == EINTR) {
       continue;
     }
@@ -557,9 +708,19 @@ bool StreamServer::Impl::send_outgoing(Reader& reader) {
 
 void StreamServer::Impl::pump(Reader& reader) {
   while (!reader.gone) {
-    if (reader.outgoing == nullptr) {
-      reader.outgoing = next_packet(reader);
+    if (reader.outgoing == nullptr && reader.web && !reader.web->answer.empty()) {
+      auto answer = std::make_shared<Packet>();
+      answer->bytes.swap(reader.web->answer);
+      reader.outgoing = std::move(answer);
       reader.sent_bytes = 0;
+      reader.outgoing_is_frame = false;
+      reader.web->answer_goes_out = true;
+    } else if (reader.outgoing == nullptr) {
+      if (auto message = next_packet(reader)) {
+        const bool is_frame = reader.outgoing_is_frame;
+        set_outgoing(reader, std::move(message));
+        reader.outgoing_is_frame = is_frame;
+      }
     }
     if (reader.gone) {
       return;
@@ -618,6 +779,7 @@ void StreamServer::Impl::run_until_stopped() {
       std::uint64_t wakes = 0;
       // Non-blocking; only empties the counter.
       [[maybe_unused]] const ssize_t ignored = ::read(wake.get(), &wakes, sizeof(wakes));
+      admit_adopted();
       take_newest();
       announce_to_all();
       for (const std::unique_ptr<Reader>& reader : readers) {
@@ -637,10 +799,11 @@ void StreamServer::Impl::farewell() {
   while (!readers.empty()) {
     for (const std::unique_ptr<Reader>& reader : readers) {
       if (reader->outgoing == nullptr || send_outgoing(*reader)) {
-        reader->outgoing = packet(encoder.goodbye("the server stops"));
-        reader->sent_bytes = 0;
-        reader->outgoing_is_frame = false;
+        set_outgoing(*reader, packet(encoder.goodbye("the server stops")));
         send_outgoing(*reader);
+        if (reader->web) {
+          close_web(*reader, WebSocketClose::GoingAway, "the server stops");
+        }
         reader->gone = true;
       }
     }
@@ -697,6 +860,18 @@ void StreamServer::publish(std::shared_ptr<const mesh::MeshFrame> frame) {
     ++impl_->published;
   }
   // An eventfd's counter can't overflow here: the write fails only where a wake-up is pending already.
+  const std::uint64_t one = 1;
+  [[maybe_unused]] const ssize_t ignored = ::write(impl_->wake.get(), &one, sizeof(one));
+}
+
+void StreamServer::adopt(FileDescriptor connection, std::vector<std::uint8_t> early) {
+  {
+    const std::lock_guard lock(impl_->adopted_mutex);
+    if (impl_->stopping.load() || impl_->adopted.size() >= kMostWaiting) {
+      return;
+    }
+    impl_->adopted.push_back({std::move(connection), std::move(early)});
+  }
   const std::uint64_t one = 1;
   [[maybe_unused]] const ssize_t ignored = ::write(impl_->wake.get(), &one, sizeof(one));
 }

@@ -16,6 +16,7 @@ struct StreamServerConfig {
   std::filesystem::path socket;
   SocketAccess access;
   int max_readers = 64;     ///< a connection more is told so and closed
+  int max_web_readers = 0;  ///< the same for those that come by adopt
   std::string server_name;  ///< for people, in Hello: program and version
 };
 
@@ -27,6 +28,7 @@ struct ReaderStatistics {
   Profile profile = Profile::Displacements;
   bool subscribed = false;
   bool ring = false;              ///< frames go through shared memory
+  bool web = false;               ///< over a WebSocket; pid and uid are not known then
   std::uint64_t frames_sent = 0;  ///< ring: announced to a reader that had seen the announcement before
   std::uint64_t frames_dropped = 0;
   std::uint64_t bytes_sent = 0;
@@ -65,6 +67,11 @@ class StreamServer {
   /// Makes `frame` the newest. Any thread; real-time safe: swaps a pointer under a lock that is never held
   /// across a system call or an encoding, and writes an eventfd. No effect after request_stop.
   void publish(std::shared_ptr<const mesh::MeshFrame> frame);
+
+  /// Takes over a TCP connection whose WebSocket handshake is done: the same messages as binary messages,
+  /// without the socket's header, and no ring. `early`: what has come of the client's bytes already. Any
+  /// thread. A connection too many is told so and closed, as is one after request_stop without a word.
+  void adopt(FileDescriptor connection, std::vector<std::uint8_t> early);
 
   /// First phase of stopping: readers get Goodbye, nothing new is sent. Any thread, returns at once;
   /// idempotent.

@@ -594,7 +594,7 @@ RecorderStatus TakeRecorder::status() const {
   return status;
 }
 
-std::filesystem::path take_path(const std::filesystem::path& folder, const std::string& name) {
+std::filesystem::path named_take(const std::filesystem::path& folder, const std::string& name) {
   const bool bad_character = std::any_of(name.begin(), name.end(), [](char character) {
     const auto code = static_cast<unsigned char>(character);
     return character == '/' || code < 0x20 || code == 0x7F;
@@ -605,7 +605,11 @@ std::filesystem::path take_path(const std::filesystem::path& folder, const std::
                             "beginning with a dot",
                             name, kMaxTakeNameBytes));
   }
-  std::filesystem::path file = folder / (name + ".take");
+  return folder / (name + ".take");
+}
+
+std::filesystem::path take_path(const std::filesystem::path& folder, const std::string& name) {
+  std::filesystem::path file = named_take(folder, name);
   if (take_exists(file)) {
     throw Error(ErrorKind::Storage,
                 fmt::format("take '{}', or its folder of pictures, exists already: choose another "

@@ -84,6 +84,9 @@ class TakeRecorder {
   std::unique_ptr<Impl> impl_;
 };
 
+/// FOLDER/NAME.take of a take, be it there or not. Throws Error(Usage) where it is no name of a take, as below.
+std::filesystem::path named_take(const std::filesystem::path& folder, const std::string& name);
+
 /// FOLDER/NAME.take for `facet record start NAME`. Throws Error(Usage) where the name is empty, longer than
 /// 100 bytes, starts with a dot or has a slash or control character, and Error(Storage) where such a take is
 /// there already: a take is never overwritten and never renamed behind the user's back.

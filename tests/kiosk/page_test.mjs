@@ -98,7 +98,7 @@ try {
   browser = await chromium.launch({
     executablePath: chromiumFile,
     args: ['--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--ignore-gpu-blocklist'] });
-  const page = await browser.newPage({ viewport: { width: 1280, height: 720 }, locale: 'en-GB', acceptDownloads: true });
+  const page = await browser.newPage({ viewport: { width: 1024, height: 576 }, locale: 'en-GB', acceptDownloads: true });
   page.setDefaultTimeout(kPatience_ms);
   const faults = [];
   page.on('pageerror', (error) => faults.push(error.message));
@@ -115,7 +115,8 @@ try {
   await page.goto(origin);
   const text = (id) => page.locator(`#${id}`).textContent();
   const drawn = () => page.evaluate(() => Number(document.getElementById('face').dataset.drawn ?? 0));
-  await page.waitForFunction(() => document.body.dataset.connection === 'live' && Number(document.getElementById('face').dataset.drawn ?? 0) > 0);
+  const isLive = () => page.evaluate(() => document.body.dataset.connection === 'live' && 'drawn' in document.getElementById('face').dataset);
+  await eventually('a live face', isLive);
   step(`live face ${Date.now() - opened} ms after the start of the page`);
 
   /** What is seen of the face: shares of pixels and mean colours, from the screen itself. */
@@ -173,16 +174,16 @@ try {
   assert.ok(Number(await page.locator('#detail').getAttribute('data-level')) >= 1);
   assert.match(await text('detail'), /without a GPU/);
   assert.match(await text('devices'), /Camera.*streaming/);
-  assert.match(await text('devices'), /1 connected/);
+  assert.match(await text('devices'), /Readers1 · /);
   assert.ok((await page.getByRole('meter').count()) > 10, 'expression bars');
 
   // Recording needs the token.
   await page.keyboard.press('r');
-  await page.getByLabel('Token').fill('a-wrong-token-of-some-length');
+  await page.getByLabel('Token', { exact: true }).fill('a-wrong-token-of-some-length');
   await page.keyboard.press('Enter');
   await page.getByText('That is not the token.').waitFor();
   assert.equal((await ask('takes.list')).count, 0);
-  await page.getByLabel('Token').fill(readFileSync(join(folder, 'token'), 'utf8').trim());
+  await page.getByLabel('Token', { exact: true }).fill(readFileSync(join(folder, 'token'), 'utf8').trim());
   await page.keyboard.press('Enter');
   await page.getByRole('button', { name: 'Unlocked' }).or(page.getByRole('button', { name: /Recording is allowed/ })).waitFor();
   step('unlocked');
@@ -203,10 +204,10 @@ try {
   const download = await waiting;
   assert.match(download.suggestedFilename(), /^20.*\.take$/);
   await download.saveAs(file);
-  const summary = JSON.parse(execFileSync(facet, ['summary', file, '--json'], { encoding: 'utf8' }));
+  const summary = execFileSync(facet, ['summary', file], { encoding: 'utf8' });
   const [take] = (await ask('takes.list')).takes;
   assert.ok(take.frames > 2 && take.closed);
-  assert.equal(summary.frames ?? summary.frame_count ?? summary.take?.frames, take.frames, JSON.stringify(summary).slice(0, 400));
+  assert.match(summary, new RegExp(`frames +${take.frames}\\b`));
   step(`downloaded: ${take.frames} frames, ${take.bytes} bytes`);
 
   // Nothing is cut off, in either orientation; every button has a name and is large enough for a finger.
@@ -233,7 +234,7 @@ try {
     await eventually('a picture of the new size', async () => (await drawn()) > at + 1);
     await page.screenshot({ path: join(output, `${name}.png`) });
   }
-  await page.setViewportSize({ width: 1280, height: 720 });
+  await page.setViewportSize({ width: 1024, height: 576 });
   step('both orientations');
 
   // The other language.
@@ -247,7 +248,7 @@ try {
   await page.getByText('The capture service does not answer').waitFor();
   step('the page says that facetd is gone');
   await startDaemon();
-  await page.waitForFunction(() => document.body.dataset.connection === 'live');
+  await eventually('a live face again', isLive);
   step('it is back');
   assert.deepEqual(faults, []);
 } catch (error) {

@@ -100,6 +100,11 @@ TEST(Config, SampleShowsEveryKeyWithItsDefault) {
   EXPECT_EQ(shown.takes.disk_reserve_bytes, defaults.takes.disk_reserve_bytes);
   EXPECT_EQ(shown.takes.compression_level, defaults.takes.compression_level);
   EXPECT_EQ(shown.takes.record_at_start, defaults.takes.record_at_start);
+  EXPECT_EQ(shown.web.listen, defaults.web.listen);
+  EXPECT_EQ(shown.web.token_file, defaults.web.token_file);
+  EXPECT_EQ(shown.web.hosts, defaults.web.hosts);
+  EXPECT_EQ(shown.web.origins, defaults.web.origins);
+  EXPECT_EQ(shown.web.max_clients, defaults.web.max_clients);
   EXPECT_EQ(shown.log_level, defaults.log_level);
 
   // The sections of a rig have a sample of their own.

@@ -46,8 +46,8 @@ vec3 srgb(vec3 linear) {
 }
 void main() {
   vec3 n = normalize(v_normal);
-  if (!gl_FrontFacing) n = -n;
   vec3 eye = normalize(-v_position);
+  if (dot(n, eye) < 0.0) n = -n;
   vec3 albedo = has_albedo ? v_albedo : clay;
   if (view == 1) { colour = vec4(0.5 + 0.5 * normalize(v_head_normal), 1.0); return; }
   if (view == 2) { colour = vec4(srgb(albedo), 1.0); return; }

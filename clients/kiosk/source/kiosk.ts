@@ -8,6 +8,7 @@ import { chooseLanguage, duration, number, otherLanguage, stateText, text, type 
 
 const kStatusPeriod_ms = 1000;
 const kCountdown_s = 3;
+const kRateWindow_ms = 2000;
 
 /** The browser may forbid to keep anything. */
 const memory = {
@@ -21,6 +22,7 @@ const memory = {
 
 let view: FaceView | null = null;
 let connected = false;
+let connectedSince_ms = 0;
 let refusal = '';
 let status: Status | null = null;
 let takes: Takes | null = null;
@@ -40,7 +42,7 @@ const expressions = new Expressions();
 const plots = [new Plot('rate', 'rate', '#7fd6c8', ''), new Plot('latency', 'latency', '#e0b062', ' ms')];
 
 const stream = new StreamConnection({
-  connected: () => { connected = true; refusal = ''; showState(); },
+  connected: () => { connected = true; connectedSince_ms = performance.now(); refusal = ''; showState(); },
   closed: (reason) => { connected = false; refusal = reason; arrivals.length = 0; showState(); },
   subject: (subject) => {
     const hierarchy = subject.hierarchy();
@@ -84,7 +86,7 @@ function takeToken(): string {
 function showFrame(frame: Frame): void {
   const now = performance.now();
   arrivals.push(now);
-  while (arrivals.length > 0 && arrivals[0] < now - 2000) {
+  while (arrivals.length > 0 && arrivals[0] < now - kRateWindow_ms) {
     arrivals.shift();
   }
   tracking = frame.state();
@@ -200,8 +202,11 @@ function setText(id: string, words: string): void {
   }
 }
 
+/** Frames that came in a second, over the last two. */
 function rate(): number {
-  return arrivals.length < 2 ? 0 : ((arrivals.length - 1) * 1000) / Math.max(1, arrivals[arrivals.length - 1] - arrivals[0]);
+  const now = performance.now();
+  const seconds = Math.min(kRateWindow_ms, now - connectedSince_ms) / 1000;
+  return seconds < 0.5 ? 0 : arrivals.filter((at_ms) => at_ms > now - kRateWindow_ms).length / seconds;
 }
 
 function showState(): void {

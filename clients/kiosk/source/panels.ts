@@ -130,15 +130,20 @@ export function showCamera(frame: Frame): void {
   if (source.width === 0 || source.height === 0) {
     return;
   }
-  canvas.style.aspectRatio = `${source.width} / ${source.height}`;
   const on = paper(canvas);
   if (!on) {
     return;
   }
   const { draw, width, height } = on;
   canvas.setAttribute('aria-label', text(pixels ? 'camera_label' : 'landmarks_label'));
+  // The whole picture, in the middle.
+  const scale = Math.min(width / source.width, height / source.height);
+  const shown = { left: (width - scale * source.width) / 2, top: (height - scale * source.height) / 2 };
+  draw.fillStyle = '#0a0d12';
+  draw.fillRect(shown.left, shown.top, scale * source.width, scale * source.height);
   if (image && pixels) {
-    const copy = draw.createImageData(canvas.width, canvas.height);
+    const ratio = canvas.width / width;
+    const copy = draw.createImageData(Math.max(1, Math.floor(scale * source.width * ratio)), Math.max(1, Math.floor(scale * source.height * ratio)));
     const channels = image.channels();
     for (let row = 0; row < copy.height; ++row) {
       const from = Math.floor((row / copy.height) * image.heightPx()) * image.widthPx();
@@ -151,13 +156,12 @@ export function showCamera(frame: Frame): void {
         copy.data[to + 3] = 255;
       }
     }
-    draw.putImageData(copy, 0, 0);
+    draw.putImageData(copy, Math.round(shown.left * ratio), Math.round(shown.top * ratio));
   }
-  const scale = width / source.width;
   draw.fillStyle = '#7fd6c8';
   for (let i = 0; i < frame.landmarksPxLength(); ++i) {
     const point = frame.landmarksPx(i)!;
-    draw.fillRect(point.xPx() * scale - 0.8, Math.min(height, point.yPx() * scale) - 0.8, 1.6, 1.6);
+    draw.fillRect(shown.left + point.xPx() * scale - 0.8, shown.top + point.yPx() * scale - 0.8, 1.6, 1.6);
   }
 }
 

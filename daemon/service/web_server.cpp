@@ -1,0 +1,635 @@
+#include "service/web_server.hpp"
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <microhttpd.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
+#include <sys/random.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <charconv>
+#include <cstring>
+#include <exception>
+#include <map>
+#include <mutex>
+#include <optional>
+#include <set>
+#include <string_view>
+#include <system_error>
+#include <utility>
+#include <vector>
+
+#include "facet/error.hpp"
+#include "files/text_file.hpp"
+#include "service/listen_address.hpp"
+#include "stream/web_socket.hpp"
+#include "take/reader.hpp"
+#include "take/recorder.hpp"
+
+namespace facet::service {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+constexpr unsigned kIdle_s = 30;
+constexpr std::size_t kConnectionBytes = 16384;  ///< request and buffers
+/// What the kernel may hold for one WebSocket, bytes: a reader that is slow is to lose old frames, not to get
+/// them late.
+constexpr int kSendBufferBytes = 512 << 10;
+/// A peer that acknowledges nothing for so long is gone.
+constexpr unsigned kSilence_ms = 20'000;
+constexpr std::string_view kProtocol = "facet";
+constexpr std::string_view kTokenPrefix = "facet.token.";
+constexpr std::size_t kLeastTokenBytes = 16;
+constexpr std::size_t kMostTokenBytes = 128;
+constexpr std::size_t kMostPageFiles = 256;
+
+/// Nothing from elsewhere, nothing inside a frame of another page, no type guessed.
+constexpr std::pair<const char*, const char*> kHeaders[] = {
+    {"Content-Security-Policy",
+     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src "
+     "'self'; "
+     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"},
+    {"X-Content-Type-Options", "nosniff"},
+    {"X-Frame-Options", "DENY"},
+    {"Referrer-Policy", "no-referrer"},
+    {"Cross-Origin-Opener-Policy", "same-origin"},
+    {"Cross-Origin-Resource-Policy", "same-origin"},
+    {"Cache-Control", "no-cache"},
+};
+
+constexpr std::pair<std::string_view, const char*> kTypes[] = {
+    {".html", "text/html; charset=utf-8"},
+    {".js", "text/javascript; charset=utf-8"},
+    {".css", "text/css; charset=utf-8"},
+    {".json", "application/json"},
+    {".svg", "image/svg+xml"},
+    {".png", "image/png"},
+    {".txt", "text/plain; charset=utf-8"},
+};
+
+struct PageFile {
+  std::string bytes;
+  const char* type;
+};
+
+std::string lower(std::string_view text) {
+  std::string out(text);
+  std::transform(out.begin(), out.end(), out.begin(),
+                 [](char c) { return c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c; });
+  return out;
+}
+
+/// The entries of a list that commas part, without the blanks around them.
+std::vector<std::string_view> entries(std::string_view list) {
+  std::vector<std::string_view> found;
+  while (!list.empty()) {
+    const std::size_t comma = std::min(list.find(','), list.size());
+    std::string_view entry = list.substr(0, comma);
+    list.remove_prefix(std::min(comma + 1, list.size()));
+    const std::size_t first = std::min(entry.find_first_not_of(" \t"), entry.size());
+    entry.remove_prefix(first);
+    entry = entry.substr(0, entry.find_last_not_of(" \t") + 1);
+    if (!entry.empty()) {
+      found.push_back(entry);
+    }
+  }
+  return found;
+}
+
+/// The files of a folder, without those of folders in it, by the path at which they are asked for.
+std::map<std::string, PageFile, std::less<>> read_page(const std::filesystem::path& folder) {
+  std::map<std::string, PageFile, std::less<>> files;
+  std::size_t bytes = 0;
+  std::error_code error;
+  for (std::filesystem::directory_iterator entry(folder, error), end; !error && entry != end;
+       entry.increment(error)) {
+    const auto* const type = std::find_if(std::begin(kTypes), std::end(kTypes), [&](const auto& known) {
+      return entry->path().extension() == known.first;
+    });
+    std::error_code ignored;
+    if (type == std::end(kTypes) || !entry->is_regular_file(ignored)) {
+      continue;
+    }
+    PageFile file{files::read_text(entry->path(), WebServer::kMostPageBytes, "file of the page"),
+                  type->second};
+    bytes += file.bytes.size();
+    if (bytes > WebServer::kMostPageBytes || files.size() >= kMostPageFiles) {
+      throw Error(ErrorKind::Usage,
+                  fmt::format("web.page = \"{}\": that is more than a page", folder.string()));
+    }
+    files.emplace(fmt::format("/{}", entry->path().filename().string()), std::move(file));
+  }
+  if (const auto index = files.find("/index.html"); index != files.end()) {
+    files.emplace("/", index->second);
+  }
+  return files;
+}
+
+std::string make_token(const std::filesystem::path& file) {
+  std::array<std::uint8_t, 16> random{};
+  if (::getrandom(random.data(), random.size(), 0) != static_cast<ssize_t>(random.size())) {
+    throw Error(ErrorKind::Internal, fmt::format("no random numbers for a token: {}", std::strerror(errno)));
+  }
+  std::string token;
+  for (const std::uint8_t byte : random) {
+    token += fmt::format("{:02x}", byte);
+  }
+  const stream::FileDescriptor out(::open(file.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0640));
+  const std::string line = token + "\n";
+  if (!out || ::write(out.get(), line.data(), line.size()) != static_cast<ssize_t>(line.size())) {
+    throw Error(ErrorKind::Storage,
+                fmt::format("web.token_file = \"{}\": can't write: {}; web.token_file = \"\" does without",
+                            file.string(), std::strerror(errno)));
+  }
+  return token;
+}
+
+/// What has to be shown to change something; empty: nobody can.
+std::string read_token(const std::filesystem::path& file) {
+  if (file.empty()) {
+    return {};
+  }
+  std::error_code ignored;
+  if (!std::filesystem::exists(file, ignored)) {
+    return make_token(file);
+  }
+  std::string token;
+  try {
+    token = files::read_text(file, kMostTokenBytes + 2, "token");
+  } catch (const Error& error) {
+    throw Error(ErrorKind::Storage, fmt::format("web.token_file: {}", error.what()));
+  }
+  while (!token.empty() && (token.back() == '\n' || token.back() == '\r')) {
+    token.pop_back();
+  }
+  const bool sound = std::all_of(token.begin(), token.end(), [](char c) {
+    return (c >= '0' && c <= '9') || (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || c == '-' || c == '_';
+  });
+  if (!sound || token.size() < kLeastTokenBytes || token.size() > kMostTokenBytes) {
+    throw Error(
+        ErrorKind::Usage,
+        fmt::format("web.token_file = \"{}\": a token is one line of {} to {} letters, digits, - and _; "
+                    "remove the file to have one made",
+                    file.string(), kLeastTokenBytes, kMostTokenBytes));
+  }
+  return token;
+}
+
+/// Takes as long wherever the two differ.
+bool same_token(std::string_view shown, std::string_view token) {
+  if (shown.size() != token.size()) {
+    return false;
+  }
+  unsigned difference = 0;
+  for (std::size_t i = 0; i < token.size(); ++i) {
+    difference |= static_cast<unsigned char>(shown[i]) ^ static_cast<unsigned char>(token[i]);
+  }
+  return difference == 0;
+}
+
+/// Value of a header that may be there once; none where it isn't there, or more than once.
+struct HeaderValue {
+  std::optional<std::string> value;
+  int count = 0;
+};
+struct HeaderSearch {
+  std::string_view name;
+  HeaderValue found;
+};
+
+HeaderValue header(MHD_Connection* connection, std::string_view name) {
+  HeaderSearch search{lower(name), {}};
+  const std::string wanted = lower(name);
+  search.name = wanted;
+  const auto visit = [](void* cls, MHD_ValueKind /*kind*/, const char* key, const char* value) {
+    auto& looked_for = *static_cast<HeaderSearch*>(cls);
+    if (lower(key) == looked_for.name) {
+      ++looked_for.found.count;
+      looked_for.found.value = value != nullptr ? value : "";
+    }
+    return MHD_YES;
+  };
+  MHD_get_connection_values(connection, MHD_HEADER_KIND, visit, &search);
+  if (search.found.count > 1) {
+    search.found.value.reset();
+  }
+  return search.found;
+}
+
+/// The bytes [first, end) of a file.
+struct ByteRange {
+  std::uint64_t first = 0;
+  std::uint64_t end = 0;
+  bool partial = false;
+};
+
+/// What a Range header asks for; everything where that is not one range. Empty where it lies behind the end.
+ByteRange byte_range(const std::string& text, std::uint64_t size) {
+  constexpr std::string_view kUnit = "bytes=";
+  const ByteRange all{0, size, false};
+  if (size == 0 || text.rfind(kUnit, 0) != 0) {
+    return all;
+  }
+  const auto number = [](std::string_view digits, std::uint64_t& value) {
+    const auto [end, error] = std::from_chars(digits.data(), digits.data() + digits.size(), value);
+    return error == std::errc() && end == digits.data() + digits.size();
+  };
+  const std::string_view range = std::string_view(text).substr(kUnit.size());
+  const std::size_t dash = std::min(range.find('-'), range.size());
+  const std::string_view from = range.substr(0, dash);
+  const std::string_view to = range.substr(std::min(dash + 1, range.size()));
+  std::uint64_t first = 0;
+  std::uint64_t last = size - 1;
+  if (dash == range.size() || (!from.empty() && !number(from, first)) || (!to.empty() && !number(to, last)) ||
+      (from.empty() && to.empty()) || (!from.empty() && last < first && !to.empty())) {
+    return all;
+  }
+  if (from.empty()) {
+    return {size - std::min(last, size), size, true};
+  }
+  return {first, std::min(last, size - 1) + 1, true};
+}
+
+/// As it may stand in a header, RFC 5987.
+std::string percent_encoded(std::string_view text) {
+  std::string out;
+  for (const char c : text) {
+    const bool plain = (c >= '0' && c <= '9') || (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') ||
+                       c == '-' || c == '_' || c == '.';
+    out += plain ? std::string(1, c) : fmt::format("%{:02X}", static_cast<unsigned char>(c));
+  }
+  return out;
+}
+
+struct FreeResponse {
+  void operator()(MHD_Response* owned) const { MHD_destroy_response(owned); }
+};
+using Response = std::unique_ptr<MHD_Response, FreeResponse>;
+
+MHD_Result send(MHD_Connection* connection, unsigned status, const Response& response) {
+  return response != nullptr ? MHD_queue_response(connection, status, response.get()) : MHD_NO;
+}
+
+/// A few words.
+Response words(const std::string& text) {
+  // The library does not write to it.
+  Response response(
+      MHD_create_response_from_buffer(text.size(), const_cast<char*>(text.data()), MHD_RESPMEM_MUST_COPY));
+  for (const auto& [name, value] : kHeaders) {
+    MHD_add_response_header(response.get(), name, value);
+  }
+  MHD_add_response_header(response.get(), MHD_HTTP_HEADER_CONTENT_TYPE, "text/plain; charset=utf-8");
+  return response;
+}
+
+}  // namespace
+
+struct WebServer::Impl {
+  /// What a handshake leads to.
+  enum class Door : std::size_t { Stream, Look, Command, WrongToken, TooManyTokens, Count };
+  /// What libmicrohttpd brings back once it has sent the answer to a handshake.
+  struct Passage {
+    Impl* impl;
+    Door door;
+  };
+
+  Impl(const WebConfig& given, std::filesystem::path folder, stream::StreamServer& given_stream,
+       ControlServer& given_control)
+      : config(given),
+        takes(std::move(folder)),
+        stream(given_stream),
+        control(given_control),
+        page(read_page(given.page)),
+        token(read_token(given.token_file)),
+        hosts{"localhost", "127.0.0.1", "::1", split_host(given.listen).host} {
+    for (const std::string& host : config.hosts) {
+      hosts.insert(split_host(host).host);
+    }
+    for (std::size_t door = 0; door < passages.size(); ++door) {
+      passages.at(door) = {this, static_cast<Door>(door)};
+    }
+  }
+
+  const WebConfig config;
+  const std::filesystem::path takes;
+  stream::StreamServer& stream;
+  ControlServer& control;
+  const std::map<std::string, PageFile, std::less<>> page;
+  const std::string token;
+  std::set<std::string> hosts;
+  std::array<Passage, static_cast<std::size_t>(Door::Count)> passages{};
+  MHD_Daemon* daemon = nullptr;
+
+  mutable std::mutex statistics_mutex;
+  WebStatistics shown;  ///< guarded by statistics_mutex
+
+  // The server's thread only.
+  int guesses_left = kGuesses;
+  Clock::time_point last_guess;
+
+  MHD_Result answer(MHD_Connection* connection, const std::string& path, std::string_view method);
+  MHD_Result refuse(MHD_Connection* connection, unsigned status, const std::string& why);
+  std::string stranger(MHD_Connection* connection) const;
+  MHD_Result send_page(MHD_Connection* connection, const PageFile& file) const;
+  MHD_Result send_take(MHD_Connection* connection, const std::string& name);
+  MHD_Result shake_hands(MHD_Connection* connection, Door door);
+  Door door_of_token(std::string_view shown_token);
+  void hand_over(Door door, stream::FileDescriptor connection, std::vector<std::uint8_t> early);
+
+  static MHD_Result on_request(void* impl, MHD_Connection* connection, const char* path, const char* method,
+                               const char* /*version*/, const char* /*upload*/, std::size_t* /*upload_size*/,
+                               void** /*state*/) {
+    try {
+      return static_cast<Impl*>(impl)->answer(connection, path, method);
+    } catch (const std::exception&) {
+      return MHD_NO;  // closes the connection
+    }
+  }
+  static void on_upgrade(void* passage, MHD_Connection* connection, void* state, const char* early,
+                         std::size_t early_size, MHD_socket socket, MHD_UpgradeResponseHandle* handle);
+};
+
+MHD_Result WebServer::Impl::refuse(MHD_Connection* connection, unsigned status, const std::string& why) {
+  {
+    const std::lock_guard lock(statistics_mutex);
+    ++shown.refused;
+    shown.last_refusal = why;
+  }
+  const Response response = words(why + "\n");
+  MHD_add_response_header(response.get(), MHD_HTTP_HEADER_CONNECTION, "close");
+  if (status == MHD_HTTP_METHOD_NOT_ALLOWED) {
+    MHD_add_response_header(response.get(), MHD_HTTP_HEADER_ALLOW, "GET, HEAD");
+  }
+  if (status == MHD_HTTP_UPGRADE_REQUIRED) {
+    MHD_add_response_header(response.get(), MHD_HTTP_HEADER_SEC_WEBSOCKET_VERSION, "13");
+  }
+  return send(connection, status, response);
+}
+
+/// Empty where a request is for us and from us; else why it is not.
+std::string WebServer::Impl::stranger(MHD_Connection* connection) const {
+  const auto host = header(connection, MHD_HTTP_HEADER_HOST).value;
+  if (!host || hosts.count(split_host(*host).host) == 0) {
+    return fmt::format("'{}' is no name of this machine: ask for the page by one of web.hosts",
+                       host.value_or("").substr(0, 100));
+  }
+  const HeaderValue origin = header(connection, MHD_HTTP_HEADER_ORIGIN);
+  if (origin.count == 0) {
+    return {};  // no page: browsers always say where a WebSocket or a request by a script comes from
+  }
+  const std::string from = lower(origin.value.value_or(""));
+  const bool own = from == "http://" + lower(*host) || from == "https://" + lower(*host);
+  if (own || std::any_of(config.origins.begin(), config.origins.end(),
+                         [&](const std::string& allowed) { return lower(allowed) == from; })) {
+    return {};
+  }
+  return fmt::format("pages of '{}' may not use this (web.origins)", from.substr(0, 100));
+}
+
+MHD_Result WebServer::Impl::answer(MHD_Connection* connection, const std::string& path,
+                                   std::string_view method) {
+  {
+    const std::lock_guard lock(statistics_mutex);
+    ++shown.requests;
+  }
+  if (const std::string why = stranger(connection); !why.empty()) {
+    return refuse(connection, MHD_HTTP_FORBIDDEN, why);
+  }
+  if (method != MHD_HTTP_METHOD_GET && method != MHD_HTTP_METHOD_HEAD) {
+    return refuse(connection, MHD_HTTP_METHOD_NOT_ALLOWED, "nothing here can be changed over HTTP");
+  }
+  if (method == MHD_HTTP_METHOD_GET && (path == "/stream" || path == "/control")) {
+    return shake_hands(connection, path == "/stream" ? Door::Stream : Door::Look);
+  }
+  constexpr std::string_view kTakes = "/takes/";
+  if (path.rfind(kTakes, 0) == 0) {
+    return send_take(connection, path.substr(kTakes.size()));
+  }
+  if (const auto file = page.find(path); file != page.end()) {
+    return send_page(connection, file->second);
+  }
+  return refuse(connection, MHD_HTTP_NOT_FOUND,
+                page.empty() ? "the page is not here: Facet was built without it (FACET_KIOSK)" : "not here");
+}
+
+MHD_Result WebServer::Impl::send_page(MHD_Connection* connection, const PageFile& file) const {
+  // The library does not write to it, and the page lives as long as the server.
+  const Response response(MHD_create_response_from_buffer(
+      file.bytes.size(), const_cast<char*>(file.bytes.data()), MHD_RESPMEM_PERSISTENT));
+  if (response == nullptr) {
+    return MHD_NO;
+  }
+  for (const auto& [name, value] : kHeaders) {
+    MHD_add_response_header(response.get(), name, value);
+  }
+  MHD_add_response_header(response.get(), MHD_HTTP_HEADER_CONTENT_TYPE, file.type);
+  return send(connection, MHD_HTTP_OK, response);
+}
+
+MHD_Result WebServer::Impl::send_take(MHD_Connection* connection, const std::string& name) {
+  std::filesystem::path file;
+  try {
+    file = take::named_take(takes, name);
+    std::error_code ignored;
+    if (!std::filesystem::is_regular_file(file, ignored)) {
+      return refuse(connection, MHD_HTTP_NOT_FOUND, "no such take");
+    }
+    if (!take::TakeReader(file).info().closed) {
+      return refuse(connection, MHD_HTTP_CONFLICT,
+                    "the take is not closed: it is being recorded, or was broken off");
+    }
+  } catch (const Error& error) {
+    return refuse(connection, error.kind() == ErrorKind::Usage ? MHD_HTTP_NOT_FOUND : MHD_HTTP_CONFLICT,
+                  error.kind() == ErrorKind::Usage ? "no such take" : "the take can't be read");
+  }
+  const stream::FileDescriptor fd(::open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW));
+  struct stat status {};
+  if (!fd || ::fstat(fd.get(), &status) != 0 || !S_ISREG(status.st_mode)) {
+    return refuse(connection, MHD_HTTP_NOT_FOUND, "no such take");
+  }
+  const auto size = static_cast<std::uint64_t>(status.st_size);
+  const std::string asked = header(connection, MHD_HTTP_HEADER_RANGE).value.value_or("");
+  const ByteRange range = byte_range(asked, size);
+  if (range.partial && range.first >= range.end) {
+    return refuse(connection, MHD_HTTP_RANGE_NOT_SATISFIABLE, "the take is shorter");
+  }
+  const int passed = ::fcntl(fd.get(), F_DUPFD_CLOEXEC, 0);  // the response's own
+  const Response response(
+      MHD_create_response_from_fd_at_offset64(range.end - range.first, passed, range.first));
+  if (response == nullptr) {
+    ::close(passed);
+    return MHD_NO;
+  }
+  for (const auto& [header_name, value] : kHeaders) {
+    MHD_add_response_header(response.get(), header_name, value);
+  }
+  MHD_add_response_header(response.get(), MHD_HTTP_HEADER_CONTENT_TYPE, "application/vnd.facet.take");
+  MHD_add_response_header(response.get(), MHD_HTTP_HEADER_ACCEPT_RANGES, "bytes");
+  MHD_add_response_header(response.get(), MHD_HTTP_HEADER_CONTENT_DISPOSITION,
+                          fmt::format("attachment; filename*=UTF-8''{}.take", percent_encoded(name)).c_str());
+  if (range.partial) {
+    MHD_add_response_header(response.get(), MHD_HTTP_HEADER_CONTENT_RANGE,
+                            fmt::format("bytes {}-{}/{}", range.first, range.end - 1, size).c_str());
+  }
+  return send(connection, range.partial ? MHD_HTTP_PARTIAL_CONTENT : MHD_HTTP_OK, response);
+}
+
+/// A right token opens; a wrong one costs a guess. While there is none left, no token is looked at.
+WebServer::Impl::Door WebServer::Impl::door_of_token(std::string_view shown_token) {
+  const auto now = Clock::now();
+  const auto regained = (now - last_guess) / kGuessPeriod;
+  if (guesses_left < kGuesses && regained > 0) {
+    guesses_left = static_cast<int>(std::min<std::int64_t>(kGuesses, guesses_left + regained));
+    last_guess = now;
+  }
+  const bool looked_at = guesses_left > 0;
+  if (looked_at && !token.empty() && same_token(shown_token, token)) {
+    return Door::Command;
+  }
+  if (guesses_left == kGuesses) {
+    last_guess = now;
+  }
+  guesses_left -= looked_at ? 1 : 0;
+  const std::lock_guard lock(statistics_mutex);
+  ++shown.refused;
+  ++shown.wrong_tokens;
+  shown.last_refusal = looked_at ? "a wrong token was shown" : "too many wrong tokens were shown";
+  return looked_at ? Door::WrongToken : Door::TooManyTokens;
+}
+
+MHD_Result WebServer::Impl::shake_hands(MHD_Connection* connection, Door door) {
+  const auto has = [&](const char* name, std::string_view wanted) {
+    const std::string value = lower(header(connection, name).value.value_or(""));
+    const auto listed = entries(value);
+    return std::find(listed.begin(), listed.end(), wanted) != listed.end();
+  };
+  const std::string key = header(connection, MHD_HTTP_HEADER_SEC_WEBSOCKET_KEY).value.value_or("");
+  if (!has(MHD_HTTP_HEADER_UPGRADE, "websocket") || !has(MHD_HTTP_HEADER_CONNECTION, "upgrade") ||
+      !has(MHD_HTTP_HEADER_SEC_WEBSOCKET_VERSION, "13") || key.size() != 24) {
+    return refuse(connection, MHD_HTTP_UPGRADE_REQUIRED, "this is a WebSocket, version 13");
+  }
+  const std::string protocols = header(connection, MHD_HTTP_HEADER_SEC_WEBSOCKET_PROTOCOL).value.value_or("");
+  bool named = false;
+  for (const std::string_view protocol : entries(protocols)) {
+    named = named || protocol == kProtocol;
+    if (door == Door::Look && protocol.rfind(kTokenPrefix, 0) == 0) {
+      door = door_of_token(protocol.substr(kTokenPrefix.size()));
+    }
+  }
+  const Response response(
+      MHD_create_response_for_upgrade(&Impl::on_upgrade, &passages.at(static_cast<std::size_t>(door))));
+  if (response == nullptr) {
+    return MHD_NO;
+  }
+  MHD_add_response_header(response.get(), MHD_HTTP_HEADER_UPGRADE, "websocket");
+  MHD_add_response_header(response.get(), MHD_HTTP_HEADER_SEC_WEBSOCKET_ACCEPT,
+                          stream::web_socket_accept(key).c_str());
+  if (named) {
+    MHD_add_response_header(response.get(), MHD_HTTP_HEADER_SEC_WEBSOCKET_PROTOCOL,
+                            std::string(kProtocol).c_str());
+  }
+  return send(connection, MHD_HTTP_SWITCHING_PROTOCOLS, response);
+}
+
+void WebServer::Impl::on_upgrade(void* passage, MHD_Connection* /*connection*/, void* /*state*/,
+                                 const char* early, std::size_t early_size, MHD_socket socket,
+                                 MHD_UpgradeResponseHandle* handle) {
+  const auto& through = *static_cast<const Passage*>(passage);
+  // A descriptor of our own: libmicrohttpd closes its own with the handle and needs no more of the
+  // connection.
+  stream::FileDescriptor own(::fcntl(socket, F_DUPFD_CLOEXEC, 0));
+  try {
+    if (own) {
+      const auto* const bytes = reinterpret_cast<const std::uint8_t*>(early);
+      through.impl->hand_over(through.door, std::move(own), {bytes, bytes + early_size});
+    }
+  } catch (const std::exception&) {
+    // No memory for one more client: it is closed.
+  }
+  MHD_upgrade_action(handle, MHD_UPGRADE_ACTION_CLOSE);
+}
+
+void WebServer::Impl::hand_over(Door door, stream::FileDescriptor connection,
+                                std::vector<std::uint8_t> early) {
+  const int yes = 1;
+  const int fd = connection.get();
+  ::fcntl(fd, F_SETFL, ::fcntl(fd, F_GETFL) | O_NONBLOCK);
+  ::setsockopt(fd, SOL_SOCKET, SO_SNDBUF, &kSendBufferBytes, sizeof(kSendBufferBytes));
+  ::setsockopt(fd, SOL_SOCKET, SO_KEEPALIVE, &yes, sizeof(yes));
+  ::setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &yes, sizeof(yes));
+  ::setsockopt(fd, IPPROTO_TCP, TCP_USER_TIMEOUT, &kSilence_ms, sizeof(kSilence_ms));
+  switch (door) {
+    case Door::Stream:
+      stream.adopt(std::move(connection), std::move(early));
+      return;
+    case Door::Look:
+    case Door::Command:
+      control.adopt(std::move(connection), {0, 0, door == Door::Command}, std::move(early));
+      return;
+    case Door::WrongToken:
+    case Door::TooManyTokens:
+    case Door::Count: {
+      const bool wrong = door == Door::WrongToken;
+      const auto frame = stream::web_socket_close(
+          wrong ? stream::WebSocketClose::WrongToken : stream::WebSocketClose::TooManyTokens,
+          wrong ? "wrong token" : "too many wrong tokens; try again later");
+      [[maybe_unused]] const ssize_t ignored =
+          ::send(fd, frame.data(), frame.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+      return;
+    }
+  }
+}
+
+WebServer::WebServer(const WebConfig& config, std::filesystem::path takes, stream::StreamServer& stream,
+                     ControlServer& control)
+    : impl_(std::make_unique<Impl>(config, std::move(takes), stream, control)) {
+  if (const auto address = resolve_listen(config.listen)) {
+    const unsigned ipv6 = address->ai_family == AF_INET6 ? MHD_USE_IPv6 : 0;
+    impl_->daemon =
+        MHD_start_daemon(MHD_USE_AUTO_INTERNAL_THREAD | MHD_ALLOW_UPGRADE | ipv6, 0, nullptr, nullptr,
+                         &Impl::on_request, impl_.get(), MHD_OPTION_SOCK_ADDR, address->ai_addr,
+                         MHD_OPTION_CONNECTION_LIMIT, kMostConnections, MHD_OPTION_CONNECTION_TIMEOUT,
+                         kIdle_s, MHD_OPTION_CONNECTION_MEMORY_LIMIT, kConnectionBytes, MHD_OPTION_END);
+  }
+  if (impl_->daemon == nullptr) {
+    throw Error(
+        ErrorKind::Unavailable,
+        fmt::format("web.listen = \"{}\": can't listen there: is the port in use, or the address not one "
+                    "of this machine? web.listen = \"\" turns the page off",
+                    config.listen));
+  }
+}
+
+WebServer::~WebServer() {
+  if (impl_->daemon != nullptr) {
+    MHD_stop_daemon(impl_->daemon);
+  }
+}
+
+int WebServer::port() const {
+  const MHD_DaemonInfo* info = MHD_get_daemon_info(impl_->daemon, MHD_DAEMON_INFO_BIND_PORT);
+  return info != nullptr ? info->port : 0;
+}
+
+std::string WebServer::url() const {
+  const std::string& listen = impl_->config.listen;
+  return fmt::format("http://{}:{}/", listen.substr(0, listen.rfind(':')), port());
+}
+
+bool WebServer::has_page() const {
+  return !impl_->page.empty();
+}
+
+WebStatistics WebServer::statistics() const {
+  const std::lock_guard lock(impl_->statistics_mutex);
+  return impl_->shown;
+}
+
+}  // namespace facet::service
