@@ -198,10 +198,8 @@ try {
   const link = page.getByRole('link', { name: /^Download take/ });
   await link.waitFor();
   step('recorded');
-  const waiting = page.waitForEvent('download');
-  await link.click();
   const file = join(folder, 'downloaded.take');
-  const download = await waiting;
+  const [download] = await Promise.all([page.waitForEvent('download'), link.click()]);
   assert.match(download.suggestedFilename(), /^20.*\.take$/);
   await download.saveAs(file);
   const summary = execFileSync(facet, ['summary', file], { encoding: 'utf8' });

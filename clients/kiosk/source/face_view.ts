@@ -351,10 +351,12 @@ export class FaceView {
     }
     const aspect = width / height;
     const angle = THREE.MathUtils.degToRad(this.camera.fov / 2);
-    const distance = (1.16 * this.radius) / Math.tan(angle) / Math.min(1, aspect * 1.15) / this.turn.zoom;
+    // The face stands in the middle of what the controls at the lower edge leave free.
+    const controls = Math.min(110, 0.2 * height);
+    const distance = ((1.1 * height) / (height - controls) * this.radius) / Math.tan(angle) / Math.min(1, (1.15 * width) / (height - controls)) / this.turn.zoom;
     this.camera.aspect = aspect;
     this.camera.position.set(-Math.sin(this.turn.yaw) * Math.cos(this.turn.pitch), Math.sin(this.turn.pitch), Math.cos(this.turn.yaw) * Math.cos(this.turn.pitch)).multiplyScalar(distance);
     this.camera.lookAt(0, 0, 0);
-    this.camera.updateProjectionMatrix();
+    this.camera.setViewOffset(width, height, 0, controls / 2, width, height);
   }
 }
