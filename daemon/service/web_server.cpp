@@ -194,33 +194,25 @@ bool same_token(std::string_view shown, std::string_view token) {
   return difference == 0;
 }
 
-/// Value of a header that may be there once; none where it isn't there, or more than once.
+/// What a request says of a header: the value where it is there once.
 struct HeaderValue {
+  std::string name;  ///< in lower case
   std::optional<std::string> value;
   int count = 0;
 };
-struct HeaderSearch {
-  std::string_view name;
-  HeaderValue found;
-};
 
 HeaderValue header(MHD_Connection* connection, std::string_view name) {
-  HeaderSearch search{lower(name), {}};
-  const std::string wanted = lower(name);
-  search.name = wanted;
+  HeaderValue found{lower(name), std::nullopt, 0};
   const auto visit = [](void* cls, MHD_ValueKind /*kind*/, const char* key, const char* value) {
-    auto& looked_for = *static_cast<HeaderSearch*>(cls);
-    if (lower(key) == looked_for.name) {
-      ++looked_for.found.count;
-      looked_for.found.value = value != nullptr ? value : "";
+    auto& wanted = *static_cast<HeaderValue*>(cls);
+    if (lower(key) == wanted.name) {
+      wanted.value =
+          value != nullptr && ++wanted.count == 1 ? std::optional<std::string>(value) : std::nullopt;
     }
     return MHD_YES;
   };
-  MHD_get_connection_values(connection, MHD_HEADER_KIND, visit, &search);
-  if (search.found.count > 1) {
-    search.found.value.reset();
-  }
-  return search.found;
+  MHD_get_connection_values(connection, MHD_HEADER_KIND, visit, &found);
+  return found;
 }
 
 /// The bytes [first, end) of a file.

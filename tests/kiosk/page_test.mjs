@@ -53,6 +53,7 @@ token_file = "token"
 `);
 
 let daemon = null;
+process.on('exit', () => daemon?.kill('SIGKILL'));
 async function startDaemon() {
   daemon = spawn(facetd, ['--config', join(folder, 'facet.toml')], { stdio: ['ignore', 'ignore', 'pipe'] });
   daemon.stderr.pipe(createWriteStream(join(output, 'facetd.log')));

@@ -9,6 +9,9 @@ import { chooseLanguage, duration, number, otherLanguage, stateText, text, type 
 const kStatusPeriod_ms = 1000;
 const kCountdown_s = 3;
 const kRateWindow_ms = 2000;
+/** Without a new mesh for so long the face counts as gone; where the tracker has lost it, sooner. */
+const kPatience_ms = 6000;
+const kLost_ms = 1000;
 
 /** The browser may forbid to keep anything. */
 const memory = {
@@ -142,6 +145,11 @@ interface Problem {
   grave?: boolean;
 }
 
+/** What is shown is the face as it is now: also where a slow machine makes a mesh only every few seconds. */
+function isFresh(): boolean {
+  return performance.now() - lastMesh_ms < (tracking === 2 ? kPatience_ms : kLost_ms);
+}
+
 /** What keeps the face from being seen, in words; null where it is seen. */
 function problem(): Problem | null {
   if (!view) {
@@ -180,7 +188,7 @@ function problem(): Problem | null {
       return { title: text('problem_trigger'), help: status.rig.trigger.reason, grave: true };
     }
   }
-  if (performance.now() - lastMesh_ms < 1500) {
+  if (isFresh()) {
     return null;
   }
   if (tracking === 1) {
@@ -211,7 +219,7 @@ function rate(): number {
 
 function showState(): void {
   const now = performance.now();
-  const live = connected && now - lastMesh_ms < 1500;
+  const live = connected && isFresh();
   document.body.dataset.connection = !connected ? 'offline' : live ? 'live' : 'idle';
   setText('state-text', text(!connected ? 'offline' : live ? 'live' : 'idle'));
   let wrong: Problem | null = problem();

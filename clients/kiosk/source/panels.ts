@@ -238,7 +238,7 @@ export function showTakes(takes: Takes | null): void {
       facts.textContent = take.error;
       return row;
     }
-    facts.textContent = [dateTime(take.created_utc ?? ''), duration(take.duration_s ?? 0), text('take_frames', { frames: number(take.frames ?? 0) }),
+    facts.textContent = [dateTime(take.created_utc ?? ''), duration(take.duration_s ?? 0),
                          take.closed ? bytes(take.bytes ?? 0) : text('take_open')].join(' · ');
     if (take.closed) {
       const link = document.createElement('a');
