@@ -33,7 +33,7 @@ export function number(value: number, digits = 0): string {
 }
 
 export function bytes(value: number): string {
-  return value < 1e6 ? `${number(value / 1e3)} kB` : value < 1e9 ? `${number(value / 1e6, 1)} MB` : `${number(value / 1e9, 2)} GB`;
+  return value < 1e6 ? `${number(value / 1e3)}\u00a0kB` : value < 1e9 ? `${number(value / 1e6, 1)}\u00a0MB` : `${number(value / 1e9, 2)}\u00a0GB`;
 }
 
 export function duration(seconds: number): string {
@@ -43,5 +43,5 @@ export function duration(seconds: number): string {
 
 export function dateTime(utc: string): string {
   const date = new Date(utc);
-  return Number.isNaN(date.getTime()) ? utc : date.toLocaleString(language, { dateStyle: 'medium', timeStyle: 'short' });
+  return Number.isNaN(date.getTime()) ? utc : date.toLocaleString(language, { month: 'short', day: 'numeric', hour: 'numeric', minute: '2-digit' });
 }
