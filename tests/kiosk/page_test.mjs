@@ -35,6 +35,8 @@ loop = true
 [model]
 path = "${assets}/default.facemodel"
 landmark_assets = "${assets}/mediapipe/face_mesh_solution_packed_assets.data"
+[tracker]
+acquisition_frames = 3
 [gpu]
 device = "none"
 [stream]

@@ -44,6 +44,7 @@ std::string scrape(int port) {
 MetricsSnapshot snapshot() {
   MetricsSnapshot now;
   now.state = "running";
+  now.web = WebStatistics{100, 3, 1, "a wrong token was shown"};
   now.uptime_s = 12.5;
   now.disk_free_bytes = 1000;
   now.pipeline.captured = 100;
