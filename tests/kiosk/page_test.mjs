@@ -125,8 +125,9 @@ try {
   /** What is seen of the face: shares of pixels and mean colours, from the screen itself. */
   async function look() {
     const picture = await page.locator('#stage').screenshot();
-    return page.evaluate(async (bytes) => {
-      const bitmap = await createImageBitmap(new Blob([new Uint8Array(bytes)], { type: 'image/png' }));
+    return page.evaluate(async (base64) => {
+      const bytes = Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
+      const bitmap = await createImageBitmap(new Blob([bytes], { type: 'image/png' }));
       const canvas = new OffscreenCanvas(bitmap.width, bitmap.height);
       const draw = canvas.getContext('2d');
       draw.drawImage(bitmap, 0, 0);
@@ -146,7 +147,7 @@ try {
       };
       const middle = region(0.4, 0.3, 0.6, 0.65);
       return { middle: measure(middle), corner: measure(region(0.0, 0.1, 0.08, 0.4)), pixels: Array.from(middle.filter((_, i) => i % 37 === 0)) };
-    }, [...picture]);
+    }, picture.toString('base64'));
   }
   const shaded = await look();
   step(`shaded: skin ${shaded.middle.skin.toFixed(2)} of the middle, ${shaded.corner.skin.toFixed(2)} of the corner`);
