@@ -84,7 +84,8 @@ class TakeRecorder {
   std::unique_ptr<Impl> impl_;
 };
 
-/// FOLDER/NAME.take of a take, be it there or not. Throws Error(Usage) where it is no name of a take, as below.
+/// FOLDER/NAME.take of a take, be it there or not. Throws Error(Usage) where it is no name of a take, as
+/// below.
 std::filesystem::path named_take(const std::filesystem::path& folder, const std::string& name);
 
 /// FOLDER/NAME.take for `facet record start NAME`. Throws Error(Usage) where the name is empty, longer than
