@@ -335,7 +335,7 @@ export class FaceView {
     const geometry = this.surface.geometry;
     const position = geometry.getAttribute('position') as THREE.BufferAttribute | undefined;
     if (position && this.placed && this.drawnCells !== detail.cells) {
-      const shown = detail.cells === 0 ? this.triangles : coarserTriangles(this.triangles, position.array as Int16Array, detail.cells);
+      const shown = detail.cells === 0 ? this.triangles : coarserTriangles(this.triangles, position.array, geometry.getAttribute('normal').array, detail.cells);
       geometry.setIndex(new THREE.BufferAttribute(shown, 1));
       this.drawnCells = detail.cells;
       this.edgesDrawn = false;

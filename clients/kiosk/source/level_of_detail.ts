@@ -1,8 +1,9 @@
 // Fewer triangles over the same vertices, for machines that draw without a GPU.
 
 /** The triangles whose corners lie in three different cells of a grid, each corner replaced by the first vertex of its cell
- * (vertex clustering, Rossignac & Borrel 1993). vertices: [count][3]; cells: across the longest side. */
-export function coarserTriangles(triangles: Uint32Array, vertices: ArrayLike<number>, cells: number): Uint32Array {
+ * (vertex clustering, Rossignac & Borrel 1993). What looks up and what looks down is never merged: lips that are closed now will
+ * open. vertices, normals: [count][3]; cells: across the longest side. */
+export function coarserTriangles(triangles: Uint32Array, vertices: ArrayLike<number>, normals: ArrayLike<number>, cells: number): Uint32Array {
   const least = [Infinity, Infinity, Infinity];
   const most = [-Infinity, -Infinity, -Infinity];
   for (let i = 0; i < vertices.length; ++i) {
@@ -13,7 +14,7 @@ export function coarserTriangles(triangles: Uint32Array, vertices: ArrayLike<num
   const first = new Map<number, number>();
   const stands = new Uint32Array(vertices.length / 3);
   for (let vertex = 0; vertex < stands.length; ++vertex) {
-    let cell = 0;
+    let cell = normals[3 * vertex + 1] < 0 ? 1 : 0;
     for (let axis = 0; axis < 3; ++axis) {
       cell = cell * (cells + 1) + Math.floor((vertices[3 * vertex + axis] - least[axis]) / size);
     }
