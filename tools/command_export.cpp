@@ -4,16 +4,21 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <memory>
 #include <string>
+#include <utility>
+#include <variant>
 #include <vector>
 
 #include "commands.hpp"
+#include "face/face_model.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
 #include "progress.hpp"
+#include "service/config.hpp"
 #include "set_pictures.hpp"
 #include "stop_signals.hpp"
 #include "take/export.hpp"
@@ -28,16 +33,70 @@ struct ExportOptions {
   std::string format;
   std::string frames;
   std::string level = "finest";
+  std::string space = "camera";
+  std::string pictures = "exr";
+  int size_px = 2048;
+  std::string model;
   std::string output;
 };
+
+/// A format and what writes it; the order is that of the help.
+struct Format {
+  const char* name;
+  const char* help;
+  std::variant<std::monostate, take::MeshFormat, take::SequenceFormat, take::MapKind> writer;
+};
+const std::array kFormats = {
+    Format{"ply", "a mesh for each frame, camera frame, mm, x right, y down, z forward",
+           take::MeshFormat::Ply},
+    Format{"obj", "the same as text", take::MeshFormat::Obj},
+    Format{"glb", "the same as glTF 2.0, metres, y up", take::MeshFormat::Glb},
+    Format{"glb-frames", "one animated GLB: every frame a morph target, the head's pose on the node",
+           take::SequenceFormat::GlbFrames},
+    Format{"glb-expressions",
+           "one animated GLB: the coarse mesh, the expressions as morph targets, the head's pose",
+           take::SequenceFormat::GlbExpressions},
+    Format{"usda", "one mesh with time samples, the head's pose as its transform, metres, y up",
+           take::SequenceFormat::Usda},
+    Format{"pc2", "a vertex cache and the OBJ that it is for, metres, y up", take::SequenceFormat::Pc2},
+    Format{"mdd", "the same for programs that read MDD", take::SequenceFormat::Mdd},
+    Format{"displacement", "a map for each frame: mm along the smooth surface's normal",
+           take::MapKind::Displacement},
+    Format{"normal", "a map for each frame: normals in the head frame", take::MapKind::ObjectNormal},
+    Format{"tangent-normal", "a map for each frame: normals against the smooth surface",
+           take::MapKind::TangentNormal},
+    Format{"albedo", "a map whenever the albedo changed", take::MapKind::Albedo},
+    Format{"csv", "ARKit's 52 curves and angles in the columns of Live Link Face", {}},
+    Format{"jsonl", "one object per frame", {}},
+    Format{"png", "the cameras' pictures, where they were recorded", {}},
+};
+
+const Format& format_of(const ExportOptions& options) {
+  return *std::find_if(kFormats.begin(), kFormats.end(),
+                       [&](const Format& format) { return options.format == format.name; });
+}
+
+std::string formats_help() {
+  std::string text;
+  for (const Format& format : kFormats) {
+    text += fmt::format("{}{}: {}", text.empty() ? "" : "; ", format.name, format.help);
+  }
+  return text;
+}
+
+std::vector<std::string> format_names() {
+  std::vector<std::string> names;
+  for (const Format& format : kFormats) {
+    names.emplace_back(format.name);
+  }
+  return names;
+}
 
 /// Indices in the take.
 using Selection = std::vector<std::int64_t>;
 
-take::MeshFormat mesh_format(const std::string& name) {
-  return name == "ply"   ? take::MeshFormat::Ply
-         : name == "obj" ? take::MeshFormat::Obj
-                         : take::MeshFormat::Glb;
+take::MeshLevel level_of(const ExportOptions& options) {
+  return options.level == "coarse" ? take::MeshLevel::Coarse : take::MeshLevel::Finest;
 }
 
 /// "3, 7-9" for the sorted numbers 3, 7, 8, 9.
@@ -64,6 +123,17 @@ void make_folder(const std::filesystem::path& folder) {
   }
 }
 
+/// Throws Error(NoFace) where no frame is left.
+void tell_left_out(const std::vector<std::uint64_t>& without_mesh, std::size_t selected) {
+  if (!without_mesh.empty()) {
+    fmt::print(stderr, "{} of {} frames have no mesh (no face was tracked) and were left out: {}\n",
+               without_mesh.size(), selected, ranges_text(without_mesh));
+  }
+  if (without_mesh.size() == selected) {
+    throw Error(ErrorKind::NoFace, "none of the selected frames has a mesh: nothing was written");
+  }
+}
+
 /// An output path that ends like a mesh file is one, anything else is a folder.
 bool names_a_file(const std::filesystem::path& output, take::MeshFormat format) {
   return output.extension() == fmt::format(".{}", take::extension(format)) &&
@@ -72,9 +142,8 @@ bool names_a_file(const std::filesystem::path& output, take::MeshFormat format) 
 
 /// Returns the signal that broke it off, or 0.
 int export_meshes(take::TakeReader& reader, const Selection& selection, const ExportOptions& options,
-                  const StopSignals& signals) {
-  const take::MeshFormat format = mesh_format(options.format);
-  const take::MeshLevel level = options.level == "coarse" ? take::MeshLevel::Coarse : take::MeshLevel::Finest;
+                  take::MeshFormat format, const StopSignals& signals) {
+  const take::MeshLevel level = level_of(options);
   const std::filesystem::path output = options.output;
   const bool one_file = names_a_file(output, format);
   if (one_file && selection.size() != 1) {
@@ -99,7 +168,7 @@ int export_meshes(take::TakeReader& reader, const Selection& selection, const Ex
     ++done;
     const auto frame = reader.frame(index, take::Pictures::Described);
     if (take::has_mesh(*frame)) {
-      take::build_export_mesh(*frame, level, mesh);
+      take::build_export_mesh(*frame, level, take::MeshSpace::Camera, mesh);
       const std::string name = fmt::format("frame_{:06}.{}", frame->sequence, take::extension(format));
       take::write_mesh(format, mesh, one_file ? output : output / name);
     } else {
@@ -109,25 +178,180 @@ int export_meshes(take::TakeReader& reader, const Selection& selection, const Ex
   }
   progress.finish();
   const std::size_t written = selection.size() - without_mesh.size();
-  if (!without_mesh.empty()) {
-    fmt::print(stderr, "{} of {} frames have no mesh (no face was tracked) and were left out: {}\n",
-               without_mesh.size(), selection.size(), ranges_text(without_mesh));
-  }
-  if (written == 0) {
-    throw Error(ErrorKind::NoFace, "none of the selected frames has a mesh: nothing was written");
-  }
+  tell_left_out(without_mesh, selection.size());
   fmt::print("{}: {} {} file{}, {} mesh, {} vertices\n", options.output, written, options.format,
              written == 1 ? "" : "s", options.level, mesh.vertices_mm.cols());
   return 0;
 }
 
+/// The frames of a selection that have a mesh; the others are told.
+Selection with_mesh(take::TakeReader& reader, const Selection& selection) {
+  Selection meshes;
+  std::vector<std::uint64_t> without_mesh;
+  for (const std::int64_t index : selection) {
+    const take::FrameEntry entry = reader.entry(index);
+    if (entry.has_mesh) {
+      meshes.push_back(index);
+    } else {
+      without_mesh.push_back(entry.sequence);
+    }
+  }
+  tell_left_out(without_mesh, selection.size());
+  return meshes;
+}
+
+take::Timeline timeline_of(take::TakeReader& reader, const Selection& selection) {
+  std::vector<take::FrameEntry> entries;
+  for (const std::int64_t index : selection) {
+    entries.push_back(reader.entry(index));
+  }
+  return take::make_timeline(entries, reader.info().file);
+}
+
+/// What the model makes of the take's person: the coarse level's neutral face and expressions. Throws
+/// Error(Usage) where the take has no expressions or the model is not the one that it was made with.
+take::ExpressionShapes expression_shapes(const mesh::MeshFrame& frame, const ExportOptions& options) {
+  const mesh::Subject& subject = *frame.subject;
+  if (subject.expression_names.empty()) {
+    throw Error(
+        ErrorKind::Usage,
+        fmt::format(
+            "the frames of '{}' have no expressions (a booth's template fit has none): use glb-frames",
+            options.take));
+  }
+  const std::filesystem::path file = options.model.empty() ? service::default_config().pipeline.model_file
+                                                           : std::filesystem::path(options.model);
+  const face::FaceModel model = face::FaceModel::load(file);
+  const auto mismatch = [&](const std::string& what) {
+    return Error(ErrorKind::Usage,
+                 fmt::format("'{}' was not made with the model {} ({}): give the one with --model",
+                             options.take, file.string(), what));
+  };
+  if (model.expression_names != subject.expression_names ||
+      model.vertex_count() != subject.hierarchy->control_vertex_count) {
+    throw mismatch("its expressions or vertices are others");
+  }
+  const face::ExpressionBasis basis = model.contract_identity(subject.identity);
+  mesh::Vertices rebuilt_mm;
+  basis.evaluate(frame.expression, rebuilt_mm);
+  const float difference_mm = (rebuilt_mm - frame.control_vertices_mm).colwise().norm().maxCoeff();
+  // The take's vertices are rounded to a hundredth of a millimetre.
+  constexpr float kMostDifference_mm = 0.1F;
+  if (!(difference_mm <= kMostDifference_mm)) {
+    throw mismatch(fmt::format("frame {} differs from it by {:.2f} mm", frame.sequence, difference_mm));
+  }
+  const mesh::SparseRows& coarse = subject.hierarchy->levels.front().from_coarser;
+  take::ExpressionShapes shapes;
+  shapes.names = subject.expression_names;
+  mesh::apply(coarse, basis.neutral_mm, shapes.neutral_mm);
+  for (const mesh::Vertices& delta : basis.deltas_mm) {
+    mesh::apply(coarse, delta, shapes.deltas_mm.emplace_back());
+  }
+  return shapes;
+}
+
+/// One file of many frames. Returns the signal that broke it off, or 0.
+int export_sequence(take::TakeReader& reader, const Selection& selection, const ExportOptions& options,
+                    take::SequenceFormat format, const StopSignals& signals) {
+  const Selection meshes = with_mesh(reader, selection);
+  const bool expressions = format == take::SequenceFormat::GlbExpressions;
+  const take::MeshLevel level = expressions ? take::MeshLevel::Coarse : level_of(options);
+  take::SequenceOptions sequence;
+  sequence.file = options.output;
+  sequence.timeline = timeline_of(reader, meshes);
+  sequence.space = options.space == "head" ? take::MeshSpace::Head : take::MeshSpace::Camera;
+  if (sequence.file.extension() != fmt::format(".{}", take::extension(format))) {
+    throw Error(ErrorKind::Usage, fmt::format("--format {} writes one file: name it with -o NAME.{}",
+                                              options.format, take::extension(format)));
+  }
+  make_folder(std::filesystem::absolute(sequence.file).parent_path());
+
+  Progress progress("Exporting", meshes.size());
+  std::unique_ptr<take::SequenceWriter> writer;
+  take::SequenceFrame next;
+  for (const std::int64_t index : meshes) {
+    if (const int signal = signals.pending(); signal != 0) {
+      fmt::print(stderr, "facet: broken off: nothing was written to '{}'\n", options.output);
+      return signal;
+    }
+    const auto frame = reader.frame(index, take::Pictures::Described);
+    next.sequence = frame->sequence;
+    next.camera_from_head = frame->camera_from_head;
+    next.expression = frame->expression;
+    take::build_export_mesh(*frame, level, take::MeshSpace::Head, next.mesh);
+    if (writer == nullptr) {
+      if (expressions) {
+        sequence.shapes = expression_shapes(*frame, options);
+      }
+      writer = take::open_sequence(format, sequence, next);
+    }
+    writer->add(next);
+    progress.advance();
+  }
+  writer->commit();
+  progress.finish();
+  fmt::print("{}: {} frames, {} to {} of the source at {:.6g} Hz, {} vertices\n", options.output,
+             meshes.size(), sequence.timeline.sequences.front(), sequence.timeline.sequences.back(),
+             sequence.timeline.rate_hz, next.mesh.vertices_mm.cols());
+  return 0;
+}
+
 /// Returns the signal that broke it off, or 0.
+int export_maps(take::TakeReader& reader, const Selection& selection, const ExportOptions& options,
+                take::MapKind kind, const StopSignals& signals) {
+  const Selection meshes = with_mesh(reader, selection);
+  const auto format = options.pictures == "png" ? take::PictureFormat::Png : take::PictureFormat::Exr;
+  const std::filesystem::path folder = options.output;
+  take::MapBaker baker(options.size_px);
+  make_folder(folder);
+  Progress progress("Exporting", meshes.size());
+  std::uint64_t albedo_version = 0;
+  std::size_t written = 0;
+  for (const std::int64_t index : meshes) {
+    if (const int signal = signals.pending(); signal != 0) {
+      fmt::print(stderr, "facet: broken off: '{}' holds {} maps\n", options.output, written);
+      return signal;
+    }
+    const auto frame = reader.frame(index, take::Pictures::Described);
+    const bool wanted = kind != take::MapKind::Albedo ||
+                        (frame->albedo != nullptr &&
+                         std::exchange(albedo_version, frame->albedo->version) != frame->albedo->version);
+    if (wanted) {
+      take::write_map(baker.bake(*frame, kind), kind, format,
+                      folder / fmt::format("frame_{:06}.{}", frame->sequence, options.pictures));
+      ++written;
+    }
+    progress.advance();
+  }
+  progress.finish();
+  if (written == 0) {
+    throw Error(ErrorKind::NoFace,
+                fmt::format("none of the selected frames of '{}' has an albedo", options.take));
+  }
+  fmt::print("{}: {} {} maps, {} x {} px\n", options.output, written, options.format, options.size_px,
+             options.size_px);
+  return 0;
+}
+
+/// Lines of text, one for each frame. Returns the signal that broke it off, or 0.
 int export_signals(take::TakeReader& reader, const Selection& selection, const ExportOptions& options,
                    const StopSignals& signals) {
   const bool to_standard_output = options.output == "-";
   std::unique_ptr<files::OutputFile> file;
   if (!to_standard_output) {
     file = std::make_unique<files::OutputFile>(options.output);
+  }
+  const bool curves = options.format == "csv";
+  const take::Timeline timeline = curves ? timeline_of(reader, selection) : take::Timeline();
+  const auto write = [&](const std::string& text) {
+    if (to_standard_output) {
+      fmt::print("{}", text);
+    } else {
+      file->write(text);
+    }
+  };
+  if (curves) {
+    write(take::live_link_header());
   }
   Progress progress("Exporting", selection.size());
   for (const std::int64_t index : selection) {
@@ -137,12 +361,8 @@ int export_signals(take::TakeReader& reader, const Selection& selection, const E
                                     : fmt::format("nothing was written to '{}'", options.output));
       return signal;
     }
-    const std::string line = take::frame_json(*reader.frame(index, take::Pictures::Described), index) + "\n";
-    if (to_standard_output) {
-      fmt::print("{}", line);
-    } else {
-      file->write(line);
-    }
+    const auto frame = reader.frame(index, take::Pictures::Described);
+    write(curves ? take::live_link_line(*frame, timeline) : take::frame_json(*frame, index) + "\n");
     progress.advance();
   }
   progress.finish();
@@ -200,9 +420,18 @@ void run_export(const ExportOptions& options) {
   }
   const Selection selection = frames_in_range(reader, options.frames);
   const StopSignals signals;
-  const int broken_off_by = options.format == "jsonl" ? export_signals(reader, selection, options, signals)
-                            : options.format == "png" ? export_pictures(reader, selection, options, signals)
-                                                      : export_meshes(reader, selection, options, signals);
+  const auto& writer = format_of(options).writer;
+  int broken_off_by = 0;
+  if (const auto* mesh = std::get_if<take::MeshFormat>(&writer)) {
+    broken_off_by = export_meshes(reader, selection, options, *mesh, signals);
+  } else if (const auto* sequence = std::get_if<take::SequenceFormat>(&writer)) {
+    broken_off_by = export_sequence(reader, selection, options, *sequence, signals);
+  } else if (const auto* map = std::get_if<take::MapKind>(&writer)) {
+    broken_off_by = export_maps(reader, selection, options, *map, signals);
+  } else {
+    broken_off_by = options.format == "png" ? export_pictures(reader, selection, options, signals)
+                                            : export_signals(reader, selection, options, signals);
+  }
   if (broken_off_by != 0) {
     signals.die_of(broken_off_by);
   }
@@ -213,24 +442,36 @@ void run_export(const ExportOptions& options) {
 void add_export_command(CLI::App& app) {
   auto options = std::make_shared<ExportOptions>();
   CLI::App* command = app.add_subcommand(
-      "export", "Write meshes (PLY, OBJ, GLB), signals (JSON lines) or pictures of a take");
+      "export", "Write a take's meshes, animations, maps, curves or pictures for other programs");
   command->add_option("TAKE", options->take, "Take file")->required();
-  command
-      ->add_option(
-          "--format", options->format,
-          "ply, obj: camera frame, mm, x right, y down, z forward; glb: metres, y up; jsonl: one object per "
-          "frame; png: the cameras' pictures, where they were recorded")
+  command->add_option("--format", options->format, formats_help())
       ->required()
-      ->check(CLI::IsMember({"ply", "obj", "glb", "jsonl", "png"}));
+      ->check(CLI::IsMember(format_names()));
   command->add_option("--frames", options->frames, kFramesHelp);
   command->add_option("--level", options->level, "coarse: the tracked mesh; finest: the refined one")
       ->capture_default_str()
       ->check(CLI::IsMember({"coarse", "finest"}));
   command
-      ->add_option("-o,--output", options->output,
-                   "Folder for frame_%06d files (the number of the source's frame), or one file for one "
-                   "frame; jsonl: a "
-                   "file, - is standard output")
+      ->add_option("--space", options->space,
+                   "pc2, mdd: camera has the head's movement in the vertices, head is held still")
+      ->capture_default_str()
+      ->check(CLI::IsMember({"camera", "head"}));
+  command
+      ->add_option("--pictures", options->pictures,
+                   "Maps: exr has the values themselves as 32-bit floats, png 16 bits a channel")
+      ->capture_default_str()
+      ->check(CLI::IsMember({"png", "exr"}));
+  command->add_option("--size", options->size_px, "Maps: width and height, pixels")
+      ->capture_default_str()
+      ->check(CLI::Range(16, 16384));
+  command->add_option("--model", options->model,
+                      "glb-expressions: the face model that the take was made with");
+  command
+      ->add_option(
+          "-o,--output", options->output,
+          "What is one file for all frames (glb-frames, glb-expressions, usda, pc2, mdd, csv, jsonl): the "
+          "file; csv and jsonl: - is standard output. Else the folder for frame_%06d files (the number of "
+          "the source's frame), or one file for one frame's mesh")
       ->required();
   command->callback([options] { run_export(*options); });
 }

@@ -167,7 +167,7 @@ void save_mesh(const std::shared_ptr<const mesh::MeshFrame>& frame, const std::f
                 fmt::format("no frame with a mesh came: '{}' was not written", file.string()));
   }
   take::ExportMesh mesh;
-  take::build_export_mesh(*frame, take::MeshLevel::Finest, mesh);
+  take::build_export_mesh(*frame, take::MeshLevel::Finest, take::MeshSpace::Camera, mesh);
   take::write_mesh(*format_of(file), mesh, file);
   fmt::print(stderr, "{}: frame {}, {} vertices\n", file.string(), frame->sequence, mesh.vertices_mm.cols());
 }

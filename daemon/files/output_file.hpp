@@ -1,5 +1,7 @@
 #pragma once
 
+#include <cstddef>
+#include <cstdint>
 #include <cstdio>
 #include <filesystem>
 #include <memory>
@@ -8,6 +10,10 @@
 #include <string_view>
 
 namespace facet::files {
+
+struct CloseFile {
+  void operator()(std::FILE* stream) const { std::fclose(stream); }
+};
 
 /// A file that comes into being whole: written under a temporary name beside its place and renamed by
 /// commit(). Without commit the temporary file is removed and an earlier file of the name stays as it was.
@@ -21,17 +27,38 @@ class OutputFile {
 
   void write(std::string_view text);
   void write(std::span<const std::byte> bytes);
+  /// Replaces bytes that were written before; what is written next goes on at the end.
+  void overwrite(std::size_t position, std::span<const std::byte> bytes);
   void commit();
 
  private:
-  struct Close {
-    void operator()(std::FILE* stream) const { std::fclose(stream); }
-  };
   [[noreturn]] void fail(int error) const;
 
   std::filesystem::path file_;
   std::filesystem::path temporary_;
-  std::unique_ptr<std::FILE, Close> stream_;
+  std::unique_ptr<std::FILE, CloseFile> stream_;
+};
+
+/// What is written now and goes into an output file later, behind something that is known only then. It has
+/// no name: nothing of it is left, whatever ends the process.
+class ScratchFile {
+ public:
+  /// beside: the output file, on whose disk it lies and which is named where something fails. Throws
+  /// Error(Storage), as do the others.
+  explicit ScratchFile(const std::filesystem::path& beside);
+
+  void write(std::string_view text);
+  void write(std::span<const std::byte> bytes);
+  std::uint64_t size() const { return size_; }
+  /// Appends all of it to a file; once.
+  void move_to(OutputFile& out);
+
+ private:
+  [[noreturn]] void fail(int error) const;
+
+  std::filesystem::path beside_;
+  std::unique_ptr<std::FILE, CloseFile> stream_;
+  std::uint64_t size_ = 0;
 };
 
 /// Makes a folder and those above it, where they are not there yet. Throws Error(Storage) naming it.

@@ -3,19 +3,10 @@
 
 #include "facet/error.hpp"
 #include "mesh/hierarchy.hpp"
-#include "take/export.hpp"
+#include "take/export_sequence.hpp"
 
 namespace facet::take {
 namespace {
-
-/// Normals of vertices that no triangle holds would have length 0, which no format allows.
-void mend_normals(Eigen::Matrix3Xf& normals) {
-  for (Eigen::Index column = 0; column < normals.cols(); ++column) {
-    const float length = normals.col(column).norm();
-    normals.col(column) =
-        length > 0.5F ? Eigen::Vector3f(normals.col(column) / length) : Eigen::Vector3f(0, 0, -1);
-  }
-}
 
 std::vector<float> leading(const std::vector<float>& values, std::size_t count) {
   std::vector<float> out(count, 0.0F);
@@ -24,6 +15,14 @@ std::vector<float> leading(const std::vector<float>& values, std::size_t count) 
 }
 
 }  // namespace
+
+void mend_normals(Eigen::Matrix3Xf& normals) {
+  for (Eigen::Index column = 0; column < normals.cols(); ++column) {
+    const float length = normals.col(column).norm();
+    normals.col(column) =
+        length > 0.5F ? Eigen::Vector3f(normals.col(column) / length) : Eigen::Vector3f(0, 0, -1);
+  }
+}
 
 const char* extension(MeshFormat format) {
   switch (format) {
@@ -43,7 +42,7 @@ bool has_mesh(const mesh::MeshFrame& frame) {
          frame.control_vertices_mm.cols() == frame.subject->hierarchy->control_vertex_count;
 }
 
-void build_export_mesh(const mesh::MeshFrame& frame, MeshLevel level, ExportMesh& out) {
+void build_export_mesh(const mesh::MeshFrame& frame, MeshLevel level, MeshSpace space, ExportMesh& out) {
   if (!has_mesh(frame)) {
     throw Error(ErrorKind::Internal, "export: the frame has no mesh");
   }
@@ -59,9 +58,11 @@ void build_export_mesh(const mesh::MeshFrame& frame, MeshLevel level, ExportMesh
     out.vertices_mm = coarse;
     mesh::vertex_normals(out.vertices_mm, source.triangles, out.normals);
   }
-  out.vertices_mm =
-      (frame.camera_from_head.linear() * out.vertices_mm).colwise() + frame.camera_from_head.translation();
-  out.normals = frame.camera_from_head.linear() * out.normals;
+  if (space == MeshSpace::Camera) {
+    out.vertices_mm =
+        (frame.camera_from_head.linear() * out.vertices_mm).colwise() + frame.camera_from_head.translation();
+    out.normals = frame.camera_from_head.linear() * out.normals;
+  }
   mend_normals(out.normals);
   out.triangles = source.triangles;
 

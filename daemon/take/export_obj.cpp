@@ -7,14 +7,13 @@
 
 namespace facet::take {
 
-void write_obj(const ExportMesh& mesh, const std::filesystem::path& file) {
+void write_obj(const ExportMesh& mesh, const std::filesystem::path& file, std::string_view comment) {
   fmt::memory_buffer text;
   const auto out = std::back_inserter(text);
-  fmt::format_to(out, "# Facet: camera frame, millimetres, x right, y down, z forward\n{}",
-                 mesh.albedo.cols() > 0 ? "# v x y z r g b: linear albedo\n" : "");
+  fmt::format_to(out, "# {}\n{}", comment, mesh.albedo.cols() > 0 ? "# v x y z r g b: linear albedo\n" : "");
   for (Eigen::Index i = 0; i < mesh.vertices_mm.cols(); ++i) {
     const auto position = mesh.vertices_mm.col(i);
-    fmt::format_to(out, "v {:.5f} {:.5f} {:.5f}", position.x(), position.y(), position.z());
+    fmt::format_to(out, "v {:.8g} {:.8g} {:.8g}", position.x(), position.y(), position.z());
     if (mesh.albedo.cols() > 0) {
       const auto rgb = mesh.albedo.col(i);
       fmt::format_to(out, " {:.4f} {:.4f} {:.4f}", rgb.x(), rgb.y(), rgb.z());

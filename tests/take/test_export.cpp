@@ -41,7 +41,7 @@ class Export : public testing::Test {
 
   ExportMesh mesh_of(MeshLevel level) const {
     ExportMesh out;
-    build_export_mesh(frame, level, out);
+    build_export_mesh(frame, level, MeshSpace::Camera, out);
     return out;
   }
 };

@@ -1,0 +1,447 @@
+// `facet export` into files of many frames, and these as other programs read them: Khronos' glTF validator,
+// TinyUSDZ, Blender.
+
+#include "take/export.hpp"
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sys/resource.h>
+
+#include <algorithm>
+#include <cmath>
+#include <csignal>
+#include <filesystem>
+#include <fstream>
+#include <random>
+#include <sstream>
+
+#include "face/face_model.hpp"
+#include "mesh/arkit.hpp"
+#include "support/child_process.hpp"
+#include "support/mesh_frames.hpp"
+#include "support/paths.hpp"
+#include "support/small_disk.hpp"
+#include "take/reader.hpp"
+#include "take/recorder.hpp"
+
+namespace facet::exports {
+namespace {
+
+using test::Birth;
+using test::ChildProcess;
+using ::testing::AllOf;
+using ::testing::Each;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::Not;
+
+const std::vector<std::pair<std::string, std::string>> kOneFile = {{"glb-frames", "glb"}, {"usda", "usda"},
+                                                                   {"pc2", "pc2"},        {"mdd", "mdd"},
+                                                                   {"csv", "csv"},        {"jsonl", "jsonl"}};
+
+/// Where a program of $PATH lies; empty where it does not.
+std::string program(const std::string& name) {
+  std::istringstream folders(std::getenv("PATH"));
+  for (std::string folder; std::getline(folders, folder, ':');) {
+    if (std::filesystem::exists(folder + "/" + name)) {
+      return folder + "/" + name;
+    }
+  }
+  return {};
+}
+
+class Export : public ::testing::Test {
+ protected:
+  int run(const std::string& what, const std::vector<std::string>& arguments, const Birth& birth = {}) {
+    ChildProcess child(what, arguments, folder_.path() / "log", birth);
+    const int status = child.wait();
+    output_ = child.output();
+    return status;
+  }
+  int run(const std::vector<std::string>& arguments, const Birth& birth = {}) {
+    return run(FACET_PROGRAM, arguments, birth);
+  }
+  std::string file(const std::string& name) const { return (folder_.path() / name).string(); }
+
+  std::string record(const std::string& name, const std::vector<mesh::MeshFrame>& frames) const {
+    take::TakeRecorder recorder({.file = file(name),
+                                 .source = "elsewhere.mp4",
+                                 .software = "test",
+                                 .when_full = take::WhenFull::Wait,
+                                 .disk_reserve_bytes = 0});
+    recorder.start();
+    for (const mesh::MeshFrame& frame : frames) {
+      recorder.record(std::make_shared<mesh::MeshFrame>(frame));
+    }
+    EXPECT_EQ(recorder.stop().state, take::RecorderState::Finished);
+    return file(name);
+  }
+
+  /// Frames 100 to 106 of the source at 30 Hz; 103 has no face.
+  std::string patch_take() const {
+    const auto subject = test::patch_subject();
+    const auto albedo = test::patch_albedo(*subject);
+    std::vector<mesh::MeshFrame> frames;
+    for (std::uint64_t sequence = 100; sequence < 107; ++sequence) {
+      frames.push_back(sequence == 103 ? test::searching_frame(sequence)
+                                       : test::patch_frame(sequence, subject, albedo));
+    }
+    return record("some.take", frames);
+  }
+
+  /// A person of the default model who moves all expressions and the head, frames 100 to 103 of the source.
+  std::string model_take(const face::FaceModel& model, std::uint32_t seed) const {
+    const auto count = static_cast<std::size_t>(model.vertex_count());
+    mesh::HierarchyOptions options;
+    options.max_levels = 1;
+    auto subject = std::make_shared<mesh::Subject>();
+    subject->id = seed;
+    subject->hierarchy =
+        mesh::build_hierarchy(model.control, mesh::TextureCoordinates::Zero(2, model.vertex_count()),
+                              std::vector<std::uint8_t>(count, 0), options);
+    subject->expression_names = model.expression_names;
+    subject->regions = model.regions;
+    std::mt19937 random(seed);
+    std::uniform_real_distribution<float> uniform(0, 1);
+    for (int i = 0; i < model.identity_count(); ++i) {
+      subject->identity.push_back(2 * uniform(random) - 1);
+    }
+    std::vector<mesh::MeshFrame> frames;
+    for (std::uint64_t sequence = 100; sequence < 104; ++sequence) {
+      mesh::MeshFrame frame = test::searching_frame(sequence);
+      frame.state = mesh::TrackingState::Tracking;
+      frame.subject = subject;
+      for (int i = 0; i < model.expression_count(); ++i) {
+        frame.expression.push_back(uniform(random) * uniform(random));
+      }
+      model.evaluate(subject->identity, frame.expression, frame.control_vertices_mm);
+      frame.camera_from_head.linear() =
+          (Eigen::AngleAxisf(3.14159265F, Eigen::Vector3f::UnitX()) *
+           Eigen::AngleAxisf(uniform(random) - 0.5F, Eigen::Vector3f(0.3F, 0.9F, 0.1F).normalized()))
+              .toRotationMatrix();
+      frame.camera_from_head.translation() << 20 * uniform(random), 10, 600;
+      frames.push_back(frame);
+    }
+    return record("person.take", frames);
+  }
+
+  /// What the exports of a take should show: a file of floats for every frame with a mesh.
+  void write_truth(const std::string& take_file, take::MeshLevel level, const std::string& folder) const {
+    std::filesystem::create_directories(file(folder));
+    take::TakeReader reader(take_file);
+    take::ExportMesh mesh;
+    for (std::int64_t index = 0; index < reader.frame_count(); ++index) {
+      const auto frame = reader.frame(index);
+      if (!take::has_mesh(*frame)) {
+        continue;
+      }
+      take::build_export_mesh(*frame, level, take::MeshSpace::Camera, mesh);
+      const mesh::Vertices upright_m =
+          Eigen::Vector3f(0.001F, -0.001F, -0.001F).asDiagonal() * mesh.vertices_mm;
+      std::ofstream(file(fmt::format("{}/frame_{:06}.f32", folder, frame->sequence)), std::ios::binary)
+          .write(reinterpret_cast<const char*>(upright_m.data()),
+                 static_cast<std::streamsize>(sizeof(float)) * upright_m.size());
+    }
+  }
+
+  std::vector<std::string> files_in(const std::string& name) const {
+    std::vector<std::string> names;
+    for (const auto& entry : std::filesystem::directory_iterator(file(name))) {
+      names.push_back(entry.path().filename().string());
+    }
+    std::sort(names.begin(), names.end());
+    return names;
+  }
+
+  test::TemporaryFolder folder_;
+  std::string output_;
+};
+
+TEST_F(Export, OneFileForAllFrames) {
+  const std::string take = patch_take();
+  for (const auto& [format, ending] : kOneFile) {
+    EXPECT_EQ(run({"export", take, "--format", format, "-o", file("all." + ending)}), 0) << output_;
+    EXPECT_TRUE(std::filesystem::is_regular_file(file("all." + ending))) << format;
+  }
+  EXPECT_TRUE(std::filesystem::is_regular_file(file("all.obj"))) << "what the caches are put on";
+  EXPECT_EQ(run({"export", take, "--format", "pc2", "--frames", "101:106", "--level", "coarse", "-o",
+                 file("part.pc2")}),
+            0);
+  EXPECT_THAT(output_,
+              AllOf(HasSubstr("left out: 103"), HasSubstr("4 frames, 101 to 105 of the source at 30 Hz")));
+  const auto vertices = static_cast<std::uintmax_t>(test::patch_hierarchy()->levels.front().vertex_count);
+  EXPECT_EQ(std::filesystem::file_size(file("part.pc2")), 32 + 5 * 12 * vertices) << "frame 103 is held";
+  EXPECT_EQ(run({"export", take, "--format", "usda", "-o", file("folder")}), 2);
+  EXPECT_THAT(output_, HasSubstr("-o NAME.usda"));
+  EXPECT_EQ(run({"export", take, "--format", "mdd", "--frames", "103:104", "-o", file("none.mdd")}), 4);
+  EXPECT_FALSE(std::filesystem::exists(file("none.mdd")));
+}
+
+TEST_F(Export, MapsForEachFrame) {
+  const std::string take = patch_take();
+  for (const char* format : {"displacement", "normal", "tangent-normal"}) {
+    EXPECT_EQ(run({"export", take, "--format", format, "--size", "64", "--pictures", "png", "--frames",
+                   "102:105", "-o", file(format)}),
+              0)
+        << output_;
+    EXPECT_THAT(files_in(format), ElementsAre("frame_000102.png", "frame_000104.png"));
+  }
+  EXPECT_EQ(run({"export", take, "--format", "albedo", "--size", "64", "-o", file("albedo")}), 0) << output_;
+  EXPECT_THAT(files_in("albedo"), ElementsAre("frame_000100.exr")) << "it never changes";
+}
+
+TEST_F(Export, TwoPeopleAreNotOneFile) {
+  const auto one = test::patch_subject(1);
+  const auto other = test::patch_subject(2, 7);
+  const std::string take =
+      record("two.take", {test::patch_frame(1, one, nullptr), test::patch_frame(2, one, nullptr),
+                          test::patch_frame(3, other, nullptr)});
+  for (const auto& [format, ending] : kOneFile) {
+    const bool curves = format == "csv" || format == "jsonl";
+    EXPECT_EQ(run({"export", take, "--format", format, "-o", file("all." + ending)}), curves ? 0 : 2)
+        << format;
+    if (!curves) {
+      EXPECT_THAT(output_, AllOf(HasSubstr("all." + ending), HasSubstr("frame 3 has another mesh"),
+                                 HasSubstr("--frames :3 and --frames 3:")));
+      EXPECT_FALSE(std::filesystem::exists(file("all." + ending)));
+    }
+  }
+  EXPECT_EQ(run({"export", take, "--format", "pc2", "--frames", ":3", "-o", file("first.pc2")}), 0)
+      << output_;
+}
+
+TEST_F(Export, BrokenOffLeavesNothing) {
+  const std::string take = patch_take();
+  const Birth birth{.environment = {}, .pending_signal = SIGTERM};
+  for (const auto& [format, ending] : kOneFile) {
+    EXPECT_EQ(run({"export", take, "--format", format, "-o", file("all." + ending)}, birth), 128 + SIGTERM)
+        << format;
+    EXPECT_THAT(output_, HasSubstr("nothing was written to"));
+  }
+  EXPECT_THAT(files_in("."), ElementsAre("log", "some.take"));
+}
+
+TEST_F(Export, AFullDiskIsTold) {
+  const std::string take = patch_take();
+  const test::SmallDisk disk(folder_.path() / "disk");
+  if (!disk.mounted()) {
+    GTEST_SKIP() << "mounting a small tmpfs needs root";
+  }
+  // All but a hundredth of it is taken.
+  std::ofstream(file("disk/ballast")) << std::string(4150 * 1000, 'x');
+  for (const auto& [format, ending] : kOneFile) {
+    if (format == "csv" || format == "jsonl") {
+      continue;  // a few kilobytes
+    }
+    const std::string name = file("disk/all." + ending);
+    EXPECT_EQ(run({"export", take, "--format", format, "-o", name}), 6) << format << ": " << output_;
+    EXPECT_THAT(output_,
+                AllOf(HasSubstr("cannot write '"), HasSubstr("disk/all."), HasSubstr("No space left")));
+    EXPECT_THAT(files_in("disk"), ElementsAre("ballast")) << format;
+  }
+  EXPECT_EQ(run({"export", take, "--format", "normal", "--size", "512", "-o", file("disk/maps")}), 6)
+      << output_;
+  EXPECT_THAT(output_, AllOf(HasSubstr("frame_000100.exr"), HasSubstr("No space left")));
+  EXPECT_TRUE(files_in("disk/maps").empty());
+}
+
+TEST_F(Export, CurvesHaveTheColumnsOfLiveLinkFace) {
+  auto subject = std::make_shared<mesh::Subject>(*test::patch_subject());
+  subject->expression_names = {"jawOpen", "eyeLookOutLeft", "mouthLeft"};
+  std::vector<mesh::MeshFrame> frames;
+  for (std::uint64_t sequence = 59; sequence < 62; ++sequence) {
+    frames.push_back(sequence == 60 ? test::searching_frame(sequence)
+                                    : test::patch_frame(sequence, subject, nullptr));
+    frames.back().media_time_ns = static_cast<std::int64_t>(sequence) * 16'683'350;  // 59.94 Hz
+  }
+  frames[0].expression = {0.25F, 1, 0.5F};
+  // The head turned by 0.2 about the axis that goes up: to the subject's left.
+  frames[0].camera_from_head.linear() = (Eigen::AngleAxisf(3.14159265F, Eigen::Vector3f::UnitX()) *
+                                         Eigen::AngleAxisf(0.2F, Eigen::Vector3f::UnitY()))
+                                            .toRotationMatrix();
+  const std::string take = record("curves.take", frames);
+  ASSERT_EQ(run({"export", take, "--format", "csv", "-o", file("curves.csv")}), 0) << output_;
+  std::vector<std::vector<std::string>> table;
+  std::ifstream stream(file("curves.csv"));
+  for (std::string line; std::getline(stream, line);) {
+    std::istringstream cells(line);
+    table.emplace_back();
+    for (std::string cell; std::getline(cells, cell, ',');) {
+      table.back().push_back(cell);
+    }
+  }
+  ASSERT_EQ(table.size(), 4U);
+  for (const auto& row : table) {
+    ASSERT_EQ(row.size(), 63U);
+  }
+  const auto value = [&](std::size_t row, const std::string& name) {
+    const auto column = std::find(table[0].begin(), table[0].end(), name) - table[0].begin();
+    EXPECT_LT(column, 63) << name;
+    return std::stof(table.at(row).at(static_cast<std::size_t>(column)));
+  };
+  EXPECT_EQ(table[0][0], "Timecode");
+  EXPECT_EQ(table[0][1], "BlendShapeCount");
+  EXPECT_EQ(table[0][17], "JawRight");
+  EXPECT_EQ(table[0][18], "JawLeft");
+  EXPECT_EQ(table[0][53], "TongueOut");
+  EXPECT_EQ(table[0][62], "RightEyeRoll");
+  EXPECT_EQ(table[1][0], "00:00:00:00.000");
+  EXPECT_EQ(table[3][0], "00:00:00:02.000");
+  EXPECT_EQ(table[1][1], "61");
+  EXPECT_NEAR(value(1, "JawOpen"), 0.25F, 1e-6F);
+  EXPECT_NEAR(value(1, "MouthLeft"), 0.5F, 1e-6F);
+  EXPECT_EQ(value(1, "MouthRight"), 0.0F);
+  EXPECT_NEAR(value(1, "HeadYaw"), -0.2F, 1e-4F);
+  EXPECT_NEAR(value(1, "HeadPitch"), 0.0F, 1e-4F);
+  EXPECT_NEAR(value(1, "LeftEyeYaw"), -30 * 3.14159265F / 180, 1e-4F);
+  EXPECT_EQ(value(1, "RightEyeYaw"), 0.0F);
+  for (std::size_t column = 2; column < 63; ++column) {
+    EXPECT_EQ(std::stof(table[2][column]), 0.0F) << "no face";
+  }
+}
+
+TEST_F(Export, ExpressionsNeedTheTakesOwnModel) {
+  const std::string take = patch_take();
+  if (!std::filesystem::exists(test::default_model())) {
+    GTEST_SKIP() << test::default_model() << " is not there: packaging/prepare makes it";
+  }
+  EXPECT_EQ(run({"export", take, "--format", "glb-expressions", "--model", test::default_model().string(),
+                 "-o", file("a.glb")}),
+            2);
+  EXPECT_THAT(output_,
+              AllOf(HasSubstr(take), HasSubstr("was not made with the model"), HasSubstr("--model")));
+}
+
+/// The same as others read it.
+class ExportPeers : public Export {
+ protected:
+  void export_all() {
+    const std::string take = patch_take();
+    for (const auto& [name, format] : {std::pair{"frames.glb", "glb-frames"},
+                                       {"face.usda", "usda"},
+                                       {"cache.pc2", "pc2"},
+                                       {"cache.mdd", "mdd"}}) {
+      ASSERT_EQ(run({"export", take, "--format", format, "-o", file(name)}), 0) << output_;
+    }
+    write_truth(take, take::MeshLevel::Finest, "truth");
+    if (std::filesystem::exists(test::default_model())) {
+      const face::FaceModel model = face::FaceModel::load(test::default_model());
+      const std::string person = model_take(model, 20260301);
+      ASSERT_EQ(run({"export", person, "--format", "glb-expressions", "--model",
+                     test::default_model().string(), "-o", file("expressions.glb")}),
+                0)
+          << output_;
+      write_truth(person, take::MeshLevel::Coarse, "coarse");
+    }
+  }
+  static std::string script(const std::string& name) {
+    return (std::filesystem::path(FACET_SOURCE_DIR) / "tests" / "exports" / name).string();
+  }
+};
+
+TEST_F(ExportPeers, KhronosValidatorFindsNothing) {
+  const std::filesystem::path validator = test::assets() / "gltf-validator";
+  if (program("node").empty() || !std::filesystem::exists(validator)) {
+    GTEST_SKIP() << "Node.js or " << validator << " is not there (packaging/fetch-assets)";
+  }
+  export_all();
+  const std::string take = file("some.take");
+  ASSERT_EQ(run({"export", take, "--format", "glb", "--frames", "100:101", "-o", file("one.glb")}), 0)
+      << output_;
+  ASSERT_EQ(run({"export", take, "--format", "glb-frames", "--frames", "100:101", "-o", file("single.glb")}),
+            0);
+  std::vector<std::string> arguments = {script("check-glb.mjs"), validator.string()};
+  for (const char* name : {"one.glb", "single.glb", "frames.glb", "expressions.glb"}) {
+    if (std::filesystem::exists(file(name))) {
+      arguments.push_back(file(name));
+    }
+  }
+  EXPECT_EQ(run(program("node"), arguments), 0) << output_;
+  EXPECT_THAT(output_, HasSubstr("frames.glb: 0 errors"));
+}
+
+TEST_F(ExportPeers, TinyUsdzReadsEveryVertex) {
+  const std::filesystem::path reader = test::assets() / "tinyusdz";
+  if (program("node").empty() || !std::filesystem::exists(reader)) {
+    GTEST_SKIP() << "Node.js or " << reader << " is not there (packaging/fetch-assets)";
+  }
+  export_all();
+  EXPECT_EQ(run(program("node"), {script("check-usda.mjs"), std::filesystem::absolute(reader).string(),
+                                  file("face.usda"), file("truth")}),
+            0)
+      << output_;
+}
+
+TEST_F(ExportPeers, BlenderImportsEveryVertex) {
+  if (program("blender").empty()) {
+    GTEST_SKIP() << "Blender is not installed (apt-get install blender)";
+  }
+  export_all();
+  const char* pictures = std::getenv("FACET_EXPORT_PICTURES");  // a folder for renders of what was imported
+  std::vector<std::string> arguments = {"--background",
+                                        "--factory-startup",
+                                        "--python-exit-code",
+                                        "1",
+                                        "--python",
+                                        script("check-blender.py"),
+                                        "--",
+                                        folder_.path().string()};
+  if (pictures != nullptr) {
+    arguments.emplace_back(pictures);
+  }
+  EXPECT_EQ(run(program("blender"), arguments), 0) << output_;
+  EXPECT_THAT(output_, AllOf(HasSubstr("frames.glb: 6 frames"), HasSubstr("cache.pc2: 6 frames"),
+                             HasSubstr("cache.mdd: 6 frames"), HasSubstr("all as it should be")));
+  std::cout << output_;
+}
+
+TEST_F(ExportPeers, RetargetedAvatarsAreValid) {
+  if (!std::filesystem::exists(test::default_model())) {
+    GTEST_SKIP() << test::default_model() << " is not there: packaging/prepare makes it";
+  }
+  const std::string model = test::default_model().string();
+  const std::string person = model_take(face::FaceModel::load(model), 7);
+  // Somebody else is the avatar.
+  const std::string other = std::filesystem::path(person).replace_filename("other.take").string();
+  std::filesystem::rename(person, other);
+  ASSERT_EQ(run({"export", other, "--format", "glb-expressions", "--model", model, "--frames", "100:101",
+                 "-o", file("avatar.glb")}),
+            0)
+      << output_;
+  const std::string take = model_take(face::FaceModel::load(model), 8);
+  ASSERT_EQ(run({"retarget", take, "--rig", file("avatar.glb"), "-o", file("anim.glb")}), 0) << output_;
+  EXPECT_THAT(output_, HasSubstr("4 frames, 0.10 s, 1 meshes"));
+  EXPECT_EQ(run({"retarget", take, "--rig", file("avatar.glb"), "--neutral", "101", "--no-head", "-o",
+                 file("still.glb")}),
+            0)
+      << output_;
+
+  const std::filesystem::path validator = test::assets() / "gltf-validator";
+  if (program("node").empty() || !std::filesystem::exists(validator)) {
+    GTEST_SKIP() << "Node.js or " << validator << " is not there (packaging/fetch-assets)";
+  }
+  EXPECT_EQ(run(program("node"),
+                {script("check-glb.mjs"), validator.string(), file("anim.glb"), file("still.glb")}),
+            0)
+      << output_;
+  EXPECT_THAT(output_, HasSubstr("2 animations"));
+}
+
+TEST_F(Export, AnAvatarWithoutTheShapesIsTold) {
+  const std::string take = patch_take();  // moves jawOpen, eyeBlinkLeft and mouthSmileRight
+  ASSERT_EQ(run({"export", take, "--format", "glb-frames", "-o", file("frames.glb")}), 0) << output_;
+  EXPECT_EQ(run({"retarget", take, "--rig", file("frames.glb"), "-o", file("anim.glb")}), 2);
+  EXPECT_THAT(output_, AllOf(HasSubstr("frames.glb' lacks 3 shapes"),
+                             HasSubstr("eyeBlinkLeft, jawOpen, mouthSmileRight"),
+                             HasSubstr("are: frame_000101, frame_000102")));
+  EXPECT_EQ(run({"retarget", take, "--rig", take, "-o", file("anim.glb")}), 3);
+  EXPECT_THAT(output_, AllOf(HasSubstr(take), HasSubstr("it is no GLB file")));
+  EXPECT_EQ(run({"retarget", take, "--rig", file("frames.glb"), "--head", "Kopf", "-o", file("anim.glb")}),
+            2);
+  EXPECT_THAT(output_, HasSubstr("no node 'Kopf'; it has 'head'"));
+  EXPECT_FALSE(std::filesystem::exists(file("anim.glb")));
+}
+
+}  // namespace
+}  // namespace facet::exports
