@@ -29,6 +29,21 @@ void print_recording(const json& recording) {
       recording["reason"].get<std::string>().empty() ? "" : "; " + recording["reason"].get<std::string>());
 }
 
+void print_bridges(const json& bridges) {
+  if (bridges.is_null()) {
+    return;
+  }
+  for (const json& target : bridges["targets"]) {
+    const std::string reason = target["reason"];
+    fmt::print("bridge        {} to {}: {} frames, {} failed{}\n", target["protocol"].get<std::string>(),
+               target["target"].get<std::string>(), target["frames"].get<std::uint64_t>(),
+               target["failed"].get<std::uint64_t>(), reason.empty() ? "" : ": " + reason);
+  }
+  const std::string reason = bridges["neutral"]["reason"];
+  fmt::print("neutral pose  {}{}\n", bridges["neutral"]["state"].get<std::string>(),
+             reason.empty() ? "" : ": " + reason);
+}
+
 void print_stages(const json& stages) {
   fmt::print("\n{:<14} {:>9} {:>9}\n", "stage", "mean ms", "p95 ms");
   for (const pipeline::Stage& stage : pipeline::kStages) {
@@ -163,6 +178,7 @@ void print(const json& status) {
                web["requests"].get<std::uint64_t>(), web["refused"].get<std::uint64_t>(),
                refusal.empty() ? "" : ", the last: " + refusal);
   }
+  print_bridges(status["bridges"]);
   print_recording(status["recording"]);
   print_stages(status["stage_ms"]);
 }

@@ -22,6 +22,7 @@ int main(int argc, char** argv) {
   add_eval_command(app);
   add_export_command(app);
   add_model_command(app);
+  add_neutral_command(app);
   add_patterns_command(app);
   add_summary_command(app);
   add_synth_command(app);
@@ -31,6 +32,7 @@ int main(int argc, char** argv) {
   add_process_command(app, join_nobody);
   add_record_command(app);
   add_reset_identity_command(app);
+  add_retarget_command(app);
   add_rig_command(app);
   add_scan_command(app);
   add_shutdown_command(app);

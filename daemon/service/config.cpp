@@ -451,6 +451,33 @@ void read_web(Section section, WebConfig& web) {
   section.finish();
 }
 
+void read_bridges(Section section, avatar::BridgeConfig& bridges) {
+  for (const avatar::BridgeProtocol protocol :
+       {avatar::BridgeProtocol::Vmc, avatar::BridgeProtocol::LiveLinkFace}) {
+    const std::string key = avatar::to_string(protocol);
+    std::vector<std::string> texts;
+    section.read(key, texts);
+    for (const std::string& text : texts) {
+      const auto target = avatar::parse_target(protocol, text);
+      if (!target) {
+        section.fail(section.find(key), key,
+                     fmt::format("must be a list of \"ADDRESS:PORT\", each an IP address in digits, such as "
+                                 "[\"127.0.0.1:{}\"]; \"{}\" is none",
+                                 protocol == avatar::BridgeProtocol::Vmc ? 39539 : 11111, text));
+      }
+      bridges.targets.push_back(*target);
+    }
+  }
+  section.read_number("rate_hz", bridges.rate_hz, 1, 240);
+  section.read_number("smoothing_ms", bridges.smoothing_ms, 0, 10'000);
+  section.read("subject", bridges.subject);
+  section.read("neutral", bridges.neutral_file);
+  if (bridges.subject.empty() || bridges.subject.size() > 64) {
+    section.fail(section.find("subject"), "subject", "must be a name of 1 to 64 bytes");
+  }
+  section.finish();
+}
+
 void read_all(Document& document, Config& config) {
   Section root(document, &document.root(), "");
   constexpr std::array kModes = {"monocular", "frames", "booth"};
@@ -473,6 +500,7 @@ void read_all(Document& document, Config& config) {
   read_stream(root.section("stream"), config.stream);
   read_control(root.section("control"), config.control);
   read_takes(root.section("takes"), config.takes);
+  read_bridges(root.section("bridges"), config.bridges);
   read_metrics(root.section("metrics"), config.metrics);
   read_web(root.section("web"), config.web);
   config.stream.max_web_readers = config.web.listen.empty() ? 0 : config.web.max_clients;

@@ -6,6 +6,7 @@
 #include <string_view>
 #include <vector>
 
+#include "avatar/bridge.hpp"
 #include "pipeline/booth_config.hpp"
 #include "pipeline/frames_config.hpp"
 #include "pipeline/monocular_config.hpp"
@@ -67,6 +68,7 @@ struct Config {
   stream::StreamServerConfig stream;
   ControlConfig control;
   TakesConfig takes;
+  avatar::BridgeConfig bridges;
   MetricsConfig metrics;
   WebConfig web;
   LogLevel log_level = LogLevel::Info;

@@ -9,6 +9,7 @@
 #include <atomic>
 #include <cerrno>
 #include <chrono>
+#include <cmath>
 #include <csignal>
 #include <cstring>
 #include <nlohmann/json.hpp>
@@ -18,6 +19,7 @@
 
 #include "facet/error.hpp"
 #include "pipeline/booth.hpp"
+#include "pipeline/bridge_sink.hpp"
 #include "pipeline/frames.hpp"
 #include "pipeline/monocular.hpp"
 #include "pipeline/stream_sink.hpp"
@@ -102,7 +104,9 @@ struct Service::Impl {
   stream::FileDescriptor signals;
   std::optional<stream::StreamServer> stream;
   std::optional<ControlServer> control;
+  std::unique_ptr<avatar::Bridge> bridge;  ///< null where no target is configured
   pipeline::StreamSink stream_sink;
+  pipeline::BridgeSink bridge_sink;
   pipeline::TakeSink takes;
   std::optional<take::RecorderStatus> failed_take;  ///< the last, until the next begins
   std::optional<StageOpener> opener;
@@ -126,6 +130,7 @@ struct Service::Impl {
   MetricsSnapshot metrics_snapshot();
   json record_start(const json& params);
   json record_stop();
+  avatar::Bridge& configured_bridge();
 
   void wait_for_events();
   void read_signals();
@@ -150,7 +155,9 @@ Service::Impl::Impl(const Config& given, Log& given_log)
       manager(given_log),
       signals(open_signals()),
       stream(std::in_place, named(given.stream), std::move(passed.stream)),
-      stream_sink(*stream) {
+      bridge(given.bridges.targets.empty() ? nullptr : std::make_unique<avatar::Bridge>(given.bridges)),
+      stream_sink(*stream),
+      bridge_sink(bridge.get()) {
   check_takes_folder(config.takes.folder);
   control.emplace(config.control, methods(), std::move(passed.control));
 }
@@ -161,6 +168,25 @@ ControlMethods Service::Impl::methods() {
       {"record.start", {true, {"name"}, [this](const json& params) { return record_start(params); }}},
       {"record.stop", {true, {}, [this](const json&) { return record_stop(); }}},
       {"takes.list", {false, {}, [this](const json&) { return list_takes(config.takes.folder); }}},
+      {"neutral.record",
+       {true,
+        {"seconds"},
+        [this](const json& params) {
+          const double seconds = params.value("seconds", 1.0);
+          if (!(seconds >= 0.1 && seconds <= 60)) {
+            throw Error(ErrorKind::Usage, "seconds must be from 0.1 to 60");
+          }
+          configured_bridge().record_neutral(std::chrono::milliseconds(std::lround(1000 * seconds)));
+          return json::object();
+        }}},
+      {"neutral.clear",
+       {true,
+        {},
+        [this](const json&) {
+          configured_bridge().clear_neutral();
+          log.info("the bridges' neutral pose is forgotten");
+          return json::object();
+        }}},
       {"identity.reset",
        {true,
         {},
@@ -199,6 +225,7 @@ json Service::Impl::status() {
   }
   const auto take = takes.status();
   const auto& shown = take ? take : failed_take;
+  answer["bridges"] = bridge ? to_json(bridge->status()) : json(nullptr);
   answer["recording"] = shown ? to_json(*shown) : json(nullptr);
   return answer;
 }
@@ -257,6 +284,16 @@ void Service::Impl::open_metrics() {
   } catch (const Error& error) {
     log.warning(error.what());
   }
+}
+
+avatar::Bridge& Service::Impl::configured_bridge() {
+  if (!bridge) {
+    throw Error(
+        ErrorKind::Usage,
+        "no bridge is configured: bridges.vmc and bridges.live_link_face name no target that a neutral pose "
+        "would be for");
+  }
+  return *bridge;
 }
 
 json Service::Impl::record_start(const json& params) {
@@ -343,7 +380,7 @@ void Service::Impl::make_pipeline(pipeline::Stages stages) {
   pipeline = std::make_unique<pipeline::MonocularPipeline>(
       std::move(stages),
       pipeline::MonocularPipeline::Options{config.pipeline.hierarchy, config.pipeline.frames, {}},
-      std::vector<pipeline::MeshSink*>{&stream_sink, &takes});
+      std::vector<pipeline::MeshSink*>{&stream_sink, &bridge_sink, &takes});
 }
 
 void Service::Impl::tell_devices(const pipeline::Rig& rig) {
@@ -370,7 +407,7 @@ void Service::Impl::make_pipeline(pipeline::Booth booth) {
   tell_devices(booth.devices);
   log.info(fmt::format("depth maps on {}", booth.stages.depth->device()));
   std::vector<pipeline::MeshSink*> set_sinks;
-  std::vector<pipeline::MeshSink*> mesh_sinks = {&stream_sink};
+  std::vector<pipeline::MeshSink*> mesh_sinks = {&stream_sink, &bridge_sink};
   (config.booth_record == BoothRecord::Pictures ? set_sinks : mesh_sinks).push_back(&takes);
   pipeline = std::make_unique<pipeline::BoothPipeline>(std::move(booth), std::move(set_sinks),
                                                        std::move(mesh_sinks));
@@ -511,12 +548,18 @@ void Service::Impl::finish() {
   }
   takes.request_end();
   stream->request_stop();
+  if (bridge) {
+    bridge->request_stop();
+  }
   metrics.reset();
   web.reset();
   if (const auto take = takes.end()) {
     log_take(*take);
   }
   stream->stop();
+  if (bridge) {
+    bridge->stop();
+  }
   control.reset();
   const auto threads_end = [&] { return (!opener || opener->done()) && (!pipeline || pipeline->finished()); };
   while (!threads_end()) {
@@ -541,6 +584,12 @@ int Service::run() {
                               impl.config.stream.socket.string(), impl.config.control.socket.string()),
                   {{"FACET_EVENT", "started"}, {"FACET_VERSION", FACET_VERSION}});
     impl.open_web();
+    if (impl.bridge) {
+      impl.bridge->start();
+      for (const avatar::BridgeTarget& target : impl.config.bridges.targets) {
+        impl.log.info(fmt::format("bridge: {} to {}", avatar::to_string(target.protocol), target.text()));
+      }
+    }
     impl.opener.emplace(impl.config);
     while (!impl.exit_status) {
       impl.wait_for_events();

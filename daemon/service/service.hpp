@@ -13,8 +13,8 @@ namespace facet::service {
 /// |---------------|--------------------------------------------------------------|----------------|
 /// | main          | signals, control socket, log; begins and ends all others      | poll; the disk when a
 /// take is closed | | `facet-open`  | opens source, model, tracker and GPU, so that main can answer | files,
-/// the driver | | `facet-stream`, `facet-take`, `facet-pack-N`, `facet-capture`, `facet-track`,
-/// `facet-refine` | see their rooms | |
+/// the driver | | `facet-stream`, `facet-bridge`, `facet-take`, `facet-pack-N`, `facet-capture`,
+/// `facet-track`, `facet-refine` | see their rooms | |
 ///
 /// SIGTERM, SIGINT, SIGHUP and the control method "shutdown" end it within a second in every state: takes are
 /// closed and sockets removed; a frame that the GPU or a driver still holds then is abandoned with the

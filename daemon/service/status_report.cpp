@@ -160,6 +160,22 @@ json to_json(const take::RecorderStatus& status) {
           {"bytes", status.bytes}};
 }
 
+json to_json(const avatar::BridgeStatus& status) {
+  json targets = json::array();
+  for (const avatar::BridgeTargetStatus& target : status.targets) {
+    targets.push_back({{"protocol", avatar::to_string(target.target.protocol)},
+                       {"target", target.target.text()},
+                       {"frames", target.frames},
+                       {"failed", target.failed},
+                       {"reason", target.reason}});
+  }
+  return {{"targets", std::move(targets)},
+          {"neutral",
+           {{"state", avatar::to_string(status.neutral)},
+            {"reason", status.neutral_reason},
+            {"frames", status.neutral_frames}}}};
+}
+
 std::uint64_t resident_bytes() {
   std::ifstream statm("/proc/self/statm");
   std::uint64_t total_pages = 0;

@@ -11,6 +11,8 @@ import sys
 import bpy
 import numpy as np
 
+# Debian 12's Blender 3.4 imports glTF with a name that its NumPy 1.24 has no more.
+np.bool = bool
 RATE_HZ = 30
 folder, *pictures = [pathlib.Path(argument) for argument in sys.argv[sys.argv.index("--") + 1:]]
 failures = []
@@ -75,6 +77,7 @@ def render(name, points):
     scene.render.engine = "CYCLES"
     scene.cycles.samples = 8
     scene.cycles.device = "CPU"
+    scene.cycles.use_denoising = False
     scene.render.resolution_x = scene.render.resolution_y = 400
     scene.render.filepath = str(pictures[0] / f"{name}.png")
     bpy.ops.render.render(write_still=True)

@@ -3,7 +3,6 @@
 #include <ImfFrameBuffer.h>
 #include <ImfHeader.h>
 #include <ImfInputFile.h>
-#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <opencv2/core.hpp>
@@ -148,7 +147,8 @@ TEST_F(Maps, PngHasSixteenBits) {
   const Eigen::Vector3f linear = pixel(picture, 30, 20);
   for (int channel = 0; channel < 3; ++channel) {
     const double srgb = 1.055 * std::pow(static_cast<double>(linear[channel]), 1 / 2.4) - 0.055;
-    EXPECT_NEAR(colour.at<cv::Vec<std::uint16_t, 3>>(20, 30)[2 - channel], 65535 * srgb, 1);
+    const auto& bgr = colour.at<cv::Vec<std::uint16_t, 3>>(20, 30);
+    EXPECT_NEAR(bgr[2 - channel], 65535 * srgb, 1);
   }
 }
 

@@ -230,6 +230,24 @@ deadline_ms = 200
   EXPECT_EQ(rig.deadline_ms, 200);
 }
 
+TEST(Config, BridgesHaveTargetsInDigits) {
+  const Config config = parse_config(
+      "[bridges]\nvmc = [\"127.0.0.1:39539\", \"[::1]:1\"]\nlive_link_face = [\"192.0.2.7:11111\"]\nrate_hz "
+      "= 30\n"
+      "smoothing_ms = 40\nsubject = \"Ada\"\nneutral = \"n.json\"\n",
+      "/etc/facet/facet.toml");
+  ASSERT_EQ(config.bridges.targets.size(), 3U);
+  EXPECT_EQ(config.bridges.targets[1].text(), "[::1]:1");
+  EXPECT_EQ(config.bridges.targets[2].protocol, avatar::BridgeProtocol::LiveLinkFace);
+  EXPECT_EQ(config.bridges.rate_hz, 30);
+  EXPECT_EQ(config.bridges.neutral_file, "/etc/facet/n.json");
+  EXPECT_THAT(error_of("[bridges]\nvmc = [\"studio:39539\"]\n"),
+              AllOf(HasSubstr("facet.toml:2: bridges.vmc"), HasSubstr("\"studio:39539\" is none"),
+                    HasSubstr("IP address in digits")));
+  EXPECT_THAT(error_of("[bridges]\nrate_hz = 0\n"), HasSubstr("from 1 to 240"));
+  EXPECT_THAT(error_of("[bridges]\nsubject = \"\"\n"), HasSubstr("1 to 64 bytes"));
+}
+
 TEST(Config, ARigThatCannotBeIsToldByKey) {
   const auto refusal = [](const std::string& text) -> std::string {
     try {

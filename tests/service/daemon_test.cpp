@@ -1,8 +1,10 @@
 // facetd as a user meets it: a child process, its exit status, its sockets, its takes.
 
+#include <arpa/inet.h>
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/socket.h>
 #include <sys/stat.h>
 
 #include <array>
@@ -177,6 +179,8 @@ TEST_F(DaemonWithAssets, RecordsOnCommand) {
   EXPECT_EQ(status["camera"]["state"], "streaming");
   EXPECT_GT(status["camera"]["frames"]["delivered"], 0);
   EXPECT_EQ(status["recording"], nullptr);
+  EXPECT_EQ(status["bridges"], nullptr) << "off unless configured";
+  EXPECT_THROW(ask("neutral.record"), Error);
   EXPECT_THROW(ask("record.stop"), Error);
   EXPECT_EQ(ask("record.start", {{"name", "first"}})["file"], (folder_.path() / "takes/first.take").string());
   EXPECT_THROW(ask("record.start", {{"name", "second"}}), Error);
@@ -199,6 +203,45 @@ TEST_F(DaemonWithAssets, RecordsOnCommand) {
     EXPECT_EQ(entry.path().extension(), ".take") << "takes are closed, nothing is left beside them";
     EXPECT_TRUE(take::TakeReader(entry.path()).info().closed);
   }
+}
+
+TEST_F(DaemonWithAssets, BridgesSendAndHaveANeutralPose) {
+  const int receiver = ::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0);
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  socklen_t length = sizeof(address);
+  ASSERT_EQ(::bind(receiver, reinterpret_cast<sockaddr*>(&address), length), 0);
+  ASSERT_EQ(::getsockname(receiver, reinterpret_cast<sockaddr*>(&address), &length), 0);
+  const auto daemon = start(configure(
+      looped(), fmt::format("[bridges]\nvmc = [\"127.0.0.1:{}\"]\nneutral = \"takes/neutral.json\"\n",
+                            ntohs(address.sin_port))));
+  const json status =
+      await(*daemon, [](const json& now) { return now["bridges"]["targets"][0]["frames"] > 20; });
+  EXPECT_EQ(status["bridges"]["targets"][0]["protocol"], "vmc");
+  EXPECT_EQ(status["bridges"]["neutral"]["state"], "none");
+  std::string received;
+  for (std::array<char, 2048> datagram{}; true;) {
+    const ssize_t size = ::recv(receiver, datagram.data(), datagram.size(), MSG_DONTWAIT);
+    if (size < 0) {
+      break;
+    }
+    received.append(datagram.data(), static_cast<std::size_t>(size));
+  }
+  EXPECT_NE(received.find("/VMC/Ext/Blend/Val"), std::string::npos);
+  EXPECT_NE(received.find("JawOpen"), std::string::npos);
+
+  EXPECT_THROW(ask("neutral.record", {{"seconds", 0}}), Error);
+  ask("neutral.record", {{"seconds", 2}});
+  const json now =
+      await(*daemon, [](const json& later) { return later["bridges"]["neutral"]["state"] != "recording"; });
+  EXPECT_EQ(now["bridges"]["neutral"]["state"], "set") << now["bridges"]["neutral"];
+  EXPECT_TRUE(std::filesystem::exists(folder_.path() / "takes/neutral.json"));
+  ask("neutral.clear");
+  EXPECT_FALSE(std::filesystem::exists(folder_.path() / "takes/neutral.json"));
+  daemon->send(SIGTERM);
+  expect_clean_end(*daemon);
+  ::close(receiver);
 }
 
 TEST_F(DaemonWithAssets, AFullDiskEndsTheTakeAndNothingElse) {

@@ -1,0 +1,336 @@
+#include "avatar/bridge.hpp"
+
+#include <arpa/inet.h>
+#include <fmt/format.h>
+#include <netinet/in.h>
+#include <pthread.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <charconv>
+#include <condition_variable>
+#include <cstring>
+#include <mutex>
+#include <random>
+#include <system_error>
+#include <thread>
+#include <utility>
+
+#include "avatar/protocols.hpp"
+#include "facet/error.hpp"
+
+namespace facet::avatar {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+struct Address {
+  sockaddr_storage storage{};
+  socklen_t length = 0;
+};
+
+/// Length 0 where the text is no address in digits.
+Address socket_address(const std::string& address, std::uint16_t port) {
+  Address out;
+  auto* v4 = reinterpret_cast<sockaddr_in*>(&out.storage);
+  auto* v6 = reinterpret_cast<sockaddr_in6*>(&out.storage);
+  if (::inet_pton(AF_INET, address.c_str(), &v4->sin_addr) == 1) {
+    v4->sin_family = AF_INET;
+    v4->sin_port = htons(port);
+    out.length = sizeof(*v4);
+  } else if (::inet_pton(AF_INET6, address.c_str(), &v6->sin6_addr) == 1) {
+    v6->sin6_family = AF_INET6;
+    v6->sin6_port = htons(port);
+    out.length = sizeof(*v6);
+  }
+  return out;
+}
+
+/// A UUID by lot (RFC 4122, version 4): 36 characters.
+std::string random_uuid() {
+  std::random_device random;
+  std::uniform_int_distribution<unsigned> digit(0, 15);
+  std::string uuid = "xxxxxxxx-xxxx-4xxx-8xxx-xxxxxxxxxxxx";
+  for (char& c : uuid) {
+    c = c == 'x' ? "0123456789ABCDEF"[digit(random)] : c;
+  }
+  return uuid;
+}
+
+double time_of_day_s() {
+  const auto now = std::chrono::system_clock::now();
+  return std::chrono::duration<double>(now - std::chrono::floor<std::chrono::days>(now)).count();
+}
+
+}  // namespace
+
+const char* to_string(BridgeProtocol protocol) {
+  return protocol == BridgeProtocol::Vmc ? "vmc" : "live_link_face";
+}
+
+const char* to_string(NeutralState state) {
+  switch (state) {
+    case NeutralState::None:
+      return "none";
+    case NeutralState::Recording:
+      return "recording";
+    case NeutralState::Set:
+      return "set";
+    case NeutralState::Failed:
+      return "failed";
+  }
+  return "";
+}
+
+std::string BridgeTarget::text() const {
+  const bool six = address.find(':') != std::string::npos;
+  return six ? fmt::format("[{}]:{}", address, port) : fmt::format("{}:{}", address, port);
+}
+
+std::optional<BridgeTarget> parse_target(BridgeProtocol protocol, const std::string& text) {
+  const std::size_t colon = text.rfind(':');
+  if (colon == std::string::npos || colon + 1 == text.size()) {
+    return std::nullopt;
+  }
+  BridgeTarget target{protocol, text.substr(0, colon), 0};
+  const bool brackets =
+      target.address.size() > 2 && target.address.front() == '[' && target.address.back() == ']';
+  if (brackets) {
+    target.address = target.address.substr(1, target.address.size() - 2);
+  }
+  const char* end = text.data() + text.size();
+  const auto [read, fault] = std::from_chars(text.data() + colon + 1, end, target.port);
+  const bool six = target.address.find(':') != std::string::npos;
+  if (fault != std::errc() || read != end || target.port == 0 || brackets != six ||
+      socket_address(target.address, target.port).length == 0) {
+    return std::nullopt;
+  }
+  return target;
+}
+
+struct Bridge::Impl {
+  explicit Impl(const BridgeConfig& given);
+  ~Impl();
+
+  BridgeConfig config;
+  std::string device = random_uuid();
+  Clock::time_point started = Clock::now();
+  struct Destination {
+    Address address;
+    int socket = -1;
+    bool connected = false;
+  };
+  std::vector<Destination> destinations;  ///< [targets]
+
+  mutable std::mutex mutex;
+  std::condition_variable changed;
+  bool stopping = false;
+  std::shared_ptr<const mesh::MeshFrame> newest;  ///< not sent yet
+  BridgeStatus status;
+  std::optional<NeutralPose> neutral;
+  std::optional<NeutralRecorder> recorder;
+  Clock::time_point recorded_until;
+
+  // The thread's own.
+  std::thread thread;
+  Smoother smoother;
+  OscBundles vmc{kMostDatagram};
+  std::vector<std::vector<std::byte>> live_link{1};
+
+  static int open_socket(int family);
+  void run();
+  void finish_recording(std::unique_lock<std::mutex>& lock);
+  void send(const FaceState& state, bool with_neutral);
+  static std::string send_all(Destination& to, const std::vector<std::vector<std::byte>>& datagrams);
+};
+
+Bridge::Impl::Impl(const BridgeConfig& given)
+    : config(given), smoother(static_cast<float>(given.smoothing_ms * 1e-3)) {
+  neutral = load_neutral(config.neutral_file);
+  status.neutral = neutral ? NeutralState::Set : NeutralState::None;
+  for (const BridgeTarget& target : config.targets) {
+    const Address address = socket_address(target.address, target.port);
+    destinations.push_back({address, open_socket(address.storage.ss_family), false});
+    status.targets.push_back({target, 0, 0, {}});
+  }
+}
+
+Bridge::Impl::~Impl() {
+  for (const Destination& destination : destinations) {
+    ::close(destination.socket);
+  }
+}
+
+/// A connected socket for each target: a refusal that comes back from it (nobody listens there) is told with
+/// the next datagram.
+int Bridge::Impl::open_socket(int family) {
+  const int descriptor = ::socket(family, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+  if (descriptor < 0) {
+    throw Error(ErrorKind::Internal,
+                fmt::format("bridge: cannot open a UDP socket: {}", std::strerror(errno)));
+  }
+  return descriptor;
+}
+
+void Bridge::Impl::run() {
+  ::pthread_setname_np(::pthread_self(), "facet-bridge");
+  const auto period =
+      std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1 / config.rate_hz));
+  Clock::time_point next_send = Clock::now();
+  std::unique_lock lock(mutex);
+  while (!stopping) {
+    const auto now = Clock::now();
+    if (recorder && now >= recorded_until) {
+      finish_recording(lock);
+    }
+    if (newest == nullptr || now < next_send) {
+      // A recording ends without a frame too.
+      const auto until = newest != nullptr ? next_send : now + std::chrono::milliseconds(100);
+      changed.wait_until(lock, until);
+      continue;
+    }
+    // A frame that comes a little early is in time all the same: a camera at rate_hz loses none.
+    next_send = std::max(next_send + period, now - period / 2);
+    FaceState state = face_state(*std::exchange(newest, nullptr));
+    if (recorder) {
+      recorder->add(state);
+      status.neutral_frames = recorder->frames();
+    }
+    const bool with_neutral = neutral.has_value();
+    if (neutral && state.tracked) {
+      subtract(*neutral, state);
+    }
+    lock.unlock();
+    smoother.apply(state);
+    send(state, with_neutral);
+    lock.lock();
+  }
+}
+
+/// Writes the file with the lock open: whoever hands frames over does not wait for the disk.
+void Bridge::Impl::finish_recording(std::unique_lock<std::mutex>& lock) {
+  const NeutralRecorder recorded = *std::exchange(recorder, std::nullopt);
+  lock.unlock();
+  const std::optional<NeutralPose> mean = recorded.mean();
+  std::string fault;
+  if (mean) {
+    try {
+      save_neutral(*mean, config.neutral_file);
+    } catch (const Error& error) {
+      fault = error.what();
+    }
+  } else {
+    fault = fmt::format("a face was tracked in {} frames, {} are needed", recorded.frames(),
+                        NeutralRecorder::kFewestFrames);
+  }
+  lock.lock();
+  status.neutral = fault.empty() ? NeutralState::Set : NeutralState::Failed;
+  status.neutral_reason = fault;
+  status.neutral_frames = recorded.frames();
+  if (fault.empty()) {
+    neutral = mean;
+  }
+}
+
+/// Empty, or what the network said.
+std::string Bridge::Impl::send_all(Destination& to, const std::vector<std::vector<std::byte>>& datagrams) {
+  // Where there is no route yet, the next frame tries again.
+  if (!to.connected &&
+      ::connect(to.socket, reinterpret_cast<const sockaddr*>(&to.address.storage), to.address.length) < 0) {
+    return std::strerror(errno);
+  }
+  to.connected = true;
+  std::string reason;
+  for (const std::vector<std::byte>& datagram : datagrams) {
+    if (::send(to.socket, datagram.data(), datagram.size(), MSG_NOSIGNAL) < 0) {
+      reason = errno == EAGAIN ? "the network is busy" : std::strerror(errno);
+    }
+  }
+  return reason;
+}
+
+void Bridge::Impl::send(const FaceState& state, bool with_neutral) {
+  vmc.clear();
+  write_vmc(state, std::chrono::duration<float>(Clock::now() - started).count(), with_neutral, vmc);
+  write_live_link_face(state, device, config.subject, time_of_day_s(), live_link.front());
+  for (std::size_t i = 0; i < destinations.size(); ++i) {
+    const bool is_vmc = config.targets[i].protocol == BridgeProtocol::Vmc;
+    if (!is_vmc && !(state.tracked && state.has_expression)) {
+      continue;
+    }
+    const std::string reason = send_all(destinations[i], is_vmc ? vmc.bundles() : live_link);
+    const std::lock_guard lock(mutex);
+    BridgeTargetStatus& target = status.targets[i];
+    ++target.frames;
+    target.failed += reason.empty() ? 0 : 1;
+    target.reason = reason;
+  }
+}
+
+Bridge::Bridge(const BridgeConfig& config) : impl_(std::make_unique<Impl>(config)) {}
+
+Bridge::~Bridge() {
+  request_stop();
+  stop();
+}
+
+void Bridge::start() {
+  impl_->thread = std::thread([this] { impl_->run(); });
+}
+
+void Bridge::request_stop() {
+  {
+    const std::lock_guard lock(impl_->mutex);
+    impl_->stopping = true;
+  }
+  impl_->changed.notify_one();
+}
+
+void Bridge::stop() {
+  if (impl_->thread.joinable()) {
+    impl_->thread.join();
+  }
+}
+
+void Bridge::publish(std::shared_ptr<const mesh::MeshFrame> frame) {
+  {
+    const std::lock_guard lock(impl_->mutex);
+    impl_->newest.swap(frame);
+  }
+  impl_->changed.notify_one();
+}
+
+BridgeStatus Bridge::status() const {
+  const std::lock_guard lock(impl_->mutex);
+  return impl_->status;
+}
+
+void Bridge::record_neutral(std::chrono::milliseconds duration) {
+  const std::lock_guard lock(impl_->mutex);
+  if (impl_->recorder) {
+    throw Error(ErrorKind::Usage, "a neutral pose is being recorded already");
+  }
+  impl_->recorder.emplace();
+  impl_->recorded_until = Clock::now() + duration;
+  impl_->status.neutral = NeutralState::Recording;
+  impl_->status.neutral_reason.clear();
+  impl_->status.neutral_frames = 0;
+}
+
+void Bridge::clear_neutral() {
+  std::error_code failure;
+  std::filesystem::remove(impl_->config.neutral_file, failure);
+  if (failure) {
+    throw Error(ErrorKind::Storage, fmt::format("cannot remove '{}': {}", impl_->config.neutral_file.string(),
+                                                failure.message()));
+  }
+  const std::lock_guard lock(impl_->mutex);
+  impl_->recorder.reset();
+  impl_->neutral.reset();
+  impl_->status.neutral = NeutralState::None;
+  impl_->status.neutral_reason.clear();
+}
+
+}  // namespace facet::avatar

@@ -1,0 +1,158 @@
+#include "avatar/face_state.hpp"
+
+#include <fmt/format.h>
+
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+#include <nlohmann/json.hpp>
+#include <system_error>
+
+#include "facet/error.hpp"
+#include "files/output_file.hpp"
+#include "files/text_file.hpp"
+
+namespace facet::avatar {
+namespace {
+
+using nlohmann::json;
+
+constexpr float kMetresPerMillimetre = 0.001F;
+/// A value that rests so near to its end has no range left.
+constexpr float kMostRest = 0.95F;
+constexpr std::size_t kMostFileBytes = 1 << 16;
+
+/// Throws json::exception or std::runtime_error saying what is wrong.
+NeutralPose parse_neutral(const std::string& text) {
+  const json document = json::parse(text);
+  if (document.at("facet_neutral") != 1) {
+    throw std::runtime_error("it is of another version");
+  }
+  NeutralPose neutral;
+  for (const auto& [name, value] : document.at("values").items()) {
+    const int index = mesh::arkit_index(name);
+    const auto number = value.get<float>();
+    if (index < 0 || !(number >= 0 && number <= 1)) {
+      throw std::runtime_error(fmt::format("'{}' is no value of ARKit's from 0 to 1", name));
+    }
+    neutral.values.at(static_cast<std::size_t>(index)) = number;
+  }
+  const auto rotation = document.at("rotation").get<std::array<float, 4>>();
+  const auto translation = document.at("translation_m").get<std::array<float, 3>>();
+  const Eigen::Quaternionf turn(Eigen::Map<const Eigen::Vector4f>(rotation.data()));
+  neutral.upright_from_head.translation() = Eigen::Map<const Eigen::Vector3f>(translation.data());
+  if (!(std::abs(turn.norm() - 1.0F) < 1e-3F) || !neutral.upright_from_head.translation().allFinite()) {
+    throw std::runtime_error("its pose is none");
+  }
+  neutral.upright_from_head.linear() = turn.normalized().toRotationMatrix();
+  return neutral;
+}
+
+}  // namespace
+
+FaceState face_state(const mesh::MeshFrame& frame) {
+  FaceState state;
+  state.sequence = frame.sequence;
+  state.timestamp_ns = frame.timestamp_ns;
+  state.tracked = frame.subject != nullptr;
+  if (!state.tracked) {
+    return state;
+  }
+  state.has_expression = !frame.expression.empty();
+  state.values = mesh::arkit_values(frame.subject->expression_names, frame.expression);
+  state.upright_from_head = mesh::upright_from_camera() * frame.camera_from_head;
+  state.upright_from_head.translation() *= kMetresPerMillimetre;
+  return state;
+}
+
+void subtract(const NeutralPose& neutral, FaceState& state) {
+  for (std::size_t i = 0; i < state.values.size(); ++i) {
+    const float rest = std::min(neutral.values.at(i), kMostRest);
+    state.values.at(i) = std::clamp((state.values.at(i) - rest) / (1.0F - rest), 0.0F, 1.0F);
+  }
+  state.upright_from_head = neutral.upright_from_head.inverse() * state.upright_from_head;
+}
+
+void NeutralRecorder::add(const FaceState& state) {
+  if (!state.tracked) {
+    return;
+  }
+  ++frames_;
+  for (std::size_t i = 0; i < sums_.size(); ++i) {
+    sums_.at(i) += state.values.at(i);
+  }
+  translations_ += state.upright_from_head.translation();
+  const Eigen::Vector4f turn = Eigen::Quaternionf(state.upright_from_head.linear()).normalized().coeffs();
+  turns_ += turn * turn.transpose();
+}
+
+std::optional<NeutralPose> NeutralRecorder::mean() const {
+  if (frames_ < kFewestFrames) {
+    return std::nullopt;
+  }
+  NeutralPose neutral;
+  const auto count = static_cast<float>(frames_);
+  for (std::size_t i = 0; i < sums_.size(); ++i) {
+    neutral.values.at(i) = sums_.at(i) / count;
+  }
+  // The mean turn is the eigenvector of the largest eigenvalue, which comes last.
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix4f> solver(turns_);
+  neutral.upright_from_head.linear() =
+      Eigen::Quaternionf(Eigen::Vector4f(solver.eigenvectors().col(3))).normalized().toRotationMatrix();
+  neutral.upright_from_head.translation() = translations_ / count;
+  return neutral;
+}
+
+void save_neutral(const NeutralPose& neutral, const std::filesystem::path& file) {
+  json values = json::object();
+  for (std::size_t i = 0; i < neutral.values.size(); ++i) {
+    values[mesh::arkit_name(i)] = neutral.values.at(i);
+  }
+  const Eigen::Quaternionf turn(neutral.upright_from_head.linear());
+  const Eigen::Vector3f place = neutral.upright_from_head.translation();
+  const json document = {{"facet_neutral", 1},
+                         {"values", std::move(values)},
+                         {"rotation", {turn.x(), turn.y(), turn.z(), turn.w()}},
+                         {"translation_m", {place.x(), place.y(), place.z()}}};
+  files::OutputFile output(file);
+  output.write(document.dump(2) + "\n");
+  output.commit();
+}
+
+std::optional<NeutralPose> load_neutral(const std::filesystem::path& file) {
+  std::error_code ignored;
+  if (!std::filesystem::exists(file, ignored)) {
+    return std::nullopt;
+  }
+  const std::string text = files::read_text(file, kMostFileBytes, "neutral pose");
+  try {
+    return parse_neutral(text);
+  } catch (const std::exception& error) {
+    throw Error(
+        ErrorKind::UnreadableInput,
+        fmt::format("neutral pose {}: {}; `facet neutral` records it anew", file.string(), error.what()));
+  }
+}
+
+void Smoother::apply(FaceState& state) {
+  if (!state.tracked) {
+    before_.reset();
+    return;
+  }
+  if (before_ && time_constant_s_ > 0) {
+    const float elapsed_s = 1e-9F * static_cast<float>(state.timestamp_ns - before_->timestamp_ns);
+    const float share = 1.0F - std::exp(-std::max(0.0F, elapsed_s) / time_constant_s_);
+    for (std::size_t i = 0; i < state.values.size(); ++i) {
+      state.values.at(i) = before_->values.at(i) + share * (state.values.at(i) - before_->values.at(i));
+    }
+    const Eigen::Quaternionf from(before_->upright_from_head.linear());
+    const Eigen::Quaternionf to(state.upright_from_head.linear());
+    state.upright_from_head.linear() = from.slerp(share, to).normalized().toRotationMatrix();
+    state.upright_from_head.translation() =
+        before_->upright_from_head.translation() +
+        share * (state.upright_from_head.translation() - before_->upright_from_head.translation());
+  }
+  before_ = state;
+}
+
+}  // namespace facet::avatar

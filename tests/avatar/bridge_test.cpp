@@ -1,0 +1,355 @@
+#include "avatar/bridge.hpp"
+
+#include <arpa/inet.h>
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <poll.h>
+#include <sys/socket.h>
+
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <thread>
+
+#include "avatar/face_state.hpp"
+#include "avatar/protocols.hpp"
+#include "facet/error.hpp"
+#include "support/child_process.hpp"
+#include "support/mesh_frames.hpp"
+#include "support/paths.hpp"
+
+namespace facet::avatar {
+namespace {
+
+using nlohmann::json;
+using namespace std::chrono_literals;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+
+/// A program that listens on a port of this machine.
+class Receiver {
+ public:
+  Receiver() : socket_(::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0)) {
+    address_.sin_family = AF_INET;
+    address_.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    socklen_t length = sizeof(address_);
+    EXPECT_EQ(::bind(socket_, reinterpret_cast<sockaddr*>(&address_), length), 0);
+    EXPECT_EQ(::getsockname(socket_, reinterpret_cast<sockaddr*>(&address_), &length), 0);
+  }
+  ~Receiver() { close(); }
+  Receiver(const Receiver&) = delete;
+  Receiver& operator=(const Receiver&) = delete;
+
+  void close() {
+    if (socket_ >= 0) {
+      ::close(std::exchange(socket_, -1));
+    }
+  }
+  BridgeTarget target(BridgeProtocol protocol) const {
+    return {protocol, "127.0.0.1", ntohs(address_.sin_port)};
+  }
+
+  /// The datagrams that come until nothing came for `patience`.
+  std::vector<std::string> receive(std::chrono::milliseconds patience = 300ms) const {
+    std::vector<std::string> datagrams;
+    pollfd waiting{socket_, POLLIN, 0};
+    while (::poll(&waiting, 1, static_cast<int>(patience.count())) == 1) {
+      std::string datagram(65536, '\0');
+      datagram.resize(static_cast<std::size_t>(::recv(socket_, datagram.data(), datagram.size(), 0)));
+      datagrams.push_back(std::move(datagram));
+    }
+    return datagrams;
+  }
+
+ private:
+  int socket_ = -1;
+  sockaddr_in address_{};
+};
+
+/// A frame of somebody who says "ah" and turns the head by 0.3 rad to the own left.
+std::shared_ptr<mesh::MeshFrame> frame(std::uint64_t sequence = 0) {
+  static const auto subject = test::patch_subject();  // jawOpen, eyeBlinkLeft, mouthSmileRight
+  auto out = std::make_shared<mesh::MeshFrame>(test::patch_frame(sequence, subject, nullptr));
+  out->expression = {0.75F, 0.25F, 0.0F};
+  out->camera_from_head.linear() = (Eigen::AngleAxisf(3.14159265F, Eigen::Vector3f::UnitX()) *
+                                    Eigen::AngleAxisf(0.3F, Eigen::Vector3f::UnitY()))
+                                       .toRotationMatrix();
+  out->camera_from_head.translation() << 100, -50, 600;
+  return out;
+}
+
+class BridgeTest : public ::testing::Test {
+ protected:
+  BridgeConfig config(std::vector<BridgeTarget> targets) const {
+    BridgeConfig out;
+    out.targets = std::move(targets);
+    out.rate_hz = 240;
+    out.subject = "A. Person";
+    out.neutral_file = folder_.path() / "neutral.json";
+    return out;
+  }
+
+  json decode(const std::string& kind, const std::vector<std::string>& datagrams) const {
+    const std::filesystem::path file = folder_.path() / "datagrams";
+    std::ofstream stream(file, std::ios::binary);
+    for (const std::string& datagram : datagrams) {
+      const auto length = static_cast<std::uint32_t>(datagram.size());
+      stream.write(reinterpret_cast<const char*>(&length), sizeof(length));
+      stream << datagram;
+    }
+    stream.close();
+    test::ChildProcess python(FACET_PYTHON, {DECODE_SCRIPT, kind, file.string()}, folder_.path() / "decoded");
+    EXPECT_EQ(python.wait(), 0) << python.output();
+    return json::parse(python.output());
+  }
+
+  /// Publishes frames until the state of the neutral pose is another one than Recording.
+  static void record_neutral(Bridge& bridge) {
+    bridge.record_neutral(200ms);
+    for (std::uint64_t sequence = 0; bridge.status().neutral == NeutralState::Recording && sequence < 1000;
+         ++sequence) {
+      bridge.publish(frame(sequence));
+      std::this_thread::sleep_for(10ms);
+    }
+  }
+
+  test::TemporaryFolder folder_;
+};
+
+json message(const json& messages, const std::string& address, const std::string& name = "") {
+  for (const json& found : messages) {
+    if (found[0] == address && (name.empty() || found[1] == name)) {
+      return found;
+    }
+  }
+  return nullptr;
+}
+
+TEST_F(BridgeTest, VmcSendsBlendsAndHead) {
+  const Receiver receiver;
+  Bridge bridge(config({receiver.target(BridgeProtocol::Vmc)}));
+  bridge.start();
+  bridge.publish(frame());
+  const std::vector<std::string> datagrams = receiver.receive();
+  for (const std::string& datagram : datagrams) {
+    EXPECT_LE(datagram.size(), kMostDatagram);
+  }
+  const json messages = decode("osc", datagrams);
+  ASSERT_EQ(messages.size(), 4 + 52 + 1U);
+  EXPECT_EQ(messages[0], json::parse(R"(["/VMC/Ext/OK", 1, 3, 0, 1])"));
+  EXPECT_EQ(messages[1][0], "/VMC/Ext/T");
+  EXPECT_EQ(messages.back(), json::parse(R"(["/VMC/Ext/Blend/Apply"])")) << "after all values";
+  EXPECT_EQ(message(messages, "/VMC/Ext/Blend/Val", "JawOpen")[2], 0.75F);
+  EXPECT_EQ(message(messages, "/VMC/Ext/Blend/Val", "EyeBlinkLeft")[2], 0.25F);
+  EXPECT_EQ(message(messages, "/VMC/Ext/Blend/Val", "TongueOut")[2], 0.0F);
+  EXPECT_EQ(message(messages, "/VMC/Ext/Root/Pos"),
+            json::parse(R"(["/VMC/Ext/Root/Pos", "root", 0, 0, 0, 0, 0, 0, 1])"));
+  const json head = message(messages, "/VMC/Ext/Bone/Pos", "Head");
+  // Unity, seen from above: a left-handed turn about y by a positive angle goes from z (ahead) to x (right).
+  // To the left it is negative.
+  ASSERT_EQ(head.size(), 9U);
+  EXPECT_NEAR(head[5].get<float>(), 0, 1e-5F);
+  EXPECT_NEAR(head[6].get<float>(), -std::sin(0.15F), 1e-5F);
+  EXPECT_NEAR(head[7].get<float>(), 0, 1e-5F);
+  EXPECT_NEAR(head[8].get<float>(), std::cos(0.15F), 1e-5F);
+  EXPECT_EQ(bridge.status().targets.at(0).frames, 1U);
+  EXPECT_EQ(bridge.status().targets.at(0).failed, 0U);
+}
+
+TEST_F(BridgeTest, VmcSaysThatNobodyIsThere) {
+  const Receiver receiver;
+  Bridge bridge(config({receiver.target(BridgeProtocol::Vmc)}));
+  bridge.start();
+  bridge.publish(std::make_shared<mesh::MeshFrame>(test::searching_frame(1)));
+  const json messages = decode("osc", receiver.receive());
+  ASSERT_EQ(messages.size(), 2U);
+  EXPECT_EQ(messages[0], json::parse(R"(["/VMC/Ext/OK", 1, 3, 0, 0])"));
+}
+
+TEST_F(BridgeTest, OscdumpReadsVmc) {
+  const std::string oscdump = "/usr/bin/oscdump";
+  if (!std::filesystem::exists(oscdump)) {
+    GTEST_SKIP() << "oscdump is not installed (liblo-tools)";
+  }
+  Receiver receiver;
+  const BridgeTarget target = receiver.target(BridgeProtocol::Vmc);
+  receiver.close();  // the port is oscdump's now
+  test::ChildProcess child(oscdump, {"-L", std::to_string(target.port)}, folder_.path() / "dump");
+  Bridge bridge(config({target}));
+  bridge.start();
+  for (std::uint64_t sequence = 0; child.output().find("Blend/Apply") == std::string::npos && sequence < 300;
+       ++sequence) {
+    bridge.publish(frame(sequence));
+    std::this_thread::sleep_for(20ms);
+  }
+  EXPECT_THAT(child.output(), HasSubstr("/VMC/Ext/Blend/Val sf \"JawOpen\" 0.750000"));
+  EXPECT_THAT(child.output(),
+              HasSubstr("/VMC/Ext/Bone/Pos sfffffff \"Head\" 0.000000 0.000000 0.000000 0.000000 -0.149438"));
+}
+
+TEST_F(BridgeTest, LiveLinkFaceSendsTheAppsPacket) {
+  const Receiver receiver;
+  Bridge bridge(config({receiver.target(BridgeProtocol::LiveLinkFace)}));
+  bridge.start();
+  bridge.publish(std::make_shared<mesh::MeshFrame>(test::searching_frame(1)));
+  std::this_thread::sleep_for(50ms);
+  bridge.publish(frame());
+  const json packets = decode("live_link_face", receiver.receive());
+  ASSERT_EQ(packets.size(), 1U) << "none without a face";
+  const json& packet = packets[0];
+  EXPECT_EQ(packet["subject"], "A. Person");
+  EXPECT_EQ(packet["device"].get<std::string>().size(), 36U);
+  EXPECT_EQ(packet["rate"], 60);
+  EXPECT_EQ(packet["denominator"], 1);
+  EXPECT_LT(packet["frame"].get<int>(), 24 * 3600 * 60);
+  ASSERT_EQ(packet["values"].size(), 61U);
+  EXPECT_EQ(packet["values"][17], 0.75F) << "JawOpen";
+  EXPECT_EQ(packet["values"][0], 0.25F) << "EyeBlinkLeft";
+  EXPECT_EQ(packet["values"][51], 0.0F) << "TongueOut";
+  EXPECT_NEAR(packet["values"][52].get<float>(), -0.3F, 1e-5F) << "yaw, to the subject's left";
+  EXPECT_NEAR(packet["values"][53].get<float>(), 0, 1e-5F);
+  EXPECT_NEAR(packet["values"][54].get<float>(), 0, 1e-5F);
+}
+
+TEST_F(BridgeTest, SendsNoMoreThanItsRate) {
+  const Receiver receiver;
+  BridgeConfig slow = config({receiver.target(BridgeProtocol::LiveLinkFace)});
+  slow.rate_hz = 10;
+  Bridge bridge(slow);
+  bridge.start();
+  const auto start = std::chrono::steady_clock::now();
+  for (std::uint64_t sequence = 0; sequence < 100; ++sequence) {
+    bridge.publish(frame(sequence));
+    std::this_thread::sleep_for(5ms);
+  }
+  const std::size_t received = receiver.receive(250ms).size();
+  const double elapsed_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  EXPECT_GE(received, 2U);
+  EXPECT_LE(static_cast<double>(received), 10 * elapsed_s + 2);
+}
+
+TEST_F(BridgeTest, NobodyListensAndNobodyWaits) {
+  Receiver receiver;
+  const BridgeTarget nobody = receiver.target(BridgeProtocol::Vmc);
+  receiver.close();
+  const Receiver other;
+  // No route leads to a documentation address with a scope of its own; where one does, nothing answers.
+  Bridge bridge(config({nobody, {BridgeProtocol::Vmc, "fe80::1", 39539}, other.target(BridgeProtocol::Vmc)}));
+  bridge.start();
+  for (std::uint64_t sequence = 0; sequence < 20; ++sequence) {
+    bridge.publish(frame(sequence));
+    std::this_thread::sleep_for(10ms);
+  }
+  EXPECT_GT(other.receive(100ms).size(), 2U) << "the others go on";
+  const BridgeStatus status = bridge.status();
+  EXPECT_GT(status.targets.at(0).failed, 0U);
+  EXPECT_THAT(status.targets.at(0).reason, HasSubstr("refused"));
+  EXPECT_GT(status.targets.at(1).failed, 0U);
+  EXPECT_EQ(status.targets.at(2).failed, 0U);
+}
+
+TEST_F(BridgeTest, NeutralPoseIsTakenAwayAndKept) {
+  const Receiver receiver;
+  const BridgeConfig wanted = config({receiver.target(BridgeProtocol::Vmc)});
+  {
+    Bridge bridge(wanted);
+    bridge.start();
+    EXPECT_EQ(bridge.status().neutral, NeutralState::None);
+    record_neutral(bridge);
+    const BridgeStatus status = bridge.status();
+    ASSERT_EQ(status.neutral, NeutralState::Set) << status.neutral_reason;
+    EXPECT_GE(status.neutral_frames, NeutralRecorder::kFewestFrames);
+  }
+  receiver.receive(100ms);
+  Bridge bridge(wanted);
+  ASSERT_EQ(bridge.status().neutral, NeutralState::Set);
+  bridge.start();
+  const auto moved = frame();
+  moved->expression = {0.875F, 0.25F, 0.5F};
+  moved->camera_from_head.translation().x() += 30;
+  bridge.publish(moved);
+  const json messages = decode("osc", receiver.receive());
+  EXPECT_NEAR(message(messages, "/VMC/Ext/Blend/Val", "JawOpen")[2].get<float>(), 0.5F, 1e-4F)
+      << "(0.875 - 0.75) / 0.25";
+  EXPECT_NEAR(message(messages, "/VMC/Ext/Blend/Val", "EyeBlinkLeft")[2].get<float>(), 0, 1e-4F);
+  EXPECT_NEAR(message(messages, "/VMC/Ext/Blend/Val", "MouthSmileRight")[2].get<float>(), 0.5F, 1e-4F);
+  EXPECT_NEAR(message(messages, "/VMC/Ext/Bone/Pos", "Head")[8].get<float>(), 1, 1e-5F) << "straight ahead";
+  // 30 mm to the picture's right, which is the subject's left, by a head that is turned left by 0.3.
+  const json root = message(messages, "/VMC/Ext/Root/Pos");
+  EXPECT_NEAR(root[2].get<float>(), -0.030F * std::cos(0.3F), 1e-4F);
+  EXPECT_NEAR(root[3].get<float>(), 0, 1e-4F);
+  EXPECT_NEAR(root[4].get<float>(), 0.030F * std::sin(0.3F), 1e-4F);
+
+  bridge.clear_neutral();
+  EXPECT_EQ(bridge.status().neutral, NeutralState::None);
+  EXPECT_FALSE(std::filesystem::exists(wanted.neutral_file));
+}
+
+TEST_F(BridgeTest, NeutralPoseWithoutAFaceFails) {
+  const Receiver receiver;
+  Bridge bridge(config({receiver.target(BridgeProtocol::Vmc)}));
+  bridge.start();
+  bridge.record_neutral(100ms);
+  EXPECT_THROW(bridge.record_neutral(100ms), Error);
+  for (int i = 0; bridge.status().neutral == NeutralState::Recording && i < 500; ++i) {
+    std::this_thread::sleep_for(10ms);
+  }
+  EXPECT_EQ(bridge.status().neutral, NeutralState::Failed);
+  EXPECT_THAT(bridge.status().neutral_reason, HasSubstr("tracked in 0 frames"));
+}
+
+TEST_F(BridgeTest, ADamagedNeutralPoseIsNamed) {
+  const BridgeConfig wanted = config({});
+  for (const char* text :
+       {"", "{", "[]", R"({"facet_neutral": 2})",
+        R"({"facet_neutral": 1, "values": {"jawOpen": 2}, "rotation": [0,0,0,1], "translation_m": [0,0,0]})",
+        R"({"facet_neutral": 1, "values": {"jaw": 0}, "rotation": [0,0,0,1], "translation_m": [0,0,0]})",
+        R"({"facet_neutral": 1, "values": {}, "rotation": [0,0,0,0], "translation_m": [0,0,0]})",
+        R"({"facet_neutral": 1, "values": {}, "rotation": [0,0,0,1], "translation_m": [0,"x",0]})"}) {
+    std::ofstream(wanted.neutral_file) << text;
+    try {
+      const Bridge bridge(wanted);
+      ADD_FAILURE() << text;
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::UnreadableInput);
+      EXPECT_THAT(error.what(), HasSubstr("neutral.json"));
+    }
+  }
+}
+
+TEST(BridgeTargets, AreAddressesInDigits) {
+  const auto text = [](const std::string& given) {
+    const auto target = parse_target(BridgeProtocol::Vmc, given);
+    return target ? target->text() : "none";
+  };
+  EXPECT_EQ(text("127.0.0.1:39539"), "127.0.0.1:39539");
+  EXPECT_EQ(text("[::1]:11111"), "[::1]:11111");
+  for (const char* bad :
+       {"", "localhost:39539", "127.0.0.1", "127.0.0.1:", "127.0.0.1:0", "127.0.0.1:65536",
+        "127.0.0.1:39539 ", "::1:11111", "[127.0.0.1]:1", "[::1]", ":39539", "127.0.0.1:-1"}) {
+    EXPECT_EQ(text(bad), "none") << bad;
+  }
+}
+
+TEST(Smoothing, ComesThroughAfterItsTime) {
+  Smoother smoother(0.1F);
+  FaceState state;
+  state.tracked = true;
+  smoother.apply(state);
+  state.values[3] = 1;
+  state.timestamp_ns += 100'000'000;
+  smoother.apply(state);
+  EXPECT_NEAR(state.values[3], 1 - std::exp(-1.0F), 1e-5F);
+  state.tracked = false;
+  smoother.apply(state);
+  state.tracked = true;
+  state.values[3] = 1;
+  smoother.apply(state);
+  EXPECT_EQ(state.values[3], 1.0F) << "anew after a pause";
+}
+
+}  // namespace
+}  // namespace facet::avatar

@@ -1,0 +1,186 @@
+// `facet retarget`: a take's performance on somebody else's avatar.
+
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <filesystem>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "avatar/retarget.hpp"
+#include "commands.hpp"
+#include "facet/error.hpp"
+#include "progress.hpp"
+#include "stop_signals.hpp"
+#include "take/export.hpp"
+#include "take_frames.hpp"
+
+namespace facet::tools {
+namespace {
+
+struct RetargetOptions {
+  std::string take;
+  std::string rig;
+  std::string frames;
+  std::optional<std::uint64_t> neutral;
+  std::string head;
+  bool no_head = false;
+  bool allow_missing = false;
+  std::string output;
+};
+
+/// A weight that stays below this all the time is noise.
+constexpr float kLeastMovement = 0.05F;
+
+struct Performance {
+  std::vector<avatar::FaceState> states;  ///< of the frames with a face
+  std::vector<float> times_s;
+};
+
+std::string shape_list(const std::vector<std::size_t>& shapes) {
+  std::string text;
+  for (const std::size_t shape : shapes) {
+    text += (text.empty() ? "" : ", ") + mesh::arkit_name(shape);
+  }
+  return text;
+}
+
+std::string name_list(const std::vector<std::string>& names) {
+  constexpr std::size_t kMostNamed = 80;
+  std::string text;
+  for (std::size_t i = 0; i < std::min(names.size(), kMostNamed); ++i) {
+    text += (text.empty() ? "" : ", ") + names[i];
+  }
+  return text.empty() ? "none" : names.size() > kMostNamed ? text + " ..." : text;
+}
+
+/// The pose of the frame that counts as neutral.
+avatar::NeutralPose neutral_of(take::TakeReader& reader, std::uint64_t sequence) {
+  const auto index = frames_in_range(reader, fmt::format("{}:{}", sequence, sequence + 1)).front();
+  const avatar::FaceState state = avatar::face_state(*reader.frame(index, take::Pictures::Described));
+  if (!state.tracked) {
+    throw Error(ErrorKind::NoFace, fmt::format("frame {} has no face: --neutral wants one", sequence));
+  }
+  return {state.values, state.upright_from_head};
+}
+
+/// Returns the signal that broke it off, or 0.
+int read_performance(const RetargetOptions& options, const StopSignals& signals, Performance& performance) {
+  take::TakeReader reader(options.take);
+  std::optional<avatar::NeutralPose> neutral;
+  if (options.neutral) {
+    neutral = neutral_of(reader, *options.neutral);
+  }
+  std::vector<take::FrameEntry> entries;
+  for (const std::int64_t index : frames_in_range(reader, options.frames)) {
+    if (const take::FrameEntry entry = reader.entry(index); entry.has_mesh) {
+      entries.push_back(entry);
+    }
+  }
+  if (entries.empty()) {
+    throw Error(ErrorKind::NoFace, "none of the selected frames has a face: nothing was written");
+  }
+  const take::Timeline timeline = take::make_timeline(entries, options.take);
+  Progress progress("Reading", entries.size());
+  for (const take::FrameEntry& entry : entries) {
+    if (const int signal = signals.pending(); signal != 0) {
+      return signal;
+    }
+    avatar::FaceState state = avatar::face_state(*reader.frame(entry.index, take::Pictures::Described));
+    if (!state.has_expression) {
+      throw Error(ErrorKind::Usage,
+                  fmt::format("{}: frame {} has no expressions (a booth's template fit has none)",
+                              options.take, entry.sequence));
+    }
+    if (neutral) {
+      avatar::subtract(*neutral, state);
+    }
+    performance.states.push_back(state);
+    performance.times_s.push_back(static_cast<float>(
+        static_cast<double>(entry.sequence - entries.front().sequence) / timeline.rate_hz));
+    progress.advance();
+  }
+  return 0;
+}
+
+/// The shapes that the performance moves.
+std::vector<std::size_t> moved_shapes(const std::vector<avatar::FaceState>& states) {
+  std::vector<std::size_t> moved;
+  for (std::size_t shape = 0; shape < mesh::kArkitNames.size(); ++shape) {
+    if (std::any_of(states.begin(), states.end(), [shape](const avatar::FaceState& state) {
+          return state.values.at(shape) > kLeastMovement;
+        })) {
+      moved.push_back(shape);
+    }
+  }
+  return moved;
+}
+
+void check_shapes(const RetargetOptions& options, const avatar::Avatar& found,
+                  const std::vector<avatar::FaceState>& states) {
+  const std::vector<std::size_t> missing = avatar::missing_shapes(found, moved_shapes(states));
+  if (missing.empty() && !found.meshes.empty()) {
+    return;
+  }
+  const std::string what = fmt::format(
+      "'{}' lacks {} shapes that '{}' moves: {}; its morph targets (targetNames) are: {}", options.rig,
+      missing.size(), options.take, shape_list(missing), name_list(found.shape_names));
+  if (!options.allow_missing || found.meshes.empty()) {
+    throw Error(ErrorKind::Usage,
+                what + (found.meshes.empty() ? "" : "; --allow-missing goes on without them"));
+  }
+  fmt::print(stderr, "note: {}\n", what);
+}
+
+void run_retarget(const RetargetOptions& options) {
+  const StopSignals signals;
+  avatar::GlbDocument glb = avatar::read_glb(options.rig);
+  const avatar::Avatar found =
+      avatar::inspect_avatar(glb, options.head.empty() ? std::nullopt : std::optional(options.head));
+  if (!options.no_head && !found.head) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("'{}' has no node that is named like a head: name it with --head, or "
+                            "leave the head still with --no-head",
+                            options.rig));
+  }
+  Performance performance;
+  if (const int signal = read_performance(options, signals, performance); signal != 0) {
+    fmt::print(stderr, "facet: broken off: nothing was written to '{}'\n", options.output);
+    signals.die_of(signal);
+  }
+  check_shapes(options, found, performance.states);
+  avatar::add_animation(glb, found, performance.states, performance.times_s, !options.no_head);
+  avatar::write_glb(glb, options.output);
+  fmt::print("{}: {} frames, {:.2f} s, {} meshes\n", options.output, performance.states.size(),
+             performance.times_s.back(), found.meshes.size());
+}
+
+}  // namespace
+
+void add_retarget_command(CLI::App& app) {
+  auto options = std::make_shared<RetargetOptions>();
+  CLI::App* command =
+      app.add_subcommand("retarget", "Put a take's expressions and head turns on an avatar (GLB, VRM)");
+  command->add_option("TAKE", options->take, "Take file")->required();
+  command->add_option("--rig", options->rig, "The avatar: a GLB file whose morph targets have ARKit's names")
+      ->required();
+  command->add_option("--frames", options->frames, kFramesHelp);
+  command->add_option(
+      "--neutral", options->neutral,
+      "Number of the frame in which the face is at rest and looks straight ahead; default: the model's "
+      "neutral face, and the camera is straight ahead");
+  command->add_option(
+      "--head", options->head,
+      "Node that turns with the head; default: VRM's head bone, else a name that ends with \"head\"");
+  command->add_flag("--no-head", options->no_head, "Leave the head still");
+  command->add_flag("--allow-missing", options->allow_missing,
+                    "Go on where the avatar lacks shapes that the take moves");
+  command->add_option("-o,--output", options->output, "GLB file: the avatar with an animation more")
+      ->required();
+  command->callback([options] { run_retarget(*options); });
+}
+
+}  // namespace facet::tools
