@@ -216,26 +216,33 @@ TEST_F(DaemonWithAssets, BridgesSendAndHaveANeutralPose) {
   const auto daemon = start(configure(
       looped(), fmt::format("[bridges]\nvmc = [\"127.0.0.1:{}\"]\nneutral = \"takes/neutral.json\"\n",
                             ntohs(address.sin_port))));
-  const json status =
-      await(*daemon, [](const json& now) { return now["bridges"]["targets"][0]["frames"] > 20; });
+  const auto received = [receiver] {
+    std::string all;
+    std::array<char, 2048> datagram{};
+    for (ssize_t size = 0; (size = ::recv(receiver, datagram.data(), datagram.size(), MSG_DONTWAIT)) >= 0;) {
+      all.append(datagram.data(), static_cast<std::size_t>(size));
+    }
+    return all;
+  };
+  const json status = await(*daemon, [](const json& now) { return now["frames"]["mesh"] > 0; });
   EXPECT_EQ(status["bridges"]["targets"][0]["protocol"], "vmc");
   EXPECT_EQ(status["bridges"]["neutral"]["state"], "none");
-  std::string received;
-  for (std::array<char, 2048> datagram{}; true;) {
-    const ssize_t size = ::recv(receiver, datagram.data(), datagram.size(), MSG_DONTWAIT);
-    if (size < 0) {
-      break;
-    }
-    received.append(datagram.data(), static_cast<std::size_t>(size));
-  }
-  EXPECT_NE(received.find("/VMC/Ext/Blend/Val"), std::string::npos);
-  EXPECT_NE(received.find("JawOpen"), std::string::npos);
+  received();  // what was sent while the face was looked for
+  await(*daemon, [](const json& now) { return now["frames"]["mesh"] > 10; });
+  const std::string sent = received();
+  EXPECT_NE(sent.find("/VMC/Ext/Blend/Val"), std::string::npos);
+  EXPECT_NE(sent.find("JawOpen"), std::string::npos);
 
   EXPECT_THROW(ask("neutral.record", {{"seconds", 0}}), Error);
-  ask("neutral.record", {{"seconds", 2}});
-  const json now =
-      await(*daemon, [](const json& later) { return later["bridges"]["neutral"]["state"] != "recording"; });
-  EXPECT_EQ(now["bridges"]["neutral"]["state"], "set") << now["bridges"]["neutral"];
+  json neutral = {{"state", "none"}};
+  for (int attempt = 0; attempt < 5 && neutral["state"] != "set";
+       ++attempt) {  // a busy machine makes few frames
+    ask("neutral.record", {{"seconds", 1 + attempt}});
+    const json now =
+        await(*daemon, [](const json& later) { return later["bridges"]["neutral"]["state"] != "recording"; });
+    neutral = now["bridges"]["neutral"];
+  }
+  EXPECT_EQ(neutral["state"], "set") << neutral;
   EXPECT_TRUE(std::filesystem::exists(folder_.path() / "takes/neutral.json"));
   ask("neutral.clear");
   EXPECT_FALSE(std::filesystem::exists(folder_.path() / "takes/neutral.json"));
