@@ -26,6 +26,9 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
+/// After so many that went well, what failed before is told no more.
+constexpr int kSoundFrames = 30;
+
 struct Address {
   sockaddr_storage storage{};
   socklen_t length = 0;
@@ -114,6 +117,11 @@ struct Bridge::Impl {
   explicit Impl(const BridgeConfig& given);
   ~Impl();
 
+  // What holds poses stands first: it is aligned to 32 bytes.
+  Smoother smoother;                        ///< the thread's own
+  std::optional<NeutralPose> neutral;       ///< guarded by mutex, as is the next
+  std::optional<NeutralRecorder> recorder;  ///< while a neutral pose is recorded
+
   BridgeConfig config;
   std::string device = random_uuid();
   Clock::time_point started = Clock::now();
@@ -121,6 +129,7 @@ struct Bridge::Impl {
     Address address;
     int socket = -1;
     bool connected = false;
+    int sound_frames = 0;  ///< since the last that failed
   };
   std::vector<Destination> destinations;  ///< [targets]
 
@@ -129,13 +138,10 @@ struct Bridge::Impl {
   bool stopping = false;
   std::shared_ptr<const mesh::MeshFrame> newest;  ///< not sent yet
   BridgeStatus status;
-  std::optional<NeutralPose> neutral;
-  std::optional<NeutralRecorder> recorder;
   Clock::time_point recorded_until;
 
   // The thread's own.
   std::thread thread;
-  Smoother smoother;
   OscBundles vmc{kMostDatagram};
   std::vector<std::vector<std::byte>> live_link{1};
 
@@ -147,12 +153,12 @@ struct Bridge::Impl {
 };
 
 Bridge::Impl::Impl(const BridgeConfig& given)
-    : config(given), smoother(static_cast<float>(given.smoothing_ms * 1e-3)) {
+    : smoother(static_cast<float>(given.smoothing_ms * 1e-3)), config(given) {
   neutral = load_neutral(config.neutral_file);
   status.neutral = neutral ? NeutralState::Set : NeutralState::None;
   for (const BridgeTarget& target : config.targets) {
     const Address address = socket_address(target.address, target.port);
-    destinations.push_back({address, open_socket(address.storage.ss_family), false});
+    destinations.push_back({address, open_socket(address.storage.ss_family)});
     status.targets.push_back({target, 0, 0, {}});
   }
 }
@@ -265,7 +271,11 @@ void Bridge::Impl::send(const FaceState& state, bool with_neutral) {
     BridgeTargetStatus& target = status.targets[i];
     ++target.frames;
     target.failed += reason.empty() ? 0 : 1;
-    target.reason = reason;
+    // Where nobody listens, every second datagram is refused: those between went out, to nobody.
+    destinations[i].sound_frames = reason.empty() ? destinations[i].sound_frames + 1 : 0;
+    if (!reason.empty() || destinations[i].sound_frames >= kSoundFrames) {
+      target.reason = reason;
+    }
   }
 }
 

@@ -40,7 +40,7 @@ struct BridgeTargetStatus {
   BridgeTarget target;
   std::uint64_t frames = 0;  ///< sent
   std::uint64_t failed = 0;  ///< of which a datagram could not be sent
-  std::string reason;        ///< of the last that failed; empty where the last went well
+  std::string reason;        ///< of the last that failed; empty once 30 in a row went well
 };
 
 /// Where the recording of the neutral pose stands.
