@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <CLI/CLI.hpp>
+#include <filesystem>
 #include <memory>
 #include <string>
 
@@ -11,7 +12,9 @@
 #include "facet/error.hpp"
 #include "picture_size.hpp"
 #include "progress.hpp"
+#include "simulation/actor_take.hpp"
 #include "simulation/sequence.hpp"
+#include "take/recorder.hpp"
 
 namespace facet::tools {
 namespace {
@@ -22,9 +25,39 @@ struct SynthOptions {
   std::string light = "sh";
   std::string model = default_model_file().string();
   std::string folder;
+  std::int32_t max_vertices = simulation::ActorTakeConfig{}.max_vertices;
 };
 
+/// The actor's meshes alone, as a take.
+void write_take(const face::FaceModel& model, const SynthOptions& options) {
+  const simulation::ActorTake actor(
+      model, {options.studio.seed, options.studio.frame_count, options.studio.rate_hz, options.max_vertices});
+  take::TakeRecorderConfig config;
+  config.file = options.folder;
+  config.source = fmt::format("virtual actor {}", options.studio.seed);
+  config.software = fmt::format("facet synth {}", FACET_VERSION);
+  config.when_full = take::WhenFull::Wait;
+  take::TakeRecorder recorder(config);
+  recorder.start();
+  Progress progress("Performing", static_cast<std::uint64_t>(options.studio.frame_count));
+  for (int index = 0; index < actor.frame_count(); ++index) {
+    recorder.record(actor.frame(index));
+    progress.advance();
+  }
+  const take::RecorderStatus status = recorder.stop();
+  progress.finish();
+  if (status.state == take::RecorderState::Failed) {
+    throw Error(ErrorKind::Storage, fmt::format("'{}': {}", options.folder, status.reason));
+  }
+  fmt::print("{}: {} meshes of {} vertices\n", options.folder, status.mesh_frames,
+             actor.subject().hierarchy->finest().vertex_count);
+}
+
 void run_synth(SynthOptions options) {
+  if (std::filesystem::path(options.folder).extension() == ".take") {
+    write_take(face::FaceModel::load(options.model), options);
+    return;
+  }
   const PictureSize size = parse_picture_size("--size", options.size);
   options.studio.width_px = size.width_px;
   options.studio.height_px = size.height_px;
@@ -62,7 +95,15 @@ void add_synth_command(CLI::App& app) {
   command->add_flag("--glasses", options->studio.glasses, "The actor wears spectacles");
   command->add_option("--model", options->model, "Face model file whose topology the actor uses")
       ->capture_default_str();
-  command->add_option("-o,--output", options->folder, "Folder to write into")->required();
+  command->add_option("--vertices", options->max_vertices, "Of a take's finest meshes, at most")
+      ->capture_default_str()
+      ->check(CLI::Range(1'000, 200'000));
+  command
+      ->add_option(
+          "-o,--output", options->folder,
+          "Folder to write into; or NAME.take: the actor's meshes alone, as a tracker without error would "
+          "make them")
+      ->required();
   command->callback([options] { run_synth(*options); });
 }
 

@@ -14,6 +14,7 @@ class Team;
 /// it. A callback reports failure by throwing facet::Error; main turns the error's kind into the exit status.
 /// One line here, one in main.cpp's list and one file command_<name>.cpp make a new subcommand.
 
+void add_animate_command(CLI::App& app);
 void add_booth_demo_command(CLI::App& app);
 void add_calibrate_command(CLI::App& app);
 void add_doctor_command(CLI::App& app);
@@ -23,6 +24,8 @@ void add_export_command(CLI::App& app);
 void add_model_command(CLI::App& app);
 void add_neutral_command(CLI::App& app);
 void add_patterns_command(CLI::App& app);
+void add_play_command(CLI::App& app);
+void add_pose_command(CLI::App& app);
 void add_synth_command(CLI::App& app);
 void add_synth_booth_command(CLI::App& app);
 void add_view_command(CLI::App& app);

@@ -16,6 +16,7 @@ int main(int argc, char** argv) {
       "Vulkan\n"
       "device, 6 cannot write, 7 the daemon does not answer. `facet COMMAND --help` explains a command.");
 
+  add_animate_command(app);
   add_booth_demo_command(app);
   add_calibrate_command(app);
   add_doctor_command(app);
@@ -24,6 +25,8 @@ int main(int argc, char** argv) {
   add_model_command(app);
   add_neutral_command(app);
   add_patterns_command(app);
+  add_play_command(app);
+  add_pose_command(app);
   add_summary_command(app);
   add_synth_command(app);
   add_synth_booth_command(app);

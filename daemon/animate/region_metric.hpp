@@ -1,0 +1,31 @@
+#pragma once
+
+#include <Eigen/Core>
+
+#include "animate/take_basis.hpp"
+
+namespace facet::animate {
+
+/// The distance between two faces of a take over one soft region, through the reduced basis: the root mean
+/// square over the region's vertices of how far they are apart, mm (dist of eq. 23, Zhang et al. 2004, with
+/// the weights of its section 5.2.1, per vertex instead of summed). Measured on the control vertices, the
+/// displacements and the eyeballs; it neglects that normals turn. Immutable; any thread.
+class RegionMetric {
+ public:
+  /// control_weights [control_count], finest_weights [finest_count], eye_weights [eye_count]: how much each
+  /// vertex and eyeball counts, 0 to 1.
+  RegionMetric(const TakeBasis& basis, const Eigen::VectorXf& control_weights,
+               const Eigen::VectorXf& finest_weights, const Eigen::VectorXf& eye_weights);
+  /// Every vertex counts the same.
+  explicit RegionMetric(const TakeBasis& basis);
+
+  /// Numbers whose Euclidean distance is the metric's. coefficients [>= those of shape][any]
+  Eigen::MatrixXf coordinates(const Eigen::Ref<const Eigen::MatrixXf>& coefficients) const {
+    return transform_ * coefficients.topRows(transform_.cols());
+  }
+
+ private:
+  Eigen::MatrixXf transform_;  ///< [any][expression_offset]
+};
+
+}  // namespace facet::animate
