@@ -3,7 +3,7 @@
 
 #include <cstdint>
 #include <cstdlib>
-#include <cstring>
+#include <span>
 #include <vector>
 
 #include "animate/basis_file.hpp"
@@ -28,8 +28,8 @@ void read(std::span<const std::byte> bytes) {
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   using namespace facet;
-  std::vector<std::byte> bytes(size);
-  std::memcpy(bytes.data(), data, size);
+  const auto given = std::as_bytes(std::span(data, size));
+  std::vector<std::byte> bytes(given.begin(), given.end());
   read(bytes);
   if (size >= sizeof(animate::BasisHeader)) {
     animate::seal_basis(bytes);
