@@ -96,6 +96,7 @@ class KeySolver {
         targets.push_back(target_of(control));
       }
       std::vector<std::int32_t> own;
+      own.reserve(targets.size());
       for (const ControlTarget& target : targets) {
         own.push_back(target.vertex);
       }
@@ -271,7 +272,7 @@ Eigen::VectorXf Track::state(const TakeBasis& basis, double time_s) const {
   return out;
 }
 
-Animation Animation::of_keys(std::shared_ptr<const TakeBasis> basis, const KeyList& list,
+Animation Animation::of_keys(const std::shared_ptr<const TakeBasis>& basis, const KeyList& list,
                              AnimationReport& report) {
   if (list.keys.empty()) {
     throw Error(ErrorKind::Usage, "an animation needs a key");
@@ -325,7 +326,7 @@ Animation Animation::of_keys(std::shared_ptr<const TakeBasis> basis, const KeyLi
   return made;
 }
 
-Animation Animation::of_walk(std::shared_ptr<const TakeBasis> basis, const WalkOptions& options,
+Animation Animation::of_walk(const std::shared_ptr<const TakeBasis>& basis, const WalkOptions& options,
                              AnimationReport& report) {
   if (!(options.duration_s > 0 && options.duration_s <= kLongest_s) || !(options.mean_run_s > 0)) {
     throw Error(ErrorKind::Usage, fmt::format("a walk of {} s with jumps every {} s makes no sense",

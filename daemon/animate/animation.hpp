@@ -88,12 +88,12 @@ class Animation {
   /// exactly, control points too. Control points may differ from key to key: one that a key lacks follows
   /// that key's other ones. Throws as FaceIk does, naming the key, and Error(Usage) where a key's frame is
   /// not in the take.
-  static Animation of_keys(std::shared_ptr<const TakeBasis> basis, const KeyList& keys,
+  static Animation of_keys(const std::shared_ptr<const TakeBasis>& basis, const KeyList& keys,
                            AnimationReport& report);
 
   /// A random walk (section 5.2), with regions one of its own in each. Throws Error(Usage) where options make
   /// no sense.
-  static Animation of_walk(std::shared_ptr<const TakeBasis> basis, const WalkOptions& options,
+  static Animation of_walk(const std::shared_ptr<const TakeBasis>& basis, const WalkOptions& options,
                            AnimationReport& report);
 
   double duration_s() const { return duration_s_; }
