@@ -587,7 +587,7 @@ std::shared_ptr<const TakeBasis> TakeBasis::open(const std::filesystem::path& ta
     file.replace_extension(".basis");
   }
   // Opening a take may fold its log in: only then is the file as it stays.
-  take::TakeReader{take};
+  { const take::TakeReader opened(take); }
   const FileState state = state_of(take);
   std::optional<BasisMemory> memory = kept_basis(file, state, options);
   const bool was_kept = memory.has_value();
