@@ -86,6 +86,7 @@ std::string formats_help() {
 
 std::vector<std::string> format_names() {
   std::vector<std::string> names;
+  names.reserve(std::size(kFormats));
   for (const Format& format : kFormats) {
     names.emplace_back(format.name);
   }

@@ -166,6 +166,7 @@ void run_pose(const PoseOptions& options) {
     controls.push_back(parse_control(*basis, "--screen", text, true));
   }
   std::vector<animate::ControlTarget> targets;
+  targets.reserve(controls.size());
   for (const Control& control : controls) {
     targets.push_back(control.target);
   }

@@ -54,16 +54,6 @@ void OutputFile::write(std::span<const std::byte> bytes) {
   }
 }
 
-void OutputFile::overwrite(std::size_t position, std::span<const std::byte> bytes) {
-  if (::fseeko(stream_.get(), static_cast<off_t>(position), SEEK_SET) != 0) {
-    fail(errno);
-  }
-  write(bytes);
-  if (::fseeko(stream_.get(), 0, SEEK_END) != 0) {
-    fail(errno);
-  }
-}
-
 void OutputFile::commit() {
   if (std::fflush(stream_.get()) != 0 || std::rename(temporary_.c_str(), file_.c_str()) != 0) {
     fail(errno);

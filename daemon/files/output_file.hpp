@@ -27,8 +27,6 @@ class OutputFile {
 
   void write(std::string_view text);
   void write(std::span<const std::byte> bytes);
-  /// Replaces bytes that were written before; what is written next goes on at the end.
-  void overwrite(std::size_t position, std::span<const std::byte> bytes);
   void commit();
 
  private:
