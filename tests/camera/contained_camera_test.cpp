@@ -252,11 +252,14 @@ TEST_F(ContainedCamera, AHostIsSilentWhileNoFramesAreDue) {
     while (std::chrono::steady_clock::now() < end && camera->status().state == CameraState::Streaming) {
       ASSERT_EQ(camera->next(frame, 20ms), CaptureOutcome::Timeout);
     }
-    if (action == std::string("silent")) {
-      EXPECT_EQ(camera->status().state, CameraState::Streaming) << "it says that it is alive";
-      camera->expect_frames(true);
+    if (action == std::string("hang")) {
+      // The next call may start a process that is well, and the state has passed.
+      ASSERT_EQ(camera->status().state, CameraState::Stalled);
+      continue;
     }
-    ASSERT_TRUE(becomes(*camera, CameraState::Stalled)) << action;
+    ASSERT_EQ(camera->status().state, CameraState::Streaming) << "it says that it is alive";
+    camera->expect_frames(true);
+    ASSERT_TRUE(becomes(*camera, CameraState::Stalled));
   }
 }
 
