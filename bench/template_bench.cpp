@@ -25,6 +25,7 @@
 #include "fit/skin_tracker.hpp"
 #include "fit/template_mesh.hpp"
 #include "gpu/context.hpp"
+#include "pipeline/booth_shading.hpp"
 #include "render/renderer.hpp"
 #include "simulation/booth.hpp"
 #include "stereo/stereo_matcher.hpp"
@@ -392,6 +393,8 @@ int run(int argc, char** argv) {
   bool all_cameras = false;
   bool with_stereo = false;
   bool with_between = false;
+  bool with_shading = false;
+  refine::RefinerConfig shading = pipeline::booth_refinement();
   std::uint64_t first_slot = 150;
   fit::SkinTrackerOptions tracking;
   fit::FitOptions& options = tracking.fit;
@@ -429,6 +432,13 @@ int run(int argc, char** argv) {
   app.add_flag("!--fixed-rest", options.turns_with_the_head, "E_r as in the paper");
   app.add_option("--fine", fine_options.sweeps, "Sweeps below the template; 0: none");
   app.add_option("--fine-smoothness", fine_options.smoothness);
+  app.add_flag("--shading", with_shading, "Shading on top of the fine levels");
+  app.add_option("--shading-prior", shading.weights.displacement_hierarchy, "w4: towards the depth maps");
+  app.add_option("--shading-smooth", shading.weights.displacement_smooth, "w3");
+  app.add_option("--shading-steps", shading.gauss_newton_steps);
+  app.add_option("--shading-robust", shading.robust_scale);
+  app.add_option("--shading-albedo-frames", shading.albedo_frames);
+  app.add_option("--shading-albedo-smooth", shading.weights.albedo_smooth, "w2");
   app.add_option("--cache", cache,
                  "Folder that keeps what was rendered; to be emptied when the booth changes");
   app.add_option("--sheet", sheet, "PNG: picture, template, error of surface and of drift");
@@ -464,11 +474,19 @@ int run(int argc, char** argv) {
   std::vector<float> fine_confidence;
   SurfaceError template_error;
   SurfaceError fine_error;
+  SurfaceError shaded_error;
+  std::unique_ptr<pipeline::BoothShading> shade;
+  std::vector<float> shaded_mm;
+  std::vector<double> shade_ms;
   std::vector<double> fine_ms;
   if (fine_options.sweeps > 0) {
     fine = std::make_unique<fit::FineSurface>(model.control, surface, fine_options);
     fmt::print("fine surface: {} vertices, {} triangles\n", fine->hierarchy()->finest().vertex_count,
                fine->hierarchy()->finest().triangles.cols());
+    if (with_shading) {
+      shade = std::make_unique<pipeline::BoothShading>("auto", rig, shading);
+      shade->begin(*fine->hierarchy(), *surface, model);
+    }
   }
   mesh::Vertices control_mm;
   model.evaluate({}, {}, control_mm);
@@ -689,6 +707,21 @@ int run(int argc, char** argv) {
         template_error.add(truth, booth.skin(), surface->triangles, now_mm, seen);
         fine_error.add(truth, booth.skin(), fine->hierarchy()->finest().triangles, fine_mm, seen);
       }
+      if (shade != nullptr) {
+        const auto shading_from = Clock::now();
+        const std::string missing = shade->refine(pictures, now_mm, displacements_mm, shaded_mm);
+        for (std::size_t v = 0; v < shaded_mm.size(); ++v) {
+          shaded_mm[v] += displacements_mm[v];
+        }
+        shade_ms.push_back(ms_since(shading_from));
+        if (!missing.empty()) {
+          fmt::print("mesh {:3d}: {}\n", m, missing);
+        }
+        mesh::rebuild_finest(*fine->hierarchy(), now_mm, shaded_mm, fine_mm, fine_normals);
+        if (m % 10 == 0 || m + 1 == meshes) {
+          shaded_error.add(truth, booth.skin(), fine->hierarchy()->finest().triangles, fine_mm, seen);
+        }
+      }
       fine_folded += find_folded(fine->hierarchy()->finest().triangles, fine_mm, seen, fine_folded_triangles);
     }
     all_distances.insert(all_distances.end(), distances.begin(), distances.end());
@@ -766,8 +799,9 @@ int run(int argc, char** argv) {
       worst_drift, worst_drift_95, std::sqrt(jitter_squares / std::max(jitter_count, 1.0)),
       lag_sum / std::max(lag_squares, 1e-9), least_seen, worst_rejected, worst_rms, worst_shape, least_trust);
   if (fine != nullptr) {
-    for (const auto& [name, error] :
-         {std::pair<const char*, const SurfaceError&>("template", template_error), {"fine", fine_error}}) {
+    for (const auto& [name, error] : {std::pair<const char*, const SurfaceError&>("template", template_error),
+                                      {"fine", fine_error},
+                                      {"shaded", shaded_error}}) {
       const Spread distance(error.distances_mm);
       const Spread angle(error.angles_deg);
       fmt::print(
@@ -778,6 +812,9 @@ int run(int argc, char** argv) {
           angle.at(0.95));
     }
     fmt::print("fine: folded {} in all; {:.0f} ms a mesh\n", fine_folded, Spread(fine_ms).mean());
+    if (shade != nullptr) {
+      fmt::print("shading: {:.0f} ms a mesh\n", Spread(shade_ms).mean());
+    }
   }
   return 0;
 }

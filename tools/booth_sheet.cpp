@@ -15,6 +15,7 @@
 #include "evaluation.hpp"
 #include "facet/error.hpp"
 #include "files/pfm.hpp"
+#include "pipeline/undistortion.hpp"
 #include "simulation/truth_mesh.hpp"
 #include "take/export.hpp"
 #include "take_pictures.hpp"
@@ -34,36 +35,6 @@ constexpr float kWireOpacity = 0.22F;
 constexpr std::array<std::uint8_t, 3> kDark{30, 32, 37};
 constexpr std::array<const char*, 6> kColumns{"stripes",      "depth",   "mesh over the picture",
                                               "mesh, shaded", "texture", "distance to the truth, mm"};
-
-/// The picture as a lens without distortion would have taken it; black outside.
-Frame undistorted(const Frame& frame, const capture::Lens& lens) {
-  Picture picture = render::plain_picture(lens.width_px, lens.height_px, {0, 0, 0});
-  for (int y = 0; y < lens.height_px; ++y) {
-    for (int x = 0; x < lens.width_px; ++x) {
-      const Eigen::Vector3d direction((x - lens.cx_px) / lens.fx_px, (y - lens.cy_px) / lens.fy_px, 1);
-      const auto at = lens.project(lens.camera_from_rig.inverse() * direction);
-      if (!at || !(at->minCoeff() >= 0) || !(at->x() < frame.width_px - 1) ||
-          !(at->y() < frame.height_px - 1)) {
-        continue;
-      }
-      const int column = static_cast<int>(at->x());
-      const int row = static_cast<int>(at->y());
-      const double right = at->x() - column;
-      const double down = at->y() - row;
-      for (int channel = 0; channel < 3; ++channel) {
-        const auto value = [&](int i, int j) {
-          return static_cast<double>(frame.row(row + j)[4 * (column + i) + channel]);
-        };
-        const double mixed = (1 - down) * ((1 - right) * value(0, 0) + right * value(1, 0)) +
-                             down * ((1 - right) * value(0, 1) + right * value(1, 1));
-        picture.rgb[3 * (static_cast<std::size_t>(y) * static_cast<std::size_t>(lens.width_px) +
-                         static_cast<std::size_t>(x)) +
-                    static_cast<std::size_t>(channel)] = static_cast<std::uint8_t>(std::lround(mixed));
-      }
-    }
-  }
-  return render::to_frame(picture);
-}
 
 /// Scaled to fit a cell and centred in it.
 Picture fitted(const Picture& picture) {
@@ -174,7 +145,8 @@ class Drawer {
     const Picture dark = render::plain_picture(kCellWidth_px, kCellHeight_px, kDark);
     const render::Raycaster caster(geometry.refined_mm, triangles);
     cells[2] = draw_coarse_mesh(
-        frame, cell, seen ? cell_picture(undistorted(*seen, colour_->lens), cell) : dark, kWireOpacity);
+        frame, cell, seen ? cell_picture(pipeline::Undistortion(colour_->lens).apply(*seen), cell) : dark,
+        kWireOpacity);
     cells[3] = render_colours(caster, triangles, grey_shading(geometry.refined_normals), cell.camera, dark);
     const auto vertex_count = static_cast<std::size_t>(geometry.refined_mm.cols());
     if (frame.albedo && frame.albedo->linear_rgb.size() == 3 * vertex_count) {

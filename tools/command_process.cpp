@@ -51,6 +51,7 @@ struct Options {
   std::string depth;
   std::string points;
   bool every_slot = false;
+  bool shading = false;
 };
 
 void set_budget(const std::string& budget, refine::RefinerConfig& refiner) {
@@ -239,6 +240,7 @@ pipeline::BoothConfig booth_of(const Options& options, const service::Config& co
   pipeline::BoothConfig booth = service::booth_config(config);
   booth.points_file = options.points;
   booth.every_slot = booth.every_slot || options.every_slot;
+  booth.shading = booth.shading || options.shading;
   if (!options.points.empty()) {
     const std::uint64_t slot = pipeline::read_face_points(options.points).slot;
     const bool gets_a_mesh = std::any_of(slots.begin(), slots.end(), [&](std::int64_t i) {
@@ -460,6 +462,10 @@ void add_process_command(CLI::App& app, std::unique_ptr<Team> (*join)()) {
   command
       ->add_flag("--every-slot", options->every_slot,
                  "A mesh for slots with stripes, too: between the blank ones' meshes, on its own depth maps")
+      ->needs("--rig");
+  command
+      ->add_flag("--shading", options->shading,
+                 "Shading of the blank slots' colour pictures on top of what depth gives")
       ->needs("--rig");
   command
       ->add_option("--depth", options->depth,

@@ -21,6 +21,8 @@ struct BoothConfig {
   /// A mesh for every slot, not for blank ones alone: slots with stripes get theirs once the blank slot after
   /// them has its own.
   bool every_slot = false;
+  /// Shading of the colour pictures on top of the fine levels that depth gives.
+  bool shading = false;
   std::filesystem::path model_file;
   std::filesystem::path landmark_assets;
   std::filesystem::path points_file;  ///< FacePoints to begin with; empty: the landmark net finds the face

@@ -105,8 +105,9 @@ BoothStages open_booth(const BoothConfig& config, int blanks_per_run) {
   if (!config.points_file.empty()) {
     points = read_face_points(config.points_file);
   }
+  auto shading = config.shading ? std::make_unique<BoothShading>(config.gpu_device, *stages.rig) : nullptr;
   stages.tracker = std::make_unique<PerformanceTracker>(model, config.landmark_assets, stages.rig,
-                                                        config.skin, std::move(points));
+                                                        config.skin, std::move(points), std::move(shading));
   const std::size_t most_slots = reach_of_run(stages) + 1 + 2 * kDepthReach;
   stages.depth = std::make_unique<BoothDepth>(config.gpu_device, stages.rig, config.depths,
                                               static_cast<int>(most_slots));
@@ -560,7 +561,13 @@ void BoothMeshes::reset_identity() {
 }
 
 std::vector<Messages::Message> BoothMeshes::take_messages() {
-  return impl_->messages.take();
+  std::vector<Messages::Message> all = impl_->messages.take();
+  if (impl_->stages.tracker != nullptr) {
+    for (Messages::Message& message : impl_->stages.tracker->take_messages()) {
+      all.push_back(std::move(message));
+    }
+  }
+  return all;
 }
 
 }  // namespace facet::pipeline

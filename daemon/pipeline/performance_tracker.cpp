@@ -68,7 +68,7 @@ std::vector<capture::Lens> colour_lenses(const capture::Rig& rig) {
 struct PerformanceTracker::Impl {
   Impl(std::shared_ptr<const face::FaceModel> given_model, const std::filesystem::path& assets,
        std::shared_ptr<const capture::Rig> given_rig, const fit::SkinTrackerOptions& given_options,
-       std::optional<FacePoints> given_points);
+       std::optional<FacePoints> given_points, std::unique_ptr<BoothShading> given_shading);
 
   std::shared_ptr<const face::FaceModel> model;
   std::shared_ptr<const capture::Rig> rig;
@@ -80,12 +80,14 @@ struct PerformanceTracker::Impl {
   std::list<View> views;          ///< colour cameras
 
   std::optional<FacePoints> points;
+  std::unique_ptr<BoothShading> shading;         ///< null: none
   std::shared_ptr<const mesh::Subject> subject;  ///< null: nobody is followed
   std::uint32_t subject_count = 0;
   Eigen::Matrix3Xd rest_mm;             ///< [3][vertex_count] the person in the first slot, head frame
   bool lost = false;                    ///< the last slot had no mesh
   int strangers = 0;                    ///< slots in a row in which somebody else is seen
-  std::vector<float> displacements_mm;  ///< [finest vertex_count]
+  std::vector<float> displacements_mm;  ///< [finest vertex_count] by depth
+  std::vector<float> shading_mm;        ///< [finest vertex_count] what the last blank slot's shading adds
   std::vector<float> confidence;
   mesh::Vertices between_mm;  ///< of the last slot between
   Eigen::VectorXd expression_between;
@@ -100,8 +102,9 @@ struct PerformanceTracker::Impl {
   std::string place(std::uint64_t slot, std::span<const capture::DepthMap> maps, mesh::MeshFrame& out);
   std::string follow(std::span<const capture::DepthMap> maps);
   void begin_subject();
-  void refine(std::span<const capture::DepthMap> maps, const mesh::Vertices& vertices_mm,
-              mesh::MeshFrame& out);
+  void fit_fine(std::span<const capture::DepthMap> maps, const mesh::Vertices& vertices_mm);
+  void shade(mesh::MeshFrame& out);
+  void fill_fine(mesh::MeshFrame& out) const;
   void paint(mesh::MeshFrame& out);
   void fill(const mesh::Vertices& vertices_mm, const Eigen::VectorXd& expression, mesh::MeshFrame& out);
   void leave_out(const std::string& missing, mesh::MeshFrame& out) const;
@@ -111,13 +114,15 @@ PerformanceTracker::Impl::Impl(std::shared_ptr<const face::FaceModel> given_mode
                                const std::filesystem::path& assets,
                                std::shared_ptr<const capture::Rig> given_rig,
                                const fit::SkinTrackerOptions& given_options,
-                               std::optional<FacePoints> given_points)
+                               std::optional<FacePoints> given_points,
+                               std::unique_ptr<BoothShading> given_shading)
     : model(std::move(given_model)),
       rig(std::move(given_rig)),
       surface(std::make_shared<const fit::TemplateMesh>(fit::make_template(*model))),
       skin(surface, colour_lenses(*rig), given_options),
       fine(model->control, surface),
-      points(std::move(given_points)) {
+      points(std::move(given_points)),
+      shading(std::move(given_shading)) {
   model->evaluate({}, {}, control_mm);
   // Expressions move the upper face little: what lies above the mouth's corners by the neutral face.
   const auto mouth = static_cast<std::size_t>(61);  // the mouth's corner in MediaPipe's order
@@ -233,6 +238,10 @@ void PerformanceTracker::Impl::begin_subject() {
   subject = build_template_subject(*surface, fine.hierarchy(), *model, ++subject_count);
   texture.begin(fine.hierarchy()->finest().vertex_count);
   displacements_mm.clear();
+  shading_mm.clear();
+  if (shading != nullptr) {
+    shading->begin(*fine.hierarchy(), *surface, *model);
+  }
 }
 
 /// Returns why there is no mesh in this slot; empty where there is one.
@@ -242,20 +251,36 @@ std::string PerformanceTracker::Impl::follow(std::span<const capture::DepthMap> 
 }
 
 /// The fine levels of a slot's mesh, from those of the mesh made last.
-void PerformanceTracker::Impl::refine(std::span<const capture::DepthMap> maps,
-                                      const mesh::Vertices& vertices_mm, mesh::MeshFrame& out) {
-  const Clock::time_point begun = Clock::now();
+void PerformanceTracker::Impl::fit_fine(std::span<const capture::DepthMap> maps,
+                                        const mesh::Vertices& vertices_mm) {
   fine.fit(maps, vertices_mm, displacements_mm, confidence);
+}
+
+/// What the blank slot's pictures add to them.
+void PerformanceTracker::Impl::shade(mesh::MeshFrame& out) {
+  if (shading == nullptr) {
+    return;
+  }
+  const std::string missing = shading->refine(pictures, skin.vertices_mm(), displacements_mm, shading_mm);
+  if (!missing.empty()) {
+    out.degraded = true;
+    out.degraded_reason += (out.degraded_reason.empty() ? "" : "; ") + missing;
+  }
+}
+
+void PerformanceTracker::Impl::fill_fine(mesh::MeshFrame& out) const {
   out.displacements_mm.assign(displacements_mm.begin(), displacements_mm.end());
+  for (std::size_t v = 0; v < shading_mm.size(); ++v) {
+    out.displacements_mm[v] += shading_mm[v];
+  }
   out.confidence.assign(confidence.begin(), confidence.end());
-  out.stage_ms.displacement_ms = ms_since(begun);
 }
 
 /// The texture of the blank slot's mesh.
 void PerformanceTracker::Impl::paint(mesh::MeshFrame& out) {
   const Clock::time_point begun = Clock::now();
   const mesh::Hierarchy& hierarchy = *fine.hierarchy();
-  mesh::rebuild_finest(hierarchy, skin.vertices_mm(), displacements_mm, fine_mm, fine_normals);
+  mesh::rebuild_finest(hierarchy, skin.vertices_mm(), out.displacements_mm, fine_mm, fine_normals);
   std::size_t at = 0;
   for (const View& view : views) {
     texture.add(view.camera->lens, pictures[at++], fine_mm, fine_normals, hierarchy.finest().triangles);
@@ -292,9 +317,10 @@ PerformanceTracker::PerformanceTracker(std::shared_ptr<const face::FaceModel> mo
                                        const std::filesystem::path& landmark_assets,
                                        std::shared_ptr<const capture::Rig> rig,
                                        const fit::SkinTrackerOptions& options,
-                                       std::optional<FacePoints> points)
+                                       std::optional<FacePoints> points,
+                                       std::unique_ptr<BoothShading> shading)
     : impl_(std::make_unique<Impl>(std::move(model), landmark_assets, std::move(rig), options,
-                                   std::move(points))) {}
+                                   std::move(points), std::move(shading))) {}
 
 PerformanceTracker::~PerformanceTracker() = default;
 
@@ -323,7 +349,14 @@ void PerformanceTracker::process(const FrameSet& set, std::span<const capture::D
   impl.lost = !missing.empty();
   if (missing.empty()) {
     impl.strangers = 0;
-    impl.refine(maps, impl.skin.vertices_mm(), out);
+    const Clock::time_point fine_begun = Clock::now();
+    if (!followed && impl.shading != nullptr) {
+      impl.shading->restart();
+    }
+    impl.fit_fine(maps, impl.skin.vertices_mm());
+    impl.shade(out);
+    impl.fill_fine(out);
+    out.stage_ms.displacement_ms = ms_since(fine_begun);
     impl.paint(out);
     impl.fill(impl.skin.vertices_mm(), impl.skin.expression(), out);
   } else {
@@ -349,7 +382,10 @@ void PerformanceTracker::process_between(double fraction, std::span<const captur
     impl.leave_out(report.lost_because, out);
     return;
   }
-  impl.refine(maps, impl.between_mm, out);
+  const Clock::time_point fine_begun = Clock::now();
+  impl.fit_fine(maps, impl.between_mm);
+  impl.fill_fine(out);
+  out.stage_ms.displacement_ms = ms_since(fine_begun);
   impl.fill(impl.between_mm, impl.expression_between, out);
 }
 
@@ -360,6 +396,10 @@ void PerformanceTracker::reset() {
   for (View& view : impl_->views) {
     view.landmarker.forget();
   }
+}
+
+std::vector<Messages::Message> PerformanceTracker::take_messages() {
+  return impl_->shading != nullptr ? impl_->shading->take_messages() : std::vector<Messages::Message>();
 }
 
 const mesh::Vertices* PerformanceTracker::vertices_mm() const {

@@ -5,6 +5,7 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <vector>
 
 #include "capture/depth_map.hpp"
 #include "capture/rig.hpp"
@@ -12,6 +13,7 @@
 #include "facet/frame_set.hpp"
 #include "fit/skin_tracker.hpp"
 #include "mesh/mesh_frame.hpp"
+#include "pipeline/booth_shading.hpp"
 #include "pipeline/face_points.hpp"
 
 namespace facet::pipeline {
@@ -23,11 +25,12 @@ namespace facet::pipeline {
 class PerformanceTracker {
  public:
   /// rig: one colour camera at least. points: where the first person's face is in their slot, of cameras of
-  /// the rig; no mesh before that. Throws Error: Usage where there is no such camera, UnreadableInput for the
-  /// landmark nets and for a model that can't be refined.
+  /// the rig; no mesh before that. shading: of that rig; null: none. Throws Error: Usage where there is no
+  /// such camera, UnreadableInput for the landmark nets and for a model that can't be refined.
   PerformanceTracker(std::shared_ptr<const face::FaceModel> model,
                      const std::filesystem::path& landmark_assets, std::shared_ptr<const capture::Rig> rig,
-                     const fit::SkinTrackerOptions& options, std::optional<FacePoints> points = {});
+                     const fit::SkinTrackerOptions& options, std::optional<FacePoints> points = {},
+                     std::unique_ptr<BoothShading> shading = nullptr);
   ~PerformanceTracker();
 
   /// The next blank slot, in order of time. set: frames in the rig's order. maps: [pairs] of that slot.
@@ -42,6 +45,9 @@ class PerformanceTracker {
 
   /// Forgets the person; the next slots are searched for a face.
   void reset();
+
+  /// Of the shading's device. Any thread.
+  std::vector<Messages::Message> take_messages();
 
   /// Of the mesh in the last slot that had one, rig frame; null before. For checks and pictures.
   const mesh::Vertices* vertices_mm() const;

@@ -66,8 +66,8 @@ class TrackerStage final : public CoarseStage {
 
 class GpuStage final : public RefineStage {
  public:
-  explicit GpuStage(const MonocularConfig& config)
-      : context_(context_options(config)), refiner_(context_, config.refiner) {}
+  GpuStage(const std::string& device, const refine::RefinerConfig& config)
+      : context_(context_options(device)), refiner_(context_, config) {}
 
   std::string device() const override { return context_.info().name; }
   void set_subject(const refine::SubjectSetup& subject) override { refiner_.set_subject(subject); }
@@ -78,9 +78,9 @@ class GpuStage final : public RefineStage {
   }
 
  private:
-  static gpu::ContextOptions context_options(const MonocularConfig& config) {
+  static gpu::ContextOptions context_options(const std::string& device) {
     gpu::ContextOptions options;
-    options.device = config.gpu_device;
+    options.device = device;
     return options;
   }
 
@@ -114,6 +114,10 @@ track::TrackerConfig tracker_config(const MonocularConfig& config, const CameraI
   return tracker;
 }
 
+OpenRefiner refiner_opener(const std::string& gpu_device, const refine::RefinerConfig& config) {
+  return [gpu_device, config] { return std::make_unique<GpuStage>(gpu_device, config); };
+}
+
 Stages open_stages(const MonocularConfig& given) {
   Stages stages;
   // Cheap and likely mistakes first.
@@ -124,7 +128,7 @@ Stages open_stages(const MonocularConfig& given) {
   const bool recorded = !stages.camera->info().live && !config.source.loop;
   stages.coarse = std::make_unique<TrackerStage>(stages.model, config, recorded);
   if (config.gpu_device != kNoDevice) {
-    stages.open_refiner = [config] { return std::make_unique<GpuStage>(config); };
+    stages.open_refiner = refiner_opener(config.gpu_device, config.refiner);
     stages.refiner = stages.open_refiner();
   }
   return stages;

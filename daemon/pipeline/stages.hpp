@@ -51,6 +51,9 @@ class RefineStage {
 /// Opens the device and compiles the kernels. Throws Error(NoDevice).
 using OpenRefiner = std::function<std::unique_ptr<RefineStage>()>;
 
+/// Opens a context on the device and a refiner on it, each time anew.
+OpenRefiner refiner_opener(const std::string& gpu_device, const refine::RefinerConfig& config);
+
 /// What the pipeline connects.
 struct Stages {
   std::unique_ptr<Camera> camera;

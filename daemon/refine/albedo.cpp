@@ -124,7 +124,7 @@ void AlbedoKernels::record(gpu::Batch& batch, const LevelTopology& topology, con
 void AlbedoKernels::record_prolong(gpu::Batch& batch, const LevelTopology& topology,
                                    const LevelStencils& stencils, const LevelState& coarser,
                                    const LevelState& state) const {
-  const shaders::refine::LevelPush push{topology.vertex_count, 0, 0};
+  const shaders::refine::LevelPush push{topology.vertex_count, 0, 0, 0};
   batch.dispatch(prolong_,
                  {{"stencil_rows", stencils.stencil_rows.view},
                   {"stencil_entries", stencils.stencil_entries.view},
@@ -136,7 +136,7 @@ void AlbedoKernels::record_prolong(gpu::Batch& batch, const LevelTopology& topol
 void AlbedoKernels::record_restrict(gpu::Batch& batch, const LevelTopology& topology, const LevelState& finer,
                                     const LevelState& state, std::uint32_t vertex_count,
                                     std::uint32_t workgroup_count) const {
-  const shaders::refine::LevelPush push{vertex_count, 0, 0};
+  const shaders::refine::LevelPush push{vertex_count, 0, 0, 0};
   batch.dispatch(restrict_,
                  {{"vertex_rings", topology.vertex_rings.view},
                   {"ring_indices", topology.ring_indices},

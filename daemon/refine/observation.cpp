@@ -47,13 +47,14 @@ void ImagePyramid::write(const Frame& frame, int first_row, int end_row) const {
   }
 }
 
-void to_shading_frame(const mesh::Vertices& head_vertices_mm, const Eigen::Isometry3f& camera_from_head,
-                      std::span<shaders::vec4> out) {
+void to_shading_frame(const mesh::Vertices& head_vertices_mm, std::span<const float> displacements_mm,
+                      const Eigen::Isometry3f& camera_from_head, std::span<shaders::vec4> out) {
   const Eigen::Matrix3f rotation = camera_from_head.linear();
   const Eigen::Vector3f translation = camera_from_head.translation();
   for (Eigen::Index i = 0; i < head_vertices_mm.cols(); ++i) {
     const Eigen::Vector3f p = rotation * head_vertices_mm.col(i) + translation;
-    out[static_cast<std::size_t>(i)] = {p.x(), -p.y(), -p.z(), 0};
+    const auto vertex = static_cast<std::size_t>(i);
+    out[vertex] = {p.x(), -p.y(), -p.z(), displacements_mm.empty() ? 0.0F : displacements_mm[vertex]};
   }
 }
 
@@ -126,8 +127,9 @@ void ObservationKernels::record_image(gpu::Batch& batch, const ImagePyramid& pyr
 void ObservationKernels::record_prolong(gpu::Batch& batch, const LevelTopology& topology,
                                         const LevelStencils& stencils, const gpu::TexelView& coarser,
                                         const LevelState& state, const gpu::Buffer& frame, bool refine,
-                                        bool has_prior) const {
-  const shaders::refine::LevelPush push{topology.vertex_count, has_prior ? 1.0F : 0.0F, refine ? 1.0F : 0.0F};
+                                        Prior prior) const {
+  const shaders::refine::LevelPush push{topology.vertex_count, prior == Prior::None ? 0.0F : 1.0F,
+                                        refine ? 1.0F : 0.0F, prior == Prior::Given ? 1.0F : 0.0F};
   batch.dispatch(prolong_,
                  {{"frame", frame},
                   {"vertex_rings", topology.vertex_rings.view},

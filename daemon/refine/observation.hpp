@@ -38,9 +38,10 @@ FaceRegion set_frame_parameters(const ImagePyramid& pyramid, const CameraIntrins
                                 std::span<const shaders::vec4> vertices,
                                 shaders::refine::FrameParameters& out);
 
-/// The vertices in the shading frame (camera frame turned by half a turn about x), fourth 0. Real-time safe.
-void to_shading_frame(const mesh::Vertices& head_vertices_mm, const Eigen::Isometry3f& camera_from_head,
-                      std::span<shaders::vec4> out);
+/// The vertices in the shading frame (camera frame turned by half a turn about x), fourth their
+/// displacements; where none are given, 0. Real-time safe.
+void to_shading_frame(const mesh::Vertices& head_vertices_mm, std::span<const float> displacements_mm,
+                      const Eigen::Isometry3f& camera_from_head, std::span<shaders::vec4> out);
 
 /// The coarse mesh's depth map, over the face's region.
 struct DepthMap {
@@ -56,6 +57,13 @@ struct DepthMap {
   gpu::Buffer depth_bits;  ///< [size_px][size_px] z as float bits, infinity where there is no face
 };
 
+/// What a level's displacements are drawn towards.
+enum class Prior {
+  None,       ///< nothing: displacements begin at 0
+  Prolonged,  ///< those that shading gave the coarser level
+  Given,      ///< those that came with the control vertices; what shading does not move stands there
+};
+
 /// What the camera sees of every vertex: linear image pyramid, depth map of the coarse mesh, positions,
 /// coarse normals and sampled colours of every level.
 class ObservationKernels {
@@ -66,10 +74,10 @@ class ObservationKernels {
   void record_image(gpu::Batch& batch, const ImagePyramid& pyramid, const gpu::Buffer& frame) const;
 
   /// Records positions, start displacements and priors of a level from the next coarser one. coarser: a view
-  /// of positions and displacements. refine: shading moves this level; has_prior: it moved the coarser one.
+  /// of positions and displacements. refine: shading moves this level.
   void record_prolong(gpu::Batch& batch, const LevelTopology& topology, const LevelStencils& stencils,
                       const gpu::TexelView& coarser, const LevelState& state, const gpu::Buffer& frame,
-                      bool refine, bool has_prior) const;
+                      bool refine, Prior prior) const;
 
   /// Records the depth map from the positions of M0.
   void record_depth(gpu::Batch& batch, const LevelState& coarsest, const DepthMap& map,

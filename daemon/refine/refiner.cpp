@@ -254,7 +254,8 @@ void Kernels::record(gpu::Batch& batch, const RefinerConfig& config, const Subje
   batch.stage("upload");
   observation.record_image(batch, *subject.pyramid, subject.frame);
   observation.record_prolong(batch, coarsest.topology, coarsest.stencils, subject.control.view,
-                             coarsest.state, subject.frame, refine_coarsest, false);
+                             coarsest.state, subject.frame, refine_coarsest,
+                             config.given_prior ? Prior::Given : Prior::None);
   observation.record_depth(batch, coarsest.state, subject.depth, subject.frame);
   observation.record_observe(batch, coarsest.topology, coarsest.state, *subject.pyramid, subject.depth,
                              subject.frame);
@@ -303,12 +304,13 @@ void Kernels::record_displacements(gpu::Batch& batch, const RefinerConfig& confi
   for (std::size_t l = 0; l < subject.levels.size(); ++l) {
     const Level& level = *subject.levels[l];
     const bool refined = config.hierarchical || l + 1 == subject.levels.size();
-    const bool has_prior = config.hierarchical && l > 0;
+    const bool prolonged = config.hierarchical && l > 0;
     if (l > 0) {
       observation.record_prolong(batch, level.topology, level.stencils,
                                  subject.levels[l - 1]->state.positions.view, level.state, subject.frame,
-                                 refined, has_prior);
+                                 refined, prolonged ? Prior::Prolonged : Prior::None);
     }
+    const bool has_prior = prolonged || (l == 0 && config.given_prior);
     const DisplacementOptions options = displacement_options(config, has_prior);
     const auto steps = static_cast<std::uint32_t>(options.gauss_newton_steps);
     if (refined) {
@@ -394,6 +396,11 @@ void Refiner::submit(const RefineInput& input) {
                             input.control_vertices_mm == nullptr ? 0 : input.control_vertices_mm->cols(),
                             subject.control_vertex_count));
   }
+  const std::size_t given = input.prior_displacements_mm.size();
+  if (given != (impl.config.given_prior ? subject.control_vertex_count : 0)) {
+    throw Error(ErrorKind::Usage, fmt::format("refinement was given {} displacements for {} control vertices",
+                                              given, subject.control_vertex_count));
+  }
   const bool new_size = !subject.pyramid || subject.pyramid->width_px != input.image.width_px ||
                         subject.pyramid->height_px != input.image.height_px;
   if (new_size) {
@@ -409,7 +416,7 @@ void Refiner::submit(const RefineInput& input) {
 
   const std::span<vec4> control =
       subject.control.buffer.mapped_as<vec4>().first(subject.control_vertex_count);
-  to_shading_frame(*input.control_vertices_mm, input.camera_from_head, control);
+  to_shading_frame(*input.control_vertices_mm, input.prior_displacements_mm, input.camera_from_head, control);
   FrameParameters& frame = subject.frame.mapped_as<FrameParameters>().front();
   const FaceRegion region = set_frame_parameters(*subject.pyramid, input.camera, control, frame);
   const int reduction = subject.pyramid->reduction;

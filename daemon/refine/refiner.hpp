@@ -35,6 +35,9 @@ struct RefinerConfig {
   /// false: on M0 and prolonged, as in the paper.
   bool fine_albedo = false;
   bool hierarchical = true;  ///< false: the finest level only (the paper's figure 6, for comparison)
+  /// true: every frame comes with displacements that something else measured
+  /// (RefineInput::prior_displacements_mm); w4 draws the coarsest level's to them.
+  bool given_prior = false;
   /// Tukey's bound on the residual relative to the face's rms brightness: what shading cannot explain
   /// (highlights, cast shadows, hair) loses its weight. 0: plain squares as in the paper.
   float robust_scale = 0.4F;
@@ -66,6 +69,9 @@ struct RefineInput {
   Eigen::Isometry3f camera_from_head;
   const mesh::Vertices* control_vertices_mm =
       nullptr;  ///< [3][control_vertex_count] head frame; read during submit only
+  /// [control_vertex_count] along the normals of the coarsest level; where RefinerConfig::given_prior, else
+  /// empty. Read during submit only.
+  std::span<const float> prior_displacements_mm = {};
 };
 
 enum class RefineOutcome {
@@ -106,8 +112,9 @@ class Refiner {
   /// Not while in flight.
   void set_subject(const SubjectSetup& subject);
 
-  /// Starts a frame. Throws Error(Usage) without a subject, for an empty image or for vertices that do not
-  /// fit the subject; Error(NoDevice) where a first image finds no room on the device.
+  /// Starts a frame. Throws Error(Usage) without a subject, for an empty image or for vertices or given
+  /// displacements that do not fit the subject; Error(NoDevice) where a first image finds no room on the
+  /// device.
   void submit(const RefineInput& input);
 
   /// Waits for the frame in flight. `output` is resized as needed and best used again. With DeviceLost, or

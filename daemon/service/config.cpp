@@ -340,6 +340,7 @@ void read_booth(Section section, Config& config) {
     config.booth_depths = {static_cast<float>(nearest), static_cast<float>(farthest)};
   }
   section.read("every_slot", config.booth_every_slot);
+  section.read("shading", config.booth_shading);
   constexpr std::array kRecords = {"pictures", "meshes"};
   if (const auto record = section.read_choice("record", kRecords)) {
     config.booth_record = static_cast<BoothRecord>(*record);
@@ -539,6 +540,7 @@ pipeline::BoothConfig booth_config(const Config& config) {
   booth.rig_file = config.rig_file;
   booth.depths = config.booth_depths;
   booth.every_slot = config.booth_every_slot;
+  booth.shading = config.booth_shading;
   booth.model_file = config.pipeline.model_file;
   booth.landmark_assets = config.pipeline.tracker.landmark_assets;
   booth.gpu_device = config.pipeline.gpu_device;

@@ -58,8 +58,9 @@ struct LevelPush {
   uint vertex_count;
   float has_prior;  // 1: the coarser level's displacements are this level's prior; 0 at the coarsest refined level
   float refine;     // 1: shading refines this level
+  float fixed_keep_prior;  // 1: vertices that shading does not move stand at their prior; 0: at 0
 };
-FACET_LAYOUT_SIZE(LevelPush, 12)
+FACET_LAYOUT_SIZE(LevelPush, 16)
 
 struct DepthPush {
   uint triangle_count;

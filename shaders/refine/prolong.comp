@@ -39,8 +39,8 @@ void main() {
       start += positions[i].w - priors[i];
     }
     if (!is_free(texelFetch(vertex_rings, int(i)).xy)) {
-      prior = 0;
-      start = 0;
+      prior *= push.fixed_keep_prior;
+      start = prior;
     }
     positions[i] = vec4(sum.xyz, start);
     priors[i] = prior;

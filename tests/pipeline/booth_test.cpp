@@ -460,6 +460,32 @@ TEST_F(Booth, EverySlotBetweenBlankOnesBecomesAMesh) {
   EXPECT_EQ(status_.processed, kSlots);
 }
 
+TEST_F(Booth, ShadingAddsToTheFineLevels) {
+  write_half_a_rig();
+  const std::vector<FrameSet> sets(footage_->sets.begin(), footage_->sets.begin() + 5);
+  run(sets);
+  ASSERT_EQ(frames_.size(), 1U) << status_.reason;
+  const std::shared_ptr<const mesh::MeshFrame> by_depth = frames_.front();
+  config_.shading = true;
+  run(sets);
+  ASSERT_EQ(frames_.size(), 1U) << status_.reason;
+  const mesh::MeshFrame& shaded = *frames_.front();
+  ASSERT_EQ(shaded.state, mesh::TrackingState::Tracking) << shaded.degraded_reason;
+  EXPECT_FALSE(shaded.degraded) << shaded.degraded_reason;
+  EXPECT_EQ(shaded.control_vertices_mm, by_depth->control_vertices_mm);
+  ASSERT_EQ(shaded.displacements_mm.size(), by_depth->displacements_mm.size());
+  double sum = 0;
+  double moved = 0;
+  for (std::size_t v = 0; v < shaded.displacements_mm.size(); ++v) {
+    const float added = shaded.displacements_mm[v] - by_depth->displacements_mm[v];
+    ASSERT_LT(std::abs(added), 2) << v;
+    sum += static_cast<double>(std::abs(added));
+    moved += added != 0 ? 1 : 0;
+  }
+  EXPECT_GT(moved, 5000) << "vertices of the face";
+  EXPECT_LT(sum / moved, 0.1) << "depth says where the skin is, shading how it slopes";
+}
+
 TEST_F(Booth, GoesOnWithoutOnePairsCameraAndWithoutASlot) {
   std::vector<FrameSet> sets(footage_->sets.begin(), footage_->sets.begin() + 5);
   sets.erase(sets.begin() + 3);  // slot 153

@@ -9,6 +9,7 @@
 
 #include "facet/error.hpp"
 #include "reference.hpp"
+#include "refine/level_buffers.hpp"
 #include "support/gpu.hpp"
 #include "synthetic_face.hpp"
 
@@ -229,6 +230,43 @@ TEST_F(RefinerTest, PhotometricErrorAndConfidenceAreThoseOfTheOutput) {
   EXPECT_NEAR(static_cast<double>(session.output.photometric_rms), expected, 3e-4);
 }
 
+TEST_F(RefinerTest, GivenDisplacementsHoldAgainstTheShadingByTheirWeight) {
+  constexpr float kGiven_mm = 0.7F;
+  mesh::HierarchyOptions one_level;
+  one_level.max_levels = 1;
+  std::vector<float> moved;
+  for (const float weight : {0.0F, 1.0F, 1e5F}) {
+    RefinerConfig config = clean_config();
+    config.given_prior = true;
+    config.weights.displacement_coarse = 0;
+    config.weights.displacement_hierarchy = weight;
+    Session session(context(), small_scene(), config);
+    session.hierarchy = synthetic::hierarchy(session.scene, session.cap, one_level);
+    std::vector<std::uint8_t> refinable = session.cap.control.refinable;
+    std::fill(refinable.begin(), refinable.begin() + static_cast<std::ptrdiff_t>(refinable.size() / 4), 0);
+    session.refiner.set_subject({session.hierarchy, session.cap.mean_albedo, refinable});
+    const std::vector<float> given(static_cast<std::size_t>(session.cap.vertices_mm.cols()), kGiven_mm);
+    RefineInput input = session.input();
+    input.prior_displacements_mm = given;
+    for (int k = 0; k < 3; ++k) {
+      session.refiner.submit(input);
+      ASSERT_EQ(session.refiner.collect(session.output), RefineOutcome::Refined) << session.output.failure;
+    }
+    const std::vector<std::uint8_t> free = free_vertices(*session.hierarchy, refinable).front();
+    float sum = 0;
+    for (std::size_t v = 0; v < free.size(); ++v) {
+      if (free[v] == 0) {
+        ASSERT_NEAR(session.output.displacements_mm[v], kGiven_mm, 1e-5F) << "shading does not move it";
+      }
+      sum += std::abs(session.output.displacements_mm[v] - kGiven_mm);
+    }
+    moved.push_back(sum / static_cast<float>(free.size()));
+  }
+  EXPECT_GT(moved[0], 2 * moved[1]);
+  EXPECT_GT(moved[1], 100 * moved[2]);
+  EXPECT_LT(moved[2], 1e-3F);
+}
+
 TEST_F(RefinerTest, ImageSizeMayChange) {
   Session session(context(), small_scene(), {});
   ASSERT_EQ(session.refine(), RefineOutcome::Refined);
@@ -302,6 +340,10 @@ TEST_F(RefinerTest, MisuseIsRefused) {
   EXPECT_THROW(session.refiner.submit(input), Error);
   input = session.input();
   input.image = {};
+  EXPECT_THROW(session.refiner.submit(input), Error);
+  input = session.input();
+  const std::vector<float> unasked(static_cast<std::size_t>(session.cap.vertices_mm.cols()));
+  input.prior_displacements_mm = unasked;
   EXPECT_THROW(session.refiner.submit(input), Error);
   SubjectSetup subject{session.hierarchy, session.cap.mean_albedo, {1, 1, 1}};
   EXPECT_THROW(session.refiner.set_subject(subject), Error);

@@ -291,7 +291,7 @@ std::string booth_text(const std::string& more) {
 TEST(Config, ReadsABooth) {
   const Config config =
       parse_config(booth_text("[booth]\nrig = \"rig.toml\"\ndepth_mm = [700, 1100.5]\n"
-                              "record = \"meshes\"\nevery_slot = true\n[simulation]\nfootage = \"x.take\"\n"
+                              "record = \"meshes\"\nevery_slot = true\nshading = true\n[simulation]\nfootage = \"x.take\"\n"
                               "[model]\npath = \"m\"\n[gpu]\ndevice = \"llvm\"\n"),
                    "/folder/f.toml");
   EXPECT_EQ(config.mode, Mode::Booth);
@@ -301,6 +301,7 @@ TEST(Config, ReadsABooth) {
   EXPECT_EQ(booth.rig_file, "/folder/rig.toml");
   EXPECT_EQ(booth.depths.nearest_mm, 700);
   EXPECT_TRUE(booth.every_slot);
+  EXPECT_TRUE(booth.shading);
   EXPECT_EQ(booth.depths.farthest_mm, 1100.5F);
   EXPECT_EQ(booth.stripes, (std::vector<std::uint8_t>{1, 0, 1, 0}));
   EXPECT_EQ(booth.model_file, "/folder/m");
@@ -310,6 +311,7 @@ TEST(Config, ReadsABooth) {
   const Config bare = parse_config("", "f.toml");
   EXPECT_EQ(bare.booth_record, BoothRecord::Pictures);
   EXPECT_FALSE(booth_config(bare).every_slot);
+  EXPECT_FALSE(booth_config(bare).shading);
   EXPECT_EQ(booth_config(bare).stripes, (std::vector<std::uint8_t>{1, 1, 0})) << "the standard program";
   EXPECT_EQ(booth_config(bare).depths.farthest_mm, 0) << "found from the rig";
 }
