@@ -6,28 +6,21 @@
 #include <cmath>
 #include <filesystem>
 #include <fstream>
-#include <limits>
 #include <memory>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <string>
-#include <vector>
 
 #include "commands.hpp"
-#include "evaluation.hpp"
 #include "facet/error.hpp"
-#include "heat_map.hpp"
 #include "progress.hpp"
-#include "simulation/sequence.hpp"
-#include "take/export.hpp"
 #include "take/reader.hpp"
-#include "take_pictures.hpp"
+#include "take_evaluation.hpp"
 
 namespace facet::tools {
 namespace {
 
 using nlohmann::ordered_json;
-
-constexpr std::size_t kHeatMapRows = 4;
 
 struct EvalOptions {
   std::string take;
@@ -55,90 +48,27 @@ ordered_json figures_json(const Figures& figures) {
           {"photometric_rms", number(figures.photometric_rms)}};
 }
 
-/// Indices in the take of frames that have a mesh and a truth; counts those with a truth but without a mesh.
-std::vector<std::int64_t> frames_to_measure(take::TakeReader& take, const std::filesystem::path& truth,
-                                            int& without_mesh) {
-  std::vector<std::int64_t> frames;
-  for (std::int64_t index = 0; index < take.frame_count(); ++index) {
-    const take::FrameEntry entry = take.entry(index);
-    if (!std::filesystem::exists(simulation::truth_file(truth, entry.sequence))) {
-      continue;
-    }
-    if (entry.has_mesh) {
-      frames.push_back(index);
-    } else {
-      ++without_mesh;
-    }
-  }
-  if (frames.empty()) {
-    throw Error(
-        ErrorKind::UnreadableInput,
-        fmt::format(
-            "{} and {}: no frame has both a mesh and a truth; --truth is the folder that `facet synth` "
-            "wrote, with truth/frame_000000.ply and so on",
-            take.info().file.string(), truth.string()));
-  }
-  return frames;
-}
-
 void run_eval(const EvalOptions& options) {
   take::TakeReader take(options.take);
-  const std::filesystem::path folder = options.truth;
-  const Alignment alignment = alignment_of(options.align);
-  int without_mesh = 0;
-  const auto frames = frames_to_measure(take, folder, without_mesh);
-  const auto pictured = spread_evenly(frames, kHeatMapRows);
-  std::unique_ptr<SourceImages> images;
-  if (std::filesystem::exists(folder / "video.mkv")) {
-    images = std::make_unique<SourceImages>(folder / "video.mkv");
-  }
-
-  FigureSum coarse_sum;
-  FigureSum refined_sum;
-  double scale_sum = 0;
-  HeatMap heat_map;
-  Progress progress("Measuring", frames.size());
-  for (std::size_t done = 0; done < frames.size(); ++done) {
-    const auto frame = take.frame(frames[done]);
-    const Truth truth(simulation::read_truth_ply(simulation::truth_file(folder, frame->sequence)));
-    FrameGeometry geometry = geometry_of(*frame);
-    const auto measured = measured_vertices(*frame->subject, geometry.coarse_mm, geometry.coarse_normals);
-    const Reconstruction coarse{std::move(geometry.coarse_mm), std::move(geometry.coarse_normals), measured};
-    const Reconstruction refined{std::move(geometry.refined_mm), std::move(geometry.refined_normals),
-                                 measured};
-    const auto image = images ? images->at(frame->sequence) : std::nullopt;
-    const auto rms = [&](const Reconstruction& mesh) {
-      if (!image || !frame->albedo ||
-          frame->albedo->linear_rgb.size() != static_cast<std::size_t>(mesh.vertices_mm.size())) {
-        return std::numeric_limits<double>::quiet_NaN();
-      }
-      return photometric_rms(vertex_errors(mesh.vertices_mm, mesh.normals, frame->albedo->linear_rgb,
-                                           frame->lighting, frame->camera, *image),
-                             measured);
-    };
-    const Comparison coarse_errors = compare(coarse, truth, alignment);
-    const Comparison refined_errors = compare(refined, truth, alignment);
-    const auto index = static_cast<std::int64_t>(frame->sequence);
-    coarse_sum.add(index, measured, coarse_errors, rms(coarse));
-    refined_sum.add(index, measured, refined_errors, rms(refined));
-    scale_sum += static_cast<double>(refined_errors.truth_from_reconstruction.scale);
-    if (std::find(pictured.begin(), pictured.end(), frames[done]) != pictured.end()) {
-      heat_map.add_row(*frame, image, coarse, coarse_errors, refined, refined_errors);
-    }
-    progress.set(done + 1);
-  }
-  progress.finish();
-
-  const Figures coarse = coarse_sum.figures();
-  const Figures refined = refined_sum.figures();
+  std::optional<Progress> progress;
+  const TakeEvaluation evaluation = evaluate_take(take, options.truth, alignment_of(options.align),
+                                                  [&](std::uint64_t done, std::uint64_t total) {
+                                                    if (!progress) {
+                                                      progress.emplace("Measuring", total);
+                                                    }
+                                                    progress->set(done);
+                                                  });
+  progress.reset();
+  const Figures& coarse = evaluation.coarse;
+  const Figures& refined = evaluation.refined;
   const ordered_json document = {
       {"take", options.take},
       {"truth", options.truth},
       {"align", options.align},
-      {"frames", frames.size()},
-      {"frames_without_mesh", without_mesh},
-      {"points", refined_sum.point_count()},
-      {"mean_scale", scale_sum / static_cast<double>(frames.size())},
+      {"frames", evaluation.frames.size()},
+      {"frames_without_mesh", evaluation.without_mesh},
+      {"points", evaluation.points},
+      {"mean_scale", evaluation.mean_scale},
       {"coarse", figures_json(coarse)},
       {"finest", figures_json(refined)},
       {"mean_change_percent", number(100 * (refined.mean_mm / coarse.mean_mm - 1))},
@@ -147,7 +77,7 @@ void run_eval(const EvalOptions& options) {
   const std::filesystem::path picture =
       options.heat_map.empty() ? std::filesystem::path(options.take).replace_extension(".eval.png")
                                : std::filesystem::path(options.heat_map);
-  render::write_png(heat_map.picture(), picture);
+  render::write_png(evaluation.heat_map, picture);
   if (options.output.empty()) {
     fmt::print("{}\n", document.dump(2));
   } else {
@@ -161,7 +91,7 @@ void run_eval(const EvalOptions& options) {
   fmt::print(
       stderr,
       "{}: {} frames; mean {:.3f} mm (coarse {:.3f}), normals {:.2f} deg (coarse {:.2f}); heat map in {}\n",
-      options.take, frames.size(), refined.mean_mm, coarse.mean_mm, refined.normal_error_deg,
+      options.take, evaluation.frames.size(), refined.mean_mm, coarse.mean_mm, refined.normal_error_deg,
       coarse.normal_error_deg, picture.string());
 }
 

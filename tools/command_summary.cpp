@@ -15,6 +15,7 @@
 #include "facet/error.hpp"
 #include "progress.hpp"
 #include "take/reader.hpp"
+#include "take_stages.hpp"
 
 namespace facet::tools {
 namespace {
@@ -54,24 +55,6 @@ struct PictureFigures {
       }
     }
   }
-};
-
-struct Stage {
-  const char* name;
-  float mesh::StageTimes::*time_ms;
-};
-constexpr std::array kStages = {
-    Stage{"capture (decode)", &mesh::StageTimes::capture_ms},
-    Stage{"face detector", &mesh::StageTimes::detect_ms},
-    Stage{"landmark net", &mesh::StageTimes::landmarks_ms},
-    Stage{"coarse fit", &mesh::StageTimes::fit_ms},
-    Stage{"upload, pyramid", &mesh::StageTimes::upload_ms},
-    Stage{"lighting (eq. 3)", &mesh::StageTimes::lighting_ms},
-    Stage{"albedo (eq. 4)", &mesh::StageTimes::albedo_ms},
-    Stage{"displacement (eq. 6)", &mesh::StageTimes::displacement_ms},
-    Stage{"read-back", &mesh::StageTimes::readback_ms},
-    Stage{"depth maps", &mesh::StageTimes::depth_ms},
-    Stage{"latency, frame to mesh", &mesh::StageTimes::latency_ms},
 };
 
 /// The p-quantile (0 to 1) of unsorted values; 0 for none.

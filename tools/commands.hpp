@@ -33,6 +33,7 @@ void add_watch_command(CLI::App& app);
 /// join: called once, by a run that reads a booth's take.
 void add_process_command(CLI::App& app, std::unique_ptr<Team> (*join)());
 void add_record_command(CLI::App& app);
+void add_report_command(CLI::App& app);
 void add_reset_identity_command(CLI::App& app);
 void add_retarget_command(CLI::App& app);
 void add_rig_command(CLI::App& app);

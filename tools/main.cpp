@@ -34,6 +34,7 @@ int main(int argc, char** argv) {
   add_watch_command(app);
   add_process_command(app, join_nobody);
   add_record_command(app);
+  add_report_command(app);
   add_reset_identity_command(app);
   add_retarget_command(app);
   add_rig_command(app);

@@ -70,13 +70,19 @@ Frame to_frame(const Picture& picture) {
   return frame;
 }
 
-void write_png(const Picture& picture, const std::filesystem::path& file) {
+std::vector<std::uint8_t> encode_png(const Picture& picture) {
   cv::Mat bgr;
   cv::cvtColor(view_of(picture), bgr, cv::COLOR_RGB2BGR);
   std::vector<std::uint8_t> bytes;
   if (!cv::imencode(".png", bgr, bytes)) {
-    throw Error(ErrorKind::Internal, fmt::format("{}: the picture cannot be encoded", file.string()));
+    throw Error(ErrorKind::Internal,
+                fmt::format("a picture of {}x{} px cannot be encoded", picture.width_px, picture.height_px));
   }
+  return bytes;
+}
+
+void write_png(const Picture& picture, const std::filesystem::path& file) {
+  const std::vector<std::uint8_t> bytes = encode_png(picture);
   std::filesystem::path temporary = file;
   temporary += fmt::format(".{}.part", ::getpid());
   std::ofstream stream(temporary, std::ios::binary);

@@ -135,6 +135,8 @@ Picture to_picture(const Frame& frame);
 /// A frame with alpha 255; sequence and times are 0.
 Frame to_frame(const Picture& picture);
 
+/// The bytes of a PNG file. Throws Error(Internal).
+std::vector<std::uint8_t> encode_png(const Picture& picture);
 /// Writes PNG, through a temporary name so that no half file is left. Throws Error(Storage).
 void write_png(const Picture& picture, const std::filesystem::path& file);
 /// Reads PNG or JPEG. Throws Error(UnreadableInput).

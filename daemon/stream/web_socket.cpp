@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <bit>
 
+#include "stream/base64.hpp"
+
 namespace facet::stream {
 namespace {
 
@@ -46,22 +48,6 @@ std::array<std::uint8_t, 20> sha1(std::string_view text) {
     digest.at(i) = static_cast<std::uint8_t>(hash.at(i / 4) >> (24 - 8 * (i % 4)));
   }
   return digest;
-}
-
-std::string base64(std::span<const std::uint8_t> bytes) {
-  constexpr std::string_view kDigits = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-  std::string text;
-  for (std::size_t i = 0; i < bytes.size(); i += 3) {
-    const std::size_t count = std::min<std::size_t>(3, bytes.size() - i);
-    std::uint32_t group = 0;
-    for (std::size_t j = 0; j < count; ++j) {
-      group |= static_cast<std::uint32_t>(bytes[i + j]) << (16 - 8 * j);
-    }
-    for (std::size_t digit = 0; digit < 4; ++digit) {
-      text += digit <= count ? kDigits[(group >> (18 - 6 * digit)) & 63U] : '=';
-    }
-  }
-  return text;
 }
 
 std::vector<std::uint8_t> control_frame(WebSocketOpcode opcode, std::span<const std::uint8_t> payload) {

@@ -245,6 +245,26 @@ TEST_F(Command, ViewAndExportMeanTheSameFrames) {
   EXPECT_THAT(output_, HasSubstr("100 to 104"));
 }
 
+TEST_F(Command, AReportIsOnePageThatNeedsNothingElse) {
+  const std::string page = file("report.html");
+  ASSERT_EQ(run({"report", take(), "-o", page}), 0) << output_;
+  std::ifstream stream(page);
+  const std::string text((std::istreambuf_iterator<char>(stream)), std::istreambuf_iterator<char>());
+  for (const char* part : {"</html>", "elsewhere.mp4", "<b>tracking</b> 4 frames",
+                           "<b>searching</b> 1 frames", "data:image/png;base64,"}) {
+    EXPECT_NE(text.find(part), std::string::npos) << part;
+  }
+  for (const char* part : {"http://", "https://", "<script", ",nan", " nan"}) {
+    EXPECT_EQ(text.find(part), std::string::npos) << part;
+  }
+  EXPECT_EQ(run({"report", file("some.take"), "-o", file("no-folder/report.html")}), 6) << output_;
+  EXPECT_THAT(output_, HasSubstr("no-folder"));
+  EXPECT_EQ(run({"report", file("some.take"), "-o", file("new.html"), "--truth", folder_.path().string()}),
+            3);
+  EXPECT_THAT(output_, HasSubstr("no frame has both a mesh and a truth"));
+  EXPECT_FALSE(std::filesystem::exists(file("new.html"))) << "nothing half written";
+}
+
 TEST_F(Command, ABrokenOffExportLeavesNothingHalfWritten) {
   const std::string some = take();
   for (const int signal : {SIGTERM, SIGINT}) {
