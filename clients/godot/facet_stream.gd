@@ -21,7 +21,7 @@ var received := 0  # frames
 var dropped := 0  # frames that came while this reader was busy
 var _client: WebSocketClient = null
 var _subscribed := false
-var _goodbye := ""
+var _goodbye := ""  # why the connection is to end
 var _wait_s := LEAST_WAIT_S
 var _until_retry_s := 0.0
 
@@ -33,17 +33,11 @@ func _process(delta: float) -> void:
 			_connect_again()
 		return
 	_client.poll()
-	match _client.get_connection_status():
-		NetworkedMultiplayerPeer.CONNECTION_DISCONNECTED:
-			_lost("nobody answers at " + url)
-		NetworkedMultiplayerPeer.CONNECTION_CONNECTED:
-			var peer := _client.get_peer(1)
-			if not _subscribed:
-				_subscribe(peer)
-			while peer.get_available_packet_count() > 0 and _goodbye == "":
-				_read(peer.get_packet())
-			if _goodbye != "":
-				_lost(_goodbye)
+	var status := _client.get_connection_status()
+	if _goodbye != "" or status == NetworkedMultiplayerPeer.CONNECTION_DISCONNECTED:
+		_lost(_goodbye if _goodbye != "" else "nobody answers at " + url)
+	elif status == NetworkedMultiplayerPeer.CONNECTION_CONNECTED and not _subscribed:
+		_subscribe(_client.get_peer(1))
 
 
 func _connect_again() -> void:
@@ -52,6 +46,9 @@ func _connect_again() -> void:
 	_goodbye = ""
 	# In KiB and packets: one message must fit whole (docs/stream-protocol.md, "Limits").
 	_client.set_buffers(Message.MOST_BYTES >> 10, 64, 64, 8)
+	# While it is polled the client must not be freed: what goes wrong there is kept until after.
+	_client.connect("data_received", self, "_on_data")
+	_client.connect("server_close_request", self, "_on_close_request")
 	if _client.connect_to_url(url, PoolStringArray(["facet"])) != OK:
 		_lost("cannot connect to " + url)
 
@@ -62,6 +59,17 @@ func _subscribe(peer: WebSocketPeer) -> void:
 	peer.set_write_mode(WebSocketPeer.WRITE_MODE_BINARY)
 	_subscribed = peer.put_packet(Message.subscribe(profile, want_albedo, "godot")) == OK
 	emit_signal("state_changed", "connected")
+
+
+func _on_data() -> void:
+	var peer := _client.get_peer(1)
+	while peer.get_available_packet_count() > 0 and _goodbye == "":
+		_read(peer.get_packet())
+
+
+func _on_close_request(_code: int, reason: String) -> void:
+	if _goodbye == "":
+		_goodbye = "closed: " + reason
 
 
 func _lost(why: String) -> void:

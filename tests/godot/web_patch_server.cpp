@@ -1,0 +1,38 @@
+// A stream server with one frame, over its socket and for browsers, for programs that are tested from outside:
+// says the port, ends with its input. Usage: web_patch_server FOLDER, in which its sockets and files come to lie
+
+#include <cstdio>
+
+#include "service/web_server.hpp"
+#include "stream/server.hpp"
+#include "support/mesh_frames.hpp"
+
+int main(int argc, char** argv) {
+  using namespace facet;
+  if (argc != 2) {
+    return 2;
+  }
+  const std::filesystem::path folder = argv[1];
+  stream::StreamServerConfig config;
+  config.socket = folder / "stream.sock";
+  config.max_web_readers = 4;
+  stream::StreamServer server(config);
+  server.start();
+  service::ControlConfig control_config;
+  control_config.socket = folder / "control.sock";
+  service::ControlServer control(control_config, {});
+  service::WebConfig web_config;
+  web_config.listen = "127.0.0.1:0";
+  web_config.page = folder;
+  web_config.token_file = folder / "token";
+  const service::WebServer web(web_config, folder, server, control);
+  const auto subject = test::patch_subject();
+  server.publish(
+      std::make_shared<mesh::MeshFrame>(test::patch_frame(7, subject, test::patch_albedo(*subject))));
+  std::printf("%d\n", web.port());
+  std::fflush(stdout);
+  while (std::getchar() != EOF) {
+  }
+  server.stop();
+  return 0;
+}
