@@ -12,7 +12,7 @@ uniform bool rebuilt = false;
 uniform bool has_albedo = false;
 uniform float step_mm = 0.0;
 uniform float albedo_scale = 1.0;
-uniform vec4 clay : hint_color = vec4(0.76, 0.54, 0.44, 1.0);
+uniform vec4 clay : hint_color = vec4(0.72, 0.48, 0.38, 1.0);
 const int VERTICES_A_ROW = 512;
 
 varying vec3 linear_albedo;

@@ -29,11 +29,12 @@ func _ready() -> void:
 			moved[Mesh.ARRAY_COLOR][k] = Color(0, 0, 0, 0)
 		moved[Mesh.ARRAY_INDEX] = null
 		shapes.append(moved)
-	mesh = ArrayMesh.new()
-	mesh.blend_shape_mode = Mesh.BLEND_SHAPE_MODE_RELATIVE
+	var made := ArrayMesh.new()
+	made.blend_shape_mode = Mesh.BLEND_SHAPE_MODE_RELATIVE
 	for shape in SHAPES:
-		mesh.add_blend_shape(shape)
-	mesh.add_surface_from_arrays(Mesh.PRIMITIVE_TRIANGLES, rest, shapes)
+		made.add_blend_shape(shape)
+	made.add_surface_from_arrays(Mesh.PRIMITIVE_TRIANGLES, rest, shapes)
+	mesh = made  # last: a MeshInstance looks for shapes when it gets its mesh
 	var material := SpatialMaterial.new()
 	material.vertex_color_use_as_albedo = true
 	material.vertex_color_is_srgb = true

@@ -1,6 +1,6 @@
-/* Keeps the meshes of the stream as libfacet-client has them, for check-godot: FOLDER/SEQUENCE.f32, vertices in
- * mm, then normals. Says "frame SEQUENCE" for each; ends with the server, or when it is ended.
- * Usage: keep_frames SOCKET displacements|vertices FOLDER */
+/* Keeps the meshes of the stream as libfacet-client has them, for check-godot: FOLDER/SEQUENCE.f32, vertices
+ * in mm, then normals. Says "frame SEQUENCE" for each; ends with the server, or when it is ended. Usage:
+ * keep_frames SOCKET displacements|vertices FOLDER */
 
 #include <facet-client.h>
 #include <stdio.h>

@@ -1,5 +1,6 @@
-// A stream server with one frame, over its socket and for browsers, for programs that are tested from outside:
-// says the port, ends with its input. Usage: web_patch_server FOLDER, in which its sockets and files come to lie
+// A stream server with one frame, over its socket and for browsers, for programs that are tested from
+// outside: says the port, ends with its input. Usage: web_patch_server FOLDER, in which its sockets and files
+// come to lie
 
 #include <cstdio>
 
