@@ -38,9 +38,12 @@ void write_vmc(const FaceState& state, float time_s, bool neutral, OscBundles& o
   // Unity's axes are ours with x turned round: so is the place's x, and turns about y and z go the other way.
   Eigen::Quaternionf turn(state.upright_from_head.linear());
   turn.normalize();
-  const Eigen::Vector3f place = neutral ? state.upright_from_head.translation() : Eigen::Vector3f(0, 0, 0);
-  out.add("/VMC/Ext/Root/Pos", {"root", -place.x(), place.y(), place.z(), 0.0F, 0.0F, 0.0F, 1.0F});
-  out.add("/VMC/Ext/Bone/Pos", {"Head", 0.0F, 0.0F, 0.0F, turn.x(), -turn.y(), -turn.z(), turn.w()});
+  const Eigen::Vector3f place = state.upright_from_head.translation();
+  const Eigen::Vector3f root = neutral ? place : Eigen::Vector3f(0, 0, 0);
+  const Eigen::Vector3f head = place - root;
+  out.add("/VMC/Ext/Root/Pos", {"root", -root.x(), root.y(), root.z(), 0.0F, 0.0F, 0.0F, 1.0F});
+  out.add("/VMC/Ext/Bone/Pos",
+          {"Head", -head.x(), head.y(), head.z(), turn.x(), -turn.y(), -turn.z(), turn.w()});
   if (!state.has_expression) {
     return;
   }

@@ -131,6 +131,8 @@ struct Service::Impl {
   json record_start(const json& params);
   json record_stop();
   avatar::Bridge& configured_bridge();
+  /// Says where a target gets nothing because of the mode.
+  void warn_of_silence(const avatar::BridgeTarget& target);
 
   void wait_for_events();
   void read_signals();
@@ -283,6 +285,21 @@ void Service::Impl::open_metrics() {
                          config.metrics.listen.substr(0, config.metrics.listen.rfind(':')), metrics->port()));
   } catch (const Error& error) {
     log.warning(error.what());
+  }
+}
+
+void Service::Impl::warn_of_silence(const avatar::BridgeTarget& target) {
+  const char* protocol = avatar::to_string(target.protocol);
+  if (config.mode == Mode::Frames) {
+    log.warning(
+        fmt::format("bridges: mode \"frames\" finds no face, so that {} at {} gets no expression and no "
+                    "head; take it out "
+                    "or choose another mode",
+                    protocol, target.text()));
+  } else if (config.mode == Mode::Booth && target.protocol == avatar::BridgeProtocol::LiveLinkFace) {
+    log.warning(fmt::format(
+        "bridges: a booth's meshes have no expressions, so that {} at {} gets nothing; VMC gets the head",
+        protocol, target.text()));
   }
 }
 
@@ -588,6 +605,7 @@ int Service::run() {
       impl.bridge->start();
       for (const avatar::BridgeTarget& target : impl.config.bridges.targets) {
         impl.log.info(fmt::format("bridge: {} to {}", avatar::to_string(target.protocol), target.text()));
+        impl.warn_of_silence(target);
       }
     }
     impl.opener.emplace(impl.config);

@@ -151,6 +151,10 @@ TEST_F(BridgeTest, VmcSendsBlendsAndHead) {
   // Unity, seen from above: a left-handed turn about y by a positive angle goes from z (ahead) to x (right).
   // To the left it is negative.
   ASSERT_EQ(head.size(), 9U);
+  // 100 mm to the picture's right, which is the subject's left, 50 mm up, 600 mm before the camera.
+  EXPECT_NEAR(head[2].get<float>(), -0.100F, 1e-6F);
+  EXPECT_NEAR(head[3].get<float>(), 0.050F, 1e-6F);
+  EXPECT_NEAR(head[4].get<float>(), -0.600F, 1e-6F);
   EXPECT_NEAR(head[5].get<float>(), 0, 1e-5F);
   EXPECT_NEAR(head[6].get<float>(), -std::sin(0.15F), 1e-5F);
   EXPECT_NEAR(head[7].get<float>(), 0, 1e-5F);
@@ -186,8 +190,9 @@ TEST_F(BridgeTest, OscdumpReadsVmc) {
     std::this_thread::sleep_for(20ms);
   }
   EXPECT_THAT(child.output(), HasSubstr("/VMC/Ext/Blend/Val sf \"JawOpen\" 0.750000"));
-  EXPECT_THAT(child.output(),
-              HasSubstr("/VMC/Ext/Bone/Pos sfffffff \"Head\" 0.000000 0.000000 0.000000 0.000000 -0.149438"));
+  EXPECT_THAT(
+      child.output(),
+      HasSubstr("/VMC/Ext/Bone/Pos sfffffff \"Head\" -0.100000 0.050000 -0.600000 0.000000 -0.149438"));
 }
 
 TEST_F(BridgeTest, LiveLinkFaceSendsTheAppsPacket) {
@@ -282,6 +287,9 @@ TEST_F(BridgeTest, NeutralPoseIsTakenAwayAndKept) {
   EXPECT_NEAR(root[2].get<float>(), -0.030F * std::cos(0.3F), 1e-4F);
   EXPECT_NEAR(root[3].get<float>(), 0, 1e-4F);
   EXPECT_NEAR(root[4].get<float>(), 0.030F * std::sin(0.3F), 1e-4F);
+  for (const std::size_t axis : {2U, 3U, 4U}) {
+    EXPECT_EQ(message(messages, "/VMC/Ext/Bone/Pos", "Head")[axis].get<float>(), 0) << "told once";
+  }
 
   bridge.clear_neutral();
   EXPECT_EQ(bridge.status().neutral, NeutralState::None);

@@ -344,6 +344,44 @@ TEST_F(DaemonWithAssets, ExitsAtTheEndWithEveryFrameRecorded) {
   EXPECT_GT(reader.info().mesh_frame_count, 30);
 }
 
+TEST_F(Daemon, WarnsOfBridgesThatAModeLeavesSilent) {
+  const auto file = folder_.path() / "facet.toml";
+  std::ofstream(file) << R"(
+mode = "frames"
+[[camera]]
+name = "left"
+kind = "simulated"
+width_px = 64
+height_px = 48
+rate_hz = 20.0
+[trigger]
+kind = "virtual"
+slots_per_second = 20.0
+real_time = false
+[[trigger.line]]
+name = "cameras"
+role = "camera"
+[stream]
+socket = "stream.sock"
+[control]
+socket = "control.sock"
+[takes]
+folder = "takes"
+disk_reserve_mb = 1
+[metrics]
+listen = ""
+[bridges]
+vmc = ["127.0.0.1:39539"]
+neutral = "takes/neutral.json"
+)";
+  const auto daemon = start(file.string());
+  await(*daemon, [](const json& now) { return now["bridges"]["targets"].size() == 1; });
+  daemon->send(SIGTERM);
+  expect_clean_end(*daemon);
+  EXPECT_THAT(daemon->output(), HasSubstr("warning: bridges: mode \"frames\" finds no face, so that vmc at "
+                                          "127.0.0.1:39539 gets no expression and no head"));
+}
+
 TEST_F(DaemonWithAssets, StaysAfterTheEndUnlessToldOtherwise) {
   const auto daemon = start(configure(fmt::format("path = \"{}\"\nframes = \":8\"", clip().string())));
   const json status = await(*daemon, [](const json& now) { return now["state"] == "ended"; });
