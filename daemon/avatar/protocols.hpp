@@ -19,9 +19,9 @@ inline constexpr std::size_t kMostDatagram = 1400;
 /// left-handed axes: x to the subject's right, y up, z out of the face.
 ///
 /// time_s    since the sender began
-/// neutral   whether a neutral pose was taken away: then the root has the head's movement and the bone's place
-/// is 0; else the root stays at the origin and the bone has the head's place before the camera. Root and bone
-/// together are where the head is, metres
+/// neutral   whether a neutral pose was taken away: then the root has the head's movement and the bone's
+/// place is 0; else the root stays at the origin and the bone has the head's place before the camera. Root
+/// and bone together are where the head is, metres
 void write_vmc(const FaceState& state, float time_s, bool neutral, OscBundles& out);
 
 /// The packet that Epic's Live Link Face app sends (its version 6), numbers with the most significant byte
