@@ -11,8 +11,11 @@
 #include <algorithm>
 #include <cmath>
 #include <csignal>
+#include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <opencv2/core.hpp>
+#include <opencv2/imgcodecs.hpp>
 #include <random>
 #include <sstream>
 
@@ -359,6 +362,63 @@ TEST_F(ExportPeers, KhronosValidatorFindsNothing) {
   }
   EXPECT_EQ(run(program("node"), arguments), 0) << output_;
   EXPECT_THAT(output_, HasSubstr("frames.glb: 0 errors"));
+}
+
+/// golden/booth.take: `facet synth-booth --seed 5 --slots 12 --samples 1 --resolution 0.5 --meshes none`,
+/// then `facet process --rig`. Meshes without expressions, with gaps between the blank slots.
+TEST_F(ExportPeers, ABoothsTakeComesOutWhole) {
+  const std::string take = script("golden/booth.take");
+  for (const auto& [name, format] :
+       {std::pair{"frames.glb", "glb-frames"}, {"face.usda", "usda"}, {"cache.pc2", "pc2"}}) {
+    ASSERT_EQ(run({"export", take, "--format", format, "--frames", "152:156", "-o", file(name)}), 0)
+        << output_;
+    EXPECT_THAT(output_, HasSubstr("2 frames, 152 to 155 of the source at 60 Hz, 36016 vertices"));
+  }
+  ASSERT_EQ(run({"export", take, "--format", "normal", "--size", "128", "--pictures", "png", "--frames",
+                 "152:153", "-o", file("normal")}),
+            0)
+      << output_;
+  const cv::Mat map = cv::imread(file("normal/frame_000152.png"), cv::IMREAD_UNCHANGED);
+  ASSERT_EQ(map.type(), CV_16UC3);
+  cv::Scalar mean;
+  cv::Scalar deviation;
+  cv::meanStdDev(map, mean, deviation);
+  for (int channel = 0; channel < 3; ++channel) {
+    EXPECT_GT(deviation[channel], 2000) << "a face looks to many sides";
+  }
+  write_truth(take, take::MeshLevel::Finest, "truth");
+  const auto bytes = [this](const std::string& name) {
+    std::ifstream in(file(name), std::ios::binary);
+    return std::string(std::istreambuf_iterator<char>(in), {});
+  };
+  const std::string cache = bytes("cache.pc2");
+  constexpr std::size_t kSample = 12 * 36016;
+  ASSERT_EQ(cache.size(), 32 + 4 * kSample) << "152 to 155, those without a mesh held";
+  for (const std::size_t index : {0U, 3U}) {
+    const std::string truth = bytes(fmt::format("truth/frame_{:06}.f32", 152 + index));
+    ASSERT_EQ(truth.size(), kSample);
+    const auto floats = [](const std::string& from, std::size_t at) {
+      Eigen::VectorXf out(kSample / 4);
+      std::memcpy(out.data(), from.data() + at, kSample);
+      return out;
+    };
+    EXPECT_LT((floats(cache, 32 + index * kSample) - floats(truth, 0)).cwiseAbs().maxCoeff(), 1e-6F) << "m";
+  }
+  const std::filesystem::path validator = test::assets() / "gltf-validator";
+  const std::filesystem::path reader = test::assets() / "tinyusdz";
+  if (program("node").empty() || !std::filesystem::exists(validator) || !std::filesystem::exists(reader)) {
+    GTEST_SKIP() << "Node.js, " << validator << " or " << reader << " is not there (packaging/fetch-assets)";
+  }
+  EXPECT_EQ(run(program("node"), {script("check-glb.mjs"), validator.string(), file("frames.glb")}), 0)
+      << output_;
+  EXPECT_THAT(output_, HasSubstr("frames.glb: 0 errors"));
+  for (const char* left_out : {"truth/frame_000158.f32", "truth/frame_000161.f32"}) {
+    std::filesystem::remove(file(left_out));
+  }
+  EXPECT_EQ(run(program("node"), {script("check-usda.mjs"), std::filesystem::absolute(reader).string(),
+                                  file("face.usda"), file("truth")}),
+            0)
+      << output_;
 }
 
 TEST_F(ExportPeers, TinyUsdzReadsEveryVertex) {
