@@ -289,11 +289,12 @@ std::string booth_text(const std::string& more) {
 }
 
 TEST(Config, ReadsABooth) {
-  const Config config =
-      parse_config(booth_text("[booth]\nrig = \"rig.toml\"\ndepth_mm = [700, 1100.5]\n"
-                              "record = \"meshes\"\nevery_slot = true\nshading = true\n[simulation]\nfootage = \"x.take\"\n"
-                              "[model]\npath = \"m\"\n[gpu]\ndevice = \"llvm\"\n"),
-                   "/folder/f.toml");
+  const Config config = parse_config(
+      booth_text(
+          "[booth]\nrig = \"rig.toml\"\ndepth_mm = [700, 1100.5]\n"
+          "record = \"meshes\"\nevery_slot = true\nshading = true\n[simulation]\nfootage = \"x.take\"\n"
+          "[model]\npath = \"m\"\n[gpu]\ndevice = \"llvm\"\n"),
+      "/folder/f.toml");
   EXPECT_EQ(config.mode, Mode::Booth);
   EXPECT_EQ(config.booth_record, BoothRecord::Meshes);
   EXPECT_EQ(config.rig.footage, "/folder/x.take");
