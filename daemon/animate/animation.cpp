@@ -93,7 +93,10 @@ class KeySolver {
     try {
       std::vector<ControlTarget> targets;
       for (const KeyControl& control : key.controls) {
-        targets.push_back(target_of(control));
+        if (rest_.cols() == 0) {
+          rest_ = resting_vertices(*basis_);
+        }
+        targets.push_back(control_target(*basis_, control, rest_));
       }
       std::vector<std::int32_t> own;
       own.reserve(targets.size());
@@ -145,38 +148,13 @@ class KeySolver {
                             frames.front().sequence, frames.back().sequence));
   }
 
-  ControlTarget target_of(const KeyControl& control) const {
-    ControlTarget target;
-    target.vertex = find_vertex(*basis_, control.vertex);
-    const std::int32_t one[] = {target.vertex};
-    check_controls(*basis_, one);
-    target.target = control.value;
-    if (control.how == KeyControl::How::Screen) {
-      target.space = ControlTarget::Space::Screen;
-    } else if (control.how == KeyControl::How::Move) {
-      target.target += rest().col(target.vertex);
-    }
-    return target;
-  }
-
-  /// The mean face with its mean displacements.
-  const mesh::Vertices& rest() const {
-    if (rest_.cols() == 0) {
-      Pose mean;
-      mean.maps = std::make_shared<const InfluenceMaps>(*basis_, std::span<const std::int32_t>());
-      mean.state = Eigen::MatrixXf::Zero(basis_->coefficient_count() + basis_->detail_rank(), 1);
-      rest_ = finest_vertices(*basis_, mean);
-    }
-    return rest_;
-  }
-
   std::shared_ptr<const TakeBasis> basis_;
   const KeyList& list_;
   IkOptions options_;
   std::vector<std::int32_t> vertices_;
   std::shared_ptr<const InfluenceMaps> maps_;
   std::map<std::vector<std::int32_t>, std::unique_ptr<FaceIk>> solvers_;
-  mutable mesh::Vertices rest_;
+  mesh::Vertices rest_;
 };
 
 RegionMetric metric_of(const TakeBasis& basis, const InfluenceMaps& maps, int region) {
@@ -184,6 +162,28 @@ RegionMetric metric_of(const TakeBasis& basis, const InfluenceMaps& maps, int re
 }
 
 }  // namespace
+
+mesh::Vertices resting_vertices(const TakeBasis& basis) {
+  Pose mean;
+  mean.maps = std::make_shared<const InfluenceMaps>(basis, std::span<const std::int32_t>());
+  mean.state = Eigen::MatrixXf::Zero(basis.coefficient_count() + basis.detail_rank(), 1);
+  return finest_vertices(basis, mean);
+}
+
+ControlTarget control_target(const TakeBasis& basis, const KeyControl& control,
+                             const mesh::Vertices& rest_mm) {
+  ControlTarget target;
+  target.vertex = find_vertex(basis, control.vertex);
+  const std::int32_t one[] = {target.vertex};
+  check_controls(basis, one);
+  target.target = control.value;
+  if (control.how == KeyControl::How::Screen) {
+    target.space = ControlTarget::Space::Screen;
+  } else if (control.how == KeyControl::How::Move) {
+    target.target += rest_mm.col(target.vertex);
+  }
+  return target;
+}
 
 Track::Track(const TakeBasis& basis, const std::vector<std::int32_t>& faces, double begin_s, double step_s)
     : step_s_(step_s) {

@@ -66,6 +66,14 @@ struct AnimationReport {
   std::uint64_t worst_jump_frame = 0;
 };
 
+/// The mean face with its mean displacements: where vertices rest. Head frame, mm. [3][finest_count]
+mesh::Vertices resting_vertices(const TakeBasis& basis);
+
+/// A key's control point as FaceIk takes it; rest_mm: resting_vertices. Throws Error(Usage) where there is no
+/// such vertex.
+ControlTarget control_target(const TakeBasis& basis, const KeyControl& control,
+                             const mesh::Vertices& rest_mm);
+
 /// How the head is held.
 enum class HeadMotion : std::uint8_t {
   Still,     ///< as in the sample frame

@@ -545,7 +545,7 @@ void FaceIk::report(const Pose& pose) {
   }
 }
 
-const std::vector<ControlOutcome>& FaceIk::solve(std::span<const ControlTarget> targets, Pose& pose) {
+void FaceIk::check(std::span<const ControlTarget> targets) const {
   std::vector<std::int32_t> vertices;
   for (const ControlTarget& target : targets) {
     vertices.push_back(target.vertex);
@@ -575,6 +575,10 @@ const std::vector<ControlOutcome>& FaceIk::solve(std::span<const ControlTarget> 
                       target.vertex, away, on_screen ? "px" : "mm", farthest, on_screen ? "px" : "mm"));
     }
   }
+}
+
+const std::vector<ControlOutcome>& FaceIk::solve(std::span<const ControlTarget> targets, Pose& pose) {
+  check(targets);
   const bool same =
       maps_ != nullptr && targets.size() == sites_.size() &&
       std::equal(targets.begin(), targets.end(), sites_.begin(), [](const auto& target, const Site& site) {

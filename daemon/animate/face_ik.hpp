@@ -74,6 +74,9 @@ class FaceIk {
   void set_view(const CameraIntrinsics& camera, const Eigen::Isometry3f& camera_from_head);
   void set_options(IkOptions options);
 
+  /// What solve() throws for these targets, without solving. Any thread while nobody calls set_view.
+  void check(std::span<const ControlTarget> targets) const;
+
   /// The pose for these control points; none: the mean face. Outcomes in the order of targets, valid until
   /// the next call. Throws Error(Usage), and leaves pose and state as they were, where a target is not
   /// finite or further than kFarthest_mm (kFarthest_px) from the resting vertex, a vertex is not on the mesh

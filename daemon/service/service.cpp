@@ -29,6 +29,8 @@
 #include "service/service_manager.hpp"
 #include "service/stage_opener.hpp"
 #include "service/status_report.hpp"
+#include "service/studio.hpp"
+#include "service/studio_methods.hpp"
 #include "service/web_server.hpp"
 #include "stream/server.hpp"
 
@@ -106,6 +108,7 @@ struct Service::Impl {
   std::optional<ControlServer> control;
   std::unique_ptr<avatar::Bridge> bridge;  ///< null where no target is configured
   pipeline::StreamSink stream_sink;
+  Studio studio;
   pipeline::BridgeSink bridge_sink;
   pipeline::TakeSink takes;
   std::optional<take::RecorderStatus> failed_take;  ///< the last, until the next begins
@@ -159,13 +162,15 @@ Service::Impl::Impl(const Config& given, Log& given_log)
       stream(std::in_place, named(given.stream), std::move(passed.stream)),
       bridge(given.bridges.targets.empty() ? nullptr : std::make_unique<avatar::Bridge>(given.bridges)),
       stream_sink(*stream),
+      studio(
+          given.takes.folder, *stream, [this](bool held) { stream_sink.hold(held); }, software_name()),
       bridge_sink(bridge.get()) {
   check_takes_folder(config.takes.folder);
   control.emplace(config.control, methods(), std::move(passed.control));
 }
 
 ControlMethods Service::Impl::methods() {
-  return {
+  ControlMethods all = {
       {"status", {false, {}, [this](const json&) { return status(); }}},
       {"record.start", {true, {"name"}, [this](const json& params) { return record_start(params); }}},
       {"record.stop", {true, {}, [this](const json&) { return record_stop(); }}},
@@ -209,6 +214,8 @@ ControlMethods Service::Impl::methods() {
           return json::object();
         }}},
   };
+  all.merge(studio_methods(studio));
+  return all;
 }
 
 json Service::Impl::status() {
@@ -228,6 +235,9 @@ json Service::Impl::status() {
   const auto take = takes.status();
   const auto& shown = take ? take : failed_take;
   answer["bridges"] = bridge ? to_json(bridge->status()) : json(nullptr);
+  const StudioStatus on_show = studio.status();
+  answer["studio"] =
+      on_show.state == StudioState::Closed && on_show.reason.empty() ? json(nullptr) : to_json(on_show);
   answer["recording"] = shown ? to_json(*shown) : json(nullptr);
   return answer;
 }
@@ -564,6 +574,7 @@ void Service::Impl::finish() {
     pipeline->request_stop();
   }
   takes.request_end();
+  studio.request_stop();
   stream->request_stop();
   if (bridge) {
     bridge->request_stop();
@@ -573,11 +584,12 @@ void Service::Impl::finish() {
   if (const auto take = takes.end()) {
     log_take(*take);
   }
+  control.reset();  // nobody asks the studio any more
+  studio.stop();
   stream->stop();
   if (bridge) {
     bridge->stop();
   }
-  control.reset();
   const auto threads_end = [&] { return (!opener || opener->done()) && (!pipeline || pipeline->finished()); };
   while (!threads_end()) {
     if (Clock::now() >= patience) {
@@ -600,6 +612,7 @@ int Service::run() {
     impl.log.info(fmt::format("{}: stream on {}, control on {}", software_name(),
                               impl.config.stream.socket.string(), impl.config.control.socket.string()),
                   {{"FACET_EVENT", "started"}, {"FACET_VERSION", FACET_VERSION}});
+    impl.studio.start();
     impl.open_web();
     if (impl.bridge) {
       impl.bridge->start();

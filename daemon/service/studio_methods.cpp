@@ -1,0 +1,221 @@
+#include "service/studio_methods.hpp"
+
+#include <fmt/format.h>
+
+#include <nlohmann/json.hpp>
+
+#include "facet/error.hpp"
+#include "stream/base64.hpp"
+
+namespace facet::service {
+namespace {
+
+using nlohmann::json;
+
+/// Of a time in a take or an animation.
+constexpr double kLatest_s = animate::kLongest_s;
+
+/// Control points as a key of a keys file has them: one grammar, checked in one place.
+animate::KeyList as_key(const std::string& method, const json& controls, const json& params) {
+  json root = {{"keys", {{{"time_s", 0}, {"controls", controls}}}}};
+  for (const char* name : {"whole", "clamp"}) {
+    if (params.contains(name)) {
+      root[name] = params[name];
+    }
+  }
+  return animate::parse_keys(root.dump(-1, ' ', false, json::error_handler_t::replace), method);
+}
+
+json number_of_event(std::uint64_t event) {
+  return {{"event", event}};
+}
+
+double time_of(const json& params, const char* name, double otherwise) {
+  const double time_s = params.contains(name) ? params.at(name).get<double>() : otherwise;
+  if (!(time_s >= 0 && time_s <= kLatest_s)) {
+    throw Error(ErrorKind::Usage, fmt::format("{} must be from 0 to {}", name, kLatest_s));
+  }
+  return time_s;
+}
+
+Shown shown_of(const json& params) {
+  const std::string what = params.value("what", "take");
+  if (what != "take" && what != "keys") {
+    throw Error(ErrorKind::Usage, "what must be \"take\" or \"keys\"");
+  }
+  return what == "take" ? Shown::Take : Shown::Keys;
+}
+
+std::string vertex_of(const json& vertex) {
+  return vertex.is_number_integer() ? vertex.dump() : vertex.get<std::string>();
+}
+
+json keys_json(const std::string& text) {
+  return {{"keys", text.empty() ? json(nullptr) : json::parse(text)}};
+}
+
+json times_json(const StudioTimes& times) {
+  return {{"mean", times.mean}, {"p95", times.p95}, {"most", times.most}};
+}
+
+/// Why a control point is not where it shall be, or should not be there; "" where all is well.
+std::string problem_of(const animate::ControlTarget& target, const animate::ControlOutcome& outcome,
+                       bool on_boundary) {
+  const char* unit = target.space == animate::ControlTarget::Space::Screen ? "px" : "mm";
+  if (!outcome.met) {
+    return on_boundary ? fmt::format(
+                             "missed by {:.2f} {}: it is on the open edge of the mesh, where the take moves "
+                             "nothing",
+                             outcome.miss, unit)
+                       : fmt::format(
+                             "missed by {:.2f} {}: the take does not move it so, or other control points "
+                             "hold it",
+                             outcome.miss, unit);
+  }
+  if (outcome.outside > animate::kOutsideTolerance) {
+    return fmt::format("{} {:.1f} {} outside what was captured",
+                       outcome.clamped ? "pulled back, it was" : "it is", outcome.outside, unit);
+  }
+  return "";
+}
+
+json controls_json(const StudioStatus& status) {
+  json controls = json::array();
+  for (std::size_t i = 0; i < status.targets.size(); ++i) {
+    const animate::ControlTarget& target = status.targets[i];
+    const animate::ControlOutcome& outcome = status.outcomes[i];
+    const bool on_screen = target.space == animate::ControlTarget::Space::Screen;
+    json at = {target.target.x(), target.target.y()};
+    if (!on_screen) {
+      at.push_back(target.target.z());
+    }
+    controls.push_back({{"vertex", target.vertex},
+                        {on_screen ? "at_px" : "at_mm", std::move(at)},
+                        {"met", outcome.met},
+                        {"miss", outcome.miss},
+                        {"outside", outcome.outside},
+                        {"clamped", outcome.clamped},
+                        {"boundary", status.on_boundary[i] != 0},
+                        {"nearest_mm", outcome.nearest_mm},
+                        {"problem", problem_of(target, outcome, status.on_boundary[i] != 0)}});
+  }
+  return controls;
+}
+
+}  // namespace
+
+json to_json(const StudioStatus& status) {
+  json places = json::object();
+  for (const auto& [name, vertex] : status.places) {
+    places[name] = vertex;
+  }
+  return {{"state", to_string(status.state)},
+          {"take", status.take},
+          {"reason", status.reason},
+          {"done", status.done},
+          {"total", status.total},
+          {"posing", status.posing},
+          {"shown", to_string(status.shown)},
+          {"time_s", status.time_s},
+          {"duration_s", status.duration_s},
+          {"frame", status.frame},
+          {"events", status.events},
+          {"superseded", status.superseded},
+          {"solved", status.solved},
+          {"latency_ms", times_json(status.latency)},
+          {"work_ms", times_json(status.work)},
+          {"controls", controls_json(status)},
+          {"places", std::move(places)},
+          {"warnings", status.warnings},
+          {"exported", status.exported.string()}};
+}
+
+ControlMethods studio_methods(Studio& studio) {
+  return {
+      {"studio.open",
+       {true,
+        {"take", "pose"},
+        [&studio](const json& params) {
+          studio.open(params.at("take").get<std::string>(), params.value("pose", true));
+          return json::object();
+        }}},
+      {"studio.close",
+       {true,
+        {},
+        [&studio](const json&) {
+          studio.close();
+          return json::object();
+        }}},
+      {"studio.status", {false, {}, [&studio](const json&) { return to_json(studio.status()); }}},
+      {"studio.play",
+       {true,
+        {"what", "from_s", "loop"},
+        [&studio](const json& params) {
+          studio.play(shown_of(params), time_of(params, "from_s", 0), params.value("loop", false));
+          return json::object();
+        }}},
+      {"studio.seek",
+       {true,
+        {"what", "time_s"},
+        [&studio](const json& params) {
+          studio.seek(shown_of(params), time_of(params, "time_s", 0));
+          return json::object();
+        }}},
+      {"studio.pause",
+       {true,
+        {},
+        [&studio](const json&) {
+          studio.pause();
+          return json::object();
+        }}},
+      {"pose.set",
+       {true,
+        {"controls", "whole", "clamp"},
+        [&studio](const json& params) {
+          const animate::KeyList list = as_key("pose.set", params.at("controls"), params);
+          return number_of_event(studio.set_controls(list.keys.front().controls, list.whole, list.clamp));
+        }}},
+      {"pose.move",
+       {true,
+        {"vertex", "at_mm", "move_mm", "at_px"},
+        [&studio](const json& params) {
+          const animate::KeyList list = as_key("pose.move", json::array({params}), {});
+          return number_of_event(studio.move_control(list.keys.front().controls.front()));
+        }}},
+      {"pose.remove",
+       {true,
+        {"vertex"},
+        [&studio](const json& params) {
+          return number_of_event(studio.remove_control(vertex_of(params.at("vertex"))));
+        }}},
+      {"pose.regions",
+       {false,
+        {},
+        [&studio](const json&) {
+          const RegionColours regions = studio.regions();
+          return json{{"vertices", regions.vertices},
+                      {"colours", regions.colours},
+                      {"rgb", stream::base64(regions.rgb)}};
+        }}},
+      {"keys.get", {false, {}, [&studio](const json&) { return keys_json(studio.keys()); }}},
+      {"keys.set",
+       {true,
+        {"keys"},
+        [&studio](const json& params) {
+          studio.set_keys(params.at("keys").dump(1, ' ', false, json::error_handler_t::replace));
+          return json::object();
+        }}},
+      {"keys.save",
+       {true,
+        {"time_s"},
+        [&studio](const json& params) { return keys_json(studio.save_key(time_of(params, "time_s", -1))); }}},
+      {"keys.export",
+       {true,
+        {"name"},
+        [&studio](const json& params) {
+          return json{{"file", studio.export_keys(params.at("name").get<std::string>()).string()}};
+        }}},
+  };
+}
+
+}  // namespace facet::service

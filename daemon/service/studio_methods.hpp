@@ -1,0 +1,17 @@
+#pragma once
+
+#include <nlohmann/json_fwd.hpp>
+
+#include "service/control_protocol.hpp"
+#include "service/studio.hpp"
+
+namespace facet::service {
+
+/// The studio's part of the control protocol: studio.*, pose.* and keys.* (docs/control-protocol.md). Borrows
+/// the studio.
+ControlMethods studio_methods(Studio& studio);
+
+/// What studio.status answers.
+nlohmann::json to_json(const StudioStatus& status);
+
+}  // namespace facet::service
