@@ -25,8 +25,15 @@ constexpr double kNoise = 0.02;
 /// vertex, no face follows from dragging it.
 constexpr double kMostSigmas = 25;
 constexpr double kInverseDamping = 1e-4;
+/// Of the Levenberg-Marquardt steps, relative to mm^2 per mm^2 (or px^2): at first, at least, where they end.
 constexpr double kStepDamping = 1e-4;
-constexpr int kMostSteps = 8;
+constexpr double kLeastDamping = 1e-9;
+constexpr double kMostDamping = 1;
+constexpr double kEasier = 0.05;
+constexpr double kHarder = 8;
+/// A step that takes less away than this part of the miss is the last.
+constexpr double kCreeping = 0.999;
+constexpr int kMostSteps = 24;
 constexpr float kGoodMiss_mm = 0.01F;
 constexpr float kGoodMiss_px = 0.1F;
 constexpr int kEdgeDirections = 256;
@@ -68,6 +75,7 @@ struct FaceIk::Site {
   Eigen::MatrixXd edge_directions;             ///< [2 or 3][kEdgeDirections]
   Eigen::VectorXd edges;                       ///< furthest captured position along each
   Eigen::VectorXd middle;                      ///< of the captured positions
+  Eigen::Vector3d at{0, 0, 0};                 ///< where it was measured last, head frame
   Eigen::VectorXd aim;                         ///< the target, clamped where that is asked for
 };
 
@@ -455,82 +463,100 @@ Eigen::Vector3f FaceIk::position(const Site& site, const Eigen::MatrixXf& state)
   return displaced(ring, site.closed_ring, displacement_mm);
 }
 
+/// How far every control point is from its aim: outcomes, and the misses group by group, control point by
+/// control point.
+Eigen::VectorXd FaceIk::measure(const Pose& pose, Eigen::Index size, bool& good) {
+  Eigen::VectorXd misses(size);
+  good = true;
+  Eigen::Index row = 0;
+  for (const Group& group : groups_) {
+    for (const std::size_t s : group.sites) {
+      Site& site = sites_[s];
+      site.at = position(site, pose.state).cast<double>();
+      const bool on_screen = site.target.space == ControlTarget::Space::Screen;
+      const Eigen::VectorXd miss = site.aim - as_targeted(site, site.at);
+      misses.segment(row, miss.size()) = miss;
+      row += miss.size();
+      outcomes_[s].miss = static_cast<float>(miss.norm());
+      outcomes_[s].met = outcomes_[s].miss <= (on_screen ? kMetScreen_px : kMetHead_mm);
+      good = good && outcomes_[s].miss <= (on_screen ? kGoodMiss_px : kGoodMiss_mm);
+    }
+  }
+  return misses;
+}
+
+/// How the control points move with the groups' offsets, displacements left out; rows and columns as measure.
+Eigen::MatrixXd FaceIk::jacobian(Eigen::Index size) const {
+  Eigen::MatrixXd out(size, size);
+  Eigen::Index row = 0;
+  for (const Group& group : groups_) {
+    for (const std::size_t s : group.sites) {
+      const Site& site = sites_[s];
+      Eigen::MatrixXd view = Eigen::MatrixXd::Identity(3, 3);
+      if (site.target.space == ControlTarget::Space::Screen) {
+        const Eigen::Vector3d seen = camera_from_head_.cast<double>() * site.at;
+        Eigen::Matrix<double, 2, 3> derivative;
+        derivative << camera_.fx / seen.z(), 0, -camera_.fx * seen.x() / (seen.z() * seen.z()),  //
+            0, camera_.fy / seen.z(), -camera_.fy * seen.y() / (seen.z() * seen.z());
+        view = derivative * camera_from_head_.linear().cast<double>();
+      }
+      Eigen::Index column = 0;
+      for (std::size_t g = 0; g < groups_.size(); ++g) {
+        const Eigen::Index columns = groups_[g].offset.size();
+        const Eigen::MatrixXf moved =
+            site.from_solution[g] * groups_[g].response.topRows(basis_->coarse_rank());
+        out.block(row, column, site.aim.size(), columns) = view * moved.cast<double>();
+        column += columns;
+      }
+      row += site.aim.size();
+    }
+  }
+  return out;
+}
+
+/// Steps of Levenberg and Marquardt (1963) on the groups' offsets. Where control points crowd, some of their
+/// directions are all but dependent: a fixed damping then creeps. It falls with every step that helps and
+/// grows with every one that does not.
 void FaceIk::correct(Pose& pose) {
   Eigen::Index size = 0;
   for (const Group& group : groups_) {
     size += group.offset.size();
   }
-  double least = std::numeric_limits<double>::max();
-  std::vector<Eigen::VectorXd> best(groups_.size());
-  for (int step = 0;; ++step) {
-    // Rows and columns go group by group, control point by control point.
-    Eigen::VectorXd misses(size);
-    Eigen::MatrixXd jacobian(size, size);
-    bool good = true;
-    Eigen::Index row = 0;
-    for (const Group& group : groups_) {
-      for (const std::size_t s : group.sites) {
-        Site& site = sites_[s];
-        const Eigen::Vector3d at = position(site, pose.state).cast<double>();
-        const bool on_screen = site.target.space == ControlTarget::Space::Screen;
-        const Eigen::Index numbers = site.aim.size();
-        const Eigen::VectorXd miss = site.aim - as_targeted(site, at);
-        misses.segment(row, numbers) = miss;
-        outcomes_[s].miss = static_cast<float>(miss.norm());
-        outcomes_[s].met = outcomes_[s].miss <= (on_screen ? kMetScreen_px : kMetHead_mm);
-        good = good && outcomes_[s].miss <= (on_screen ? kGoodMiss_px : kGoodMiss_mm);
-        Eigen::MatrixXd view = Eigen::MatrixXd::Identity(3, 3);
-        if (on_screen) {
-          const Eigen::Vector3d seen = camera_from_head_.cast<double>() * at;
-          Eigen::Matrix<double, 2, 3> derivative;
-          derivative << camera_.fx / seen.z(), 0, -camera_.fx * seen.x() / (seen.z() * seen.z()),  //
-              0, camera_.fy / seen.z(), -camera_.fy * seen.y() / (seen.z() * seen.z());
-          view = derivative * camera_from_head_.linear().cast<double>();
-        }
-        Eigen::Index column = 0;
-        for (std::size_t g = 0; g < groups_.size(); ++g) {
-          const Eigen::Index columns = groups_[g].offset.size();
-          const Eigen::MatrixXf moved =
-              site.from_solution[g] * groups_[g].response.topRows(basis_->coarse_rank());
-          jacobian.block(row, column, numbers, columns) = view * moved.cast<double>();
-          column += columns;
-        }
-        row += numbers;
-      }
-    }
-    const double norm = misses.norm();
-    const bool better = norm < 0.99 * least;
-    if (better) {
-      least = norm;
-      for (std::size_t g = 0; g < groups_.size(); ++g) {
-        best[g] = groups_[g].offset;
-      }
-    }
-    if (good || !better || step == kMostSteps) {
-      if (norm > least) {
-        for (std::size_t g = 0; g < groups_.size(); ++g) {
-          groups_[g].offset = best[g];
-        }
-        blend_regions(pose);
-        for (std::size_t s = 0; s < sites_.size(); ++s) {
-          const Eigen::Vector3d at = position(sites_[s], pose.state).cast<double>();
-          const bool on_screen = sites_[s].target.space == ControlTarget::Space::Screen;
-          outcomes_[s].miss = static_cast<float>((sites_[s].aim - as_targeted(sites_[s], at)).norm());
-          outcomes_[s].met = outcomes_[s].miss <= (on_screen ? kMetScreen_px : kMetHead_mm);
-        }
-      }
-      return;
-    }
-    const Eigen::MatrixXd square =
-        jacobian.transpose() * jacobian + kStepDamping * Eigen::MatrixXd::Identity(size, size);
-    const Eigen::VectorXd change = square.ldlt().solve(jacobian.transpose() * misses);
+  bool good = false;
+  Eigen::VectorXd misses = measure(pose, size, good);
+  Eigen::MatrixXd moves = jacobian(size);
+  double damping = kStepDamping;
+  for (int step = 0; step < kMostSteps && !good && damping < kMostDamping; ++step) {
+    Eigen::MatrixXd square = moves.transpose() * moves;
+    square.diagonal().array() += damping;
+    const Eigen::VectorXd change = square.ldlt().solve(moves.transpose() * misses);
+    std::vector<Eigen::VectorXd> before;
     Eigen::Index at = 0;
     for (Group& group : groups_) {
+      before.push_back(group.offset);
       group.offset += change.segment(at, group.offset.size());
       at += group.offset.size();
       group.limit();
     }
     blend_regions(pose);
+    const double norm = misses.norm();
+    const Eigen::VectorXd left = measure(pose, size, good);
+    if (left.norm() < norm) {
+      const bool creeps = left.norm() > kCreeping * norm && damping <= kLeastDamping;
+      misses = left;
+      if (creeps) {
+        return;
+      }
+      moves = jacobian(size);
+      damping = std::max(kLeastDamping, kEasier * damping);
+      continue;
+    }
+    for (std::size_t g = 0; g < groups_.size(); ++g) {
+      groups_[g].offset = before[g];
+    }
+    blend_regions(pose);
+    misses = measure(pose, size, good);
+    damping *= kHarder;
   }
 }
 

@@ -105,6 +105,8 @@ class FaceIk {
   void pick_folds(Pose& pose);
   /// Where a site's vertex is in a pose, head frame.
   Eigen::Vector3f position(const Site& site, const Eigen::MatrixXf& state) const;
+  Eigen::VectorXd measure(const Pose& pose, Eigen::Index size, bool& good);
+  Eigen::MatrixXd jacobian(Eigen::Index size) const;
   void correct(Pose& pose);
   void report(const Pose& pose);
   Eigen::Vector2d project(const Eigen::Vector3d& head_mm) const;

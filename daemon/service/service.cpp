@@ -584,20 +584,22 @@ void Service::Impl::finish() {
   if (const auto take = takes.end()) {
     log_take(*take);
   }
-  control.reset();  // nobody asks the studio any more
-  studio.stop();
   stream->stop();
   if (bridge) {
     bridge->stop();
   }
-  const auto threads_end = [&] { return (!opener || opener->done()) && (!pipeline || pipeline->finished()); };
+  control.reset();
+  const auto threads_end = [&] {
+    return (!opener || opener->done()) && (!pipeline || pipeline->finished()) && studio.finished();
+  };
   while (!threads_end()) {
     if (Clock::now() >= patience) {
-      log.warning("a driver still holds a thread: leaving without it");
+      log.warning("a thread is still at work: leaving without it");
       ::_exit(exit_status.value_or(0));
     }
     ::usleep(2000);
   }
+  studio.stop();
   log.info("stopped");
 }
 

@@ -197,6 +197,7 @@ struct Studio::Impl {
 
   std::unique_ptr<Session> session;  ///< the thread only
   std::thread thread;
+  std::atomic<bool> ended{true};
 
   // The daemon's loop.
   const Faces& ready_faces() const;
@@ -405,11 +406,11 @@ void Studio::Impl::solve(const Wish& what) {
   const std::vector<animate::ControlOutcome>& outcomes = ik.solve(targets, session->pose);
   mesh::MeshFrame frame = session->blank;
   animate::blend(*session->faces->basis, session->pose, frame);
-  const Clock::time_point ended = Clock::now();
+  const Clock::time_point made = Clock::now();
   publish(std::move(frame), what.asked);
   const auto& boundary = session->faces->basis->hierarchy().finest().one_rings.on_boundary;
   const std::lock_guard lock(mutex);
-  work.add(ended - began);
+  work.add(made - began);
   latency.add(Clock::now() - what.asked);
   ++shown.solved;
   shown.shown = Shown::Pose;
@@ -663,6 +664,7 @@ void Studio::Impl::run() {
   }
   lock.unlock();
   session.reset();
+  ended = true;
 }
 
 // ---- the door -------------------------------------------------------------------------------------------
@@ -676,6 +678,7 @@ Studio::~Studio() {
 }
 
 void Studio::start() {
+  impl_->ended = false;
   impl_->thread = std::thread([this] { impl_->run(); });
 }
 
@@ -683,6 +686,10 @@ void Studio::request_stop() {
   const std::lock_guard lock(impl_->mutex);
   impl_->stopping = true;
   impl_->woken.notify_one();
+}
+
+bool Studio::finished() const {
+  return impl_->ended;
 }
 
 void Studio::stop() {
@@ -780,13 +787,20 @@ std::string Studio::keys() const {
 void Studio::set_keys(const std::string& text) {
   const std::lock_guard lock(impl_->mutex);
   impl_->ready_faces();
+  const std::filesystem::path stored = keys_file(take::named_take(impl_->folder, impl_->shown.take));
+  if (text.empty()) {
+    std::error_code ignored;
+    std::filesystem::remove(stored, ignored);
+    impl_->keys.clear();
+    return;
+  }
   const animate::KeyList list = animate::parse_keys(text, "keys");
   for (const animate::Key& key : list.keys) {
     for (const animate::KeyControl& control : key.controls) {
       impl_->resolve(control);
     }
   }
-  files::OutputFile file(keys_file(take::named_take(impl_->folder, impl_->shown.take)));
+  files::OutputFile file(stored);
   file.write(text);
   file.commit();
   impl_->keys = text;

@@ -93,8 +93,9 @@ class Studio {
   Studio& operator=(const Studio&) = delete;
 
   void start();
-  void request_stop();  ///< first phase; any thread, idempotent
-  void stop();          ///< second phase: breaks off what can be, joins
+  void request_stop();    ///< first phase; any thread, idempotent
+  bool finished() const;  ///< the thread has ended; a face graph that is being made ends first
+  void stop();            ///< second phase: joins
 
   /// Closes what is open and opens a take; posing: for control points and keys too (makes the reduced basis
   /// where there is none, which takes long for long takes).
@@ -116,7 +117,7 @@ class Studio {
   /// The keys of the open take (docs/animation.md; JSON), kept beside it in NAME.keys.json; "" where there
   /// are none yet.
   std::string keys() const;
-  void set_keys(const std::string& text);
+  void set_keys(const std::string& text);  ///< "": none
   /// The pose's control points as a key at a time, in place of one that is there. Returns the keys.
   std::string save_key(double time_s);
   /// Records the animation of the keys as a take of this name. Returns its file.

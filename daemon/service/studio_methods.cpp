@@ -202,7 +202,8 @@ ControlMethods studio_methods(Studio& studio) {
        {true,
         {"keys"},
         [&studio](const json& params) {
-          studio.set_keys(params.at("keys").dump(1, ' ', false, json::error_handler_t::replace));
+          const json& keys = params.at("keys");
+          studio.set_keys(keys.is_null() ? "" : keys.dump(1, ' ', false, json::error_handler_t::replace));
           return json::object();
         }}},
       {"keys.save",

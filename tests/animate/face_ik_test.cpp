@@ -87,11 +87,8 @@ TEST_F(FaceIkTest, ControlPointsAreMet) {
         for (std::size_t i = 0; i < targets.size(); ++i) {
           const float miss = (made.col(targets[i].vertex) - targets[i].target).norm();
           EXPECT_NEAR(outcomes[i].miss, miss, 0.01F) << "what is reported is what is there";
-          // Eight points that crowd on a face of six expressions, each from another frame, ask for more than
-          // the take has: what a few steps leave.
-          EXPECT_LE(miss, count < 8 ? kMetHead_mm : 0.25F)
-              << "seed " << seed << ", " << count << " points, vertex " << targets[i].vertex << ": " << miss
-              << " mm";
+          EXPECT_LE(miss, kMetHead_mm) << "seed " << seed << ", " << count << " points, vertex "
+                                       << targets[i].vertex << ": " << miss << " mm";
         }
         expect_sums_of_one(ik, pose, fmt::format("seed {}, {} points", seed, count));
       }

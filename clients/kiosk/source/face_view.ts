@@ -3,23 +3,27 @@
 import * as THREE from 'three';
 import { coarserTriangles, edgesOf } from './level_of_detail';
 
-export type View = 'shaded' | 'normals' | 'albedo' | 'wire';
-export const kViews: View[] = ['shaded', 'normals', 'albedo', 'wire'];
+export type View = 'shaded' | 'normals' | 'albedo' | 'wire' | 'confidence';
+export const kViews: View[] = ['shaded', 'normals', 'albedo', 'wire', 'confidence'];
 
 /** One frame's mesh as it came, arrays not copied. Positions: head frame, integer * stepMm. */
 export interface FaceMesh {
   vertices: Int16Array;
   normals: Int16Array;
   stepMm: number;
+  /** [vertex] 255 is 1; null where the mesh was not refined. */
+  confidence: Uint8Array | null;
   /** Rows of camera_from_head: rotation and translation, mm; x right, y down, z forward. */
   pose: ArrayLike<number>;
 }
 
 const vertexShader = `
-in vec3 position; in vec3 normal; in vec3 color;
+in vec3 position; in vec3 normal; in vec3 color; in vec3 region; in float confidence;
 uniform mat4 modelViewMatrix; uniform mat4 projectionMatrix; uniform float step_mm; uniform float albedo_scale;
-out vec3 v_normal; out vec3 v_head_normal; out vec3 v_position; out vec3 v_albedo;
+out vec3 v_normal; out vec3 v_head_normal; out vec3 v_position; out vec3 v_albedo; out vec3 v_region; out float v_confidence;
 void main() {
+  v_region = region;
+  v_confidence = confidence;
   vec4 seen = modelViewMatrix * vec4(position * step_mm, 1.0);
   v_position = seen.xyz;
   v_head_normal = normal;
@@ -31,8 +35,8 @@ void main() {
 // Three lights that stand still before the face; wrapped, for skin lets light pass round an edge, red more than blue.
 const fragmentShader = `
 precision highp float;
-in vec3 v_normal; in vec3 v_head_normal; in vec3 v_position; in vec3 v_albedo;
-uniform int view; uniform bool has_albedo; uniform vec3 clay;
+in vec3 v_normal; in vec3 v_head_normal; in vec3 v_position; in vec3 v_albedo; in vec3 v_region; in float v_confidence;
+uniform int view; uniform bool has_albedo; uniform bool has_regions; uniform vec3 clay;
 out vec4 colour;
 vec3 lit(vec3 n, vec3 toward, vec3 light, vec3 wrap) {
   return light * max((vec3(dot(n, toward)) + wrap) / (1.0 + wrap), 0.0);
@@ -52,6 +56,9 @@ void main() {
   if (view == 1) { colour = vec4(0.5 + 0.5 * normalize(v_head_normal), 1.0); return; }
   if (view == 2) { colour = vec4(srgb(albedo), 1.0); return; }
   if (view == 3) { albedo = vec3(0.035, 0.045, 0.06); }
+  if (view == 4) { albedo = mix(vec3(0.75, 0.10, 0.05), mix(vec3(0.75, 0.55, 0.10), vec3(0.10, 0.50, 0.42), smoothstep(0.5, 1.0, v_confidence)), smoothstep(0.0, 0.5, v_confidence)); }
+  // Soft colours: the skin keeps its light and shade.
+  if (has_regions && view == 0) { albedo = mix(albedo, v_region * v_region * (0.25 + dot(albedo, vec3(0.5))), 0.7); }
   vec3 key = normalize(vec3(-0.55, 0.65, 0.75)), fill = normalize(vec3(0.85, 0.05, 0.55)), rim = normalize(vec3(0.5, 0.5, -0.8));
   vec3 wrap = view == 3 ? vec3(0.1) : vec3(0.32, 0.18, 0.12);
   vec3 light = vec3(0.10, 0.115, 0.14) * (0.65 + 0.35 * n.y) + lit(n, key, vec3(1.45, 1.36, 1.25), wrap) + lit(n, fill, vec3(0.30, 0.36, 0.46), wrap);
@@ -86,6 +93,8 @@ export const kDetails: Detail[] = [
 /** A picture that takes longer than this is too slow, one that takes less is fast enough for more detail, ms. */
 const kSlow_ms = 30;
 const kFast_ms = 9;
+/** A pointer that moves less has pressed, not turned, px. */
+const kPress_px = 6;
 const kSlowPictures = 12;
 const kFastPictures = 400;
 
@@ -95,7 +104,7 @@ export class FaceView {
   private readonly camera = new THREE.PerspectiveCamera(24, 1, 10, 10000);
   private readonly head = new THREE.Group();
   private readonly uniforms = {
-    step_mm: { value: 0.002 }, albedo_scale: { value: 1 }, view: { value: 0 }, has_albedo: { value: false },
+    step_mm: { value: 0.002 }, albedo_scale: { value: 1 }, view: { value: 0 }, has_albedo: { value: false }, has_regions: { value: false },
     clay: { value: new THREE.Color().setRGB(0.50, 0.325, 0.255, THREE.LinearSRGBColorSpace) },
   };
   private readonly surface: THREE.Mesh;
@@ -117,8 +126,14 @@ export class FaceView {
   /** Drawn by the processor. */
   readonly software: boolean;
   view: View = 'shaded';
+  /** What the controls at the lower edge cover. */
+  footer_px = 110;
   /** Pictures drawn since the start. */
   drawn = 0;
+  /** Called with every picture. */
+  afterDrawing: () => void = () => {};
+  /** A press on the face that was no turn of it, at a vertex. */
+  pressed: ((vertex: number) => void) | null = null;
 
   /** Throws where there is no WebGL 2. */
   constructor(private readonly canvas: HTMLCanvasElement, private readonly detailChanged: () => void) {
@@ -151,6 +166,7 @@ export class FaceView {
     this.drawnCells = -1;
     this.edgesDrawn = false;
     this.uniforms.has_albedo.value = false;
+    this.uniforms.has_regions.value = false;
     for (const object of [this.surface, this.wire]) {
       object.geometry.dispose();
       object.geometry = new THREE.BufferGeometry();
@@ -192,6 +208,17 @@ export class FaceView {
       if (!geometry.getAttribute('color')) {
         geometry.setAttribute('color', new THREE.BufferAttribute(new Uint16Array(3 * this.vertexCount), 3, true));
       }
+      if (!geometry.getAttribute('region')) {
+        geometry.setAttribute('region', new THREE.BufferAttribute(new Uint8Array(3 * this.vertexCount), 3, true));
+      }
+    }
+    const confidence = mesh.confidence?.length === this.vertexCount ? mesh.confidence : new Uint8Array(this.vertexCount);
+    const shown = geometry.getAttribute('confidence') as THREE.BufferAttribute | undefined;
+    if (!shown) {
+      geometry.setAttribute('confidence', new THREE.BufferAttribute(confidence, 1, true));
+    } else if (this.view === 'confidence') {
+      shown.array = confidence;
+      shown.needsUpdate = true;
     }
     if (!this.placed) {
       this.place(mesh);
@@ -202,6 +229,73 @@ export class FaceView {
     this.head.matrixAutoUpdate = false;
     this.head.matrix.makeTranslation(-this.centre.x, -this.centre.y, -this.centre.z).premultiply(turned);
     this.request();
+  }
+
+  /** Colours of soft regions, sRGB [vertex][3]; null: none. */
+  setRegions(colours: Uint8Array | null): void {
+    const fits = colours !== null && colours.length === 3 * this.vertexCount && colours.length > 0;
+    if (fits) {
+      this.surface.geometry.setAttribute('region', new THREE.BufferAttribute(colours, 3, true));
+    }
+    this.uniforms.has_regions.value = fits;
+    this.request();
+  }
+
+  /** Head frame to the screen, without the mesh's own integers. */
+  private headToWorld(): THREE.Matrix4 {
+    this.head.updateMatrixWorld();
+    this.camera.updateMatrixWorld();
+    return this.head.matrixWorld;
+  }
+
+  /** Where a vertex is now, head frame, mm; null where there is none. */
+  vertexAt(vertex: number): THREE.Vector3 | null {
+    const position = this.surface.geometry.getAttribute('position') as THREE.BufferAttribute | undefined;
+    if (!position || vertex >= position.count) {
+      return null;
+    }
+    return new THREE.Vector3(position.array[3 * vertex], position.array[3 * vertex + 1], position.array[3 * vertex + 2]).multiplyScalar(this.uniforms.step_mm.value);
+  }
+
+  /** A point of the head on the canvas, CSS pixels from its upper left corner. */
+  onCanvas(head_mm: THREE.Vector3): { x: number; y: number } {
+    const seen = head_mm.clone().applyMatrix4(this.headToWorld()).project(this.camera);
+    return { x: (0.5 + 0.5 * seen.x) * this.canvas.clientWidth, y: (0.5 - 0.5 * seen.y) * this.canvas.clientHeight };
+  }
+
+  private ray(x: number, y: number): THREE.Raycaster {
+    this.headToWorld();
+    const caster = new THREE.Raycaster();
+    caster.setFromCamera(new THREE.Vector2((2 * x) / this.canvas.clientWidth - 1, 1 - (2 * y) / this.canvas.clientHeight), this.camera);
+    return caster;
+  }
+
+  /** The vertex of the finest mesh nearest to what is seen there; null beside the face. */
+  pick(x: number, y: number): number | null {
+    const position = this.surface.geometry.getAttribute('position') as THREE.BufferAttribute | undefined;
+    if (!position) {
+      return null;
+    }
+    const geometry = new THREE.BufferGeometry();
+    geometry.setAttribute('position', position);
+    geometry.setIndex(new THREE.BufferAttribute(this.triangles, 1));
+    const mesh = new THREE.Mesh(geometry, new THREE.MeshBasicMaterial({ side: THREE.FrontSide }));
+    mesh.matrixWorld = this.headToWorld().clone().multiply(new THREE.Matrix4().makeScale(...(Array(3).fill(this.uniforms.step_mm.value) as [number, number, number])));
+    const [hit] = this.ray(x, y).intersectObject(mesh, false);
+    if (!hit?.face) {
+      return null;
+    }
+    const away = (vertex: number) => this.vertexAt(vertex)!.applyMatrix4(this.head.matrixWorld).distanceTo(hit.point);
+    return [hit.face.a, hit.face.b, hit.face.c].reduce((best, vertex) => (away(vertex) < away(best) ? vertex : best));
+  }
+
+  /** Where the pointer would have a point of the head: on the plane through it that faces the viewer. Head frame, mm. */
+  dragged(from_mm: THREE.Vector3, x: number, y: number): THREE.Vector3 {
+    const world = this.headToWorld();
+    const towards = this.camera.getWorldDirection(new THREE.Vector3());
+    const plane = new THREE.Plane().setFromNormalAndCoplanarPoint(towards, from_mm.clone().applyMatrix4(world));
+    const at = this.ray(x, y).ray.intersectPlane(plane, new THREE.Vector3());
+    return at ? at.applyMatrix4(world.clone().invert()) : from_mm.clone();
   }
 
   setView(view: View): void {
@@ -243,10 +337,20 @@ export class FaceView {
         pointers.set(event.pointerId, event);
       }
     });
+    let down: PointerEvent | null = null;
+    this.canvas.addEventListener('pointerdown', (event) => { down = pointers.size === 1 ? event : null; });
+    this.canvas.addEventListener('pointerup', (event) => {
+      if (down && this.pressed && Math.hypot(event.clientX - down.clientX, event.clientY - down.clientY) < kPress_px) {
+        const vertex = this.pick(event.offsetX, event.offsetY);
+        if (vertex !== null) {
+          this.pressed(vertex);
+        }
+      }
+    });
     const end = (event: PointerEvent) => pointers.delete(event.pointerId);
     this.canvas.addEventListener('pointerup', end);
     this.canvas.addEventListener('pointercancel', end);
-    this.canvas.addEventListener('dblclick', () => this.turnBack());
+    this.canvas.addEventListener('dblclick', () => { if (!this.pressed) this.turnBack(); });
     this.canvas.addEventListener('wheel', (event) => {
       event.preventDefault();
       this.turnBy(0, 0, Math.exp(-event.deltaY * 0.001));
@@ -304,6 +408,7 @@ export class FaceView {
     }
     ++this.drawn;
     this.canvas.dataset.drawn = String(this.drawn);
+    this.afterDrawing();
   }
 
   /** Lowers the detail soon where pictures take too long, raises it late, and not for ever to and fro. */
@@ -342,7 +447,7 @@ export class FaceView {
     }
     if (position && this.view === 'wire' && !this.edgesDrawn && geometry.index) {
       const lines = new THREE.BufferGeometry();
-      for (const name of ['position', 'normal', 'color']) {
+      for (const name of ['position', 'normal', 'color', 'region', 'confidence']) {
         lines.setAttribute(name, geometry.getAttribute(name));
       }
       lines.setIndex(new THREE.BufferAttribute(edgesOf(geometry.index.array as Uint32Array), 1));
@@ -352,7 +457,7 @@ export class FaceView {
     const aspect = width / height;
     const angle = THREE.MathUtils.degToRad(this.camera.fov / 2);
     // The face stands in the middle of what the controls at the lower edge leave free.
-    const controls = Math.min(110, 0.2 * height);
+    const controls = Math.min(this.footer_px, 0.62 * height);
     const distance = ((1.1 * height) / (height - controls) * this.radius) / Math.tan(angle) / Math.min(1, (1.15 * width) / (height - controls)) / this.turn.zoom;
     this.camera.aspect = aspect;
     this.camera.position.set(-Math.sin(this.turn.yaw) * Math.cos(this.turn.pitch), Math.sin(this.turn.pitch), Math.cos(this.turn.yaw) * Math.cos(this.turn.pitch)).multiplyScalar(distance);

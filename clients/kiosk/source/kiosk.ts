@@ -4,6 +4,7 @@ import { ControlConnection, ControlError, StreamConnection, kPermissionDenied, k
 import { FaceView, kViews, type View } from './face_view';
 import { Expressions, Plot, element, showCamera, showDevices, showTakes } from './panels';
 import { baseName, type NamedDevice, type Recording, type Status, type Takes } from './status';
+import { Studio } from './studio';
 import { chooseLanguage, duration, number, otherLanguage, stateText, text, type Key } from './text';
 
 const kStatusPeriod_ms = 1000;
@@ -24,6 +25,7 @@ const memory = {
 };
 
 let view: FaceView | null = null;
+let studio: Studio | null = null;
 let connected = false;
 let connectedSince_ms = 0;
 let refusal = '';
@@ -103,7 +105,7 @@ function showFrame(frame: Frame): void {
     for (let i = 0; i < 12; ++i) {
       rows[i] = pose.bb!.readFloat32(pose.bb_pos + 4 * i);
     }
-    view?.setMesh({ vertices: shorts, normals, stepMm: positions.stepMm(), pose: rows });
+    view?.setMesh({ vertices: shorts, normals, stepMm: positions.stepMm(), confidence: frame.confidenceArray(), pose: rows });
     lastMesh_ms = now;
   }
   document.body.dataset.frames = String(Number(document.body.dataset.frames ?? 0) + 1);
@@ -132,6 +134,7 @@ async function look(): Promise<void> {
       }
     }
     stream.setImages(status.rig !== null);
+    studio?.show(status.studio);
     takes = await control.call<Takes>('takes.list');
   } catch {
     status = null;
@@ -163,7 +166,7 @@ function problem(): Problem | null {
       ? { title: text('problem_refused'), help: refusal, grave: true }
       : { title: text('problem_offline'), help: text('problem_offline_help'), grave: true };
   }
-  if (status) {
+  if (status && !studio?.isOpen) {
     const cameras: NamedDevice[] = status.rig ? status.rig.cameras : status.camera ? [{ ...status.camera, name: text('device_camera') }] : [];
     const states: [string, Key, Key | null][] = [
       ['absent', 'problem_absent', 'problem_absent_help'], ['stalled', 'problem_stalled', null], ['failing', 'problem_failing', null]];
@@ -288,6 +291,7 @@ function showAll(): void {
   }
   showDevices(status, unlocked);
   showTakes(takes);
+  studio?.draw();
   showState();
   showRecording();
 }
@@ -297,15 +301,15 @@ function tell(title: string, help = ''): void {
   showState();
 }
 
-async function command<Result>(method: string): Promise<Result | null> {
+async function command<Result>(method: string, params: object = {}, failed: Key = 'record_failed'): Promise<Result | null> {
   try {
-    return await control.call<Result>(method);
+    return await control.call<Result>(method, params);
   } catch (error) {
     if (error instanceof ControlError && error.code === kPermissionDenied) {
       unlocked = false;
       openTokenDialog();
     } else {
-      tell(text('record_failed'), error instanceof Error ? error.message : '');
+      tell(text(failed), error instanceof Error ? error.message : '');
     }
     return null;
   }
@@ -436,6 +440,9 @@ try {
   view = new FaceView(element<HTMLCanvasElement>('face'), showAll);
 } catch {
   view = null; // problem() says so
+}
+if (view) {
+  studio = new Studio(view, control, (method, params) => command(method, params, 'studio_failed'), tell);
 }
 for (const name of kViews) {
   const button = document.createElement('button');

@@ -240,15 +240,36 @@ export function showTakes(takes: Takes | null): void {
     }
     facts.textContent = [dateTime(take.created_utc ?? ''), duration(take.duration_s ?? 0),
                          take.closed ? bytes(take.bytes ?? 0) : text('take_open')].join(' · ');
-    if (take.closed) {
-      const link = document.createElement('a');
-      link.href = `/takes/${encodeURIComponent(take.name)}`;
-      link.download = `${take.name}.take`;
-      link.className = 'button quiet';
-      link.textContent = text('download');
-      link.setAttribute('aria-label', text('download_label', { name: take.name, size: bytes(take.bytes ?? 0) }));
-      row.append(link);
+    if (!take.closed) {
+      return row;
     }
+    if (take.thumbnail !== undefined) {
+      const picture = document.createElement('img');
+      picture.src = `/thumbnails/${encodeURIComponent(take.name)}?${take.thumbnail}`;
+      picture.alt = '';
+      row.append(picture);
+    }
+    const actions = document.createElement('div');
+    if ((take.mesh_frames ?? 0) > 0) {
+      for (const action of ['replay', 'pose'] as const) {
+        const button = document.createElement('button');
+        button.type = 'button';
+        button.className = 'quiet';
+        button.dataset.action = action;
+        button.dataset.take = take.name;
+        button.textContent = text(action);
+        button.setAttribute('aria-label', text(`${action}_label`, { name: take.name }));
+        actions.append(button);
+      }
+    }
+    const link = document.createElement('a');
+    link.href = `/takes/${encodeURIComponent(take.name)}`;
+    link.download = `${take.name}.take`;
+    link.className = 'button quiet';
+    link.textContent = text('download');
+    link.setAttribute('aria-label', text('download_label', { name: take.name, size: bytes(take.bytes ?? 0) }));
+    actions.append(link);
+    row.append(actions);
     return row;
   });
   if (rows.length === 0 || takes.count > rows.length) {

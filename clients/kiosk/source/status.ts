@@ -13,6 +13,40 @@ export interface Recording {
   frames: number;
   bytes: number;
 }
+export interface PoseControl {
+  vertex: number;
+  at_mm?: [number, number, number];
+  at_px?: [number, number];
+  met: boolean;
+  problem: string;
+}
+export interface StudioStatus {
+  state: string;
+  take: string;
+  reason: string;
+  done: number;
+  total: number;
+  posing: boolean;
+  shown: 'pose' | 'take' | 'keys';
+  time_s: number;
+  duration_s: number;
+  events: number;
+  solved: number;
+  superseded: number;
+  latency_ms: { mean: number; p95: number };
+  controls: PoseControl[];
+  places: Record<string, number>;
+  warnings: string[];
+  exported: string;
+}
+export interface Key {
+  time_s: number;
+  frame?: number;
+  controls?: { vertex: number | string; at_mm?: number[]; move_mm?: number[]; at_px?: number[] }[];
+}
+export interface Keys {
+  keys: Key[];
+}
 export interface Status {
   version: string;
   state: string;
@@ -25,6 +59,7 @@ export interface Status {
   frames: { processed: number; face: number; mesh: number };
   frames_per_second: number;
   gpu: string;
+  studio: StudioStatus | null;
   stream: { readers: { frames_dropped: number }[] };
   recording: Recording | null;
 }
@@ -34,6 +69,8 @@ export interface Take {
   frames?: number;
   duration_s?: number;
   bytes?: number;
+  mesh_frames?: number;
+  thumbnail?: number;
   closed?: boolean;
   error?: string;
 }
