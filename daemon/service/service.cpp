@@ -31,6 +31,7 @@
 #include "service/status_report.hpp"
 #include "service/studio.hpp"
 #include "service/studio_methods.hpp"
+#include "service/thumbnails.hpp"
 #include "service/web_server.hpp"
 #include "stream/server.hpp"
 
@@ -109,6 +110,7 @@ struct Service::Impl {
   std::unique_ptr<avatar::Bridge> bridge;  ///< null where no target is configured
   pipeline::StreamSink stream_sink;
   Studio studio;
+  Thumbnails thumbnails;
   pipeline::BridgeSink bridge_sink;
   pipeline::TakeSink takes;
   std::optional<take::RecorderStatus> failed_take;  ///< the last, until the next begins
@@ -131,6 +133,7 @@ struct Service::Impl {
   void open_web();
   void look_after_web();
   MetricsSnapshot metrics_snapshot();
+  json takes_list();
   json record_start(const json& params);
   json record_stop();
   avatar::Bridge& configured_bridge();
@@ -164,6 +167,7 @@ Service::Impl::Impl(const Config& given, Log& given_log)
       stream_sink(*stream),
       studio(
           given.takes.folder, *stream, [this](bool held) { stream_sink.hold(held); }, software_name()),
+      thumbnails(given.takes.folder),
       bridge_sink(bridge.get()) {
   check_takes_folder(config.takes.folder);
   control.emplace(config.control, methods(), std::move(passed.control));
@@ -174,7 +178,7 @@ ControlMethods Service::Impl::methods() {
       {"status", {false, {}, [this](const json&) { return status(); }}},
       {"record.start", {true, {"name"}, [this](const json& params) { return record_start(params); }}},
       {"record.stop", {true, {}, [this](const json&) { return record_stop(); }}},
-      {"takes.list", {false, {}, [this](const json&) { return list_takes(config.takes.folder); }}},
+      {"takes.list", {false, {}, [this](const json&) { return takes_list(); }}},
       {"neutral.record",
        {true,
         {"seconds"},
@@ -321,6 +325,18 @@ avatar::Bridge& Service::Impl::configured_bridge() {
         "would be for");
   }
   return *bridge;
+}
+
+json Service::Impl::takes_list() {
+  json answer = list_takes(config.takes.folder);
+  for (json& take : answer["takes"]) {
+    if (take.value("closed", false) && take.value("mesh_frames", 0) > 0) {
+      if (const auto stamp = thumbnails.ask(take["name"].get<std::string>())) {
+        take["thumbnail"] = *stamp;
+      }
+    }
+  }
+  return answer;
 }
 
 json Service::Impl::record_start(const json& params) {
@@ -575,6 +591,7 @@ void Service::Impl::finish() {
   }
   takes.request_end();
   studio.request_stop();
+  thumbnails.request_stop();
   stream->request_stop();
   if (bridge) {
     bridge->request_stop();
@@ -590,7 +607,8 @@ void Service::Impl::finish() {
   }
   control.reset();
   const auto threads_end = [&] {
-    return (!opener || opener->done()) && (!pipeline || pipeline->finished()) && studio.finished();
+    return (!opener || opener->done()) && (!pipeline || pipeline->finished()) && studio.finished() &&
+           thumbnails.finished();
   };
   while (!threads_end()) {
     if (Clock::now() >= patience) {
@@ -600,6 +618,7 @@ void Service::Impl::finish() {
     ::usleep(2000);
   }
   studio.stop();
+  thumbnails.stop();
   log.info("stopped");
 }
 
@@ -615,6 +634,7 @@ int Service::run() {
                               impl.config.stream.socket.string(), impl.config.control.socket.string()),
                   {{"FACET_EVENT", "started"}, {"FACET_VERSION", FACET_VERSION}});
     impl.studio.start();
+    impl.thumbnails.start();
     impl.open_web();
     if (impl.bridge) {
       impl.bridge->start();

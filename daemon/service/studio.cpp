@@ -829,7 +829,8 @@ std::string Studio::save_key(double time_s) {
     }
     const auto later = std::find_if(kept.begin(), kept.end(),
                                     [&](const json& key) { return key.at("time_s").get<double>() > time_s; });
-    kept.insert(later, {{"time_s", time_s}, {"controls", std::move(controls)}});
+    // Not a braced list: that would insert its two members.
+    kept.insert(later, json({{"time_s", time_s}, {"controls", std::move(controls)}}));
     root["keys"] = std::move(kept);
     root["whole"] = impl_->options.whole;
     root["clamp"] = impl_->options.clamp;

@@ -28,6 +28,7 @@
 #include "facet/error.hpp"
 #include "files/text_file.hpp"
 #include "service/listen_address.hpp"
+#include "service/thumbnails.hpp"
 #include "stream/web_socket.hpp"
 #include "take/reader.hpp"
 #include "take/recorder.hpp"
@@ -327,6 +328,7 @@ struct WebServer::Impl {
   Clock::time_point last_guess;
 
   MHD_Result answer(MHD_Connection* connection, const std::string& path, std::string_view method);
+  MHD_Result send_thumbnail(MHD_Connection* connection, const std::string& name);
   MHD_Result refuse(MHD_Connection* connection, unsigned status, const std::string& why);
   std::string stranger(MHD_Connection* connection) const;
   MHD_Result send_page(MHD_Connection* connection, const PageFile& file) const;
@@ -404,6 +406,10 @@ MHD_Result WebServer::Impl::answer(MHD_Connection* connection, const std::string
   if (path.rfind(kTakes, 0) == 0) {
     return send_take(connection, path.substr(kTakes.size()));
   }
+  constexpr std::string_view kThumbnails = "/thumbnails/";
+  if (path.rfind(kThumbnails, 0) == 0) {
+    return send_thumbnail(connection, path.substr(kThumbnails.size()));
+  }
   if (const auto file = page.find(path); file != page.end()) {
     return send_page(connection, file->second);
   }
@@ -422,6 +428,30 @@ MHD_Result WebServer::Impl::send_page(MHD_Connection* connection, const PageFile
     MHD_add_response_header(response.get(), name, value);
   }
   MHD_add_response_header(response.get(), MHD_HTTP_HEADER_CONTENT_TYPE, file.type);
+  return send(connection, MHD_HTTP_OK, response);
+}
+
+MHD_Result WebServer::Impl::send_thumbnail(MHD_Connection* connection, const std::string& name) {
+  constexpr std::size_t kMostBytes = 1U << 20;
+  std::string bytes;
+  try {
+    const std::filesystem::path file = Thumbnails::file(takes, name);
+    std::error_code ignored;
+    if (!std::filesystem::is_regular_file(std::filesystem::symlink_status(file, ignored))) {
+      return refuse(connection, MHD_HTTP_NOT_FOUND, "no picture of this take");
+    }
+    bytes = files::read_text(file, kMostBytes, "picture");
+  } catch (const Error&) {
+    return refuse(connection, MHD_HTTP_NOT_FOUND, "no picture of this take");
+  }
+  const Response response(MHD_create_response_from_buffer(bytes.size(), bytes.data(), MHD_RESPMEM_MUST_COPY));
+  if (response == nullptr) {
+    return MHD_NO;
+  }
+  for (const auto& [header_name, value] : kHeaders) {
+    MHD_add_response_header(response.get(), header_name, value);
+  }
+  MHD_add_response_header(response.get(), MHD_HTTP_HEADER_CONTENT_TYPE, "image/png");
   return send(connection, MHD_HTTP_OK, response);
 }
 

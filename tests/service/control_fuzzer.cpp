@@ -1,17 +1,38 @@
+#include <unistd.h>
+
 #include <cstddef>
 #include <cstdint>
+#include <filesystem>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <string_view>
 
 #include "facet/error.hpp"
 #include "service/control_protocol.hpp"
+#include "service/studio.hpp"
+#include "service/studio_methods.hpp"
+#include "stream/server.hpp"
+
+namespace {
+
+/// The studio's methods, of which no take is open: what they are asked is read and checked, then refused.
+facet::service::ControlMethods closed_studio() {
+  const auto folder = std::filesystem::temp_directory_path();
+  facet::stream::StreamServerConfig config;
+  config.socket = folder / ("facet-fuzz-" + std::to_string(::getpid()) + ".sock");
+  static facet::stream::StreamServer stream(config);
+  static facet::service::Studio studio(
+      folder / "no-such-folder", stream, [](bool) {}, "fuzzer");
+  return studio_methods(studio);
+}
+
+}  // namespace
 
 /// Any line gets an answer that is one line of valid JSON-RPC, or none.
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   using facet::service::ControlMethods;
   using nlohmann::json;
-  static const ControlMethods methods = {
+  static ControlMethods methods = {
       {"status",
        {false,
         {},
@@ -25,6 +46,9 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
         {},
         [](const json&) -> json { throw facet::Error(facet::ErrorKind::Usage, "nothing is recorded"); }}},
   };
+  if (methods.count("pose.set") == 0) {
+    methods.merge(closed_studio());
+  }
   if (size < 1 || size > facet::service::kMaxRequestBytes) {
     return 0;
   }
