@@ -145,7 +145,7 @@ int main(int argc, char** argv) {
         "{:.2f}, p95 {:.2f}\n",
         after.work.mean, after.work.p95, after.latency.mean, after.latency.p95, quantile(0.5),
         quantile(0.95));
-    fmt::print("processor: {:.0f} % of a core, of it the reader at most {:.0f} %\n", 100 * used_s / wall_s,
+    fmt::print("processor: {:.0f} % of a core, of it the reader {:.1f} %\n", 100 * used_s / wall_s,
                100 * reader_s / wall_s);
     server.request_stop();
     studio.stop();

@@ -16,7 +16,9 @@
 
 #include "../animate/actor.hpp"
 #include "facet/error.hpp"
+#include "render/renderer.hpp"
 #include "service/studio_methods.hpp"
+#include "service/thumbnails.hpp"
 #include "stream/client.hpp"
 #include "stream/server.hpp"
 
@@ -264,6 +266,37 @@ TEST_F(StudioTest, ReplaysAndScrubs) {
   await([](const json& now) { return now["time_s"].get<double>() < 1.0; });
   ask("studio.pause");
   await([](const json& now) { return now["state"] == "ready"; });
+}
+
+TEST_F(StudioTest, TakesGetPictures) {
+  Thumbnails thumbnails(folder_.path());
+  thumbnails.start();
+  std::ofstream(folder_.path() / "broken.take") << "no take";
+  EXPECT_FALSE(thumbnails.ask("broken"));
+  const auto drawn = [&] {
+    std::optional<std::int64_t> stamp;
+    const auto end = std::chrono::steady_clock::now() + kPatience;
+    while (!(stamp = thumbnails.ask("actor1")) && std::chrono::steady_clock::now() < end) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(5));
+    }
+    return stamp;
+  };
+  ASSERT_TRUE(drawn());
+  const render::Picture picture = render::read_image(Thumbnails::file(folder_.path(), "actor1"));
+  ASSERT_EQ(picture.width_px, Thumbnails::kWidth_px);
+  ASSERT_EQ(picture.height_px, Thumbnails::kHeight_px);
+  const auto red_at = [&](int x, int y) {
+    return picture.rgb[3 * static_cast<std::size_t>(y * picture.width_px + x)];
+  };
+  EXPECT_GT(red_at(75, 90), 60) << "a face in the middle";
+  EXPECT_LT(red_at(2, 2), 40) << "none in the corner";
+  EXPECT_FALSE(thumbnails.ask("broken"));
+
+  // A younger take of the same name gets a picture of its own.
+  const auto file = Thumbnails::file(folder_.path(), "actor1");
+  std::filesystem::last_write_time(file, std::filesystem::last_write_time(take_) - std::chrono::hours(1));
+  ASSERT_TRUE(drawn());
+  EXPECT_GE(std::filesystem::last_write_time(file), std::filesystem::last_write_time(take_));
 }
 
 TEST_F(StudioTest, ATakeThatChangesIsClosed) {

@@ -677,6 +677,21 @@ TEST_F(Web, TakesAreDownloaded) {
   EXPECT_THAT(get("/takes/link"), Not(HasSubstr("outside")));
 }
 
+TEST_F(Web, PicturesOfTakesAreServedAndNothingBesideThem) {
+  start();
+  EXPECT_THAT(get("/thumbnails/monday"), StartsWith("HTTP/1.1 404"));
+  const auto folder = folder_.path() / "takes" / ".thumbnails";
+  std::filesystem::create_directories(folder);
+  std::ofstream(folder / "monday.png") << "a picture";
+  EXPECT_THAT(get("/thumbnails/monday"), AllOf(StartsWith("HTTP/1.1 200"), HasSubstr("image/png"),
+                                               ::testing::EndsWith("\r\n\r\na picture")));
+  std::filesystem::create_symlink(folder_.path() / "secret.txt", folder / "link.png");
+  for (const char* path :
+       {"/thumbnails/link", "/thumbnails/", "/thumbnails/..%2Fmonday", "/thumbnails/.half"}) {
+    EXPECT_THAT(get(path), StartsWith("HTTP/1.1 404")) << path;
+  }
+}
+
 /// Requests that never end keep nobody else out.
 TEST_F(Web, HalfRequestsAreBounded) {
   start();

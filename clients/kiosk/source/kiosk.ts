@@ -224,7 +224,7 @@ function showState(): void {
   const now = performance.now();
   const live = connected && isFresh();
   document.body.dataset.connection = !connected ? 'offline' : live ? 'live' : 'idle';
-  setText('state-text', text(!connected ? 'offline' : live ? 'live' : 'idle'));
+  setText('state-text', text(!connected ? 'offline' : studio?.isOpen && studio.status?.state !== 'opening' ? 'studio' : live ? 'live' : 'idle'));
   let wrong: Problem | null = problem();
   if (notice && now < notice.until_ms) {
     wrong = wrong?.grave ? wrong : { title: notice.title, help: notice.help };

@@ -473,7 +473,8 @@ export class Studio {
       if (held >= 0 && (moved || Math.abs(event.clientX - began_px) > 4)) {
         moved = true;
         this.keys.keys[held].time_s = this.limited(held, this.timeAt(event));
-        this.drawKeys();
+        this.head_s = held === this.key ? this.keys.keys[held].time_s : this.head_s;
+        this.draw();
       } else if (scrubbing) {
         scrub(event);
       }
