@@ -127,6 +127,7 @@ try {
   await page.getByRole('button', { name: 'Replay take actor' }).click();
   await eventually('the take is open', async () => { const now = await studio(); return settled(now) && now.shown === 'take'; });
   await eventually('a picture', async () => (await drawn()) > 0);
+  await page.locator('#track').waitFor();
   const line = await page.locator('#track').boundingBox();
   await page.mouse.move(line.x + 0.2 * line.width, line.y + 6);
   await page.mouse.down();
