@@ -69,6 +69,8 @@ void expect_sums_of_one(const FaceIk& ik, const Pose& pose, const std::string& w
 }
 
 TEST_F(FaceIkTest, ControlPointsAreMet) {
+  int crowded = 0;
+  int crowded_met = 0;
   for (const std::uint64_t seed : {1U, 2U, 3U, 4U, 5U}) {
     const auto basis = open(seed);
     std::mt19937 random(static_cast<unsigned>(seed));
@@ -94,6 +96,7 @@ TEST_F(FaceIkTest, ControlPointsAreMet) {
       }
     }
   }
+  EXPECT_GE(crowded_met, 0.95 * crowded) << "of " << crowded;
 }
 
 TEST_F(FaceIkTest, ControlPointsOnScreenAreMet) {
