@@ -9,6 +9,7 @@
 #include <cmath>
 #include <ctime>
 #include <filesystem>
+#include <numeric>
 #include <optional>
 #include <string>
 #include <vector>
@@ -122,6 +123,32 @@ facet::render::Picture fit_square(const facet::render::Picture& from, int side_p
   return to;
 }
 
+/// The largest expression weights as bars with their names, in the lower left corner.
+void draw_weights(facet::render::Picture& picture, const TrackResult& result,
+                  const facet::face::FaceModel& model) {
+  constexpr std::size_t kShown = 12;
+  constexpr int kRowPx = 15;
+  constexpr int kBarPx = 90;
+  constexpr float kLeastShown = 0.03F;
+  std::vector<std::size_t> order(result.expression.size());
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  std::sort(order.begin(), order.end(),
+            [&](std::size_t a, std::size_t b) { return result.expression[a] > result.expression[b]; });
+  int y = picture.height_px - static_cast<int>(kShown) * kRowPx;
+  for (std::size_t i = 0; i < std::min(kShown, order.size()); ++i, y += kRowPx) {
+    const float weight = result.expression[order[i]];
+    if (weight < kLeastShown) {
+      break;
+    }
+    const auto length = static_cast<float>(kBarPx) * weight;
+    for (int row = 3; row < kRowPx - 3; ++row) {
+      const auto at = static_cast<float>(y + row);
+      facet::render::draw_line(picture, {2.0F, at}, {2.0F + length, at}, {90, 170, 255}, 0.9F);
+    }
+    facet::render::draw_text(picture, kBarPx + 6, y, model.expression_names[order[i]], {255, 255, 255});
+  }
+}
+
 struct ClipFigures {
   int frames = 0;
   int face_frames = 0;
@@ -177,6 +204,9 @@ class ClipRun {
       add(result);
       if (!options_.sheet_folder.empty() && figures_.frames % every == 1 % every) {
         tiles_.push_back(fit_square(draw(frame, result, model_), kTilePx));
+        if (result.has_mesh) {
+          draw_weights(tiles_.back(), result, model_);
+        }
       }
       figures_.width_px = frame.width_px;
       figures_.height_px = frame.height_px;
