@@ -10,6 +10,9 @@
 namespace facet::track {
 
 constexpr int landmark_count = 468;
+/// Numbers of the irises' centres beside the face mesh.
+constexpr int kRightIris = landmark_count;
+constexpr int kLeftIris = landmark_count + 1;
 
 /// The neutral face that MediaPipe's landmarks index: x to the subject's left, y up, z out of the face, cm.
 struct CanonicalFace {

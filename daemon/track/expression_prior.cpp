@@ -12,14 +12,20 @@ constexpr double kSymmetrySigma = 0.15;
 /// mouthClose undoes jawOpen; more of it than that pushes the lips through each other.
 constexpr double kMouthCloseSigma = 0.05;
 constexpr double kSmallestSigma = 0.02;
-/// Shapes that none of the 468 landmarks shows: the mesh has no irises, and what its lid points would say of
-/// the gaze is better said by the blink.
-constexpr std::string_view kUnseen = "eyeLook";
+/// /// What the irises show; what the lid points would say of the gaze without them is better said by the
+/// blink.
+constexpr std::string_view kGaze = "eyeLook";
+constexpr std::string_view kLookIn = "eyeLookIn";
+constexpr std::string_view kLookOut = "eyeLookOut";
+/// Eyes turn by some 15 degrees before the head follows, half of an eyeLook shape's way.
+constexpr double kGazeSigma = 0.5;
 
 /// Shapes of one side that undo each other; "Left" and "Right" are appended to both.
-constexpr std::array<std::pair<std::string_view, std::string_view>, 9> kOpposedSided = {{
+constexpr std::array<std::pair<std::string_view, std::string_view>, 11> kOpposedSided = {{
     {"browDown", "browOuterUp"},
     {"eyeBlink", "eyeWide"},
+    {"eyeLookIn", "eyeLookOut"},
+    {"eyeLookUp", "eyeLookDown"},
     {"eyeSquint", "eyeWide"},
     {"mouthSmile", "mouthFrown"},
     {"mouthLowerDown", "mouthPress"},
@@ -54,16 +60,22 @@ constexpr std::array<std::pair<std::string_view, std::string_view>, 19> kOpposed
 }  // namespace
 
 ExpressionPrior::ExpressionPrior(std::span<const std::string> names, std::span<const float> sigma,
-                                 const ExpressionPriorStrength& strength)
+                                 const ExpressionPriorStrength& strength, bool sees_gaze)
     : strength_(strength), sigma_(static_cast<Eigen::Index>(names.size())) {
   for (std::size_t k = 0; k < names.size(); ++k) {
-    sigma_[static_cast<Eigen::Index>(k)] = names[k].starts_with(kUnseen)
-                                               ? kSmallestSigma
+    sigma_[static_cast<Eigen::Index>(k)] = names[k].starts_with(kGaze)
+                                               ? (sees_gaze ? kGazeSigma : kSmallestSigma)
                                                : std::max(static_cast<double>(sigma[k]), kSmallestSigma);
     constexpr std::string_view kLeft = "Left";
     // jawLeft and mouthLeft move to the left: they are no halves of a symmetric shape.
     if (names[k].ends_with(kLeft) && names[k] != "jawLeft" && names[k] != "mouthLeft") {
-      const std::string stem = names[k].substr(0, names[k].size() - kLeft.size());
+      std::string stem = names[k].substr(0, names[k].size() - kLeft.size());
+      // Both eyes look at one thing: when one turns to the nose the other turns away from it.
+      if (stem == kLookIn) {
+        stem = kLookOut;
+      } else if (stem == kLookOut) {
+        stem = kLookIn;
+      }
       if (const auto right = find(names, stem + "Right")) {
         mirrored_.emplace_back(static_cast<int>(k), *right);
       }

@@ -12,7 +12,7 @@ namespace facet::track {
 /// Strengths of the expression prior's parts. Found by experiment: bench/README.md, "coarse fit".
 struct ExpressionPriorStrength {
   double size = 1.0;       ///< of (e / sigma)^2
-  double sparsity = 0.3;   ///< of |e| / sigma: few shapes rather than many small ones
+  double sparsity = 1.5;   ///< of |e| / sigma: few shapes rather than many small ones
   double symmetry = 1.0;   ///< of ((left - right) / kSymmetrySigma)^2
   double exclusion = 4.0;  ///< of (a b / (sigma_a sigma_b))^2 for shapes that undo each other
 };
@@ -24,10 +24,10 @@ struct ExpressionPriorStrength {
 /// such terms. Immutable; any thread.
 class ExpressionPrior {
  public:
-  /// names and sigma as in face::FaceModel; a sigma below 0.02 is taken as 0.02, and so are
-  /// the eyeLook shapes, which no landmark shows: they stay near 0.
+  /// names and sigma as in face::FaceModel; a sigma below 0.02 is taken as 0.02, and so are the eyeLook
+  /// shapes where no landmark shows the gaze (LandmarkModel::sees_gaze): they then stay near 0.
   ExpressionPrior(std::span<const std::string> names, std::span<const float> sigma,
-                  const ExpressionPriorStrength& strength);
+                  const ExpressionPriorStrength& strength, bool sees_gaze);
 
   /// expression [expression_count], each in [0, 1].
   double energy(const Eigen::VectorXd& expression) const;

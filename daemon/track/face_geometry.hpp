@@ -27,4 +27,7 @@ void measure_shape(const CanonicalFace& canonical, FaceLandmarks& face);
 /// front. Needs the rotation of measure_shape.
 void measure_confidence(const CanonicalFace& canonical, const Frame& frame, FaceLandmarks& face);
 
+/// Sets iris_confidence from how far the lids are open and the eye is seen; needs confidence.
+void measure_iris_confidence(FaceLandmarks& face);
+
 }  // namespace facet::track

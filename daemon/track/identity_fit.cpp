@@ -236,7 +236,7 @@ Eigen::VectorXd IdentityFit::landmark_bias_mm() {
     const Eigen::Matrix3d& rotation = frame.state.pose.rotation;
     const double mm_per_px = frame.state.pose.translation_mm.z() / shape_.focal_px;
     for (Eigen::Index l = 0; l < model_->count(); ++l) {
-      const double weight = frame.face.confidence[model_->landmarks()[static_cast<std::size_t>(l)]];
+      const double weight = confidence_of(frame.face, model_->landmarks()[static_cast<std::size_t>(l)]);
       const Eigen::Vector3d measured_minus_model(-mm_per_px * residuals_px(0, l),
                                                  -mm_per_px * residuals_px(1, l), 0.0);
       sum.segment<3>(3 * l) += weight * rotation.transpose() * measured_minus_model;

@@ -21,14 +21,14 @@ class LandmarkFilter {
   ///
   /// interocular_px  > 0, the unit of speed
   /// seconds         > 0, since the last frame
-  /// points_px       [3][468] in/out
+  /// points_px       [3][point_count] in/out, the same count in every frame
   void apply(float interocular_px, float seconds, Eigen::Matrix3Xf& points_px);
 
  private:
   bool started_ = false;
-  Eigen::Matrix3Xf measured_;  ///< [3][468] of the last frame
-  Eigen::Matrix3Xf filtered_;  ///< [3][468] of the last frame
-  Eigen::Matrix2Xf velocity_;  ///< [2][468] interocular distances per second, in the image
+  Eigen::Matrix3Xf measured_;  ///< [3][point_count] of the last frame
+  Eigen::Matrix3Xf filtered_;  ///< [3][point_count] of the last frame
+  Eigen::Matrix2Xf velocity_;  ///< [2][point_count] interocular distances per second, in the image
 };
 
 }  // namespace facet::track

@@ -29,4 +29,12 @@ const std::array<LandmarkGroup, landmark_count>& landmark_groups();
 /// The face oval in order along the outline, clockwise in the image of an unmirrored frontal face; closed.
 std::span<const int> contour_landmarks();
 
+/// The landmarks that the landmark net looks at again, in the order of its outputs: the lips, and what
+/// surrounds the subject's right and left eye up to the brow.
+std::span<const int> lip_landmarks();
+std::span<const int> right_eye_landmarks();
+std::span<const int> left_eye_landmarks();
+/// The first so many of an eye's are the edges of its lids.
+inline constexpr std::size_t kLidLandmarks = 16;
+
 }  // namespace facet::track

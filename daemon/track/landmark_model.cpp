@@ -2,7 +2,12 @@
 
 #include <fmt/format.h>
 
+#include <Eigen/LU>
 #include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <string>
 
 #include "facet/error.hpp"
 
@@ -24,11 +29,60 @@ std::vector<int> anchored_landmarks(const face::FaceModel& model) {
   return anchored;
 }
 
+/// Where the gaze of the mean face leaves an eyeball, straight ahead of its centre: a point of one of its
+/// triangles. All weights 0 where the model has no eyeball that the shape `aside` turns.
+face::LandmarkAnchor pupil(const face::FaceModel& model, const std::string& aside) {
+  face::LandmarkAnchor anchor;
+  const int expression = model.expression_index(aside);
+  if (expression < 0) {
+    return anchor;
+  }
+  constexpr float kTurnedMm = 0.5F;
+  const auto turned = model.core_row(0, 1 + expression);
+  const auto neutral = model.core_row(0, 0);
+  const auto of_eyeball = [&](std::int32_t v) {
+    return face::has_region(model.regions[static_cast<std::size_t>(v)], face::Region::Eye) &&
+           turned.col(v).norm() > kTurnedMm;
+  };
+  // The poles of the turn stand still, so the centre is that of the box and not of the vertices.
+  Eigen::Array3f low = Eigen::Array3f::Constant(std::numeric_limits<float>::max());
+  Eigen::Array3f high = -low;
+  for (std::int32_t v = 0; v < model.vertex_count(); ++v) {
+    if (of_eyeball(v)) {
+      low = low.min(neutral.col(v).array());
+      high = high.max(neutral.col(v).array());
+    }
+  }
+  const Eigen::Vector3f centre = 0.5F * (low + high);
+  for (Eigen::Index q = 0; q < model.control.quads.cols(); ++q) {
+    for (const auto& corners : {std::array{0, 1, 2}, std::array{0, 2, 3}}) {
+      Eigen::Matrix3f from_centre;
+      bool inside = true;
+      for (int c = 0; c < 3; ++c) {
+        const std::int32_t v = model.control.quads(corners[static_cast<std::size_t>(c)], q);
+        anchor.vertices[static_cast<std::size_t>(c)] = v;
+        inside = inside && of_eyeball(v);
+        from_centre.col(c) = neutral.col(v) - centre;
+      }
+      if (!inside || std::abs(from_centre.determinant()) < 1e-6F) {
+        continue;
+      }
+      const Eigen::Vector3f weights = from_centre.inverse() * Eigen::Vector3f::UnitZ();
+      if (weights.minCoeff() >= 0) {
+        const Eigen::Vector3f shares = weights / weights.sum();
+        std::copy(shares.begin(), shares.end(), anchor.weights.begin());
+        return anchor;
+      }
+    }
+  }
+  return anchor;
+}
+
 }  // namespace
 
 LandmarkModel::LandmarkModel(const face::FaceModel& model)
     : landmarks_(anchored_landmarks(model)),
-      position_of_(landmark_count, -1),
+      position_of_(std::size_t{kLeftIris} + 1, -1),
       identity_count_(model.identity_count()),
       expression_count_(model.expression_count()) {
   if (landmarks_.size() < kFewestLandmarks) {
@@ -47,6 +101,24 @@ LandmarkModel::LandmarkModel(const face::FaceModel& model)
     Eigen::Map<Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>(
         core_mm_.data() + l * block, Eigen::Index{3} * (identity_count_ + 1), expression_count_ + 1) =
         core_rows[l];
+  }
+  const face::LandmarkAnchor pupils[] = {pupil(model, "eyeLookOutRight"), pupil(model, "eyeLookOutLeft")};
+  if (pupils[0].weights[0] + pupils[0].weights[1] > 0 && pupils[1].weights[0] + pupils[1].weights[1] > 0) {
+    for (int side = 0; side < 2; ++side) {
+      position_of_[static_cast<std::size_t>(kRightIris + side)] = count();
+      landmarks_.push_back(kRightIris + side);
+      for (int i = 0; i <= identity_count_; ++i) {
+        for (int axis = 0; axis < 3; ++axis) {
+          for (int e = 0; e <= expression_count_; ++e) {
+            float mm = 0;
+            for (std::size_t c = 0; c < 3; ++c) {
+              mm += pupils[side].weights[c] * model.core_row(i, e)(axis, pupils[side].vertices[c]);
+            }
+            core_mm_.push_back(mm);
+          }
+        }
+      }
+    }
   }
   const int right = position_of(kRightEyeOuterCorner);
   const int left = position_of(kLeftEyeOuterCorner);

@@ -31,10 +31,13 @@ class LandmarkModel {
   int identity_count() const { return identity_count_; }
   int expression_count() const { return expression_count_; }
 
-  /// Indices into the face mesh, [count]; ascending.
+  /// Indices into the face mesh, [count]; ascending. The last ones are kRightIris and kLeftIris where the
+  /// model has eyeballs that its eyeLook shapes turn.
   std::span<const int> landmarks() const { return landmarks_; }
-  /// Position of a face mesh index in landmarks(), or -1. 0 <= landmark < landmark_count.
+  /// Position of a face mesh index or an iris in landmarks(), or -1. 0 <= landmark <= kLeftIris.
   int position_of(int landmark) const { return position_of_[static_cast<std::size_t>(landmark)]; }
+  /// Whether the irises are among the landmarks, so that the gaze can be measured.
+  bool sees_gaze() const { return position_of(kRightIris) >= 0 && position_of(kLeftIris) >= 0; }
   /// Distance of the outer eye corners on the mean face, mm.
   double interocular_mm() const { return interocular_mm_; }
 
@@ -50,7 +53,7 @@ class LandmarkModel {
 
  private:
   std::vector<int> landmarks_;
-  std::vector<int> position_of_;  ///< [landmark_count]
+  std::vector<int> position_of_;  ///< [kLeftIris + 1]
   int identity_count_ = 0;
   int expression_count_ = 0;
   double interocular_mm_ = 0;

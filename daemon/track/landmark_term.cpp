@@ -40,16 +40,30 @@ void observe(const LandmarkModel& model, const LandmarkTrust& trust, const FaceL
   std::array<int, kLandmarkGroupCount> members{};
   const auto& groups = landmark_groups();
   for (const int landmark : model.landmarks()) {
-    ++members[static_cast<std::size_t>(groups[static_cast<std::size_t>(landmark)])];
+    if (landmark < landmark_count) {
+      ++members[static_cast<std::size_t>(groups[static_cast<std::size_t>(landmark)])];
+    }
   }
 
   const double px_per_mm = focal_px / std::max(depth_mm, kNearestDepthMm);
   const double per_sigma = 1.0 / (trust.sigma_mm * px_per_mm);
   for (std::size_t l = 0; l < count; ++l) {
     const int landmark = model.landmarks()[l];
+    const double confidence = confidence_of(face, landmark);
+    if (landmark >= landmark_count) {
+      // An iris that is not seen says nothing at all; its place may not even be there.
+      constexpr int kIrises = 2;
+      out.points_px.col(static_cast<Eigen::Index>(l)) = centre_px;
+      if (face.irises_px.cols() == kIrises) {
+        out.points_px.col(static_cast<Eigen::Index>(l)) = place_of(face, landmark).head<2>().cast<double>();
+      }
+      out.whitening[l] =
+          Eigen::Matrix2d::Identity() * (std::sqrt(confidence * trust.iris_strength / kIrises) * per_sigma);
+      continue;
+    }
     out.points_px.col(static_cast<Eigen::Index>(l)) = face.points_px.col(landmark).head<2>().cast<double>();
     const auto group = static_cast<std::size_t>(groups[static_cast<std::size_t>(landmark)]);
-    const double seen = trust.unseen + (1.0 - trust.unseen) * static_cast<double>(face.confidence[landmark]);
+    const double seen = trust.unseen + (1.0 - trust.unseen) * confidence;
     const double weight = seen * trust.group_strength[group] / members[group];
     out.whitening[l] = Eigen::Matrix2d::Identity() * (std::sqrt(weight) * per_sigma);
   }

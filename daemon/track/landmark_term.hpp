@@ -18,7 +18,9 @@ struct LandmarkTrust {
   /// How many independent measurements all landmarks of a group are worth together, in the order of
   /// LandmarkGroup: the net's errors are strongly correlated, so four hundred points are not four hundred
   /// facts.
-  std::array<double, kLandmarkGroupCount> group_strength = {16, 6, 8, 16, 24, 12};
+  std::array<double, kLandmarkGroupCount> group_strength = {16, 6, 8, 48, 24, 12};
+  /// The same for both irises together. Next to them only the gaze is free to answer.
+  double iris_strength = 32;
   /// Contour points count this much along the outline, as a fraction of their weight across it.
   double along_contour = 0.1;
   /// Fraction of its weight left to a landmark that is not seen (FaceLandmarks::confidence 0).

@@ -6,10 +6,12 @@
 #include <opencv2/core/utility.hpp>
 
 #include "track/appearance.hpp"
+#include "track/attention_net.hpp"
 #include "track/face_detector.hpp"
 #include "track/face_geometry.hpp"
 #include "track/landmark_assets.hpp"
 #include "track/landmark_filter.hpp"
+#include "track/landmark_layout.hpp"
 #include "track/landmark_net.hpp"
 #include "track/search_plan.hpp"
 
@@ -61,20 +63,24 @@ struct Landmarker::Impl {
       : config(landmarker_config),
         canonical(parse_canonical_face(assets.geometry(), name + " (canonical face)")),
         detector(assets.detector(), name + " (face detector)"),
-        net(assets.landmarks(), name + " (landmark net)") {}
+        net(assets.landmarks(), name + " (landmark net)"),
+        attention(assets.attention_landmarks(), name + " (landmark net with attention)") {}
 
   LandmarkerConfig config;
   CanonicalFace canonical;
   FaceDetector detector;
   LandmarkNet net;
+  AttentionNet attention;
 
   LandmarkResult result;
   LandmarkFilter filter;
+  LandmarkFilter iris_filter;
   std::int64_t last_media_time_ns = 0;
-  bool following = false;  ///< the last frame had the face
-  bool remembers = false;  ///< `window`, `trusted` and `average` tell of a face
-  Region window;           ///< where the face is looked for next
-  Region trusted;          ///< where it was when it last surely was itself
+  bool following = false;        ///< the last frame had the face
+  bool remembers = false;        ///< `window`, `trusted` and `average` tell of a face
+  Region window;                 ///< where the face is looked for next
+  Region trusted;                ///< where it was when it last surely was itself
+  Eigen::Matrix3Xf attended_px;  ///< [3][468] of the net with attention
   Eigen::VectorXf appearance;
   Eigen::VectorXf average;  ///< of the followed face's appearance
   int foreign_frames = 0;   ///< frames running in which it looked like another
@@ -104,6 +110,29 @@ struct Landmarker::Impl {
     const Region next = window_of(face.points_px);
     return face.presence >= config.min_presence && usable(next) && face.shape_error < max_shape_error &&
            std::abs(wrapped(next.rotation_rad - where.rotation_rad)) < max_turn_in_window_rad;
+  }
+
+  /// Takes lips, eyes and irises from the net with attention where it sees the face too; on profiles it often
+  /// does not, while the plain net goes on.
+  void refine(const Frame& frame, FaceLandmarks& face) {
+    const float presence = attention.find(frame, face.window, attended_px, face.irises_px);
+    if (!attended_px.allFinite() || !face.irises_px.allFinite()) {
+      face.irises_px.setZero();
+      face.iris_confidence = {};
+      return;
+    }
+    for (const auto& part : {lip_landmarks(), right_eye_landmarks().first(kLidLandmarks),
+                             left_eye_landmarks().first(kLidLandmarks)}) {
+      for (const int landmark : part) {
+        face.points_px.col(landmark).head<2>() +=
+            presence * (attended_px.col(landmark) - face.points_px.col(landmark)).head<2>();
+      }
+    }
+    measure_confidence(canonical, frame, face);
+    measure_iris_confidence(face);
+    for (float& confidence : face.iris_confidence) {
+      confidence *= presence;
+    }
   }
 
   /// From a coarse detection to landmarks: the detector again on the crop, since its key points on small or
@@ -262,7 +291,9 @@ struct Landmarker::Impl {
     const float seconds = passed_ns > 0 ? 1e-9F * passed_ns : usual_frame_seconds;
     if (result.acquired || seconds > longest_frame_seconds) {
       filter.reset();
+      iris_filter.reset();
     }
+    iris_filter.apply(result.face.interocular_px, seconds, result.face.irises_px);
     filter.apply(result.face.interocular_px, seconds, result.face.points_px);
     last_media_time_ns = frame.media_time_ns;
   }
@@ -317,8 +348,13 @@ const LandmarkResult& Landmarker::process(const Frame& frame) {
       result.detect_ms += milliseconds_since(start);
     }
   }
-  if (result.found && impl_->config.smooth) {
-    impl_->smooth(frame);
+  if (result.found) {
+    const auto start = std::chrono::steady_clock::now();
+    impl_->refine(frame, result.face);
+    result.landmarks_ms += milliseconds_since(start);
+    if (impl_->config.smooth) {
+      impl_->smooth(frame);
+    }
   }
   impl_->following = result.found;
   impl_->remembers = impl_->remembers || result.found;
@@ -354,6 +390,9 @@ std::vector<FaceLandmarks> Landmarker::find_all(const Frame& frame) {
         faces.push_back(std::move(face));
       }
     }
+  }
+  for (FaceLandmarks& face : faces) {
+    impl_->refine(frame, face);
   }
   std::sort(faces.begin(), faces.end(), [](const FaceLandmarks& a, const FaceLandmarks& b) {
     return a.window.size_px > b.window.size_px;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <filesystem>
 #include <memory>
 #include <vector>
@@ -20,6 +21,11 @@ struct FaceLandmarks {
   /// [468] 0 to 1: how far the point is seen. 1 faces the camera; falls to 0 where the face turns away from
   /// it or the point lies outside the image. Multiply a landmark's weight with it.
   Eigen::VectorXf confidence;
+  /// [3][2] centres of the subject's right and left iris, x and y in image pixels, z 0; empty where nobody
+  /// looked for them.
+  Eigen::Matrix3Xf irises_px;
+  /// 0 to 1, right and left: how far the iris is seen. 0 behind a closed lid, where the net guesses.
+  std::array<float, 2> iris_confidence{};
   float presence = 0;  ///< the landmark net's probability that its window holds a face
   float shape_error =
       0;  ///< rms distance to the canonical face after the best similarity, in interocular distances
@@ -27,6 +33,23 @@ struct FaceLandmarks {
   float interocular_px = 0;  ///< distance of the outer eye corners by that similarity: not foreshortened
   Region window;             ///< where the net looked
 };
+
+/// A landmark's place in image pixels. landmark: an index of the face mesh, or kRightIris, kLeftIris where
+/// irises_px is not empty.
+inline Eigen::Vector3f place_of(const FaceLandmarks& face, int landmark) {
+  return landmark < landmark_count ? face.points_px.col(landmark)
+                                   : face.irises_px.col(landmark - landmark_count);
+}
+
+/// How far a landmark is seen, 0 to 1; 0 for an iris that nobody looked for.
+inline float confidence_of(const FaceLandmarks& face, int landmark) {
+  if (landmark < landmark_count) {
+    return face.confidence[landmark];
+  }
+  return face.irises_px.cols() == 0
+             ? 0.0F
+             : face.iris_confidence[static_cast<std::size_t>(landmark - landmark_count)];
+}
 
 struct LandmarkerConfig {
   float min_detection_score = 0.5F;  ///< of the first, coarse look

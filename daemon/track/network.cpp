@@ -15,10 +15,12 @@ namespace {
 /// [batch][rows][columns][channels]. Tensors of other ranks keep their layout.
 class NetBuilder {
  public:
-  NetBuilder(const TfliteModel& model, std::string name) : model_(model), name_(std::move(name)) {
+  NetBuilder(const TfliteModel& model, std::string name, int channels)
+      : model_(model), name_(std::move(name)) {
     if (model.inputs.size() != 1 || tensor(model.inputs[0]).shape.size() != 4 ||
-        tensor(model.inputs[0]).shape[0] != 1 || tensor(model.inputs[0]).shape[3] != 3) {
-      fail("the net must have one RGB image as its input");
+        tensor(model.inputs[0]).shape[0] != 1 || tensor(model.inputs[0]).shape[3] != channels) {
+      fail(channels == 3 ? "the net must have one RGB image as its input"
+                         : fmt::format("the net must have one image of {} channels as its input", channels));
     }
     layer_of_[model.inputs[0]] = 0;
     for (const TfliteOperator& op : model.operators) {
@@ -265,15 +267,49 @@ struct Network::Impl {
   cv::Mat input;
 };
 
-Network::Network(const TfliteModel& model, const std::string& name) : impl_(std::make_unique<Impl>()) {
+TfliteModel part_of(const TfliteModel& model, int input, const std::vector<int>& outputs,
+                    const std::string& name) {
+  TfliteModel part;
+  part.tensors = model.tensors;
+  part.inputs = {input};
+  part.outputs = outputs;
+  std::vector<char> needed(model.tensors.size(), 0);
+  const auto mark = [&](int tensor) {
+    if (tensor < 0 || static_cast<std::size_t>(tensor) >= needed.size()) {
+      throw Error(ErrorKind::UnreadableInput, fmt::format("{}: it has no tensor {}", name, tensor));
+    }
+    needed[static_cast<std::size_t>(tensor)] = 1;
+  };
+  mark(input);
+  std::for_each(outputs.begin(), outputs.end(), mark);
+  needed[static_cast<std::size_t>(input)] = 0;
+  for (auto op = model.operators.rbegin(); op != model.operators.rend(); ++op) {
+    const bool used = std::any_of(op->outputs.begin(), op->outputs.end(), [&](int tensor) {
+      return tensor != input && needed.at(static_cast<std::size_t>(tensor)) != 0;
+    });
+    if (used) {
+      for (const int tensor : op->inputs) {
+        if (tensor >= 0) {
+          mark(tensor);
+        }
+      }
+      part.operators.push_back(*op);
+    }
+  }
+  std::reverse(part.operators.begin(), part.operators.end());
+  return part;
+}
+
+Network::Network(const TfliteModel& model, const std::string& name, int channels)
+    : impl_(std::make_unique<Impl>()) {
   try {
-    NetBuilder builder(model, name);
+    NetBuilder builder(model, name, channels);
     impl_->net = builder.net;
     impl_->output_names = builder.output_names;
     impl_->net.setPreferableBackend(cv::dnn::DNN_BACKEND_OPENCV);
     impl_->net.setPreferableTarget(cv::dnn::DNN_TARGET_CPU);
     const std::vector<int>& shape = model.tensors[static_cast<std::size_t>(model.inputs[0])].shape;
-    const std::array<int, 4> sizes{1, 3, shape[1], shape[2]};
+    const std::array<int, 4> sizes{1, channels, shape[1], shape[2]};
     impl_->input = cv::Mat(4, sizes.data(), CV_32F, cv::Scalar(0));
     forward();
     for (std::size_t i = 0; i < impl_->outputs.size(); ++i) {

@@ -3,10 +3,16 @@
 #include <memory>
 #include <span>
 #include <string>
+#include <vector>
 
 #include "track/tflite_model.hpp"
 
 namespace facet::track {
+
+/// The part of a graph between one tensor, which becomes its input, and some others, in their order. Throws
+/// Error(UnreadableInput) that starts with `name` where an index is no tensor of the model.
+TfliteModel part_of(const TfliteModel& model, int input, const std::vector<int>& outputs,
+                    const std::string& name);
 
 /// A convolutional net of a TensorFlow Lite graph with one image input, run by OpenCV's DNN module on the
 /// calling thread. Not thread safe. After the first forward() OpenCV allocates only small bookkeeping.
@@ -14,7 +20,8 @@ class Network {
  public:
   /// Builds the net and runs it once, so that a graph that OpenCV can't run is an error here.
   /// Throws Error(UnreadableInput) that starts with `name`. The model is not needed afterwards.
-  Network(const TfliteModel& model, const std::string& name);
+  /// channels: of the image, 3 for RGB.
+  Network(const TfliteModel& model, const std::string& name, int channels = 3);
   ~Network();
   Network(Network&&) noexcept;
   Network& operator=(Network&&) noexcept;
@@ -22,7 +29,7 @@ class Network {
   int input_rows() const;
   int input_columns() const;
 
-  /// The image to work on, [3][rows][columns]: planar, red first. Write it, then call forward().
+  /// The image to work on, [channels][rows][columns]: planar, red first. Write it, then call forward().
   std::span<float> input();
 
   /// Computes all outputs. Throws nothing: the shapes were proven by the constructor.

@@ -83,6 +83,10 @@ SubjectTracker::SubjectTracker(const LandmarkModel& model, const ExpressionPrior
   for (int l = 0; l < model.count(); ++l) {
     const int landmark = model.landmarks()[static_cast<std::size_t>(l)];
     // Outline points slide along the head as it turns; lips and lids move with the expression.
+    if (landmark >= landmark_count) {
+      start_weights_[l] = 0.0;
+      continue;
+    }
     const LandmarkGroup group = groups[static_cast<std::size_t>(landmark)];
     start_weights_[l] = group == LandmarkGroup::Contour ? 0.0 : group == LandmarkGroup::Lips ? 0.25 : 1.0;
   }
@@ -165,7 +169,7 @@ void SubjectTracker::set_image_size(int width_px, int height_px) {
 
 bool SubjectTracker::usable(const FaceLandmarks& face) const {
   if (face.points_px.cols() != landmark_count || face.confidence.size() != landmark_count ||
-      !face.points_px.allFinite() || !face.confidence.allFinite() ||
+      !face.points_px.allFinite() || !face.confidence.allFinite() || !face.irises_px.allFinite() ||
       !(face.interocular_px >= kSmallestInterocularPx)) {
     return false;
   }
@@ -176,7 +180,9 @@ bool SubjectTracker::usable(const FaceLandmarks& face) const {
 bool SubjectTracker::start_pose(const FaceLandmarks& face) {
   for (Eigen::Index l = 0; l < model_->count(); ++l) {
     start_head_mm_.col(l) = basis_.neutral_mm.segment<3>(3 * l);
-    start_px_.col(l) = face.points_px.col(model_->landmarks()[static_cast<std::size_t>(l)]).cast<double>();
+    const int landmark = model_->landmarks()[static_cast<std::size_t>(l)];
+    // The irises have no weight in the start pose.
+    start_px_.col(l) = face.points_px.col(landmark < landmark_count ? landmark : 0).cast<double>();
   }
   const auto pose =
       pose_from_similarity(start_head_mm_, start_px_, start_weights_, subject_.shape.focal_px, centre_px());
@@ -195,7 +201,7 @@ std::optional<double> SubjectTracker::median_residual_px(const FaceLandmarks& fa
   }
   sorted_.clear();
   for (Eigen::Index l = 0; l < model_->count(); ++l) {
-    if (face.confidence[model_->landmarks()[static_cast<std::size_t>(l)]] >= kSeen) {
+    if (confidence_of(face, model_->landmarks()[static_cast<std::size_t>(l)]) >= kSeen) {
       sorted_.push_back(residuals_px_.col(l).norm());
     }
   }

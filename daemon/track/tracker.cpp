@@ -43,7 +43,8 @@ struct Tracker::Impl {
       : model(face_model),
         landmarker(config.landmark_assets),
         landmark_model(face_model),
-        prior(face_model.expression_names, face_model.expression_sigma, prior_strength(config)),
+        prior(face_model.expression_names, face_model.expression_sigma, prior_strength(config),
+              landmark_model.sees_gaze()),
         subject_tracker(landmark_model, prior, subject_config(config)) {
     result.identity.resize(static_cast<std::size_t>(face_model.identity_count()));
     result.expression.resize(static_cast<std::size_t>(face_model.expression_count()));

@@ -2,7 +2,10 @@
 
 #include <gtest/gtest.h>
 
+#include <filesystem>
+
 #include "derivative_check.hpp"
+#include "support/paths.hpp"
 #include "support/synthetic_model.hpp"
 #include "synthetic_landmarks.hpp"
 
@@ -17,7 +20,7 @@ class CoarseFitTest : public testing::Test {
   CoarseFitTest()
       : face_model(test::synthetic_model()),
         model(face_model),
-        prior(face_model.expression_names, face_model.expression_sigma, {}),
+        prior(face_model.expression_names, face_model.expression_sigma, {}, model.sees_gaze()),
         fit(model, prior, trust, {}) {}
 
   Observation observation_of(const test::SyntheticView& view, const FaceLandmarks& face) const {
@@ -105,9 +108,46 @@ TEST_F(CoarseFitTest, HessianMatchesDifferencesWhereTheResidualsVanish) {
   }
 }
 
+TEST(Gaze, IsReadFromTheIrises) {
+  if (!std::filesystem::exists(test::assets() / "default.facemodel")) {
+    GTEST_SKIP() << "no default.facemodel (packaging/prepare)";
+  }
+  const auto face_model = face::FaceModel::load(test::assets() / "default.facemodel");
+  const LandmarkModel model(face_model);
+  ASSERT_TRUE(model.sees_gaze());
+  const ExpressionPrior prior(face_model.expression_names, face_model.expression_sigma, {}, true);
+  CoarseFit fit(model, prior, {}, {});
+  std::mt19937 random(7);
+  auto view = test::random_view(model, Eigen::VectorXd::Zero(model.identity_count()), random, 0.3);
+  const auto weight = [&](FrameState& state, const std::string& name) -> double& {
+    return state.expression[face_model.expression_index(name)];
+  };
+  for (const double aside : {0.5, -0.5}) {
+    FrameState truth{view.pose, Eigen::VectorXd::Zero(model.expression_count())};
+    weight(truth, aside > 0 ? "eyeLookOutLeft" : "eyeLookInLeft") = std::abs(aside);
+    weight(truth, aside > 0 ? "eyeLookInRight" : "eyeLookOutRight") = std::abs(aside);
+    view.expression = truth.expression;
+    auto face = test::synthetic_landmarks(model, view, 0.3, random);
+    for (const bool seen : {true, false}) {
+      face.iris_confidence = {seen ? 1.0F : 0.0F, seen ? 1.0F : 0.0F};
+      Observation observation;
+      observe(model, {}, face, view.pose.translation_mm.z(), view.focal_px, view.centre_px(), observation);
+      LandmarkBasis basis;
+      model.contract_identity(view.identity, basis);
+      FrameState state{view.pose, Eigen::VectorXd::Zero(model.expression_count())};
+      fit.solve(basis, observation, view.focal_px, nullptr, 25, state);
+      const double left = weight(state, "eyeLookOutLeft") - weight(state, "eyeLookInLeft");
+      const double right = weight(state, "eyeLookInRight") - weight(state, "eyeLookOutRight");
+      EXPECT_NEAR(left, seen ? aside : 0.0, 0.12) << "seen " << seen;
+      EXPECT_NEAR(right, seen ? aside : 0.0, 0.12) << "seen " << seen;
+    }
+  }
+}
+
 TEST_F(CoarseFitTest, FindsPoseAndExpressionFromAfar) {
   // Priors off: what is measured exactly must come out exactly.
-  ExpressionPrior flat(face_model.expression_names, face_model.expression_sigma, {0, 0, 0, 0});
+  ExpressionPrior flat(face_model.expression_names, face_model.expression_sigma, {0, 0, 0, 0},
+                       model.sees_gaze());
   CoarseFit exact(model, flat, trust, {});
   for (int round = 0; round < 10; ++round) {
     const auto view = test::random_view(model, test::random_identity(model, random), random);

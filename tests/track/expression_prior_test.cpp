@@ -22,7 +22,7 @@ Eigen::VectorXd expression_with(const std::string& name, double weight) {
 }
 
 TEST(ExpressionPrior, GradientMatchesDifferences) {
-  const ExpressionPrior prior(kNames, kSigma, {});
+  const ExpressionPrior prior(kNames, kSigma, {}, false);
   std::mt19937 random(3);
   std::uniform_real_distribution<double> weight(0.05, 0.95);
   const auto count = static_cast<int>(kNames.size());
@@ -41,7 +41,7 @@ TEST(ExpressionPrior, GradientMatchesDifferences) {
 }
 
 TEST(ExpressionPrior, ShapesThatUndoEachOtherCostMoreTogether) {
-  const ExpressionPrior prior(kNames, kSigma, {});
+  const ExpressionPrior prior(kNames, kSigma, {}, false);
   const auto together = [&](const std::string& a, const std::string& b) {
     return prior.energy(expression_with(a, 0.5) + expression_with(b, 0.5)) -
            prior.energy(expression_with(a, 0.5)) - prior.energy(expression_with(b, 0.5));
@@ -56,10 +56,23 @@ TEST(ExpressionPrior, ShapesThatUndoEachOtherCostMoreTogether) {
   EXPECT_NEAR(together("jawOpen", "browInnerUp"), 0.0, 1e-9);
 }
 
+TEST(ExpressionPrior, EyesTurnTogetherWhereTheGazeIsSeen) {
+  const std::vector<std::string> names = {"eyeLookInLeft", "eyeLookOutLeft", "eyeLookInRight",
+                                          "eyeLookOutRight"};
+  const std::vector<float> sigma(4, 0.3F);
+  const ExpressionPrior unseen(names, sigma, {}, false);
+  const ExpressionPrior seen(names, sigma, {}, true);
+  const Eigen::Vector4d to_the_left(0, 0.4, 0.4, 0);
+  EXPECT_LT(seen.energy(to_the_left), 0.1 * unseen.energy(to_the_left));
+  EXPECT_LT(seen.energy(to_the_left), seen.energy(Eigen::Vector4d(0.4, 0, 0.4, 0))) << "a squint costs more";
+  EXPECT_GT(seen.energy(Eigen::Vector4d(0.4, 0.4, 0, 0)), seen.energy(Eigen::Vector4d(0.4, 0, 0, 0.4)))
+      << "nobody looks both ways with one eye";
+}
+
 TEST(ExpressionPrior, ForeignNamesHaveNoPairs) {
   const std::vector<std::string> names = {"AU1", "AU2", "smile"};
   const std::vector<float> sigma = {0.3F, 0.0F, 0.3F};
-  const ExpressionPrior prior(names, sigma, {});
+  const ExpressionPrior prior(names, sigma, {}, false);
   EXPECT_GT(prior.sigma()[1], 0.0) << "a sigma of 0 would divide by 0";
   EXPECT_TRUE(std::isfinite(prior.energy(Eigen::Vector3d(0.2, 0.3, 0.4))));
 }

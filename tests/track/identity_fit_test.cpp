@@ -14,7 +14,7 @@ class IdentityFitTest : public testing::Test {
   IdentityFitTest()
       : face_model(test::synthetic_model()),
         model(face_model),
-        prior(face_model.expression_names, face_model.expression_sigma, {}) {}
+        prior(face_model.expression_names, face_model.expression_sigma, {}, model.sees_gaze()) {}
 
   /// A batch of `count` views of one person, started from the truth's pose and a neutral expression.
   IdentityFit batch(const Eigen::VectorXd& identity, int count, double noise_px, double fixed_focal_px,

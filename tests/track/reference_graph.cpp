@@ -1,8 +1,12 @@
 #include "reference_graph.hpp"
 
+#include <Eigen/Geometry>
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <stdexcept>
+
+#include "track/landmark_layout.hpp"
 
 namespace facet::test {
 namespace {
@@ -122,6 +126,19 @@ class Interpreter {
       case OperatorKind::Concatenation:
         concatenate(op, out);
         break;
+      case OperatorKind::Mul: {
+        const std::vector<float>& factors = tensor(op.inputs[1]).values;
+        for (std::size_t i = 0; i < in.values.size(); ++i) {
+          out.values[i] = in.values[i] * factors[i % factors.size()];
+        }
+        break;
+      }
+      case OperatorKind::StridedSlice:  // the nets have it only round whole tensors
+        out.values = in.values;
+        break;
+      case OperatorKind::Custom:
+        run_custom(op, in, out);
+        break;
       default:
         throw std::logic_error("the reference does not know this operator");
     }
@@ -180,8 +197,87 @@ class Interpreter {
     }
   }
 
+  /// MediaPipe's own operators, version 2, as 4 x 4 matrices: image = matrix * crop.
+  void run_custom(const TfliteOperator& op, const Tensor& in, Tensor& out) {
+    if (op.custom_name == "Landmarks2TransformMatrix") {
+      out.values = crop_matrix(in.values);
+    } else if (op.custom_name == "TransformTensorBilinear") {
+      sample_crop(in, tensor(op.inputs[1]).values, out);
+    } else if (op.custom_name == "TransformLandmarks") {
+      const std::vector<float>& m = tensor(op.inputs[1]).values;
+      for (std::size_t i = 0; i + 1 < in.values.size(); i += 2) {
+        out.values[i] = m[0] * in.values[i] + m[1] * in.values[i + 1] + m[3];
+        out.values[i + 1] = m[4] * in.values[i] + m[5] * in.values[i + 1] + m[7];
+      }
+    } else {
+      throw std::logic_error("the reference does not know this custom operator");
+    }
+  }
+
+  /// Centre, turn by the corners, 1.5 times the extent, over 16 pixels. The graph asks for the lips, the
+  /// right and the left eye, in this order.
+  std::vector<float> crop_matrix(const std::vector<float>& landmarks) {
+    struct Part {
+      std::span<const int> members;
+      int from, to;
+    };
+    const Part parts[] = {{track::lip_landmarks(), 61, 291},
+                          {track::right_eye_landmarks(), 33, 133},
+                          {track::left_eye_landmarks(), 362, 263}};
+    const Part& part = parts[crops_++ % 3];
+    const auto x = [&](int i) { return landmarks[static_cast<std::size_t>(3 * i)]; };
+    const auto y = [&](int i) { return landmarks[static_cast<std::size_t>(3 * i + 1)]; };
+    const float turn = -std::atan2(y(part.to) - y(part.from), x(part.to) - x(part.from));
+    float left = 1e9F, right = -1e9F, top = 1e9F, bottom = -1e9F;
+    for (const int i : part.members) {
+      const float u = std::cos(turn) * x(i) - std::sin(turn) * y(i);
+      const float v = std::sin(turn) * x(i) + std::cos(turn) * y(i);
+      left = std::min(left, u);
+      right = std::max(right, u);
+      top = std::min(top, v);
+      bottom = std::max(bottom, v);
+    }
+    const float u = (left + right) / 2;
+    const float v = (top + bottom) / 2;
+    Eigen::Affine2f matrix = Eigen::Translation2f(std::cos(-turn) * u - std::sin(-turn) * v,
+                                                  std::sin(-turn) * u + std::cos(-turn) * v) *
+                             Eigen::Rotation2Df(-turn) *
+                             Eigen::Scaling(1.5F * (right - left) / 16, 1.5F * (bottom - top) / 16) *
+                             Eigen::Translation2f(-8, -8);
+    const auto& m = matrix.matrix();
+    return {m(0, 0), m(0, 1), 0, m(0, 2), m(1, 0), m(1, 1), 0, m(1, 2), 0, 0, 1, 0, 0, 0, 0, 1};
+  }
+
+  static void sample_crop(const Tensor& in, const std::vector<float>& m, Tensor& out) {
+    for (int row = 0; row < out.shape[1]; ++row) {
+      for (int column = 0; column < out.shape[2]; ++column) {
+        const float cx = static_cast<float>(column) + 0.5F;
+        const float cy = static_cast<float>(row) + 0.5F;
+        const float x = m[0] * cx + m[1] * cy + m[3] - 0.5F;
+        const float y = m[4] * cx + m[5] * cy + m[7] - 0.5F;
+        const bool outside = x < 0 || y < 0 || x > static_cast<float>(in.shape[2] - 1) ||
+                             y > static_cast<float>(in.shape[1] - 1);
+        for (int c = 0; c < out.shape[3]; ++c) {
+          float sum = 0;
+          for (int dy = 0; dy < 2 && !outside; ++dy) {
+            for (int dx = 0; dx < 2; ++dx) {
+              const int ix = static_cast<int>(std::floor(x)) + dx;
+              const int iy = static_cast<int>(std::floor(y)) + dy;
+              if (ix < in.shape[2] && iy < in.shape[1]) {
+                sum += (1 - std::abs(x - static_cast<float>(ix))) *
+                       (1 - std::abs(y - static_cast<float>(iy))) * in.at(iy, ix, c);
+              }
+            }
+          }
+          out.at(row, column, c) = sum;
+        }
+      }
+    }
+  }
+
   const TfliteModel& model_;
   std::vector<Tensor> tensors_;
+  std::size_t crops_ = 0;
 };
 
 }  // namespace

@@ -21,7 +21,7 @@ class SubjectTrackerTest : public testing::Test {
   SubjectTrackerTest()
       : face_model(test::synthetic_model()),
         model(face_model),
-        prior(face_model.expression_names, face_model.expression_sigma, {}),
+        prior(face_model.expression_names, face_model.expression_sigma, {}, model.sees_gaze()),
         tracker(model, prior, {}) {}
 
   /// A person who turns the head and talks, at frame `frame`.

@@ -68,9 +68,17 @@ inline track::FaceLandmarks synthetic_landmarks(const track::LandmarkModel& mode
     const Eigen::Vector2d px = view.focal_px * camera_mm.head<2>() / camera_mm.z() + view.centre_px();
     const double depth_px =
         view.focal_px * (camera_mm.z() - view.pose.translation_mm.z()) / view.pose.translation_mm.z();
-    face.points_px.col(model.landmarks()[static_cast<std::size_t>(l)]) =
+    const Eigen::Vector3f measured =
         Eigen::Vector3d(px.x() + noise_px * noise(random), px.y() + noise_px * noise(random), depth_px)
             .cast<float>();
+    const int landmark = model.landmarks()[static_cast<std::size_t>(l)];
+    if (landmark < track::landmark_count) {
+      face.points_px.col(landmark) = measured;
+    } else {
+      face.irises_px.conservativeResize(3, 2);
+      face.irises_px.col(landmark - track::landmark_count) = measured;
+      face.iris_confidence = {1, 1};
+    }
   }
   face.interocular_px =
       static_cast<float>(view.focal_px * model.interocular_mm() / view.pose.translation_mm.z());
