@@ -13,7 +13,7 @@ namespace facet::track {
 struct IdentityPriorStrength {
   /// Of |identity|^2 / 2 per frame. It grows with the number of frames because the landmark net's error on
   /// one face is much the same in every frame: more frames do not make the shape more certain.
-  double identity = 5.0;
+  double identity = 2.5;
   /// Focal length over the longer image side: median and standard deviation of the logarithm. Webcams and
   /// phones see 50 to 75 degrees along it (0.13 either way); tighter than that because frontal faces hardly
   /// tell focal length from distance, and what they seem to tell is mostly how the face differs from the
