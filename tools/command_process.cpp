@@ -338,7 +338,9 @@ void help_booth(const Options& options, Team& team, const StopSignals& signals) 
   config.rig_file = options.rig;
   take::TakeReader input(options.input);
   const std::vector<std::int64_t> slots = slots_of(input, config.pipeline.frames);
-  pipeline::BoothStages stages = pipeline::open_booth(booth_of(options, config, input, slots), kBlanksPerRun);
+  pipeline::BoothConfig booth = booth_of(options, config, input, slots);
+  booth.shading = false;
+  pipeline::BoothStages stages = pipeline::open_booth(booth, kBlanksPerRun);
   stages.tracker.reset();
   stages.depth = std::make_unique<SharedDepth>(std::move(stages.depth), team, nullptr);
   pipeline::BoothMeshes meshes(std::move(stages), pipeline::BoothMeshes::WhenBusy::Wait, {});

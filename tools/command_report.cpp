@@ -9,6 +9,7 @@
 #include <filesystem>
 #include <iterator>
 #include <limits>
+#include <map>
 #include <memory>
 #include <numbers>
 #include <numeric>
@@ -36,6 +37,7 @@ constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
 constexpr std::size_t kSheetRows = 4;
 constexpr std::size_t kMostCurves = 12;  ///< expressions with a curve of their own
 constexpr std::size_t kCurvesInAPlot = 6;
+constexpr std::size_t kMostReasons = 12;
 constexpr float kLeastRange = 0.02F;  ///< of a curve worth drawing
 
 struct ReportOptions {
@@ -57,7 +59,7 @@ struct Series {
   std::array<std::vector<float>, kStages.size()> stage_ms;
   std::vector<std::string> expression_names;
   std::vector<std::vector<float>> expressions;  ///< [expressions][frames]
-  std::vector<std::string> reasons;             ///< why frames were degraded, each once
+  std::map<std::string, int> reasons;           ///< why frames were degraded, and how many
   std::size_t vertices = 0;
 };
 
@@ -76,9 +78,8 @@ void add_frame(const mesh::MeshFrame& frame, double at_s, Series& series) {
   series.at_s.push_back(at_s);
   series.states.push_back(frame.state);
   series.degraded.push_back(frame.degraded ? 1 : 0);
-  if (frame.degraded && std::find(series.reasons.begin(), series.reasons.end(), frame.degraded_reason) ==
-                            series.reasons.end()) {
-    series.reasons.push_back(frame.degraded_reason);
+  if (frame.degraded) {
+    ++series.reasons[frame.degraded_reason];
   }
   const bool has_mesh = frame.state == mesh::TrackingState::Tracking && frame.subject != nullptr;
   const bool refined = has_mesh && !frame.displacements_mm.empty();
@@ -113,7 +114,9 @@ Series read_series(take::TakeReader& take) {
   const std::int64_t first_ns = count > 0 ? take.entry(0).media_time_ns : 0;
   for (std::int64_t i = 0; i < count; ++i) {
     const auto frame = take.frame(i, take::Pictures::Described);
-    add_frame(*frame, static_cast<double>(frame->media_time_ns - first_ns) * 1e-9, series);
+    // A damaged take may say any time; the axis does not go back.
+    const double at_s = 1e-9 * (static_cast<double>(frame->media_time_ns) - static_cast<double>(first_ns));
+    add_frame(*frame, std::max(at_s, series.at_s.empty() ? 0 : series.at_s.back()), series);
     progress.advance();
   }
   return series;
@@ -143,9 +146,9 @@ std::string states_html(const Series& series) {
   std::string svg = fmt::format(
       "<figure><figcaption><h3>State</h3></figcaption>\n<svg class=\"plot\" viewBox=\"0 0 960 22\" "
       "role=\"img\" aria-label=\"State of every frame\">\n");
+  const double span_s = count > 0 ? std::max(series.at_s.back(), 1e-9) : 1;
   const auto x_of = [&](std::size_t frame) {
-    return 56 + (960 - 56 - 12) * static_cast<double>(frame) /
-                    static_cast<double>(std::max<std::size_t>(count, 1));
+    return 56 + (960 - 56 - 12) * (frame < count ? series.at_s[frame] / span_s : 1);
   };
   std::array<std::size_t, 4> frames{};
   for (std::size_t begin = 0; begin < count;) {
@@ -157,7 +160,7 @@ std::string states_html(const Series& series) {
     const auto state = static_cast<std::size_t>(series.states[begin]);
     frames.at(state) += end - begin;
     svg += fmt::format("<rect x=\"{:.1f}\" y=\"{}\" width=\"{:.2f}\" height=\"{}\" style=\"fill:{}\"/>\n",
-                       x_of(begin), 2, x_of(end) - x_of(begin), 14, kColours.at(state));
+                       x_of(begin), 2, std::max(x_of(end) - x_of(begin), 1.0), 14, kColours.at(state));
     if (series.degraded[begin] != 0) {
       svg += fmt::format(
           "<rect x=\"{:.1f}\" y=\"16\" width=\"{:.2f}\" height=\"5\" style=\"fill:var(--c3)\"/>\n",
@@ -173,8 +176,17 @@ std::string states_html(const Series& series) {
   svg += fmt::format(
       "<li><i style=\"background:var(--c3)\"></i><b>degraded</b> {} frames</li>\n</ul></figure>\n",
       std::count(series.degraded.begin(), series.degraded.end(), std::uint8_t{1}));
-  for (const std::string& reason : series.reasons) {
-    svg += fmt::format("<p class=\"reason\">degraded: {}</p>\n", html_text(reason));
+  std::vector<std::pair<int, std::string>> reasons;
+  for (const auto& [reason, times] : series.reasons) {
+    reasons.emplace_back(times, reason);
+  }
+  std::sort(reasons.rbegin(), reasons.rend());
+  for (std::size_t i = 0; i < std::min(reasons.size(), kMostReasons); ++i) {
+    svg += fmt::format("<p class=\"reason\">degraded, {} frames: {}</p>\n", reasons[i].first,
+                       html_text(reasons[i].second));
+  }
+  if (reasons.size() > kMostReasons) {
+    svg += fmt::format("<p class=\"reason\">and {} other reasons</p>\n", reasons.size() - kMostReasons);
   }
   return svg;
 }
@@ -280,10 +292,10 @@ std::string truth_html(const TakeEvaluation& evaluation, const Series& series) {
   std::array<PlotLine, 2> angles = distances;
   for (const FrameEvaluation& frame : evaluation.frames) {
     distance.at.push_back(series.at_s.at(static_cast<std::size_t>(frame.index)));
-    distances[0].values.push_back(static_cast<float>(frame.coarse_mm));
-    distances[1].values.push_back(static_cast<float>(frame.refined_mm));
-    angles[0].values.push_back(static_cast<float>(frame.coarse_normal_deg));
-    angles[1].values.push_back(static_cast<float>(frame.refined_normal_deg));
+    distances[0].values.push_back(static_cast<float>(frame.coarse.mm));
+    distances[1].values.push_back(static_cast<float>(frame.refined.mm));
+    angles[0].values.push_back(static_cast<float>(frame.coarse.normal_deg));
+    angles[1].values.push_back(static_cast<float>(frame.refined.normal_deg));
   }
   normals.at = distance.at;
   distance.lines.assign(distances.begin(), distances.end());
@@ -295,9 +307,9 @@ std::string truth_html(const TakeEvaluation& evaluation, const Series& series) {
                                       {"refined", evaluation.refined}}) {
     html += fmt::format(
         "<tr><td>{}</td><td>{:.3f}</td><td>{:.3f}</td><td>{:.3f}</td><td>{:.3f}</td><td>{:.2f}</td>"
-        "<td>{:.3f}</td></tr>\n",
+        "<td>{}</td></tr>\n",
         name, figures.mean_mm, figures.std_mm, figures.median_mm, figures.p95_mm, figures.normal_error_deg,
-        figures.flicker_mm);
+        std::isfinite(figures.flicker_mm) ? fmt::format("{:.3f}", figures.flicker_mm) : "-");
   }
   html += fmt::format(
       "</tbody></table>\n<p>{} frames, {} with a truth but without a mesh; each mesh aligned by "

@@ -187,8 +187,8 @@ std::vector<std::int32_t> measured_vertices(const mesh::Subject& subject, const 
   return vertices;
 }
 
-void FigureSum::add(std::int64_t index, const std::vector<std::int32_t>& vertices,
-                    const Comparison& comparison, double photometric_rms) {
+FrameMeans FigureSum::add(std::int64_t index, const std::vector<std::int32_t>& vertices,
+                          const Comparison& comparison, double photometric_rms) {
   if (histogram_.empty()) {
     histogram_.assign(static_cast<std::size_t>(static_cast<double>(kReach_mm) / kBin_mm) + 2, 0);
   }
@@ -200,6 +200,7 @@ void FigureSum::add(std::int64_t index, const std::vector<std::int32_t>& vertice
   std::vector<float> current(std::max(room, last_.size()), kNaN);
   last_.resize(current.size(), kNaN);
   last_but_one_.resize(current.size(), kNaN);
+  FrameMeans frame;
   for (std::size_t k = 0; k < vertices.size(); ++k) {
     const float distance = comparison.signed_distance_mm[k];
     const auto size_mm = static_cast<double>(std::isnan(distance) ? kReach_mm : std::abs(distance));
@@ -208,8 +209,11 @@ void FigureSum::add(std::int64_t index, const std::vector<std::int32_t>& vertice
     sum_mm_ += size_mm;
     sum_squares_mm2_ += size_mm * size_mm;
     constexpr double kOpposite_deg = 180;
-    sum_normal_deg_ +=
+    const double normal_deg =
         std::isnan(distance) ? kOpposite_deg : static_cast<double>(comparison.normal_error_deg[k]);
+    sum_normal_deg_ += normal_deg;
+    frame.mm += size_mm;
+    frame.normal_deg += normal_deg;
     const auto vertex = static_cast<std::size_t>(vertices[k]);
     current[vertex] = distance;
     const float bend = last_but_one_[vertex] - 2 * last_[vertex] + distance;
@@ -225,6 +229,8 @@ void FigureSum::add(std::int64_t index, const std::vector<std::int32_t>& vertice
   last_but_one_ = std::move(last_);
   last_ = std::move(current);
   last_index_ = index;
+  const auto points = static_cast<double>(vertices.size());
+  return {frame.mm / points, frame.normal_deg / points};
 }
 
 Figures FigureSum::figures() const {

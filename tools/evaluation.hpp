@@ -61,6 +61,12 @@ Comparison compare(const Reconstruction& reconstruction, const Truth& truth, Ali
 std::vector<std::int32_t> measured_vertices(const mesh::Subject& subject, const mesh::Vertices& coarse_mm,
                                             const Eigen::Matrix3Xf& coarse_normals);
 
+/// Of one frame's points; those that are nowhere near the truth count as in Figures.
+struct FrameMeans {
+  double mm = 0;
+  double normal_deg = 0;
+};
+
 /// Figures of one kind of mesh over a sequence.
 struct Figures {
   double mean_mm = 0;
@@ -77,8 +83,9 @@ class FigureSum {
  public:
   /// Adds the next frame. vertices: the measured ones, as in the Reconstruction. Frames come in order of
   /// `index`; a gap starts the flicker anew. photometric_rms: NaN where unknown.
-  void add(std::int64_t index, const std::vector<std::int32_t>& vertices, const Comparison& comparison,
-           double photometric_rms);
+  /// Returns the frame's own; NaN where nothing was measured.
+  FrameMeans add(std::int64_t index, const std::vector<std::int32_t>& vertices, const Comparison& comparison,
+                 double photometric_rms);
 
   /// Mean, standard deviation, median and 95th percentile of unsigned distances; mean normal error; flicker:
   /// rms of (e[t-1] - 2 e[t] + e[t+1]) / sqrt(6) over all vertices measured in three frames running, e =

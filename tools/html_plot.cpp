@@ -16,7 +16,7 @@ constexpr double kTop = 8;
 constexpr double kBottom = 26;
 constexpr double kRight = 12;
 constexpr int kColumns = 900;
-constexpr int kColours = 8;
+constexpr int kColours = 10;
 
 struct Axis {
   double least = 0;
@@ -62,10 +62,11 @@ std::vector<std::vector<Column>> columns_of(const Plot& plot, const std::vector<
       continue;
     }
     const int column = static_cast<int>((plot.at[i] - first) / span * kColumns);
-    if (!goes_on) {
+    // A gap within a column can't be seen.
+    if (!goes_on && column != last_column) {
       runs.emplace_back();
     }
-    if (!goes_on || column != last_column) {
+    if (column != last_column) {
       runs.back().push_back({plot.at[i]});
     }
     goes_on = true;
@@ -117,7 +118,7 @@ const char* const kPlotStyle = R"(
 .key{display:flex;flex-wrap:wrap;gap:.2em 1.4em;margin:0;padding:0;list-style:none;font-size:.86em;color:var(--faint)}
 .key b{color:var(--ink);font-weight:600}
 .key i{display:inline-block;width:1.1em;height:.5em;margin-right:.4em;border-radius:2px}
-:root{--c0:#0072b2;--c1:#d55e00;--c2:#009e73;--c3:#b5588f;--c4:#b58900;--c5:#56a0d0;--c6:#6c6c6c;--c7:#7a4fbf}
+:root{--c0:#0072b2;--c1:#d55e00;--c2:#009e73;--c3:#b5588f;--c4:#b58900;--c5:#56a0d0;--c6:#6c6c6c;--c7:#7a4fbf;--c8:#8c5a2b;--c9:#1a9aa8}
 )";
 
 std::string html_text(const std::string& text) {

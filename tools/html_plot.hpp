@@ -15,16 +15,16 @@ struct PlotLine {
 struct Plot {
   std::string title;
   std::string unit;        ///< of the values
-  std::vector<double> at;  ///< [points] ascending
+  std::vector<double> at;  ///< [points] never descending
   std::string at_unit = "s";
-  std::vector<PlotLine> lines;  ///< 8 at most have colours of their own
+  std::vector<PlotLine> lines;  ///< 10 at most have colours of their own
   bool stacked = false;         ///< areas upon each other instead of lines
   bool from_zero = true;        ///< the vertical axis begins at 0 unless values are below
   float most = 0;               ///< where the vertical axis ends at least
 };
 
-/// A plot as SVG to be put into a page with kPlotStyle: axes with round numbers, legend, last value and range
-/// of every line. Columns that hold more points than one show the least and the greatest of them, so that
+/// A plot as SVG to be put into a page with kPlotStyle: axes with round numbers, legend, mean and range of
+/// every line. Columns that hold more points than one show the least and the greatest of them, so that
 /// spikes are seen in plots of any length.
 std::string plot_svg(const Plot& plot);
 

@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <cmath>
 #include <limits>
 #include <memory>
 #include <utility>
@@ -17,19 +16,6 @@ namespace facet::tools {
 namespace {
 
 constexpr std::size_t kHeatMapRows = 4;
-
-/// Of the numbers that are some, of their magnitudes.
-double mean_magnitude(const std::vector<float>& values) {
-  double sum = 0;
-  std::size_t count = 0;
-  for (const float value : values) {
-    if (std::isfinite(value)) {
-      sum += static_cast<double>(std::abs(value));
-      ++count;
-    }
-  }
-  return count > 0 ? sum / static_cast<double>(count) : std::numeric_limits<double>::quiet_NaN();
-}
 
 /// Indices in the take of frames that have a mesh and a truth; counts those with a truth but without a mesh.
 std::vector<std::int64_t> frames_to_measure(take::TakeReader& take, const std::filesystem::path& truth,
@@ -94,16 +80,13 @@ TakeEvaluation evaluate_take(take::TakeReader& take, const std::filesystem::path
     const Comparison coarse_errors = compare(coarse, truth, alignment);
     const Comparison refined_errors = compare(refined, truth, alignment);
     const auto index = static_cast<std::int64_t>(frame->sequence);
-    coarse_sum.add(index, measured, coarse_errors, rms(coarse));
-    refined_sum.add(index, measured, refined_errors, rms(refined));
+    const FrameMeans coarse_means = coarse_sum.add(index, measured, coarse_errors, rms(coarse));
+    const FrameMeans refined_means = refined_sum.add(index, measured, refined_errors, rms(refined));
     scale_sum += static_cast<double>(refined_errors.truth_from_reconstruction.scale);
     if (std::find(pictured.begin(), pictured.end(), frames[done]) != pictured.end()) {
       heat_map.add_row(*frame, image, coarse, coarse_errors, refined, refined_errors);
     }
-    out.frames.push_back({frames[done], mean_magnitude(coarse_errors.signed_distance_mm),
-                          mean_magnitude(refined_errors.signed_distance_mm),
-                          mean_magnitude(coarse_errors.normal_error_deg),
-                          mean_magnitude(refined_errors.normal_error_deg)});
+    out.frames.push_back({frames[done], coarse_means, refined_means});
     progress(done + 1, frames.size());
   }
   out.coarse = coarse_sum.figures();

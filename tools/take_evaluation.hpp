@@ -14,10 +14,8 @@ namespace facet::tools {
 /// How one frame's meshes compare with the truth.
 struct FrameEvaluation {
   std::int64_t index = 0;  ///< in the take
-  double coarse_mm = 0;    ///< mean distance
-  double refined_mm = 0;
-  double coarse_normal_deg = 0;  ///< mean angle
-  double refined_normal_deg = 0;
+  FrameMeans coarse;
+  FrameMeans refined;
 };
 
 struct TakeEvaluation {

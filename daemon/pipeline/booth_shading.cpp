@@ -1,5 +1,6 @@
 #include "pipeline/booth_shading.hpp"
 
+#include <algorithm>
 #include <list>
 #include <utility>
 
@@ -24,6 +25,9 @@ std::shared_ptr<const mesh::Hierarchy> single_level(const mesh::Level& level) {
   only.from_coarser.row_offsets.push_back(level.vertex_count);
   return hierarchy;
 }
+
+/// Beside a camera's confidence: where none is sure, what its refinement makes of the vertices around counts.
+constexpr float kLeastWeight = 1e-3F;
 
 struct View {
   View(const capture::Lens& lens, std::unique_ptr<RefineStage> first, const OpenRefiner& open,
@@ -55,11 +59,14 @@ struct BoothShading::Impl {
   mesh::SparseRows fine_from_template;
   mesh::Vertices base_mm;  ///< [3][finest vertex_count] the template subdivided, rig frame
   std::vector<float> weights;
+  float bound_mm = 0;             ///< of the refinement
+  std::vector<float> bounded_mm;  ///< the displacements by depth, within it
 };
 
 BoothShading::BoothShading(const std::string& gpu_device, const capture::Rig& rig,
                            const refine::RefinerConfig& config)
     : impl_(std::make_unique<Impl>()) {
+  impl_->bound_mm = config.displacement_bound_mm;
   const OpenRefiner open = refiner_opener(gpu_device, config);
   for (const capture::RigCamera& camera : rig.cameras) {
     if (camera.colour) {
@@ -99,7 +106,11 @@ std::string BoothShading::refine(std::span<const Frame> pictures, const mesh::Ve
   mesh::apply(impl_->fine_from_template, template_mm, impl_->base_mm);
   added_mm.assign(displacements_mm.size(), 0);
   impl_->weights.assign(displacements_mm.size(), 0);
-  std::string missing = "no colour camera has a picture for the shading";
+  impl_->bounded_mm.assign(displacements_mm.begin(), displacements_mm.end());
+  for (float& displacement : impl_->bounded_mm) {
+    displacement = std::clamp(displacement, -impl_->bound_mm, impl_->bound_mm);
+  }
+  std::string missing;
   bool any = false;
   std::size_t at = 0;
   for (View& view : impl_->views) {
@@ -118,23 +129,23 @@ std::string BoothShading::refine(std::span<const Frame> pictures, const mesh::Ve
                     lens.height_px};
     input.camera_from_head = lens.camera_from_rig.cast<float>();
     input.control_vertices_mm = &impl_->base_mm;
-    input.prior_displacements_mm = displacements_mm;
+    input.prior_displacements_mm = impl_->bounded_mm;
     const std::string& why = view.refiner.refine(input, view.output);
     if (!why.empty()) {
-      missing = "no shading: " + why;
+      missing = "no shading by one of the colour cameras: " + why;
       continue;
     }
     any = true;
     for (std::size_t v = 0; v < displacements_mm.size(); ++v) {
-      const float weight = view.output.confidence[v];
-      added_mm[v] += weight * (view.output.displacements_mm[v] - displacements_mm[v]);
+      const float weight = view.output.confidence[v] + kLeastWeight;
+      added_mm[v] += weight * (view.output.displacements_mm[v] - impl_->bounded_mm[v]);
       impl_->weights[v] += weight;
     }
   }
   for (std::size_t v = 0; v < displacements_mm.size(); ++v) {
     added_mm[v] = impl_->weights[v] > 0 ? added_mm[v] / impl_->weights[v] : 0.0F;
   }
-  return any ? std::string() : missing;
+  return any || !missing.empty() ? missing : "no colour camera has a picture for the shading";
 }
 
 void BoothShading::restart() {

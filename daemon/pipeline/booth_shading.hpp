@@ -20,7 +20,7 @@ refine::RefinerConfig booth_refinement();
 /// Shading on top of a booth's fine levels: what the colour pictures of a blank slot say of the skin's slopes
 /// moves the displacements that depth maps gave (docs/template-fit.md, "Shading on top"). One refinement a
 /// colour camera (refine::Refiner, with the fine mesh as its only level); what they add is averaged by their
-/// confidence. A device that is lost is opened again; meanwhile nothing is added. One thread.
+/// confidence. A device that is lost is opened again; meanwhile that camera adds nothing. One thread but for take_messages.
 class BoothShading {
  public:
   /// rig: its colour cameras count. Seconds, for the kernels are compiled. Throws Error(NoDevice).
@@ -36,7 +36,7 @@ class BoothShading {
   /// template_mm       [3][template vertex_count] rig frame
   /// displacements_mm  [finest vertex_count] along the normals of the template subdivided, by depth
   /// added_mm          out: [finest vertex_count] what shading adds to them
-  /// Returns why nothing is added, for people; empty where a camera at least had its say.
+  /// Returns why a camera adds nothing, for people, or that none has a picture; empty where all is well.
   std::string refine(std::span<const Frame> pictures, const mesh::Vertices& template_mm,
                      std::span<const float> displacements_mm, std::vector<float>& added_mm);
 

@@ -111,9 +111,13 @@ void check(const RefinerConfig& config) {
   }
 }
 
-void check(const SubjectSetup& subject) {
+void check(const RefinerConfig& config, const SubjectSetup& subject) {
   if (subject.hierarchy == nullptr || subject.hierarchy->levels.empty()) {
     throw Error(ErrorKind::Usage, "refinement needs a subject with a hierarchy");
+  }
+  if (config.given_prior && (subject.hierarchy->levels.size() != 1 || !config.hierarchical)) {
+    throw Error(ErrorKind::Usage,
+                "given displacements are refined on one level: the subject's hierarchy has more");
   }
   const std::int32_t count = subject.hierarchy->control_vertex_count;
   if (subject.mean_albedo.cols() != count || subject.refinable.size() != static_cast<std::size_t>(count)) {
@@ -366,7 +370,7 @@ Refiner::~Refiner() {
 }
 
 void Refiner::set_subject(const SubjectSetup& subject) {
-  check(subject);
+  check(impl_->config, subject);
   impl_->subject.reset();
   impl_->subject.emplace(impl_->context, impl_->config, subject);
   impl_->hierarchy = subject.hierarchy;

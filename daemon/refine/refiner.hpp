@@ -36,7 +36,7 @@ struct RefinerConfig {
   bool fine_albedo = false;
   bool hierarchical = true;  ///< false: the finest level only (the paper's figure 6, for comparison)
   /// true: every frame comes with displacements that something else measured
-  /// (RefineInput::prior_displacements_mm); w4 draws the coarsest level's to them.
+  /// (RefineInput::prior_displacements_mm); w4 draws to them. For subjects of one level.
   bool given_prior = false;
   /// Tukey's bound on the residual relative to the face's rms brightness: what shading cannot explain
   /// (highlights, cast shadows, hair) loses its weight. 0: plain squares as in the paper.
