@@ -20,7 +20,8 @@ refine::RefinerConfig booth_refinement();
 /// Shading on top of a booth's fine levels: what the colour pictures of a blank slot say of the skin's slopes
 /// moves the displacements that depth maps gave (docs/template-fit.md, "Shading on top"). One refinement a
 /// colour camera (refine::Refiner, with the fine mesh as its only level); what they add is averaged by their
-/// confidence. A device that is lost is opened again; meanwhile that camera adds nothing. One thread but for take_messages.
+/// confidence. A device that is lost is opened again; meanwhile that camera adds nothing. One thread but for
+/// take_messages.
 class BoothShading {
  public:
   /// rig: its colour cameras count. Seconds, for the kernels are compiled. Throws Error(NoDevice).

@@ -135,6 +135,7 @@ PerformanceTracker::Impl::Impl(std::shared_ptr<const face::FaceModel> given_mode
   }
   track::LandmarkerConfig landmarks;
   landmarks.smooth = false;
+  landmarks.attends = false;  // depth says more of lips and lids than small pictures do
   for (std::size_t i = 0; i < rig->cameras.size(); ++i) {
     if (rig->cameras[i].colour) {
       views.emplace_back(*rig, i, track::Landmarker(assets, landmarks));

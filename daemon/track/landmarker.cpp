@@ -115,6 +115,9 @@ struct Landmarker::Impl {
   /// Takes lips, eyes and irises from the net with attention where it sees the face too; on profiles it often
   /// does not, while the plain net goes on.
   void refine(const Frame& frame, FaceLandmarks& face) {
+    if (!config.attends) {
+      return;
+    }
     const float presence = attention.find(frame, face.window, attended_px, face.irises_px);
     if (!attended_px.allFinite() || !face.irises_px.allFinite()) {
       face.irises_px.setZero();

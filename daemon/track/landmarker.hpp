@@ -52,6 +52,8 @@ inline float confidence_of(const FaceLandmarks& face, int landmark) {
 }
 
 struct LandmarkerConfig {
+  /// Lips, lids and irises from the net with attention; without it those of the plain net, and no irises.
+  bool attends = true;
   float min_detection_score = 0.5F;  ///< of the first, coarse look
   float min_second_score = 0.6F;     ///< of the second look, close and upright
   float min_presence = 0.5F;

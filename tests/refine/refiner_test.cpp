@@ -232,16 +232,15 @@ TEST_F(RefinerTest, PhotometricErrorAndConfidenceAreThoseOfTheOutput) {
 
 TEST_F(RefinerTest, GivenDisplacementsHoldAgainstTheShadingByTheirWeight) {
   constexpr float kGiven_mm = 0.7F;
-  mesh::HierarchyOptions one_level;
-  one_level.max_levels = 1;
+  constexpr float kOneLevel_px = 1e6F;
   std::vector<float> moved;
   for (const float weight : {0.0F, 1.0F, 1e5F}) {
     RefinerConfig config = clean_config();
     config.given_prior = true;
     config.weights.displacement_coarse = 0;
     config.weights.displacement_hierarchy = weight;
-    Session session(context(), small_scene(), config);
-    session.hierarchy = synthetic::hierarchy(session.scene, session.cap, one_level);
+    Session session(context(), small_scene(), config, kOneLevel_px);
+    ASSERT_EQ(session.hierarchy->levels.size(), 1U);
     std::vector<std::uint8_t> refinable = session.cap.control.refinable;
     std::fill(refinable.begin(), refinable.begin() + static_cast<std::ptrdiff_t>(refinable.size() / 4), 0);
     session.refiner.set_subject({session.hierarchy, session.cap.mean_albedo, refinable});
