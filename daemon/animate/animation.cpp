@@ -158,7 +158,7 @@ class KeySolver {
 };
 
 RegionMetric metric_of(const TakeBasis& basis, const InfluenceMaps& maps, int region) {
-  return {basis, maps.control().region(region), maps.finest().region(region), maps.eyes().row(region)};
+  return {basis, maps.control().region(region), maps.finest().region(region), maps.eyes_of(region)};
 }
 
 }  // namespace

@@ -282,7 +282,7 @@ void FaceIk::rebuild(std::span<const ControlTarget> targets) {
   const int region_count = maps->region_count();
   for (int region = 0; region < region_count; ++region) {
     regions_.push_back({RegionMetric(*basis_, maps->control().region(region), maps->finest().region(region),
-                                     maps->eyes().row(region)),
+                                     maps->eyes_of(region)),
                         {}});
     Region& made = regions_.back();
     Eigen::MatrixXf faces(basis_->coefficient_count(), static_cast<Eigen::Index>(exemplars_.size()));

@@ -39,6 +39,10 @@ class InfluenceMaps {
   const RegionWeights& finest() const { return finest_; }
   /// Mean over an eyeball's vertices. [region_count][eye_count]
   const Eigen::MatrixXf& eyes() const { return eyes_; }
+  /// One region's; empty where the take has no eyes.
+  Eigen::VectorXf eyes_of(int region) const {
+    return eyes_.cols() > 0 ? Eigen::VectorXf(eyes_.row(region)) : Eigen::VectorXf();
+  }
   /// Each region's share of the whole face; sums to 1. [region_count]
   const Eigen::VectorXf& shares() const { return shares_; }
   const std::vector<std::int32_t>& vertices() const { return vertices_; }
