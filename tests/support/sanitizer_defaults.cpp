@@ -12,12 +12,14 @@ const char* __lsan_default_suppressions() {
   return "leak:libVkLayer_khronos_validation.so\n";
 }
 
-/// FFmpeg's frame threads, the software device's workers and the validation layer's queue threads hand their
-/// states over by atomics of their own, which the checker cannot see; the layer takes reader locks in both
-/// orders. A stopping facetd leaves without a thread that a driver holds.
+/// FFmpeg's frame threads, the software device's workers, those of Embree and the validation layer's queue
+/// threads hand their states over by atomics of their own, which the checker cannot see; the layer takes
+/// reader locks in both orders. A stopping facetd leaves without a thread that a driver holds.
 const char* __tsan_default_suppressions() {
   return "race:libavcodec.so\n"
          "race:libavutil.so\n"
+         "race:libembree3.so\n"
+         "race:libtbb.so\n"
          "race:libvulkan_lvp.so\n"
          "race:libVkLayer_khronos_validation.so\n"
          "deadlock:libVkLayer_khronos_validation.so\n"
