@@ -23,6 +23,7 @@ const char* __tsan_default_suppressions() {
          "race:libvulkan_lvp.so\n"
          "race:libVkLayer_khronos_validation.so\n"
          "deadlock:libVkLayer_khronos_validation.so\n"
+         "deadlock:libgdal.so\n"
          "thread:Workers::begin\n"
          "thread:MonocularPipeline::start\n"
          "thread:FramesPipeline::start\n"
