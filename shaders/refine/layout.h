@@ -8,10 +8,10 @@ FACET_LAYOUT_BEGIN(refine)
 
 // What changes from frame to frame; the host writes it before each submission.
 struct FrameParameters {
-  vec4 projection;         // fx, fy, cx, cy in pixels of the linear image
-  vec4 image_size;         // width, height of the linear image, 1 / width, 1 / height
-  vec4 depth_from_px;      // depth map position = px * xy + zw
-  ivec4 region_px;         // x0, y0, x1, y1 (past the end): the part of the image that the face needs
+  vec4 projection;           // fx, fy, cx, cy in pixels of the linear image
+  vec4 image_size;           // width, height of the linear image, 1 / width, 1 / height
+  vec4 depth_from_px;        // depth map position = px * xy + zw
+  ivec4 region_px;           // x0, y0, x1, y1 (past the end): the part of the image that the face needs
   float keep_displacements;  // 1: warm start from the previous frame; 0: from nothing
   float keep_lighting;       // 1: the previous frame's light is a prior
   float learn_albedo;        // 1: this frame may add to the albedo's sums
@@ -25,19 +25,18 @@ FACET_LAYOUT_OFFSET(FrameParameters, source_px, 80)
 
 // The light of the frame. Written by lighting_solve.
 struct Light {
-  vec4 low;        // l0 to l3
-  vec4 middle;     // l4 to l7
-  float last;      // l8
-  float gain;      // 1 / mean square of the channels that the face shows: makes residuals relative
-  float weight;    // sum of the vertex weights behind it
-  float valid;     // 1 once a frame gave a light
+  vec4 low;              // l0 to l3
+  vec4 middle;           // l4 to l7
+  float last;            // l8
+  float gain;            // 1 / mean square of the channels that the face shows: makes residuals relative
+  float weight;          // sum of the vertex weights behind it
+  float valid;           // 1 once a frame gave a light
   vec4 metric_diagonal;  // metric of colour residuals: xx, yy, zz, 0
   vec4 metric_mixed;     // xy, xz, yz, 0
 };
 FACET_LAYOUT_SIZE(Light, 80)
 FACET_LAYOUT_OFFSET(Light, metric_diagonal, 48)
 FACET_LAYOUT_OFFSET(Light, last, 32)
-
 
 // Weights and bounds of the displacement solve (eq. 6).
 struct SolvePush {
@@ -56,7 +55,8 @@ FACET_LAYOUT_SIZE(SolvePush, 40)
 
 struct LevelPush {
   uint vertex_count;
-  float has_prior;  // 1: the coarser level's displacements are this level's prior; 0 at the coarsest refined level
+  float has_prior;  // 1: the coarser level's displacements are this level's prior; 0 at the coarsest refined
+                    // level
   float refine;     // 1: shading refines this level
   float fixed_keep_prior;  // 1: vertices that shading does not move stand at their prior; 0: at 0
 };
@@ -76,18 +76,18 @@ FACET_LAYOUT_SIZE(ObservePush, 8)
 
 struct LightingPush {
   uint vertex_count;
-  uint group_count;        // workgroups that lighting_sums runs with
-  float temporal_weight;   // w1
-  float robust_scale;      // 0: plain squares
-  float metric_floor;      // added to the residuals' covariance, in units of its mean variance
+  uint group_count;       // workgroups that lighting_sums runs with
+  float temporal_weight;  // w1
+  float robust_scale;     // 0: plain squares
+  float metric_floor;     // added to the residuals' covariance, in units of its mean variance
 };
 FACET_LAYOUT_SIZE(LightingPush, 20)
 
 struct AlbedoPush {
   uint vertex_count;
   uint iteration;
-  float smooth_weight;     // w2
-  float frame_quota;       // frames that a vertex learns from
+  float smooth_weight;  // w2
+  float frame_quota;    // frames that a vertex learns from
 };
 FACET_LAYOUT_SIZE(AlbedoPush, 16)
 
