@@ -13,10 +13,10 @@
 #include <iterator>
 #include <thread>
 
-#include "actor.hpp"
 #include "animate/places.hpp"
 #include "facet/error.hpp"
 #include "support/child_process.hpp"
+#include "support/take_actor.hpp"
 
 namespace facet::animate {
 namespace {

@@ -9,11 +9,11 @@
 #include <fstream>
 #include <random>
 
-#include "actor.hpp"
 #include "animate/streaming_basis.hpp"
 #include "face/face_model.hpp"
 #include "facet/error.hpp"
 #include "support/mesh_frames.hpp"
+#include "support/take_actor.hpp"
 
 namespace facet::animate {
 namespace {

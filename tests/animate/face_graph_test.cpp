@@ -9,7 +9,7 @@
 #include <limits>
 #include <vector>
 
-#include "actor.hpp"
+#include "support/take_actor.hpp"
 
 namespace facet::animate {
 namespace {

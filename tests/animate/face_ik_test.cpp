@@ -10,8 +10,8 @@
 #include <limits>
 #include <random>
 
-#include "actor.hpp"
 #include "facet/error.hpp"
+#include "support/take_actor.hpp"
 
 namespace facet::animate {
 namespace {

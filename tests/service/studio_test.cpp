@@ -14,13 +14,13 @@
 #include <random>
 #include <thread>
 
-#include "../animate/actor.hpp"
 #include "facet/error.hpp"
 #include "render/renderer.hpp"
 #include "service/studio_methods.hpp"
 #include "service/thumbnails.hpp"
 #include "stream/client.hpp"
 #include "stream/server.hpp"
+#include "support/take_actor.hpp"
 
 namespace facet::service {
 namespace {
