@@ -29,15 +29,15 @@ SolverScratch::SolverScratch(gpu::Context& context, std::uint32_t capacity, std:
       jacobian_rows(context, group_capacity, gpu::TexelFormat::Rgba16f, "jacobian_rows"),
       jacobian_columns(context, group_capacity, gpu::TexelFormat::Rgba16f, "jacobian_columns"),
       solver_states(context, capacity, gpu::TexelFormat::Rgba32f, "solver_states"),
-      searches(context, capacity + 1, gpu::TexelFormat::Rg32f, "searches"),
-      products(context, capacity + 1, gpu::TexelFormat::Rg32f, "products"),
+      preconditioned(context, capacity + 1, gpu::TexelFormat::R32f, "preconditioned"),
+      products(context, capacity + 1, gpu::TexelFormat::Rgba32f, "products"),
       sums(context,
            static_cast<std::size_t>(2 * pcg_iterations + 1) *
                static_cast<std::size_t>(context.info().workgroup_count),
            gpu::TexelFormat::R32f, "sums"),
       energies(context, sizeof(float) * energy_slots * context.info().workgroup_count, gpu::Memory::Readback,
                "energies") {
-  clear(context, {&searches.buffer, &products.buffer, &sums.buffer});
+  clear(context, {&preconditioned.buffer, &products.buffer, &sums.buffer});
 }
 
 double SolverScratch::energy(std::uint32_t slot, std::uint32_t workgroup_count) const {
@@ -95,7 +95,8 @@ void DisplacementKernels::record(gpu::Batch& batch, const LevelTopology& topolog
                     {"jacobian_rows", scratch.jacobian_rows.buffer},
                     {"jacobian_columns", scratch.jacobian_columns.buffer},
                     {"solver_states", scratch.solver_states.buffer},
-                    {"searches", scratch.searches.buffer},
+                    {"preconditioned", scratch.preconditioned.buffer},
+                    {"products", scratch.products.buffer},
                     {"sums", scratch.sums.buffer}},
                    groups, push);
     for (int iteration = 0; iteration < options.pcg_iterations; ++iteration) {
@@ -104,11 +105,11 @@ void DisplacementKernels::record(gpu::Batch& batch, const LevelTopology& topolog
       batch.dispatch(direction_,
                      {{"vertex_rings", topology.vertex_rings.view},
                       {"ring_groups", topology.ring_groups.view},
-                      {"normals", state.normals.view},
                       {"bends", scratch.bends.view},
                       {"jacobian_rows", scratch.jacobian_rows.view},
-                      {"searches", scratch.searches.view},
+                      {"preconditioned", scratch.preconditioned.view},
                       {"sums_so_far", scratch.sums.view},
+                      {"products_before", scratch.products.view},
                       {"products", scratch.products.buffer},
                       {"sums", scratch.sums.buffer}},
                      groups, push);
@@ -118,8 +119,9 @@ void DisplacementKernels::record(gpu::Batch& batch, const LevelTopology& topolog
                       {"jacobian_columns", scratch.jacobian_columns.view},
                       {"products", scratch.products.view},
                       {"sums_so_far", scratch.sums.view},
+                      {"states_before", scratch.solver_states.view},
                       {"solver_states", scratch.solver_states.buffer},
-                      {"searches", scratch.searches.buffer},
+                      {"preconditioned", scratch.preconditioned.buffer},
                       {"positions", state.positions.buffer},
                       {"sums", scratch.sums.buffer}},
                      groups, push);

@@ -38,7 +38,7 @@ struct SolverScratch {
   DeviceArray jacobian_rows;
   DeviceArray jacobian_columns;
   DeviceArray solver_states;
-  DeviceArray searches;
+  DeviceArray preconditioned;
   DeviceArray products;
   DeviceArray sums;
   gpu::Buffer energies;  ///< [slot][workgroup], for the host

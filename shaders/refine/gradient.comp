@@ -27,10 +27,13 @@ layout(std430) writeonly buffer JacobianColumns {
   uvec2 jacobian_columns[];  // [group_count] four float16: d e_j / d d_i in the order of the ring
 };
 layout(std430) writeonly buffer SolverStates {
-  vec4 solver_states[];  // [vertex_count] r, inverse diagonal, x, diagonal of the terms in d_i alone
+  vec4 solver_states[];  // [vertex_count] r, inverse diagonal, x, 0
 };
-layout(std430) writeonly buffer Searches {
-  vec2 searches[];  // [vertex_count + 1] z, p of the iteration before
+layout(std430) writeonly buffer Preconditioned {
+  float preconditioned[];  // [vertex_count + 1] z
+};
+layout(std430) writeonly buffer Products {
+  vec4 products[];  // [vertex_count + 1] 0, 0, 0, diagonal of the terms in d_i alone
 };
 layout(std430) writeonly buffer Sums {
   float sums[];  // [2 * iteration][workgroup] r . z, p . A p
@@ -92,20 +95,22 @@ void main() {
     }
 
     vec4 state = vec4(0);
+    float own_diagonal = 0;
     if (is_free(ring)) {
       float inverse_square = 1 / (own_normal.w * own_normal.w);
       vec2 own_bends = texelFetch(bends, int(i)).xy;
       float own_bend = own_bends.x * float(size);
-      state.w = push.hierarchy_weight * inverse_square + push.coarse_weight;
-      float diagonal = data_diagonal + own_bends.y * float(size * size) + bend_diagonal + state.w;
+      own_diagonal = push.hierarchy_weight * inverse_square + push.coarse_weight;
+      float diagonal = data_diagonal + own_bends.y * float(size * size) + bend_diagonal + own_diagonal;
       state.x = data - (own_bend - bend_sum) +
                 push.hierarchy_weight * inverse_square * (texelFetch(priors, int(i)).x - own.w) -
                 push.coarse_weight * own.w;
       state.y = diagonal > 0 ? 1 / diagonal : 0;
     }
     solver_states[i] = state;
+    products[i] = vec4(0, 0, 0, own_diagonal);
     float z = state.y * state.x;
-    searches[i] = vec2(z, 0);
+    preconditioned[i] = z;
     rz += state.x * z;
   }
   float total = workgroup_sum(vec4(rz, 0, 0, 0)).x;

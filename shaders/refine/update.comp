@@ -14,13 +14,14 @@ layout(push_constant) uniform Push {
 uniform isamplerBuffer vertex_rings;
 uniform isamplerBuffer ring_groups;
 uniform samplerBuffer jacobian_columns;  // [group_count] four entries
-uniform samplerBuffer products;          // [vertex_count + 1] J p, bend
+uniform samplerBuffer products;          // [vertex_count + 1] J p, bend, p, own diagonal
 uniform samplerBuffer sums_so_far;
-layout(std430) buffer SolverStates {
+uniform samplerBuffer states_before;     // [vertex_count] read ahead, so that memory's delay hides behind the ring
+layout(std430) writeonly buffer SolverStates {
   vec4 solver_states[];
 };
-layout(std430) buffer Searches {
-  vec2 searches[];
+layout(std430) writeonly buffer Preconditioned {
+  float preconditioned[];
 };
 layout(std430) buffer Positions {
   vec4 positions[];
@@ -30,13 +31,14 @@ layout(std430) writeonly buffer Sums {
 };
 
 void main() {
-  float beta = pcg_beta(sums_so_far, push.iteration);
   float alpha = pcg_alpha(sums_so_far, push.iteration);
   float rz = 0;
   uvec2 block = block_of(push.vertex_count);
   for (uint i = block.x + gl_LocalInvocationID.x; i < block.y; i += kGroupSize) {
     ivec2 ring = texelFetch(vertex_rings, int(i)).xy;
     int size = ring_size(ring);
+    vec4 state = texelFetch(states_before, int(i));
+    vec4 own = texelFetch(products, int(i));
     float data = 0;
     float bends = 0;
     int end = ring.x + (size + 3) / 4;
@@ -50,16 +52,14 @@ void main() {
       data += dot(column, vec4(a.x, b.x, c.x, d.x));
       bends += (a.y + b.y) + (c.y + d.y);
     }
-    vec2 search = searches[i];
-    float p = search.x + beta * search.y;
-    vec4 state = solver_states[i];
-    float own_bend = texelFetch(products, int(i)).y * float(size);
+    float p = own.z;
+    float own_bend = own.y * float(size);
     state.z += alpha * p;
     // A fixed vertex has no unknown: its preconditioner is 0 and keeps z and p at 0.
-    state.x -= alpha * (data + own_bend - bends + state.w * p);
+    state.x -= alpha * (data + own_bend - bends + own.w * p);
     float z = state.y * state.x;
     rz += state.x * z;
-    searches[i] = vec2(z, p);
+    preconditioned[i] = z;
     if (push.last != 0) {
       vec4 position = positions[i];
       position.w = clamp(position.w + state.z, -push.bound_mm, push.bound_mm);

@@ -300,8 +300,8 @@ TEST_F(RefineLighting, DisplacementKernelsStayWithinTheirArrays) {
     EXPECT_TRUE(test::tail_intact<shaders::uvec2>(context(), scratch.jacobian_columns.buffer,
                                                   level.topology.group_count));
     // The dummy vertex stays 0, or padded rings would gather garbage.
-    EXPECT_EQ(test::read<shaders::vec2>(context(), scratch.searches.buffer).back().x, 0);
-    EXPECT_EQ(test::read<shaders::vec2>(context(), scratch.products.buffer).back().x, 0);
+    EXPECT_EQ(test::read<float>(context(), scratch.preconditioned.buffer).back(), 0);
+    EXPECT_EQ(test::read<shaders::vec4>(context(), scratch.products.buffer).back().x, 0);
   }
 }
 
