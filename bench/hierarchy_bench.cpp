@@ -122,7 +122,7 @@ void compare_with_direct(facet::gpu::Context& context, const facet::face::FaceMo
              sequence.coarse.normal_error_deg);
   for (const bool hierarchical : {false, true}) {
     RefinerConfig config;
-    config.paper_budget = true;
+    config.budget = facet::refine::Budget::Paper;
     config.hierarchical = hierarchical;
     std::vector<float> displacements_mm;
     const auto score = facet::bench::refine_sequence(
@@ -199,6 +199,7 @@ void plot_convergence(facet::gpu::Context& context, const facet::face::FaceModel
   std::vector<Curve> curves;
   for (const int iterations : {5, 7, 10}) {
     RefinerConfig config;
+    config.budget = facet::refine::Budget::Fixed;
     config.gauss_newton_steps = kSteps;
     config.pcg_iterations = iterations;
     config.record_energies = true;

@@ -50,8 +50,10 @@ void set(RefinerConfig& config, const std::string& name, float value) {
   } else if (name == "metric") {
     config.metric_floor = value;
   } else if (name == "steps") {
+    config.budget = facet::refine::Budget::Fixed;
     config.gauss_newton_steps = static_cast<int>(value);
   } else if (name == "pcg") {
+    config.budget = facet::refine::Budget::Fixed;
     config.pcg_iterations = static_cast<int>(value);
   } else if (name == "albedo_frames") {
     config.albedo_frames = static_cast<int>(value);
@@ -60,7 +62,7 @@ void set(RefinerConfig& config, const std::string& name, float value) {
   } else if (name == "hierarchical") {
     config.hierarchical = value != 0;
   } else if (name == "paper") {
-    config.paper_budget = value != 0;
+    config.budget = value != 0 ? facet::refine::Budget::Paper : facet::refine::Budget::Auto;
   } else {
     throw Error(ErrorKind::Usage,
                 fmt::format("no setting {}; there are w1 to w5, fold, robust, metric, steps, "

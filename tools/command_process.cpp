@@ -55,16 +55,18 @@ struct Options {
 };
 
 void set_budget(const std::string& budget, refine::RefinerConfig& refiner) {
-  refiner.paper_budget = budget == "paper";
-  if (refiner.paper_budget) {
+  if (budget == "auto" || budget == "paper") {
+    refiner.budget = budget == "auto" ? refine::Budget::Auto : refine::Budget::Paper;
     return;
   }
   int steps = 0;
   if (!CLI::detail::lexical_cast(budget, steps) || steps < 1 || steps > 100) {
     throw Error(
         ErrorKind::Usage,
-        fmt::format("--budget {}: must be \"paper\" or Gauss-Newton steps per level, 1 to 100", budget));
+        fmt::format("--budget {}: must be \"auto\", \"paper\" or Gauss-Newton steps per level, 1 to 100",
+                    budget));
   }
+  refiner.budget = refine::Budget::Fixed;
   refiner.gauss_newton_steps = steps;
 }
 
@@ -458,7 +460,9 @@ void add_process_command(CLI::App& app, std::unique_ptr<Team> (*join)()) {
                       "Configuration file; of [source], only frames and intrinsics count");
   command->add_option("--frames", options->frames, kFramesHelp);
   command->add_option("--budget", options->budget,
-                      "Solver work per frame: \"paper\" or Gauss-Newton steps per level");
+                      "Solver work per frame: \"auto\" (as many steps as pay), \"paper\" (10 of 7 "
+                      "iterations) or Gauss-Newton "
+                      "steps per level");
   command->add_option("--device", options->device,
                       "Vulkan device: auto, part of its name, or none (coarse meshes only)");
   command

@@ -131,6 +131,9 @@ void print_refinement(const json& status) {
   fmt::print("gpu           {}\n", gpu.empty() ? "none" : gpu);
   fmt::print("mesh          {} vertices on the finest of {} levels\n",
              status["mesh"]["finest_vertices"].get<int>(), status["mesh"]["levels"].get<int>());
+  if (const std::string given_up = status["given_up"]; !given_up.empty()) {
+    fmt::print("given up      {}\n", given_up);
+  }
   fmt::print("photometric   {:.4f} mean rms error (linear light, 0 to 1)\n",
              status["photometric_rms"].get<double>());
 }

@@ -43,6 +43,7 @@ struct View {
 
 refine::RefinerConfig booth_refinement() {
   refine::RefinerConfig config;
+  config.budget = refine::Budget::Fixed;  // the booth's frames wait for depth, not for shading
   config.given_prior = true;
   config.fine_albedo = true;
   config.weights.displacement_hierarchy = 3;

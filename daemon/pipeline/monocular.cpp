@@ -25,6 +25,8 @@ constexpr std::chrono::milliseconds kCaptureTimeout{50};
 constexpr std::size_t kRecordedQueue = 4;
 /// A live frame waits for the tracker alone; the next one replaces it.
 constexpr std::size_t kLiveQueue = 1;
+/// Share of a live camera's frame interval that refinement may take; the rest is for handing the mesh out.
+constexpr double kRefineShare = 0.9;
 
 /// The workers, as Progress counts them.
 enum Worker : std::size_t { kCapture, kTrack, kRefine };
@@ -97,6 +99,7 @@ struct MonocularPipeline::Impl {
   refine::RefineOutput refined;
   std::shared_ptr<const mesh::Subject> subject;
   std::uint32_t subject_count = 0;  ///< TrackResult::subject that `subject` was built for
+  std::string given_up;             ///< RefineOutput::given_up of the last refined frame
   bool face_was_away = false;       ///< since the last frame with a mesh
 
   void fail(ErrorKind kind, const std::string& what);
@@ -114,6 +117,7 @@ struct MonocularPipeline::Impl {
   void refine_one(Tracked& item);
   void follow_subject(const Tracked& item);
   void add_displacements(Tracked& item);
+  void note_given_up();
   void hand_out(Tracked& item);
 };
 
@@ -343,12 +347,16 @@ void MonocularPipeline::Impl::add_displacements(Tracked& item) {
   input.camera = mesh.camera;
   input.camera_from_head = mesh.camera_from_head;
   input.control_vertices_mm = &mesh.control_vertices_mm;
+  if (source.live && source.rate_hz > 0) {
+    input.time_limit_ms = static_cast<float>(kRefineShare * 1000 / source.rate_hz);
+  }
   const std::string& missing = refiner.refine(input, refined);
   if (!missing.empty()) {
     mesh.degraded = true;
     mesh.degraded_reason = missing;
     return;
   }
+  note_given_up();
   mesh.displacements_mm.assign(refined.displacements_mm.begin(), refined.displacements_mm.end());
   mesh.confidence.assign(refined.confidence.begin(), refined.confidence.end());
   mesh.lighting = refined.lighting;
@@ -359,6 +367,17 @@ void MonocularPipeline::Impl::add_displacements(Tracked& item) {
   mesh.stage_ms.albedo_ms = refined.albedo_ms;
   mesh.stage_ms.displacement_ms = refined.displacement_ms;
   mesh.stage_ms.readback_ms = refined.readback_ms;
+}
+
+/// Says in the log what refinement leaves out from now on to hold the camera's rate.
+void MonocularPipeline::Impl::note_given_up() {
+  if (refined.given_up == given_up) {
+    return;
+  }
+  given_up = refined.given_up;
+  messages.info(given_up.empty() ? "refinement: all levels again" : "refinement: " + given_up);
+  const std::lock_guard lock(shown_mutex);
+  shown.given_up = given_up;
 }
 
 void MonocularPipeline::Impl::hand_out(Tracked& item) {

@@ -98,6 +98,7 @@ struct PipelineStatus {
   std::uint64_t refined_frames = 0;  ///< of these, with displacements
   std::uint64_t degraded_frames = 0;
   std::string degraded_reason;  ///< of the last degraded frame
+  std::string given_up;         ///< what refinement leaves out to hold the camera's rate; empty where nothing
   std::uint64_t subjects = 0;   ///< hierarchies built
   std::int32_t finest_vertices = 0;
   int levels = 0;

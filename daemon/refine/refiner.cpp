@@ -3,10 +3,12 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <cstddef>
 #include <optional>
 #include <span>
+#include <utility>
 
 #include "facet/error.hpp"
 #include "refine/albedo.hpp"
@@ -25,6 +27,8 @@ using shaders::refine::Light;
 
 constexpr int kPaperGaussNewtonSteps = 10;
 constexpr int kPaperPcgIterations = 7;
+// Recorded frames that are kept: the plans that Budget::Auto goes back and forth between.
+constexpr std::size_t kMostRecorded = 12;
 // After the first frames the albedo looks for vertices not yet seen in one frame of this many.
 constexpr std::uint64_t kAlbedoRefreshFrames = 8;
 // A new albedo is handed out when more than this share of M0's vertices has learned from the frame.
@@ -42,7 +46,8 @@ struct Level {
   LevelState state;
 };
 
-DisplacementOptions displacement_options(const RefinerConfig& config, bool has_prior) {
+DisplacementOptions displacement_options(const RefinerConfig& config, bool has_prior, int steps,
+                                         int pcg_iterations) {
   DisplacementOptions out;
   out.smooth_weight = config.weights.displacement_smooth;
   out.hierarchy_weight = has_prior ? config.weights.displacement_hierarchy : 0;
@@ -50,8 +55,48 @@ DisplacementOptions displacement_options(const RefinerConfig& config, bool has_p
   out.robust_scale = config.robust_scale;
   out.fold_slope = config.fold_slope;
   out.bound_mm = config.displacement_bound_mm;
-  out.gauss_newton_steps = config.paper_budget ? kPaperGaussNewtonSteps : config.gauss_newton_steps;
-  out.pcg_iterations = config.paper_budget ? kPaperPcgIterations : config.pcg_iterations;
+  out.gauss_newton_steps = steps;
+  out.pcg_iterations = pcg_iterations;
+  return out;
+}
+
+/// The plan of every frame where the budget is not Budget::Auto.
+StepPlan constant_plan(const RefinerConfig& config, std::size_t levels) {
+  const bool paper = config.budget == Budget::Paper;
+  StepPlan plan;
+  plan.steps.assign(levels, config.hierarchical ? 1 : 0);
+  plan.steps.back() = 1;
+  for (int& steps : plan.steps) {
+    steps *= paper ? kPaperGaussNewtonSteps : config.gauss_newton_steps;
+  }
+  plan.pcg_iterations = paper ? kPaperPcgIterations : config.pcg_iterations;
+  plan.last_energy = config.record_energies;
+  return plan;
+}
+
+/// Whether a StepPlanner plans every frame; refining the finest level alone is a fixed comparison.
+bool plans_frames(const RefinerConfig& config) {
+  return config.budget == Budget::Auto && config.hierarchical;
+}
+
+/// Gauss-Newton steps and PCG iterations that a plan may have at most.
+int most_steps(const RefinerConfig& config) {
+  return plans_frames(config) ? StepPlanner::kMostSteps : constant_plan(config, 1).steps.back();
+}
+
+int most_pcg_iterations(const RefinerConfig& config) {
+  return plans_frames(config) ? StepPlanner::kPcgIterations : constant_plan(config, 1).pcg_iterations;
+}
+
+std::uint32_t first_energy_slot(const RefinerConfig& config, std::size_t level) {
+  return static_cast<std::uint32_t>(level) * static_cast<std::uint32_t>(most_steps(config) + 1);
+}
+
+std::vector<std::uint32_t> vertex_counts(const mesh::Hierarchy& hierarchy) {
+  std::vector<std::uint32_t> out;
+  for (const mesh::Level& level : hierarchy.levels) {
+    out.push_back(static_cast<std::uint32_t>(level.vertex_count));
+  }
   return out;
 }
 
@@ -153,8 +198,14 @@ struct SubjectBuffers {
   gpu::Buffer light_out;
   gpu::Buffer albedo_out;
   std::optional<ImagePyramid> pyramid;
-  std::optional<gpu::Batch> learning;  ///< with the albedo
-  std::optional<gpu::Batch> held;      ///< with the albedo as it stands
+  /// Recorded frames, the last used at the end.
+  struct Recorded {
+    StepPlan plan;
+    bool learn;  ///< with the albedo
+    std::unique_ptr<gpu::Batch> batch;
+  };
+  std::vector<Recorded> recorded;
+  StepPlanner planner;  ///< Budget::Auto
 };
 
 /// All kernels of the method.
@@ -167,8 +218,8 @@ struct Kernels {
         finish(context, shaders::refine::kernels(), "refine/finish") {}
 
   /// Records a whole frame for images of the pyramid's size. learn: with the albedo.
-  void record(gpu::Batch& batch, const RefinerConfig& config, const SubjectBuffers& subject,
-              bool learn) const;
+  void record(gpu::Batch& batch, const RefinerConfig& config, const SubjectBuffers& subject, bool learn,
+              const StepPlan& plan) const;
 
   ObservationKernels observation;
   LightingKernels lighting;
@@ -178,8 +229,8 @@ struct Kernels {
 
  private:
   void record_albedo(gpu::Batch& batch, const RefinerConfig& config, const SubjectBuffers& subject) const;
-  void record_displacements(gpu::Batch& batch, const RefinerConfig& config,
-                            const SubjectBuffers& subject) const;
+  void record_displacements(gpu::Batch& batch, const RefinerConfig& config, const SubjectBuffers& subject,
+                            const StepPlan& plan) const;
   void record_readback(gpu::Batch& batch, const RefinerConfig& config, const SubjectBuffers& subject,
                        bool learn) const;
 };
@@ -192,7 +243,8 @@ struct Refiner::Impl {
   Kernels kernels;
   std::shared_ptr<const mesh::Hierarchy> hierarchy;
   std::optional<SubjectBuffers> subject;
-  gpu::Batch* in_flight = nullptr;
+  const SubjectBuffers::Recorded* in_flight = nullptr;
+  std::chrono::steady_clock::time_point submitted;
   bool lost = false;
   bool warm = false;              ///< the previous frame's displacements and light can be used
   std::uint64_t frame_count = 0;  ///< of this subject
@@ -202,8 +254,8 @@ struct Refiner::Impl {
 
   void read(RefineOutput& output);
   void read_albedo();
-  void read_energies(RefineOutput& output) const;
-  bool energies_finite() const;
+  const SubjectBuffers::Recorded& recorded_frame(const StepPlan& plan, bool learn);
+  std::vector<std::vector<double>> read_energies(const StepPlan& plan) const;
   void clear_output(RefineOutput& output) const;
 };
 
@@ -223,9 +275,8 @@ SubjectBuffers::SubjectBuffers(gpu::Context& context, const RefinerConfig& confi
               gpu::Memory::Upload),
       frame(context, sizeof(FrameParameters), gpu::Memory::Upload, "frame parameters"),
       scratch(context, levels.back()->topology.vertex_count, levels.back()->topology.group_count,
-              static_cast<std::uint32_t>(levels.size()) *
-                  static_cast<std::uint32_t>(displacement_options(config, true).gauss_newton_steps + 1),
-              displacement_options(config, true).pcg_iterations),
+              static_cast<std::uint32_t>(levels.size()) * static_cast<std::uint32_t>(most_steps(config) + 1),
+              most_pcg_iterations(config)),
       depth(context, subject.hierarchy->levels.front().triangles),
       lighting(context),
       albedo(context, (config.fine_albedo ? levels.back() : levels.front())->topology.vertex_count,
@@ -237,7 +288,8 @@ SubjectBuffers::SubjectBuffers(gpu::Context& context, const RefinerConfig& confi
       errors_out(context, sizeof(vec4) * context.info().workgroup_count, gpu::Memory::Readback, "error sums"),
       light_out(context, sizeof(Light), gpu::Memory::Readback, "light read back"),
       albedo_out(context, sizeof(vec4) * levels.back()->topology.vertex_count, gpu::Memory::Readback,
-                 "albedo read back") {
+                 "albedo read back"),
+      planner(vertex_counts(*subject.hierarchy)) {
   const bool known = subject.albedo != nullptr;
   const std::vector<mesh::Vertices> start =
       known ? known_albedo_of_levels(subject) : mean_albedo_of_levels(subject);
@@ -251,9 +303,9 @@ SubjectBuffers::SubjectBuffers(gpu::Context& context, const RefinerConfig& confi
 }
 
 void Kernels::record(gpu::Batch& batch, const RefinerConfig& config, const SubjectBuffers& subject,
-                     bool learn) const {
+                     bool learn, const StepPlan& plan) const {
   const Level& coarsest = *subject.levels.front();
-  const bool refine_coarsest = config.hierarchical || subject.levels.size() == 1;
+  const bool refine_coarsest = plan.steps.front() > 0;
 
   batch.stage("upload");
   observation.record_image(batch, *subject.pyramid, subject.frame);
@@ -274,7 +326,7 @@ void Kernels::record(gpu::Batch& batch, const RefinerConfig& config, const Subje
   }
 
   batch.stage("displacement");
-  record_displacements(batch, config, subject);
+  record_displacements(batch, config, subject, plan);
   if (learn && config.fine_albedo) {
     batch.stage("albedo");
     record_albedo(batch, config, subject);
@@ -303,33 +355,34 @@ void Kernels::record_albedo(gpu::Batch& batch, const RefinerConfig& config,
 }
 
 void Kernels::record_displacements(gpu::Batch& batch, const RefinerConfig& config,
-                                   const SubjectBuffers& subject) const {
-  std::uint32_t energy_slot = 0;
+                                   const SubjectBuffers& subject, const StepPlan& plan) const {
   for (std::size_t l = 0; l < subject.levels.size(); ++l) {
     const Level& level = *subject.levels[l];
-    const bool refined = config.hierarchical || l + 1 == subject.levels.size();
+    const bool refined = plan.steps[l] > 0;
     const bool prolonged = config.hierarchical && l > 0;
     if (l > 0) {
       observation.record_prolong(batch, level.topology, level.stencils,
                                  subject.levels[l - 1]->state.positions.view, level.state, subject.frame,
                                  refined, prolonged ? Prior::Prolonged : Prior::None);
     }
-    const bool has_prior = prolonged || (l == 0 && config.given_prior);
-    const DisplacementOptions options = displacement_options(config, has_prior);
-    const auto steps = static_cast<std::uint32_t>(options.gauss_newton_steps);
-    if (refined) {
-      if (l > 0) {
-        observation.record_observe(batch, level.topology, level.state, *subject.pyramid, subject.depth,
-                                   subject.frame);
-      }
-      displacement.record(batch, level.topology, level.state, subject.scratch, subject.lighting.light,
-                          options, energy_slot);
-      if (config.record_energies) {
-        displacement.record_energy(batch, level.topology, level.state, subject.scratch,
-                                   subject.lighting.light, options, energy_slot + steps);
-      }
+    // The finest level is looked at in any case: its vertices' confidence is handed out.
+    if (l > 0 && (refined || l + 1 == subject.levels.size())) {
+      observation.record_observe(batch, level.topology, level.state, *subject.pyramid, subject.depth,
+                                 subject.frame);
     }
-    energy_slot += steps + 1;
+    if (!refined) {
+      continue;
+    }
+    const bool has_prior = prolonged || (l == 0 && config.given_prior);
+    const DisplacementOptions options =
+        displacement_options(config, has_prior, plan.steps[l], plan.pcg_iterations);
+    const std::uint32_t slot = first_energy_slot(config, l);
+    displacement.record(batch, level.topology, level.state, subject.scratch, subject.lighting.light, options,
+                        slot);
+    if (plan.last_energy) {
+      displacement.record_energy(batch, level.topology, level.state, subject.scratch, subject.lighting.light,
+                                 options, slot + static_cast<std::uint32_t>(plan.steps[l]));
+    }
   }
 }
 
@@ -365,7 +418,7 @@ Refiner::Refiner(gpu::Context& context, const RefinerConfig& config) {
 
 Refiner::~Refiner() {
   if (impl_->in_flight != nullptr) {
-    impl_->in_flight->wait();
+    impl_->in_flight->batch->wait();
   }
 }
 
@@ -405,17 +458,13 @@ void Refiner::submit(const RefineInput& input) {
     throw Error(ErrorKind::Usage, fmt::format("refinement was given {} displacements for {} control vertices",
                                               given, subject.control_vertex_count));
   }
+  impl.submitted = std::chrono::steady_clock::now();
   const bool new_size = !subject.pyramid || subject.pyramid->width_px != input.image.width_px ||
                         subject.pyramid->height_px != input.image.height_px;
   if (new_size) {
-    subject.learning.reset();
-    subject.held.reset();
+    subject.recorded.clear();
     subject.pyramid.reset();
     subject.pyramid.emplace(impl.context, input.image.width_px, input.image.height_px);
-    impl.kernels.record(subject.learning.emplace(impl.context, "frame, albedo learned"), impl.config, subject,
-                        true);
-    impl.kernels.record(subject.held.emplace(impl.context, "frame, albedo held"), impl.config, subject,
-                        false);
   }
 
   const std::span<vec4> control =
@@ -440,10 +489,34 @@ void Refiner::submit(const RefineInput& input) {
   const bool learn = !impl.albedo_known &&
                      (impl.frame_count < static_cast<std::uint64_t>(std::max(0, impl.config.albedo_frames)) ||
                       impl.frame_count % kAlbedoRefreshFrames == 0);
-  gpu::Batch& batch = learn ? *subject.learning : *subject.held;
+  StepPlan plan = plans_frames(impl.config) ? subject.planner.next(impl.warm, input.time_limit_ms)
+                                            : constant_plan(impl.config, subject.levels.size());
+  plan.last_energy = plan.last_energy || impl.config.record_energies;
   ++impl.frame_count;
-  impl.lost = batch.submit() != gpu::Outcome::Done;
-  impl.in_flight = &batch;
+  try {
+    impl.in_flight = &impl.recorded_frame(plan, learn);
+    impl.lost = impl.in_flight->batch->submit() != gpu::Outcome::Done;
+  } catch (const gpu::DeviceLostError&) {
+    impl.lost = true;  // as if it had gone a moment later: collect says so
+  }
+}
+
+const SubjectBuffers::Recorded& Refiner::Impl::recorded_frame(const StepPlan& plan, bool learn) {
+  std::vector<SubjectBuffers::Recorded>& all = subject->recorded;
+  const auto found = std::find_if(all.begin(), all.end(), [&](const SubjectBuffers::Recorded& one) {
+    return one.learn == learn && one.plan == plan;
+  });
+  if (found != all.end()) {
+    std::rotate(found, found + 1, all.end());
+    return all.back();
+  }
+  if (all.size() >= kMostRecorded) {
+    all.erase(all.begin());
+  }
+  auto batch = std::make_unique<gpu::Batch>(context, learn ? "frame, albedo learned" : "frame, albedo held");
+  kernels.record(*batch, config, *subject, learn, plan);
+  all.push_back({plan, learn, std::move(batch)});
+  return all.back();
 }
 
 void Refiner::Impl::clear_output(RefineOutput& output) const {
@@ -453,6 +526,8 @@ void Refiner::Impl::clear_output(RefineOutput& output) const {
   output.lighting = {};
   output.photometric_rms = 0;
   output.energies.clear();
+  output.steps.clear();
+  output.given_up.clear();
 }
 
 void Refiner::Impl::read_albedo() {
@@ -476,37 +551,19 @@ void Refiner::Impl::read_albedo() {
   albedo = std::move(next);
 }
 
-void Refiner::Impl::read_energies(RefineOutput& output) const {
-  output.energies.resize(subject->levels.size());
-  std::uint32_t slot = 0;
-  for (std::size_t l = 0; l < subject->levels.size(); ++l) {
-    const bool refined = config.hierarchical || l + 1 == subject->levels.size();
-    const int steps = displacement_options(config, true).gauss_newton_steps;
-    output.energies[l].clear();
-    for (int step = 0; step <= steps; ++step, ++slot) {
-      if (refined) {
-        output.energies[l].push_back(
-            subject->scratch.energy(slot, subject->levels[l]->topology.workgroup_count));
-      }
+/// [level][step] before each step, and after the last where the plan asked for it; empty where a level was
+/// interpolated.
+std::vector<std::vector<double>> Refiner::Impl::read_energies(const StepPlan& plan) const {
+  std::vector<std::vector<double>> out(plan.steps.size());
+  for (std::size_t l = 0; l < out.size(); ++l) {
+    const int values = plan.steps[l] == 0 ? 0 : plan.steps[l] + (plan.last_energy ? 1 : 0);
+    for (int step = 0; step < values; ++step) {
+      out[l].push_back(
+          subject->scratch.energy(first_energy_slot(config, l) + static_cast<std::uint32_t>(step),
+                                  subject->levels[l]->topology.workgroup_count));
     }
   }
-}
-
-/// Whether every Gauss-Newton step began from numbers: one that did not leaves its level as it was.
-bool Refiner::Impl::energies_finite() const {
-  std::uint32_t slot = 0;
-  for (std::size_t l = 0; l < subject->levels.size(); ++l) {
-    const bool refined = config.hierarchical || l + 1 == subject->levels.size();
-    const int steps = displacement_options(config, true).gauss_newton_steps;
-    for (int step = 0; step < steps; ++step) {
-      if (refined && !std::isfinite(subject->scratch.energy(slot + static_cast<std::uint32_t>(step),
-                                                            subject->levels[l]->topology.workgroup_count))) {
-        return false;
-      }
-    }
-    slot += static_cast<std::uint32_t>(steps) + 1;
-  }
-  return true;
+  return out;
 }
 
 void Refiner::Impl::read(RefineOutput& output) {
@@ -529,19 +586,20 @@ void Refiner::Impl::read(RefineOutput& output) {
 RefineOutcome Refiner::collect(RefineOutput& output) {
   Impl& impl = *impl_;
   output.failure.clear();
-  if (impl.in_flight == nullptr) {
+  if (impl.in_flight == nullptr && !impl.lost) {
     impl.clear_output(output);
     output.failure = "no frame is in flight";
     return RefineOutcome::NumericalFailure;
   }
-  gpu::Batch& batch = *impl.in_flight;
-  impl.in_flight = nullptr;
-  if (impl.lost || batch.wait() != gpu::Outcome::Done) {
+  const SubjectBuffers::Recorded* const in_flight = std::exchange(impl.in_flight, nullptr);
+  if (impl.lost || in_flight->batch->wait() != gpu::Outcome::Done) {
     impl.lost = true;
     output = {};
     output.failure = "the GPU was lost while it refined a frame";
     return RefineOutcome::DeviceLost;
   }
+  const SubjectBuffers::Recorded& recorded = *in_flight;
+  const gpu::Batch& batch = *recorded.batch;
   output.upload_ms = batch.stage_ms("upload");
   output.lighting_ms = batch.stage_ms("lighting");
   output.albedo_ms = batch.stage_ms("albedo");
@@ -555,7 +613,11 @@ RefineOutcome Refiner::collect(RefineOutput& output) {
   }
   const auto light = unpack_light(impl.subject->light_out.mapped_as<Light>().front());
   const bool light_finite = std::all_of(light.begin(), light.end(), [](float l) { return std::isfinite(l); });
-  const bool energies_finite = impl.energies_finite();
+  std::vector<std::vector<double>> energies = impl.read_energies(recorded.plan);
+  // A step that did not begin from numbers leaves its level as it was.
+  const bool energies_finite = std::all_of(energies.begin(), energies.end(), [](const auto& level) {
+    return std::all_of(level.begin(), level.end(), [](double energy) { return std::isfinite(energy); });
+  });
   if (failed > 0 || !light_finite || !energies_finite) {
     impl.clear_output(output);
     impl.warm = false;
@@ -566,12 +628,21 @@ RefineOutcome Refiner::collect(RefineOutput& output) {
     return RefineOutcome::NumericalFailure;
   }
   impl.read(output);
-  if (&batch == &*impl.subject->learning) {
+  if (recorded.learn) {
     impl.read_albedo();
   }
   output.albedo = impl.albedo;
+  output.steps = recorded.plan.steps;
+  output.given_up.clear();
+  if (plans_frames(impl.config)) {
+    const std::chrono::duration<float, std::milli> frame_time =
+        std::chrono::steady_clock::now() - impl.submitted;
+    impl.subject->planner.learn(energies, output.displacement_ms, frame_time.count());
+    output.given_up = impl.subject->planner.given_up();
+  }
+  output.energies.clear();
   if (impl.config.record_energies) {
-    impl.read_energies(output);
+    output.energies = std::move(energies);
   }
   impl.warm = true;
   return RefineOutcome::Refined;

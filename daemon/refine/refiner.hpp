@@ -12,6 +12,7 @@
 #include "gpu/context.hpp"
 #include "mesh/hierarchy.hpp"
 #include "mesh/mesh_frame.hpp"
+#include "refine/step_planner.hpp"
 
 namespace facet::refine {
 
@@ -27,10 +28,10 @@ struct Weights {
 
 struct RefinerConfig {
   Weights weights;
-  bool paper_budget = false;   ///< 10 Gauss-Newton steps of 7 PCG iterations on every level
-  int gauss_newton_steps = 2;  ///< on every level where not paper_budget
-  int pcg_iterations = 7;
-  int albedo_frames = 20;  ///< good frames over which the albedo is learned
+  Budget budget = Budget::Auto;
+  int gauss_newton_steps = 2;  ///< on every level, Budget::Fixed
+  int pcg_iterations = 7;      ///< of each step, Budget::Fixed
+  int albedo_frames = 20;      ///< good frames over which the albedo is learned
   /// true: the albedo is learned on the finest level, so that brows, lips and moles are not taken for shape;
   /// false: on M0 and prolonged, as in the paper.
   bool fine_albedo = false;
@@ -72,6 +73,8 @@ struct RefineInput {
   /// [control_vertex_count] along the normals of the coarsest level; where RefinerConfig::given_prior, else
   /// empty. Read during submit only.
   std::span<const float> prior_displacements_mm = {};
+  /// Budget::Auto thins the solve out until submit to collect takes no longer; 0: no limit.
+  float time_limit_ms = 0;
 };
 
 enum class RefineOutcome {
@@ -86,6 +89,8 @@ struct RefineOutput {
   std::array<float, 9> lighting{};
   std::shared_ptr<const mesh::Albedo> albedo;  ///< the current one; same object while unchanged
   float photometric_rms = 0;
+  std::vector<int> steps;  ///< [level] Gauss-Newton steps made; 0: interpolated from the coarser level
+  std::string given_up;    ///< what the time limit took, for people; empty where nothing
   float upload_ms = 0;
   float lighting_ms = 0;
   float albedo_ms = 0;
@@ -101,7 +106,8 @@ struct RefineOutput {
 ///   image -> linear pyramid; coarse mesh -> positions, depth map, colours of M0; light (eq. 3); while it
 ///   learns, albedo (eq. 4); then level by level positions, colours, displacements (eq. 5 to 8).
 /// Nothing is allocated per frame but for the first frame, a change of the image's size, and a new albedo to
-/// hand out (every frame while it is learned, rarely afterwards).
+/// hand out (every frame while it is learned, rarely afterwards); a plan of steps not met before
+/// (Budget::Auto) is recorded anew.
 class Refiner {
  public:
   /// Compiles the kernels. Throws Error(NoDevice). The context must outlive the refiner.

@@ -365,13 +365,15 @@ void read_hierarchy(Section section, mesh::HierarchyOptions& hierarchy) {
 void read_refiner(Section section, refine::RefinerConfig& refiner) {
   if (const toml::node* node = section.find("budget")) {
     const std::optional<std::int64_t> steps = node->value_exact<std::int64_t>();
-    refiner.paper_budget = node->value_exact<std::string>() == "paper";
-    if (!refiner.paper_budget) {
-      if (!steps || *steps < 1 || *steps > 100) {
-        section.fail(node, "budget",
-                     "must be \"paper\" or a whole number of Gauss-Newton steps from 1 to 100");
-      }
+    const std::optional<std::string> word = node->value_exact<std::string>();
+    if (steps && *steps >= 1 && *steps <= 100) {
+      refiner.budget = refine::Budget::Fixed;
       refiner.gauss_newton_steps = static_cast<int>(*steps);
+    } else if (word == "auto" || word == "paper") {
+      refiner.budget = word == "auto" ? refine::Budget::Auto : refine::Budget::Paper;
+    } else {
+      section.fail(node, "budget",
+                   "must be \"auto\", \"paper\" or a whole number of Gauss-Newton steps from 1 to 100");
     }
   }
   section.read_integer("pcg_iterations", refiner.pcg_iterations, 1, 1000);

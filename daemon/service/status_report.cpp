@@ -114,6 +114,7 @@ json to_json(const pipeline::PipelineStatus& status) {
       {"frames_per_second", status.frames_per_second},
       {"tracking", mesh::to_string(status.tracking)},
       {"degraded_reason", status.degraded_reason},
+      {"given_up", status.given_up},
       {"stage_ms", std::move(stages)},
       {"photometric_rms", status.photometric_rms},
       {"gpu", status.device},

@@ -104,6 +104,34 @@ TEST_F(Monocular, ALiveSourceDropsOldFramesAndCountsThem) {
   EXPECT_EQ(sink_.frames().back()->sequence, 39U) << "the newest wins";
 }
 
+TEST_F(Monocular, OnlyALiveCamerasRateLimitsRefinement) {
+  run();
+  EXPECT_EQ(script_.time_limit_ms, 0);
+}
+
+TEST_F(Monocular, WhatTheRateTakesIsSaidOnce) {
+  script_.live = true;
+  script_.frame_count = ~0ULL;
+  script_.hurried = true;
+  make().start();
+  sink_.wait_for([](const mesh::MeshFrame&) { return true; });
+  EXPECT_EQ(pipeline_->status().given_up, "scripted hurry");
+  script_.hurried = false;
+  // Frames that were refined before this line may still arrive.
+  const std::uint64_t seen = sink_.frames().back()->sequence;
+  sink_.wait_for([after = seen + 3](const mesh::MeshFrame& frame) { return frame.sequence > after; });
+  EXPECT_EQ(pipeline_->status().given_up, "");
+  pipeline_->stop();
+  EXPECT_FLOAT_EQ(script_.time_limit_ms, 30) << "nine tenths of a frame at 30 Hz";
+  std::vector<std::string> said;
+  for (const Messages::Message& message : pipeline_->take_messages()) {
+    if (message.text.starts_with("refinement")) {
+      said.push_back(message.text);
+    }
+  }
+  EXPECT_THAT(said, testing::ElementsAre("refinement: scripted hurry", "refinement: all levels again"));
+}
+
 TEST_F(Monocular, FramesThatTheDriverSkippedCountAsDropped) {
   script_.frame_count = 10;
   script_.sequence_step = 3;

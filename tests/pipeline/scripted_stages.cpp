@@ -131,11 +131,13 @@ class ScriptedRefiner final : public pipeline::RefineStage {
     if (input.image.sequence >= script_.no_room_from) {
       throw Error(ErrorKind::NoDevice, "scripted: too large");
     }
+    script_.time_limit_ms = input.time_limit_ms;
     const refine::RefineOutcome outcome = script_.outcome_of(input.image.sequence);
     output.failure = outcome == refine::RefineOutcome::Refined ? "" : "scripted failure";
     output.displacements_mm.assign(vertex_count_, 0.125F);
     output.confidence.assign(vertex_count_, 0.5F);
     output.photometric_rms = 0.02F;
+    output.given_up = script_.hurried ? "scripted hurry" : "";
     output.displacement_ms = 3;
     return outcome;
   }

@@ -70,6 +70,8 @@ struct Script {
   std::atomic<int> subjects_set{0};
   std::vector<std::uint64_t> restarted_before;  ///< sequences of the frames refined first after a restart
   std::atomic<int> refiners_alive{0};
+  std::atomic<float> time_limit_ms{-1};  ///< of the last frame
+  std::atomic<bool> hurried{false};      ///< the refiner says that it gave something up
 
   std::shared_ptr<const face::FaceModel> model;
 

@@ -133,6 +133,75 @@ TEST_F(RefinerTest, OutputsFitTheSubject) {
   }
 }
 
+TEST_F(RefinerTest, NoTimeLeftInterpolatesAllButTheCoarsestLevel) {
+  Session session(context(), small_scene(), clean_config());
+  ASSERT_GE(session.hierarchy->levels.size(), 2U);
+  RefineInput hurried = session.input();
+  hurried.time_limit_ms = 0.01F;
+  for (int k = 0; k < 6; ++k) {
+    session.refiner.submit(hurried);
+    ASSERT_EQ(session.refiner.collect(session.output), RefineOutcome::Refined) << session.output.failure;
+  }
+  const RefineOutput& output = session.output;
+  EXPECT_EQ(output.steps.front(), 1);
+  EXPECT_EQ(std::count(output.steps.begin() + 1, output.steps.end(), 0),
+            static_cast<std::ptrdiff_t>(output.steps.size()) - 1);
+  EXPECT_NE(output.given_up, "");
+  // A free vertex of the finest level stands where the coarser one's displacements put it.
+  const auto free = free_vertices(*session.hierarchy, session.cap.control.refinable);
+  const mesh::SparseRows& rows = session.hierarchy->finest().from_coarser;
+  std::size_t compared = 0;
+  for (std::size_t v = 0; v < free.back().size(); ++v) {
+    const auto first = static_cast<std::size_t>(rows.row_offsets[v]);
+    const auto end = static_cast<std::size_t>(rows.row_offsets[v + 1]);
+    // The coarser level's vertices keep their numbers: those that the finest level did not move show them.
+    if (end - first == 1 || free.back()[v] == 0) {
+      continue;
+    }
+    float low = std::numeric_limits<float>::max();
+    float high = std::numeric_limits<float>::lowest();
+    for (std::size_t entry = first; entry < end; ++entry) {
+      const float d = output.displacements_mm[static_cast<std::size_t>(rows.columns[entry])];
+      low = std::min(low, d);
+      high = std::max(high, d);
+    }
+    constexpr float kVertexMaskMoves_mm = 0.5F;  // corners are averaged with their neighbours
+    EXPECT_GE(output.displacements_mm[v], low - kVertexMaskMoves_mm);
+    EXPECT_LE(output.displacements_mm[v], high + kVertexMaskMoves_mm);
+    ++compared;
+  }
+  EXPECT_GT(compared, 500U);
+  EXPECT_TRUE(std::any_of(output.displacements_mm.begin(), output.displacements_mm.end(),
+                          [](float d) { return std::abs(d) > 0.05F; }));
+  // Time enough: the same subject is refined on every level again.
+  for (int k = 0; k < 2; ++k) {
+    ASSERT_EQ(session.refine(), RefineOutcome::Refined);
+  }
+  EXPECT_EQ(std::count(session.output.steps.begin(), session.output.steps.end(), 0), 0);
+  EXPECT_EQ(session.output.given_up, "");
+}
+
+TEST_F(RefinerTest, AutoComesToTheEnergyOfManySteps) {
+  const auto last_energies = [&](Budget budget) {
+    RefinerConfig config = clean_config();
+    config.budget = budget;
+    config.record_energies = true;
+    Session session(context(), small_scene(), config);
+    session.run(25);
+    std::vector<double> out;
+    for (const auto& level : session.output.energies) {
+      out.push_back(level.back());
+    }
+    return out;
+  };
+  const std::vector<double> paper = last_energies(Budget::Paper);
+  const std::vector<double> quick = last_energies(Budget::Auto);
+  ASSERT_EQ(paper.size(), quick.size());
+  for (std::size_t l = 0; l < paper.size(); ++l) {
+    EXPECT_NEAR(quick[l] / paper[l], 1, 0.02) << "level " << l;
+  }
+}
+
 TEST_F(RefinerTest, AlbedoIsTheSameObjectOnceLearned) {
   RefinerConfig config;
   config.albedo_frames = 4;
@@ -152,6 +221,7 @@ TEST_F(RefinerTest, AlbedoIsTheSameObjectOnceLearned) {
 TEST_F(RefinerTest, EnergiesFallWithEveryStep) {
   RefinerConfig config;
   config.record_energies = true;
+  config.budget = Budget::Fixed;
   config.gauss_newton_steps = 4;
   config.robust_scale = 0;
   Session session(context(), small_scene(), config);

@@ -76,7 +76,7 @@ TEST(Config, SampleShowsEveryKeyWithItsDefault) {
   EXPECT_EQ(shown.pipeline.hierarchy.max_vertices, defaults.pipeline.hierarchy.max_vertices);
   const refine::RefinerConfig& refiner = shown.pipeline.refiner;
   const refine::RefinerConfig& expected = defaults.pipeline.refiner;
-  EXPECT_EQ(refiner.paper_budget, expected.paper_budget);
+  EXPECT_EQ(refiner.budget, expected.budget);
   EXPECT_EQ(refiner.gauss_newton_steps, expected.gauss_newton_steps);
   EXPECT_EQ(refiner.pcg_iterations, expected.pcg_iterations);
   EXPECT_EQ(refiner.albedo_frames, expected.albedo_frames);
@@ -518,14 +518,17 @@ level = "debug"
   ASSERT_TRUE(config.pipeline.tracker.intrinsics.has_value());
   EXPECT_FLOAT_EQ(config.pipeline.tracker.intrinsics->fy, 1001.5F);
   EXPECT_EQ(config.pipeline.tracker.intrinsics->width_px, 640);
-  EXPECT_TRUE(config.pipeline.refiner.paper_budget);
+  EXPECT_EQ(config.pipeline.refiner.budget, refine::Budget::Paper);
   EXPECT_FLOAT_EQ(config.pipeline.refiner.weights.displacement_smooth, 1e-3F);
   EXPECT_EQ(config.pipeline.gpu_device, "llvmpipe");
   EXPECT_EQ(config.stream.socket, "/run/s");
   EXPECT_EQ(config.stream.access.mode, 0600U);
   EXPECT_EQ(config.takes.disk_reserve_bytes, 5U << 20);
   EXPECT_EQ(config.log_level, LogLevel::Debug);
-  EXPECT_EQ(parse_config("[refiner]\nbudget = 5", "f").pipeline.refiner.gauss_newton_steps, 5);
+  const refine::RefinerConfig five = parse_config("[refiner]\nbudget = 5", "f").pipeline.refiner;
+  EXPECT_EQ(five.budget, refine::Budget::Fixed);
+  EXPECT_EQ(five.gauss_newton_steps, 5);
+  EXPECT_EQ(parse_config("[refiner]\nbudget = \"auto\"", "f").pipeline.refiner.budget, refine::Budget::Auto);
 }
 
 TEST(Config, ErrorsNameFileLineKeyAndWhatIsAllowed) {

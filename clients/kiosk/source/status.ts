@@ -56,6 +56,7 @@ export interface Status {
   rig: { cameras: NamedDevice[]; trigger: DeviceStatus | null } | null;
   tracking: string;
   degraded_reason: string;
+  given_up: string;
   frames: { processed: number; face: number; mesh: number };
   frames_per_second: number;
   gpu: string;
