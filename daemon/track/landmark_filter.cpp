@@ -1,6 +1,6 @@
 #include "track/landmark_filter.hpp"
 
-#include <numbers>
+#include "track/low_pass.hpp"
 
 namespace facet::track {
 namespace {
@@ -8,12 +8,6 @@ namespace {
 constexpr float resting_cutoff_hz = 2.0F;
 constexpr float cutoff_hz_per_speed = 120.0F;  ///< speed in interocular distances per second
 constexpr float velocity_cutoff_hz = 3.0F;
-
-/// The share of the new value in a first-order low-pass (Casiez et al. 2012, eq. 3 and 4).
-float new_share(float cutoff_hz, float seconds) {
-  const float period = 1 / (2 * std::numbers::pi_v<float> * cutoff_hz);
-  return 1 / (1 + period / seconds);
-}
 
 }  // namespace
 

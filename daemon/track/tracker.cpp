@@ -4,6 +4,7 @@
 #include <chrono>
 
 #include "facet/error.hpp"
+#include "track/depth_filter.hpp"
 #include "track/expression_prior.hpp"
 #include "track/landmark_model.hpp"
 #include "track/landmarker.hpp"
@@ -36,6 +37,10 @@ float milliseconds_since(Clock::time_point start) {
   return std::chrono::duration<float, std::milli>(Clock::now() - start).count();
 }
 
+// Frames this far apart tell nothing of a speed.
+constexpr double kLongestGap_s = 0.5;
+constexpr double kShortestFrame_s = 1e-3;
+
 }  // namespace
 
 struct Tracker::Impl {
@@ -63,10 +68,11 @@ struct Tracker::Impl {
     return subject;
   }
 
-  void take_mesh(const SubjectFrame& subject) {
+  void take_mesh(const SubjectFrame& subject, std::int64_t time_ns) {
     const Clock::time_point start = Clock::now();
     if (subject.shape_version != shape_version) {
       shape_version = subject.shape_version;
+      depth_filter.reset();  // another shape or focal length stands at another distance
       const Eigen::VectorXd& identity = subject_tracker.shape().identity;
       std::copy(identity.begin(), identity.end(), result.identity.begin());
       basis = model.contract_identity(result.identity);
@@ -74,9 +80,19 @@ struct Tracker::Impl {
     std::copy(subject.face.expression.begin(), subject.face.expression.end(), result.expression.begin());
     basis.evaluate(result.expression, result.vertices_mm);
     result.camera_from_head.linear() = subject.face.pose.rotation.cast<float>();
-    result.camera_from_head.translation() = subject.face.pose.translation_mm.cast<float>();
+    result.camera_from_head.translation() = calmed(subject.face.pose.translation_mm, time_ns).cast<float>();
     result.reprojection_px = static_cast<float>(subject.reprojection_px);
     result.fit_ms += milliseconds_since(start);
+  }
+
+  /// The head's place with its distance filtered, along the ray on which it is seen.
+  Eigen::Vector3d calmed(const Eigen::Vector3d& place_mm, std::int64_t time_ns) {
+    const double seconds = static_cast<double>(time_ns - filtered_ns) * 1e-9;
+    filtered_ns = time_ns;
+    if (!(seconds > 0 && seconds < kLongestGap_s)) {
+      depth_filter.reset();
+    }
+    return place_mm * (depth_filter.apply(place_mm.z(), std::max(seconds, kShortestFrame_s)) / place_mm.z());
   }
 
   const face::FaceModel& model;
@@ -86,6 +102,8 @@ struct Tracker::Impl {
   SubjectTracker subject_tracker;
   face::ExpressionBasis basis;
   std::uint64_t shape_version = 0;
+  DepthFilter depth_filter;
+  std::int64_t filtered_ns = 0;
   TrackResult result;
 };
 
@@ -124,7 +142,9 @@ const TrackResult& Tracker::process(const Frame& frame) {
     result.interocular_px = landmarks->face.interocular_px;
   }
   if (subject->fitted) {
-    impl_->take_mesh(*subject);
+    impl_->take_mesh(*subject, frame.media_time_ns);
+  } else {
+    impl_->depth_filter.reset();
   }
   return result;
 }
