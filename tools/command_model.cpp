@@ -14,6 +14,7 @@
 #include "facet/error.hpp"
 #include "model/build_model.hpp"
 #include "model/contact_sheet.hpp"
+#include "model/ict_model.hpp"
 #include "model/landmark_map.hpp"
 #include "progress.hpp"
 
@@ -24,6 +25,13 @@ struct BuildArguments {
   std::string assets = assets_folder().string();
   std::string output;
   model::BuildOptions options;
+};
+
+struct ImportArguments {
+  model::IctOptions options;
+  std::string output;
+  std::string landmark_assets = default_landmark_assets().string();
+  std::string albedo_from = default_model_file().string();
 };
 
 struct FileArguments {
@@ -104,6 +112,29 @@ void run_build(BuildArguments arguments) {
   model.save(output);
   fmt::print("{}: {:.1f} MB\n", output.string(),
              static_cast<double>(std::filesystem::file_size(output)) / 1e6);
+}
+
+void run_import_ict(const ImportArguments& arguments) {
+  NamedProgress reading("Reading the shapes", "files");
+  model::IctReport report;
+  face::FaceModel model = model::import_ict(
+      arguments.options,
+      [&](int done, int total) {
+        reading(static_cast<std::uint64_t>(done), static_cast<std::uint64_t>(total), "");
+      },
+      report);
+  fmt::print("{} vertices, {} quads, {} identity modes, {} expressions\n", model.vertex_count(),
+             model.control.quads.cols(), model.identity_count(), model.expression_count());
+  if (!report.missing.empty()) {
+    fmt::print("no shape for  {}\n", fmt::join(report.missing, ", "));
+  }
+  find_and_check_landmarks(model, arguments.landmark_assets);
+  if (!arguments.albedo_from.empty()) {
+    model::borrow_albedo(face::FaceModel::load(arguments.albedo_from), model);
+  }
+  model.save(arguments.output);
+  fmt::print("{}: {:.1f} MB\n", arguments.output,
+             static_cast<double>(std::filesystem::file_size(arguments.output)) / 1e6);
 }
 
 void run_landmarks(const FileArguments& arguments) {
@@ -187,12 +218,35 @@ void add_build(CLI::App& parent) {
   command->callback([arguments] { run_build(*arguments); });
 }
 
+void add_import_ict(CLI::App& parent) {
+  auto arguments = std::make_shared<ImportArguments>();
+  CLI::App* command = parent.add_subcommand(
+      "import-ict", "Make a model of ICT-FaceKit's scans (MIT; download them from its authors)");
+  command->add_option("folder", arguments->options.folder, "Its FaceXModel folder, with the OBJ files")
+      ->required()
+      ->check(CLI::ExistingDirectory);
+  command->add_option("-o,--output", arguments->output, "Model file to write")->required();
+  command
+      ->add_option("--modes", arguments->options.identity_modes,
+                   "Identity modes at most; each takes about 8 MB of memory")
+      ->capture_default_str()
+      ->check(CLI::Range(0, 500));
+  command->add_option("--landmark-assets", arguments->landmark_assets, "File of the landmark nets")
+      ->capture_default_str();
+  command
+      ->add_option("--albedo-from", arguments->albedo_from,
+                   "Model whose mean albedo the skin gets; empty: plain skin")
+      ->capture_default_str();
+  command->callback([arguments] { run_import_ict(*arguments); });
+}
+
 }  // namespace
 
 void add_model_command(CLI::App& app) {
   CLI::App* command = app.add_subcommand("model", "Make, show and examine face models");
   command->require_subcommand(1);
   add_build(*command);
+  add_import_ict(*command);
 
   auto landmarks = std::make_shared<FileArguments>();
   CLI::App* find = command->add_subcommand(

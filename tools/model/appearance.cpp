@@ -114,6 +114,11 @@ mesh::Vertices mean_albedo(const HeadMesh& head, const Eigen::Matrix3Xd& mean_mm
           sample_linear(skin, head.skin_uv[static_cast<std::size_t>(v)]) / static_cast<float>(skins.size());
     }
   }
+  paint_eyeballs(head, mean_mm, albedo);
+  return albedo;
+}
+
+void paint_eyeballs(const HeadMesh& head, const Eigen::Matrix3Xd& mean_mm, mesh::Vertices& albedo) {
   const Eigen::Vector3f sclera(0.62F, 0.56F, 0.53F);
   const Eigen::Vector3f iris(0.055F, 0.035F, 0.025F);
   for (const Part part : {Part::LeftEyeball, Part::RightEyeball}) {
@@ -127,7 +132,6 @@ mesh::Vertices mean_albedo(const HeadMesh& head, const Eigen::Matrix3Xd& mean_mm
       albedo.col(v) = from_front < kIrisAngleRad ? iris : sclera;
     }
   }
-  return albedo;
 }
 
 }  // namespace facet::model

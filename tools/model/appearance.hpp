@@ -20,4 +20,7 @@ std::vector<std::uint8_t> find_regions(const HeadMesh& head, const Eigen::Matrix
 mesh::Vertices mean_albedo(const HeadMesh& head, const Eigen::Matrix3Xd& mean_mm,
                            const std::vector<render::Picture>& skins);
 
+/// The colours of sclera and iris at the eyeballs' vertices of albedo, [3][vertex_count] linear RGB.
+void paint_eyeballs(const HeadMesh& head, const Eigen::Matrix3Xd& mean_mm, mesh::Vertices& albedo);
+
 }  // namespace facet::model
