@@ -18,12 +18,12 @@
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
 #include "progress.hpp"
-#include "service/config.hpp"
 #include "set_pictures.hpp"
 #include "stop_signals.hpp"
 #include "take/export.hpp"
 #include "take/reader.hpp"
 #include "take_frames.hpp"
+#include "take_person.hpp"
 
 namespace facet::tools {
 namespace {
@@ -209,41 +209,12 @@ take::Timeline timeline_of(take::TakeReader& reader, const Selection& selection)
   return take::make_timeline(entries, reader.info().file);
 }
 
-/// What the model makes of the take's person: the coarse level's neutral face and expressions. Throws
-/// Error(Usage) where the take has no expressions or the model is not the one that it was made with.
+/// The coarse level's neutral face and expressions.
 take::ExpressionShapes expression_shapes(const mesh::MeshFrame& frame, const ExportOptions& options) {
-  const mesh::Subject& subject = *frame.subject;
-  if (subject.expression_names.empty()) {
-    throw Error(
-        ErrorKind::Usage,
-        fmt::format(
-            "the frames of '{}' have no expressions (a booth's template fit has none): use glb-frames",
-            options.take));
-  }
-  const std::filesystem::path file = options.model.empty() ? service::default_config().pipeline.model_file
-                                                           : std::filesystem::path(options.model);
-  const face::FaceModel model = face::FaceModel::load(file);
-  const auto mismatch = [&](const std::string& what) {
-    return Error(ErrorKind::Usage,
-                 fmt::format("'{}' was not made with the model {} ({}): give the one with --model",
-                             options.take, file.string(), what));
-  };
-  if (model.expression_names != subject.expression_names ||
-      model.vertex_count() != subject.hierarchy->control_vertex_count) {
-    throw mismatch("its expressions or vertices are others");
-  }
-  const face::ExpressionBasis basis = model.contract_identity(subject.identity);
-  mesh::Vertices rebuilt_mm;
-  basis.evaluate(frame.expression, rebuilt_mm);
-  const float difference_mm = (rebuilt_mm - frame.control_vertices_mm).colwise().norm().maxCoeff();
-  // The take's vertices are rounded to a hundredth of a millimetre.
-  constexpr float kMostDifference_mm = 0.1F;
-  if (!(difference_mm <= kMostDifference_mm)) {
-    throw mismatch(fmt::format("frame {} differs from it by {:.2f} mm", frame.sequence, difference_mm));
-  }
-  const mesh::SparseRows& coarse = subject.hierarchy->levels.front().from_coarser;
+  const face::ExpressionBasis basis = person_shapes(frame, options.take, options.model);
+  const mesh::SparseRows& coarse = frame.subject->hierarchy->levels.front().from_coarser;
   take::ExpressionShapes shapes;
-  shapes.names = subject.expression_names;
+  shapes.names = frame.subject->expression_names;
   mesh::apply(coarse, basis.neutral_mm, shapes.neutral_mm);
   for (const mesh::Vertices& delta : basis.deltas_mm) {
     mesh::apply(coarse, delta, shapes.deltas_mm.emplace_back());

@@ -4,19 +4,23 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <array>
 #include <filesystem>
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "avatar/retarget.hpp"
+#include "avatar/skin.hpp"
 #include "commands.hpp"
 #include "facet/error.hpp"
 #include "progress.hpp"
 #include "stop_signals.hpp"
 #include "take/export.hpp"
 #include "take_frames.hpp"
+#include "take_person.hpp"
 
 namespace facet::tools {
 namespace {
@@ -29,6 +33,11 @@ struct RetargetOptions {
   std::string head;
   bool no_head = false;
   bool allow_missing = false;
+  std::string displacement_maps;
+  std::string normal_maps;
+  std::string pictures = "exr";
+  int size_px = 2048;
+  std::string model;
   std::string output;
 };
 
@@ -135,6 +144,125 @@ void check_shapes(const RetargetOptions& options, const avatar::Avatar& found,
   fmt::print(stderr, "note: {}\n", what);
 }
 
+/// The take's face as an avatar's skin is placed on it. Shapes and surface are those of the coarse level.
+avatar::PersonShapes shapes_of(const mesh::MeshFrame& frame, const face::ExpressionBasis& basis) {
+  const mesh::Subject& subject = *frame.subject;
+  const mesh::Level& coarse = subject.hierarchy->levels.front();
+  avatar::PersonShapes person;
+  mesh::apply(coarse.from_coarser, basis.neutral_mm, person.neutral_mm);
+  person.triangles = coarse.triangles;
+  for (std::size_t e = 0; e < basis.deltas_mm.size(); ++e) {
+    if (const int shape = mesh::arkit_index(subject.expression_names[e]); shape >= 0) {
+      mesh::Vertices delta_mm;
+      mesh::apply(coarse.from_coarser, basis.deltas_mm[e], delta_mm);
+      person.shapes.emplace_back(shape, std::move(delta_mm));
+    }
+  }
+  std::vector<Eigen::Index> skin;
+  for (std::size_t v = 0; v < subject.regions.size(); ++v) {
+    if (face::has_region(subject.regions[v], face::Region::Refinable)) {
+      skin.push_back(static_cast<Eigen::Index>(v));
+    }
+  }
+  person.skin_mm = basis.neutral_mm(Eigen::all, skin);
+  return person;
+}
+
+/// The avatar's skin on the take's face, as the maps are baked for it; tells how well it lies there.
+std::shared_ptr<const take::MapLayout> map_layout(const RetargetOptions& options,
+                                                  const avatar::GlbDocument& glb, const avatar::Avatar& found,
+                                                  const mesh::MeshFrame& frame) {
+  const face::ExpressionBasis basis = person_shapes(frame, options.take, options.model);
+  const std::vector<avatar::Skin> skins = avatar::read_skins(glb, found);
+  const auto [chosen, placement] = avatar::choose_skin(skins, shapes_of(frame, basis));
+  const avatar::Skin& skin = skins[chosen];
+  fmt::print(
+      "mesh '{}': on the face by {} shapes, {:.1f} mm apart (median), surfaces {:.1f} mm (rms), {:.0f} % of "
+      "the face covered; 1 mm of the maps is {:.4g} of its units\n",
+      skin.name, placement.shape_count, placement.shape_distance_mm, placement.surface_distance_mm,
+      100 * placement.covered, 1 / placement.mm_per_unit);
+  mesh::Vertices neutral_mm;
+  Eigen::Matrix3Xf normals;
+  const mesh::Hierarchy& hierarchy = *frame.subject->hierarchy;
+  mesh::rebuild_finest(hierarchy, basis.neutral_mm, {}, neutral_mm, normals);
+  const auto face = std::make_shared<avatar::FaceUnderSkin>(neutral_mm, hierarchy.finest().triangles);
+  auto layout = std::make_shared<take::MapLayout>();
+  layout->triangles = skin.triangles;
+  layout->texture_coordinates = skin.texture_coordinates;
+  layout->vertices_mm = placement.to_head_mm(skin.vertices);
+  layout->normals = placement.head_from_skin * skin.normals;
+  // The layout owns the function: it must not own the layout.
+  const take::MapLayout* own = layout.get();
+  layout->place = [own, face](std::int32_t triangle, const std::array<float, 3>& weights) {
+    const Eigen::Vector3i corner = own->triangles.col(triangle);
+    const Eigen::Vector3f by(weights.data());
+    const Eigen::Vector3f point_mm = own->vertices_mm(Eigen::all, corner) * by;
+    const Eigen::Vector3f normal = (own->normals(Eigen::all, corner) * by).normalized();
+    const avatar::FaceUnderSkin::Point point = face->under(point_mm, normal);
+    return take::MapLayout::Place{point.triangle, point.weights, point.strength};
+  };
+  return layout;
+}
+
+void make_folder(const std::filesystem::path& folder) {
+  std::error_code error;
+  std::filesystem::create_directories(folder, error);
+  if (!std::filesystem::is_directory(folder)) {
+    throw Error(ErrorKind::Storage, fmt::format("cannot make the folder '{}': {}", folder.string(),
+                                                error ? error.message() : "a file of that name is there"));
+  }
+}
+
+/// The take's relief in the avatar's texture coordinates, a picture a frame. Returns the signal that broke it
+/// off, or 0.
+int write_maps(const RetargetOptions& options, const avatar::GlbDocument& glb, const avatar::Avatar& found,
+               const StopSignals& signals) {
+  std::vector<std::pair<take::MapKind, std::filesystem::path>> wanted;
+  for (const auto& [kind, folder] : {std::pair{take::MapKind::Displacement, options.displacement_maps},
+                                     {take::MapKind::TangentNormal, options.normal_maps}}) {
+    if (!folder.empty()) {
+      wanted.emplace_back(kind, folder);
+    }
+  }
+  if (wanted.empty()) {
+    return 0;
+  }
+  take::TakeReader reader(options.take);
+  const std::vector<std::int64_t> selection = frames_in_range(reader, options.frames);
+  std::optional<take::MapBaker> baker;
+  std::shared_ptr<const mesh::Hierarchy> hierarchy;
+  const auto format = options.pictures == "png" ? take::PictureFormat::Png : take::PictureFormat::Exr;
+  Progress progress("Maps", selection.size());
+  for (const std::int64_t index : selection) {
+    if (const int signal = signals.pending(); signal != 0) {
+      return signal;
+    }
+    const auto frame = reader.frame(index, take::Pictures::Described);
+    progress.advance();
+    if (!take::has_mesh(*frame)) {
+      continue;
+    }
+    if (!baker) {
+      baker.emplace(options.size_px, map_layout(options, glb, found, *frame));
+      hierarchy = frame->subject->hierarchy;
+      for (const auto& [kind, folder] : wanted) {
+        make_folder(folder);
+      }
+    }
+    if (frame->subject->hierarchy != hierarchy) {
+      throw Error(ErrorKind::Usage,
+                  fmt::format("the person was estimated anew at frame {}: choose frames before or after with "
+                              "--frames",
+                              frame->sequence));
+    }
+    for (const auto& [kind, folder] : wanted) {
+      take::write_map(baker->bake(*frame, kind), kind, format,
+                      folder / fmt::format("frame_{:06}.{}", frame->sequence, options.pictures));
+    }
+  }
+  return 0;
+}
+
 void run_retarget(const RetargetOptions& options) {
   const StopSignals signals;
   avatar::GlbDocument glb = avatar::read_glb(options.rig);
@@ -152,6 +280,11 @@ void run_retarget(const RetargetOptions& options) {
     signals.die_of(signal);
   }
   check_shapes(options, found, performance.states);
+  if (const int signal = write_maps(options, glb, found, signals); signal != 0) {
+    fmt::print(stderr, "facet: broken off: the maps are not complete, nothing was written to '{}'\n",
+               options.output);
+    signals.die_of(signal);
+  }
   avatar::add_animation(glb, found, performance.states, performance.times_s, !options.no_head);
   avatar::write_glb(glb, options.output);
   fmt::print("{}: {} frames, {:.2f} s, {} meshes\n", options.output, performance.states.size(),
@@ -178,6 +311,20 @@ void add_retarget_command(CLI::App& app) {
   command->add_flag("--no-head", options->no_head, "Leave the head still");
   command->add_flag("--allow-missing", options->allow_missing,
                     "Go on where the avatar lacks shapes that the take moves");
+  command->add_option(
+      "--displacement-maps", options->displacement_maps,
+      "Folder: the take's displacements in the avatar's texture coordinates, a picture for each frame");
+  command->add_option("--normal-maps", options->normal_maps,
+                      "Folder: the same as normals against the avatar's surface");
+  command->add_option("--pictures", options->pictures, "Format of the maps: exr, png")
+      ->check(CLI::IsMember({"exr", "png"}))
+      ->capture_default_str();
+  command->add_option("--size", options->size_px, "Width and height of the maps, pixels")
+      ->check(CLI::Range(16, 16384))
+      ->capture_default_str();
+  command->add_option("--model", options->model,
+                      "Face model that the take was made with (for maps); default: the "
+                      "configured one");
   command->add_option("-o,--output", options->output, "GLB file: the avatar with an animation more")
       ->required();
   command->callback([options] { run_retarget(*options); });

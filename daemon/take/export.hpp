@@ -2,8 +2,10 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
+#include <array>
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <memory>
 #include <span>
 #include <string>
@@ -148,12 +150,31 @@ struct MapPicture {
   std::vector<float> values;  ///< [size_px][size_px][channels]
 };
 
+/// Another mesh for which the take's maps are baked: an avatar's skin.
+struct MapLayout {
+  mesh::Triangles triangles;
+  mesh::TextureCoordinates texture_coordinates;  ///< [2][vertex_count]
+  mesh::Vertices vertices_mm;                    ///< [3][vertex_count] where it lies, head frame
+  Eigen::Matrix3Xf normals;                      ///< [3][vertex_count] unit
+
+  /// Where a point of it lies on the take's finest mesh.
+  struct Place {
+    std::int32_t triangle = -1;      ///< -1: nowhere
+    std::array<float, 3> weights{};  ///< of the triangle's vertices
+    float strength = 1;              ///< 0 to 1, what of the relief is put there
+  };
+  std::function<Place(std::int32_t triangle, const std::array<float, 3>& weights)> place;
+};
+
 /// Bakes vertices' values into pictures. Where the pixels lie in the triangles is found once for each mesh.
 /// One thread.
 class MapBaker {
  public:
-  /// size_px: width and height, 16 to 16384.
-  explicit MapBaker(int size_px);
+  /// size_px: width and height, 16 to 16384. layout: whose texture coordinates the maps are in; null: the
+  /// take's own. With one, displacements are those of the take, mm at the person's size, and the tangent
+  /// normal is what the take's relief makes of the layout's own; ObjectNormal is not there
+  /// (Error(Internal)). All frames must be of one hierarchy then.
+  explicit MapBaker(int size_px, std::shared_ptr<const MapLayout> layout = nullptr);
   ~MapBaker();
   MapBaker(const MapBaker&) = delete;
   MapBaker& operator=(const MapBaker&) = delete;

@@ -19,6 +19,8 @@ struct Texel {
   std::int32_t pixel = 0;
   std::int32_t triangle = -1;
   std::array<float, 3> weights{};  ///< of the triangle's vertices
+  float strength = 1;              ///< MapLayout::Place::strength
+  std::int32_t frame = -1;         ///< of Impl::frames
 };
 
 /// The pixels that triangles cover in texture coordinates. Of triangles that overlap there the first has the
@@ -61,7 +63,9 @@ std::vector<Texel> covered_texels(const mesh::Triangles& triangles,
         if (std::exchange(taken[pixel], std::uint8_t{1}) == 0) {
           texels.push_back({static_cast<std::int32_t>(pixel),
                             static_cast<std::int32_t>(t),
-                            {first, weights.x(), weights.y()}});
+                            {first, weights.x(), weights.y()},
+                            1,
+                            -1});
         }
       }
     }
@@ -138,10 +142,22 @@ Tangents tangents_of(const mesh::Vertices& vertices, const Eigen::Matrix3Xf& nor
   return out;
 }
 
+/// Unit x along u, y along v, z the normal at a point of a surface; columns.
+Eigen::Matrix3f tangent_frame(const Eigen::Vector3f& u, const Eigen::Vector3f& v,
+                              const Eigen::Vector3f& normal) {
+  const Eigen::Vector3f x = (u - normal * normal.dot(u)).normalized();
+  const Eigen::Vector3f across = normal.cross(x);
+  Eigen::Matrix3f out;
+  out << x, (across.dot(v) < 0 ? Eigen::Vector3f(-across) : across), normal;
+  return out;
+}
+
 }  // namespace
 
 struct MapBaker::Impl {
   MapPicture picture;
+  std::shared_ptr<const MapLayout> layout;
+  std::vector<Eigen::Matrix3f> frames;  ///< of the layout at its texels: columns along u, v, the normal
   std::shared_ptr<const mesh::Hierarchy> hierarchy;  ///< that the texels are of
   std::vector<Texel> texels;
   mesh::Vertices vertices_mm;
@@ -168,8 +184,39 @@ struct MapBaker::Impl {
             texel.weights[2] * field.col(corner[2]))
         .eval();
   }
+  void find_texels();
   void bake_tangent_normals(const mesh::MeshFrame& frame);
 };
+
+void MapBaker::Impl::find_texels() {
+  frames.clear();
+  if (layout == nullptr) {
+    texels = covered_texels(hierarchy->finest().triangles, hierarchy->texture_coordinates, picture.size_px);
+    pad(texels, picture.size_px);
+    return;
+  }
+  texels = covered_texels(layout->triangles, layout->texture_coordinates, picture.size_px);
+  const Tangents tangents =
+      tangents_of(layout->vertices_mm, layout->normals, layout->triangles, layout->texture_coordinates);
+  for (Texel& texel : texels) {
+    const Eigen::Vector3i corner = layout->triangles.col(texel.triangle);
+    const auto blend = [&](const Eigen::Matrix3Xf& field) -> Eigen::Vector3f {
+      return texel.weights[0] * field.col(corner[0]) + texel.weights[1] * field.col(corner[1]) +
+             texel.weights[2] * field.col(corner[2]);
+    };
+    const MapLayout::Place place = layout->place(texel.triangle, texel.weights);
+    texel.triangle = place.triangle;
+    texel.weights = place.weights;
+    texel.strength = place.strength;
+    if (place.triangle >= 0) {
+      texel.frame = static_cast<std::int32_t>(frames.size());
+      frames.push_back(tangent_frame(blend(tangents.along_u), blend(tangents.along_v),
+                                     blend(layout->normals).normalized()));
+    }
+  }
+  pad(texels, picture.size_px);
+  std::erase_if(texels, [](const Texel& texel) { return texel.triangle < 0; });
+}
 
 void MapBaker::Impl::bake_tangent_normals(const mesh::MeshFrame& frame) {
   const mesh::Level& level = hierarchy->finest();
@@ -179,20 +226,32 @@ void MapBaker::Impl::bake_tangent_normals(const mesh::MeshFrame& frame) {
   fill(3, [&](const Texel& texel, float* out) {
     const Eigen::Vector3f normal = at(texel, normals).normalized();
     const Eigen::Vector3f z = at(texel, smooth_normals).normalized();
-    const Eigen::Vector3f u = at(texel, tangents.along_u);
-    const Eigen::Vector3f v = at(texel, tangents.along_v);
-    const Eigen::Vector3f x = (u - z * z.dot(u)).normalized();
-    const Eigen::Vector3f across = z.cross(x);
-    const Eigen::Vector3f y = across.dot(v) < 0 ? Eigen::Vector3f(-across) : across;
-    Eigen::Map<Eigen::Vector3f>(out, 3) << x.dot(normal), y.dot(normal), z.dot(normal);
+    Eigen::Map<Eigen::Vector3f> pixel(out, 3);
+    if (texel.frame < 0) {
+      pixel = tangent_frame(at(texel, tangents.along_u), at(texel, tangents.along_v), z).transpose() * normal;
+      return;
+    }
+    // The shortest turn that lays the take's surface on the layout's takes its relief along.
+    const Eigen::Matrix3f& own = frames[static_cast<std::size_t>(texel.frame)];
+    const Eigen::Vector3f turned = Eigen::Quaternionf::FromTwoVectors(z, own.col(2)) * normal;
+    const Eigen::Vector3f flat = own.col(2);
+    pixel = own.transpose() * (flat + texel.strength * (turned - flat)).normalized();
   });
+  if (layout != nullptr) {  // where nothing is transferred the surface is its own
+    for (std::size_t pixel = 0; pixel < picture.values.size(); pixel += 3) {
+      if (picture.values[pixel] == 0 && picture.values[pixel + 1] == 0 && picture.values[pixel + 2] == 0) {
+        picture.values[pixel + 2] = 1;
+      }
+    }
+  }
 }
 
-MapBaker::MapBaker(int size_px) : impl_(std::make_unique<Impl>()) {
+MapBaker::MapBaker(int size_px, std::shared_ptr<const MapLayout> layout) : impl_(std::make_unique<Impl>()) {
   if (size_px < 16 || size_px > 16384) {
     throw Error(ErrorKind::Usage, "a map is 16 to 16384 pixels wide");
   }
   impl_->picture.size_px = size_px;
+  impl_->layout = std::move(layout);
 }
 
 MapBaker::~MapBaker() = default;
@@ -202,11 +261,12 @@ const MapPicture& MapBaker::bake(const mesh::MeshFrame& frame, MapKind kind) {
   if (!has_mesh(frame)) {
     throw Error(ErrorKind::Internal, "export: the frame has no mesh");
   }
+  if (impl.layout != nullptr && kind == MapKind::ObjectNormal) {
+    throw Error(ErrorKind::Internal, "export: another mesh's normals are its own");
+  }
   if (impl.hierarchy != frame.subject->hierarchy) {
     impl.hierarchy = frame.subject->hierarchy;
-    impl.texels = covered_texels(impl.hierarchy->finest().triangles, impl.hierarchy->texture_coordinates,
-                                 impl.picture.size_px);
-    pad(impl.texels, impl.picture.size_px);
+    impl.find_texels();
   }
   const Eigen::Index count = impl.hierarchy->finest().vertex_count;
   switch (kind) {
@@ -215,7 +275,9 @@ const MapPicture& MapBaker::bake(const mesh::MeshFrame& frame, MapKind kind) {
       if (!frame.displacements_mm.empty()) {
         displacements = Eigen::Map<const Eigen::RowVectorXf>(frame.displacements_mm.data(), count);
       }
-      impl.fill(1, [&](const Texel& texel, float* out) { *out = impl.at(texel, displacements)(0); });
+      impl.fill(1, [&](const Texel& texel, float* out) {
+        *out = texel.strength * impl.at(texel, displacements)(0);
+      });
       break;
     }
     case MapKind::Albedo: {

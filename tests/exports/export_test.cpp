@@ -119,6 +119,10 @@ class Export : public ::testing::Test {
         frame.expression.push_back(uniform(random) * uniform(random));
       }
       model.evaluate(subject->identity, frame.expression, frame.control_vertices_mm);
+      const mesh::TextureCoordinates& uv = subject->hierarchy->texture_coordinates;
+      for (Eigen::Index v = 0; v < uv.cols(); ++v) {
+        frame.displacements_mm.push_back(std::sin(80 * uv(0, v)) * std::cos(60 * uv(1, v)));
+      }
       frame.camera_from_head.linear() =
           (Eigen::AngleAxisf(3.14159265F, Eigen::Vector3f::UnitX()) *
            Eigen::AngleAxisf(uniform(random) - 0.5F, Eigen::Vector3f(0.3F, 0.9F, 0.1F).normalized()))
@@ -486,6 +490,52 @@ TEST_F(ExportPeers, RetargetedAvatarsAreValid) {
             0)
       << output_;
   EXPECT_THAT(output_, HasSubstr("2 animations"));
+}
+
+/// The avatar is the take's own face with its own texture coordinates: its maps are those of the take.
+TEST_F(Export, MapsOfAnAvatarThatIsThePersonAreTheTakesOwn) {
+  if (!std::filesystem::exists(test::default_model())) {
+    GTEST_SKIP() << test::default_model() << " is not there: packaging/prepare makes it";
+  }
+  const std::string model = test::default_model().string();
+  for (const std::uint32_t seed : {7U, 8U, 9U}) {
+    const std::string name = fmt::format("seed{}", seed);
+    const std::string take = std::filesystem::path(file(name + ".take")).string();
+    std::filesystem::rename(model_take(face::FaceModel::load(model), seed), take);
+    ASSERT_EQ(run({"export", take, "--format", "glb-expressions", "--model", model, "--frames", "100:101",
+                   "-o", file(name + ".glb")}),
+              0)
+        << output_;
+    ASSERT_EQ(run({"export", take, "--format", "displacement", "--pictures", "png", "--size", "512",
+                   "--frames", "101:102", "-o", file(name + "-own")}),
+              0)
+        << output_;
+    ASSERT_EQ(run({"retarget", take, "--rig", file(name + ".glb"), "--model", model, "--frames", "101:102",
+                   "--displacement-maps", file(name + "-maps"), "--normal-maps", file(name + "-normals"),
+                   "--pictures", "png", "--size", "512", "-o", file(name + "-anim.glb")}),
+              0)
+        << output_;
+    EXPECT_THAT(output_, HasSubstr("100 % of the face covered; 1 mm of the maps is 0.001 of its units"));
+    const cv::Mat own = cv::imread(file(name + "-own/frame_000101.png"), cv::IMREAD_UNCHANGED);
+    const cv::Mat maps = cv::imread(file(name + "-maps/frame_000101.png"), cv::IMREAD_UNCHANGED);
+    const cv::Mat normals = cv::imread(file(name + "-normals/frame_000101.png"), cv::IMREAD_UNCHANGED);
+    ASSERT_EQ(own.type(), CV_16UC1);
+    ASSERT_EQ(maps.type(), CV_16UC1);
+    ASSERT_EQ(normals.type(), CV_16UC3);
+    int relief = 0;
+    int others = 0;
+    for (int y = 0; y < own.rows; ++y) {
+      for (int x = 0; x < own.cols; ++x) {
+        constexpr float kStep_mm = 2 * take::kDisplacementRange_mm / 65535;
+        const float truth_mm = kStep_mm * (static_cast<float>(own.at<std::uint16_t>(y, x)) - 32767.5F);
+        const float made_mm = kStep_mm * (static_cast<float>(maps.at<std::uint16_t>(y, x)) - 32767.5F);
+        relief += std::abs(truth_mm) > 0.1F ? 1 : 0;
+        others += std::abs(truth_mm - made_mm) > 0.05F ? 1 : 0;
+      }
+    }
+    EXPECT_GT(relief, 10'000);
+    EXPECT_LT(others, relief / 50) << "lids and lips, where skin lies on skin; seed " << seed;
+  }
 }
 
 TEST_F(Export, AnAvatarWithoutTheShapesIsTold) {
