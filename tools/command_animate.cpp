@@ -206,12 +206,15 @@ void run_animate(const AnimateOptions& options) {
   const auto basis = open_basis(options.basis, signals);
   animate::AnimationReport report;
   std::optional<animate::Animation> animation;
-  if (keys) {
-    for (const std::string& region : options.regions) {
-      keys->regions.push_back(region);
+  const animate::GoOn go_on = [&signals] { return signals.pending() == 0; };
+  const auto prepare = [&] {
+    if (keys) {
+      for (const std::string& region : options.regions) {
+        keys->regions.push_back(region);
+      }
+      animation = animate::Animation::of_keys(basis, *keys, report, go_on);
+      return;
     }
-    animation = animate::Animation::of_keys(basis, *keys, report);
-  } else {
     animate::WalkOptions walk;
     walk.duration_s = parse_duration(options.walk);
     walk.seed = options.seed;
@@ -219,7 +222,16 @@ void run_animate(const AnimateOptions& options) {
     for (const std::string& region : options.regions) {
       walk.regions.push_back(animate::find_vertex(*basis, region));
     }
-    animation = animate::Animation::of_walk(basis, walk, report);
+    animation = animate::Animation::of_walk(basis, walk, report, go_on);
+  };
+  try {
+    prepare();
+  } catch (const Error&) {
+    if (const int signal = signals.pending(); signal != 0) {
+      fmt::print(stderr, "facet: broken off: nothing was written to '{}'\n", options.output);
+      signals.die_of(signal);
+    }
+    throw;
   }
   print_report(report, options.report);
   const double rate_hz = options.rate_hz > 0         ? options.rate_hz

@@ -273,13 +273,16 @@ Eigen::VectorXf Track::state(const TakeBasis& basis, double time_s) const {
 }
 
 Animation Animation::of_keys(const std::shared_ptr<const TakeBasis>& basis, const KeyList& list,
-                             AnimationReport& report) {
+                             AnimationReport& report, const GoOn& go_on) {
   if (list.keys.empty()) {
     throw Error(ErrorKind::Usage, "an animation needs a key");
   }
   KeySolver solver(basis, list);
   std::vector<Eigen::MatrixXf> states;
   for (std::size_t k = 0; k < list.keys.size(); ++k) {
+    if (go_on && !go_on()) {
+      throw Error(ErrorKind::Unavailable, "broken off");
+    }
     states.push_back(solver.solve(k, report));
   }
   Animation made;
@@ -289,7 +292,7 @@ Animation Animation::of_keys(const std::shared_ptr<const TakeBasis>& basis, cons
   const double period_s = basis->frame_period_s();
   for (int region = 0; region < made.maps_->region_count(); ++region) {
     const RegionMetric metric = metric_of(*basis, *made.maps_, region);
-    const FaceGraph graph(*basis, metric);
+    const FaceGraph graph(*basis, metric, {}, go_on);
     std::vector<Interval>& intervals = made.regions_.emplace_back();
     std::vector<std::int32_t> nearest;
     std::vector<Eigen::VectorXf> offsets;
@@ -327,7 +330,7 @@ Animation Animation::of_keys(const std::shared_ptr<const TakeBasis>& basis, cons
 }
 
 Animation Animation::of_walk(const std::shared_ptr<const TakeBasis>& basis, const WalkOptions& options,
-                             AnimationReport& report) {
+                             AnimationReport& report, const GoOn& go_on) {
   if (!(options.duration_s > 0 && options.duration_s <= kLongest_s) || !(options.mean_run_s > 0)) {
     throw Error(ErrorKind::Usage, fmt::format("a walk of {} s with jumps every {} s makes no sense",
                                               options.duration_s, options.mean_run_s));
@@ -344,7 +347,7 @@ Animation Animation::of_walk(const std::shared_ptr<const TakeBasis>& basis, cons
   Eigen::Index first = 0;
   whole.coordinates(basis->coefficients()).colwise().squaredNorm().minCoeff(&first);
   for (int region = 0; region < made.maps_->region_count(); ++region) {
-    const FaceGraph graph(*basis, metric_of(*basis, *made.maps_, region));
+    const FaceGraph graph(*basis, metric_of(*basis, *made.maps_, region), {}, go_on);
     const std::vector<std::int32_t> walk = graph.random_walk(
         static_cast<std::int32_t>(first), faces,
         options.seed + 0x9E3779B97F4A7C15ULL * static_cast<std::uint64_t>(region),

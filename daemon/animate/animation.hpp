@@ -93,16 +93,16 @@ class Animation {
   /// Data-driven key frames (Zhang et al. 2004, section 5.3): each key's pose is solved by FaceIk, each
   /// region goes from the captured face nearest to one key to that of the next on a path of its face graph,
   /// and what keys differ from captured faces is added, fading from one key to the next: keys are met
-  /// exactly, control points too. Control points may differ from key to key: one that a key lacks follows
-  /// that key's other ones. Throws as FaceIk does, naming the key, and Error(Usage) where a key's frame is
-  /// not in the take.
+  /// exactly, control points too. Takes long: go_on breaks it off. Control points may differ from key to key:
+  /// one that a key lacks follows that key's other ones. Throws as FaceIk does, naming the key, and
+  /// Error(Usage) where a key's frame is not in the take.
   static Animation of_keys(const std::shared_ptr<const TakeBasis>& basis, const KeyList& keys,
-                           AnimationReport& report);
+                           AnimationReport& report, const GoOn& go_on = {});
 
   /// A random walk (section 5.2), with regions one of its own in each. Throws Error(Usage) where options make
   /// no sense.
   static Animation of_walk(const std::shared_ptr<const TakeBasis>& basis, const WalkOptions& options,
-                           AnimationReport& report);
+                           AnimationReport& report, const GoOn& go_on = {});
 
   double duration_s() const { return duration_s_; }
   const TakeBasis& basis() const { return *basis_; }

@@ -22,8 +22,8 @@ constexpr double kLargeStep = 0.75;  // quantile of the captured steps
 
 }  // namespace
 
-FaceGraph::FaceGraph(const TakeBasis& basis, const RegionMetric& metric, GraphOptions options)
-    : options_(options), coordinates_(metric.coordinates(basis.coefficients())) {
+FaceGraph::FaceGraph(const TakeBasis& basis, const RegionMetric& metric, GraphOptions options, GoOn go_on)
+    : options_(options), go_on_(std::move(go_on)), coordinates_(metric.coordinates(basis.coefficients())) {
   if (options_.neighbours < 1 || options_.neighbours > 64 ||
       !(options_.lambda >= 0 && options_.lambda <= 100)) {
     throw Error(ErrorKind::Usage,
@@ -64,6 +64,12 @@ std::int32_t FaceGraph::successor(std::int32_t face) const {
   return next < follows_.size() && follows_[next] != 0 ? face + 1 : -1;
 }
 
+void FaceGraph::check_go_on() const {
+  if (go_on_ && !go_on_()) {
+    throw Error(ErrorKind::Unavailable, "broken off");
+  }
+}
+
 float FaceGraph::blink_cost(std::int32_t from, std::int32_t to) const {
   return blink_weight_mm_ *
          std::max(blink_[static_cast<std::size_t>(from)], blink_[static_cast<std::size_t>(to)]);
@@ -83,6 +89,7 @@ void FaceGraph::find_edges(std::int32_t begin, std::int32_t end, int window) {
   std::vector<Edge> found;
   const auto cheaper = [](const Edge& a, const Edge& b) { return a.cost < b.cost; };
   for (std::int32_t first = begin; first < end; first += kBlock) {
+    check_go_on();
     const std::int32_t rows = std::min(kBlock, end - first);
     const std::int32_t with_next = std::min(rows + 1, count - first);
     const Eigen::MatrixXf products = coordinates_.transpose() * coordinates_.middleCols(first, with_next);
@@ -207,6 +214,7 @@ FaceGraph::Path FaceGraph::paced(std::int32_t from, std::int32_t to, int steps, 
   std::vector<std::int32_t> before(static_cast<std::size_t>(steps) * count, -1);
   least[static_cast<std::size_t>(from)] = 0;
   for (int step = 0; step + 1 < steps; ++step) {
+    check_go_on();
     std::fill(next.begin(), next.end(), kUnreached);
     const bool calm = step < calm_steps || step + calm_steps >= steps;
     for (std::int32_t face = 0; face < face_count(); ++face) {

@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <functional>
 #include <span>
 #include <vector>
 
@@ -14,6 +15,10 @@ struct GraphOptions {
   float lambda = 0.3F;  ///< of eq. 23: what a large step costs, whether or not the take makes it
   int neighbours = 12;  ///< jumps kept per face, the cheapest
 };
+
+/// Asked now and then by what takes long, from two threads at once; false breaks it off, with
+/// Error(Unavailable).
+using GoOn = std::function<bool()>;
 
 /// The captured faces of one region as a graph (Zhang et al. 2004, section 5.1). The cost of going from face
 /// i to face j is w(i, j) = dist(M_i+1, M_j) + lambda dist(M_i, M_j) (eq. 23), dist the region's metric; a
@@ -28,8 +33,8 @@ class FaceGraph {
     float cost = 0;  ///< mm
   };
 
-  /// Compares every face with every other one, in blocks, on two threads.
-  FaceGraph(const TakeBasis& basis, const RegionMetric& metric, GraphOptions options = {});
+  /// Compares every face with every other one, in blocks, on two threads. go_on is asked here and by paced().
+  FaceGraph(const TakeBasis& basis, const RegionMetric& metric, GraphOptions options = {}, GoOn go_on = {});
 
   int face_count() const { return static_cast<int>(coordinates_.cols()); }
   std::span<const Edge> edges(std::int32_t from) const;
@@ -68,11 +73,13 @@ class FaceGraph {
   static constexpr std::int64_t kMostStates = 64'000'000;
 
  private:
+  void check_go_on() const;
   float blink_cost(std::int32_t from, std::int32_t to) const;
   void find_edges(std::int32_t begin, std::int32_t end, int window);
   Path describe(std::vector<std::int32_t> faces) const;
 
   GraphOptions options_;
+  GoOn go_on_;
   Eigen::MatrixXf coordinates_;
   std::vector<float> blink_;
   std::vector<std::uint8_t> follows_;

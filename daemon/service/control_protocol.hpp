@@ -14,7 +14,7 @@ namespace facet::service {
 /// The control protocol: JSON-RPC 2.0, one message a line (docs/control-protocol.md).
 
 /// A request line longer than this is refused and its client dropped, bytes.
-inline constexpr std::size_t kMaxRequestBytes = 64U << 10;
+inline constexpr std::size_t kMaxRequestBytes = 1U << 20;
 /// More requests than this in one batch are refused.
 inline constexpr std::size_t kMaxBatch = 32;
 

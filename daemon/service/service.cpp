@@ -166,7 +166,16 @@ Service::Impl::Impl(const Config& given, Log& given_log)
       bridge(given.bridges.targets.empty() ? nullptr : std::make_unique<avatar::Bridge>(given.bridges)),
       stream_sink(*stream),
       studio(
-          given.takes.folder, *stream, [this](bool held) { stream_sink.hold(held); }, software_name()),
+          given.takes.folder,
+          [this](std::shared_ptr<const mesh::MeshFrame> frame) {
+            bridge_sink.show(frame);
+            stream->publish(std::move(frame));
+          },
+          [this](bool held) {
+            stream_sink.hold(held);
+            bridge_sink.hold(held);
+          },
+          software_name()),
       thumbnails(given.takes.folder),
       bridge_sink(bridge.get()) {
   check_takes_folder(config.takes.folder);
@@ -186,6 +195,10 @@ ControlMethods Service::Impl::methods() {
           const double seconds = params.value("seconds", 1.0);
           if (!(seconds >= 0.1 && seconds <= 60)) {
             throw Error(ErrorKind::Usage, "seconds must be from 0.1 to 60");
+          }
+          if (studio.status().state != StudioState::Closed) {
+            throw Error(ErrorKind::Usage,
+                        "the studio shows a take: the neutral pose is the live face's (studio.close)");
           }
           configured_bridge().record_neutral(std::chrono::milliseconds(std::lround(1000 * seconds)));
           return json::object();

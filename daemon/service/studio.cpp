@@ -171,12 +171,14 @@ struct Studio::Impl {
     Clock::time_point check_due;
   };
 
-  Impl(std::filesystem::path takes, stream::StreamServer& server, std::function<void(bool)> hold,
-       std::string name)
-      : folder(std::move(takes)), stream(server), hold_live(std::move(hold)), software(std::move(name)) {}
+  Impl(std::filesystem::path takes, Show shower, std::function<void(bool)> hold, std::string name)
+      : folder(std::move(takes)),
+        show(std::move(shower)),
+        hold_live(std::move(hold)),
+        software(std::move(name)) {}
 
   const std::filesystem::path folder;
-  stream::StreamServer& stream;
+  const Show show;
   const std::function<void(bool)> hold_live;
   const std::string software;
 
@@ -186,6 +188,7 @@ struct Studio::Impl {
   std::optional<Opening> opening;
   std::optional<Wish> wish;
   std::filesystem::path export_to;  ///< empty: nothing is to be exported
+  bool cancelled = false;           ///< what is prepared or exported
   StudioStatus shown;               ///< but targets are those that were solved, `wanted` those asked for
   Times latency;
   Times work;
@@ -224,6 +227,7 @@ struct Studio::Impl {
   void publish(mesh::MeshFrame frame, std::optional<Clock::time_point> asked);
   void set_state(StudioState state);
   bool given_up();
+  bool wanted_still(StudioState what);
 };
 
 // ---- the daemon's loop ----------------------------------------------------------------------------------
@@ -284,6 +288,15 @@ bool Studio::Impl::given_up() {
   return stopping || opening.has_value();
 }
 
+/// What takes long shall go on.
+bool Studio::Impl::wanted_still(StudioState what) {
+  const std::lock_guard lock(mutex);
+  // Places of the animation wait for it: a cursor that is dragged along must not begin it anew each time.
+  const bool other = wish && (wish->kind == Wish::Kind::Pose || wish->kind == Wish::Kind::Pause ||
+                              wish->shown != Shown::Keys);
+  return !(stopping || opening || cancelled || (other && what == StudioState::Preparing));
+}
+
 void Studio::Impl::publish(mesh::MeshFrame frame, std::optional<Clock::time_point> asked) {
   if (!all_finite(frame)) {
     throw Error(ErrorKind::Internal, "a face is not finite: it is not shown");
@@ -296,7 +309,7 @@ void Studio::Impl::publish(mesh::MeshFrame frame, std::optional<Clock::time_poin
   frame.stage_ms.latency_ms = asked ? std::chrono::duration<float, std::milli>(now - *asked).count() : 0.0F;
   session->last = std::make_shared<const mesh::MeshFrame>(std::move(frame));
   session->repeat_due = now + kRepeat;
-  stream.publish(session->last);
+  show(session->last);
 }
 
 void Studio::Impl::close_session(const std::string& reason) {
@@ -477,7 +490,8 @@ void Studio::Impl::prepare_keys() {
   set_state(StudioState::Preparing);
   const animate::KeyList list = animate::parse_keys(text, "keys");
   animate::AnimationReport report;
-  session->animation = animate::Animation::of_keys(session->faces->basis, list, report);
+  session->animation = animate::Animation::of_keys(session->faces->basis, list, report,
+                                                   [this] { return wanted_still(StudioState::Preparing); });
   session->animated_keys = std::move(text);
   session->keys_rate_hz = list.rate_hz > 0 ? list.rate_hz
                           : session->faces->basis->frame_period_s() > 0.001
@@ -566,7 +580,7 @@ void Studio::Impl::export_keys(const std::filesystem::path& file) {
     frame.sequence = static_cast<std::uint64_t>(index);
     frame.timestamp_ns = frame.media_time_ns;
     recorder.record(std::make_shared<const mesh::MeshFrame>(std::move(frame)));
-    broken_off = given_up();
+    broken_off = !wanted_still(StudioState::Exporting);
     const std::lock_guard lock(mutex);
     shown.done = index + 1;
   }
@@ -574,7 +588,7 @@ void Studio::Impl::export_keys(const std::filesystem::path& file) {
   if (broken_off) {
     std::error_code ignored;
     std::filesystem::remove(file, ignored);
-    return;
+    throw Error(ErrorKind::Unavailable, "broken off");
   }
   if (status.state == take::RecorderState::Failed) {
     throw Error(ErrorKind::Storage, fmt::format("'{}': {}", file.string(), status.reason));
@@ -631,10 +645,12 @@ bool Studio::Impl::work_once(std::unique_lock<std::mutex>& lock) {
     });
   }
   if (wish) {
+    cancelled = false;
     const Wish what = *std::exchange(wish, std::nullopt);
     return unlocked([&] { do_wish(what); });
   }
   if (!export_to.empty()) {
+    cancelled = false;
     const std::filesystem::path file = std::exchange(export_to, {});
     return unlocked([&] { export_keys(file); });
   }
@@ -669,9 +685,10 @@ void Studio::Impl::run() {
 
 // ---- the door -------------------------------------------------------------------------------------------
 
-Studio::Studio(std::filesystem::path folder, stream::StreamServer& stream,
-               std::function<void(bool)> hold_live, std::string software)
-    : impl_(std::make_unique<Impl>(std::move(folder), stream, std::move(hold_live), std::move(software))) {}
+Studio::Studio(std::filesystem::path folder, Show show, std::function<void(bool)> hold_live,
+               std::string software)
+    : impl_(std::make_unique<Impl>(std::move(folder), std::move(show), std::move(hold_live),
+                                   std::move(software))) {}
 
 Studio::~Studio() {
   stop();
@@ -776,6 +793,17 @@ void Studio::pause() {
     impl_->ready_faces();
   }
   impl_->ask({Impl::Wish::Kind::Pause, impl_->shown.shown, 0, false, {}});
+}
+
+void Studio::cancel() {
+  const std::lock_guard lock(impl_->mutex);
+  const bool waits = !impl_->export_to.empty();
+  if (impl_->shown.state != StudioState::Preparing && impl_->shown.state != StudioState::Exporting &&
+      !waits) {
+    throw Error(ErrorKind::Usage, "nothing is being prepared or exported");
+  }
+  impl_->cancelled = true;
+  impl_->export_to.clear();
 }
 
 std::string Studio::keys() const {

@@ -11,7 +11,7 @@
 #include <vector>
 
 #include "animate/animation.hpp"
-#include "stream/server.hpp"
+#include "mesh/mesh_frame.hpp"
 
 namespace facet::service {
 
@@ -85,9 +85,11 @@ struct RegionColours {
 /// Error(Unavailable) while a take is being opened. What fails later stands in status().reason.
 class Studio {
  public:
-  /// folder: of the takes. hold_live: called on the thread. Borrows the stream.
-  Studio(std::filesystem::path folder, stream::StreamServer& stream, std::function<void(bool)> hold_live,
-         std::string software);
+  using Show = std::function<void(std::shared_ptr<const mesh::MeshFrame>)>;
+
+  /// folder: of the takes. show: puts a face before everybody who follows the live one (the stream, the
+  /// bridges); hold_live: whether the live face is kept from them. Both are called on the thread.
+  Studio(std::filesystem::path folder, Show show, std::function<void(bool)> hold_live, std::string software);
   ~Studio();
   Studio(const Studio&) = delete;
   Studio& operator=(const Studio&) = delete;
@@ -113,6 +115,9 @@ class Studio {
   void play(Shown what, double from_s, bool loop);
   void seek(Shown what, double time_s);
   void pause();
+  /// Breaks off what is prepared or exported; the take stays open. So does a pose, a pause or a place of the
+  /// take that is asked for while an animation is prepared.
+  void cancel();
 
   /// The keys of the open take (docs/animation.md; JSON), kept beside it in NAME.keys.json; "" where there
   /// are none yet.

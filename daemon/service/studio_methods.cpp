@@ -168,6 +168,13 @@ ControlMethods studio_methods(Studio& studio) {
           studio.pause();
           return json::object();
         }}},
+      {"studio.cancel",
+       {true,
+        {},
+        [&studio](const json&) {
+          studio.cancel();
+          return json::object();
+        }}},
       {"pose.set",
        {true,
         {"controls", "whole", "clamp"},

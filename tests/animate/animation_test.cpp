@@ -8,12 +8,14 @@
 #include <signal.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <fstream>
 #include <iterator>
 #include <thread>
 
 #include "animate/places.hpp"
+#include "camera/factory.hpp"
 #include "facet/error.hpp"
 #include "support/child_process.hpp"
 #include "support/take_actor.hpp"
@@ -121,6 +123,28 @@ TEST_F(AnimationTest, FramesAsKeysAreThoseFrames) {
     animation.pose(key.time_s, pose);
     const mesh::Vertices expected = test::captured(*basis, static_cast<std::size_t>(*key.frame));
     EXPECT_LT((test::finest_of(*basis, pose) - expected).colwise().norm().maxCoeff(), 0.1F) << key.time_s;
+  }
+}
+
+TEST_F(AnimationTest, CanBeBrokenOffAtAnyTime) {
+  const auto basis = open(2);
+  KeyList list;
+  list.regions = {std::to_string(kLip), std::to_string(kBrow)};
+  list.keys = {{0, 20, {}}, {1, 77, {}}, {1.5, 21, {}}};
+  std::atomic<int> asked = 0;
+  AnimationReport report;
+  Animation::of_keys(basis, list, report, [&] { return ++asked > 0; });
+  const int all = asked;
+  EXPECT_GT(all, 20) << "while keys are solved, faces compared and paths sought";
+  for (const int last : {1, 2, 4, 7, all / 2, all - 1}) {
+    asked = 0;
+    try {
+      Animation::of_keys(basis, list, report, [&] { return ++asked < last; });
+      ADD_FAILURE() << last;
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::Unavailable);
+    }
+    EXPECT_LT(asked, last + 3) << "both threads heard of it soon";
   }
 }
 
@@ -278,6 +302,16 @@ TEST_F(AnimateCommand, MakesTakesThatOtherCommandsRead) {
   ASSERT_EQ(run({"animate", take, "--walk", "1s", "--head", "captured", "-o", file("walk.glb")}), 0)
       << output_;
   EXPECT_THAT(bytes("walk.glb"), HasSubstr("\"animations\""));
+  // A film: as many pictures, and the face is in the middle of them.
+  ASSERT_EQ(run({"animate", take, "--walk", "1s", "-o", file("walk.mkv")}), 0) << output_;
+  const auto film = camera::open_camera({.kind = "file", .path = file("walk.mkv")});
+  film->start();
+  int pictures = 0;
+  for (Frame frame; film->next(frame, std::chrono::seconds(10)) == CaptureOutcome::Delivered; ++pictures) {
+    const auto brightness = [&](int x, int y) { return int{frame.row(y)[4 * x]}; };
+    EXPECT_NE(brightness(frame.width_px / 2, frame.height_px / 2), brightness(2, 2)) << pictures;
+  }
+  EXPECT_EQ(pictures, 30);
   // Never over another take, and not without knowing what.
   EXPECT_EQ(run({"animate", take, "--walk", "1s", "-o", file("walk.take")}), 6) << output_;
   EXPECT_EQ(run({"animate", take, "-o", file("no.take")}), 2);

@@ -1,8 +1,7 @@
-#include <unistd.h>
-
 #include <cstddef>
 #include <cstdint>
 #include <filesystem>
+#include <memory>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <string_view>
@@ -11,18 +10,15 @@
 #include "service/control_protocol.hpp"
 #include "service/studio.hpp"
 #include "service/studio_methods.hpp"
-#include "stream/server.hpp"
 
 namespace {
 
 /// The studio's methods, of which no take is open: what they are asked is read and checked, then refused.
 facet::service::ControlMethods closed_studio() {
   const auto folder = std::filesystem::temp_directory_path();
-  facet::stream::StreamServerConfig config;
-  config.socket = folder / ("facet-fuzz-" + std::to_string(::getpid()) + ".sock");
-  static facet::stream::StreamServer stream(config);
   static facet::service::Studio studio(
-      folder / "no-such-folder", stream, [](bool) {}, "fuzzer");
+      folder / "no-such-folder", [](const std::shared_ptr<const facet::mesh::MeshFrame>&) {}, [](bool) {},
+      "fuzzer");
   return studio_methods(studio);
 }
 

@@ -39,7 +39,9 @@ class StudioTest : public ::testing::Test {
     server_.emplace(config);
     server_->start();
     studio_.emplace(
-        folder_.path(), *server_, [this](bool held) { held_ = held; }, "test");
+        folder_.path(),
+        [this](std::shared_ptr<const mesh::MeshFrame> frame) { server_->publish(std::move(frame)); },
+        [this](bool held) { held_ = held; }, "test");
     studio_->start();
     methods_ = studio_methods(*studio_);
     stream::Subscription subscription;
@@ -249,6 +251,57 @@ TEST_F(StudioTest, KeysAreKeptPlayedAndExported) {
   EXPECT_EQ(ask("keys.get"), saved);
   ask("keys.set", {{"keys", nullptr}});
   EXPECT_TRUE(ask("keys.get")["keys"].is_null());
+}
+
+/// Bridges send what the studio shows: the values belong to the face.
+TEST_F(StudioTest, ShownFacesHaveTheirExpressions) {
+  open(true);
+  take::TakeReader reader(take_);
+  for (const int number : {12, 30, 47}) {
+    ask("keys.set", {{"keys", {{"keys", {{{"time_s", 0}, {"frame", number}}}}}}});
+    ask("studio.seek", {{"what", "keys"}, {"time_s", 0}});
+    await([](const json& now) { return now["shown"] == "keys" && now["state"] == "ready"; });
+    const auto captured = reader.frame(number);
+    const auto end = std::chrono::steady_clock::now() + kPatience;
+    float worst = 1;
+    while (worst > 0.02F && std::chrono::steady_clock::now() < end) {
+      const auto shown = next();
+      ASSERT_NE(shown, nullptr);
+      ASSERT_EQ(shown->expression.size(), captured->expression.size());
+      worst = 0;
+      for (std::size_t e = 0; e < shown->expression.size(); ++e) {
+        worst = std::max(worst, std::abs(shown->expression[e] - captured->expression[e]));
+      }
+    }
+    EXPECT_LE(worst, 0.02F) << number;
+  }
+}
+
+TEST_F(StudioTest, WhatTakesLongCanBeBrokenOff) {
+  open(true);
+  EXPECT_THAT(refusal("studio.cancel", json::object()), HasSubstr("nothing is being prepared"));
+  // Keys of half an hour: more than 64 KiB of them, and an export that takes long.
+  json keys = json::array();
+  for (int k = 0; k < 1800; ++k) {
+    keys.push_back({{"time_s", k}, {"frame", k % 50}});
+  }
+  const json list = {{"pace", "shortest"}, {"keys", keys}, {"rate_hz", 120}};
+  ASSERT_GT(list.dump(1).size(), 60'000U);
+  ask("keys.set", {{"keys", list}});
+  EXPECT_EQ(ask("keys.get")["keys"]["keys"].size(), 1800U);
+  ask("keys.export", {{"name", "long"}});
+  await([](const json& now) { return now["state"] == "exporting" && now["done"] > 3; });
+  ask("studio.cancel");
+  const json status = await([](const json& now) { return is_ready(now); });
+  EXPECT_EQ(status["reason"], "broken off");
+  EXPECT_FALSE(std::filesystem::exists(folder_.path() / "long.take"));
+  EXPECT_EQ(status["exported"], "");
+  // It can be done all the same.
+  ask("keys.set", {{"keys", {{"keys", {{{"time_s", 0}, {"frame", 1}}, {{"time_s", 0.1}, {"frame", 4}}}}}}});
+  ask("keys.export", {{"name", "short"}});
+  await([](const json& now) {
+    return now["exported"].get<std::string>().find("short.take") != std::string::npos;
+  });
 }
 
 TEST_F(StudioTest, ReplaysAndScrubs) {
