@@ -449,6 +449,8 @@ void BoothMeshes::Impl::check_rig(const FrameSet& set, mesh::MeshFrame& frame) {
       messages.info("the cameras stand as they were calibrated again");
     }
     rig_wrong = wrong;
+    const std::lock_guard lock(mutex);
+    shown.pairs = stages.check->pairs();
   }
   if (!rig_wrong.empty()) {
     frame.degraded = true;
@@ -547,6 +549,7 @@ void BoothMeshes::fill(PipelineStatus& status) const {
   status.finest_vertices = shown.finest_vertices;
   status.levels = shown.levels;
   status.tracking = shown.tracking;
+  status.pairs = shown.pairs;
   impl_->figures.fill(status);
   status.queued_captured = impl_->runs.size();
   status.queued_tracked = impl_->seen.size();

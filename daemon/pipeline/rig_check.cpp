@@ -111,7 +111,46 @@ std::vector<capture::PointMatch> match_corners(const capture::Lens& left, const 
 }
 
 RigCheck::RigCheck(std::shared_ptr<const capture::Rig> rig, const stereo::DepthRange& depths)
-    : rig_(std::move(rig)), depths_(depths), pairs_(rig_->pairs.size()) {}
+    : rig_(std::move(rig)), depths_(depths), pairs_(rig_->pairs.size()), known_(rig_->pairs.size()) {
+  for (std::size_t i = 0; i < known_.size(); ++i) {
+    known_[i].left = rig_->cameras[rig_->pairs[i].left].name;
+    known_[i].right = rig_->cameras[rig_->pairs[i].right].name;
+  }
+}
+
+void RigCheck::judge(Pair& pair, RigPairStatus& known) const {
+  const capture::RigCamera& left = rig_->cameras[rig_->pairs[next_].left];
+  const capture::RigCamera& right = rig_->cameras[rig_->pairs[next_].right];
+  const capture::PairCheck check = capture::check_pair(left, right, pair.matches);
+  if (check.verdict == capture::PairVerdict::TooFewMatches) {
+    return;
+  }
+  known.wrong = check.verdict == capture::PairVerdict::Fine ? std::string() : check.message;
+  known.matches = check.matches;
+  known.median_px = check.median_px;
+  known.p95_px = check.p95_px;
+  const double most_px = 5 * capture::PairCheckOptions().most_median_px;
+  std::array<int, std::tuple_size_v<decltype(RigPairStatus::error_px)>> counts{};
+  known.error_px.fill(0);
+  for (const capture::PointMatch& match : pair.matches) {
+    const auto error_px = capture::epipolar_error_px(left.lens, right.lens, match);
+    const auto part = [](double at_px, int size_px, int parts) {
+      return std::clamp(static_cast<int>(at_px / size_px * parts), 0, parts - 1);
+    };
+    // A camera that was moved misses everywhere; where the pair is fine, what misses by far is a wrong match.
+    if (error_px && (std::abs(*error_px) < most_px || !known.wrong.empty())) {
+      const auto cell = static_cast<std::size_t>(
+          part(match.left_px.y(), left.lens.height_px, RigPairStatus::kRows) * RigPairStatus::kColumns +
+          part(match.left_px.x(), left.lens.width_px, RigPairStatus::kColumns));
+      known.error_px.at(cell) += static_cast<float>(std::abs(*error_px));
+      ++counts.at(cell);
+    }
+  }
+  for (std::size_t cell = 0; cell < counts.size(); ++cell) {
+    known.error_px.at(cell) =
+        counts.at(cell) > 0 ? known.error_px.at(cell) / static_cast<float>(counts.at(cell)) : -1.0F;
+  }
+}
 
 std::string RigCheck::look(const FrameSet& set) {
   Pair& pair = pairs_[next_];
@@ -122,18 +161,11 @@ std::string RigCheck::look(const FrameSet& set) {
   pair.matches.insert(pair.matches.end(), found.begin(), found.end());
   ++pair.slots;
   if (pair.matches.size() >= kEnoughMatches || pair.slots >= kMostSlots) {
-    const capture::PairCheck check = capture::check_pair(left, right, pair.matches);
-    std::string wrong = std::move(pair.wrong);
-    if (check.verdict == capture::PairVerdict::Fine) {
-      wrong.clear();
-    } else if (check.verdict != capture::PairVerdict::TooFewMatches) {
-      wrong = check.message;
-    }
+    judge(pair, known_[next_]);
     pair = {};
-    pair.wrong = std::move(wrong);
   }
   next_ = (next_ + 1) % pairs_.size();
-  for (const Pair& one : pairs_) {
+  for (const RigPairStatus& one : known_) {
     if (!one.wrong.empty()) {
       return one.wrong;
     }

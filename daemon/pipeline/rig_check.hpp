@@ -7,6 +7,7 @@
 #include "capture/epipolar.hpp"
 #include "capture/rig.hpp"
 #include "facet/frame_set.hpp"
+#include "pipeline/status.hpp"
 #include "stereo/rectification.hpp"
 
 namespace facet::pipeline {
@@ -28,17 +29,21 @@ class RigCheck {
   /// points were gathered; most slots it has been told of before count for nothing. Returns what is wrong
   /// with a pair, for people, as long as it is; empty where all is well or nothing is known yet.
   std::string look(const FrameSet& set);
+  /// [pair_count] as the rig has them.
+  const std::vector<RigPairStatus>& pairs() const { return known_; }
 
  private:
   struct Pair {
     std::vector<capture::PointMatch> matches;
     int slots = 0;  ///< that they come from
-    std::string wrong;
   };
+
+  void judge(Pair& pair, RigPairStatus& known) const;
 
   std::shared_ptr<const capture::Rig> rig_;
   stereo::DepthRange depths_;
   std::vector<Pair> pairs_;
+  std::vector<RigPairStatus> known_;
   std::size_t next_ = 0;
 };
 

@@ -66,7 +66,7 @@ json to_json(const TriggerStatus& trigger) {
           {"events_lost", trigger.events_lost}};
 }
 
-json to_json(const pipeline::RigStatus& rig) {
+json to_json(const pipeline::RigStatus& rig, const std::vector<pipeline::RigPairStatus>& known) {
   json cameras = json::array();
   for (std::size_t i = 0; i < rig.cameras.size(); ++i) {
     json camera = to_json(rig.cameras[i].status);
@@ -79,7 +79,19 @@ json to_json(const pipeline::RigStatus& rig) {
   if (rig.trigger) {
     trigger["opened"] = rig.triggers_opened;
   }
+  json pairs = json::array();
+  for (const pipeline::RigPairStatus& pair : known) {
+    pairs.push_back({{"left", pair.left},
+                     {"right", pair.right},
+                     {"matches", pair.matches},
+                     {"median_px", pair.median_px},
+                     {"p95_px", pair.p95_px},
+                     {"problem", pair.wrong},
+                     {"columns", pipeline::RigPairStatus::kColumns},
+                     {"error_px", pair.error_px}});
+  }
   return {{"cameras", std::move(cameras)},
+          {"pairs", std::move(pairs)},
           {"trigger", std::move(trigger)},
           {"sets",
            {{"slots", rig.sets.slots},
@@ -102,7 +114,7 @@ json to_json(const pipeline::PipelineStatus& status) {
       {"reason", status.reason},
       {"source", status.rig ? json(nullptr) : to_json(status.source)},
       {"camera", status.rig ? json(nullptr) : to_json(status.camera)},
-      {"rig", status.rig ? to_json(*status.rig) : json(nullptr)},
+      {"rig", status.rig ? to_json(*status.rig, status.pairs) : json(nullptr)},
       {"frames",
        {{"captured", status.captured},
         {"dropped", status.dropped},
@@ -217,6 +229,13 @@ json list_takes(const std::filesystem::path& folder) {
       entry["mesh_frames"] = info.mesh_frame_count;
       entry["duration_s"] = static_cast<double>(info.last_timestamp_ns - info.first_timestamp_ns) * 1e-9;
       entry["bytes"] = info.file_bytes;
+      std::error_code missing;
+      std::uint64_t picture_bytes = 0;
+      for (const take::TakeSegment& segment : info.segments) {
+        const std::uintmax_t bytes = std::filesystem::file_size(segment.file, missing);
+        picture_bytes += missing ? 0 : bytes;
+      }
+      entry["picture_bytes"] = picture_bytes;
       entry["closed"] = info.closed;
       entry["end_reason"] = info.end_reason;
     } catch (const Error& unreadable) {

@@ -282,6 +282,89 @@ Response words(const std::string& text) {
   return response;
 }
 
+/// A folder of files as a POSIX tar archive (IEEE 1003.1-1988, ustar) that is never on the disk: its length
+/// is known before, and any part of it can be read.
+class TarOfFiles {
+ public:
+  /// Names in the archive are folder/name. False where a file can't be opened or is none.
+  bool add(const std::filesystem::path& file, const std::string& folder) {
+    Entry entry;
+    entry.file = stream::FileDescriptor(::open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW));
+    struct stat status {};
+    if (!entry.file || ::fstat(entry.file.get(), &status) != 0 || !S_ISREG(status.st_mode) ||
+        static_cast<std::uint64_t>(status.st_size) > kMostFileBytes) {
+      return false;
+    }
+    entry.begin = size_ - 2 * kBlock;
+    entry.bytes = static_cast<std::uint64_t>(status.st_size);
+    const auto put = [&](std::size_t at, const std::string& text) {
+      std::memcpy(entry.head.data() + at, text.data(), text.size());
+    };
+    put(0, file.filename().string());
+    put(100, fmt::format("{:07o}", 0644));
+    put(108, fmt::format("{:07o}", 0));
+    put(116, fmt::format("{:07o}", 0));
+    put(124, fmt::format("{:011o}", entry.bytes));
+    put(136, fmt::format("{:011o}", std::max<std::int64_t>(0, status.st_mtim.tv_sec)));
+    put(148, "        ");
+    put(156, "0");
+    put(257, "ustar");
+    put(263, "00");
+    put(345, folder);
+    unsigned sum = 0;
+    for (const char byte : entry.head) {
+      sum += static_cast<unsigned char>(byte);
+    }
+    put(148, fmt::format("{:06o}", sum) + std::string("\0 ", 2));
+    size_ += kBlock + (entry.bytes + kBlock - 1) / kBlock * kBlock;
+    entries_.push_back(std::move(entry));
+    return true;
+  }
+  std::uint64_t size() const { return size_; }
+
+  /// Up to `most` bytes from `position` < size(); what a file that shrank has lost is an error, -1.
+  ssize_t read(std::uint64_t position, char* out, std::size_t most) const {
+    const auto after = std::upper_bound(entries_.begin(), entries_.end(), position,
+                                        [](std::uint64_t at, const Entry& one) { return at < one.begin; });
+    const auto zeros = [&](std::uint64_t count) {
+      const auto length = static_cast<std::size_t>(std::min<std::uint64_t>(count, most));
+      std::memset(out, 0, length);
+      return static_cast<ssize_t>(length);
+    };
+    if (after == entries_.begin()) {
+      return zeros(size_ - position);
+    }
+    const Entry& entry = *(after - 1);
+    const std::uint64_t within = position - entry.begin;
+    if (within < kBlock) {
+      const std::size_t length = std::min<std::size_t>(most, kBlock - static_cast<std::size_t>(within));
+      std::memcpy(out, entry.head.data() + within, length);
+      return static_cast<ssize_t>(length);
+    }
+    const std::uint64_t in_file = within - kBlock;
+    if (in_file >= entry.bytes) {
+      const std::uint64_t end = after == entries_.end() ? size_ : after->begin;
+      return zeros(end - position);
+    }
+    const ssize_t got = ::pread(
+        entry.file.get(), out, static_cast<std::size_t>(std::min<std::uint64_t>(most, entry.bytes - in_file)),
+        static_cast<off_t>(in_file));
+    return got > 0 ? got : -1;
+  }
+
+ private:
+  static constexpr std::size_t kBlock = 512;
+  static constexpr std::uint64_t kMostFileBytes = (std::uint64_t{1} << 33) - 1;  ///< 11 octal digits
+  struct Entry {
+    stream::FileDescriptor file;
+    std::array<char, kBlock> head{};
+    std::uint64_t begin = 0;  ///< of its head in the archive
+    std::uint64_t bytes = 0;
+  };
+  std::vector<Entry> entries_;
+  std::uint64_t size_ = 2 * kBlock;  ///< two empty blocks are the end
+};
+
 }  // namespace
 
 struct WebServer::Impl {
@@ -333,6 +416,9 @@ struct WebServer::Impl {
   std::string stranger(MHD_Connection* connection) const;
   MHD_Result send_page(MHD_Connection* connection, const PageFile& file) const;
   MHD_Result send_take(MHD_Connection* connection, const std::string& name);
+  MHD_Result send_frames(MHD_Connection* connection, const std::string& name);
+  std::optional<std::filesystem::path> closed_take(MHD_Connection* connection, const std::string& name,
+                                                   take::TakeInfo& info, MHD_Result& refused);
   MHD_Result shake_hands(MHD_Connection* connection, Door door);
   Door door_of_token(std::string_view shown_token);
   void hand_over(Door door, stream::FileDescriptor connection, std::vector<std::uint8_t> early);
@@ -406,6 +492,10 @@ MHD_Result WebServer::Impl::answer(MHD_Connection* connection, const std::string
   if (path.rfind(kTakes, 0) == 0) {
     return send_take(connection, path.substr(kTakes.size()));
   }
+  constexpr std::string_view kFrames = "/frames/";
+  if (path.rfind(kFrames, 0) == 0) {
+    return send_frames(connection, path.substr(kFrames.size()));
+  }
   constexpr std::string_view kThumbnails = "/thumbnails/";
   if (path.rfind(kThumbnails, 0) == 0) {
     return send_thumbnail(connection, path.substr(kThumbnails.size()));
@@ -455,22 +545,76 @@ MHD_Result WebServer::Impl::send_thumbnail(MHD_Connection* connection, const std
   return send(connection, MHD_HTTP_OK, response);
 }
 
-MHD_Result WebServer::Impl::send_take(MHD_Connection* connection, const std::string& name) {
-  std::filesystem::path file;
+/// The file of a take that may be downloaded, and what it says of itself; none where the request was refused.
+std::optional<std::filesystem::path> WebServer::Impl::closed_take(MHD_Connection* connection,
+                                                                  const std::string& name,
+                                                                  take::TakeInfo& info, MHD_Result& refused) {
   try {
-    file = take::named_take(takes, name);
+    const std::filesystem::path file = take::named_take(takes, name);
     std::error_code ignored;
     if (!std::filesystem::is_regular_file(file, ignored)) {
-      return refuse(connection, MHD_HTTP_NOT_FOUND, "no such take");
+      refused = refuse(connection, MHD_HTTP_NOT_FOUND, "no such take");
+      return std::nullopt;
     }
-    if (!take::TakeReader(file).info().closed) {
-      return refuse(connection, MHD_HTTP_CONFLICT,
-                    "the take is not closed: it is being recorded, or was broken off");
+    info = take::TakeReader(file).info();
+    if (!info.closed) {
+      refused = refuse(connection, MHD_HTTP_CONFLICT,
+                       "the take is not closed: it is being recorded, or was broken off");
+      return std::nullopt;
     }
+    return file;
   } catch (const Error& error) {
-    return refuse(connection, error.kind() == ErrorKind::Usage ? MHD_HTTP_NOT_FOUND : MHD_HTTP_CONFLICT,
-                  error.kind() == ErrorKind::Usage ? "no such take" : "the take can't be read");
+    refused = refuse(connection, error.kind() == ErrorKind::Usage ? MHD_HTTP_NOT_FOUND : MHD_HTTP_CONFLICT,
+                     error.kind() == ErrorKind::Usage ? "no such take" : "the take can't be read");
+    return std::nullopt;
   }
+}
+
+MHD_Result WebServer::Impl::send_frames(MHD_Connection* connection, const std::string& name) {
+  take::TakeInfo info;
+  MHD_Result refused = MHD_NO;
+  const auto file = closed_take(connection, name, info, refused);
+  if (!file) {
+    return refused;
+  }
+  if (info.segments.empty()) {
+    return refuse(connection, MHD_HTTP_NOT_FOUND, "the take has no pictures");
+  }
+  auto tar = std::make_unique<TarOfFiles>();
+  for (const take::TakeSegment& segment : info.segments) {
+    if (!tar->add(segment.file, segment.file.parent_path().filename().string())) {
+      return refuse(connection, MHD_HTTP_CONFLICT, "a file of the take's pictures is missing");
+    }
+  }
+  const auto read = [](void* archive, std::uint64_t position, char* out, std::size_t most) -> ssize_t {
+    const ssize_t got = static_cast<TarOfFiles*>(archive)->read(position, out, most);
+    return got < 0 ? MHD_CONTENT_READER_END_WITH_ERROR : got;
+  };
+  constexpr std::size_t kPiece = 256U << 10;
+  const Response response(MHD_create_response_from_callback(
+      tar->size(), kPiece, read, tar.get(), [](void* archive) { delete static_cast<TarOfFiles*>(archive); }));
+  if (response == nullptr) {
+    return MHD_NO;
+  }
+  tar.release();  // the response's own
+  for (const auto& [header_name, value] : kHeaders) {
+    MHD_add_response_header(response.get(), header_name, value);
+  }
+  MHD_add_response_header(response.get(), MHD_HTTP_HEADER_CONTENT_TYPE, "application/x-tar");
+  MHD_add_response_header(
+      response.get(), MHD_HTTP_HEADER_CONTENT_DISPOSITION,
+      fmt::format("attachment; filename*=UTF-8''{}.frames.tar", percent_encoded(name)).c_str());
+  return send(connection, MHD_HTTP_OK, response);
+}
+
+MHD_Result WebServer::Impl::send_take(MHD_Connection* connection, const std::string& name) {
+  take::TakeInfo info;
+  MHD_Result refused = MHD_NO;
+  const auto closed = closed_take(connection, name, info, refused);
+  if (!closed) {
+    return refused;
+  }
+  const std::filesystem::path& file = *closed;
   const stream::FileDescriptor fd(::open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW));
   struct stat status {};
   if (!fd || ::fstat(fd.get(), &status) != 0 || !S_ISREG(status.st_mode)) {

@@ -626,6 +626,20 @@ TEST_F(Booth, ACameraThatWasBumpedIsNoticed) {
     for (int i = 0; i < 30; ++i) {
       wrong = check.look(blank);
     }
+    // What it knows of the pairs is what it says.
+    for (const RigPairStatus& pair : check.pairs()) {
+      EXPECT_GE(pair.matches, 30U);
+      EXPECT_GE(pair.p95_px, pair.median_px);
+      if (pair.wrong.empty()) {
+        EXPECT_LT(pair.median_px, 0.7);
+      } else {
+        EXPECT_GT(pair.median_px, 0.7);
+      }
+      const auto seen =
+          std::count_if(pair.error_px.begin(), pair.error_px.end(), [](float error) { return error >= 0; });
+      EXPECT_GT(seen, 6) << "the face fills some of the picture";
+      EXPECT_LT(seen, static_cast<std::ptrdiff_t>(pair.error_px.size())) << "and not all of it";
+    }
     return wrong;
   };
   const capture::Rig good = footage_->booth.rig();

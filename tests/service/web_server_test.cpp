@@ -25,6 +25,7 @@
 #include "stream/web_socket.hpp"
 #include "support/mesh_frames.hpp"
 #include "support/paths.hpp"
+#include "take/reader.hpp"
 #include "take/recorder.hpp"
 
 namespace facet::service {
@@ -690,6 +691,64 @@ TEST_F(Web, PicturesOfTakesAreServedAndNothingBesideThem) {
        {"/thumbnails/link", "/thumbnails/", "/thumbnails/..%2Fmonday", "/thumbnails/.half"}) {
     EXPECT_THAT(get(path), StartsWith("HTTP/1.1 404")) << path;
   }
+}
+
+TEST_F(Web, RecordedPicturesCanBeDownloaded) {
+  start();
+  write_take("bare");
+  EXPECT_THAT(get("/frames/bare"), StartsWith("HTTP/1.1 404"));
+  EXPECT_THAT(get("/frames/nobody"), StartsWith("HTTP/1.1 404"));
+  EXPECT_THAT(get("/frames/..%2Fbare"), StartsWith("HTTP/1.1 404"));
+  const auto file = folder_.path() / "takes" / "with pictures.take";
+  take::TakeRecorderConfig config;
+  config.file = file;
+  config.disk_reserve_bytes = 0;
+  config.with_images = true;
+  config.segment_bytes = 1;  // every frame has a segment of its own
+  config.when_full = take::WhenFull::Wait;
+  take::TakeRecorder recorder(config);
+  recorder.start();
+  for (std::uint64_t number = 1; number <= 3; ++number) {
+    auto set = std::make_shared<FrameSet>();
+    set->slot = number;
+    set->camera_names = std::make_shared<const std::vector<std::string>>(1, "left");
+    Frame& picture = set->frames.emplace_back();
+    picture.width_px = 16;
+    picture.height_px = 2;
+    picture.stride_bytes = 64;
+    const auto pixels = std::make_shared<std::uint8_t[]>(128);
+    std::fill_n(pixels.get(), 128, static_cast<std::uint8_t>(40 * number));
+    picture.pixels = pixels;
+    mesh::MeshFrame frame = test::patch_frame(number, subject_, albedo_);
+    frame.images = std::move(set);
+    recorder.record(std::make_shared<mesh::MeshFrame>(std::move(frame)));
+  }
+  ASSERT_EQ(recorder.stop().state, take::RecorderState::Finished);
+  const auto segments = take::TakeReader(file).info().segments;
+  ASSERT_EQ(segments.size(), 3U);
+
+  const std::string answer = get("/frames/with%20pictures");
+  EXPECT_THAT(answer,
+              AllOf(StartsWith("HTTP/1.1 200"), HasSubstr("filename*=UTF-8''with%20pictures.frames.tar")));
+  const std::string archive = answer.substr(answer.find("\r\n\r\n") + 4);
+  EXPECT_THAT(answer, HasSubstr(fmt::format("Content-Length: {}", archive.size())));
+  // The system's own tar unpacks it beside the take.
+  const auto elsewhere = folder_.path() / "elsewhere";
+  std::filesystem::create_directories(elsewhere);
+  std::ofstream(elsewhere / "a.tar", std::ios::binary) << archive;
+  ASSERT_EQ(
+      std::system(
+          fmt::format("tar -C '{}' -xf '{}'", elsewhere.string(), (elsewhere / "a.tar").string()).c_str()),
+      0);
+  std::filesystem::copy(file, elsewhere / "with pictures.take");
+  take::TakeReader unpacked(elsewhere / "with pictures.take");
+  for (std::int64_t index = 0; index < 3; ++index) {
+    const auto frame = unpacked.frame(index);
+    ASSERT_NE(frame->images, nullptr) << index;
+    EXPECT_EQ(frame->images->frames.front().pixels[0], static_cast<std::uint8_t>(40 * (index + 1)));
+  }
+  std::filesystem::remove(segments[1].file);
+  EXPECT_THAT(get("/frames/with%20pictures"), StartsWith("HTTP/1.1 409"));
 }
 
 /// Requests that never end keep nobody else out.

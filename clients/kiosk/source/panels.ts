@@ -1,6 +1,6 @@
 // The cards beside the face. Each is told what is new and draws itself.
 import type { Frame } from '../generated/facet/stream/wire/frame';
-import { baseName, type Status, type Takes } from './status';
+import { baseName, type CameraPair, type Status, type Takes } from './status';
 import { bytes, dateTime, duration, number, stateText, text, type Key } from './text';
 
 export function element<Type extends HTMLElement>(id: string): Type {
@@ -196,6 +196,30 @@ function replace(list: HTMLElement, rows: HTMLElement[]): void {
   }
 }
 
+/** Where in the left camera's picture the calibration holds (green), does not (red), or nothing was seen yet (dark). */
+function pairRow(pair: CameraPair): HTMLElement {
+  const known = pair.matches > 0;
+  const row = healthRow(`${pair.left} / ${pair.right}`, known ? text('pair_error', { error: number(pair.median_px, 2) }) : text('pair_unknown'),
+                        pair.problem !== '' ? 'bad' : known ? 'good' : 'busy', pair.problem);
+  const seen = pair.error_px.filter((error) => error >= 0).length;
+  const map = document.createElement('div');
+  map.className = 'coverage';
+  map.setAttribute('role', 'img');
+  map.setAttribute('aria-label', text('pair_coverage', { camera: pair.left, part: number((100 * seen) / pair.error_px.length) }));
+  map.style.setProperty('--columns', String(pair.columns));
+  for (const error of pair.error_px) {
+    const cell = document.createElement('i');
+    if (error >= 0) {
+      const kBad_px = 1;
+      cell.style.setProperty('--hue', String(Math.round(150 * (1 - Math.min(1, error / kBad_px)))));
+      cell.className = 'seen';
+    }
+    map.append(cell);
+  }
+  row.append(map);
+  return row;
+}
+
 export function showDevices(status: Status | null, unlocked: boolean): void {
   if (!status) {
     replace(element('devices'), [healthRow(text('device_service'), text('offline'), 'bad')]);
@@ -207,6 +231,7 @@ export function showDevices(status: Status | null, unlocked: boolean): void {
   device(text('device_service'), status.state, status.reason);
   if (status.rig) {
     status.rig.cameras.forEach((camera) => device(camera.name, camera.state, camera.reason));
+    rows.push(...(status.rig.pairs ?? []).map(pairRow));
     if (status.rig.trigger) {
       device(text('device_trigger'), status.rig.trigger.state, status.rig.trigger.reason);
     }
@@ -262,13 +287,20 @@ export function showTakes(takes: Takes | null): void {
         actions.append(button);
       }
     }
-    const link = document.createElement('a');
-    link.href = `/takes/${encodeURIComponent(take.name)}`;
-    link.download = `${take.name}.take`;
-    link.className = 'button quiet';
-    link.textContent = text('download');
-    link.setAttribute('aria-label', text('download_label', { name: take.name, size: bytes(take.bytes ?? 0) }));
-    actions.append(link);
+    const pictures = take.picture_bytes ?? 0;
+    const download = (folder: string, file: string, what: 'download' | 'pictures', size: number): void => {
+      const link = document.createElement('a');
+      link.href = `/${folder}/${encodeURIComponent(take.name)}`;
+      link.download = file;
+      link.className = 'button quiet';
+      link.textContent = text(what);
+      link.setAttribute('aria-label', text(`${what}_label`, { name: take.name, size: bytes(size) }));
+      actions.append(link);
+    };
+    download('takes', `${take.name}.take`, 'download', (take.bytes ?? 0) - pictures);
+    if (pictures > 0) {
+      download('frames', `${take.name}.frames.tar`, 'pictures', pictures);
+    }
     row.append(actions);
     return row;
   });

@@ -6,6 +6,17 @@ export interface DeviceStatus {
 export interface NamedDevice extends DeviceStatus {
   name: string;
 }
+/** How two cameras stand to each other, against their calibration. */
+export interface CameraPair {
+  left: string;
+  right: string;
+  matches: number;
+  median_px: number;
+  problem: string;
+  columns: number;
+  /** Over the left camera's picture, row by row; below 0: nothing was seen there. */
+  error_px: number[];
+}
 export interface Recording {
   state: string;
   reason: string;
@@ -53,7 +64,7 @@ export interface Status {
   reason: string;
   source: { name: string; width_px: number; height_px: number } | null;
   camera: DeviceStatus | null;
-  rig: { cameras: NamedDevice[]; trigger: DeviceStatus | null } | null;
+  rig: { cameras: NamedDevice[]; pairs?: CameraPair[]; trigger: DeviceStatus | null } | null;
   tracking: string;
   degraded_reason: string;
   given_up: string;
@@ -70,6 +81,7 @@ export interface Take {
   frames?: number;
   duration_s?: number;
   bytes?: number;
+  picture_bytes?: number;
   mesh_frames?: number;
   thumbnail?: number;
   closed?: boolean;

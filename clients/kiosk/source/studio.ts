@@ -246,6 +246,20 @@ export class Studio {
     await this.look();
   }
 
+  /// An animation is prepared or written: it can be broken off.
+  private atWork(): boolean {
+    return this.status?.state === 'preparing' || this.status?.state === 'exporting';
+  }
+
+  private async cancel(): Promise<void> {
+    try {
+      await this.control.call('studio.cancel');
+    } catch {
+      // It was done before.
+    }
+    await this.look();
+  }
+
   private async export(): Promise<void> {
     const stem = `${this.status?.take ?? 'take'}-animated`;
     for (let count = 1; count < 100; ++count) {
@@ -298,7 +312,8 @@ export class Studio {
     element<HTMLButtonElement>('key-add').disabled = !ready;
     element<HTMLButtonElement>('key-update').disabled = element<HTMLButtonElement>('key-delete').disabled = this.key < 0;
     element<HTMLButtonElement>('point-remove').disabled = this.chosen < 0;
-    element<HTMLButtonElement>('export').disabled = this.keys.keys.length === 0 || status.state === 'exporting';
+    this.setText('export', text(this.atWork() ? 'cancel' : 'export'));
+    element<HTMLButtonElement>('export').disabled = this.keys.keys.length === 0;
     element('regions').setAttribute('aria-pressed', String(this.showRegions));
     element('track').style.setProperty('--seconds', String(Math.max(1, Math.round(this.length_s))));
     element('head').style.left = `${(100 * Math.min(1, this.head_s / this.length_s)).toFixed(2)}%`;
@@ -523,7 +538,7 @@ export class Studio {
       this.showRegions = !this.showRegions;
       await this.loadRegions();
     });
-    click('export', () => this.export());
+    click('export', () => (this.atWork() ? this.cancel() : this.export()));
     this.listenToTimeline();
     element('takes').addEventListener('click', (event) => {
       const button = (event.target as HTMLElement).closest<HTMLElement>('[data-action]');
