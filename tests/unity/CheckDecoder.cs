@@ -1,5 +1,5 @@
 // The C# decoder against the C++ one: what write_messages wrote, the golden messages, and bytes that are broken.
-// Usage: CheckDecoder.exe MESSAGES-FOLDER GOLDEN-FOLDER
+// Usage: CheckDecoder.exe MESSAGES-FOLDER GOLDEN-FOLDER CORPUS-FOLDER ...      The corpora are those of the stream's fuzzers.
 using System;
 using System.Globalization;
 using System.IO;
@@ -22,6 +22,7 @@ static class CheckDecoder
             foreach (string kind in new[] { "subject", "frame", "albedo" })
                 CheckBroken(File.ReadAllBytes(Path.Combine(arguments[0], kind + "-" + profile + ".bin")),
                     Message.ReadSubject(File.ReadAllBytes(Path.Combine(arguments[0], "subject-" + profile + ".bin"))), 600);
+        CheckCorpus(arguments.Skip(2).SelectMany(Directory.GetFiles).OrderBy(name => name, StringComparer.Ordinal).Select(File.ReadAllBytes).ToArray());
         Console.WriteLine("broken messages: " + refused + " refused, " + read + " read");
         Check(refused > 10000, "hardly anything was refused");
         return 0;
@@ -142,6 +143,39 @@ static class CheckDecoder
         {
             ++refused;
         }
+    }
+
+    // What the fuzzers of the C and C++ decoders found worth keeping: each against every subject there is, changed, and spliced with each other.
+    static void CheckCorpus(byte[][] messages)
+    {
+        Check(messages.Length >= 20, "the corpora are not there");
+        var subjects = new System.Collections.Generic.List<Subject>();
+        foreach (byte[] message in messages)
+        {
+            try
+            {
+                subjects.Add(Message.ReadSubject(message));
+            }
+            catch (Facet.FormatException)
+            {
+            }
+        }
+        Check(subjects.Count >= 6, "the corpora have few subjects");
+        var random = new Random(2);
+        foreach (byte[] message in messages)
+            foreach (Subject subject in subjects)
+            {
+                Try(message, subject);
+                for (int k = 0; k < 40; ++k)
+                {
+                    byte[] other = messages[random.Next(messages.Length)];
+                    int at = random.Next(Math.Min(message.Length, other.Length)) & ~3;
+                    Try(message.Take(at).Concat(other.Skip(at)).ToArray(), subject);
+                    var changed = (byte[])message.Clone();
+                    changed[random.Next(changed.Length)] = (byte)random.Next(256);
+                    Try(changed, subject);
+                }
+            }
     }
 
     static void CheckBroken(byte[] whole, Subject subject, int changes)
