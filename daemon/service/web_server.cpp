@@ -596,7 +596,7 @@ MHD_Result WebServer::Impl::send_frames(MHD_Connection* connection, const std::s
   if (response == nullptr) {
     return MHD_NO;
   }
-  tar.release();  // the response's own
+  static_cast<void>(tar.release());  // the response's own
   for (const auto& [header_name, value] : kHeaders) {
     MHD_add_response_header(response.get(), header_name, value);
   }
