@@ -66,6 +66,35 @@ void check(const VolumeSize& size, const SpacetimeOptions& options) {
   }
 }
 
+/// The least box around a block's unknowns, extent 0 where it has none. What is around it takes no part in a
+/// step: no window without a start value, and no boundary value that is not next to an unknown.
+Block box_of(const Block& block, const VolumeSize& size, std::span<const float> start_px) {
+  std::array<int, 3> least = block.extent;
+  std::array<int, 3> past{0, 0, 0};
+  for (int t = 0; t < block.extent[2]; ++t) {
+    for (int y = 0; y < block.extent[1]; ++y) {
+      const float* row =
+          start_px.data() + size.voxel(block.origin[0], block.origin[1] + y, block.origin[2] + t);
+      const float* end = row + block.extent[0];
+      const auto known = [](float px) { return !std::isnan(px); };
+      const float* first = std::find_if(row, end, known);
+      if (first == end) {
+        continue;
+      }
+      const auto last = std::find_if(std::reverse_iterator(end), std::reverse_iterator(row), known);
+      least = {std::min(least[0], static_cast<int>(first - row)), std::min(least[1], y),
+               std::min(least[2], t)};
+      past = {std::max(past[0], static_cast<int>(last.base() - row)), std::max(past[1], y + 1), t + 1};
+    }
+  }
+  Block box{block.origin, {0, 0, 0}};
+  for (std::size_t axis = 0; axis < 3 && past[2] > 0; ++axis) {
+    box.origin[axis] += least[axis];
+    box.extent[axis] = past[axis] - least[axis];
+  }
+  return box;
+}
+
 std::size_t product(std::array<int, 3> extent, int margin_x, int margin_y, int margin_t) {
   return static_cast<std::size_t>(extent[0] + margin_x) * static_cast<std::size_t>(extent[1] + margin_y) *
          static_cast<std::size_t>(extent[2] + margin_t);
@@ -116,9 +145,9 @@ void link_voxels(const VolumeSize& size, std::span<const float> start_px, float 
 struct SpacetimeSolver::Impl {
   Impl(gpu::Context& context, const VolumeSize& whole, const SpacetimeOptions& chosen);
 
-  void record_block(const Block& block, std::uint32_t energy_slot);
+  void record_block(std::size_t block, std::uint32_t energy_slot);
   void record_windows(const BlockPush& push);
-  BlockPush push_of(const Block& block) const;
+  BlockPush push_of(std::size_t block) const;
 
   VolumeSize size;
   SpacetimeOptions options;
@@ -133,7 +162,8 @@ struct SpacetimeSolver::Impl {
 
   gpu::DeviceArray left, right, disparities, links;
   gpu::DeviceArray samples, sums_x, sums_xy, hessians, gradients, solver_states, searches, products, sums;
-  gpu::Buffer start, start_links, found, qualities, energies;
+  gpu::Buffer boxes;
+  gpu::Buffer start, start_links, start_boxes, found, qualities, energies;
   gpu::Batch batch;
 };
 
@@ -172,31 +202,36 @@ SpacetimeSolver::Impl::Impl(gpu::Context& context, const VolumeSize& whole, cons
       products(context, product(largest, 2, 2, 2), gpu::TexelFormat::Rgba32f, "products"),
       sums(context, static_cast<std::size_t>(2 * chosen.cg_iterations + 1) * groups.x, gpu::TexelFormat::R32f,
            "sums"),
+      boxes(context, blocks.size() * 2 * sizeof(ivec4), gpu::Memory::Device, "boxes"),
       start(context, whole.voxels() * sizeof(float), gpu::Memory::Upload, "start"),
       start_links(context, whole.voxels() * sizeof(std::uint32_t), gpu::Memory::Upload, "start_links"),
+      start_boxes(context, blocks.size() * 2 * sizeof(ivec4), gpu::Memory::Upload, "start_boxes"),
       found(context, whole.voxels() * sizeof(float), gpu::Memory::Readback, "found"),
       qualities(context, whole.voxels() * 2 * sizeof(float), gpu::Memory::Readback, "qualities"),
       energies(context, blocks.size() * static_cast<std::size_t>(chosen.steps) * groups.x * sizeof(float),
                gpu::Memory::Readback, "energies"),
       batch(context, "spacetime stereo") {
-  // Windows in slots that the volume does not have are read with the weight 0 and never written.
+  // Windows in slots that the volume does not have, and outside a block's box, are read with the weight 0 and
+  // not written.
   gpu::clear(context, {&hessians.buffer, &gradients.buffer, &products.buffer});
   batch.stage("start");
   batch.copy(start, disparities.buffer);
   batch.copy(start_links, links.buffer);
+  batch.copy(start_boxes, boxes);
   std::uint32_t slot = 0;
   batch.stage("solve");
   for (int step = 0; step < options.steps; ++step) {
-    for (const Block& block : blocks) {
+    for (std::size_t block = 0; block < blocks.size(); ++block) {
       record_block(block, slot++);
     }
   }
   batch.stage("quality");
-  for (const Block& block : blocks) {
+  for (std::size_t block = 0; block < blocks.size(); ++block) {
     const BlockPush push = push_of(block);
     record_windows(push);
     batch.dispatch(quality,
-                   {{"sums_xy", sums_xy.view},
+                   {{"boxes", boxes},
+                    {"sums_xy", sums_xy.view},
                     {"disparities", disparities.view},
                     {"links", links.view},
                     {"qualities", qualities}},
@@ -206,11 +241,10 @@ SpacetimeSolver::Impl::Impl(gpu::Context& context, const VolumeSize& whole, cons
   batch.finish();
 }
 
-BlockPush SpacetimeSolver::Impl::push_of(const Block& block) const {
+BlockPush SpacetimeSolver::Impl::push_of(std::size_t block) const {
   BlockPush push{};
   push.volume = ivec4{size.width_px, size.height_px, size.slots, 0};
-  push.origin = ivec4{block.origin[0], block.origin[1], block.origin[2], 0};
-  push.extent = ivec4{block.extent[0], block.extent[1], block.extent[2], 0};
+  push.block = static_cast<std::uint32_t>(block);
   push.damping = options.damping;
   push.most_move_px = options.most_move_px;
   push.noise = options.noise;
@@ -221,22 +255,26 @@ BlockPush SpacetimeSolver::Impl::push_of(const Block& block) const {
 
 void SpacetimeSolver::Impl::record_windows(const BlockPush& push) {
   batch.dispatch(warp,
-                 {{"left", left.view},
+                 {{"boxes", boxes},
+                  {"left", left.view},
                   {"right", right.view},
                   {"disparities", disparities.view},
                   {"links", links.view},
                   {"samples", samples.buffer}},
                  groups, push);
-  batch.dispatch(sums_x_kernel, {{"samples", samples.view}, {"sums_x", sums_x.buffer}}, groups, push);
-  batch.dispatch(sums_y_kernel, {{"sums_x", sums_x.view}, {"sums_xy", sums_xy.buffer}}, groups, push);
+  batch.dispatch(sums_x_kernel, {{"boxes", boxes}, {"samples", samples.view}, {"sums_x", sums_x.buffer}},
+                 groups, push);
+  batch.dispatch(sums_y_kernel, {{"boxes", boxes}, {"sums_x", sums_x.view}, {"sums_xy", sums_xy.buffer}},
+                 groups, push);
 }
 
-void SpacetimeSolver::Impl::record_block(const Block& block, std::uint32_t energy_slot) {
+void SpacetimeSolver::Impl::record_block(std::size_t block, std::uint32_t energy_slot) {
   BlockPush push = push_of(block);
   push.energy_slot = energy_slot;
   record_windows(push);
   batch.dispatch(normal_equations,
-                 {{"sums_xy", sums_xy.view},
+                 {{"boxes", boxes},
+                  {"sums_xy", sums_xy.view},
                   {"disparities", disparities.view},
                   {"links", links.view},
                   {"hessians", hessians.buffer},
@@ -245,7 +283,8 @@ void SpacetimeSolver::Impl::record_block(const Block& block, std::uint32_t energ
                  groups, push);
   if (options.method == SpacetimeMethod::Local) {
     batch.dispatch(local_step,
-                   {{"hessians", hessians.view},
+                   {{"boxes", boxes},
+                    {"hessians", hessians.view},
                     {"gradients", gradients.view},
                     {"links", links.view},
                     {"disparities", disparities.buffer}},
@@ -253,7 +292,8 @@ void SpacetimeSolver::Impl::record_block(const Block& block, std::uint32_t energ
     return;
   }
   batch.dispatch(gradient,
-                 {{"hessians", hessians.view},
+                 {{"boxes", boxes},
+                  {"hessians", hessians.view},
                   {"gradients", gradients.view},
                   {"links", links.view},
                   {"solver_states", solver_states.buffer},
@@ -264,7 +304,8 @@ void SpacetimeSolver::Impl::record_block(const Block& block, std::uint32_t energ
     push.iteration = static_cast<std::uint32_t>(iteration);
     push.last = iteration + 1 == options.cg_iterations ? 1 : 0;
     batch.dispatch(direction,
-                   {{"hessians", hessians.view},
+                   {{"boxes", boxes},
+                    {"hessians", hessians.view},
                     {"links", links.view},
                     {"searches", searches.view},
                     {"sums_so_far", sums.view},
@@ -272,7 +313,8 @@ void SpacetimeSolver::Impl::record_block(const Block& block, std::uint32_t energ
                     {"sums", sums.buffer}},
                    groups, push);
     batch.dispatch(update,
-                   {{"products", products.view},
+                   {{"boxes", boxes},
+                    {"products", products.view},
                     {"links", links.view},
                     {"sums_so_far", sums.view},
                     {"solver_states", solver_states.buffer},
@@ -309,6 +351,12 @@ void SpacetimeSolver::solve(std::span<const float> start_px, DisparityField& out
   std::transform(start_px.begin(), start_px.end(), start.begin(),
                  [](float d) { return std::isnan(d) ? 0 : d; });
   link_voxels(impl.size, start_px, impl.options.break_px, impl.start_links.mapped_as<std::uint32_t>());
+  const auto boxes = impl.start_boxes.mapped_as<ivec4>();
+  for (std::size_t block = 0; block < impl.blocks.size(); ++block) {
+    const Block box = box_of(impl.blocks[block], impl.size, start_px);
+    boxes[2 * block] = {box.origin[0], box.origin[1], box.origin[2], 0};
+    boxes[2 * block + 1] = {box.extent[0], box.extent[1], box.extent[2], 0};
+  }
   out.failure.clear();
   out.outcome = SolveOutcome::Done;
   out.disparity_px.resize(count);
@@ -331,8 +379,9 @@ void SpacetimeSolver::solve(std::span<const float> start_px, DisparityField& out
   const auto qualities = impl.qualities.mapped_as<float>();
   bool finite = true;
   for (std::size_t voxel = 0; voxel < count; ++voxel) {
-    out.sigma_px[voxel] = qualities[2 * voxel];
-    out.correlation[voxel] = qualities[2 * voxel + 1];
+    const bool solved = !std::isnan(start_px[voxel]);  // the kernel leaves out what lies around a box
+    out.sigma_px[voxel] = solved ? qualities[2 * voxel] : 0;
+    out.correlation[voxel] = solved ? qualities[2 * voxel + 1] : 0;
     finite = finite && std::isfinite(out.disparity_px[voxel]) && std::isfinite(out.sigma_px[voxel]);
   }
   out.energies.assign(static_cast<std::size_t>(impl.options.steps), 0);

@@ -6,13 +6,13 @@
 #include "adjoint.glsl"
 
 // Start of the CG solve of eq. 9: r = -[I; Gx; Gy; Gt]^T b, its Jacobi preconditioner, z and the first r . z.
-// Outside the block the search is 0: neighbours are boundary values.
+// Outside the box the search is 0: neighbours are boundary values.
 
 uniform samplerBuffer hessians;
 uniform samplerBuffer gradients;
 uniform usamplerBuffer links;
 writeonly buffer SolverStates {
-  vec4 solver_states[];  // [t][y][x] of the block: r, inverse diagonal, x, damping
+  vec4 solver_states[];  // [t][y][x] of the box: r, inverse diagonal, x, damping
 };
 writeonly buffer Searches {
   vec2 searches[];  // [t][y][x] of the search region: z, search of the iteration before
@@ -51,13 +51,13 @@ void main() {
   ivec3 extent = search_extent();
   ivec3 windows = window_extent();
   int plane = windows.x * windows.y * windows.z;
-  ivec2 cells = cells_of(extent, push.origin.z - 2);
+  ivec2 cells = cells_of(extent, box_origin.z - 2);
   float rz = 0;
   for (int cell = cells.x + int(gl_LocalInvocationID.x); cell < cells.y; cell += int(kGroupSize)) {
     ivec3 here = cell_at(cell, extent) - 2;
     float z = 0;
-    if (all(greaterThanEqual(here, ivec3(0))) && all(lessThan(here, push.extent.xyz))) {
-      uint word = texelFetch(links, voxel_of(push.origin.xyz + here)).x;
+    if (all(greaterThanEqual(here, ivec3(0))) && all(lessThan(here, box_extent))) {
+      uint word = texelFetch(links, voxel_of(box_origin + here)).x;
       vec4 state = vec4(0);
       if ((word & kSolved) != 0) {
         int at = ((here.z + 1) * windows.y + here.y + 1) * windows.x + here.x + 1;
@@ -67,7 +67,7 @@ void main() {
         z = state.y * state.x;
         rz += state.x * z;
       }
-      solver_states[(here.z * push.extent.y + here.y) * push.extent.x + here.x] = state;
+      solver_states[(here.z * box_extent.y + here.y) * box_extent.x + here.x] = state;
     }
     searches[cell] = vec2(z, 0);
   }

@@ -18,8 +18,7 @@ FACET_LAYOUT_OFFSET(RectifyPush, slot, 16)
 // One block of the spacetime volume in one Gauss-Newton step. Order of every array: [t][y][x].
 struct BlockPush {
   ivec4 volume;         // width, height, slots of the volume
-  ivec4 origin;         // first voxel of the block
-  ivec4 extent;         // voxels of the block
+  uint block;           // whose box it is
   uint iteration;       // of the CG solve
   uint last;            // 1 in its last iteration
   uint energy_slot;     // where the energy of this block and step goes
@@ -29,10 +28,9 @@ struct BlockPush {
   float straddle_px;    // spread of the field about a window's plane at which the window stops bending it
   float least_texture;  // standard deviation of a window's grey values below which it says nothing
 };
-FACET_LAYOUT_SIZE(BlockPush, 80)
-FACET_LAYOUT_OFFSET(BlockPush, origin, 16)
-FACET_LAYOUT_OFFSET(BlockPush, iteration, 48)
-FACET_LAYOUT_OFFSET(BlockPush, damping, 60)
+FACET_LAYOUT_SIZE(BlockPush, 64)
+FACET_LAYOUT_OFFSET(BlockPush, block, 16)
+FACET_LAYOUT_OFFSET(BlockPush, damping, 32)
 
 // Word of a voxel in `links`: bit 0: its disparity is an unknown. Then four bits for each of x, y and t: it
 // is linked to the voxel before, to the one after, the one before to its own before, the one after to its own

@@ -17,10 +17,10 @@ buffer Disparities {
 void main() {
   ivec3 windows = window_extent();
   int plane = windows.x * windows.y * windows.z;
-  ivec2 cells = cells_of(push.extent.xyz, push.origin.z);
+  ivec2 cells = cells_of(box_extent, box_origin.z);
   for (int at = cells.x + int(gl_LocalInvocationID.x); at < cells.y; at += int(kGroupSize)) {
-    ivec3 cell = cell_at(at, push.extent.xyz);
-    int voxel = voxel_of(push.origin.xyz + cell);
+    ivec3 cell = cell_at(at, box_extent);
+    int voxel = voxel_of(box_origin + cell);
     int window = ((cell.z + 1) * windows.y + cell.y + 1) * windows.x + cell.x + 1;
     if ((texelFetch(links, voxel).x & kSolved) != 0) {
       vec4 moved = solve4(texelFetch(hessians, window), texelFetch(hessians, window + plane),

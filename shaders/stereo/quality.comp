@@ -20,11 +20,11 @@ writeonly buffer Qualities {
 
 void main() {
   ivec3 windows = window_extent();
-  ivec2 cells = cells_of(push.extent.xyz, push.origin.z);
+  ivec2 cells = cells_of(box_extent, box_origin.z);
   for (int at = cells.x + int(gl_LocalInvocationID.x); at < cells.y; at += int(kGroupSize)) {
-    ivec3 cell = cell_at(at, push.extent.xyz);
-    int voxel = voxel_of(push.origin.xyz + cell);
-    Window window = window_of(((cell.z + 1) * windows.y + cell.y + 1) * windows.x + cell.x + 1, voxel, push.origin.z + cell.z);
+    ivec3 cell = cell_at(at, box_extent);
+    int voxel = voxel_of(box_origin + cell);
+    Window window = window_of(((cell.z + 1) * windows.y + cell.y + 1) * windows.x + cell.x + 1, voxel, box_origin.z + cell.z);
     vec2 quality = vec2(0);
     if (window.correlation > 0) {
       // J is weighted by 1 / variance, so that its inverse is the parameters' covariance.

@@ -30,11 +30,11 @@ void main() {
   float alpha = pcg_alpha(sums_so_far, push.iteration);
   ivec3 windows = window_extent();
   ivec3 region = search_extent();
-  ivec2 cells = cells_of(push.extent.xyz, push.origin.z);
+  ivec2 cells = cells_of(box_extent, box_origin.z);
   float rz = 0;
   for (int at = cells.x + int(gl_LocalInvocationID.x); at < cells.y; at += int(kGroupSize)) {
-    ivec3 cell = cell_at(at, push.extent.xyz);
-    int voxel = voxel_of(push.origin.xyz + cell);
+    ivec3 cell = cell_at(at, box_extent);
+    int voxel = voxel_of(box_origin + cell);
     int in_region = ((cell.z + 2) * region.y + cell.y + 2) * region.x + cell.x + 2;
     uint word = texelFetch(links, voxel).x;
     vec4 state = solver_states[at];

@@ -1,5 +1,5 @@
-// Regions of a block, each one [t][y][x]: the block; its windows (one voxel more on each side, since the slopes
-// of a border voxel reach into the block); the search vector (two more); the samples (the windows' reach).
+// Regions of a block, each one [t][y][x]: the box around its unknowns; the box's windows (one voxel more on each side, since the slopes
+// of a border voxel reach into the box); the search vector (two more); the samples (the windows' reach).
 // The cells of a region are spread over the workgroups in contiguous runs, each walked in one loop: a loop over rows
 // with one over the row's few cells in it leaves most lanes of a CPU's vectors idle at the end of every row. Cells in
 // slots that the volume does not have are left out; nothing reads them but with the weight 0.
@@ -7,10 +7,16 @@
 layout(push_constant) uniform Push {
   BlockPush push;
 };
+readonly buffer Boxes {
+  ivec4 boxes[];  // [block] of the unknowns of a block: first voxel, then voxels; 0 voxels where there are none
+};
 
-ivec3 window_extent() { return push.extent.xyz + 2; }
-ivec3 window_origin() { return push.origin.xyz - 1; }
-ivec3 search_extent() { return push.extent.xyz + 4; }
+ivec3 box_origin = boxes[2 * push.block].xyz;
+ivec3 box_extent = boxes[2 * push.block + 1].xyz;
+
+ivec3 window_extent() { return box_extent + 2; }
+ivec3 window_origin() { return box_origin - 1; }
+ivec3 search_extent() { return box_extent + 4; }
 
 // First and past-the-end cell of this workgroup, of a region whose first cell lies in the slot first_slot.
 ivec2 cells_of(ivec3 extent, int first_slot) {

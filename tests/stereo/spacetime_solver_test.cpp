@@ -112,6 +112,51 @@ TEST_F(SpacetimeSolverTest, OneStepAgreesWithTheReference) {
   }
 }
 
+// Each block computes the box around its unknowns alone; what a larger box left in its arrays must not count.
+TEST_F(SpacetimeSolverTest, WhereFewAreUnknownTheStepAgreesWithTheReference) {
+  const Volume full = make_volume({37, 23, 4}, 103, 0.3, false);
+  Volume few = full;
+  for (int t = 0; t < full.size.slots; ++t) {
+    for (int y = 0; y < full.size.height_px; ++y) {
+      for (int x = 0; x < full.size.width_px; ++x) {
+        const bool known = std::hypot(x - 21.0, y - 14.0) < 5.5 + 0.5 * t && t != 3;
+        few.start_px[full.size.voxel(x, y, t)] = known ? full.start_px[full.size.voxel(x, y, t)] : kNan;
+      }
+    }
+  }
+  SpacetimeOptions options;
+  options.steps = 1;
+  options.cg_iterations = 150;
+  options.most_move_px = 100;
+  const Eigen::VectorXd start = field_of(few.start_px);
+  const Eigen::VectorXd expected = reference::step(few, start, options);
+  const Eigen::VectorXd moved = field_of(solve(context(), few, options).disparity_px) - start;
+  ASSERT_GT(expected.norm(), 1);
+  EXPECT_LT((moved - expected).norm(), 2e-3 * expected.norm());
+  options = {};
+  options.block_x = 9;
+  options.block_y = 7;
+  options.block_t = 3;
+  SpacetimeSolver solver(context(), few.size, options);
+  gpu::upload(context(), solver.left(), std::span<const float>(few.left));
+  gpu::upload(context(), solver.right(), std::span<const float>(few.right));
+  std::array<DisparityField, 3> found;
+  solver.solve(few.start_px, found[0]);
+  solver.solve(full.start_px, found[1]);
+  solver.solve(few.start_px, found[2]);
+  EXPECT_EQ(found[0].disparity_px, found[2].disparity_px);
+  EXPECT_EQ(found[0].sigma_px, found[2].sigma_px);
+  EXPECT_EQ(found[0].correlation, found[2].correlation);
+  EXPECT_EQ(found[0].energies, found[2].energies);
+  for (std::size_t i = 0; i < few.start_px.size(); ++i) {
+    EXPECT_TRUE(!std::isnan(few.start_px[i]) || found[2].sigma_px[i] == 0) << i;
+  }
+  const std::vector<float> none(few.size.voxels(), kNan);
+  solver.solve(none, found[0]);
+  EXPECT_EQ(found[0].outcome, SolveOutcome::Done);
+  EXPECT_EQ(found[0].energies, std::vector<double>(static_cast<std::size_t>(options.steps), 0.0));
+}
+
 TEST_F(SpacetimeSolverTest, LocalStepAgreesWithTheReference) {
   const Volume volume = make_volume({19, 11, 3}, 73, 0.3, true);
   SpacetimeOptions options;
