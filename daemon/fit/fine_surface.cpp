@@ -60,7 +60,10 @@ struct FineSurface::Impl {
   void add_transposed_laplacian(const VectorXf& in, VectorXf& out) const;
   void apply(const VectorXf& in, VectorXf& out);
   void conjugate_gradients();
-  void unfold(Eigen::Ref<VectorXf> displacement, std::vector<float>& confidence);
+  void stand_on(const mesh::Vertices& template_mm);
+  int unfold(std::span<const float> kept_mm, std::span<float> moved_mm, std::span<float> confidence);
+  int add(const mesh::Vertices& template_mm, std::span<const float> displacements_mm,
+          std::span<const float> added_mm, std::vector<float>& sum_mm);
   FitReport fit(std::span<const capture::DepthMap> maps, const mesh::Vertices& template_mm,
                 std::vector<float>& displacements_mm, std::vector<float>& confidence);
 
@@ -177,12 +180,22 @@ void FineSurface::Impl::conjugate_gradients() {
 
 /// Displacements along normals that meet can turn a triangle over, in a fold of the skin or where two
 /// surfaces touch: there they are no heights, and are taken back by halves until it lies the right way round.
-void FineSurface::Impl::unfold(Eigen::Ref<VectorXf> displacement, std::vector<float>& confidence) {
+/// kept_mm     [finest vertex_count] what stays of them; empty: nothing
+/// moved_mm    [finest vertex_count] what is taken back
+/// confidence  halved with it; empty: none
+/// Returns how many triangles were turned over.
+int FineSurface::Impl::unfold(std::span<const float> kept_mm, std::span<float> moved_mm,
+                              std::span<float> confidence) {
   const mesh::Triangles& triangles = hierarchy->finest().triangles;
+  int turned = 0;
   bool again = true;
   for (int round = 0; round < kUnfoldRounds && again; ++round) {
     again = false;
-    now_mm = base_mm + normals * displacement.asDiagonal();
+    now_mm = base_mm;
+    for (Eigen::Index i = 0; i < now_mm.cols(); ++i) {
+      const auto vertex = static_cast<std::size_t>(i);
+      now_mm.col(i) += (moved_mm[vertex] + (kept_mm.empty() ? 0 : kept_mm[vertex])) * normals.col(i);
+    }
     mesh::vertex_normals(now_mm, triangles, fine_normals);
     for (Eigen::Index t = 0; t < triangles.cols(); ++t) {
       const auto corner = triangles.col(t);
@@ -194,13 +207,44 @@ void FineSurface::Impl::unfold(Eigen::Ref<VectorXf> displacement, std::vector<fl
       };
       if (!upright(normals) || !upright(fine_normals)) {
         again = true;
+        turned += round == 0 ? 1 : 0;
         for (Eigen::Index i = 0; i < 3; ++i) {
-          displacement[corner[i]] *= 0.5F;
-          confidence[static_cast<std::size_t>(corner[i])] *= 0.5F;
+          moved_mm[static_cast<std::size_t>(corner[i])] *= 0.5F;
+          if (!confidence.empty()) {
+            confidence[static_cast<std::size_t>(corner[i])] *= 0.5F;
+          }
         }
       }
     }
   }
+  return turned;
+}
+
+/// The surface without displacements.
+void FineSurface::Impl::stand_on(const mesh::Vertices& template_mm) {
+  const mesh::Level& fine = hierarchy->finest();
+  mesh::apply(fine.from_coarser, template_mm, base_mm);
+  mesh::vertex_normals(base_mm, fine.triangles, normals);
+}
+
+int FineSurface::Impl::add(const mesh::Vertices& template_mm, std::span<const float> displacements_mm,
+                           std::span<const float> added_mm, std::vector<float>& sum_mm) {
+  const auto count = static_cast<std::size_t>(hierarchy->finest().vertex_count);
+  if (template_mm.cols() != surface->vertex_count() || displacements_mm.size() != count ||
+      added_mm.size() != count) {
+    throw Error(
+        ErrorKind::Usage,
+        fmt::format("the fine surface has {} template vertices and {} displacements, not {}, {} and {}",
+                    surface->vertex_count(), count, template_mm.cols(), displacements_mm.size(),
+                    added_mm.size()));
+  }
+  stand_on(template_mm);
+  sum_mm.assign(added_mm.begin(), added_mm.end());
+  const int turned = unfold(displacements_mm, sum_mm, {});
+  for (std::size_t i = 0; i < count; ++i) {
+    sum_mm[i] += displacements_mm[i];
+  }
+  return turned;
 }
 
 FitReport FineSurface::Impl::fit(std::span<const capture::DepthMap> maps, const mesh::Vertices& template_mm,
@@ -218,8 +262,7 @@ FitReport FineSurface::Impl::fit(std::span<const capture::DepthMap> maps, const 
   displacements_mm.resize(count, 0.0F);
   confidence.assign(count, 0.0F);
   Eigen::Map<VectorXf> displacement(displacements_mm.data(), fine.vertex_count);
-  mesh::apply(fine.from_coarser, template_mm, base_mm);
-  mesh::vertex_normals(base_mm, fine.triangles, normals);
+  stand_on(template_mm);
   const double skin = static_cast<double>(std::count(is_skin.begin(), is_skin.end(), std::uint8_t{1}));
   std::vector<Pinhole> cameras;
   for (const capture::DepthMap& map : maps) {
@@ -284,7 +327,7 @@ FitReport FineSurface::Impl::fit(std::span<const capture::DepthMap> maps, const 
       break;
     }
   }
-  unfold(displacement, confidence);
+  unfold({}, displacements_mm, confidence);
   report.outcome = report.last_move_mm < static_cast<double>(kSettledMm) ? FitOutcome::Converged
                                                                          : FitOutcome::NotConverged;
   return report;
@@ -302,6 +345,11 @@ const std::shared_ptr<const mesh::Hierarchy>& FineSurface::hierarchy() const {
 FitReport FineSurface::fit(std::span<const capture::DepthMap> maps, const mesh::Vertices& template_mm,
                            std::vector<float>& displacements_mm, std::vector<float>& confidence) {
   return impl_->fit(maps, template_mm, displacements_mm, confidence);
+}
+
+int FineSurface::add(const mesh::Vertices& template_mm, std::span<const float> displacements_mm,
+                     std::span<const float> added_mm, std::vector<float>& sum_mm) {
+  return impl_->add(template_mm, displacements_mm, added_mm, sum_mm);
 }
 
 }  // namespace facet::fit

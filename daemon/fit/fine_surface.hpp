@@ -49,6 +49,17 @@ class FineSurface {
   FitReport fit(std::span<const capture::DepthMap> maps, const mesh::Vertices& template_mm,
                 std::vector<float>& displacements_mm, std::vector<float>& confidence);
 
+  /// What something else (shading) adds to displacements that `fit` found: where it would turn a triangle
+  /// over it is taken back by halves, as `fit` does with its own.
+  ///
+  /// template_mm       [3][template vertex_count] rig frame
+  /// displacements_mm  [finest vertex_count] along the coarse normals
+  /// added_mm          [finest vertex_count] along the same
+  /// sum_mm            out: [finest vertex_count] displacements with what is left of it
+  /// returns           how many triangles would have been turned over. Throws Error(Usage) for other sizes.
+  int add(const mesh::Vertices& template_mm, std::span<const float> displacements_mm,
+          std::span<const float> added_mm, std::vector<float>& sum_mm);
+
  private:
   struct Impl;
   std::unique_ptr<Impl> impl_;

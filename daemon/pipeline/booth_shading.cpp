@@ -66,9 +66,11 @@ struct BoothShading::Impl {
 
 BoothShading::BoothShading(const std::string& gpu_device, const capture::Rig& rig,
                            const refine::RefinerConfig& config)
+    : BoothShading(refiner_opener(gpu_device, config), rig, config.displacement_bound_mm) {}
+
+BoothShading::BoothShading(const OpenRefiner& open, const capture::Rig& rig, float bound_mm)
     : impl_(std::make_unique<Impl>()) {
-  impl_->bound_mm = config.displacement_bound_mm;
-  const OpenRefiner open = refiner_opener(gpu_device, config);
+  impl_->bound_mm = bound_mm;
   for (const capture::RigCamera& camera : rig.cameras) {
     if (camera.colour) {
       impl_->views.emplace_back(camera.lens, open(), open, impl_->messages);

@@ -10,6 +10,7 @@
 #include "fit/template_mesh.hpp"
 #include "mesh/hierarchy.hpp"
 #include "pipeline/messages.hpp"
+#include "pipeline/stages.hpp"
 #include "refine/refiner.hpp"
 
 namespace facet::pipeline {
@@ -27,6 +28,8 @@ class BoothShading {
   /// rig: its colour cameras count. Seconds, for the kernels are compiled. Throws Error(NoDevice).
   BoothShading(const std::string& gpu_device, const capture::Rig& rig,
                const refine::RefinerConfig& config = booth_refinement());
+  /// The same with refinements that `open` opens, one a camera, whose displacements are held within bound_mm.
+  BoothShading(const OpenRefiner& open, const capture::Rig& rig, float bound_mm);
   ~BoothShading();
 
   /// A new person. hierarchy: of fit::FineSurface over `surface`.
@@ -36,7 +39,8 @@ class BoothShading {
   /// pictures          [colour cameras] as they came; an empty one is left out
   /// template_mm       [3][template vertex_count] rig frame
   /// displacements_mm  [finest vertex_count] along the normals of the template subdivided, by depth
-  /// added_mm          out: [finest vertex_count] what shading adds to them
+  /// added_mm          out: [finest vertex_count] what shading adds to them; may turn triangles over
+  ///                   (FineSurface::add)
   /// Returns why a camera adds nothing, for people, or that none has a picture; empty where all is well.
   std::string refine(std::span<const Frame> pictures, const mesh::Vertices& template_mm,
                      std::span<const float> displacements_mm, std::vector<float>& added_mm);

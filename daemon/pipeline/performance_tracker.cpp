@@ -104,7 +104,7 @@ struct PerformanceTracker::Impl {
   void begin_subject();
   void fit_fine(std::span<const capture::DepthMap> maps, const mesh::Vertices& vertices_mm);
   void shade(mesh::MeshFrame& out);
-  void fill_fine(mesh::MeshFrame& out) const;
+  void fill_fine(const mesh::Vertices& vertices_mm, mesh::MeshFrame& out);
   void paint(mesh::MeshFrame& out);
   void fill(const mesh::Vertices& vertices_mm, const Eigen::VectorXd& expression, mesh::MeshFrame& out);
   void leave_out(const std::string& missing, mesh::MeshFrame& out) const;
@@ -269,10 +269,11 @@ void PerformanceTracker::Impl::shade(mesh::MeshFrame& out) {
   }
 }
 
-void PerformanceTracker::Impl::fill_fine(mesh::MeshFrame& out) const {
-  out.displacements_mm.assign(displacements_mm.begin(), displacements_mm.end());
-  for (std::size_t v = 0; v < shading_mm.size(); ++v) {
-    out.displacements_mm[v] += shading_mm[v];
+void PerformanceTracker::Impl::fill_fine(const mesh::Vertices& vertices_mm, mesh::MeshFrame& out) {
+  if (shading_mm.empty()) {
+    out.displacements_mm.assign(displacements_mm.begin(), displacements_mm.end());
+  } else {
+    fine.add(vertices_mm, displacements_mm, shading_mm, out.displacements_mm);
   }
   out.confidence.assign(confidence.begin(), confidence.end());
 }
@@ -356,7 +357,7 @@ void PerformanceTracker::process(const FrameSet& set, std::span<const capture::D
     }
     impl.fit_fine(maps, impl.skin.vertices_mm());
     impl.shade(out);
-    impl.fill_fine(out);
+    impl.fill_fine(impl.skin.vertices_mm(), out);
     out.stage_ms.displacement_ms = ms_since(fine_begun);
     impl.paint(out);
     impl.fill(impl.skin.vertices_mm(), impl.skin.expression(), out);
@@ -385,7 +386,7 @@ void PerformanceTracker::process_between(double fraction, std::span<const captur
   }
   const Clock::time_point fine_begun = Clock::now();
   impl.fit_fine(maps, impl.between_mm);
-  impl.fill_fine(out);
+  impl.fill_fine(impl.between_mm, out);
   out.stage_ms.displacement_ms = ms_since(fine_begun);
   impl.fill(impl.between_mm, impl.expression_between, out);
 }

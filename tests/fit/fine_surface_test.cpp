@@ -77,6 +77,54 @@ std::vector<float> wrinkles(const mesh::Hierarchy& hierarchy, const std::vector<
   return displacements_mm;
 }
 
+// What shading adds may fold the surface where it is hollow.
+TEST(FineSurface, WhatIsAddedTurnsNoTriangleOver) {
+  FineSurface fine = fine_surface();
+  const mesh::Hierarchy& hierarchy = *fine.hierarchy();
+  const mesh::Triangles& triangles = hierarchy.finest().triangles;
+  mesh::Vertices template_mm = scene().surface->neutral_mm;
+  for (Eigen::Index v = 0; v < template_mm.cols(); ++v) {
+    template_mm(2, v) += 3 * std::sin(template_mm(0, v) * 2 * 3.14159F / 20);
+  }
+  const auto count = static_cast<std::size_t>(hierarchy.finest().vertex_count);
+  mesh::Vertices fine_mm;
+  Eigen::Matrix3Xf normals;
+  const auto folded = [&](const std::vector<float>& displacements_mm) {
+    mesh::rebuild_finest(hierarchy, template_mm, displacements_mm, fine_mm, normals);
+    int found = 0;
+    for (Eigen::Index t = 0; t < triangles.cols(); ++t) {
+      const auto corner = triangles.col(t);
+      const Vector3f across = (fine_mm.col(corner[1]) - fine_mm.col(corner[0]))
+                                  .cross(fine_mm.col(corner[2]) - fine_mm.col(corner[0]));
+      found +=
+          across.dot(normals.col(corner[0]) + normals.col(corner[1]) + normals.col(corner[2])) < 0 ? 1 : 0;
+    }
+    return found;
+  };
+  const std::vector<float> none(count, 0.0F);
+  std::vector<float> sum_mm;
+  EXPECT_EQ(fine.add(template_mm, none, std::vector<float>(count, 0.125F), sum_mm), 0);
+  EXPECT_EQ(sum_mm, std::vector<float>(count, 0.125F)) << "what folds nothing stays as it is";
+
+  const int before = folded(none);
+  // Normals meet 3 mm above the waves' valleys.
+  std::vector<float> raised(count);
+  for (std::size_t i = 0; i < count; ++i) {
+    raised[i] = fine_mm(0, static_cast<Eigen::Index>(i)) > 0 ? 10.0F : 0.05F;
+  }
+  ASSERT_GT(folded(raised), before + 20) << "or the test shows nothing";
+  EXPECT_GT(fine.add(template_mm, none, raised, sum_mm), 20);
+  EXPECT_EQ(folded(sum_mm), before);
+  std::size_t untouched = 0;
+  for (std::size_t i = 0; i < count; ++i) {
+    EXPECT_LE(std::abs(sum_mm[i]), std::abs(raised[i]));
+    untouched += sum_mm[i] == raised[i] ? 1 : 0;
+  }
+  EXPECT_GT(untouched, count / 2) << "only what is folded is taken back";
+
+  EXPECT_THROW(fine.add(template_mm, none, std::vector<float>(3), sum_mm), Error);
+}
+
 TEST(FineSurface, ItsHierarchyBeginsWithTheTemplate) {
   const FineSurface fine = fine_surface();
   const mesh::Hierarchy& hierarchy = *fine.hierarchy();
