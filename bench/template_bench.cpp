@@ -440,7 +440,7 @@ int run(int argc, char** argv) {
   app.add_option("--shading-albedo-frames", shading.albedo_frames);
   app.add_option("--shading-albedo-smooth", shading.weights.albedo_smooth, "w2");
   app.add_option("--cache", cache,
-                 "Folder that keeps what was rendered; to be emptied when the booth changes");
+                 "Folder that keeps what was rendered; to be emptied when booth or face model change");
   app.add_option("--sheet", sheet, "PNG: picture, template, error of surface and of drift");
   app.add_option("--sheet-at", sheet_at,
                  "Meshes of which a sheet is made, their number before its name's end");
