@@ -174,6 +174,8 @@ Sequence load_sequence(const face::FaceModel& model, const SequenceOptions& opti
     coarse.measured = measured.vertices;
     const auto comparison = tools::compare(coarse, *measured.truth, tools::Alignment::Similarity);
     measured.truth_from_camera = comparison.truth_from_reconstruction;
+    measured.true_displacements_mm =
+        tools::true_displacements_mm(coarse, measured.truth_from_camera, *measured.truth);
     sum.add(static_cast<std::int64_t>(k), measured.vertices, comparison, 0);
     if (options.albedo == "truth" && !sequence.true_albedo) {
       sequence.true_albedo = true_albedo(coarse, measured);
@@ -197,6 +199,7 @@ Score refine_sequence(gpu::Context& context, const face::FaceModel& model, const
   refiner.set_subject(
       {sequence.subject->hierarchy, model.mean_albedo, model.control.refinable, sequence.true_albedo});
   tools::FigureSum sum;
+  tools::WrinkleSum wrinkles;
   Score score;
   std::vector<float> previous;
   double squares = 0;
@@ -219,6 +222,10 @@ Score refine_sequence(gpu::Context& context, const face::FaceModel& model, const
           compare_aligned(reconstruct(sequence, frame, output.displacements_mm), measured->second);
       sum.add(static_cast<std::int64_t>(k), measured->second.vertices, comparison,
               static_cast<double>(output.photometric_rms));
+      tools::Reconstruction coarse = reconstruct(sequence, frame, {});
+      coarse.measured = measured->second.vertices;
+      wrinkles.add(sequence.subject->hierarchy->finest().one_rings, coarse,
+                   measured->second.true_displacements_mm, output.displacements_mm);
       if (at_measured) {
         at_measured(k, output);
       }
@@ -229,6 +236,8 @@ Score refine_sequence(gpu::Context& context, const face::FaceModel& model, const
   score.mean_mm = figures.mean_mm;
   score.normal_deg = figures.normal_error_deg;
   score.photometric_rms = figures.photometric_rms;
+  score.wrinkle_correlation = wrinkles.correlation();
+  score.wrinkle_depth = wrinkles.depth();
   score.trembling_mm = std::sqrt(squares / (static_cast<double>(previous.size()) * std::max(1.0, count - 1)));
   score.device_ms /= count;
   return score;

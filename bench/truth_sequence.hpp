@@ -34,6 +34,7 @@ struct SequenceOptions {
 struct MeasuredFrame {
   std::unique_ptr<tools::Truth> truth;
   std::vector<std::int32_t> vertices;
+  std::vector<float> true_displacements_mm;  ///< tools::true_displacements_mm of the coarse mesh
   simulation::Similarity truth_from_camera;  ///< that fits the coarse mesh best
 };
 
@@ -69,6 +70,8 @@ struct Score {
   double mean_mm = 0;
   double normal_deg = 0;
   double photometric_rms = 0;
+  double wrinkle_correlation = 0;  ///< tools::WrinkleSum
+  double wrinkle_depth = 0;
   double trembling_mm = 0;  ///< rms change of the displacements from frame to frame
   double device_ms = 0;
 };

@@ -103,37 +103,26 @@ void try_setting(facet::gpu::Context& context, const facet::face::FaceModel& mod
     const Score score = facet::bench::refine_sequence(context, model, sequence, config);
     const double normal = 100 * (score.normal_deg / sequence.coarse.normal_error_deg - 1);
     const double distance = 100 * (score.mean_mm / sequence.coarse.mean_mm - 1);
-    fmt::print(" {:6.2f} {:+6.1f}% {:+6.1f}%", score.normal_deg, normal, distance);
+    fmt::print(" {:6.2f} {:+6.1f}% {:+6.1f}% {:.3f}/{:.2f}", score.normal_deg, normal, distance,
+               score.wrinkle_correlation, score.wrinkle_depth);
     const double share = 1 / static_cast<double>(sequences.size());
     normal_change += share * normal;
     distance_change += share * distance;
+    total.wrinkle_correlation += share * score.wrinkle_correlation;
     total.photometric_rms += share * score.photometric_rms;
     total.trembling_mm += share * score.trembling_mm;
     total.device_ms += share * score.device_ms;
   }
-  fmt::print(" | {:+6.1f}% {:+6.1f}%  {:.4f}  {:.4f}  {:6.1f}\n", normal_change, distance_change,
-             total.photometric_rms, total.trembling_mm, total.device_ms);
+  fmt::print(" | {:+6.1f}% {:+6.1f}%  {:.3f}  {:.4f}  {:.4f}  {:6.1f}\n", normal_change, distance_change,
+             total.wrinkle_correlation, total.photometric_rms, total.trembling_mm, total.device_ms);
   std::fflush(stdout);
 }
 
 /// Displacements that reach the truth along the coarse normals, each smoothed over its ring `rounds` times.
-std::vector<float> true_displacements(const Sequence& sequence, const TrackedFrame& frame,
-                                      const MeasuredFrame& measured, int rounds) {
-  const facet::tools::Reconstruction coarse = facet::bench::reconstruct(sequence, frame, {});
-  const facet::simulation::Similarity& to_truth = measured.truth_from_camera;
-  const float bound_mm = RefinerConfig().displacement_bound_mm;
-  std::vector<float> displacements_mm(static_cast<std::size_t>(coarse.vertices_mm.cols()), 0.0F);
-  for (const std::int32_t v : measured.vertices) {
-    const Eigen::Vector3f at = to_truth * Eigen::Vector3f(coarse.vertices_mm.col(v));
-    const Eigen::Vector3f normal = to_truth.rotation * coarse.normals.col(v);
-    const auto outwards = measured.truth->caster().first_hit(at, normal);
-    const auto inwards = measured.truth->caster().first_hit(at, -normal);
-    const bool is_inside =
-        outwards.triangle >= 0 && (inwards.triangle < 0 || outwards.distance_mm < inwards.distance_mm);
-    if (is_inside || inwards.triangle >= 0) {
-      const float reach_mm = (is_inside ? outwards.distance_mm : -inwards.distance_mm) / to_truth.scale;
-      displacements_mm[static_cast<std::size_t>(v)] = std::abs(reach_mm) < bound_mm ? reach_mm : 0;
-    }
+std::vector<float> true_displacements(const Sequence& sequence, const MeasuredFrame& measured, int rounds) {
+  std::vector<float> displacements_mm = measured.true_displacements_mm;
+  for (float& value : displacements_mm) {
+    value = std::isnan(value) ? 0 : value;
   }
   const facet::mesh::OneRings& rings = sequence.subject->hierarchy->finest().one_rings;
   for (int round = 0; round < rounds; ++round) {
@@ -161,7 +150,7 @@ void print_reach(const std::vector<Sequence>& sequences) {
       for (const auto& [k, measured] : sequence.measured) {
         const TrackedFrame& frame = sequence.frames[k];
         const auto mesh =
-            facet::bench::reconstruct(sequence, frame, true_displacements(sequence, frame, measured, rounds));
+            facet::bench::reconstruct(sequence, frame, true_displacements(sequence, measured, rounds));
         sum.add(static_cast<std::int64_t>(k), measured.vertices,
                 facet::bench::compare_aligned(mesh, measured), 0);
       }
@@ -196,7 +185,8 @@ void run(const Options& options) {
   }
   fmt::print(
       "\nPer sequence: normal error in degrees, its change and the mean distance's change against the coarse "
-      "mesh.\nThen: both changes averaged, photometric rms, rms change of displacements per frame (mm), "
+      "mesh, correlation and depth of the wrinkles (tools::WrinkleSum).\nThen: both changes and the "
+      "correlation averaged, photometric rms, rms change of displacements per frame (mm), "
       "device "
       "ms per frame.\n\n");
   if (options.reach) {

@@ -71,6 +71,9 @@ void run_eval(const EvalOptions& options) {
       {"mean_scale", evaluation.mean_scale},
       {"coarse", figures_json(coarse)},
       {"finest", figures_json(refined)},
+      {"wrinkle_correlation", number(evaluation.wrinkles.correlation())},
+      {"wrinkle_depth", number(evaluation.wrinkles.depth())},
+      {"wrinkle_points", evaluation.wrinkles.point_count()},
       {"mean_change_percent", number(100 * (refined.mean_mm / coarse.mean_mm - 1))},
       {"normal_error_change_percent",
        number(100 * (refined.normal_error_deg / coarse.normal_error_deg - 1))}};
@@ -90,9 +93,10 @@ void run_eval(const EvalOptions& options) {
   }
   fmt::print(
       stderr,
-      "{}: {} frames; mean {:.3f} mm (coarse {:.3f}), normals {:.2f} deg (coarse {:.2f}); heat map in {}\n",
+      "{}: {} frames; mean {:.3f} mm (coarse {:.3f}), normals {:.2f} deg (coarse {:.2f}), wrinkles correlate "
+      "by {:.2f}; heat map in {}\n",
       options.take, evaluation.frames.size(), refined.mean_mm, coarse.mean_mm, refined.normal_error_deg,
-      coarse.normal_error_deg, picture.string());
+      coarse.normal_error_deg, evaluation.wrinkles.correlation(), picture.string());
 }
 
 }  // namespace

@@ -264,6 +264,130 @@ Figures FigureSum::figures() const {
   return figures;
 }
 
+std::vector<float> true_displacements_mm(const Reconstruction& mesh, const Similarity& truth_from_mesh,
+                                         const Truth& truth) {
+  constexpr float kDeepest_mm = 6;
+  std::vector<float> out(static_cast<std::size_t>(mesh.vertices_mm.cols()), kNaN);
+  for (const std::int32_t v : mesh.measured) {
+    const Vector3f at = truth_from_mesh * Vector3f(mesh.vertices_mm.col(v));
+    const Vector3f normal = truth_from_mesh.rotation * mesh.normals.col(v);
+    const auto outwards = truth.caster().first_hit(at, normal);
+    const auto inwards = truth.caster().first_hit(at, -normal);
+    const bool is_inside =
+        outwards.triangle >= 0 && (inwards.triangle < 0 || outwards.distance_mm < inwards.distance_mm);
+    if (is_inside || inwards.triangle >= 0) {
+      const float reach_mm =
+          (is_inside ? outwards.distance_mm : -inwards.distance_mm) / truth_from_mesh.scale;
+      if (std::abs(reach_mm) < kDeepest_mm) {
+        out[static_cast<std::size_t>(v)] = reach_mm;
+      }
+    }
+  }
+  return out;
+}
+
+namespace {
+
+/// The half-ring average of a field and of its weights, `rounds` times; vertices of weight 0 are left out.
+void smooth(const mesh::OneRings& rings, const std::vector<std::int32_t>& vertices,
+            const std::vector<float>& weights, int rounds, std::vector<float>& field) {
+  std::vector<float> next = field;
+  for (int round = 0; round < rounds; ++round) {
+    for (const std::int32_t vertex : vertices) {
+      const auto v = static_cast<std::size_t>(vertex);
+      float sum = 0;
+      float weight = 0;
+      for (std::int32_t k = rings.offsets[v]; k < rings.offsets[v + 1]; ++k) {
+        const auto j = static_cast<std::size_t>(rings.neighbours[static_cast<std::size_t>(k)]);
+        sum += weights[j] * field[j];
+        weight += weights[j];
+      }
+      next[v] = weight > 0 ? 0.5F * field[v] + 0.5F * sum / weight : field[v];
+    }
+    field.swap(next);
+  }
+}
+
+}  // namespace
+
+void WrinkleSum::add(const mesh::OneRings& rings, const Reconstruction& mesh, std::vector<float> true_mm,
+                     std::span<const float> recovered_mm) {
+  constexpr float kNarrow_mm = 0.6F;
+  constexpr float kWide_mm = 4;
+  constexpr float kFold_mm = 0.08F;
+  std::vector<float> weights(true_mm.size(), 0.0F);
+  std::vector<float> recovered(true_mm.size(), 0.0F);
+  std::vector<std::int32_t> vertices;
+  double spacing_mm = 0;
+  std::int64_t edges = 0;
+  for (const std::int32_t vertex : mesh.measured) {
+    const auto v = static_cast<std::size_t>(vertex);
+    if (std::isnan(true_mm[v])) {
+      continue;
+    }
+    vertices.push_back(vertex);
+    weights[v] = 1;
+    recovered[v] = recovered_mm[v];
+    for (std::int32_t k = rings.offsets[v]; k < rings.offsets[v + 1]; ++k) {
+      const std::int32_t j = rings.neighbours[static_cast<std::size_t>(k)];
+      spacing_mm += static_cast<double>((mesh.vertices_mm.col(vertex) - mesh.vertices_mm.col(j)).norm());
+      ++edges;
+    }
+  }
+  if (vertices.empty()) {
+    return;
+  }
+  spacing_mm /= static_cast<double>(edges);
+  for (float& value : true_mm) {
+    value = std::isnan(value) ? 0 : value;
+  }
+  // One round moves half the weight by one spacing: a variance of spacing^2 / 4 along either axis.
+  const auto rounds = [&](float width_mm) {
+    const double ratio = static_cast<double>(width_mm) / spacing_mm;
+    return static_cast<int>(std::lround(4 * ratio * ratio));
+  };
+  const auto band = [&](std::vector<float>& field) {
+    smooth(rings, vertices, weights, rounds(kNarrow_mm), field);
+    std::vector<float> wide = field;
+    smooth(rings, vertices, weights, rounds(kWide_mm) - rounds(kNarrow_mm), wide);
+    for (std::size_t v = 0; v < field.size(); ++v) {
+      field[v] -= wide[v];
+    }
+  };
+  band(true_mm);
+  band(recovered);
+  std::vector<float> power(true_mm.size());
+  for (std::size_t v = 0; v < power.size(); ++v) {
+    power[v] = true_mm[v] * true_mm[v];
+  }
+  smooth(rings, vertices, weights, rounds(kWide_mm), power);
+  for (const std::int32_t vertex : vertices) {
+    const auto v = static_cast<std::size_t>(vertex);
+    if (power[v] > kFold_mm * kFold_mm) {
+      const auto t = static_cast<double>(true_mm[v]);
+      const auto r = static_cast<double>(recovered[v]);
+      ++count_;
+      sums_[0] += t;
+      sums_[1] += r;
+      sums_[2] += t * t;
+      sums_[3] += r * r;
+      sums_[4] += t * r;
+    }
+  }
+}
+
+double WrinkleSum::correlation() const {
+  const auto count = static_cast<double>(count_);
+  const double true_variance = sums_[2] - sums_[0] * sums_[0] / count;
+  const double recovered_variance = sums_[3] - sums_[1] * sums_[1] / count;
+  return (sums_[4] - sums_[0] * sums_[1] / count) / std::sqrt(true_variance * recovered_variance);
+}
+
+double WrinkleSum::depth() const {
+  const auto count = static_cast<double>(count_);
+  return (sums_[4] - sums_[0] * sums_[1] / count) / (sums_[2] - sums_[0] * sums_[0] / count);
+}
+
 std::vector<float> vertex_errors(const mesh::Vertices& vertices_mm, const Eigen::Matrix3Xf& normals,
                                  const std::vector<float>& albedo, const std::array<float, 9>& lighting,
                                  const CameraIntrinsics& camera, const Frame& image) {

@@ -4,6 +4,7 @@
 #include <array>
 #include <cstdint>
 #include <memory>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -107,6 +108,43 @@ class FigureSum {
   std::int64_t last_index_ = -2;
   std::vector<float> last_;  ///< [vertex] signed distance of the last frame, NaN where not measured
   std::vector<float> last_but_one_;
+};
+
+/// How far along its normals each measured vertex of an aligned mesh stands from the truth: the displacement
+/// that the refinement should have found there.
+///
+/// mesh               without displacements, as measured
+/// truth_from_mesh    of its Comparison
+/// returns            [vertex_count] mm at the mesh's scale; NaN where not measured or not within 6 mm
+std::vector<float> true_displacements_mm(const Reconstruction& mesh,
+                                         const simulation::Similarity& truth_from_mesh, const Truth& truth);
+
+/// Compares recovered with true displacements at the width of wrinkles, where the truth has some. One thread.
+///
+/// Band: of a field x over the mesh, B(x) = G_0.6 x - G_4 x, with G_s the half-ring average repeated until it
+/// is as wide as a Gaussian of s mm at the mesh's mean spacing, over measured vertices alone. What is wider
+/// (the coarse mesh's own error) and narrower (noise) drops out; creases of 2 to 6 mm stay.
+/// Folds: vertices where sqrt(G_4 B(truth)^2) is above 0.08 mm: a crease and its banks.
+class WrinkleSum {
+ public:
+  /// Adds a frame.
+  ///
+  /// rings            of the finest level
+  /// mesh             without displacements, as measured
+  /// true_mm          [vertex_count] true_displacements_mm
+  /// recovered_mm     [vertex_count] the refinement's
+  void add(const mesh::OneRings& rings, const Reconstruction& mesh, std::vector<float> true_mm,
+           std::span<const float> recovered_mm);
+
+  /// Pearson's correlation of B(recovered) with B(truth) over all folds of all frames. NaN without folds.
+  double correlation() const;
+  /// Of the regression of B(recovered) on B(truth): 1 where folds come out as deep as they are.
+  double depth() const;
+  std::uint64_t point_count() const { return count_; }
+
+ private:
+  std::uint64_t count_ = 0;
+  std::array<double, 5> sums_{};  ///< of t, r, t t, r r, t r
 };
 
 /// |I - R| of eq. 2 (Ma & Deng 2019) at every finest vertex: rms over the channels, linear 0 to 1; NaN

@@ -79,6 +79,11 @@ TakeEvaluation evaluate_take(take::TakeReader& take, const std::filesystem::path
     };
     const Comparison coarse_errors = compare(coarse, truth, alignment);
     const Comparison refined_errors = compare(refined, truth, alignment);
+    if (!frame->displacements_mm.empty()) {
+      out.wrinkles.add(frame->subject->hierarchy->finest().one_rings, coarse,
+                       true_displacements_mm(coarse, coarse_errors.truth_from_reconstruction, truth),
+                       frame->displacements_mm);
+    }
     const auto index = static_cast<std::int64_t>(frame->sequence);
     const FrameMeans coarse_means = coarse_sum.add(index, measured, coarse_errors, rms(coarse));
     const FrameMeans refined_means = refined_sum.add(index, measured, refined_errors, rms(refined));

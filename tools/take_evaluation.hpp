@@ -25,6 +25,7 @@ struct TakeEvaluation {
   double mean_scale = 1;  ///< of the refined meshes' alignment
   Figures coarse;
   Figures refined;
+  WrinkleSum wrinkles;
   render::Picture heat_map;  ///< of four frames
 };
 

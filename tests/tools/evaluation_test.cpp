@@ -150,6 +150,74 @@ TEST_F(Evaluation, FarAwayCountsAsFarAway) {
   EXPECT_EQ(figures.normal_error_deg, 180);
 }
 
+/// The patch with folds that the coarse mesh has not: furrows 5 mm apart, 0.3 mm deep, in its middle.
+struct Folded {
+  Reconstruction coarse;
+  mesh::OneRings rings;
+  std::vector<float> folds_mm;
+};
+
+Folded fold(Patch& patch) {
+  Folded out{patch.reconstruction, {}, {}};
+  out.rings =
+      mesh::build_one_rings(patch.truth.triangles, static_cast<std::int32_t>(patch.truth.vertices_mm.cols()));
+  for (Eigen::Index v = 0; v < patch.truth.vertices_mm.cols(); ++v) {
+    const float x = patch.truth.vertices_mm(0, v);
+    const float y = patch.truth.vertices_mm(1, v);
+    const float depth_mm =
+        0.3F * std::sin(2 * std::numbers::pi_v<float> * y / 8) * std::exp(-(x * x + y * y) / 400);
+    out.folds_mm.push_back(depth_mm);
+    patch.truth.vertices_mm.col(v) += depth_mm * patch.truth.normals.col(v);
+  }
+  mesh::vertex_normals(patch.truth.vertices_mm, patch.truth.triangles, patch.truth.normals);
+  return out;
+}
+
+TEST_F(Evaluation, WrinklesCorrelateWhateverTheCoarseMeshIsOff) {
+  const Folded folded = fold(patch);
+  const Truth with_folds(patch.truth);
+  Reconstruction off = folded.coarse;
+  off.vertices_mm += off.normals;  // and a millimetre too far out everywhere
+  const std::vector<float> true_mm = true_displacements_mm(off, {}, with_folds);
+  const auto judge = [&](const std::vector<float>& recovered_mm) {
+    WrinkleSum sum;
+    sum.add(folded.rings, off, true_mm, recovered_mm);
+    EXPECT_GT(sum.point_count(), 200U);
+    EXPECT_LT(sum.point_count(), off.measured.size() / 2);
+    return sum;
+  };
+  const WrinkleSum perfect = judge(folded.folds_mm);
+  EXPECT_GT(perfect.correlation(), 0.95);
+  EXPECT_NEAR(perfect.depth(), 1, 0.1);
+
+  std::vector<float> faint = folded.folds_mm;
+  std::vector<float> wrong = folded.folds_mm;
+  std::vector<float> smooth = folded.folds_mm;
+  std::mt19937 random(5);
+  std::normal_distribution<float> normal;
+  for (std::size_t v = 0; v < faint.size(); ++v) {
+    const float x = patch.truth.vertices_mm(0, static_cast<Eigen::Index>(v));
+    faint[v] *= 0.25F;
+    faint[v] += 0.02F * x;  // what is wider than wrinkles does not count
+    wrong[v] *= -1;
+    smooth[v] = 0.3F * normal(random);
+  }
+  EXPECT_GT(judge(faint).correlation(), 0.95);
+  EXPECT_NEAR(judge(faint).depth(), 0.25, 0.03);
+  EXPECT_LT(judge(wrong).correlation(), -0.95);
+  EXPECT_LT(std::abs(judge(smooth).correlation()), 0.2);
+}
+
+TEST_F(Evaluation, SmoothSkinHasNoWrinkles) {
+  const mesh::OneRings rings =
+      mesh::build_one_rings(patch.truth.triangles, static_cast<std::int32_t>(patch.truth.vertices_mm.cols()));
+  const std::vector<float> none(static_cast<std::size_t>(patch.truth.vertices_mm.cols()), 0.0F);
+  WrinkleSum sum;
+  sum.add(rings, patch.reconstruction, true_displacements_mm(patch.reconstruction, {}, truth), none);
+  EXPECT_EQ(sum.point_count(), 0U);
+  EXPECT_TRUE(std::isnan(sum.correlation()));
+}
+
 TEST_F(Evaluation, FlickerIsTheTremblingNotTheBias) {
   std::mt19937 random(2);
   std::normal_distribution<float> normal;
