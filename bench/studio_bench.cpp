@@ -69,7 +69,9 @@ int main(int argc, char** argv) {
     stream::StreamServer server(config);
     server.start();
     service::Studio studio(
-        file.parent_path(), server, [](bool) {}, "studio_bench");
+        file.parent_path(),
+        [&](std::shared_ptr<const mesh::MeshFrame> frame) { server.publish(std::move(frame)); }, [](bool) {},
+        "studio_bench");
     studio.start();
     studio.open(file.stem().string(), true);
     await(studio, service::StudioState::Opening);
