@@ -24,17 +24,21 @@ using testing::ElementsAre;
 using testing::HasSubstr;
 
 TEST(Obj, ReadsQuadsAndCountsOtherFaces) {
-  const ObjMesh mesh =
-      parse_obj("v 0 0 0\nv 1 0 0\nv 1 2 0\nv 0 1 0.5\nvt 0 0\nf 1/1 2/1 3/1 4/1\nf 1 2 3\n", "f.obj");
+  const ObjMesh mesh = parse_obj(
+      "v 0 0 0\nv 1 0 0\nv 1 2 0\nv 0 1 0.5\nvt 0 0\nf 1/1 2/1 3/1 4/1\nf 1 2 3\nf -4//1 -3 -2 -1\r\n",
+      "f.obj");
   ASSERT_EQ(mesh.vertices.cols(), 4);
   EXPECT_EQ(mesh.vertices.col(2), Eigen::Vector3d(1, 2, 0));
-  ASSERT_EQ(mesh.quads.cols(), 1);
+  ASSERT_EQ(mesh.quads.cols(), 2);
+  EXPECT_EQ(mesh.quads.col(1), Eigen::Vector4i(0, 1, 2, 3));
   EXPECT_EQ(mesh.quads.col(0), Eigen::Vector4i(0, 1, 2, 3));
   EXPECT_EQ(mesh.other_faces, 1U);
 }
 
 TEST(Obj, WhatIsNoMeshIsRefusedByName) {
-  for (const char* text : {"", "hello", "v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3 9\n"}) {
+  for (const char* text :
+       {"", "hello", "v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3 9\n", "v nan 0 0\n", "v 1 2\n",
+        "v 0 0 0\nf 1 2 a/1 4\n", "v 0 0 0\nf 0 1 1 1\n", "v 0 0 0\nf 1 1 1 99999999999999999999\n"}) {
     try {
       parse_obj(text, "f.obj");
       ADD_FAILURE() << text;

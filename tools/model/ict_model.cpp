@@ -5,17 +5,14 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
+#include <charconv>
 #include <cmath>
 #include <fstream>
 #include <iterator>
 #include <map>
 #include <numbers>
 #include <optional>
-#include <sstream>
 #include <utility>
-
-#define TINYOBJLOADER_IMPLEMENTATION
-#include <tiny_obj_loader.h>
 
 #include "facet/error.hpp"
 #include "model/appearance.hpp"
@@ -32,6 +29,7 @@ using face::Region;
 
 constexpr Eigen::Index kIctVertices = 26'719;
 constexpr double kMmPerCm = 10;
+constexpr long kMostObjVertices = 10'000'000;
 
 /// Runs of vertices in ICT's order; what lies between is left out.
 struct Run {
@@ -49,6 +47,24 @@ constexpr std::array<Run, 6> kRuns{{{0, 9409, Part::Skin},
 
 [[noreturn]] void fail(const std::filesystem::path& file, const std::string& what) {
   throw Error(ErrorKind::UnreadableInput, fmt::format("{}: {}", file.string(), what));
+}
+
+/// The line's next word, taken off it; empty at its end.
+std::string_view next_word(std::string_view& line) {
+  constexpr std::string_view kBlanks = " \t\r";
+  line.remove_prefix(std::min(line.find_first_not_of(kBlanks), line.size()));
+  const std::string_view word = line.substr(0, line.find_first_of(kBlanks));
+  line.remove_prefix(word.size());
+  return word;
+}
+
+/// A word that is a number from its first to its last character.
+template <typename Number>
+std::optional<Number> number(std::string_view word) {
+  Number value{};
+  const auto [end, error] = std::from_chars(word.data(), word.data() + word.size(), value);
+  return error == std::errc() && end == word.data() + word.size() ? std::optional<Number>(value)
+                                                                  : std::nullopt;
 }
 
 ObjMesh read_obj(const std::filesystem::path& file) {
@@ -223,41 +239,62 @@ mesh::Vertices plain_albedo(const HeadMesh& head, const Eigen::Matrix3Xd& mean_m
 }  // namespace
 
 ObjMesh parse_obj(std::string_view text, const std::filesystem::path& file) {
-  tinyobj::attrib_t attributes;
-  std::vector<tinyobj::shape_t> shapes;
-  std::string warning;
-  std::string error;
-  std::istringstream stream{std::string(text)};
-  if (!tinyobj::LoadObj(&attributes, &shapes, nullptr, &warning, &error, &stream, nullptr, false)) {
-    fail(file, error.empty() ? "not an OBJ file" : error.substr(0, error.find('\n')));
-  }
-  const auto count = static_cast<Eigen::Index>(attributes.vertices.size() / 3);
-  if (count == 0) {
-    fail(file, "no vertex in it");
-  }
-  ObjMesh mesh;
-  mesh.vertices = Eigen::Map<const Eigen::Matrix3Xf>(attributes.vertices.data(), 3, count).cast<double>();
-  if (!mesh.vertices.allFinite()) {
-    fail(file, "a vertex is not a number");
-  }
+  std::vector<double> coordinates;
   std::vector<int> corners;
-  for (const tinyobj::shape_t& shape : shapes) {
-    std::size_t at = 0;
-    for (const auto size : shape.mesh.num_face_vertices) {
-      if (size != 4) {
-        ++mesh.other_faces;
-      } else {
-        for (std::size_t corner = at; corner < at + 4; ++corner) {
-          const int vertex = shape.mesh.indices.at(corner).vertex_index;
-          if (vertex < 0 || vertex >= count) {
-            fail(file, fmt::format("a face names vertex {} of {}", vertex + 1, count));
-          }
-          corners.push_back(vertex);
+  ObjMesh mesh;
+  std::size_t line_number = 0;
+  while (!text.empty()) {
+    ++line_number;
+    const std::size_t end = std::min(text.find('\n'), text.size());
+    std::string_view line = text.substr(0, end);
+    text.remove_prefix(std::min(end + 1, text.size()));
+    const auto refuse = [&](const std::string& what) {
+      fail(file, fmt::format("line {}: {}", line_number, what));
+    };
+    const std::string_view keyword = next_word(line);
+    if (keyword == "v") {
+      for (int axis = 0; axis < 3; ++axis) {
+        const auto coordinate = number<double>(next_word(line));
+        if (!coordinate || !std::isfinite(*coordinate)) {
+          refuse("a vertex needs three numbers");
+        }
+        coordinates.push_back(*coordinate);
+      }
+    } else if (keyword == "f") {
+      // Corners are vertex/texture/normal; numbers count from 1, or backwards from the last vertex before.
+      const auto count = static_cast<long>(coordinates.size() / 3);
+      std::array<int, 4> quad{};
+      std::size_t size = 0;
+      for (std::string_view word = next_word(line); !word.empty(); word = next_word(line), ++size) {
+        const auto index = number<long>(word.substr(0, word.find('/')));
+        const long vertex = !index                           ? -1
+                            : *index > 0                     ? *index - 1
+                            : *index < 0 && *index >= -count ? count + *index
+                                                             : -1;
+        if (vertex < 0 || vertex >= kMostObjVertices) {
+          refuse(fmt::format("'{}' is no corner of a face", word.substr(0, 40)));
+        }
+        if (size < quad.size()) {
+          quad.at(size) = static_cast<int>(vertex);
         }
       }
-      at += size;
+      if (size == quad.size()) {
+        corners.insert(corners.end(), quad.begin(), quad.end());
+      } else {
+        ++mesh.other_faces;
+      }
     }
   }
+  const auto count = static_cast<Eigen::Index>(coordinates.size() / 3);
+  if (count == 0 || count > kMostObjVertices) {
+    fail(file, count == 0 ? "no vertex in it" : "too many vertices");
+  }
+  for (const int vertex : corners) {
+    if (vertex >= count) {
+      fail(file, fmt::format("a face names vertex {} of {}", vertex + 1, count));
+    }
+  }
+  mesh.vertices = Eigen::Map<const Eigen::Matrix3Xd>(coordinates.data(), 3, count);
   mesh.quads =
       Eigen::Map<const mesh::Quads>(corners.data(), 4, static_cast<Eigen::Index>(corners.size() / 4));
   return mesh;
