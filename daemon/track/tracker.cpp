@@ -95,16 +95,16 @@ struct Tracker::Impl {
     return place_mm * (depth_filter.apply(place_mm.z(), std::max(seconds, kShortestFrame_s)) / place_mm.z());
   }
 
+  TrackResult result;
   const face::FaceModel& model;
-  Landmarker landmarker;
-  LandmarkModel landmark_model;
-  ExpressionPrior prior;
-  SubjectTracker subject_tracker;
   face::ExpressionBasis basis;
   std::uint64_t shape_version = 0;
   DepthFilter depth_filter;
   std::int64_t filtered_ns = 0;
-  TrackResult result;
+  Landmarker landmarker;
+  LandmarkModel landmark_model;
+  ExpressionPrior prior;
+  SubjectTracker subject_tracker;
 };
 
 Tracker::Tracker(const face::FaceModel& model, const TrackerConfig& config)
