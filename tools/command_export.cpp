@@ -115,15 +115,6 @@ std::string ranges_text(const std::vector<std::uint64_t>& numbers) {
   return text;
 }
 
-void make_folder(const std::filesystem::path& folder) {
-  std::error_code error;
-  std::filesystem::create_directories(folder, error);
-  if (!std::filesystem::is_directory(folder)) {
-    throw Error(ErrorKind::Storage, fmt::format("cannot make the folder '{}': {}", folder.string(),
-                                                error ? error.message() : "a file of that name is there"));
-  }
-}
-
 /// Throws Error(NoFace) where no frame is left.
 void tell_left_out(const std::vector<std::uint64_t>& without_mesh, std::size_t selected) {
   if (!without_mesh.empty()) {
@@ -154,7 +145,7 @@ int export_meshes(take::TakeReader& reader, const Selection& selection, const Ex
                     "folder",
                     options.output, selection.size()));
   }
-  make_folder(one_file ? std::filesystem::absolute(output).parent_path() : output);
+  files::make_folder(one_file ? std::filesystem::absolute(output).parent_path() : output);
 
   Progress progress("Exporting", selection.size());
   take::ExportMesh mesh;
@@ -236,7 +227,7 @@ int export_sequence(take::TakeReader& reader, const Selection& selection, const 
     throw Error(ErrorKind::Usage, fmt::format("--format {} writes one file: name it with -o NAME.{}",
                                               options.format, take::extension(format)));
   }
-  make_folder(std::filesystem::absolute(sequence.file).parent_path());
+  files::make_folder(std::filesystem::absolute(sequence.file).parent_path());
 
   Progress progress("Exporting", meshes.size());
   std::unique_ptr<take::SequenceWriter> writer;
@@ -275,7 +266,7 @@ int export_maps(take::TakeReader& reader, const Selection& selection, const Expo
   const auto format = options.pictures == "png" ? take::PictureFormat::Png : take::PictureFormat::Exr;
   const std::filesystem::path folder = options.output;
   take::MapBaker baker(options.size_px);
-  make_folder(folder);
+  files::make_folder(folder);
   Progress progress("Exporting", meshes.size());
   std::uint64_t albedo_version = 0;
   std::size_t written = 0;
@@ -348,7 +339,7 @@ int export_signals(take::TakeReader& reader, const Selection& selection, const E
 /// Returns the signal that broke it off, or 0.
 int export_pictures(take::TakeReader& reader, const Selection& selection, const ExportOptions& options,
                     const StopSignals& signals) {
-  make_folder(options.output);
+  files::make_folder(options.output);
   Progress progress("Exporting", selection.size());
   std::size_t written = 0;
   std::vector<std::uint64_t> unreadable;

@@ -16,6 +16,7 @@
 #include "avatar/skin.hpp"
 #include "commands.hpp"
 #include "facet/error.hpp"
+#include "files/output_file.hpp"
 #include "progress.hpp"
 #include "stop_signals.hpp"
 #include "take/export.hpp"
@@ -204,15 +205,6 @@ std::shared_ptr<const take::MapLayout> map_layout(const RetargetOptions& options
   return layout;
 }
 
-void make_folder(const std::filesystem::path& folder) {
-  std::error_code error;
-  std::filesystem::create_directories(folder, error);
-  if (!std::filesystem::is_directory(folder)) {
-    throw Error(ErrorKind::Storage, fmt::format("cannot make the folder '{}': {}", folder.string(),
-                                                error ? error.message() : "a file of that name is there"));
-  }
-}
-
 /// The take's relief in the avatar's texture coordinates, a picture a frame. Returns the signal that broke it
 /// off, or 0.
 int write_maps(const RetargetOptions& options, const avatar::GlbDocument& glb, const avatar::Avatar& found,
@@ -246,7 +238,7 @@ int write_maps(const RetargetOptions& options, const avatar::GlbDocument& glb, c
       baker.emplace(options.size_px, map_layout(options, glb, found, *frame));
       hierarchy = frame->subject->hierarchy;
       for (const auto& [kind, folder] : wanted) {
-        make_folder(folder);
+        files::make_folder(folder);
       }
     }
     if (frame->subject->hierarchy != hierarchy) {
