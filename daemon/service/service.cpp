@@ -626,6 +626,12 @@ void Service::Impl::finish() {
   while (!threads_end()) {
     if (Clock::now() >= patience) {
       log.warning("a thread is still at work: leaving without it");
+      if (studio.finished()) {
+        studio.stop();
+      }
+      if (thumbnails.finished()) {
+        thumbnails.stop();
+      }
       ::_exit(exit_status.value_or(0));
     }
     ::usleep(2000);
