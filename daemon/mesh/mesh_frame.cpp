@@ -1,6 +1,19 @@
 #include "mesh/mesh_frame.hpp"
 
+#include <cstddef>
+#include <span>
+
 namespace facet::mesh {
+namespace {
+
+std::uint64_t fnv1a(std::uint64_t state, std::span<const std::byte> bytes) {
+  for (const std::byte byte : bytes) {
+    state = (state ^ static_cast<std::uint64_t>(byte)) * 0x100000001b3U;
+  }
+  return state;
+}
+
+}  // namespace
 
 const char* to_string(TrackingState state) {
   switch (state) {
@@ -14,6 +27,12 @@ const char* to_string(TrackingState state) {
       return "lost";
   }
   return "unknown";
+}
+
+std::uint64_t subject_id(const Subject& subject, std::uint32_t count) {
+  std::uint64_t id = fnv1a(subject.hierarchy->id, std::as_bytes(std::span(subject.identity)));
+  id = fnv1a(id, std::as_bytes(std::span(&count, 1)));
+  return id != 0 ? id : 1;
 }
 
 }  // namespace facet::mesh

@@ -46,6 +46,10 @@ struct Subject {
   std::vector<std::uint8_t> regions;          ///< [control vertex_count] bits of face::Region
 };
 
+/// Subject::id of a hierarchy and an identity. count: of the estimates of this person, which may come out
+/// alike.
+std::uint64_t subject_id(const Subject& subject, std::uint32_t count);
+
 /// Albedo of the finest level; a new object only when it changed.
 struct Albedo {
   std::uint64_t version = 0;      ///< counts up; 0: none yet

@@ -1,9 +1,7 @@
 #include "pipeline/subject_builder.hpp"
 
 #include <algorithm>
-#include <cstring>
 #include <limits>
-#include <span>
 #include <utility>
 
 namespace facet::pipeline {
@@ -11,19 +9,6 @@ namespace {
 
 /// Nearer than this a projection means nothing.
 constexpr float kNearest_mm = 1.0F;
-
-std::uint64_t fnv1a(std::uint64_t state, std::span<const std::byte> bytes) {
-  for (const std::byte byte : bytes) {
-    state = (state ^ static_cast<std::uint64_t>(byte)) * 0x100000001b3U;
-  }
-  return state;
-}
-
-std::uint64_t subject_id(const mesh::Subject& subject, std::uint32_t count) {
-  std::uint64_t id = fnv1a(subject.hierarchy->id, std::as_bytes(std::span(subject.identity)));
-  id = fnv1a(id, std::as_bytes(std::span(&count, 1)));
-  return id != 0 ? id : 1;
-}
 
 }  // namespace
 
@@ -70,7 +55,7 @@ std::shared_ptr<const mesh::Subject> build_subject(const face::FaceModel& model,
   subject->expression_names = model.expression_names;
   subject->identity = identity;
   subject->regions = model.regions;
-  subject->id = subject_id(*subject, count);
+  subject->id = mesh::subject_id(*subject, count);
   return subject;
 }
 
@@ -89,7 +74,7 @@ std::shared_ptr<const mesh::Subject> build_template_subject(const fit::TemplateM
     subject->regions.push_back(model.regions[static_cast<std::size_t>(control)]);
   }
   subject->hierarchy = std::move(hierarchy);
-  subject->id = subject_id(*subject, count);
+  subject->id = mesh::subject_id(*subject, count);
   return subject;
 }
 

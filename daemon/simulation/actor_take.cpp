@@ -71,10 +71,10 @@ ActorTake::ActorTake(const face::FaceModel& model, const ActorTakeConfig& config
   auto subject = std::make_shared<mesh::Subject>();
   subject->hierarchy = mesh::build_hierarchy(
       model.control, kPixelsPerUnit * model.control.texture_coordinates, facing, options);
-  subject->id = mix(config.seed) | 1U;
   subject->expression_names = model.expression_names;
   subject->identity = identity;
   subject->regions = model.regions;
+  subject->id = mesh::subject_id(*subject, 1);
   subject_ = subject;
 
   const mesh::Hierarchy& hierarchy = *subject->hierarchy;

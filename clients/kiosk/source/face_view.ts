@@ -128,7 +128,7 @@ export class FaceView {
   view: View = 'shaded';
   /** What the controls at the lower edge cover. */
   footer_px = 110;
-  /** Pictures drawn since the start. */
+  /** Pictures of a face drawn since the start. */
   drawn = 0;
   /** Called with every picture. */
   afterDrawing: () => void = () => {};
@@ -184,9 +184,10 @@ export class FaceView {
     this.request();
   }
 
-  setMesh(mesh: FaceMesh): void {
+  /** false: it is not of the topology that is known. */
+  setMesh(mesh: FaceMesh): boolean {
     if (mesh.vertices.length !== 3 * this.vertexCount || mesh.normals.length !== mesh.vertices.length) {
-      return;
+      return false;
     }
     this.uniforms.step_mm.value = mesh.stepMm;
     const geometry = this.surface.geometry;
@@ -229,6 +230,7 @@ export class FaceView {
     this.head.matrixAutoUpdate = false;
     this.head.matrix.makeTranslation(-this.centre.x, -this.centre.y, -this.centre.z).premultiply(turned);
     this.request();
+    return true;
   }
 
   /** Colours of soft regions, sRGB [vertex][3]; null: none. */
@@ -406,8 +408,10 @@ export class FaceView {
       gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
       this.judge(performance.now() - began);
     }
-    ++this.drawn;
-    this.canvas.dataset.drawn = String(this.drawn);
+    if (this.placed) {
+      ++this.drawn;
+      this.canvas.dataset.drawn = String(this.drawn);
+    }
     this.afterDrawing();
   }
 

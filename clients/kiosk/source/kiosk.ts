@@ -105,8 +105,8 @@ function showFrame(frame: Frame): void {
     for (let i = 0; i < 12; ++i) {
       rows[i] = pose.bb!.readFloat32(pose.bb_pos + 4 * i);
     }
-    view?.setMesh({ vertices: shorts, normals, stepMm: positions.stepMm(), confidence: frame.confidenceArray(), pose: rows });
-    lastMesh_ms = now;
+    const mesh = { vertices: shorts, normals, stepMm: positions.stepMm(), confidence: frame.confidenceArray(), pose: rows };
+    lastMesh_ms = view?.setMesh(mesh) === false ? lastMesh_ms : now; // what can't be drawn is no live face
   }
   document.body.dataset.frames = String(Number(document.body.dataset.frames ?? 0) + 1);
   if (now - lastPanels_ms > 90) {
