@@ -43,6 +43,9 @@ std::string ControlClient::exchange(const std::string& request) {
   };
   for (std::size_t sent = 0; sent < request.size();) {
     const ssize_t count = ::send(fd_.get(), request.data() + sent, request.size() - sent, MSG_NOSIGNAL);
+    if (count < 0 && (errno == EPIPE || errno == ECONNRESET)) {
+      break;  // a daemon that hangs up in the middle has said why
+    }
     if (count < 0 && errno != EINTR) {
       throw fail(fmt::format("the daemon takes no requests: {}", std::strerror(errno)));
     }

@@ -254,15 +254,23 @@ void ControlServer::answer(Client& client) {
     if (line.empty() || line == "\r") {
       continue;
     }
+    if (line.size() > kMaxRequestBytes) {
+      refuse_line(client);
+      break;
+    }
     say(client, answer_request(methods_, line, client.caller));
     client.last_words = client.unsent.size() > kMaxUnreadBytes;
   }
   client.unanswered.erase(0, start);
-  if (client.unanswered.size() > kMaxRequestBytes) {
-    say(client, error_response(kInvalidRequest,
-                               fmt::format("a request line has {} bytes at most", kMaxRequestBytes)));
-    client.last_words = true;
+  if (!client.last_words && client.unanswered.size() > kMaxRequestBytes) {
+    refuse_line(client);
   }
+}
+
+void ControlServer::refuse_line(Client& client) {
+  say(client,
+      error_response(kInvalidRequest, fmt::format("a request line has {} bytes at most", kMaxRequestBytes)));
+  client.last_words = true;
 }
 
 void ControlServer::say(Client& client, const std::string& response) {

@@ -74,6 +74,7 @@ class ControlServer {
   void receive(Client& client);
   void answer(Client& client);
   void answer_web(Client& client, std::span<const std::uint8_t> bytes);
+  static void refuse_line(Client& client);
   static void say(Client& client, const std::string& response);
   void send_some(Client& client);
   void watch(const Client& client, int operation);

@@ -71,6 +71,20 @@ class ControlServerTest : public ::testing::Test {
     }
     EXPECT_EQ(served.clients(), count);
   }
+  /// One line without its end; "" once the server has closed the connection.
+  static std::string receive_line(const stream::FileDescriptor& fd) {
+    std::string line;
+    std::array<char, 65536> piece{};
+    while (line.empty() || line.back() != '\n') {
+      const ssize_t count = ::recv(fd.get(), piece.data(), piece.size(), 0);
+      if (count <= 0) {
+        return line;
+      }
+      line.append(piece.data(), static_cast<std::size_t>(count));
+    }
+    line.pop_back();
+    return line;
+  }
   test::TemporaryFolder folder_;
 };
 
@@ -130,20 +144,56 @@ TEST_F(ControlServerTest, RequestsMayComeInPiecesOrSeveralAtOnce) {
   EXPECT_THAT(answers, HasSubstr("\"id\":2"));
 }
 
-TEST_F(ControlServerTest, ALineTooLongIsRefusedAndItsClientDropped) {
+/// A request that echoes text, with as much of it as makes the line this long.
+std::string line_of(std::size_t bytes) {
+  const std::string start = R"({"jsonrpc":"2.0","id":7,"method":"change","params":{"name":")";
+  const std::string end = R"("}})";
+  std::string text(bytes - start.size() - end.size(), 'x');
+  text.back() = '!';
+  return start + text + end + "\n";
+}
+
+TEST_F(ControlServerTest, RequestLinesUpToTheLimitAreAnswered) {
   const Served served(config());
   const stream::FileDescriptor fd = stream::connect_unix(config().socket);
-  const std::string endless(2 * kMaxRequestBytes, 'x');
-  // The server may hang up in the middle.
-  [[maybe_unused]] const ssize_t sent = ::send(fd.get(), endless.data(), endless.size(), MSG_NOSIGNAL);
-  std::string answer;
-  std::array<char, 256> piece{};
-  for (ssize_t count = 1; count > 0;) {
-    count = ::recv(fd.get(), piece.data(), piece.size(), 0);
-    answer.append(piece.data(), count > 0 ? static_cast<std::size_t>(count) : 0);
+  for (const std::size_t bytes :
+       {std::size_t{65'535}, std::size_t{65'537}, kMaxRequestBytes - 1, kMaxRequestBytes}) {
+    const std::string request = line_of(bytes);
+    ASSERT_EQ(request.size(), bytes + 1);
+    ASSERT_EQ(::send(fd.get(), request.data(), request.size(), MSG_NOSIGNAL),
+              static_cast<ssize_t>(request.size()));
+    const std::string answer = receive_line(fd);
+    const json echoed = json::parse(answer, nullptr, false);
+    ASSERT_TRUE(echoed.contains("result")) << answer.substr(0, 200);
+    EXPECT_EQ(echoed["id"], 7);
+    EXPECT_EQ(echoed["result"], json::parse(request)["params"]) << bytes;
   }
-  EXPECT_THAT(answer, HasSubstr("-32600"));
-  expect_clients(served, 0);
+}
+
+TEST_F(ControlServerTest, ALineTooLongIsRefusedAndItsClientDropped) {
+  const Served served(config());
+  for (const std::size_t bytes : {kMaxRequestBytes + 1, kMaxRequestBytes + 10'000, 2 * kMaxRequestBytes}) {
+    const stream::FileDescriptor fd = stream::connect_unix(config().socket);
+    const std::string request = line_of(bytes);
+    // The server may hang up in the middle.
+    [[maybe_unused]] const ssize_t sent = ::send(fd.get(), request.data(), request.size(), MSG_NOSIGNAL);
+    const json told = json::parse(receive_line(fd), nullptr, false);
+    ASSERT_TRUE(told.contains("error")) << bytes;
+    EXPECT_EQ(told["error"]["code"], kInvalidRequest);
+    EXPECT_EQ(told["error"]["message"], "a request line has 1048576 bytes at most");
+    EXPECT_TRUE(told["id"].is_null());
+    EXPECT_EQ(receive_line(fd), "") << "nothing follows";
+    expect_clients(served, 0);
+  }
+  // Programs that use the client are told the same.
+  ControlClient client(config().socket);
+  try {
+    client.call("change", {{"name", std::string(3 * kMaxRequestBytes, 'x')}});
+    FAIL();
+  } catch (const Error& error) {
+    EXPECT_THAT(error.what(), HasSubstr("1048576 bytes at most"));
+  }
+  EXPECT_EQ(ControlClient(config().socket).call("look", json::object()), json({{"seen", true}}));
 }
 
 TEST_F(ControlServerTest, AClientThatNeverReadsHoldsUpNobody) {

@@ -231,6 +231,7 @@ class Web : public ::testing::Test {
                 return json{{"seen", true}};
               }}},
             {"big", {false, {}, [](const json&) { return json(std::string(1 << 20, 'x')); }}},
+            {"echo", {false, {"text"}, [](const json& params) { return params; }}},
             {"change", {true, {}, [](const json&) {
                           return json{{"changed", true}};
                         }}}};
@@ -629,8 +630,43 @@ TEST_F(Web, ReadersTooManyAreToldSo) {
   EXPECT_EQ(local.next(got, kPatience), stream::ReceiveOutcome::Received);
 }
 
+TEST_F(Web, ControlRequestsUpToTheLimitAreAnswered) {
+  start();
+  Peer client = peer();
+  client.shake_hands("/control");
+  for (const std::size_t bytes :
+       {std::size_t{65'535}, std::size_t{65'537}, kMaxRequestBytes - 1, kMaxRequestBytes}) {
+    const std::string begin = R"({"jsonrpc":"2.0","id":7,"method":"echo","params":{"text":")";
+    std::string text(bytes - begin.size() - 3, 'x');
+    text.back() = '!';
+    const std::string request = begin + text + R"("}})";
+    ASSERT_EQ(request.size(), bytes);
+    // In one frame, then in three fragments.
+    client.send_frame(WebSocketOpcode::Text, request);
+    client.send_frame(WebSocketOpcode::Text, request.substr(0, 10), false);
+    client.send_frame(WebSocketOpcode::Continuation, request.substr(10, 60'000), false);
+    client.send_frame(WebSocketOpcode::Continuation, request.substr(60'010));
+    for (int i = 0; i < 2; ++i) {
+      const auto answer = client.frame();
+      ASSERT_TRUE(answer.has_value()) << bytes;
+      ASSERT_EQ(answer->opcode, WebSocketOpcode::Text) << bytes;
+      EXPECT_EQ(json::parse(answer->text())["result"]["text"], text) << bytes;
+    }
+  }
+}
+
 TEST_F(Web, ControlRequestsTooLongAreRefused) {
   start();
+  // The sum of fragments counts.
+  Peer pieces = peer();
+  pieces.shake_hands("/control");
+  pieces.send_frame(WebSocketOpcode::Text, std::string(kMaxRequestBytes - 10, ' '), false);
+  pieces.send_frame(WebSocketOpcode::Continuation, std::string(11, ' '));
+  const auto refused = pieces.frame();
+  ASSERT_TRUE(refused.has_value());
+  EXPECT_EQ(json::parse(refused->text())["error"]["code"], kInvalidRequest);
+  EXPECT_EQ(json::parse(refused->text())["error"]["message"], "a request has 1048576 bytes at most");
+  EXPECT_EQ(pieces.frame()->close_code(), 1009);
   Peer client = peer();
   client.shake_hands("/control");
   client.send_frame(WebSocketOpcode::Text, std::string(kMaxRequestBytes + 1, ' '));
