@@ -34,6 +34,7 @@ struct ExportOptions {
   std::string frames;
   std::string level = "finest";
   std::string space = "camera";
+  std::string compress = "none";
   std::string pictures = "exr";
   int size_px = 2048;
   std::string model;
@@ -222,6 +223,8 @@ int export_sequence(take::TakeReader& reader, const Selection& selection, const 
   take::SequenceOptions sequence;
   sequence.file = options.output;
   sequence.timeline = timeline_of(reader, meshes);
+  sequence.compression =
+      options.compress == "meshopt" ? take::GlbCompression::Meshopt : take::GlbCompression::None;
   sequence.space = options.space == "head" ? take::MeshSpace::Head : take::MeshSpace::Camera;
   if (sequence.file.extension() != fmt::format(".{}", take::extension(format))) {
     throw Error(ErrorKind::Usage, fmt::format("--format {} writes one file: name it with -o NAME.{}",
@@ -375,6 +378,10 @@ int export_pictures(take::TakeReader& reader, const Selection& selection, const 
 }
 
 void run_export(const ExportOptions& options) {
+  if (options.compress != "none" && options.format != "glb-frames" && options.format != "glb-expressions") {
+    throw Error(ErrorKind::Usage,
+                fmt::format("--compress is for glb-frames and glb-expressions, not for {}", options.format));
+  }
   take::TakeReader reader(options.take);
   const take::TakeInfo& info = reader.info();
   if (!info.closed) {
@@ -419,6 +426,14 @@ void add_export_command(CLI::App& app) {
                    "pc2, mdd: camera has the head's movement in the vertices, head is held still")
       ->capture_default_str()
       ->check(CLI::IsMember({"camera", "head"}));
+  command
+      ->add_option(
+          "--compress", options->compress,
+          "glb-frames, glb-expressions: meshopt makes a file a third of the size, which needs a reader of "
+          "EXT_meshopt_compression (three.js, Babylon.js, Unity's glTFast; not Blender); vertices are "
+          "rounded to 0.001 mm")
+      ->capture_default_str()
+      ->check(CLI::IsMember({"none", "meshopt"}));
   command
       ->add_option("--pictures", options->pictures,
                    "Maps: exr has the values themselves as 32-bit floats, png 16 bits a channel")

@@ -33,9 +33,7 @@ void write_glb(const ExportMesh& mesh, const std::filesystem::path& file) {
   GlbFile glb(file);
   GltfJson primitive;
   primitive["attributes"] = attributes(mesh, glb);
-  const std::span<const std::int32_t> indices(mesh.triangles.data(),
-                                              static_cast<std::size_t>(mesh.triangles.size()));
-  primitive["indices"] = glb.add(std::as_bytes(indices), "SCALAR", kGltfUint32, indices.size(), kGltfIndices);
+  primitive["indices"] = glb.add_triangles(mesh.triangles);
   primitive["material"] = 0;
 
   GltfJson document;

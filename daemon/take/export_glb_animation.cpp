@@ -13,27 +13,26 @@ namespace {
 /// A mesh in the head frame, metres, whose node the head's pose moves, with morph targets.
 class GlbAnimation {
  public:
-  /// mesh: head frame, without any target.
-  GlbAnimation(const SequenceOptions& options, const ExportMesh& mesh)
+  /// mesh: head frame, without any target. step: of all positions, where the file is compressed.
+  GlbAnimation(const SequenceOptions& options, const ExportMesh& mesh, GltfStep step)
       : timeline_(options.timeline),
-        glb_(options.file),
-        base_m_(kMetresPerMillimetre * mesh.vertices_mm),
-        base_normals_(mesh.normals) {
+        glb_(options.file, options.compression),
+        step_(step),
+        base_m_(glb_.stored(kMetresPerMillimetre * mesh.vertices_mm, step)),
+        base_normals_(glb_.stored(mesh.normals, GltfStep::Normal)) {
     const auto count = static_cast<std::size_t>(base_m_.cols());
     GltfJson attributes;
-    attributes["POSITION"] = glb_.add_positions(base_m_);
-    attributes["NORMAL"] = glb_.add_floats(flat(base_normals_), "VEC3", count, kGltfVertices);
+    attributes["POSITION"] = glb_.add_positions(base_m_, step_);
+    attributes["NORMAL"] =
+        glb_.add_floats(flat(base_normals_), "VEC3", count, kGltfVertices, GltfStep::Normal);
     attributes["TEXCOORD_0"] = glb_.add_floats(flat(gltf_texture_coordinates(mesh.texture_coordinates)),
-                                               "VEC2", count, kGltfVertices);
+                                               "VEC2", count, kGltfVertices, GltfStep::Texture);
     if (mesh.albedo.cols() > 0) {
       const mesh::Vertices colour = mesh.albedo.cwiseMax(0.0F).cwiseMin(1.0F);
-      attributes["COLOR_0"] = glb_.add_floats(flat(colour), "VEC3", count, kGltfVertices);
+      attributes["COLOR_0"] = glb_.add_floats(flat(colour), "VEC3", count, kGltfVertices, GltfStep::Colour);
     }
-    const std::span<const std::int32_t> indices(mesh.triangles.data(),
-                                                static_cast<std::size_t>(mesh.triangles.size()));
     primitive_["attributes"] = std::move(attributes);
-    primitive_["indices"] =
-        glb_.add(std::as_bytes(indices), "SCALAR", kGltfUint32, indices.size(), kGltfIndices);
+    primitive_["indices"] = glb_.add_triangles(mesh.triangles);
     primitive_["material"] = 0;
     primitive_["targets"] = GltfJson::array();
   }
@@ -43,9 +42,9 @@ class GlbAnimation {
                   const Eigen::Matrix3Xf& normals) {
     const Eigen::Matrix3Xf normal_deltas = normals - base_normals_;
     GltfJson target;
-    target["POSITION"] = glb_.add_positions(kMetresPerMillimetre * vertices_mm - base_m_);
-    target["NORMAL"] =
-        glb_.add_floats(flat(normal_deltas), "VEC3", static_cast<std::size_t>(normals.cols()), kGltfVertices);
+    target["POSITION"] = glb_.add_positions(kMetresPerMillimetre * vertices_mm - base_m_, step_);
+    target["NORMAL"] = glb_.add_floats(flat(normal_deltas), "VEC3", static_cast<std::size_t>(normals.cols()),
+                                       kGltfVertices, GltfStep::Normal);
     primitive_["targets"].push_back(std::move(target));
     names_.push_back(name);
   }
@@ -73,7 +72,7 @@ class GlbAnimation {
   /// weights  [frames][targets]
   void commit(std::span<const float> weights) {
     const std::size_t frames = times_s_.size();
-    const int input = glb_.add_floats(times_s_, "SCALAR", frames, kGltfNoTarget,
+    const int input = glb_.add_floats(times_s_, "SCALAR", frames, kGltfNoTarget, GltfStep::Exact,
                                       {{"min", {times_s_.front()}}, {"max", {times_s_.back()}}});
     GltfJson samplers = GltfJson::array();
     GltfJson channels = GltfJson::array();
@@ -108,6 +107,7 @@ class GlbAnimation {
  private:
   Timeline timeline_;
   GlbFile glb_;
+  GltfStep step_;
   mesh::Vertices base_m_;
   Eigen::Matrix3Xf base_normals_;
   GltfJson primitive_;
@@ -122,7 +122,9 @@ class GlbAnimation {
 class GlbFramesWriter final : public SequenceWriter {
  public:
   GlbFramesWriter(const SequenceOptions& options, const SequenceFrame& first)
-      : file_(options.file), triangles_(first.mesh.triangles), glb_(options, first.mesh) {}
+      : file_(options.file),
+        triangles_(first.mesh.triangles),
+        glb_(options, first.mesh, GltfStep::Position) {}
 
   void add(const SequenceFrame& frame) override {
     require_same_mesh(triangles_, frame, file_);
@@ -156,7 +158,7 @@ class GlbExpressionsWriter final : public SequenceWriter {
       : file_(options.file),
         triangles_(first.mesh.triangles),
         target_count_(options.shapes.names.size()),
-        glb_(options, neutral(options.shapes, first.mesh)) {
+        glb_(options, neutral(options.shapes, first.mesh), GltfStep::Shape) {
     Eigen::Matrix3Xf normals;
     for (std::size_t e = 0; e < target_count_; ++e) {
       const mesh::Vertices shape = options.shapes.neutral_mm + options.shapes.deltas_mm[e];

@@ -437,6 +437,41 @@ TEST_F(ExportPeers, TinyUsdzReadsEveryVertex) {
       << output_;
 }
 
+TEST_F(ExportPeers, ThreeReadsCompressedMeshes) {
+  const auto three = std::filesystem::path(FACET_SOURCE_DIR) / "clients/kiosk/node_modules/three";
+  const std::filesystem::path validator = test::assets() / "gltf-validator";
+  if (program("node").empty() || !std::filesystem::exists(three) || !std::filesystem::exists(validator)) {
+    GTEST_SKIP() << "Node.js, " << three << " (clients/kiosk/fetch-modules) or " << validator
+                 << " (packaging/fetch-assets) is not there";
+  }
+  export_all();
+  std::vector<std::string> validated = {script("check-glb.mjs"), validator.string()};
+  const auto compare = [&](std::vector<std::string> arguments, const std::string& name,
+                           const std::string& truth) {
+    arguments.insert(arguments.begin(), "export");
+    arguments.insert(arguments.end(), {"--compress", "meshopt", "-o", file("small-" + name)});
+    ASSERT_EQ(run(arguments), 0) << output_;
+    validated.push_back(file("small-" + name));
+    EXPECT_EQ(run(program("node"), {script("check-meshopt.mjs"), three.string(), file("small-" + name),
+                                    file(name), file(truth)}),
+              0)
+        << output_;
+    std::cout << output_;
+  };
+  compare({file("some.take"), "--format", "glb-frames"}, "frames.glb", "truth");
+  if (std::filesystem::exists(test::default_model())) {
+    compare({file("person.take"), "--format", "glb-expressions", "--model", test::default_model().string()},
+            "expressions.glb", "coarse");
+  }
+  EXPECT_EQ(run(program("node"), validated), 0) << output_;
+  EXPECT_THAT(output_, HasSubstr("small-frames.glb: 0 errors"));
+  // Where it means nothing it is refused.
+  EXPECT_EQ(run({"export", file("some.take"), "--format", "usda", "--compress", "meshopt", "-o",
+                 file("small.usda")}),
+            2);
+  EXPECT_THAT(output_, HasSubstr("--compress is for glb-frames and glb-expressions, not for usda"));
+}
+
 TEST_F(ExportPeers, BlenderImportsEveryVertex) {
   if (program("blender").empty()) {
     GTEST_SKIP() << "Blender is not installed (apt-get install blender)";
