@@ -1,53 +1,44 @@
 // The page on the booth's own screen, as facet-kiosk.service would start it: packaging/facet-kiosk, cage and Chromium with its sandbox, on a screen that
-// wlroots keeps in memory, before a running facetd.
+// Xvfb keeps in memory, before a running facetd.
 // Usage: node screen_test.mjs FACETD FACET PAGE_FOLDER OUTPUT_FOLDER ASSETS       Pictures land in the output folder.
 import assert from 'node:assert/strict';
 import { execFileSync, spawn } from 'node:child_process';
-import { chmodSync, chownSync, createWriteStream, mkdirSync, readFileSync, readdirSync, writeFileSync } from 'node:fs';
+import { chmodSync, chownSync, createWriteStream, mkdirSync, writeFileSync } from 'node:fs';
 import { join } from 'node:path';
 import { fileURLToPath } from 'node:url';
-import { Service, kPatience_ms } from './service.mjs';
+import { Service } from './service.mjs';
 
 const [facetd, facet, pageFolder, output, assets] = process.argv.slice(2);
 const kiosk = fileURLToPath(new URL('../../packaging/facet-kiosk', import.meta.url));
+const [kWidth, kHeight] = [1024, 768]; // of cage's window there
 const kNobody = 65534; // cage does not start for root, and neither does Chromium's sandbox
 const service = await Service.prepare({ facetd, page: pageFolder, assets, log: join(output, 'facetd-screen.log'), source: 'path = "grey.mkv"\nloop = true' });
 const { folder } = service;
 execFileSync('ffmpeg', ['-loglevel', 'error', '-f', 'lavfi', '-i', 'color=gray:s=320x240:r=2', '-t', '5', join(folder, 'grey.mkv')]);
 execFileSync(facet, ['synth', '--seed', '3', '--frames', '90', '--vertices', '8000', '-o', join(service.takes, 'actor.take')], { stdio: 'ignore' });
 
-/** What is on the screen; null while there is none. What was drawn before the window had its size may be missing from the picture: wlroots 0.15 without a
- * display drops the first commits, so that only what changes later is sure to be there, as the face is. */
-function look(runtime, file) {
-  const display = readdirSync(runtime).find((name) => /^wayland-\d+$/.test(name));
-  if (!display) {
-    return null;
-  }
-  try {
-    execFileSync('grim', [file], { env: { ...process.env, XDG_RUNTIME_DIR: runtime, WAYLAND_DISPLAY: display }, stdio: 'ignore', timeout: kPatience_ms });
-    const pixels = execFileSync('ffmpeg', ['-loglevel', 'error', '-i', file, '-f', 'rawvideo', '-pix_fmt', 'rgb24', '-'], { maxBuffer: 1 << 26 });
-    const header = readFileSync(file);
-    const [width, height] = [header.readUInt32BE(16), header.readUInt32BE(20)]; // of a PNG
-    assert.equal(pixels.length, 3 * width * height);
-    const share = (left, top, right, bottom, holds) => {
-      let [count, all] = [0, 0];
-      for (let y = Math.floor(top * height); y < bottom * height; ++y) {
-        for (let x = Math.floor(left * width); x < right * width; ++x, ++all) {
-          const at = 3 * (y * width + x);
-          count += holds(pixels[at], pixels[at + 1], pixels[at + 2]) ? 1 : 0;
-        }
+/** What is on the screen. */
+function look() {
+  const grab = (...how) => execFileSync('ffmpeg', ['-loglevel', 'error', '-y', '-f', 'x11grab', '-video_size', `${kWidth}x${kHeight}`, '-i', display, '-frames:v', '1', ...how], { maxBuffer: 1 << 26 });
+  const pixels = grab('-f', 'rawvideo', '-pix_fmt', 'rgb24', '-');
+  const share = (left, top, right, bottom, holds) => {
+    let [count, all] = [0, 0];
+    for (let y = Math.floor(top * kHeight); y < bottom * kHeight; ++y) {
+      for (let x = Math.floor(left * kWidth); x < right * kWidth; ++x, ++all) {
+        const at = 3 * (y * kWidth + x);
+        count += holds(pixels[at], pixels[at + 1], pixels[at + 2]) ? 1 : 0;
       }
-      return count / all;
-    };
-    const skin = (r, g, b) => r > g + 8 && g > b && r > 70;
-    return { width, height, pixels, face: share(0.23, 0.2, 0.33, 0.5, skin), beside: share(0.04, 0.2, 0.14, 0.5, skin) };
-  } catch (error) {
-    if (error instanceof assert.AssertionError) {
-      throw error;
     }
-    return null; // the compositor is not there yet
-  }
+    return count / all;
+  };
+  const skin = (r, g, b) => r > g + 8 && g > b && r > 70;
+  return { pixels, keep: () => grab(join(output, 'screen.png')), face: share(0.23, 0.2, 0.33, 0.4, skin), beside: share(0.04, 0.2, 0.1, 0.4, skin), lit: share(0, 0, 1, 1, (r, g, b) => r + g + b > 15) };
 }
+
+// The screen, on a display that nobody has now.
+const server = spawn('Xvfb', ['-displayfd', '3', '-screen', '0', `${kWidth}x${kHeight}x24`, '-nolisten', 'tcp'], { stdio: ['ignore', 'ignore', 'ignore', 'pipe'] });
+process.on('exit', () => server.kill());
+const display = `:${await new Promise((resolve, reject) => { server.stdio[3].on('data', (number) => resolve(String(number).trim())); server.on('exit', () => reject(new Error('Xvfb ended'))); })}`;
 
 let screen = null;
 let failure = null;
@@ -69,19 +60,20 @@ try {
   const command = asRoot ? ['setpriv', '--reuid', String(kNobody), '--regid', String(kNobody), '--clear-groups', kiosk] : [kiosk];
   screen = spawn(command[0], command.slice(1), {
     detached: true, cwd: '/', stdio: ['ignore', 'pipe', 'pipe'],
-    env: { PATH: process.env.PATH, FACET_KIOSK_URL: `${service.origin}/`, RUNTIME_DIRECTORY: runtime, CREDENTIALS_DIRECTORY: credentials,
-           WLR_BACKENDS: 'headless', WLR_RENDERER: 'pixman', WLR_LIBINPUT_NO_DEVICES: '1' } });
+    env: { PATH: process.env.PATH, DISPLAY: display, FACET_KIOSK_URL: `${service.origin}/`, RUNTIME_DIRECTORY: runtime, CREDENTIALS_DIRECTORY: credentials,
+           WLR_BACKENDS: 'x11', WLR_RENDERER: 'pixman' } });
   const log = createWriteStream(join(output, 'facet-kiosk.log'));
   screen.stdout.pipe(log);
   screen.stderr.pipe(log);
   const reads = async () => (await service.ask('status')).stream.readers.some((reader) => reader.client === 'kiosk' && reader.frames_sent > 10);
   await service.eventually('the page reads the stream', async () => { assert.equal(screen.exitCode, null, 'facet-kiosk ended; see facet-kiosk.log'); return reads(); });
-  const file = join(output, 'screen.png');
-  const seen = await service.eventually('a face on the screen', async () => { const now = look(runtime, file); return now && now.face > 0.6 && now.beside < 0.05 ? now : null; });
-  console.log(`a screen of ${seen.width}x${seen.height}: ${(100 * seen.face).toFixed(0)} % skin where the face is, ${(100 * seen.beside).toFixed(0)} % beside it`);
-  await service.eventually('the face moves', async () => { const now = look(runtime, file); return now && !now.pixels.equals(seen.pixels); });
+  const seen = await service.eventually('a face on the screen', async () => { const now = look(); return now.face > 0.6 && now.beside < 0.05 && now.lit > 0.9 ? now : null; });
+  console.log(`${(100 * seen.face).toFixed(0)} % skin where the face is, ${(100 * seen.beside).toFixed(0)} % beside it`);
+  await service.eventually('the face moves', async () => !look().pixels.equals(seen.pixels));
+  seen.keep();
 } catch (error) {
   failure = error;
+  look().keep();
 } finally {
   if (screen) {
     try { process.kill(-screen.pid, 'SIGTERM'); } catch { /* it has ended */ }
