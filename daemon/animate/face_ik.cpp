@@ -82,10 +82,10 @@ struct FaceIk::Site {
 /// Control points that are solved together, and their region's solution.
 struct FaceIk::Group {
   std::vector<std::size_t> sites;
-  Eigen::MatrixXd captured;  ///< [dimensions][frame_count] s_f of eq. 15, stacked; on screen p(s_f)
+  std::optional<FaceSums>
+      faces;  ///< s_f of eq. 15, of its control points one below the other; on screen p(s_f)
   bool solved = false;
   Eigen::VectorXd solved_for;
-  Eigen::VectorXd weights;    ///< [frame_count] w_f
   Eigen::VectorXd mean;       ///< m
   Eigen::MatrixXd precision;  ///< V^-1
   Eigen::VectorXd offset;     ///< p - m, then what the steps add
@@ -146,7 +146,7 @@ void FaceIk::set_view(const CameraIntrinsics& camera, const Eigen::Isometry3f& c
 }
 
 void FaceIk::set_options(IkOptions options) {
-  if (options.whole != options_.whole) {
+  if (options.whole != options_.whole || options.every_face != options_.every_face) {
     maps_.reset();
   }
   for (Group& group : groups_) {
@@ -236,12 +236,12 @@ Eigen::Vector3f displaced(const Eigen::Ref<const Eigen::VectorXf>& positions, bo
 
 }  // namespace
 
-void FaceIk::fill_captured(Group& group) const {
+Eigen::MatrixXd FaceIk::captured(const Group& group) const {
   Eigen::Index rows = 0;
   for (const std::size_t s : group.sites) {
     rows += dimensions(sites_[s].target.space);
   }
-  group.captured.resize(rows, basis_->frame_count());
+  Eigen::MatrixXd out(rows, basis_->frame_count());
   const Eigen::Index rank = basis_->coarse_rank();
   const Eigen::Index detail_rank = basis_->detail_rank();
   constexpr Eigen::Index kFrames = 512;
@@ -261,11 +261,12 @@ void FaceIk::fill_captured(Group& group) const {
                             : 0.0F;
         const Eigen::Vector3d at = displaced(rings.col(f), site.closed_ring, displacement_mm).cast<double>();
         const Eigen::VectorXd seen = as_targeted(site, at);
-        group.captured.col(first + f).segment(row, seen.size()) = seen;
+        out.col(first + f).segment(row, seen.size()) = seen;
       }
     }
     row += dimensions(site.target.space);
   }
+  return out;
 }
 
 void FaceIk::rebuild(std::span<const ControlTarget> targets) {
@@ -305,16 +306,16 @@ void FaceIk::rebuild(std::span<const ControlTarget> targets) {
     groups_[options_.whole ? 0 : s].sites.push_back(s);
   }
   for (Group& group : groups_) {
-    fill_captured(group);
+    group.faces.emplace(captured(group), basis_->coefficients(), options_.every_face);
     Eigen::Index row = 0;
     for (const std::size_t s : group.sites) {
       const Eigen::Index size = dimensions(sites_[s].target.space);
-      const auto captured = group.captured.middleRows(row, size);
+      const auto positions = group.faces->captured().middleRows(row, size);
       sites_[s].edge_directions = spread_directions(size);
-      sites_[s].middle = captured.rowwise().mean();
+      sites_[s].middle = positions.rowwise().mean();
       sites_[s].edges = Eigen::VectorXd::Constant(kEdgeDirections, -std::numeric_limits<double>::max());
-      for (Eigen::Index f = 0; f < captured.cols(); ++f) {
-        sites_[s].edges = sites_[s].edges.cwiseMax(sites_[s].edge_directions.transpose() * captured.col(f));
+      for (Eigen::Index f = 0; f < positions.cols(); ++f) {
+        sites_[s].edges = sites_[s].edges.cwiseMax(sites_[s].edge_directions.transpose() * positions.col(f));
       }
       row += size;
     }
@@ -352,36 +353,25 @@ void FaceIk::rebuild(std::span<const ControlTarget> targets) {
 }
 
 void FaceIk::solve_group(Group& group) {
-  Eigen::VectorXd target(group.captured.rows());
+  Eigen::VectorXd target(group.faces->captured().rows());
   Eigen::Index row = 0;
   for (const std::size_t s : group.sites) {
     target.segment(row, sites_[s].aim.size()) = sites_[s].aim;
     row += sites_[s].aim.size();
   }
-  if (group.solved && group.solved_for == target) {
-    group.offset = target - group.mean;
-    group.limit();
-    return;
+  if (!group.solved || group.solved_for != target) {
+    const Eigen::Index size = target.size();
+    FaceSums::Result sums = group.faces->at(target);
+    sums.covariance.diagonal().array() += kNoise * kNoise;
+    group.mean = std::move(sums.mean);
+    group.precision = sums.covariance.ldlt().solve(Eigen::MatrixXd::Identity(size, size));
+    group.average = std::move(sums.average);
+    group.response = sums.moments * group.precision.cast<float>();
+    group.solved = true;
+    group.solved_for = target;
   }
-  const Eigen::Index size = target.size();
-  const Eigen::Index count = group.captured.cols();
-  group.weights = (1.0 + (group.captured.colwise() - target).colwise().norm().array()).inverse().transpose();
-  group.weights /= group.weights.sum();
-  group.mean = group.captured * group.weights;
-  const Eigen::MatrixXd apart = group.captured.colwise() - group.mean;
-  Eigen::MatrixXd covariance = (apart * group.weights.asDiagonal()) * apart.transpose();
-  covariance.diagonal().array() += kNoise * kNoise;
-  group.precision = covariance.ldlt().solve(Eigen::MatrixXd::Identity(size, size));
-  Eigen::MatrixXf factors(count, size + 1);
-  factors.col(0) = group.weights.cast<float>();
-  factors.rightCols(size) = (apart * group.weights.asDiagonal()).transpose().cast<float>();
-  const Eigen::MatrixXf sums = basis_->coefficients() * factors;
-  group.average = sums.col(0);
-  group.response = sums.rightCols(size) * group.precision.cast<float>();
   group.offset = target - group.mean;
   group.limit();
-  group.solved = true;
-  group.solved_for = target;
 }
 
 void FaceIk::blend_regions(Pose& pose) const {
@@ -660,8 +650,9 @@ Eigen::MatrixXd FaceIk::region_weights() const {
   for (std::size_t g = 0; g < groups_.size(); ++g) {
     const Group& group = groups_[g];
     const Eigen::VectorXd lever = group.precision * group.offset;
-    const Eigen::VectorXd factor = (group.captured.colwise() - group.mean).transpose() * lever;
-    solved.col(static_cast<Eigen::Index>(g)) = group.weights.cwiseProduct((1.0 + factor.array()).matrix());
+    const Eigen::VectorXd factor = (group.faces->captured().colwise() - group.mean).transpose() * lever;
+    solved.col(static_cast<Eigen::Index>(g)) =
+        group.faces->weights(group.solved_for).cwiseProduct((1.0 + factor.array()).matrix());
   }
   return solved * region_from_group_.transpose();
 }

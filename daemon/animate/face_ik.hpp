@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "animate/face_sums.hpp"
 #include "animate/influence.hpp"
 #include "animate/region_metric.hpp"
 
@@ -32,6 +33,8 @@ struct IkOptions {
   /// Folds come from the captured faces nearest to the pose instead of from the average that the weights
   /// make, in which they wash out.
   bool sharp_folds = true;
+  /// Every captured face is weighted by itself, however many they are (FaceSums): to measure the difference.
+  bool every_face = false;
 };
 
 /// What became of one control point.
@@ -99,7 +102,7 @@ class FaceIk {
   struct Region;
   void rebuild(std::span<const ControlTarget> targets);
   void build_site(Site& site) const;
-  void fill_captured(Group& group) const;
+  Eigen::MatrixXd captured(const Group& group) const;
   void solve_group(Group& group);
   void blend_regions(Pose& pose) const;
   void pick_folds(Pose& pose);
