@@ -34,7 +34,6 @@ std::shared_ptr<const animate::TakeBasis> open_basis(const BasisChoice& choice, 
   options.detail_rank = choice.detail_rank;
   options.file = choice.file;
   std::unique_ptr<Progress> progress;
-  int signal = 0;
   std::shared_ptr<const animate::TakeBasis> basis;
   try {
     basis = animate::TakeBasis::open(choice.take, options, [&](std::int64_t done, std::int64_t total) {
@@ -42,12 +41,12 @@ std::shared_ptr<const animate::TakeBasis> open_basis(const BasisChoice& choice, 
         progress = std::make_unique<Progress>("Reducing", static_cast<std::uint64_t>(total));
       }
       progress->set(static_cast<std::uint64_t>(done));
-      signal = signals.pending();
-      return signal == 0;
+      return signals.pending() == 0;
     });
   } catch (const Error&) {
     progress.reset();
-    if (signal != 0) {
+    if (const int signal = signals.pending(); signal != 0) {
+      fmt::print(stderr, "facet: broken off while '{}' was reduced: nothing was written\n", choice.take);
       signals.die_of(signal);
     }
     throw;
@@ -64,6 +63,13 @@ std::shared_ptr<const animate::TakeBasis> open_basis(const BasisChoice& choice, 
     fmt::print(stderr, "note: {} frames without refinement are left out\n", header.left_out);
   }
   return basis;
+}
+
+void end_where_broken_off(const StopSignals& signals, const std::string& output) {
+  if (const int signal = signals.pending(); signal != 0) {
+    fmt::print(stderr, "facet: broken off: nothing was written to '{}'\n", output);
+    signals.die_of(signal);
+  }
 }
 
 std::vector<float> parse_numbers(const std::string& option, const std::string& text, std::size_t count) {
@@ -85,18 +91,17 @@ std::vector<float> parse_numbers(const std::string& option, const std::string& t
   return numbers;
 }
 
-render::Picture draw_face(const mesh::MeshFrame& frame, const mesh::Vertices& colours, int width_px,
-                          int height_px) {
+render::Picture draw_face(const mesh::MeshFrame& frame, const CameraIntrinsics& camera,
+                          const mesh::Vertices& tints) {
   const FrameGeometry geometry = geometry_of(frame);
   const mesh::Triangles& triangles = frame.subject->hierarchy->finest().triangles;
-  const Cell cell = cell_around(face_vertices(frame), frame.camera, width_px, height_px);
+  mesh::Vertices colours = grey_shading(geometry.refined_normals);
+  if (tints.cols() > 0) {
+    colours = colours.cwiseProduct(tints).eval();
+  }
   const render::Raycaster caster(geometry.refined_mm, triangles, render::Raycaster::Build::Quick);
-  return render_colours(caster, triangles, colours, cell.camera,
-                        render::plain_picture(width_px, height_px, kPaper));
-}
-
-render::Picture draw_face(const mesh::MeshFrame& frame, int width_px, int height_px) {
-  return draw_face(frame, grey_shading(geometry_of(frame).refined_normals), width_px, height_px);
+  return render_colours(caster, triangles, colours, camera,
+                        render::plain_picture(camera.width_px, camera.height_px, kPaper));
 }
 
 }  // namespace facet::tools

@@ -31,13 +31,15 @@ void add_basis_options(CLI::App& command, BasisChoice& choice);
 /// process.
 std::shared_ptr<const animate::TakeBasis> open_basis(const BasisChoice& choice, const StopSignals& signals);
 
+/// Ends the process, with a sentence, where a signal has come.
+void end_where_broken_off(const StopSignals& signals, const std::string& output);
+
 /// "1,2.5,-3": exactly `count` finite numbers. Throws Error(Usage) naming the option.
 std::vector<float> parse_numbers(const std::string& option, const std::string& text, std::size_t count);
 
-/// A posed face in grey light, as its camera sees it.
-render::Picture draw_face(const mesh::MeshFrame& frame, int width_px, int height_px);
-/// The same in one colour per vertex. colours [3][finest vertex_count] linear RGB
-render::Picture draw_face(const mesh::MeshFrame& frame, const mesh::Vertices& colours, int width_px,
-                          int height_px);
+/// A posed face in grey light.
+/// tints [3][finest vertex_count] linear RGB, what the grey is multiplied by; empty: nothing
+render::Picture draw_face(const mesh::MeshFrame& frame, const CameraIntrinsics& camera,
+                          const mesh::Vertices& tints = {});
 
 }  // namespace facet::tools

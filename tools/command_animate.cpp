@@ -25,6 +25,7 @@
 #include "stop_signals.hpp"
 #include "take/export.hpp"
 #include "take/recorder.hpp"
+#include "take_pictures.hpp"
 
 namespace facet::tools {
 namespace {
@@ -90,21 +91,21 @@ class Frames {
   std::int64_t count_ = 0;
 };
 
-/// Calls work for every frame; returns the signal that broke it off, or 0.
-int for_each(Frames& frames, const char* what, const StopSignals& signals,
-             const std::function<void(std::int64_t, const std::shared_ptr<const mesh::MeshFrame>&)>& work) {
+/// Calls work for every frame; false where a signal broke it off.
+bool for_each(Frames& frames, const char* what, const StopSignals& signals,
+              const std::function<void(std::int64_t, const std::shared_ptr<const mesh::MeshFrame>&)>& work) {
   Progress progress(what, static_cast<std::uint64_t>(frames.count()));
   for (std::int64_t index = 0; index < frames.count(); ++index) {
-    if (const int signal = signals.pending(); signal != 0) {
-      return signal;
+    if (signals.pending() != 0) {
+      return false;
     }
     work(index, frames.at(index));
     progress.advance();
   }
-  return 0;
+  return true;
 }
 
-int write_take(Frames& frames, const AnimateOptions& options, const StopSignals& signals) {
+bool write_take(Frames& frames, const AnimateOptions& options, const StopSignals& signals) {
   take::TakeRecorderConfig config;
   config.file = options.output;
   config.source = fmt::format("{} of {}", options.keys.empty() ? "walk " + options.walk : options.keys,
@@ -113,35 +114,58 @@ int write_take(Frames& frames, const AnimateOptions& options, const StopSignals&
   config.when_full = take::WhenFull::Wait;
   take::TakeRecorder recorder(config);
   recorder.start();
-  const int signal = for_each(frames, "Animating", signals,
+  const bool whole = for_each(frames, "Animating", signals,
                               [&](std::int64_t, const auto& frame) { recorder.record(frame); });
   const take::RecorderStatus status = recorder.stop();
-  if (signal != 0) {
+  if (!whole) {
     std::error_code ignored;
     std::filesystem::remove(options.output, ignored);
-    return signal;
+    return false;
   }
   if (status.state == take::RecorderState::Failed) {
     throw Error(ErrorKind::Storage, fmt::format("'{}': {}", options.output, status.reason));
   }
-  return 0;
+  return true;
 }
 
-int write_video(Frames& frames, const AnimateOptions& options, double rate_hz, const StopSignals& signals) {
+/// One camera for all of a film: what holds the face wherever it goes. A camera that followed the face would
+/// pump with every expression.
+CameraIntrinsics film_camera(Frames& frames) {
+  constexpr std::int64_t kMostLooks = 120;
+  const std::int64_t step = std::max<std::int64_t>(1, frames.count() / kMostLooks);
+  std::vector<mesh::Vertices> looks;
+  Eigen::Index count = 0;
+  CameraIntrinsics camera;
+  for (std::int64_t index = 0; index < frames.count(); index += step) {
+    const auto frame = frames.at(index);
+    camera = frame->camera;
+    count += looks.emplace_back(face_vertices(*frame)).cols();
+  }
+  mesh::Vertices all(3, count);
+  Eigen::Index at = 0;
+  for (const mesh::Vertices& look : looks) {
+    all.middleCols(at, look.cols()) = look;
+    at += look.cols();
+  }
+  return cell_around(all, camera, kVideoWidth_px, kVideoHeight_px).camera;
+}
+
+bool write_video(Frames& frames, const AnimateOptions& options, double rate_hz, const StopSignals& signals) {
+  const CameraIntrinsics camera = film_camera(frames);
   simulation::LosslessVideo video(options.output, kVideoWidth_px, kVideoHeight_px,
                                   static_cast<int>(std::lround(rate_hz)));
-  const int signal = for_each(frames, "Drawing", signals, [&](std::int64_t, const auto& frame) {
-    video.append(draw_face(*frame, kVideoWidth_px, kVideoHeight_px));
+  const bool whole = for_each(frames, "Drawing", signals, [&](std::int64_t, const auto& frame) {
+    video.append(draw_face(*frame, camera));
   });
   video.finish();
-  if (signal != 0) {
+  if (!whole) {
     std::error_code ignored;
     std::filesystem::remove(options.output, ignored);
   }
-  return signal;
+  return whole;
 }
 
-int write_glb(Frames& frames, const AnimateOptions& options, double rate_hz, const StopSignals& signals) {
+bool write_glb(Frames& frames, const AnimateOptions& options, double rate_hz, const StopSignals& signals) {
   take::SequenceOptions sequence;
   sequence.file = options.output;
   sequence.timeline.rate_hz = rate_hz;
@@ -150,7 +174,7 @@ int write_glb(Frames& frames, const AnimateOptions& options, double rate_hz, con
   }
   std::unique_ptr<take::SequenceWriter> writer;
   take::SequenceFrame next;
-  const int signal = for_each(frames, "Writing", signals, [&](std::int64_t, const auto& frame) {
+  const bool whole = for_each(frames, "Writing", signals, [&](std::int64_t, const auto& frame) {
     next.sequence = frame->sequence;
     next.camera_from_head = frame->camera_from_head;
     next.expression = frame->expression;
@@ -160,10 +184,10 @@ int write_glb(Frames& frames, const AnimateOptions& options, double rate_hz, con
     }
     writer->add(next);
   });
-  if (signal == 0) {
+  if (whole) {
     writer->commit();
   }
-  return signal;
+  return whole;
 }
 
 void print_report(const animate::AnimationReport& report, bool all) {
@@ -227,10 +251,7 @@ void run_animate(const AnimateOptions& options) {
   try {
     prepare();
   } catch (const Error&) {
-    if (const int signal = signals.pending(); signal != 0) {
-      fmt::print(stderr, "facet: broken off: nothing was written to '{}'\n", options.output);
-      signals.die_of(signal);
-    }
+    end_where_broken_off(signals, options.output);
     throw;
   }
   print_report(report, options.report);
@@ -240,12 +261,11 @@ void run_animate(const AnimateOptions& options) {
   Frames frames(*animation, rate_hz,
                 options.head == "captured" ? animate::HeadMotion::Captured : animate::HeadMotion::Still);
   const std::string extension = std::filesystem::path(options.output).extension();
-  const int signal = extension == ".take"  ? write_take(frames, options, signals)
+  const bool whole = extension == ".take"  ? write_take(frames, options, signals)
                      : extension == ".glb" ? write_glb(frames, options, rate_hz, signals)
                                            : write_video(frames, options, rate_hz, signals);
-  if (signal != 0) {
-    fmt::print(stderr, "facet: broken off: nothing was written to '{}'\n", options.output);
-    signals.die_of(signal);
+  if (!whole) {
+    end_where_broken_off(signals, options.output);
   }
   basis->check_unchanged();
   fmt::print("{}: {} frames, {:.2f} s\n", options.output, frames.count(), frames.time_s(frames.count()));

@@ -114,9 +114,9 @@ void write_picture(const animate::Pose& pose, const mesh::MeshFrame& frame, cons
                                                        {0.85F, 0.65F, 0.1F},
                                                        {0.6F, 0.2F, 0.75F},
                                                        {0.1F, 0.7F, 0.65F}}};
-  mesh::Vertices colours = grey_shading(geometry_of(frame).refined_normals);
   const animate::RegionWeights& regions = pose.maps->finest();
-  for (Eigen::Index v = 0; v < colours.cols(); ++v) {
+  mesh::Vertices tints(3, static_cast<Eigen::Index>(regions.offsets.size()) - 1);
+  for (Eigen::Index v = 0; v < tints.cols(); ++v) {
     Eigen::Vector3f hue = Eigen::Vector3f::Zero();
     const auto row = static_cast<std::size_t>(v);
     for (std::int32_t k = regions.offsets[row]; k < regions.offsets[row + 1]; ++k) {
@@ -124,11 +124,13 @@ void write_picture(const animate::Pose& pose, const mesh::MeshFrame& frame, cons
       hue += regions.weights[entry] *
              Eigen::Map<const Eigen::Vector3f>(kHues[regions.regions[entry] % kHues.size()].data());
     }
-    colours.col(v) = colours.col(v).cwiseProduct(1.6F * hue);
+    tints.col(v) = 1.6F * hue;
   }
   render::Picture picture = render::plain_picture(2 * kPictureWidth_px, kPictureHeight_px, kPaper);
-  render::paste(picture, draw_face(frame, kPictureWidth_px, kPictureHeight_px), 0, 0);
-  render::paste(picture, draw_face(frame, colours, kPictureWidth_px, kPictureHeight_px), kPictureWidth_px, 0);
+  const CameraIntrinsics camera =
+      cell_around(face_vertices(frame), frame.camera, kPictureWidth_px, kPictureHeight_px).camera;
+  render::paste(picture, draw_face(frame, camera), 0, 0);
+  render::paste(picture, draw_face(frame, camera, tints), kPictureWidth_px, 0);
   render::write_png(picture, file);
 }
 
@@ -174,6 +176,7 @@ void run_pose(const PoseOptions& options) {
   report(controls, ik.solve(targets, pose), *basis);
   mesh::MeshFrame frame = animate::blank_frame(*basis);
   animate::blend(*basis, pose, frame);
+  end_where_broken_off(signals, options.output);
 
   const std::string extension = std::filesystem::path(options.output).extension();
   if (extension == ".png") {

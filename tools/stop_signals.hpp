@@ -1,5 +1,6 @@
 #pragma once
 
+#include <atomic>
 #include <csignal>
 #include <ctime>
 
@@ -24,8 +25,13 @@ class StopSignals {
     const int signal = ::sigtimedwait(&set_, nullptr, &patience);
     return signal > 0 ? signal : 0;
   }
-  /// The signal that has come, or 0.
-  int pending() const { return wait({0, 0}); }
+  /// The signal that has come, or 0; the same ever after, whichever thread asks.
+  int pending() const {
+    if (const int signal = wait({0, 0}); signal != 0) {
+      seen_ = signal;
+    }
+    return seen_;
+  }
 
   /// Ends the process as the signal would have, so that a calling shell sees what happened.
   void die_of(int signal) const {
@@ -37,6 +43,7 @@ class StopSignals {
  private:
   sigset_t set_{};
   sigset_t before_{};
+  mutable std::atomic<int> seen_{0};
 };
 
 }  // namespace facet::tools

@@ -234,11 +234,19 @@ TEST_F(AnimationTest, WalksGoOnWithoutAJerk) {
 /// `facet` itself.
 class AnimateCommand : public AnimationTest {
  protected:
-  int run(const std::vector<std::string>& arguments) {
-    ChildProcess child(FACET_PROGRAM, arguments, folder_.path() / "log");
+  int run(const std::vector<std::string>& arguments, const test::Birth& birth = {}) {
+    ChildProcess child(FACET_PROGRAM, arguments, folder_.path() / "log", birth);
     const int status = child.wait();
     output_ = child.output();
     return status;
+  }
+  std::vector<std::string> files() const {
+    std::vector<std::string> names;
+    for (const auto& entry : std::filesystem::directory_iterator(folder_.path())) {
+      names.push_back(entry.path().filename());
+    }
+    std::sort(names.begin(), names.end());
+    return names;
   }
   std::string file(const std::string& name) const { return (folder_.path() / name).string(); }
   std::string file(const std::string& name, const std::string& text) const {
@@ -319,6 +327,53 @@ TEST_F(AnimateCommand, MakesTakesThatOtherCommandsRead) {
   EXPECT_EQ(run({"animate", take, "--keys", file("bad.json", R"({"keys": []})"), "-o", file("no.take")}), 2);
   EXPECT_THAT(output_, HasSubstr("needs a key"));
   EXPECT_FALSE(std::filesystem::exists(file("no.take")));
+}
+
+TEST_F(AnimateCommand, ASignalWhileItPreparesLeavesNothing) {
+  const std::string take = test::record_actor(folder_.path(), 1, 60);
+  const std::string keys =
+      file("keys.json", R"({"keys": [{"time_s": 0, "frame": 5}, {"time_s": 1, "frame": 40}]})");
+  const std::vector<std::vector<std::string>> commands = {
+      {"pose", take, "--move", "lip-lower=0,-5,0", "-o", file("out.glb")},
+      {"animate", take, "--keys", keys, "-o", file("out.take")},
+      {"animate", take, "--walk", "2s", "--region", "lip-lower", "-o", file("out.mkv")}};
+  const std::vector<std::string> before = {"actor1.take", "keys.json", "log"};
+  // The signal comes at the first look: while the take is reduced, and where that was done before, while the
+  // pose is solved or faces are compared.
+  for (const bool reduced : {false, true}) {
+    std::vector<std::string> expected = before;
+    if (reduced) {
+      ASSERT_EQ(run({"pose", take, "--places"}), 0) << output_;
+      expected.insert(expected.begin(), "actor1.basis");
+    }
+    for (const int signal : {SIGINT, SIGTERM}) {
+      for (const std::vector<std::string>& command : commands) {
+        EXPECT_EQ(run(command, {.environment = {}, .pending_signal = signal}), 128 + signal) << output_;
+        EXPECT_THAT(output_, HasSubstr("broken off"));
+        EXPECT_THAT(output_, HasSubstr(reduced ? command.back() : take));
+        EXPECT_EQ(files(), expected);
+      }
+    }
+  }
+}
+
+TEST_F(AnimateCommand, ASignalWhileItWritesLeavesNothing) {
+  const std::string take = test::record_actor(folder_.path(), 1, 60);
+  ASSERT_EQ(run({"pose", take, "--places"}), 0) << output_;
+  const std::vector<std::string> before = files();
+  for (const char* name : {"long.take", "long.glb", "long.mkv"}) {
+    ChildProcess child(FACET_PROGRAM, {"animate", take, "--walk", "60min", "-o", file(name)},
+                       folder_.path() / "log");
+    for (int tries = 0; tries < 1200 && child.running() && files() == before; ++tries) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(50));
+    }
+    ASSERT_TRUE(child.running()) << child.output();
+    EXPECT_NE(files(), before) << name << " is begun";
+    child.send(SIGINT);
+    EXPECT_EQ(child.wait(), 128 + SIGINT) << child.output();
+    EXPECT_THAT(child.output(), HasSubstr("broken off"));
+    EXPECT_EQ(files(), before) << name;
+  }
 }
 
 TEST_F(AnimateCommand, PlaysATakeOnASocket) {
