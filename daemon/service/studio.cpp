@@ -797,10 +797,15 @@ void Studio::pause() {
 
 void Studio::cancel() {
   const std::lock_guard lock(impl_->mutex);
+  if (impl_->shown.state == StudioState::Opening) {
+    impl_->opening = Impl::Opening();
+    impl_->woken.notify_one();
+    return;
+  }
   const bool waits = !impl_->export_to.empty();
   if (impl_->shown.state != StudioState::Preparing && impl_->shown.state != StudioState::Exporting &&
       !waits) {
-    throw Error(ErrorKind::Usage, "nothing is being prepared or exported");
+    throw Error(ErrorKind::Usage, "nothing is being opened, prepared or exported");
   }
   impl_->cancelled = true;
   impl_->export_to.clear();

@@ -116,7 +116,7 @@ class Studio {
   void seek(Shown what, double time_s);
   void pause();
   /// Breaks off what is prepared or exported; the take stays open. So does a pose, a pause or a place of the
-  /// take that is asked for while an animation is prepared.
+  /// take that is asked for while an animation is prepared. A take that is being opened is closed.
   void cancel();
 
   /// The keys of the open take (docs/animation.md; JSON), kept beside it in NAME.keys.json; "" where there

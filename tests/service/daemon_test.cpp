@@ -17,6 +17,7 @@
 #include "simulation/simulated_rig.hpp"
 #include "stream/client.hpp"
 #include "support/small_disk.hpp"
+#include "support/take_actor.hpp"
 #include "support/videos.hpp"
 #include "take/reader.hpp"
 
@@ -387,6 +388,70 @@ TEST_F(DaemonWithAssets, StaysAfterTheEndUnlessToldOtherwise) {
   const json status = await(*daemon, [](const json& now) { return now["state"] == "ended"; });
   EXPECT_EQ(status["frames"]["processed"], 8);
   EXPECT_EQ(status["frames"]["dropped"], 0);
+  daemon->send(SIGTERM);
+  expect_clean_end(*daemon);
+}
+
+TEST_F(DaemonWithAssets, TheStudioIsBrokenOffOverTheSocket) {
+  const std::filesystem::path takes = folder_.path() / "takes";
+  test::record_actor(takes, 1, 4000);
+  const auto files = [&] {
+    std::vector<std::string> names;
+    for (const auto& entry : std::filesystem::directory_iterator(takes)) {
+      names.push_back(entry.path().filename());
+    }
+    std::sort(names.begin(), names.end());
+    return names;
+  };
+  const std::vector<std::string> before = files();
+  const auto daemon = start(configure(grey_source(3)));
+  await(*daemon, [](const json& now) { return now["state"] == "ended"; });
+  const auto await_studio = [&](const std::function<bool(const json&)>& passes) {
+    json now = ask("studio.status");
+    while (daemon->running() && !passes(now)) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(2));
+      now = ask("studio.status");
+    }
+    return now;
+  };
+  EXPECT_THROW(ask("studio.cancel"), Error) << "there is nothing to break off";
+  // While the take is reduced.
+  ask("studio.open", {{"take", "actor1"}});
+  json now =
+      await_studio([](const json& one) { return one["state"] != "opening" || one["done"].get<int>() > 0; });
+  ASSERT_EQ(now["state"], "opening");
+  ASSERT_LT(now["done"], now["total"]);
+  ask("studio.cancel");
+  now = await_studio([](const json& one) { return one["state"] != "opening"; });
+  EXPECT_EQ(now["state"], "closed");
+  EXPECT_EQ(now["take"], "");
+  EXPECT_EQ(now["reason"], "");
+  EXPECT_EQ(files(), before);
+  // Before that has begun.
+  ask("studio.open", {{"take", "actor1"}});
+  ask("studio.cancel");
+  EXPECT_EQ(await_studio([](const json& one) { return one["state"] != "opening"; })["state"], "closed");
+  // While the ways from key to key are sought, or what they make is written.
+  ask("studio.open", {{"take", "actor1"}});
+  ASSERT_EQ(await_studio([](const json& one) { return one["state"] != "opening"; })["state"], "ready");
+  json keys = json::array();
+  for (int k = 0; k < 200; ++k) {
+    keys.push_back({{"time_s", k}, {"frame", 20 * k}});
+  }
+  ask("keys.set", {{"keys", {{"regions", {"lip-lower", "brow-left"}}, {"keys", keys}}}});
+  const std::vector<std::string> opened = files();
+  for (const char* state : {"preparing", "exporting"}) {
+    ask("keys.export", {{"name", "long"}});
+    now = await_studio([&](const json& one) { return one["state"] == state || one["state"] == "ready"; });
+    if (now["state"] == "ready") {  // not begun yet
+      now = await_studio([&](const json& one) { return one["state"] == state; });
+    }
+    ask("studio.cancel");
+    now = await_studio([](const json& one) { return one["state"] == "ready"; });
+    EXPECT_EQ(now["take"], "actor1") << "it stays open";
+    EXPECT_EQ(now["reason"], "broken off");
+    EXPECT_EQ(files(), opened) << state;
+  }
   daemon->send(SIGTERM);
   expect_clean_end(*daemon);
 }

@@ -279,7 +279,7 @@ TEST_F(StudioTest, ShownFacesHaveTheirExpressions) {
 
 TEST_F(StudioTest, WhatTakesLongCanBeBrokenOff) {
   open(true);
-  EXPECT_THAT(refusal("studio.cancel", json::object()), HasSubstr("nothing is being prepared"));
+  EXPECT_THAT(refusal("studio.cancel", json::object()), HasSubstr("nothing is being opened, prepared"));
   // Keys of half an hour: more than 64 KiB of them, and an export that takes long.
   json keys = json::array();
   for (int k = 0; k < 1800; ++k) {
