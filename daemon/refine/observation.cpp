@@ -17,15 +17,21 @@ namespace {
 constexpr int kLargestSidePx = 2048;
 // Mips and interpolation read beyond the face's outline by at most the width of the coarsest mip used.
 constexpr int kRegionMarginPx = 48;
-constexpr std::uint32_t kRowGroup = 64;
+constexpr std::uint32_t kTriangleGroup = 64;
 constexpr float kNearMm = 10;
 
 int reduction_for(int width_px, int height_px) {
   return std::max(1, (std::max(width_px, height_px) + kLargestSidePx - 1) / kLargestSidePx);
 }
 
-std::uint32_t reduced(int size_px, int reduction) {
-  return static_cast<std::uint32_t>((size_px + reduction - 1) / reduction);
+int reduced(int size_px, int reduction) {
+  return (size_px + reduction - 1) / reduction;
+}
+
+/// Of the linear image: whole blocks.
+std::uint32_t padded(int size_px, int reduction) {
+  const int block = shaders::refine::kImageBlockPx;
+  return static_cast<std::uint32_t>((reduced(size_px, reduction) + block - 1) / block * block);
 }
 
 }  // namespace
@@ -36,8 +42,8 @@ ImagePyramid::ImagePyramid(gpu::Context& context, int source_width_px, int sourc
       reduction(reduction_for(source_width_px, source_height_px)),
       pixels(context, static_cast<std::size_t>(source_width_px) * static_cast<std::size_t>(source_height_px),
              gpu::TexelFormat::Rgba8, "pixels", gpu::Memory::Upload),
-      linear(context, gpu::ImageFormat::Rgba16f, reduced(source_width_px, reduction),
-             reduced(source_height_px, reduction), 0, "linear image") {}
+      linear(context, gpu::ImageFormat::Rgba16f, padded(source_width_px, reduction),
+             padded(source_height_px, reduction), 0, "linear image") {}
 
 void ImagePyramid::write(const Frame& frame, int first_row, int end_row) const {
   const auto row_bytes = static_cast<std::size_t>(width_px) * 4;
@@ -62,12 +68,14 @@ FaceRegion set_frame_parameters(const ImagePyramid& pyramid, const CameraIntrins
                                 std::span<const shaders::vec4> vertices,
                                 shaders::refine::FrameParameters& out) {
   const auto k = static_cast<float>(pyramid.reduction);
-  const int width = static_cast<int>(pyramid.linear.width_px());
-  const int height = static_cast<int>(pyramid.linear.height_px());
+  const int width = reduced(pyramid.width_px, pyramid.reduction);
+  const int height = reduced(pyramid.height_px, pyramid.reduction);
+  const Eigen::Array2i padded_px(static_cast<int>(pyramid.linear.width_px()),
+                                 static_cast<int>(pyramid.linear.height_px()));
   out.projection = {camera.fx / k, camera.fy / k, (camera.cx + 0.5F) / k - 0.5F,
                     (camera.cy + 0.5F) / k - 0.5F};
-  out.image_size = {static_cast<float>(width), static_cast<float>(height), 1 / static_cast<float>(width),
-                    1 / static_cast<float>(height)};
+  out.image_size = {static_cast<float>(width), static_cast<float>(height),
+                    1 / static_cast<float>(padded_px.x()), 1 / static_cast<float>(padded_px.y())};
   out.reduction = pyramid.reduction;
   out.source_px = {pyramid.width_px, pyramid.height_px, 0, 0};
 
@@ -89,15 +97,17 @@ FaceRegion set_frame_parameters(const ImagePyramid& pyramid, const CameraIntrins
   out.depth_from_px = {depth_scale, depth_scale, 1 - depth_scale * low.x(), 1 - depth_scale * low.y()};
 
   FaceRegion region;
-  region.low_px = (low.cast<int>() - kRegionMarginPx).max(0);
-  region.high_px = (high.cast<int>() + kRegionMarginPx).min(Eigen::Array2i(width, height));
+  constexpr int block = shaders::refine::kImageBlockPx;
+  region.low_px = (low.cast<int>() - kRegionMarginPx).max(0) / block * block;
+  region.high_px = ((high.cast<int>() + kRegionMarginPx + block - 1) / block * block).min(padded_px);
   out.region_px = {region.low_px.x(), region.low_px.y(), region.high_px.x(), region.high_px.y()};
   return region;
 }
 
 DepthMap::DepthMap(gpu::Context& context, const mesh::Triangles& corners)
     : triangle_count(static_cast<std::uint32_t>(corners.cols())),
-      workgroup_count(std::min(context.info().workgroup_count, gpu::groups_for(triangle_count, kRowGroup))),
+      workgroup_count(
+          std::min(context.info().workgroup_count, gpu::groups_for(triangle_count, kTriangleGroup))),
       triangles(context, triangle_count, gpu::TexelFormat::Rgba32i, "triangles"),
       depth_bits(context, sizeof(std::uint32_t) * size_px * size_px, gpu::Memory::Device, "depth map") {
   std::vector<std::array<std::int32_t, 4>> packed(triangle_count);
@@ -118,10 +128,17 @@ ObservationKernels::ObservationKernels(gpu::Context& context)
 
 void ObservationKernels::record_image(gpu::Batch& batch, const ImagePyramid& pyramid,
                                       const gpu::Buffer& frame) const {
+  const auto [blocks_x, blocks_y, depth] = linear_image_.workgroup_size();
+  const std::uint32_t block = shaders::refine::kImageBlockPx;
   batch.dispatch(linear_image_,
-                 {{"frame", frame}, {"pixels", pyramid.pixels.view}, {"linear_image", pyramid.linear, 0}},
-                 {gpu::groups_for(pyramid.linear.width_px(), kRowGroup), pyramid.linear.height_px()});
-  downsampler_.record(batch, pyramid.linear);
+                 {{"frame", frame},
+                  {"pixels", pyramid.pixels.view},
+                  {"linear_image", pyramid.linear, 0},
+                  {"half_image", pyramid.linear, 1},
+                  {"quarter_image", pyramid.linear, 2}},
+                 {gpu::groups_for(pyramid.linear.width_px(), block * blocks_x),
+                  gpu::groups_for(pyramid.linear.height_px(), block * blocks_y)});
+  downsampler_.record(batch, pyramid.linear, 3);
 }
 
 void ObservationKernels::record_prolong(gpu::Batch& batch, const LevelTopology& topology,

@@ -23,7 +23,7 @@ struct ImagePyramid {
   int height_px;
   int reduction;       ///< source pixels to one of the linear image, per axis
   DeviceArray pixels;  ///< [height][width] 8-bit sRGB as uploaded
-  gpu::Image linear;   ///< linear RGB and 1 where unsaturated, with mips
+  gpu::Image linear;   ///< linear RGB and 1 where unsaturated, with mips; padded to whole blocks
 };
 
 /// Where a frame's face lies and how it projects.

@@ -13,8 +13,8 @@ class Downsampler {
  public:
   explicit Downsampler(Context& context);
 
-  /// Records the levels 1 to level_count - 1 from level 0.
-  void record(Batch& batch, const Image& image) const;
+  /// Records the levels first_level (at least 1) to level_count - 1, each from the one above it.
+  void record(Batch& batch, const Image& image, std::uint32_t first_level = 1) const;
 
  private:
   Kernel kernel_;

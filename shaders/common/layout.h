@@ -49,6 +49,7 @@ struct mat4 {
 
 }  // namespace facet::shaders
 
+#define FACET_LAYOUT_CONSTANT constexpr
 #define FACET_LAYOUT_BEGIN(room) namespace facet::shaders::room {
 #define FACET_LAYOUT_END }
 #define FACET_LAYOUT_SIZE(type, size) static_assert(sizeof(type) == (size));
@@ -56,6 +57,7 @@ struct mat4 {
 
 #else
 
+#define FACET_LAYOUT_CONSTANT const
 #define FACET_LAYOUT_BEGIN(room)
 #define FACET_LAYOUT_END
 #define FACET_LAYOUT_SIZE(type, size)

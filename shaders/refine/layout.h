@@ -6,12 +6,14 @@
 
 FACET_LAYOUT_BEGIN(refine)
 
+FACET_LAYOUT_CONSTANT int kImageBlockPx = 4;  // linear_image makes blocks of so many pixels squared: whole pixels of the quarter image
+
 // What changes from frame to frame; the host writes it before each submission.
 struct FrameParameters {
   vec4 projection;           // fx, fy, cx, cy in pixels of the linear image
-  vec4 image_size;           // width, height of the linear image, 1 / width, 1 / height
+  vec4 image_size;           // width, height of the linear image, 1 / width, 1 / height with its padding
   vec4 depth_from_px;        // depth map position = px * xy + zw
-  ivec4 region_px;           // x0, y0, x1, y1 (past the end): the part of the image that the face needs
+  ivec4 region_px;           // x0, y0, x1, y1 (past the end): the part that the face needs, in whole blocks
   float keep_displacements;  // 1: warm start from the previous frame; 0: from nothing
   float keep_lighting;       // 1: the previous frame's light is a prior
   float learn_albedo;        // 1: this frame may add to the albedo's sums

@@ -35,19 +35,11 @@ FACET_LAYOUT_OFFSET(BlockPush, damping, 32)
 // Word of a voxel in `links`: bit 0: its disparity is an unknown. Then four bits for each of x, y and t: it
 // is linked to the voxel before, to the one after, the one before to its own before, the one after to its own
 // after.
-#ifdef __cplusplus
-constexpr uint kSolved = 1;
-constexpr uint kLinkBefore = 1;
-constexpr uint kLinkAfter = 2;
-constexpr uint kBeforeHasBefore = 4;
-constexpr uint kAfterHasAfter = 8;
-#else
-const uint kSolved = 1;
-const uint kLinkBefore = 1;
-const uint kLinkAfter = 2;
-const uint kBeforeHasBefore = 4;
-const uint kAfterHasAfter = 8;
-#endif
+FACET_LAYOUT_CONSTANT uint kSolved = 1;
+FACET_LAYOUT_CONSTANT uint kLinkBefore = 1;
+FACET_LAYOUT_CONSTANT uint kLinkAfter = 2;
+FACET_LAYOUT_CONSTANT uint kBeforeHasBefore = 4;
+FACET_LAYOUT_CONSTANT uint kAfterHasAfter = 8;
 
 FACET_LAYOUT_END
 

@@ -69,9 +69,9 @@ void fill_linear(gpu::Context& context, const ImagePyramid& pyramid, std::uint32
   });
 }
 
-std::vector<float> read_linear(gpu::Context& context, const ImagePyramid& pyramid) {
-  gpu::Buffer out(context, pyramid.linear.level_bytes(0), gpu::Memory::Readback, "linear read back");
-  gpu::run_now(context, "read", [&](gpu::Batch& batch) { batch.copy(pyramid.linear, 0, out); });
+std::vector<float> read_linear(gpu::Context& context, const ImagePyramid& pyramid, std::uint32_t mip = 0) {
+  gpu::Buffer out(context, pyramid.linear.level_bytes(mip), gpu::Memory::Readback, "linear read back");
+  gpu::run_now(context, "read", [&](gpu::Batch& batch) { batch.copy(pyramid.linear, mip, out); });
   std::vector<float> values;
   for (const std::uint16_t half : out.mapped_as<std::uint16_t>()) {
     values.push_back(half_to_float(half));
@@ -89,7 +89,7 @@ TEST_F(RefineObservation, LinearImageAgreesWithTheScalarOneAndStaysInItsRegion) 
     FrameParameters parameters = parameters_of(pyramid);
     const auto linear_width = static_cast<int>(pyramid.linear.width_px());
     const auto linear_height = static_cast<int>(pyramid.linear.height_px());
-    parameters.region_px = {2, 1, linear_width - 3, linear_height};
+    parameters.region_px = {4, 0, linear_width - 4, linear_height};
     const gpu::Buffer uniform = upload_parameters(context(), parameters);
     constexpr std::uint32_t kHalfThrees = 0x42004200;
     fill_linear(context(), pyramid, kHalfThrees);
@@ -102,7 +102,7 @@ TEST_F(RefineObservation, LinearImageAgreesWithTheScalarOneAndStaysInItsRegion) 
     for (int y = 0; y < linear_height; ++y) {
       for (int x = 0; x < linear_width; ++x) {
         const std::size_t at = 4 * static_cast<std::size_t>(y * linear_width + x);
-        if (x < 2 || y < 1 || x >= linear_width - 3) {
+        if (x < 4 || x >= linear_width - 4) {
           ASSERT_EQ(found[at], 3) << "outside the region at " << x << ", " << y;
           continue;
         }
@@ -126,6 +126,26 @@ TEST_F(RefineObservation, LinearImageAgreesWithTheScalarOneAndStaysInItsRegion) 
         ASSERT_EQ(found[at + 3], saturated ? 0 : 1) << x << ", " << y;
       }
     }
+    std::vector<float> above = found;
+    for (const std::uint32_t mip : {1U, 2U}) {
+      const std::vector<float> mean = read_linear(context(), pyramid, mip);
+      const auto above_width = static_cast<int>(pyramid.linear.width_px(mip - 1));
+      const auto mip_width = static_cast<int>(pyramid.linear.width_px(mip));
+      // Made of whole pixels of the region alone: half and quarter size, whatever the source's size is.
+      for (int y = 0; y < static_cast<int>(pyramid.linear.height_px(mip)); ++y) {
+        for (int x = 4 >> mip; x < mip_width - (4 >> mip); ++x) {
+          for (int c = 0; c < 4; ++c) {
+            float sum = 0;
+            for (const int i : {0, 1, above_width, above_width + 1}) {
+              sum += above[static_cast<std::size_t>(4 * (2 * y * above_width + 2 * x + i) + c)];
+            }
+            ASSERT_NEAR(mean[static_cast<std::size_t>(4 * (y * mip_width + x) + c)], sum / 4, 1e-3F)
+                << mip << ": " << x << ", " << y;
+          }
+        }
+      }
+      above = mean;
+    }
   }
 }
 
@@ -135,9 +155,9 @@ TEST_F(RefineObservation, FrameParametersCoverTheFace) {
   const std::vector<vec4> vertices{{-100, -80, -1000, 0}, {100, 120, -1000, 0}, {0, 0, 50, 0}};
   FrameParameters out{};
   const FaceRegion region = set_frame_parameters(pyramid, camera, vertices, out);
-  // x 270 to 370, y 180 to 280 (up is down in the image), and the margin.
-  EXPECT_EQ(region.low_px.x(), 270 - 48);
-  EXPECT_EQ(region.high_px.x(), 370 + 48);
+  // x 270 to 370, y 180 to 280 (up is down in the image), and the margin to whole blocks.
+  EXPECT_EQ(region.low_px.x(), 270 - 50);
+  EXPECT_EQ(region.high_px.x(), 370 + 50);
   EXPECT_EQ(region.low_px.y(), 180 - 48);
   EXPECT_EQ(region.high_px.y(), 280 + 48);
   const float map_x = 270 * out.depth_from_px.x + out.depth_from_px.z;
@@ -269,8 +289,8 @@ struct RampScene {
     for (Eigen::Index i = 0; i < small.problem.vertex_count(); ++i) {
       small.problem.vertices_mm.col(i) += Eigen::Vector3d(-10, -22, -500);
     }
-    for (int y = 0; y < 357; ++y) {
-      for (int x = 0; x < 301; ++x) {
+    for (int y = 0; y < static_cast<int>(pyramid.linear.height_px()); ++y) {
+      for (int x = 0; x < static_cast<int>(pyramid.linear.width_px()); ++x) {
         linear.push_back(to_half(0.1F + 0.002F * static_cast<float>(x)));
         linear.push_back(to_half(0.1F + 0.002F * static_cast<float>(y)));
         linear.push_back(to_half(0.25F));
