@@ -737,7 +737,7 @@ int run(int argc, char** argv) {
     const Spread drift(std::move(drifts));
     worst_drift = std::max(worst_drift, drift.mean());
     worst_drift_95 = std::max(worst_drift_95, drift.at(0.95));
-    if (m < 3 || m % 10 == 9 || m + 1 == meshes) {
+    if (m < 3 || m % 10 == 9 || m + 1 == meshes || folded > 0) {
       fmt::print(
           "mesh {:3d}: distance mean {:.3f} p95 {:.3f} mm, drift mean {:.3f} p95 {:.3f} max {:.1f} mm, "
           "folded {}; {} after {}, rms {:.3f} mm {:.2f} px, seen {:.0f} %, followed {:.0f} %\n",
@@ -810,6 +810,9 @@ int run(int argc, char** argv) {
     for (const auto& [name, error] : {std::pair<const char*, const SurfaceError&>("template", template_error),
                                       {"fine", fine_error},
                                       {"shaded", shaded_error}}) {
+      if (error.distances_mm.empty()) {
+        continue;
+      }
       const Spread distance(error.distances_mm);
       const Spread angle(error.angles_deg);
       fmt::print(

@@ -6,9 +6,11 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <ctime>
 #include <filesystem>
+#include <memory>
 #include <numeric>
 #include <optional>
 #include <string>
@@ -33,6 +35,7 @@ struct Options {
   std::filesystem::path sheet_folder;
   int sheet_tiles = 12;
   bool single_pass = false;
+  bool absences = false;
 };
 
 /// Processor time of the calling thread, ms: all of the tracker's work runs there, and other programs don't
@@ -275,6 +278,78 @@ class ClipRun {
   int height_px_ = 0;
 };
 
+/// From the picture in which a face is there (again) to the first mesh of it, ms of the clip's time; the
+/// picture's own interval counts, since it is exposed before it is seen.
+struct Absences {
+  std::vector<double> appeared_ms;  ///< to a tracker that knows nobody
+  std::vector<double> returned_ms;  ///< to the tracker that followed it before
+  int never = 0;                    ///< no mesh before the next absence
+};
+
+/// The clip with stretches of even grey in it, shorter and longer than the second for which a lost face is
+/// waited for.
+Absences measure_absences(const facet::face::FaceModel& model, const Options& options,
+                          const std::filesystem::path& clip, bool known) {
+  constexpr int kPeriod = 100;
+  constexpr std::array<int, 2> kAway{12, 45};
+  constexpr std::uint8_t kGrey = 96;
+  Absences out;
+  std::optional<Tracker> tracker;
+  const auto renew = [&] {
+    tracker.emplace(model, facet::track::TrackerConfig{.landmark_assets = options.assets, .intrinsics = {}});
+  };
+  renew();
+  auto camera = facet::camera::open_camera({.kind = "file", .path = clip});
+  camera->start();
+  const double rate_hz = camera->info().rate_hz;
+  const double interval_ms = 1e3 / (rate_hz > 0 ? rate_hz : 30);
+  Frame frame;
+  int waited = -1;  // pictures with the face since it is there; -1: it has its mesh
+  for (int f = 0; camera->next(frame, std::chrono::seconds(10)) == facet::CaptureOutcome::Delivered; ++f) {
+    // With a first stretch of the face, in which it becomes known.
+    const int period = f / kPeriod;
+    const int away = kAway[static_cast<std::size_t>(period) % kAway.size()];
+    if (f % kPeriod < away && (period > 0 || !known)) {
+      if (f % kPeriod == 0) {
+        out.never += waited >= 0 ? 1 : 0;
+        if (!known) {
+          renew();
+        }
+      }
+      auto grey =
+          std::make_shared<std::uint8_t[]>(frame.stride_bytes * static_cast<std::size_t>(frame.height_px));
+      std::fill_n(grey.get(), frame.stride_bytes * static_cast<std::size_t>(frame.height_px), kGrey);
+      frame.pixels = grey;
+      tracker->process(frame);
+      waited = 0;
+      continue;
+    }
+    const bool has_mesh = tracker->process(frame).has_mesh;
+    if (waited >= 0) {
+      ++waited;
+      if (has_mesh) {
+        (known ? out.returned_ms : out.appeared_ms).push_back(interval_ms * waited);
+        waited = -1;
+      }
+    }
+  }
+  return out;
+}
+
+void print_absences(const facet::face::FaceModel& model, const Options& options) {
+  fmt::print("\nFirst mesh of a face, ms: median, worst (times)\n{:28} {:>22} {:>22} {:>6}\n", "clip",
+             "nobody known", "known, back", "never");
+  for (const auto& clip : options.clips) {
+    const Absences unknown = measure_absences(model, options, clip, false);
+    const Absences known = measure_absences(model, options, clip, true);
+    const auto shown = [](const std::vector<double>& ms) {
+      return fmt::format("{:.0f}, {:.0f} ({})", quantile(ms, 0.5), quantile(ms, 1), ms.size());
+    };
+    fmt::print("{:28} {:>22} {:>22} {:6}\n", clip.stem().string(), shown(unknown.appeared_ms),
+               shown(known.returned_ms), unknown.never + known.never);
+  }
+}
+
 void print(const std::string& name, const ClipFigures& figures, int acquisition_frames) {
   const double longer = std::max(figures.width_px, figures.height_px);
   fmt::print(
@@ -301,6 +376,9 @@ int run(const Options& options) {
     }
     print(clip.stem().string(), run.measure(subject), run.acquisition_frames());
   }
+  if (options.absences) {
+    print_absences(model, options);
+  }
   return 0;
 }
 
@@ -313,6 +391,7 @@ int main(int argc, char** argv) {
   app.add_option("--landmark-assets", options.assets, "MediaPipe's packed nets")->capture_default_str();
   app.add_option("--sheets", options.sheet_folder, "folder for contact sheets of the wire over the frames");
   app.add_flag("--single-pass", options.single_pass, "as live: acquire while measuring");
+  app.add_flag("--absences", options.absences, "also: how soon a face that appears or returns has a mesh");
   app.add_option("clips", options.clips, "videos")->required();
   CLI11_PARSE(app, argc, argv);
   try {

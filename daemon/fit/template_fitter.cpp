@@ -244,7 +244,7 @@ struct TemplateFitter::Impl {
   double model_step(mesh::Vertices& vertices_mm);
   void weigh_edges();
   Eigen::Isometry3f pose_of(const mesh::Vertices& shape, const mesh::Vertices& vertices_mm) const;
-  int unfold(mesh::Vertices& vertices_mm, const mesh::Vertices& shape);
+  int unfold(mesh::Vertices& vertices_mm, const mesh::Vertices* shape);
   void add_smoothness(const mesh::Vertices& vertices_mm);
   void add_depth(const DepthMap& map, const mesh::Vertices& vertices_mm);
   void add_motion(const FlowView& flow, const mesh::Vertices& before_mm,
@@ -379,7 +379,7 @@ void TemplateFitter::Impl::set_rest(RestShape shape) {
   weigh_edges();
   // Landmarks and depth may have turned lids and corners of the mouth over.
   if (options.unfolds) {
-    unfold(placed.vertices_mm, surface->neutral_mm);
+    unfold(placed.vertices_mm, &surface->neutral_mm);
     weigh_edges();
   }
   expressed = placed.vertices_mm;
@@ -666,9 +666,10 @@ FitReport TemplateFitter::Impl::solve(std::span<const DepthMap> maps, std::span<
   }
   report.shape_rms_mm = std::sqrt(squares / std::max(count, 1.0));
   if (options.unfolds) {
-    report.unfolded = unfold(vertices_mm, expressed);
+    report.unfolded = unfold(vertices_mm, &expressed);
     // The rest shape with its expression may be folded itself; the model's face is not.
-    report.unfolded += unfold(vertices_mm, surface->neutral_mm);
+    report.unfolded += unfold(vertices_mm, &surface->neutral_mm);
+    report.unfolded += unfold(vertices_mm, nullptr);
   }
   judge(report, before_mm != nullptr && !flows.empty());
   return report;
@@ -713,7 +714,7 @@ FitReport TemplateFitter::Impl::settle(std::span<const DepthMap> maps, const mes
     }
   }
   if (options.unfolds) {
-    report.unfolded = unfold(vertices_mm, expected_mm);
+    report.unfolded = unfold(vertices_mm, &expected_mm);
   }
   judge(report, false);
   return report;
@@ -832,10 +833,14 @@ double TemplateFitter::Impl::model_step(mesh::Vertices& vertices_mm) {
 
 /// Data that turn a triangle over are wrong there (the rim of a lid, what shows between the lips): E_r
 /// against a shape, brought to the mesh's pose, alone decides where its vertices are, and those around them
-/// where that is not enough. Returns how many vertices.
-int TemplateFitter::Impl::unfold(mesh::Vertices& vertices_mm, const mesh::Vertices& shape) {
+/// where that is not enough. Without a shape: a membrane between the vertices around them. Returns how many
+/// vertices.
+int TemplateFitter::Impl::unfold(mesh::Vertices& vertices_mm, const mesh::Vertices* shape) {
   const mesh::Triangles& triangles = surface->triangles;
-  const Matrix3f turn = pose_of(shape, vertices_mm).linear();
+  Matrix3f turn = Matrix3f::Identity();
+  if (shape != nullptr) {
+    turn = pose_of(*shape, vertices_mm).linear();
+  }
   std::vector<std::uint8_t> is_free(static_cast<std::size_t>(surface->vertex_count()), 0);
   std::vector<std::int32_t> freed;
   const auto set_free = [&](std::int32_t v) {
@@ -877,8 +882,10 @@ int TemplateFitter::Impl::unfold(mesh::Vertices& vertices_mm, const mesh::Vertic
         for (auto e = offsets[static_cast<std::size_t>(v)]; e < offsets[static_cast<std::size_t>(v) + 1];
              ++e) {
           const auto edge = static_cast<std::size_t>(e);
-          sum += edge_weights[edge] *
-                 (vertices_mm.col(neighbours[edge]) + turn * (shape.col(v) - shape.col(neighbours[edge])));
+          sum += edge_weights[edge] * vertices_mm.col(neighbours[edge]);
+          if (shape != nullptr) {
+            sum += edge_weights[edge] * (turn * (shape->col(v) - shape->col(neighbours[edge])));
+          }
         }
         vertices_mm.col(v) = sum / edge_sums[static_cast<std::size_t>(v)];
       }
