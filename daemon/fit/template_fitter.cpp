@@ -41,6 +41,7 @@ constexpr float kLinkSlackMm = 2;         ///< beyond the nearest
 constexpr float kLeastUpright = 0.1F;     ///< cosine between a triangle's normal and its vertices'
 constexpr int kUnfoldRounds = 12;
 constexpr int kUnfoldSweeps = 6;
+constexpr int kMostUnfoldRings = 5;  ///< around what stays folded with the rings inside it free
 constexpr double kPatches = 100;
 constexpr double kLeastExpression = -0.25;
 constexpr double kMostExpression = 1.25;
@@ -843,38 +844,42 @@ int TemplateFitter::Impl::unfold(mesh::Vertices& vertices_mm, const mesh::Vertic
   }
   std::vector<std::uint8_t> is_free(static_cast<std::size_t>(surface->vertex_count()), 0);
   std::vector<std::int32_t> freed;
-  const auto set_free = [&](std::int32_t v) {
+  const auto set_free = [&](std::int32_t v, int rings, const auto& around) -> void {
     if (is_free[static_cast<std::size_t>(v)] == 0) {
       is_free[static_cast<std::size_t>(v)] = 1;
       freed.push_back(v);
     }
+    for (auto e = offsets[static_cast<std::size_t>(v)];
+         rings > 0 && e < offsets[static_cast<std::size_t>(v) + 1]; ++e) {
+      around(neighbours[static_cast<std::size_t>(e)], rings - 1, around);
+    }
   };
+  std::vector<std::int32_t> corners;  // of what is folded
+  int rings = 1;
   for (int round = 0; round < kUnfoldRounds; ++round) {
     mesh::vertex_normals(vertices_mm, triangles, normals);
-    bool folded = false;
+    corners.clear();
     for (Eigen::Index t = 0; t < triangles.cols(); ++t) {
       const auto corner = triangles.col(t);
       const Vector3f across = (vertices_mm.col(corner[1]) - vertices_mm.col(corner[0]))
                                   .cross(vertices_mm.col(corner[2]) - vertices_mm.col(corner[0]));
       const Vector3f outwards = normals.col(corner[0]) + normals.col(corner[1]) + normals.col(corner[2]);
-      if (across.dot(outwards) > kLeastUpright * across.norm() * outwards.norm()) {
-        continue;
-      }
-      folded = true;
-      for (Eigen::Index i = 0; i < 3; ++i) {
-        const std::int32_t v = corner[i];
-        if (is_free[static_cast<std::size_t>(v)] == 0) {
-          set_free(v);
-          continue;
-        }
-        for (auto e = offsets[static_cast<std::size_t>(v)]; e < offsets[static_cast<std::size_t>(v) + 1];
-             ++e) {
-          set_free(neighbours[static_cast<std::size_t>(e)]);
-        }
+      if (across.dot(outwards) <= kLeastUpright * across.norm() * outwards.norm()) {
+        corners.insert(corners.end(), {corner[0], corner[1], corner[2]});
       }
     }
-    if (!folded) {
+    if (corners.empty()) {
       break;
+    }
+    const std::size_t free_before = freed.size();
+    for (const std::int32_t v : corners) {
+      set_free(v, is_free[static_cast<std::size_t>(v)] == 0 ? 0 : 1, set_free);
+    }
+    if (freed.size() == free_before && rings < kMostUnfoldRings) {
+      ++rings;
+      for (const std::int32_t v : corners) {
+        set_free(v, rings, set_free);
+      }
     }
     for (int sweep = 0; sweep < kUnfoldSweeps; ++sweep) {
       for (const std::int32_t v : freed) {
