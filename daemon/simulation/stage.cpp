@@ -1,5 +1,9 @@
 #include "simulation/stage.hpp"
 
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
 namespace facet::simulation {
 namespace {
 
@@ -28,6 +32,11 @@ void Stage::put(const Eigen::Matrix3f& axes, const Eigen::Vector3f& middle_mm, f
   head_motion_ = head_motion;
 }
 
+void Stage::turn_once(float yaw_rad, double duration_s) {
+  turn_rad_ = yaw_rad;
+  turn_duration_s_ = std::max(duration_s, 1e-3);
+}
+
 std::vector<float> Stage::expression(double time_s) const {
   return performance_.expression(time_s, actor_.expression_names());
 }
@@ -38,6 +47,8 @@ HeadMotion Stage::head_motion(double time_s) const {
   motion.pitch_rad *= head_motion_;
   motion.roll_rad *= head_motion_;
   motion.shift_mm *= head_motion_;
+  const double half_turn = std::sin(std::numbers::pi * std::clamp(time_s / turn_duration_s_, 0.0, 1.0));
+  motion.yaw_rad += turn_rad_ * static_cast<float>(half_turn * half_turn);
   return motion;
 }
 

@@ -23,6 +23,8 @@ class Stage {
   /// axes             turns head axes to the place's for a head that looks straight ahead
   /// middle_mm        the place's point where the face's middle rests
   void put(const Eigen::Matrix3f& axes, const Eigen::Vector3f& middle_mm, float head_motion = 1);
+  /// The head also turns to the subject's left by so much and back, once in duration_s.
+  void turn_once(float yaw_rad, double duration_s);
 
   const VirtualActor& actor() const { return actor_; }
   /// What the head turns about, at rest; in the place's frame.
@@ -46,6 +48,8 @@ class Stage {
   Eigen::Matrix3f axes_ = Eigen::Matrix3f::Identity();
   Eigen::Vector3f resting_pivot_mm_{0, 0, 0};
   float head_motion_ = 1;
+  float turn_rad_ = 0;
+  double turn_duration_s_ = 1;
 };
 
 }  // namespace facet::simulation

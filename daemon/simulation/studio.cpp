@@ -96,6 +96,7 @@ struct Studio::Impl {
         std::clamp(focal_px * face_mm / (part * std::min(height, width)), kNearest_mm, kFarthest_mm);
     const Vector3f middle_mm(random.uniform(-25, 25), random.uniform(-10, 20), distance_mm);
     stage.put(camera_from_head_axes(), middle_mm);
+    stage.turn_once(static_cast<float>(config.turn_deg) * kDegree, time_s(config.frame_count - 1));
   }
 
   /// Sets the light so that the face's brightest skin comes out as kSkinExposure in the first frame.

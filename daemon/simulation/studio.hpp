@@ -23,6 +23,7 @@ struct StudioConfig {
   LightKind light = LightKind::SphericalHarmonics;
   bool highlights = false;  ///< skin shines (GGX)
   bool glasses = false;
+  double turn_deg = 0;  ///< besides its own motion the head turns to the subject's left by so much and back
   int rays_per_pixel = 4;
   bool sensor_noise = true;
 };

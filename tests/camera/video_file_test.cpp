@@ -98,18 +98,20 @@ TEST_F(VideoFileTest, DeliversEveryFrameOfAFileInOrderWithItsTimes) {
 }
 
 TEST_F(VideoFileTest, ConvertsColoursByTheStreamsOwnMatrixAndRange) {
-  // The same colour through both matrices and both ranges must come back the same.
+  // The same colour through both matrices, both ranges, 8 and 10 bits must come back the same.
   for (const char* colours : {"bt709", "smpte170m"}) {
     for (const char* range : {"tv", "pc"}) {
-      const auto file = make(fmt::format("{}-{}.mkv", colours, range),
-                             fmt::format("-f lavfi -i color=0xC08060:s=64x64:r=25:d=0.2 -vf "
-                                         "scale=out_color_matrix={0}:out_range={1},format=yuv444p "
-                                         "-colorspace {0} -color_range {1} -c:v ffv1",
-                                         colours, range));
-      const auto frames = all_frames(*started(file));
-      ASSERT_FALSE(frames.empty());
-      SCOPED_TRACE(fmt::format("{} {}", colours, range));
-      expect_near(pixel(frames[0], 30, 30), {0xC0, 0x80, 0x60}, 3);
+      for (const char* format : {"yuv444p", "yuv420p10le"}) {
+        const auto file = make(fmt::format("{}-{}-{}.mkv", colours, range, format),
+                               fmt::format("-f lavfi -i color=0xC08060:s=64x64:r=25:d=0.2 -vf "
+                                           "scale=out_color_matrix={0}:out_range={1},format={2} "
+                                           "-colorspace {0} -color_range {1} -c:v ffv1",
+                                           colours, range, format));
+        const auto frames = all_frames(*started(file));
+        ASSERT_FALSE(frames.empty());
+        SCOPED_TRACE(fmt::format("{} {} {}", colours, range, format));
+        expect_near(pixel(frames[0], 30, 30), {0xC0, 0x80, 0x60}, 3);
+      }
     }
   }
 }
