@@ -854,6 +854,8 @@ int TemplateFitter::Impl::unfold(mesh::Vertices& vertices_mm, const mesh::Vertic
       around(neighbours[static_cast<std::size_t>(e)], rings - 1, around);
     }
   };
+  // A membrane takes detail away: only where nothing else helps, and over as many rings as that takes.
+  const float least_upright = shape != nullptr ? kLeastUpright : 0;
   std::vector<std::int32_t> corners;  // of what is folded
   int rings = 1;
   for (int round = 0; round < kUnfoldRounds; ++round) {
@@ -864,7 +866,7 @@ int TemplateFitter::Impl::unfold(mesh::Vertices& vertices_mm, const mesh::Vertic
       const Vector3f across = (vertices_mm.col(corner[1]) - vertices_mm.col(corner[0]))
                                   .cross(vertices_mm.col(corner[2]) - vertices_mm.col(corner[0]));
       const Vector3f outwards = normals.col(corner[0]) + normals.col(corner[1]) + normals.col(corner[2]);
-      if (across.dot(outwards) <= kLeastUpright * across.norm() * outwards.norm()) {
+      if (across.dot(outwards) <= least_upright * across.norm() * outwards.norm()) {
         corners.insert(corners.end(), {corner[0], corner[1], corner[2]});
       }
     }
@@ -875,7 +877,7 @@ int TemplateFitter::Impl::unfold(mesh::Vertices& vertices_mm, const mesh::Vertic
     for (const std::int32_t v : corners) {
       set_free(v, is_free[static_cast<std::size_t>(v)] == 0 ? 0 : 1, set_free);
     }
-    if (freed.size() == free_before && rings < kMostUnfoldRings) {
+    if (shape == nullptr && freed.size() == free_before && rings < kMostUnfoldRings) {
       ++rings;
       for (const std::int32_t v : corners) {
         set_free(v, rings, set_free);
