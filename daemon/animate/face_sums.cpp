@@ -21,7 +21,8 @@ constexpr std::int64_t kMostCells = 1 << 20;
 
 FaceSums::FaceSums(Eigen::MatrixXd captured, TakeBasis::MatrixView coefficients, bool exact)
     : captured_(std::move(captured)), coefficients_(coefficients) {
-  if (exact || captured_.cols() <= kMostFaces || captured_.rows() > kMostDimensions) {
+  if (exact || captured_.cols() <= kMostFaces || captured_.rows() > kMostDimensions ||
+      !captured_.allFinite()) {
     return;
   }
   origin_ = captured_.rowwise().mean();
