@@ -401,6 +401,37 @@ class Booth : public ::testing::Test {
     return sum / std::max(count, 1.0);
   }
 
+  /// Gives every channel of every picture another value, cut to 0 to 255.
+  static void change(FrameSet& set,
+                     const std::function<float(std::size_t camera, int x, int y, int value)>& to) {
+    for (std::size_t camera = 0; camera < set.frames.size(); ++camera) {
+      Frame& frame = set.frames[camera];
+      const auto size = frame.stride_bytes * static_cast<std::size_t>(frame.height_px);
+      auto pixels = std::make_shared<std::uint8_t[]>(size);
+      std::copy_n(frame.pixels.get(), size, pixels.get());
+      for (int y = 0; y < frame.height_px; ++y) {
+        for (int x = 0; x < frame.width_px; ++x) {
+          std::uint8_t* const pixel = pixels.get() + static_cast<std::size_t>(y) * frame.stride_bytes +
+                                      4 * static_cast<std::size_t>(x);
+          for (int c = 0; c < 3; ++c) {
+            pixel[c] = static_cast<std::uint8_t>(std::clamp(to(camera, x, y, pixel[c]), 0.0F, 255.0F));
+          }
+        }
+      }
+      frame.pixels = pixels;
+    }
+  }
+
+  /// A mesh that lies on the face, or none and why: never an invented surface.
+  void expect_true_or_none(const mesh::MeshFrame& frame) {
+    if (frame.state == mesh::TrackingState::Tracking) {
+      EXPECT_LT(distance_to_truth(frame), 1.5);
+    } else {
+      EXPECT_TRUE(frame.degraded);
+      EXPECT_FALSE(frame.degraded_reason.empty());
+    }
+  }
+
   static std::unique_ptr<Footage> footage_;
   test::TemporaryFolder folder_;
   BoothConfig config_;
@@ -597,6 +628,53 @@ TEST_F(Booth, WithFrozenProjectorsNoSurfaceIsInvented) {
     EXPECT_LT(distance_to_truth(*frames_[0]), 1.5);
   } else {
     EXPECT_THAT(frames_[0]->degraded_reason, HasSubstr("are the projectors on"));
+  }
+}
+
+TEST_F(Booth, AFaceOutOfTheVolumeIsNotFoundElsewhere) {
+  write_half_a_rig();
+  const stereo::DepthRange around = depth_range(footage_->booth.rig());
+  config_.depths = {around.farthest_mm + 50, around.farthest_mm + 400};
+  run({footage_->sets.begin(), footage_->sets.begin() + 5});
+  ASSERT_EQ(frames_.size(), 1U) << status_.reason;
+  EXPECT_EQ(frames_[0]->state, mesh::TrackingState::Searching);
+  EXPECT_TRUE(frames_[0]->degraded);
+  EXPECT_FALSE(frames_[0]->degraded_reason.empty());
+}
+
+TEST_F(Booth, OverAndUnderExposedPicturesGiveATrueMeshOrNone) {
+  write_half_a_rig();
+  for (const float gain : {4.0F, 0.04F}) {
+    SCOPED_TRACE(gain);
+    std::vector<FrameSet> sets(footage_->sets.begin(), footage_->sets.begin() + 5);
+    for (FrameSet& set : sets) {
+      change(set, [&](std::size_t, int, int, int value) { return gain * static_cast<float>(value); });
+    }
+    run(sets);
+    ASSERT_EQ(frames_.size(), 1U) << status_.reason;
+    expect_true_or_none(*frames_[0]);
+  }
+}
+
+TEST_F(Booth, AHandInFrontIsNoPartOfTheFace) {
+  // A disc of one grey, 35 mm wide, 70 mm before the middle of the face: where every camera sees it.
+  const capture::Rig& rig = footage_->booth.rig();
+  const Eigen::Vector3d face_mm =
+      footage_->booth.slot(kFirst).surface().vertices_mm.cast<double>().rowwise().mean();
+  const Eigen::Vector3d hand_mm = face_mm + 70 * (rig.cameras[0].lens.centre_mm() - face_mm).normalized();
+  std::vector<FrameSet> sets = footage_->sets;
+  for (FrameSet& set : sets) {
+    change(set, [&](std::size_t camera, int x, int y, int value) {
+      const capture::Lens& lens = rig.cameras[camera].lens;
+      const auto at = lens.project(hand_mm);
+      const double radius_px = 35 * lens.fx_px / (hand_mm - lens.centre_mm()).norm();
+      return at && (*at - Eigen::Vector2d(x, y)).norm() < radius_px ? 120.0F : static_cast<float>(value);
+    });
+  }
+  run(sets);
+  ASSERT_EQ(frames_.size(), 2U) << status_.reason;
+  for (const auto& frame : frames_) {
+    expect_true_or_none(*frame);
   }
 }
 
