@@ -431,7 +431,7 @@ void add_export_command(CLI::App& app) {
           "--compress", options->compress,
           "glb-frames, glb-expressions: meshopt makes a file a third of the size, which needs a reader of "
           "EXT_meshopt_compression (three.js, Babylon.js, Unity's glTFast; not Blender); vertices are "
-          "rounded to 0.001 mm")
+          "rounded to 0.002 mm")
       ->capture_default_str()
       ->check(CLI::IsMember({"none", "meshopt"}));
   command

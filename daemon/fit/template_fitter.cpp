@@ -879,6 +879,8 @@ int TemplateFitter::Impl::unfold(mesh::Vertices& vertices_mm, const mesh::Vertic
     }
     if (shape == nullptr && freed.size() == free_before && rings < kMostUnfoldRings) {
       ++rings;
+      std::sort(corners.begin(), corners.end());
+      corners.erase(std::unique(corners.begin(), corners.end()), corners.end());
       for (const std::int32_t v : corners) {
         set_free(v, rings, set_free);
       }

@@ -212,7 +212,8 @@ struct Studio::Impl {
   void run();
   bool work_once(std::unique_lock<std::mutex>& lock);
   void guarded(const std::function<void()>& what);
-  void close_session(const std::string& reason);
+  /// next_take: what is opened at once; empty: nothing.
+  void close_session(const std::string& reason, const std::string& next_take = {});
   void open_session(const Opening& what);
   void do_wish(const Wish& what);
   void solve(const Wish& what);
@@ -312,12 +313,16 @@ void Studio::Impl::publish(mesh::MeshFrame frame, std::optional<Clock::time_poin
   show(session->last);
 }
 
-void Studio::Impl::close_session(const std::string& reason) {
+void Studio::Impl::close_session(const std::string& reason, const std::string& next_take) {
   session.reset();
   hold_live(false);
   const std::lock_guard lock(mutex);
   shown = {};
   shown.reason = reason;
+  if (!next_take.empty()) {
+    shown.take = next_take;
+    shown.state = StudioState::Opening;
+  }
   latency.clear();
   work.clear();
   faces = nullptr;
@@ -329,14 +334,9 @@ void Studio::Impl::close_session(const std::string& reason) {
 }
 
 void Studio::Impl::open_session(const Opening& what) {
-  close_session("");
+  close_session("", what.take);
   if (what.take.empty()) {
     return;
-  }
-  {
-    const std::lock_guard lock(mutex);
-    shown.take = what.take;
-    shown.state = StudioState::Opening;
   }
   auto made = std::make_unique<Session>();
   made->file = take::named_take(folder, what.take);
@@ -797,7 +797,8 @@ void Studio::pause() {
 
 void Studio::cancel() {
   const std::lock_guard lock(impl_->mutex);
-  if (impl_->shown.state == StudioState::Opening) {
+  const bool waits_to_open = impl_->opening && !impl_->opening->take.empty();
+  if (waits_to_open || impl_->shown.state == StudioState::Opening) {
     impl_->opening = Impl::Opening();
     impl_->woken.notify_one();
     return;

@@ -270,8 +270,9 @@ void StreamServer::Impl::take_newest() {
     return;
   }
   // Takes come from elsewhere too: one may show another mesh under an id that is known.
+  const auto mesh_of = [](const mesh::Subject& one) { return one.hierarchy ? one.hierarchy->id : 0; };
   if (subject == nullptr || subject->id != current->subject->id ||
-      subject->hierarchy->id != current->subject->hierarchy->id) {
+      mesh_of(*subject) != mesh_of(*current->subject)) {
     subject = current->subject;
     for (const std::unique_ptr<Reader>& reader : readers) {
       reader->subject_id = 0;

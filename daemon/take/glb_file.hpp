@@ -24,9 +24,9 @@ inline constexpr int kGltfNoTarget = 0;
 /// What a compressed file rounds values to, as a power of two; an uncompressed one keeps floats as they are.
 enum class GltfStep : int {
   Exact = 0,       ///< nothing is rounded
-  Position = -19,  ///< m: at most 0.001 mm away
+  Position = -19,  ///< m: at most 0.001 mm away along an axis
   Shape = -23,     ///< positions of shapes that add up, m
-  Normal = -10,    ///< at most 0.03 degrees away
+  Normal = -10,    ///< at most 0.05 degrees away
   Texture = -18,   ///< of the picture's side
   Colour = -15,
 };

@@ -73,15 +73,20 @@ try {
   seen.keep();
 } catch (error) {
   failure = error;
-  look().keep();
+  console.error(error);
+  try { look().keep(); } catch (other) { console.error(other); }
 } finally {
-  if (screen) {
-    try { process.kill(-screen.pid, 'SIGTERM'); } catch { /* it has ended */ }
+  if (screen && screen.exitCode === null && screen.signalCode === null) {
+    const ended = new Promise((resolve) => screen.on('exit', resolve));
+    const end = (signal) => { try { process.kill(-screen.pid, signal); } catch { /* it has ended */ } };
+    end('SIGTERM');
+    const patience = setTimeout(() => end('SIGKILL'), 10_000);
+    await ended;
+    clearTimeout(patience);
   }
   await service.stop();
 }
 if (failure) {
-  console.error(failure);
   process.exit(1);
 }
 process.exit(0);

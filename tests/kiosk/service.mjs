@@ -63,7 +63,7 @@ token_file = "token"
 `);
     process.on('exit', () => {
       service.daemon?.kill('SIGKILL');
-      rmSync(service.folder, { recursive: true, force: true });
+      rmSync(service.folder, { recursive: true, force: true, maxRetries: 5 });
     });
     return service;
   }
@@ -91,6 +91,7 @@ token_file = "token"
       let said = '';
       const socket = net.connect(join(this.folder, 'control.sock'), () => socket.write(`${JSON.stringify({ jsonrpc: '2.0', id: 1, method, params })}\n`));
       socket.on('error', () => resolve(null));
+      socket.on('close', () => resolve(null));
       socket.on('data', (bytes) => {
         said += bytes;
         if (said.endsWith('\n')) {
@@ -131,13 +132,13 @@ export async function runTest(service, executablePath, steps, onFailure = async 
     await steps(browser, step);
   } catch (error) {
     failure = error;
-    await onFailure();
+    console.error(error);
+    await onFailure().catch((other) => console.error(other));
   } finally {
     await browser?.close();
     await service.stop();
   }
   if (failure) {
-    console.error(failure);
     process.exit(1);
   }
   step('done');

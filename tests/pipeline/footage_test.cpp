@@ -41,10 +41,12 @@ class Footage : public Film {
     person_ = read("cap12_edit", kFrames);
     if (!as_it_is().has_value()) {
       film(kClipWidth_px, kFrames, [&](Picture& onto, int f) { onto = person(f); });
-      as_it_is() = run();
-      for (const auto& frame : *as_it_is()) {
+      const Frames frames = run();
+      ASSERT_EQ(static_cast<int>(frames.size()), kFrames);
+      for (const auto& frame : frames) {
         ASSERT_TRUE(has_mesh(*frame)) << frame->sequence;
       }
+      as_it_is() = frames;
     }
   }
 
