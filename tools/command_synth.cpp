@@ -93,7 +93,9 @@ void add_synth_command(CLI::App& app) {
       ->check(CLI::IsMember({"sh", "area"}));
   command->add_flag("--highlights", options->studio.highlights, "The skin shines");
   command->add_flag("--glasses", options->studio.glasses, "The actor wears spectacles");
-  command->add_option("--turn", options->studio.turn_deg, "Of a video: the head also turns by so many degrees and back")
+  command
+      ->add_option("--turn", options->studio.turn_deg,
+                   "Of a video: the head also turns by so many degrees and back")
       ->check(CLI::Range(-90.0, 90.0))
       ->capture_default_str();
   command->add_option("--model", options->model, "Face model file whose topology the actor uses")

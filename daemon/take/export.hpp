@@ -86,7 +86,8 @@ struct ExpressionShapes {
 /// How the arrays of a GLB file are encoded.
 enum class GlbCompression {
   None,
-  Meshopt,  ///< EXT_meshopt_compression: vertices up to 0.002 mm away (expressions 0.004), normals 0.05 degrees
+  Meshopt,  ///< EXT_meshopt_compression: vertices up to 0.002 mm away (expressions 0.004), normals 0.05
+            ///< degrees
 };
 
 struct SequenceOptions {
