@@ -19,7 +19,7 @@ constexpr std::int64_t kMostCells = 1 << 20;
 
 }  // namespace
 
-FaceSums::FaceSums(Eigen::MatrixXd captured, TakeBasis::MatrixView coefficients, bool exact)
+FaceSums::FaceSums(Eigen::MatrixXd captured, const TakeBasis::MatrixView& coefficients, bool exact)
     : captured_(std::move(captured)), coefficients_(coefficients) {
   if (exact || captured_.cols() <= kMostFaces || captured_.rows() > kMostDimensions ||
       !captured_.allFinite()) {

@@ -24,7 +24,7 @@ class FaceSums {
   /// captured      [1 or more][frame_count] s_f, mm or px
   /// coefficients  [coefficient_count][frame_count] y_f; must live as long as this
   /// exact         sum over the faces themselves, however many they are
-  FaceSums(Eigen::MatrixXd captured, TakeBasis::MatrixView coefficients, bool exact);
+  FaceSums(Eigen::MatrixXd captured, const TakeBasis::MatrixView& coefficients, bool exact);
 
   struct Result {
     Eigen::VectorXd mean;        ///< m = sum w_f s_f
