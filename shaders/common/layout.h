@@ -10,9 +10,9 @@
 //   FACET_LAYOUT_OFFSET(StepPush, weight_smooth, 4)
 //   FACET_LAYOUT_END
 //
-// The host includes it as "shaders/refine/layout.h" and finds facet::shaders::refine::StepPush. The types below
-// have the same size and alignment as in std430; vec3 and matrices with three rows are missing on purpose, since
-// std430 packs a scalar into the fourth place and C++ does not.
+// The host includes it as "shaders/refine/layout.h" and finds facet::shaders::refine::StepPush. The types
+// below have the same size and alignment as in std430; vec3 and matrices with three rows are missing on
+// purpose, since std430 packs a scalar into the fourth place and C++ does not.
 #ifndef FACET_SHADERS_COMMON_LAYOUT_H
 #define FACET_SHADERS_COMMON_LAYOUT_H
 

@@ -6,7 +6,8 @@
 
 FACET_LAYOUT_BEGIN(refine)
 
-FACET_LAYOUT_CONSTANT int kImageBlockPx = 4;  // linear_image makes blocks of so many pixels squared: whole pixels of the quarter image
+// linear_image makes blocks of so many pixels squared: whole pixels of the quarter image.
+FACET_LAYOUT_CONSTANT int kImageBlockPx = 4;
 
 // What changes from frame to frame; the host writes it before each submission.
 struct FrameParameters {
