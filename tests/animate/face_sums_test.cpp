@@ -159,8 +159,8 @@ TEST(FaceSumsTest, AFaceOfALongTakeIsPosedAsByEveryFaceByItself) {
       }
       const float apart = (made[0] - made[1]).colwise().norm().maxCoeff();
       EXPECT_GT(apart, 0) << "both were made the same way";
-      // Of forty such poses the median is 0.002 mm and the worst 0.017; another compiler's rounding put one of
-      // nine 0.1 mm off, for a reason that is not known yet.
+      // Of forty such poses the median is 0.002 mm and the worst 0.017; another compiler's rounding put one
+      // of nine 0.1 mm off, for a reason that is not known yet.
       EXPECT_LT(apart, 0.3F) << "seed " << seed << ", " << targets.size() << " points";
       far += apart > 0.05F ? 1 : 0;
     }
