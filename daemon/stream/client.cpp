@@ -172,6 +172,7 @@ void StreamClient::Impl::open_ring(const RingOffer& offer) {
   }
   ring.emplace(passed[0]);
   ring_wake = std::move(passed[1]);
+  waiting_for_subject = false;
   passed.clear();
   ::fcntl(ring_wake.get(), F_SETFL, O_NONBLOCK);
 }

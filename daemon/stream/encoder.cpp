@@ -196,6 +196,7 @@ struct Encoder::Impl {
   FlatBufferBuilder builder{kInitialBufferBytes};
   mesh::Vertices vertices_mm;  ///< [3][finest vertex_count], profile Vertices
   Eigen::Matrix3Xf normals;    ///< [3][finest vertex_count]
+  std::uint64_t subject_number = 0;
 
   /// Where the numbers of the long vectors go: into the message, or beside it for a ring.
   bool beside = false;
@@ -216,6 +217,9 @@ struct Encoder::Impl {
     Offset<wire::FrameSet> frame_set;
   };
 
+  std::uint64_t wire_id(const mesh::Subject& subject) const {
+    return subject_number != 0 ? subject_number : subject.id;
+  }
   template <typename T>
   Offset<flatbuffers::Vector<T>> place(std::vector<T>& beside_vector, std::size_t count, T** out);
   Offset<flatbuffers::Vector<std::int16_t>> scaled(std::size_t which, std::span<const float> values,
@@ -276,6 +280,10 @@ std::span<const std::uint8_t> Encoder::ring(const RingOffer& offer) {
   return finish(builder, wire::Body::Ring, wire::CreateRing(builder, offer.version, offer.bytes).Union());
 }
 
+void Encoder::number_subject(std::uint64_t number) {
+  impl_->subject_number = number;
+}
+
 std::span<const std::uint8_t> Encoder::subject(const mesh::Subject& subject, Profile profile) {
   FlatBufferBuilder& builder = impl_->builder;
   builder.Clear();
@@ -294,7 +302,8 @@ std::span<const std::uint8_t> Encoder::subject(const mesh::Subject& subject, Pro
   if (profile != Profile::Signals && subject.hierarchy != nullptr) {
     hierarchy = hierarchy_message(builder, *subject.hierarchy, profile);
   }
-  const auto body = wire::CreateSubject(builder, subject.id, name_vector, identity, regions, hierarchy);
+  const auto body =
+      wire::CreateSubject(builder, impl_->wire_id(subject), name_vector, identity, regions, hierarchy);
   return finish(builder, wire::Body::Subject, body.Union());
 }
 
@@ -460,7 +469,7 @@ std::span<const std::uint8_t> Encoder::Impl::frame_message(const mesh::MeshFrame
   table.add_landmarks_px(parts.landmarks_px);
   table.add_reprojection_px(finite_or_zero(frame.reprojection_px));
   if (with_mesh) {
-    table.add_subject_id(frame.subject->id);
+    table.add_subject_id(wire_id(*frame.subject));
     table.add_camera_from_head(&pose);
     table.add_expression(parts.expression);
     table.add_photometric_rms(finite_or_zero(frame.photometric_rms));

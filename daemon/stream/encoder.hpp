@@ -35,6 +35,8 @@ class Encoder {
   std::span<const std::uint8_t> dropped(const Dropped& dropped);
   std::span<const std::uint8_t> goodbye(std::string_view reason);
   std::span<const std::uint8_t> ring(const RingOffer& offer);
+  /// What the messages below say in place of Subject::id from here on; 0: the id itself, as takes have it.
+  void number_subject(std::uint64_t number);
   std::span<const std::uint8_t> subject(const mesh::Subject& subject, Profile profile);
   std::span<const std::uint8_t> albedo(std::uint64_t subject_id, const mesh::Albedo& albedo);
   /// A frame without a subject, or with one that has a subject_fault, carries no geometry in any profile; the

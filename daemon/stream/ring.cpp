@@ -204,9 +204,9 @@ RingReader::Outcome RingReader::newest() {
     const auto header = std::bit_cast<facet_ring_slot>(words);
     // Not known to be whole yet: no more is believed of it than that it stays inside the slot.
     const std::size_t head_bytes = std::min<std::size_t>(header.head_bytes, slot_bytes_ - sizeof(header));
-    head_.resize((head_bytes + kWordBytes - 1) / kWordBytes);
-    for (std::size_t k = 0; k < head_.size(); ++k) {
-      head_[k] = load_word(slot + sizeof(header) + k * kWordBytes);
+    coming_head_.resize((head_bytes + kWordBytes - 1) / kWordBytes);
+    for (std::size_t k = 0; k < coming_head_.size(); ++k) {
+      coming_head_[k] = load_word(slot + sizeof(header) + k * kWordBytes);
     }
     std::atomic_thread_fence(std::memory_order_acquire);
     if (load_word(slot) != 2 * publication) {
@@ -221,6 +221,7 @@ RingReader::Outcome RingReader::newest() {
     }
     publication_ = publication;
     slot_ = header;
+    head_.swap(coming_head_);
     return Outcome::Frame;
   }
   return Outcome::NothingNew;

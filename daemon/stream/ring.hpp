@@ -98,7 +98,7 @@ class RingReader {
   Outcome newest();
 
   std::uint64_t number() const { return slot_.number; }
-  /// The frame's message without its arrays: a copy, whole. Valid until the next call of newest().
+  /// The frame's message without its arrays: a copy, whole. Valid until newest() gives another.
   std::span<const std::uint8_t> head() const;
   /// In place. which: FACET_RING_CONTROL_VERTICES and so on
   RingArray array(std::size_t which) const;
@@ -119,6 +119,7 @@ class RingReader {
   std::uint64_t publication_ = 0;  ///< that was read last; 0: none
   facet_ring_slot slot_{};         ///< its own, checked
   std::vector<std::uint64_t> head_;
+  std::vector<std::uint64_t> coming_head_;  ///< not known to be whole
 };
 
 /// One word of memory that another process may be writing.

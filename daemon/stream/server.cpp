@@ -75,9 +75,9 @@ struct Reader {
   std::size_t sent_bytes = 0;              ///< of outgoing
   bool outgoing_is_frame = false;
   bool hello_sent = false;
-  bool waits_for_room = false;   ///< EPOLLOUT is armed
-  bool gone = false;             ///< to be removed after this round
-  std::uint64_t subject_id = 0;  ///< that the reader was sent in its profile; 0: none
+  bool waits_for_room = false;       ///< EPOLLOUT is armed
+  bool gone = false;                 ///< to be removed after this round
+  std::uint64_t subject_number = 0;  ///< of the one that the reader was sent in its profile; 0: none
   std::uint64_t albedo_version = 0;
   std::uint64_t last_number = 0;  ///< newest publication that was sent or counted as dropped
   std::uint64_t dropped_since_frame = 0;
@@ -196,7 +196,10 @@ struct StreamServer::Impl {
   std::shared_ptr<const mesh::MeshFrame> current;
   std::uint64_t current_number = 0;              ///< publications up to and with current
   std::shared_ptr<const mesh::Subject> subject;  ///< of the newest frame that had one
-  std::shared_ptr<const mesh::Albedo> albedo;    ///< likewise, of that subject
+  /// What readers know it by: one more with every subject, and from another start on in every server, so that
+  /// a reader that connects anew never takes one subject for another.
+  std::uint64_t subject_number = static_cast<std::uint64_t>(Clock::now().time_since_epoch().count());
+  std::shared_ptr<const mesh::Albedo> albedo;  ///< likewise, of that subject
   /// Of current, made when asked for: without pixels, then with them.
   std::array<std::array<std::shared_ptr<const Packet>, kProfileCount>, 2> frame_packets;
   std::array<std::shared_ptr<const Packet>, kProfileCount> subject_packets;  ///< of subject
@@ -270,13 +273,9 @@ void StreamServer::Impl::take_newest() {
     return;
   }
   // Takes come from elsewhere too: one may show another mesh under an id that is known.
-  const auto mesh_of = [](const mesh::Subject& one) { return one.hierarchy ? one.hierarchy->id : 0; };
-  if (subject == nullptr || subject->id != current->subject->id ||
-      mesh_of(*subject) != mesh_of(*current->subject)) {
+  if (subject != current->subject) {
     subject = current->subject;
-    for (const std::unique_ptr<Reader>& reader : readers) {
-      reader->subject_id = 0;
-    }
+    encoder.number_subject(++subject_number);
     subject_packets.fill(nullptr);
     albedo = nullptr;
     albedo_packet = nullptr;
@@ -485,7 +484,7 @@ void StreamServer::Impl::accept_request(Reader& reader, std::span<const std::uin
     reader.last_number = current_number > 0 ? current_number - 1 : 0;
   }
   if (!reader.statistics.subscribed || wanted.profile != reader.subscription.profile) {
-    reader.subject_id = 0;
+    reader.subject_number = 0;
     reader.albedo_version = 0;
   }
   reader.subscription = wanted;
@@ -644,8 +643,8 @@ std::shared_ptr<const Packet> StreamServer::Impl::next_packet(Reader& reader) {
     return nullptr;
   }
   const Profile profile = reader.subscription.profile;
-  if (subject != nullptr && reader.subject_id != subject->id) {
-    reader.subject_id = subject->id;
+  if (subject != nullptr && reader.subject_number != subject_number) {
+    reader.subject_number = subject_number;
     reader.albedo_version = 0;
     auto& cached = subject_packets[static_cast<std::size_t>(profile)];
     if (cached == nullptr) {
@@ -657,7 +656,7 @@ std::shared_ptr<const Packet> StreamServer::Impl::next_packet(Reader& reader) {
       reader.albedo_version != albedo->version) {
     reader.albedo_version = albedo->version;
     if (albedo_packet == nullptr) {
-      albedo_packet = packet(encoder.albedo(subject->id, *albedo));
+      albedo_packet = packet(encoder.albedo(subject_number, *albedo));
     }
     return albedo_packet;
   }

@@ -1,8 +1,11 @@
-// A stream server with one frame for programs that are tested from outside: says "ready", ends with its
-// input. Usage: patch_server SOCKET
+// A stream server with one frame, over its socket and for browsers, for programs that are tested from
+// outside: says the port, ends with its input. Each line of it is a number of control vertices a side: the
+// next frame is of such a mesh, under the id that was there. Usage: patch_server FOLDER, in which its sockets
+// and files come to lie, stream.sock and others
 
 #include <cstdio>
 
+#include "service/web_server.hpp"
 #include "stream/server.hpp"
 #include "support/mesh_frames.hpp"
 
@@ -11,16 +14,32 @@ int main(int argc, char** argv) {
   if (argc != 2) {
     return 2;
   }
+  const std::filesystem::path folder = argv[1];
   stream::StreamServerConfig config;
-  config.socket = argv[1];
+  config.socket = folder / "stream.sock";
+  config.max_web_readers = 4;
   stream::StreamServer server(config);
   server.start();
-  const auto subject = test::patch_subject();
-  server.publish(
-      std::make_shared<mesh::MeshFrame>(test::patch_frame(7, subject, test::patch_albedo(*subject))));
-  std::puts("ready");
+  service::ControlConfig control_config;
+  control_config.socket = folder / "control.sock";
+  service::ControlServer control(control_config, {});
+  service::WebConfig web_config;
+  web_config.listen = "127.0.0.1:0";
+  web_config.page = folder;
+  web_config.token_file = folder / "token";
+  const service::WebServer web(web_config, folder, server, control);
+  auto subject = test::patch_subject();
+  const auto publish = [&](std::uint64_t sequence) {
+    server.publish(std::make_shared<mesh::MeshFrame>(
+        test::patch_frame(sequence, subject, test::patch_albedo(*subject))));
+  };
+  std::uint64_t sequence = 7;
+  publish(sequence);
+  std::printf("%d\n", web.port());
   std::fflush(stdout);
-  while (std::getchar() != EOF) {
+  for (int side = 0; std::scanf("%d", &side) == 1;) {
+    subject = test::patch_subject(subject->id, side);
+    publish(++sequence);
   }
   server.stop();
   return 0;

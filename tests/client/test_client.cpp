@@ -109,7 +109,8 @@ TEST_P(EveryWay, SameBitsAsTheCppClient) {
         same_bits(frame->landmarks_px, expected.frame.landmarks_px[0].data(), 2 * frame->landmark_count));
     const facet_subject* known = facet_client_subject(client.get());
     ASSERT_NE(known, nullptr);
-    EXPECT_EQ(known->id, subject->id);
+    EXPECT_EQ(known->id, reference.subject()->id);
+    EXPECT_EQ(frame->subject_id, known->id);
     EXPECT_STREQ(known->expression_names[1], "eyeBlinkLeft");
     EXPECT_EQ(known->identity_count, 4U);
 
@@ -184,6 +185,35 @@ TEST_F(Client, SeveralSeedsOfMeshesAreRebuiltToTheBit) {
       EXPECT_TRUE(same_bits(mesh->normals, normals.data(), static_cast<std::size_t>(normals.size())));
     }
   }
+}
+
+// Takes from elsewhere may share an id. Smaller meshes fit into the ring that is there.
+TEST_F(Client, AnotherMeshUnderAnIdThatIsKnownIsNotTakenForTheFirst) {
+  start();
+  const CClient by_socket = connect(FACET_DISPLACEMENTS, FACET_WANT_ALBEDO);
+  const CClient by_ring = connect(FACET_DISPLACEMENTS, FACET_WANT_RING | FACET_WANT_ALBEDO);
+  std::uint64_t shown_id = 0;
+  std::uint64_t sequence = 0;
+  for (const int side : {9, 5, 9, 4}) {
+    subject = test::patch_subject(subject->id, side);
+    albedo = test::patch_albedo(*subject, 1);
+    publish(++sequence);
+    const auto count = static_cast<std::uint32_t>(subject->hierarchy->finest().vertex_count);
+    for (const CClient* client : {&by_socket, &by_ring}) {
+      ASSERT_EQ(facet_client_next(client->get(), kPatienceMs), FACET_OK)
+          << facet_client_message(client->get());
+      EXPECT_EQ(facet_client_frame(client->get())->sequence, sequence);
+      const facet_mesh* mesh = nullptr;
+      ASSERT_EQ(facet_client_mesh(client->get(), &mesh), FACET_OK);
+      EXPECT_EQ(mesh->vertex_count, count);
+      EXPECT_EQ(facet_client_subject(client->get())->vertex_count, count);
+    }
+    EXPECT_NE(facet_client_frame(by_ring.get())->subject_id, shown_id)
+        << "by which a game tells that it needs other triangles";
+    shown_id = facet_client_frame(by_ring.get())->subject_id;
+    EXPECT_EQ(facet_client_frame(by_socket.get())->subject_id, shown_id);
+  }
+  EXPECT_EQ(facet_client_statistics(by_ring.get())->connections, 1U);
 }
 
 TEST_F(Client, FramesWithoutAFaceAndAFaceAfterwards) {

@@ -1,4 +1,5 @@
 # Keeps the meshes of the stream as Godot has them, for check-godot: FOLDER/SEQUENCE.f32, vertices in mm, then normals.
+# And the face that is drawn of them.
 # Environment: FACET_URL, FACET_PROFILE (displacements, vertices), FACET_FOLDER, FACET_FRAMES (how many).
 extends SceneTree
 
@@ -6,6 +7,7 @@ const Message := preload("res://facet_message.gd")
 const Stream := preload("res://facet_stream.gd")
 const Rebuild := preload("res://facet_rebuild.gd")
 var stream = Stream.new()
+var face = preload("res://face.gd").new()
 var left := int(OS.get_environment("FACET_FRAMES"))
 
 
@@ -15,6 +17,8 @@ func _init():
 	stream.connect("state_changed", self, "_on_state")
 	stream.connect("albedo_changed", self, "_on_albedo")
 	stream.connect("frame_arrived", self, "_on_frame")
+	stream.connect("subject_changed", face, "set_subject")
+	get_root().call_deferred("add_child", face)
 	get_root().call_deferred("add_child", stream)
 
 
@@ -43,6 +47,8 @@ func _on_frame(frame: Dictionary):
 		var bytes := var2bytes(PoolVector3Array(numbers))
 		file.store_buffer(bytes.subarray(8, bytes.size() - 1))
 	file.close()
+	face.set_frame(frame)
+	print("face: %d of %d vertices, subject %d" % [face.mesh.surface_get_array_len(0), made.vertices.size(), frame.subject_id])
 	print("frame: %d %s %s %.6f" % [frame.sequence, Message.STATES[frame.state], stream.subject.names[0], frame.expression[0]])
 	left -= 1
 	if left == 0:

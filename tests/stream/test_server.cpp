@@ -7,6 +7,7 @@
 #include <atomic>
 #include <chrono>
 #include <optional>
+#include <set>
 #include <thread>
 #include <vector>
 
@@ -162,7 +163,8 @@ TEST_F(Server, LateReaderGetsSubjectAlbedoAndCurrentFrame) {
   EXPECT_EQ(got.frame.sequence, 1U);
   EXPECT_EQ(got.vertices_mm.cols(), subject->hierarchy->finest().vertex_count);
   ASSERT_NE(client.albedo(), nullptr);
-  EXPECT_EQ(client.subject()->id, subject->id);
+  EXPECT_EQ(got.frame.subject, client.subject());
+  EXPECT_EQ(client.subject()->identity, subject->identity);
   EXPECT_EQ(client.dropped(), 0U) << "frames from before the connection are not lost ones";
 }
 
@@ -220,7 +222,7 @@ TEST_F(Server, ReadersOfARingGetTheSameFrames) {
     EXPECT_FALSE(by_socket.by_ring());
     EXPECT_EQ(by_ring.dropped(), 0U);
     ASSERT_EQ(by_ring.subject() == nullptr, false);
-    EXPECT_EQ(by_ring.subject()->id, subject->id);
+    EXPECT_EQ(by_ring.subject()->id, by_socket.subject()->id);
   }
   EXPECT_TRUE(
       eventually([&] { return server->statistics().readers.empty() || (publish(0), ++published, false); }));
@@ -246,7 +248,7 @@ TEST_F(Server, ARingOfferedBeforeTheFirstFaceGrowsWithIt) {
   publish(2);
   ASSERT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
   EXPECT_EQ(got.frame.sequence, 2U);
-  EXPECT_EQ(got.frame.subject->id, 7U);
+  EXPECT_EQ(got.frame.subject->hierarchy->id, subject->hierarchy->id);
   EXPECT_EQ(client.dropped(), 0U);
 }
 
@@ -424,7 +426,7 @@ TEST_F(Server, SubjectAndAlbedoAreSentAnewWhenTheyChange) {
   albedo = nullptr;
   publish(2);
   ASSERT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
-  EXPECT_EQ(got.frame.subject->id, 99U);
+  EXPECT_EQ(got.frame.subject->hierarchy->id, subject->hierarchy->id);
   EXPECT_EQ(got.frame.albedo, nullptr);
   server->publish(std::make_shared<mesh::MeshFrame>(test::searching_frame(3)));
   ASSERT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
@@ -432,23 +434,52 @@ TEST_F(Server, SubjectAndAlbedoAreSentAnewWhenTheyChange) {
   EXPECT_EQ(got.frame.subject, nullptr);
 }
 
-TEST_F(Server, AnotherMeshUnderAnIdThatIsKnownIsSentAnew) {
+// Takes from elsewhere may share an id; readers tell one subject from another by nothing else.
+TEST_F(Server, NoTwoSubjectsHaveOneIdForReadersWhateverTheirOwn) {
   start();
-  StreamClient early(path, wanted(Profile::Displacements));
-  wait_for_subscribers(1);
+  StreamClient by_socket(path, wanted(Profile::Displacements));
+  StreamClient by_ring(path, by_ring_wanted(Profile::Displacements));
+  wait_for_subscribers(2);
   DecodedFrame got;
-  publish(0);
-  ASSERT_EQ(early.next(got, kPatience), ReceiveOutcome::Received);
-  subject = test::patch_subject(subject->id, 5);
-  albedo = test::patch_albedo(*subject, 1);
-  publish(1);
-  StreamClient late(path, wanted(Profile::Displacements));
-  for (StreamClient* client : {&early, &late}) {
-    ASSERT_EQ(client->next(got, kPatience), ReceiveOutcome::Received);
-    EXPECT_EQ(got.frame.sequence, 1U);
-    EXPECT_EQ(got.frame.subject->hierarchy->id, subject->hierarchy->id);
-    EXPECT_EQ(got.frame.albedo->linear_rgb.size(), albedo->linear_rgb.size());
+  std::set<std::uint64_t> seen;
+  const auto first = subject;
+  // Smaller ones fit into the ring of the larger: no new one tells its reader of the change. The first comes
+  // back; the last has the mesh of the one before, and other names.
+  auto renamed = std::make_shared<mesh::Subject>(*test::patch_subject(first->id, 5));
+  renamed->expression_names = {"browInnerUp"};
+  std::uint64_t sequence = 0;
+  for (const auto& shown :
+       {first, test::patch_subject(first->id, 5), first, test::patch_subject(first->id, 4),
+        test::patch_subject(first->id, 5), std::shared_ptr<const mesh::Subject>(renamed)}) {
+    subject = shown;
+    albedo = test::patch_albedo(*subject, 1);
+    publish_and_wait(sequence);
+    for (StreamClient* client : {&by_socket, &by_ring}) {
+      ASSERT_EQ(client->next(got, kPatience), ReceiveOutcome::Received);
+      EXPECT_EQ(got.frame.sequence, sequence);
+      EXPECT_EQ(got.frame.subject->hierarchy->id, subject->hierarchy->id);
+      EXPECT_EQ(got.frame.subject->expression_names, subject->expression_names);
+      EXPECT_EQ(got.frame.expression.size(), subject->expression_names.size());
+      EXPECT_EQ(got.frame.displacements_mm.size(),
+                static_cast<std::size_t>(subject->hierarchy->finest().vertex_count));
+    }
+    seen.insert(got.frame.subject->id);
+    ++sequence;
+    EXPECT_EQ(seen.size(), sequence);
+    EXPECT_EQ(by_socket.subject()->id, by_ring.subject()->id);
   }
+  StreamClient late(path, wanted(Profile::Displacements));
+  ASSERT_EQ(late.next(got, kPatience), ReceiveOutcome::Received);
+  EXPECT_EQ(got.frame.subject->id, by_ring.subject()->id);
+  EXPECT_EQ(got.frame.albedo->linear_rgb.size(), albedo->linear_rgb.size());
+  // Nor after a restart, where readers that come back may have kept what they built.
+  server.reset();
+  start();
+  published = 0;
+  publish_and_wait(0);
+  StreamClient again(path, wanted(Profile::Displacements));
+  ASSERT_EQ(again.next(got, kPatience), ReceiveOutcome::Received);
+  EXPECT_EQ(seen.count(got.frame.subject->id), 0U);
 }
 
 TEST_F(Server, ReaderWithoutWishForAlbedoGetsNone) {
@@ -503,6 +534,7 @@ TEST_F(Server, SlowReaderLosesWholeFramesAndHarmsNobody) {
   std::uint64_t dropped = 0;
   std::uint64_t last_sequence = 0;
   std::uint64_t announced = 0;
+  std::shared_ptr<const mesh::Subject> sent;
   do {
     const auto message = slow.receive();
     ASSERT_TRUE(message.has_value());
@@ -510,8 +542,10 @@ TEST_F(Server, SlowReaderLosesWholeFramesAndHarmsNobody) {
       const Dropped notice = decode_dropped(*message);
       dropped = notice.total;
       announced = notice.since_last;
+    } else if (message_type(*message) == MessageType::Subject) {
+      sent = decode_subject(*message);
     } else if (message_type(*message) == MessageType::Frame) {
-      decode_frame(*message, subject, nullptr, got);
+      decode_frame(*message, sent, nullptr, got);
       if (received > 0) {
         EXPECT_EQ(got.frame.sequence - last_sequence - 1, announced)
             << "the notice tells the gap before the frame";
@@ -542,7 +576,7 @@ TEST_F(Server, AMeshThatNoReaderWouldAcceptIsNotSent) {
   publish(2);
   ASSERT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
   EXPECT_FALSE(got.frame.degraded) << "the next subject is none the worse";
-  EXPECT_EQ(got.frame.subject->id, subject->id);
+  EXPECT_EQ(got.frame.subject->hierarchy->id, subject->hierarchy->id);
 }
 
 TEST_F(Server, ReaderThatNeverReadsHoldsNothingUp) {

@@ -85,13 +85,26 @@ TEST_F(UnrealReader, WaitsForADaemonThatIsAwayAndTakesAnotherPerson) {
   server_->publish(std::make_shared<mesh::MeshFrame>(test::patch_frame(1, subject_, nullptr)));
   ASSERT_TRUE(next(reader)) << reader.message();
   EXPECT_TRUE(reader.face().linear_rgb.empty());
-  const auto other = test::patch_subject(0xBEEF, 7, 2);
-  server_->publish(std::make_shared<mesh::MeshFrame>(test::patch_frame(2, other, nullptr)));
-  ASSERT_TRUE(next(reader)) << reader.message();
-  EXPECT_EQ(reader.face().subject_id, 0xBEEFU);
-  EXPECT_EQ(reader.face().vertices_cm.size(),
-            3 * static_cast<std::size_t>(other->hierarchy->finest().vertex_count));
   EXPECT_FALSE(reader.poll()) << "each frame comes once";
+  // Others, also under an id that was there: over this connection, then before another daemon.
+  std::uint64_t sequence = 1;
+  for (const auto& other : {test::patch_subject(0xBEEF, 7, 2), test::patch_subject(0xBEEF, 5, 2)}) {
+    for (const bool restarted : {false, true}) {
+      if (restarted) {
+        server_.reset();
+        start();
+      }
+      const std::uint64_t shown = reader.face().subject_id;
+      server_->publish(std::make_shared<mesh::MeshFrame>(test::patch_frame(++sequence, other, nullptr)));
+      ASSERT_TRUE(next(reader)) << reader.message();
+      EXPECT_EQ(reader.face().sequence, sequence);
+      EXPECT_NE(reader.face().subject_id, shown) << "by which the component knows to build another section";
+      EXPECT_EQ(reader.face().vertices_cm.size(),
+                3 * static_cast<std::size_t>(other->hierarchy->finest().vertex_count));
+      EXPECT_EQ(reader.face().triangles.size(),
+                static_cast<std::size_t>(other->hierarchy->finest().triangles.size()));
+    }
+  }
 }
 
 TEST(UnrealReaderAlone, RefusesAPathThatNoSocketCanHave) {
