@@ -28,8 +28,9 @@ function freePort() {
 
 /** Not started yet: what `source` names is to be laid into `folder` before, takes into `takes`. */
 export class Service {
-  /** facetd: the program. page: the folder of the page. source: the lines of [source]. more: further sections. log: a file for what it says. */
-  static async prepare({ facetd, page, assets, source, more = '', log = null }) {
+  /** facetd: the program. page: the folder of the page. source: the lines of [source]; none where `rig` says the mode and what stands for the source.
+   * more: further sections. log: a file for what it says. */
+  static async prepare({ facetd, page, assets, source, rig = `[source]\n${source}\npaced = true`, more = '', log = null }) {
     const service = new Service();
     service.facetd = facetd;
     service.log = log;
@@ -38,9 +39,7 @@ export class Service {
     service.origin = `http://127.0.0.1:${await freePort()}`;
     mkdirSync(service.takes);
     writeFileSync(join(service.folder, 'facet.toml'), `
-[source]
-${source}
-paced = true
+${rig}
 [model]
 path = "${assets}/default.facemodel"
 landmark_assets = "${assets}/mediapipe/face_mesh_solution_packed_assets.data"

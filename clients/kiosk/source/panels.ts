@@ -257,7 +257,7 @@ export function showTakes(takes: Takes | null): void {
   const rows = takes.takes.slice(0, kMostShown).map((take) => {
     const row = document.createElement('li');
     const [name, facts] = ['b', 'small'].map((tag) => document.createElement(tag));
-    name.textContent = take.name;
+    name.textContent = name.title = take.name;
     row.append(name, facts);
     if (take.error !== undefined) {
       facts.textContent = take.error;

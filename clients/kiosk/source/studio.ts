@@ -303,6 +303,7 @@ export class Studio {
       : this.points.length === 0 ? text('studio_pose') : text('studio_points', { count: this.points.length, latency: number(status.latency_ms.mean, 1) });
     const missed = this.points.find((point) => point.missed !== '')?.missed;
     this.setText('studio-take', status.take);
+    element('studio-take').title = status.take;
     this.setText('studio-state', words[status.state] ?? (status.shown === 'pose' && missed ? `${standing} · ${missed}` : standing));
     this.setText('studio-play', text(status.state === 'playing' ? 'pause' : 'play'));
     element<HTMLButtonElement>('studio-play').disabled = this.posing && this.keys.keys.length === 0;
