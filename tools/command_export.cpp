@@ -342,7 +342,6 @@ int export_signals(take::TakeReader& reader, const Selection& selection, const E
 /// Returns the signal that broke it off, or 0.
 int export_pictures(take::TakeReader& reader, const Selection& selection, const ExportOptions& options,
                     const StopSignals& signals) {
-  files::make_folder(options.output);
   Progress progress("Exporting", selection.size());
   std::size_t written = 0;
   std::vector<std::uint64_t> unreadable;
@@ -371,7 +370,8 @@ int export_pictures(take::TakeReader& reader, const Selection& selection, const 
   }
   if (written == 0) {
     throw Error(ErrorKind::UnreadableInput,
-                fmt::format("'{}' holds no pictures: they are recorded in mode \"frames\"", options.take));
+                fmt::format("'{}' holds no pictures: they are recorded in modes \"frames\" and \"booth\"",
+                            options.take));
   }
   fmt::print("{}: {} pictures of {} frames\n", options.output, written, selection.size());
   return 0;

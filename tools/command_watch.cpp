@@ -155,8 +155,6 @@ void save_images(const FrameSet* set, const std::filesystem::path& folder) {
     throw Error(ErrorKind::Unavailable,
                 "no frame with pictures came: facetd passes them on in mode \"frames\"");
   }
-  std::error_code error;
-  std::filesystem::create_directories(folder, error);
   const std::size_t written = write_set_pictures(*set, folder);
   fmt::print(stderr, "{}: {} pictures of slot {}\n", folder.string(), written, set->slot);
 }

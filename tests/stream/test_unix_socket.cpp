@@ -1,9 +1,12 @@
 #include <gmock/gmock.h>
+#include <grp.h>
 #include <gtest/gtest.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <cstdio>
+#include <cstdlib>
 #include <fstream>
 #include <optional>
 
@@ -127,6 +130,30 @@ TEST_F(UnixSocket, ClosedFolderIsNamed) {
   expect_error(ErrorKind::Storage, "cannot write to the folder",
                [&] { const ListeningSocket listening(path, {}); });
   ::chmod(folder.path().c_str(), 0700);
+}
+
+TEST_F(UnixSocket, AStrangerToTheGroupIsKeptOutAndToldWhichItIs) {
+  if (::geteuid() != 0) {
+    GTEST_SKIP() << "only root can become a stranger";
+  }
+  ASSERT_EQ(::chmod(folder.path().c_str(), 0755), 0);
+  const ListeningSocket listening(path, {0660, "video"});
+  const auto as_a_stranger = [&] {
+    constexpr ::uid_t kNobody = 65534;
+    if (::setgroups(0, nullptr) != 0 || ::setgid(kNobody) != 0 || ::setuid(kNobody) != 0) {
+      std::fputs("root can't be given up", stderr);
+      std::_Exit(2);
+    }
+    try {
+      const FileDescriptor fd = connect_unix(path);
+      std::fputs("it was let in", stderr);
+    } catch (const Error& error) {
+      std::fputs(error.what(), stderr);
+      std::_Exit(error.kind() == ErrorKind::Unavailable ? 7 : 1);
+    }
+    std::_Exit(0);
+  };
+  EXPECT_EXIT(as_a_stranger(), testing::ExitedWithCode(7), "no permission .* member of the group 'video'");
 }
 
 }  // namespace

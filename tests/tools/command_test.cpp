@@ -233,6 +233,9 @@ TEST_F(Command, ExportNamesFramesByTheirNumberInTheSource) {
   EXPECT_TRUE(std::filesystem::is_regular_file(file("one.obj")));
   EXPECT_EQ(run({"export", some, "--format", "ply", "--frames", "0:5", "-o", file("none")}), 2);
   EXPECT_THAT(output_, AllOf(HasSubstr(some), HasSubstr("100 to 104")));
+  EXPECT_EQ(run({"export", some, "--format", "png", "-o", file("pictures")}), 3);
+  EXPECT_THAT(output_, AllOf(HasSubstr(some), HasSubstr("holds no pictures")));
+  EXPECT_FALSE(std::filesystem::exists(file("pictures")));
   EXPECT_EQ(run({"summary", "--last-mesh-frame", some}), 0);
   EXPECT_EQ(output_, "104\n");
 }
