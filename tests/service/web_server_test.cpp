@@ -442,6 +442,9 @@ TEST_F(Web, StreamsTheSameMessagesAsTheSocket) {
     ASSERT_TRUE(frame.has_value());
     ASSERT_EQ(frame->opcode, WebSocketOpcode::Binary);
     types.push_back(stream::message_type(frame->payload));
+    if (types.back() == stream::MessageType::Subject) {
+      encoder_.number_subject(stream::decode_subject(frame->payload)->id);
+    }
   }
   EXPECT_EQ(types, (std::vector{stream::MessageType::Hello, stream::MessageType::Subject,
                                 stream::MessageType::Albedo, stream::MessageType::Frame}));
