@@ -101,20 +101,27 @@ void CoarseFit::add_temporal(const TemporalPrior& previous, const FrameState& st
   }
 }
 
-double CoarseFit::energy(const LandmarkBasis& basis, const Observation& observation, double focal_px,
+double CoarseFit::energy(const LandmarkBasis& basis, std::span<const Observation> views, double focal_px,
                          const TemporalPrior* previous, const FrameState& state) {
-  double sum = landmark_term_.energy(basis, observation, focal_px, state) + prior_->energy(state.expression);
+  double sum = 0;
+  for (const Observation& view : views) {
+    sum += landmark_term_.energy(basis, view, focal_px, state);
+  }
+  sum += prior_->energy(state.expression);
   if (previous != nullptr) {
     sum += temporal_energy(*previous, state);
   }
   return sum;
 }
 
-double CoarseFit::linearise(const LandmarkBasis& basis, const Observation& observation, double focal_px,
+double CoarseFit::linearise(const LandmarkBasis& basis, std::span<const Observation> views, double focal_px,
                             const TemporalPrior* previous, const FrameState& state,
                             NormalEquations& equations) {
   equations.clear();
-  double sum = landmark_term_.linearise(basis, observation, focal_px, state, nullptr, equations);
+  double sum = 0;
+  for (const Observation& view : views) {
+    sum += landmark_term_.linearise(basis, view, focal_px, state, nullptr, equations);
+  }
   equations.finish();
   prior_->add(state.expression, kExpressionAt, equations.hessian, equations.gradient);
   sum += prior_->energy(state.expression);
@@ -125,12 +132,12 @@ double CoarseFit::linearise(const LandmarkBasis& basis, const Observation& obser
   return sum;
 }
 
-FitReport CoarseFit::solve(const LandmarkBasis& basis, const Observation& observation, double focal_px,
+FitReport CoarseFit::solve(const LandmarkBasis& basis, std::span<const Observation> views, double focal_px,
                            const TemporalPrior* previous, int max_iterations, FrameState& state) {
   FitReport report;
   double damping = kFirstDamping;
   for (int iteration = 0; iteration < max_iterations; ++iteration) {
-    const double before = linearise(basis, observation, focal_px, previous, state, equations_);
+    const double before = linearise(basis, views, focal_px, previous, state, equations_);
     if (!std::isfinite(before)) {
       return report;
     }
@@ -144,7 +151,7 @@ FitReport CoarseFit::solve(const LandmarkBasis& basis, const Observation& observ
     for (int trial = 0; trial < kTrials && !improved && damping <= kLargestDamping; ++trial) {
       if (solve_bounded_step(equations_.hessian, equations_.gradient, damping, scratch_, step_)) {
         apply_step(state, step_, trial_);
-        const double after = energy(basis, observation, focal_px, previous, trial_);
+        const double after = energy(basis, views, focal_px, previous, trial_);
         if (after < before) {
           std::swap(state, trial_);
           report.final_energy = after;

@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <limits>
+#include <span>
 
 #include "track/expression_prior.hpp"
 #include "track/landmark_model.hpp"
@@ -43,7 +44,7 @@ struct TemporalPrior {
 };
 
 /// Solves pose and expression of one frame for a held identity and focal length:
-///   E = E_data (LandmarkTerm) + E_expression (ExpressionPrior) + E_temporal
+///   E = sum over the views of E_data (LandmarkTerm) + E_expression (ExpressionPrior) + E_temporal
 /// by Levenberg-Marquardt with analytic derivatives; expressions stay in [0, 1] by an active set. No
 /// allocation after construction. One thread.
 class CoarseFit {
@@ -51,17 +52,18 @@ class CoarseFit {
   CoarseFit(const LandmarkModel& model, const ExpressionPrior& prior, const LandmarkTrust& trust,
             const TemporalPriorStrength& temporal);
 
-  /// Improves `state`. previous may be null: no temporal prior then.
-  FitReport solve(const LandmarkBasis& basis, const Observation& observation, double focal_px,
+  /// Improves `state`, of the reference camera. views: what each camera measured in this frame. focal_px: of
+  /// the reference camera. previous may be null: no temporal prior then.
+  FitReport solve(const LandmarkBasis& basis, std::span<const Observation> views, double focal_px,
                   const TemporalPrior* previous, int max_iterations, FrameState& state);
 
   /// The whole energy at a state; infinite where a landmark lies behind the camera.
-  double energy(const LandmarkBasis& basis, const Observation& observation, double focal_px,
+  double energy(const LandmarkBasis& basis, std::span<const Observation> views, double focal_px,
                 const TemporalPrior* previous, const FrameState& state);
 
   /// Gauss-Newton matrix and gradient of `energy` at a state, unknowns in the order of kRotationAt ...;
   /// returns the energy.
-  double linearise(const LandmarkBasis& basis, const Observation& observation, double focal_px,
+  double linearise(const LandmarkBasis& basis, std::span<const Observation> views, double focal_px,
                    const TemporalPrior* previous, const FrameState& state, NormalEquations& equations);
 
   LandmarkTerm& landmark_term() { return landmark_term_; }

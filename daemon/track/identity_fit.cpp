@@ -22,14 +22,14 @@ constexpr double kLargestFocalFactor = 4.0;
 
 IdentityFit::IdentityFit(const LandmarkModel& model, const ExpressionPrior& prior, const LandmarkTrust& trust,
                          const IdentityPriorStrength& strength, double longer_side_px, double fixed_focal_px,
-                         const Eigen::Vector2d& centre_px)
+                         std::vector<ViewCamera> cameras)
     : model_(&model),
       prior_(&prior),
       trust_(trust),
       strength_(strength),
       log_focal_prior_(std::log(fixed_focal_px > 0 ? fixed_focal_px : strength.focal_ratio * longer_side_px)),
       focal_is_fixed_(fixed_focal_px > 0),
-      centre_px_(centre_px),
+      cameras_(std::move(cameras)),
       landmark_term_(model, trust),
       shared_hessian_(shared_count(), shared_count()),
       shared_gradient_(shared_count()),
@@ -40,26 +40,34 @@ IdentityFit::IdentityFit(const LandmarkModel& model, const ExpressionPrior& prio
   trial_shape_ = shape_;
 }
 
-IdentityFit::BatchFrame::BatchFrame(const FaceLandmarks& landmarks, const FrameState& start, int own_count,
-                                    int shared_count)
-    : face(landmarks),
+IdentityFit::BatchFrame::BatchFrame(std::span<const FaceLandmarks* const> landmarks, const FrameState& start,
+                                    int own_count, int shared_count)
+    : faces(landmarks.size()),
+      observations(landmarks.size()),
       state(start),
       trial(start),
       equations(own_count + shared_count),
       scratch(own_count),
       eliminated(own_count, shared_count + 1),
-      step(Eigen::VectorXd::Zero(own_count)) {}
-
-void IdentityFit::add_frame(const FaceLandmarks& face, const FrameState& start) {
-  BatchFrame& frame = frames_.emplace_back(face, start, own_count(), shared_count());
-  observe(*model_, trust_, face, start.pose.translation_mm.z(), shape_.focal_px, centre_px_,
-          frame.observation);
+      step(Eigen::VectorXd::Zero(own_count)) {
+  for (std::size_t v = 0; v < landmarks.size(); ++v) {
+    observations[v].seen = landmarks[v] != nullptr;
+    if (landmarks[v] != nullptr) {
+      faces[v] = *landmarks[v];
+    }
+  }
 }
 
-void IdentityFit::refresh_observations() {
-  for (BatchFrame& frame : frames_) {
-    observe(*model_, trust_, frame.face, frame.state.pose.translation_mm.z(), shape_.focal_px, centre_px_,
-            frame.observation);
+void IdentityFit::add_frame(std::span<const FaceLandmarks* const> faces, const FrameState& start) {
+  observe_views(frames_.emplace_back(faces, start, own_count(), shared_count()));
+}
+
+void IdentityFit::observe_views(BatchFrame& frame) const {
+  for (std::size_t v = 0; v < frame.faces.size(); ++v) {
+    if (frame.observations[v].seen) {
+      observe(*model_, trust_, frame.faces[v], frame.state.pose.translation_mm, shape_.focal_px, cameras_[v],
+              frame.observations[v]);
+    }
   }
 }
 
@@ -73,8 +81,11 @@ double IdentityFit::batch_energy(const SubjectShape& shape, bool at_trial) {
   double sum = shared_prior_energy(shape);
   for (const BatchFrame& frame : frames_) {
     const FrameState& state = at_trial ? frame.trial : frame.state;
-    sum += landmark_term_.energy(basis_, frame.observation, shape.focal_px, state) +
-           prior_->energy(state.expression);
+    double own = 0;
+    for (const Observation& view : frame.observations) {
+      own += landmark_term_.energy(basis_, view, shape.focal_px, state);
+    }
+    sum += own + prior_->energy(state.expression);
   }
   return sum;
 }
@@ -89,8 +100,10 @@ double IdentityFit::linearise() {
   for (BatchFrame& frame : frames_) {
     model_->contract_expression(frame.state.expression, by_identity_mm_);
     frame.equations.clear();
-    sum += landmark_term_.linearise(basis_, frame.observation, shape_.focal_px, frame.state, &by_identity_mm_,
-                                    frame.equations);
+    for (const Observation& view : frame.observations) {
+      sum += landmark_term_.linearise(basis_, view, shape_.focal_px, frame.state, &by_identity_mm_,
+                                      frame.equations);
+    }
     frame.equations.finish();
     shared_hessian_ += frame.equations.hessian.bottomRightCorner(shared, shared);
     shared_gradient_ += frame.equations.gradient.tail(shared);
@@ -181,7 +194,9 @@ FitReport IdentityFit::improve(int max_iterations) {
   if (frames_.empty()) {
     return report;
   }
-  refresh_observations();
+  for (BatchFrame& frame : frames_) {
+    observe_views(frame);
+  }
   damping_ = std::min(damping_, kFirstDamping);
   for (int iteration = 0; iteration < max_iterations; ++iteration) {
     const double before = linearise();
@@ -229,18 +244,23 @@ Eigen::VectorXd IdentityFit::landmark_bias_mm() {
   Eigen::VectorXd seen = Eigen::VectorXd::Constant(model_->count(), strength_.bias_frames);
   Eigen::Matrix2Xd residuals_px;
   for (const BatchFrame& frame : frames_) {
-    if (!landmark_term_.residuals_px(basis_, frame.observation, shape_.focal_px, frame.state, true,
-                                     residuals_px)) {
-      continue;
-    }
-    const Eigen::Matrix3d& rotation = frame.state.pose.rotation;
-    const double mm_per_px = frame.state.pose.translation_mm.z() / shape_.focal_px;
-    for (Eigen::Index l = 0; l < model_->count(); ++l) {
-      const double weight = confidence_of(frame.face, model_->landmarks()[static_cast<std::size_t>(l)]);
-      const Eigen::Vector3d measured_minus_model(-mm_per_px * residuals_px(0, l),
-                                                 -mm_per_px * residuals_px(1, l), 0.0);
-      sum.segment<3>(3 * l) += weight * rotation.transpose() * measured_minus_model;
-      seen[l] += weight;
+    for (std::size_t v = 0; v < frame.observations.size(); ++v) {
+      const Observation& view = frame.observations[v];
+      if (!view.seen ||
+          !landmark_term_.residuals_px(basis_, view, shape_.focal_px, frame.state, true, residuals_px)) {
+        continue;
+      }
+      const ViewCamera& camera = view.camera;
+      const Eigen::Matrix3d rotation = camera.view_from_reference.linear() * frame.state.pose.rotation;
+      const double mm_per_px = (camera.view_from_reference * frame.state.pose.translation_mm).z() /
+                               (camera.focal_ratio * shape_.focal_px);
+      for (Eigen::Index l = 0; l < model_->count(); ++l) {
+        const double weight = confidence_of(frame.faces[v], model_->landmarks()[static_cast<std::size_t>(l)]);
+        const Eigen::Vector3d measured_minus_model(-mm_per_px * residuals_px(0, l),
+                                                   -mm_per_px * residuals_px(1, l), 0.0);
+        sum.segment<3>(3 * l) += weight * rotation.transpose() * measured_minus_model;
+        seen[l] += weight;
+      }
     }
   }
   for (Eigen::Index l = 0; l < model_->count(); ++l) {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <span>
 #include <vector>
 
 #include "track/coarse_fit.hpp"
@@ -26,18 +27,20 @@ struct IdentityPriorStrength {
 
 /// Estimates identity and focal length jointly over a batch of frames, each with its own pose and expression
 /// (Ma & Deng 2019, section 3.1; Wang et al. 2016):
-///   E = sum_f (E_data + E_expression) + n (identity/2 |w_id|^2 + 1/2 ((ln f - ln f_0) / sigma)^2)
+///   E = sum_f (sum_views E_data + E_expression) + n (identity/2 |w_id|^2 + 1/2 ((ln f - ln f_0) / sigma)^2)
 /// by Levenberg-Marquardt; the frames' unknowns are eliminated by their Schur complement. Allocates with
 /// every frame added, and not in `improve`. One thread.
 class IdentityFit {
  public:
-  /// image_size_px: the longer side of the image. fixed_focal_px: 0 to estimate the focal length.
+  /// longer_side_px: of the image. fixed_focal_px: 0 to estimate the focal length. cameras: one for each
+  /// view, the reference camera first.
   IdentityFit(const LandmarkModel& model, const ExpressionPrior& prior, const LandmarkTrust& trust,
               const IdentityPriorStrength& strength, double longer_side_px, double fixed_focal_px,
-              const Eigen::Vector2d& centre_px);
+              std::vector<ViewCamera> cameras);
 
-  /// Takes a frame into the batch. `start` is its pose and expression so far.
-  void add_frame(const FaceLandmarks& face, const FrameState& start);
+  /// Takes a frame into the batch. faces: of each view, null where it shows none that counts; at least one is
+  /// there. `start` is the frame's pose and expression so far.
+  void add_frame(std::span<const FaceLandmarks* const> faces, const FrameState& start);
 
   int frame_count() const { return static_cast<int>(frames_.size()); }
   const FrameState& frame(int index) const { return frames_[static_cast<std::size_t>(index)].state; }
@@ -61,10 +64,11 @@ class IdentityFit {
 
  private:
   struct BatchFrame {
-    BatchFrame(const FaceLandmarks& landmarks, const FrameState& start, int own_count, int shared_count);
+    BatchFrame(std::span<const FaceLandmarks* const> landmarks, const FrameState& start, int own_count,
+               int shared_count);
 
-    FaceLandmarks face;
-    Observation observation;
+    std::vector<FaceLandmarks> faces;       ///< [view]
+    std::vector<Observation> observations;  ///< [view]
     FrameState state;
     FrameState trial;
     NormalEquations equations;
@@ -75,7 +79,7 @@ class IdentityFit {
 
   int own_count() const { return kExpressionAt + model_->expression_count(); }
   int shared_count() const { return model_->identity_count() + 1; }
-  void refresh_observations();
+  void observe_views(BatchFrame& frame) const;
   double shared_prior_energy(const SubjectShape& shape) const;
   double batch_energy(const SubjectShape& shape, bool at_trial);
   double linearise();
@@ -88,7 +92,7 @@ class IdentityFit {
   IdentityPriorStrength strength_;
   double log_focal_prior_;
   bool focal_is_fixed_;
-  Eigen::Vector2d centre_px_;
+  std::vector<ViewCamera> cameras_;
   SubjectShape shape_;
   SubjectShape trial_shape_;
   LandmarkTerm landmark_term_;

@@ -31,11 +31,12 @@ void apply_step(const FrameState& from, const Eigen::VectorXd& step, FrameState&
 }
 
 void observe(const LandmarkModel& model, const LandmarkTrust& trust, const FaceLandmarks& face,
-             double depth_mm, double focal_px, const Eigen::Vector2d& centre_px, Observation& out) {
+             const Eigen::Vector3d& place_mm, double focal_px, const ViewCamera& camera, Observation& out) {
   const auto count = static_cast<std::size_t>(model.count());
   out.points_px.resize(2, model.count());
   out.whitening.resize(count);
-  out.centre_px = centre_px;
+  out.camera = camera;
+  out.seen = true;
 
   std::array<int, kLandmarkGroupCount> members{};
   const auto& groups = landmark_groups();
@@ -45,7 +46,8 @@ void observe(const LandmarkModel& model, const LandmarkTrust& trust, const FaceL
     }
   }
 
-  const double px_per_mm = focal_px / std::max(depth_mm, kNearestDepthMm);
+  const double depth_mm = (camera.view_from_reference * place_mm).z();
+  const double px_per_mm = camera.focal_ratio * focal_px / std::max(depth_mm, kNearestDepthMm);
   const double per_sigma = 1.0 / (trust.sigma_mm * px_per_mm);
   for (std::size_t l = 0; l < count; ++l) {
     const int landmark = model.landmarks()[l];
@@ -53,7 +55,7 @@ void observe(const LandmarkModel& model, const LandmarkTrust& trust, const FaceL
     if (landmark >= landmark_count) {
       // An iris that is not seen says nothing at all; its place may not even be there.
       constexpr int kIrises = 2;
-      out.points_px.col(static_cast<Eigen::Index>(l)) = centre_px;
+      out.points_px.col(static_cast<Eigen::Index>(l)) = camera.centre_px;
       if (face.irises_px.cols() == kIrises) {
         out.points_px.col(static_cast<Eigen::Index>(l)) = place_of(face, landmark).head<2>().cast<double>();
       }
@@ -103,14 +105,23 @@ void LandmarkTerm::place(const LandmarkBasis& basis, const FrameState& state, bo
   }
 }
 
+bool LandmarkTerm::project_landmark(Eigen::Index l, const ViewCamera& camera, double focal_px,
+                                    const FrameState& state, Projection& at) const {
+  const Eigen::Vector3d reference_mm = rotated_mm_.col(l) + state.pose.translation_mm;
+  return project(camera.view_from_reference * reference_mm, camera.focal_ratio * focal_px, camera.centre_px,
+                 at);
+}
+
 double LandmarkTerm::energy(const LandmarkBasis& basis, const Observation& observation, double focal_px,
                             const FrameState& state) {
+  if (!observation.seen) {
+    return 0;
+  }
   place(basis, state, true);
   double sum = 0;
   for (Eigen::Index l = 0; l < rotated_mm_.cols(); ++l) {
-    const Eigen::Vector3d camera_mm = rotated_mm_.col(l) + state.pose.translation_mm;
     Projection at;
-    if (!project(camera_mm, focal_px, observation.centre_px, at)) {
+    if (!project_landmark(l, observation.camera, focal_px, state, at)) {
       return std::numeric_limits<double>::infinity();
     }
     const auto& whitening = observation.whitening[static_cast<std::size_t>(l)];
@@ -125,20 +136,21 @@ double LandmarkTerm::linearise(
     const Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>* by_identity_mm,
     NormalEquations& equations) {
   const double total = energy(basis, observation, focal_px, state);
-  if (!std::isfinite(total)) {
+  if (!observation.seen || !std::isfinite(total)) {
     return total;
   }
   const Eigen::Index expressions = state.expression.size();
   for (Eigen::Index l = 0; l < rotated_mm_.cols(); ++l) {
     const Eigen::Vector3d rotated = rotated_mm_.col(l);
     Projection at;
-    project(rotated + state.pose.translation_mm, focal_px, observation.centre_px, at);
+    project_landmark(l, observation.camera, focal_px, state, at);
     Eigen::Matrix2d whitening = observation.whitening[static_cast<std::size_t>(l)];
     Eigen::Vector2d residual = whitening * (at.px - observation.points_px.col(l));
     const double scale = huber_scale(residual.squaredNorm(), huber_sigmas_);
     whitening *= scale;
     residual *= scale;
-    const Eigen::Matrix<double, 2, 3> by_camera = whitening * at.by_point;
+    const Eigen::Matrix<double, 2, 3> by_camera =
+        (whitening * at.by_point) * observation.camera.view_from_reference.linear();
     const Eigen::Matrix<double, 2, 3> by_head = by_camera * state.pose.rotation;
     const Eigen::Matrix<double, 2, 3> by_rotation = -by_camera * cross_matrix(rotated);
     const Eigen::Vector2d by_log_focal = whitening * at.by_log_focal;
@@ -170,7 +182,7 @@ bool LandmarkTerm::residuals_px(const LandmarkBasis& basis, const Observation& o
   out.resize(2, rotated_mm_.cols());
   for (Eigen::Index l = 0; l < rotated_mm_.cols(); ++l) {
     Projection at;
-    if (!project(rotated_mm_.col(l) + state.pose.translation_mm, focal_px, observation.centre_px, at)) {
+    if (!project_landmark(l, observation.camera, focal_px, state, at)) {
       return false;
     }
     out.col(l) = at.px - observation.points_px.col(l);

@@ -8,6 +8,7 @@
 #include "track/landmark_model.hpp"
 #include "track/landmarker.hpp"
 #include "track/normal_equations.hpp"
+#include "track/view.hpp"
 
 namespace facet::track {
 
@@ -44,21 +45,25 @@ inline constexpr int kExpressionAt = 6;
 /// Moves `from` by `step` [6 + expression_count]; expressions are clamped to [0, 1].
 void apply_step(const FrameState& from, const Eigen::VectorXd& step, FrameState& to);
 
-/// The measured landmarks of one frame, ready to be compared with the model's.
+/// The landmarks measured in one view of a frame, ready to be compared with the model's.
 struct Observation {
   Eigen::Matrix2Xd points_px;              ///< [2][LandmarkModel::count()]
   std::vector<Eigen::Matrix2d> whitening;  ///< [count] residual in standard deviations = whitening * px
-  Eigen::Vector2d centre_px;               ///< principal point
+  ViewCamera camera;
+  bool seen = true;  ///< false: this view shows no face that can be believed; it says nothing
 };
 
-/// Takes the model's landmarks out of a whole face mesh and sets their whitening for a head at `depth_mm`:
-/// sigma in pixels, group strength, confidence, contour anisotropy. Resizes `out` at its first use only.
+/// Takes the model's landmarks out of a whole face mesh and sets their whitening for a head at `place_mm` of
+/// the reference camera's frame: sigma in pixels, group strength, confidence, contour anisotropy. focal_px:
+/// of the reference camera; camera: the one that measured. Resizes `out` at its first use only.
 void observe(const LandmarkModel& model, const LandmarkTrust& trust, const FaceLandmarks& face,
-             double depth_mm, double focal_px, const Eigen::Vector2d& centre_px, Observation& out);
+             const Eigen::Vector3d& place_mm, double focal_px, const ViewCamera& camera, Observation& out);
 
-/// The data term of the coarse fit:
-///   E_data = 1/2 sum_l rho(|| W_l (project(R (n_l + D_l e) + t) - m_l) ||^2)
-/// with rho = Huber, minimised by iteratively reweighted Gauss-Newton steps. Holds scratch only; one thread.
+/// The data term of the coarse fit in one view, V its view_from_reference; 0 where Observation::seen is
+/// false:
+///   E_data = 1/2 sum_l rho(|| W_l (project(V (R (n_l + D_l e) + t)) - m_l) ||^2)
+/// with rho = Huber and focal_px the reference camera's focal length, minimised by iteratively reweighted
+/// Gauss-Newton steps. Holds scratch only; one thread.
 class LandmarkTerm {
  public:
   LandmarkTerm(const LandmarkModel& model, const LandmarkTrust& trust);
@@ -84,10 +89,13 @@ class LandmarkTerm {
 
  private:
   void place(const LandmarkBasis& basis, const FrameState& state, bool with_bias);
+  /// Of a placed landmark; false where it lies behind the camera.
+  bool project_landmark(Eigen::Index l, const ViewCamera& camera, double focal_px, const FrameState& state,
+                        Projection& at) const;
 
   double huber_sigmas_;
   Eigen::VectorXd head_mm_;      ///< [count][3] landmarks in the head frame
-  Eigen::Matrix3Xd rotated_mm_;  ///< [3][count] turned into the camera's axes
+  Eigen::Matrix3Xd rotated_mm_;  ///< [3][count] turned into the reference camera's axes
 };
 
 }  // namespace facet::track

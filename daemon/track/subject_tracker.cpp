@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
+#include <utility>
 
 namespace facet::track {
 namespace {
@@ -15,6 +17,8 @@ constexpr int kColdIterations = 25;
 /// identity is still the mean face, and once it is known.
 constexpr double kLargestFirstResidual = 0.10;
 constexpr double kLargestResidual = 0.06;
+/// The same for what one view's fit foretells of another view: at a distance that it knows badly.
+constexpr double kAgreeingResidual = 0.25;
 /// A landmark counts in the median from this confidence on.
 constexpr float kSeen = 0.5F;
 /// Smaller faces than this have no expression to measure, px between the outer eye corners.
@@ -77,6 +81,12 @@ SubjectTracker::SubjectTracker(const LandmarkModel& model, const ExpressionPrior
   candidate_.expression.setZero(model.expression_count());
   frame_.face = candidate_;
   previous_.previous = candidate_;
+  views_.resize(1 + config_.further_views.size());
+  observations_.resize(views_.size());
+  agreeing_.resize(views_.size());
+  batch_faces_.resize(views_.size());
+  frame_.view_rejected.resize(views_.size());
+  frame_.view_used.resize(views_.size());
   residuals_px_.resize(2, model.count());
   sorted_.reserve(static_cast<std::size_t>(model.count()));
   const auto& groups = landmark_groups();
@@ -107,6 +117,19 @@ Eigen::Vector2d SubjectTracker::centre_px() const {
     return {config_.intrinsics->cx * scale, config_.intrinsics->cy * scale};
   }
   return {0.5 * (width_px_ - 1), 0.5 * (height_px_ - 1)};
+}
+
+void SubjectTracker::place_cameras() {
+  views_.front().camera.centre_px = centre_px();
+  views_.front().longer_side_px = static_cast<float>(std::max(width_px_, height_px_));
+  for (std::size_t v = 1; v < views_.size(); ++v) {
+    const View& view = config_.further_views[v - 1];
+    const CameraIntrinsics& lens = view.intrinsics;
+    views_[v].camera.centre_px = {lens.cx, lens.cy};
+    views_[v].camera.focal_ratio = 0.5 * static_cast<double>(lens.fx + lens.fy) / fixed_focal_px();
+    views_[v].camera.view_from_reference = view.view_from_reference;
+    views_[v].longer_side_px = static_cast<float>(std::max(lens.width_px, lens.height_px));
+  }
 }
 
 CameraIntrinsics SubjectTracker::camera() const {
@@ -150,9 +173,7 @@ bool SubjectTracker::adopt(const Subject& subject, int width_px, int height_px) 
       height_px <= 0) {
     return false;
   }
-  width_px_ = width_px;
-  height_px_ = height_px;
-  reset_identity();
+  set_image_size(width_px, height_px);
   subject_ = subject;
   has_subject_ = true;
   residual_frames_ = subject.usual_residual > 0 ? kResidualFrames : 0;
@@ -164,39 +185,58 @@ bool SubjectTracker::adopt(const Subject& subject, int width_px, int height_px) 
 void SubjectTracker::set_image_size(int width_px, int height_px) {
   width_px_ = width_px;
   height_px_ = height_px;
+  place_cameras();
   reset_identity();
 }
 
-bool SubjectTracker::usable(const FaceLandmarks& face) const {
+bool SubjectTracker::usable(const FaceLandmarks& face, float longer_side_px) const {
   if (face.points_px.cols() != landmark_count || face.confidence.size() != landmark_count ||
       !face.points_px.allFinite() || !face.confidence.allFinite() || !face.irises_px.allFinite() ||
       !(face.interocular_px >= kSmallestInterocularPx)) {
     return false;
   }
-  const auto limit = kFarthestOutside * static_cast<float>(std::max(width_px_, height_px_));
-  return face.points_px.cwiseAbs().maxCoeff() <= limit;
+  return face.points_px.cwiseAbs().maxCoeff() <= kFarthestOutside * longer_side_px;
 }
 
-bool SubjectTracker::start_pose(const FaceLandmarks& face) {
+/// From the used view that sees most of the face.
+bool SubjectTracker::start_pose() {
+  std::size_t best = views_.size();
+  float most = -1;
+  for (std::size_t v = 0; v < views_.size(); ++v) {
+    if (observations_[v].seen && views_[v].face->confidence.sum() > most) {
+      most = views_[v].face->confidence.sum();
+      best = v;
+    }
+  }
+  const FaceLandmarks& face = *views_[best].face;
+  const ViewCamera& camera = views_[best].camera;
   for (Eigen::Index l = 0; l < model_->count(); ++l) {
     start_head_mm_.col(l) = basis_.neutral_mm.segment<3>(3 * l);
     const int landmark = model_->landmarks()[static_cast<std::size_t>(l)];
     // The irises have no weight in the start pose.
     start_px_.col(l) = face.points_px.col(landmark < landmark_count ? landmark : 0).cast<double>();
   }
-  const auto pose =
-      pose_from_similarity(start_head_mm_, start_px_, start_weights_, subject_.shape.focal_px, centre_px());
+  const auto pose = pose_from_similarity(start_head_mm_, start_px_, start_weights_,
+                                         camera.focal_ratio * subject_.shape.focal_px, camera.centre_px);
   if (!pose) {
     return false;
   }
-  candidate_.pose = *pose;
+  const Eigen::Isometry3d reference_from_view = camera.view_from_reference.inverse();
+  candidate_.pose.rotation = reference_from_view.linear() * pose->rotation;
+  candidate_.pose.translation_mm = reference_from_view * pose->translation_mm;
   candidate_.expression.setZero();
   return true;
 }
 
-std::optional<double> SubjectTracker::median_residual_px(const FaceLandmarks& face, bool with_bias) {
-  if (!coarse_fit_.landmark_term().residuals_px(basis_, observation_, subject_.shape.focal_px, candidate_,
-                                                with_bias, residuals_px_)) {
+void SubjectTracker::observe_view(std::size_t view) {
+  observe(*model_, config_.trust, *views_[view].face, candidate_.pose.translation_mm, subject_.shape.focal_px,
+          views_[view].camera, observations_[view]);
+}
+
+std::optional<double> SubjectTracker::median_residual_px(std::size_t view, bool with_bias) {
+  const FaceLandmarks& face = *views_[view].face;
+  if (!coarse_fit_.landmark_term().residuals_px(basis_, observations_[view], subject_.shape.focal_px,
+                                                candidate_, with_bias, residuals_px_)) {
     return std::nullopt;
   }
   sorted_.clear();
@@ -213,26 +253,62 @@ std::optional<double> SubjectTracker::median_residual_px(const FaceLandmarks& fa
   return *middle;
 }
 
-bool SubjectTracker::measure_residual(const FaceLandmarks& face) {
-  const auto of_fit_px = median_residual_px(face, true);
-  const auto of_mesh_px = median_residual_px(face, false);
+Pose SubjectTracker::pose_in(const ViewCamera& camera) const {
+  return {camera.view_from_reference.linear() * candidate_.pose.rotation,
+          camera.view_from_reference * candidate_.pose.translation_mm};
+}
+
+bool SubjectTracker::measure_view(std::size_t view) {
+  ViewState& state = views_[view];
+  state.residual = std::numeric_limits<double>::infinity();
+  const auto of_fit_px = median_residual_px(view, true);
+  const auto of_mesh_px = median_residual_px(view, false);
   if (!of_fit_px || !of_mesh_px) {
     return false;
   }
-  const double interocular_px =
-      subject_.shape.focal_px * model_->interocular_mm() / candidate_.pose.translation_mm.z();
-  candidate_reprojection_px_ = *of_mesh_px;
-  candidate_residual_ = *of_fit_px / interocular_px;
+  const double interocular_px = state.camera.focal_ratio * subject_.shape.focal_px *
+                                model_->interocular_mm() / pose_in(state.camera).translation_mm.z();
+  state.reprojection_px = *of_mesh_px;
+  state.residual = *of_fit_px / interocular_px;
   return true;
 }
 
+/// Of all used views; the frame's own is their mean.
+bool SubjectTracker::measure_residual() {
+  bool measured = true;
+  int count = 0;
+  candidate_reprojection_px_ = 0;
+  candidate_residual_ = 0;
+  for (std::size_t v = 0; v < views_.size(); ++v) {
+    if (observations_[v].seen) {
+      measured = measure_view(v) && measured;
+      candidate_reprojection_px_ += views_[v].reprojection_px;
+      candidate_residual_ += views_[v].residual;
+      ++count;
+    }
+  }
+  candidate_reprojection_px_ /= count;
+  candidate_residual_ /= count;
+  return measured;
+}
+
 bool SubjectTracker::plausible(double largest_residual) const {
-  const Pose& pose = candidate_.pose;
-  const double depth_mm = pose.translation_mm.z();
-  const double facing = -pose.rotation.col(2).dot(pose.translation_mm.normalized());
-  return pose.rotation.allFinite() && pose.translation_mm.allFinite() && candidate_.expression.allFinite() &&
-         depth_mm >= kNearestHeadMm && depth_mm <= kFarthestHeadMm && facing >= kFarthestTurn &&
-         candidate_residual_ <= largest_residual;
+  if (!candidate_.pose.rotation.allFinite() || !candidate_.pose.translation_mm.allFinite() ||
+      !candidate_.expression.allFinite()) {
+    return false;
+  }
+  for (std::size_t v = 0; v < views_.size(); ++v) {
+    if (observations_[v].seen) {
+      const Pose pose = pose_in(views_[v].camera);
+      const double depth_mm = pose.translation_mm.z();
+      const double facing = -pose.rotation.col(2).dot(pose.translation_mm.normalized());
+      if (!(depth_mm >= kNearestHeadMm && depth_mm <= kFarthestHeadMm && facing >= kFarthestTurn &&
+            views_[v].residual <= largest_residual)) {
+        return false;
+      }
+    }
+  }
+  return true;
 }
 
 bool SubjectTracker::jumped(double elapsed_s) const {
@@ -243,46 +319,150 @@ bool SubjectTracker::jumped(double elapsed_s) const {
              kFastestRadPerS * interval;
 }
 
-bool SubjectTracker::fit(const FaceLandmarks& face, bool warm, double elapsed_s) {
+/// With the views that are marked as used.
+bool SubjectTracker::fit_used(bool warm, double elapsed_s) {
   if (warm) {
     candidate_ = previous_.previous;
     previous_.elapsed_s = elapsed_s;
-  } else if (!start_pose(face)) {
+  } else if (!start_pose()) {
     return false;
   }
-  observe(*model_, config_.trust, face, candidate_.pose.translation_mm.z(), subject_.shape.focal_px,
-          centre_px(), observation_);
+  for (std::size_t v = 0; v < views_.size(); ++v) {
+    if (observations_[v].seen) {
+      observe_view(v);
+    }
+  }
   candidate_report_ =
-      coarse_fit_.solve(basis_, observation_, subject_.shape.focal_px, warm ? &previous_ : nullptr,
+      coarse_fit_.solve(basis_, observations_, subject_.shape.focal_px, warm ? &previous_ : nullptr,
                         warm ? kWarmIterations : kColdIterations, candidate_);
-  return candidate_report_.outcome != FitOutcome::NumericalFailure && measure_residual(face) &&
+  return candidate_report_.outcome != FitOutcome::NumericalFailure && measure_residual() &&
          plausible(has_subject_ ? kLargestResidual : kLargestFirstResidual);
+}
+
+/// With all views that show a face or, where they contradict one another, with those that agree.
+bool SubjectTracker::fit(bool warm, double elapsed_s) {
+  std::ptrdiff_t used = 0;
+  for (std::size_t v = 0; v < views_.size(); ++v) {
+    observations_[v].seen = views_[v].face != nullptr;
+    used += observations_[v].seen ? 1 : 0;
+  }
+  if (fit_used(warm, elapsed_s)) {
+    return true;
+  }
+  if (used == 1) {
+    return false;
+  }
+  keep_agreeing_views(warm, elapsed_s);
+  for (;;) {
+    if (fit_used(warm, elapsed_s)) {
+      return true;
+    }
+    std::size_t worst = 0;
+    used = 0;
+    double largest = -1;
+    for (std::size_t v = 0; v < views_.size(); ++v) {
+      if (observations_[v].seen) {
+        ++used;
+        if (!(views_[v].residual <= largest)) {
+          largest = views_[v].residual;
+          worst = v;
+        }
+      }
+    }
+    if (used == 1) {
+      return false;
+    }
+    observations_[worst].seen = false;
+  }
+}
+
+/// Asks each view alone where the face is and marks the largest set of views that agree as used; of equal
+/// sets the one that fits best.
+void SubjectTracker::keep_agreeing_views(bool warm, double elapsed_s) {
+  int most = 0;
+  double best = 0;
+  for (std::size_t asked = 0; asked < views_.size(); ++asked) {
+    if (views_[asked].face == nullptr) {
+      continue;
+    }
+    for (std::size_t v = 0; v < views_.size(); ++v) {
+      observations_[v].seen = v == asked;
+    }
+    if (!fit_used(warm, elapsed_s) || (warm && jumped(elapsed_s))) {
+      continue;
+    }
+    int agreeing = 0;
+    double sum = 0;
+    for (std::size_t v = 0; v < views_.size(); ++v) {
+      if (views_[v].face != nullptr && v != asked) {
+        observe_view(v);
+        observations_[v].seen = measure_view(v) && views_[v].residual <= kAgreeingResidual;
+      }
+      agreeing += observations_[v].seen ? 1 : 0;
+      sum += observations_[v].seen ? views_[v].residual : 0.0;
+    }
+    if (agreeing > most || (agreeing == most && sum < best)) {
+      most = agreeing;
+      best = sum;
+      for (std::size_t v = 0; v < views_.size(); ++v) {
+        agreeing_[v] = observations_[v].seen ? 1 : 0;
+      }
+    }
+  }
+  for (std::size_t v = 0; v < views_.size(); ++v) {
+    observations_[v].seen = views_[v].face != nullptr && (most == 0 || agreeing_[v] != 0);
+  }
 }
 
 const SubjectFrame& SubjectTracker::process(const FaceLandmarks* face, bool acquired, int width_px,
                                             int height_px, std::int64_t timestamp_ns) {
+  const ViewLandmarks view{face, acquired};
+  return process({&view, 1}, width_px, height_px, timestamp_ns);
+}
+
+const SubjectFrame& SubjectTracker::process(std::span<const ViewLandmarks> views, int width_px, int height_px,
+                                            std::int64_t timestamp_ns) {
   frame_.fitted = false;
   frame_.rejected = false;
+  std::fill(frame_.view_rejected.begin(), frame_.view_rejected.end(), std::uint8_t{0});
+  std::fill(frame_.view_used.begin(), frame_.view_used.end(), std::uint8_t{0});
   if (width_px != width_px_ || height_px != height_px_) {
     set_image_size(width_px, height_px);
   }
-  if (face == nullptr) {
+  bool found = false;
+  bool good = false;
+  bool acquired = true;  // in all views that show a face
+  for (std::size_t v = 0; v < views_.size(); ++v) {
+    const ViewLandmarks view = v < views.size() ? views[v] : ViewLandmarks{};
+    const bool is_usable = view.face != nullptr && usable(*view.face, views_[v].longer_side_px);
+    views_[v].face = is_usable ? view.face : nullptr;
+    found = found || view.face != nullptr;
+    good = good || is_usable;
+    acquired = acquired && (view.face == nullptr || view.acquired);
+  }
+  if (!found) {
     miss(timestamp_ns);
     return frame_;
   }
   const double elapsed_s = seconds(timestamp_ns - last_good_ns_);
   const bool warm = has_previous_ && !acquired && elapsed_s <= kBriefGapS;
-  bool good = usable(*face);
   if (good) {
     // A fit that went astray in the last frame must not pull this one along: start anew before giving up.
-    good = fit(*face, warm, elapsed_s) || (warm && fit(*face, false, 0));
+    good = fit(warm, elapsed_s) || (warm && fit(false, 0));
     good = good && !(warm && jumped(elapsed_s));
   }
   if (good) {
-    accept(*face, acquired || elapsed_s > kBriefGapS, timestamp_ns);
+    accept(acquired || elapsed_s > kBriefGapS, timestamp_ns);
   } else {
     frame_.rejected = true;
     miss(timestamp_ns);
+  }
+  for (std::size_t v = 0; v < views_.size(); ++v) {
+    const bool shows_one = v < views.size() && views[v].face != nullptr;
+    const bool used = frame_.fitted && views_[v].face != nullptr && observations_[v].seen;
+    frame_.view_used[v] = used ? 1 : 0;
+    frame_.view_rejected[v] = shows_one && !used ? 1 : 0;
+    views_[v].face = nullptr;
   }
   return frame_;
 }
@@ -302,7 +482,7 @@ void SubjectTracker::miss(std::int64_t timestamp_ns) {
   }
 }
 
-void SubjectTracker::accept(const FaceLandmarks& face, bool found_afresh, std::int64_t timestamp_ns) {
+void SubjectTracker::accept(bool found_afresh, std::int64_t timestamp_ns) {
   last_good_ns_ = timestamp_ns;
   if (has_subject_) {
     frame_.state = mesh::TrackingState::Tracking;
@@ -318,7 +498,7 @@ void SubjectTracker::accept(const FaceLandmarks& face, bool found_afresh, std::i
   if (!has_subject_) {
     frame_.state = mesh::TrackingState::Acquiring;
     has_previous_ = true;
-    if (!acquire(face)) {
+    if (!acquire()) {
       reset_identity();
       frame_.rejected = true;
       return;
@@ -361,17 +541,24 @@ bool SubjectTracker::worth_adding() const {
   return true;
 }
 
-bool SubjectTracker::acquire(const FaceLandmarks& face) {
+bool SubjectTracker::acquire() {
   if (!identity_fit_) {
+    std::vector<ViewCamera> cameras;
+    for (const ViewState& view : views_) {
+      cameras.push_back(view.camera);
+    }
     identity_fit_.emplace(*model_, *prior_, config_.trust, config_.identity, std::max(width_px_, height_px_),
-                          fixed_focal_px(), centre_px());
+                          fixed_focal_px(), std::move(cameras));
     frames_since_added_ = 0;
     settling_frames_ = 0;
   }
   ++frames_since_added_;
   if (identity_fit_->frame_count() < config_.acquisition_frames) {
     if (worth_adding()) {
-      identity_fit_->add_frame(face, candidate_);
+      for (std::size_t v = 0; v < views_.size(); ++v) {
+        batch_faces_[v] = observations_[v].seen ? views_[v].face : nullptr;
+      }
+      identity_fit_->add_frame(batch_faces_, candidate_);
       frames_since_added_ = 0;
       const int count = identity_fit_->frame_count();
       if (std::find(kProvisionalAt.begin(), kProvisionalAt.end(), count) != kProvisionalAt.end()) {
@@ -379,7 +566,7 @@ bool SubjectTracker::acquire(const FaceLandmarks& face) {
         subject_.shape = identity_fit_->shape();
         candidate_ = identity_fit_->frame(count - 1);
         set_shape();
-        return measure_residual(face);
+        return measure_residual();
       }
     }
     return true;
@@ -395,7 +582,7 @@ bool SubjectTracker::acquire(const FaceLandmarks& face) {
   has_subject_ = true;
   set_shape();
   // A batch can agree on a shape that does not even fit its last frame: it was no face, or several.
-  if (!fit(face, false, 0)) {
+  if (!fit(false, 0)) {
     return false;
   }
   ++frame_.subject;

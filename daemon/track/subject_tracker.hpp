@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "facet/frame.hpp"
@@ -16,9 +17,16 @@ namespace facet::track {
 struct SubjectTrackerConfig {
   int acquisition_frames = 15;                 ///< frames in the identity batch
   std::optional<CameraIntrinsics> intrinsics;  ///< known camera: the focal length is then not estimated
+  std::vector<View> further_views{};           ///< beside the camera above, which is then known
   LandmarkTrust trust;
   TemporalPriorStrength temporal;
   IdentityPriorStrength identity;
+};
+
+/// What one view shows in a frame.
+struct ViewLandmarks {
+  const FaceLandmarks* face = nullptr;  ///< null where none was found
+  bool acquired = false;                ///< it was found afresh and may be another one than in the last frame
 };
 
 /// The fit of one frame.
@@ -28,6 +36,10 @@ struct SubjectFrame {
   bool fitted = false;
   /// The landmarks were no plausible face for this subject: they should be looked for afresh.
   bool rejected = false;
+  /// [view] the same of each: they were no plausible face, or not the one that the other views agree on.
+  std::vector<std::uint8_t> view_rejected;
+  /// [view] 1 where its landmarks went into the fit.
+  std::vector<std::uint8_t> view_used;
   std::uint32_t subject = 0;        ///< counts identity estimates
   std::uint64_t shape_version = 0;  ///< changes whenever shape().identity does
   FrameState face;
@@ -46,7 +58,11 @@ struct SubjectFrame {
 ///   Tracking, Acquiring -- no plausible face --> Lost -- face back --> where it was
 ///   Lost -- kLostForS --> Searching; the subject is kept: when a face comes that fits it, straight to
 ///   Tracking. When over its first frames a returned face fits the held identity clearly worse than its owner
-///   did, the subject is given up and Acquiring starts anew.
+/// did, the subject is given up and Acquiring starts anew.
+///
+/// Several views: all landmarks stand in one energy. Where that gives no plausible face, each view is asked
+/// alone, the one that most others agree with is believed, and those that contradict it are left out of the
+/// frame. Any one view is enough to go on.
 class SubjectTracker {
  public:
   SubjectTracker(const LandmarkModel& model, const ExpressionPrior& prior,
@@ -57,6 +73,11 @@ class SubjectTracker {
   /// never decreasing, so that a result does not depend on how fast frames are worked off. Valid until the
   /// next call.
   const SubjectFrame& process(const FaceLandmarks* face, bool acquired, int width_px, int height_px,
+                              std::int64_t timestamp_ns);
+
+  /// The same for every view, the reference camera first; views that are left out at the end show nothing.
+  /// width_px, height_px: of the reference camera's pictures; the others' are those of their intrinsics.
+  const SubjectFrame& process(std::span<const ViewLandmarks> views, int width_px, int height_px,
                               std::int64_t timestamp_ns);
 
   /// Ends the acquisition with the frames gathered so far, for recordings that are shorter than it. False
@@ -79,18 +100,33 @@ class SubjectTracker {
   CameraIntrinsics camera() const;
 
  private:
-  bool usable(const FaceLandmarks& face) const;
+  /// One camera and what it shows in this frame.
+  struct ViewState {
+    ViewCamera camera;
+    float longer_side_px = 0;
+    const FaceLandmarks* face = nullptr;  ///< null where it shows none that is usable
+    double reprojection_px = 0;           ///< of the mesh, at candidate_
+    double residual = 0;                  ///< of the fit, as a fraction of the interocular distance
+  };
+
+  bool usable(const FaceLandmarks& face, float longer_side_px) const;
   void set_image_size(int width_px, int height_px);
+  void place_cameras();
   void set_shape();
-  bool fit(const FaceLandmarks& face, bool warm, double elapsed_s);
-  bool start_pose(const FaceLandmarks& face);
-  std::optional<double> median_residual_px(const FaceLandmarks& face, bool with_bias);
-  bool measure_residual(const FaceLandmarks& face);
+  bool fit(bool warm, double elapsed_s);
+  void keep_agreeing_views(bool warm, double elapsed_s);
+  bool fit_used(bool warm, double elapsed_s);
+  bool start_pose();
+  void observe_view(std::size_t view);
+  std::optional<double> median_residual_px(std::size_t view, bool with_bias);
+  bool measure_view(std::size_t view);
+  bool measure_residual();
   bool plausible(double largest_residual) const;
+  Pose pose_in(const ViewCamera& camera) const;
   bool jumped(double elapsed_s) const;
   void miss(std::int64_t timestamp_ns);
-  void accept(const FaceLandmarks& face, bool found_afresh, std::int64_t timestamp_ns);
-  bool acquire(const FaceLandmarks& face);
+  void accept(bool found_afresh, std::int64_t timestamp_ns);
+  bool acquire();
   bool worth_adding() const;
   bool still_the_same_person();
   double fixed_focal_px() const;
@@ -108,7 +144,10 @@ class SubjectTracker {
   int height_px_ = 0;
 
   SubjectFrame frame_;
-  Observation observation_;
+  std::vector<ViewState> views_;                   ///< the reference camera first
+  std::vector<Observation> observations_;          ///< [view]; seen: it is used for this frame
+  std::vector<std::uint8_t> agreeing_;             ///< [view] scratch
+  std::vector<const FaceLandmarks*> batch_faces_;  ///< [view] scratch
   FrameState candidate_;
   double candidate_reprojection_px_ = 0;
   double candidate_residual_ = 0;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <utility>
 
 #include "facet/error.hpp"
 #include "track/depth_filter.hpp"
@@ -27,6 +28,7 @@ SubjectTrackerConfig subject_config(const TrackerConfig& config) {
   SubjectTrackerConfig result;
   result.acquisition_frames = config.acquisition_frames;
   result.intrinsics = config.intrinsics;
+  result.further_views = config.further_views;
   result.temporal.strength *= static_cast<double>(config.temporal_prior);
   return result;
 }
@@ -41,12 +43,38 @@ float milliseconds_since(Clock::time_point start) {
 constexpr double kLongestGap_s = 0.5;
 constexpr double kShortestFrame_s = 1e-3;
 
+std::vector<CameraIntrinsics> lenses_of(const TrackerConfig& config) {
+  if (config.further_views.empty()) {
+    return {CameraIntrinsics{}};
+  }
+  if (!config.intrinsics) {
+    throw Error(ErrorKind::Usage, "several views are tracked with a calibrated reference camera alone");
+  }
+  std::vector<CameraIntrinsics> lenses{*config.intrinsics};
+  for (const View& view : config.further_views) {
+    lenses.push_back(view.intrinsics);
+  }
+  return lenses;
+}
+
+bool has_size_of(const Frame& frame, const CameraIntrinsics& lens) {
+  return frame.width_px == lens.width_px && frame.height_px == lens.height_px;
+}
+
+/// Of the first view that has a picture.
+std::int64_t time_of(std::span<const Frame> views) {
+  const auto there =
+      std::find_if(views.begin(), views.end(), [](const Frame& frame) { return !frame.empty(); });
+  return there == views.end() ? views.front().media_time_ns : there->media_time_ns;
+}
+
 }  // namespace
 
 struct Tracker::Impl {
   Impl(const face::FaceModel& face_model, const TrackerConfig& config)
       : model(face_model),
-        landmarker(config.landmark_assets),
+        lenses(lenses_of(config)),
+        view_landmarks(lenses.size()),
         landmark_model(face_model),
         prior(face_model.expression_names, face_model.expression_sigma, prior_strength(config),
               landmark_model.sees_gaze()),
@@ -55,15 +83,27 @@ struct Tracker::Impl {
     result.expression.resize(static_cast<std::size_t>(face_model.expression_count()));
     result.vertices_mm.setZero(3, face_model.vertex_count());
     result.landmarks_px.reserve(landmark_count);
+    for (std::size_t v = 0; v < lenses.size(); ++v) {
+      landmarkers.emplace_back(config.landmark_assets);
+    }
   }
 
-  const SubjectFrame& follow(const Frame& frame, const LandmarkResult& landmarks) {
+  /// Looks at all views and fits what they show; face: becomes the reference camera's, null where it has
+  /// none.
+  const SubjectFrame& follow(std::span<const Frame> views, const FaceLandmarks*& face) {
+    for (std::size_t v = 0; v < lenses.size(); ++v) {
+      const bool fits = v < views.size() && (lenses.size() == 1 || has_size_of(views[v], lenses[v]));
+      const LandmarkResult& landmarks = landmarkers[v].process(fits ? views[v] : Frame{});
+      view_landmarks[v] = {landmarks.found ? &landmarks.face : nullptr, landmarks.acquired};
+      result.detect_ms += landmarks.detect_ms;
+      result.landmarks_ms += landmarks.landmarks_ms;
+    }
+    face = view_landmarks.front().face;
     const Clock::time_point start = Clock::now();
+    const bool one = lenses.size() == 1;
     const SubjectFrame& subject =
-        subject_tracker.process(landmarks.found ? &landmarks.face : nullptr, landmarks.acquired,
-                                frame.width_px, frame.height_px, frame.media_time_ns);
-    result.detect_ms += landmarks.detect_ms;
-    result.landmarks_ms += landmarks.landmarks_ms;
+        subject_tracker.process(view_landmarks, one ? views.front().width_px : lenses.front().width_px,
+                                one ? views.front().height_px : lenses.front().height_px, time_of(views));
     result.fit_ms += milliseconds_since(start);
     return subject;
   }
@@ -89,6 +129,9 @@ struct Tracker::Impl {
   Eigen::Vector3d calmed(const Eigen::Vector3d& place_mm, std::int64_t time_ns) {
     const double seconds = static_cast<double>(time_ns - filtered_ns) * 1e-9;
     filtered_ns = time_ns;
+    if (lenses.size() > 1) {
+      return place_mm;  // rays from several sides measure it as well as the rest of the place
+    }
     if (!(seconds > 0 && seconds < kLongestGap_s)) {
       depth_filter.reset();
     }
@@ -101,7 +144,9 @@ struct Tracker::Impl {
   std::uint64_t shape_version = 0;
   DepthFilter depth_filter;
   std::int64_t filtered_ns = 0;
-  Landmarker landmarker;
+  std::vector<CameraIntrinsics> lenses;  ///< [view] calibrated; of one camera alone all 0
+  std::vector<Landmarker> landmarkers;   ///< [view]
+  std::vector<ViewLandmarks> view_landmarks;
   LandmarkModel landmark_model;
   ExpressionPrior prior;
   SubjectTracker subject_tracker;
@@ -113,36 +158,42 @@ Tracker::Tracker(const face::FaceModel& model, const TrackerConfig& config)
 Tracker::~Tracker() = default;
 
 const TrackResult& Tracker::process(const Frame& frame) {
+  return process({&frame, 1});
+}
+
+const TrackResult& Tracker::process(std::span<const Frame> views) {
   TrackResult& result = impl_->result;
   result.detect_ms = 0;
   result.landmarks_ms = 0;
   result.fit_ms = 0;
   const bool was_good = result.has_mesh;
-  const LandmarkResult* landmarks = &impl_->landmarker.process(frame);
-  const SubjectFrame* subject = &impl_->follow(frame, *landmarks);
-  if (subject->rejected) {
-    impl_->landmarker.forget();
-    if (was_good) {
-      // The landmarks slipped off a face that was there a frame ago: look again at once.
-      landmarks = &impl_->landmarker.process(frame);
-      subject = &impl_->follow(frame, *landmarks);
+  const FaceLandmarks* face = nullptr;
+  const SubjectFrame* subject = &impl_->follow(views, face);
+  for (std::size_t v = 0; v < impl_->landmarkers.size(); ++v) {
+    if (subject->view_rejected[v] != 0) {
+      impl_->landmarkers[v].forget();
     }
+  }
+  if (subject->rejected && was_good) {
+    // The landmarks slipped off a face that was there a frame ago: look again at once.
+    subject = &impl_->follow(views, face);
   }
   result.state = subject->state;
   result.subject = subject->subject;
   result.has_mesh = subject->fitted;
+  result.view_used.assign(subject->view_used.begin(), subject->view_used.end());
   result.camera = impl_->subject_tracker.camera();
   result.landmarks_px.clear();
   result.interocular_px = 0;
-  if (landmarks->found) {
-    const auto& points = landmarks->face.points_px;
+  if (face != nullptr) {
+    const auto& points = face->points_px;
     for (Eigen::Index i = 0; i < points.cols(); ++i) {
       result.landmarks_px.emplace_back(points.col(i).head<2>());
     }
-    result.interocular_px = landmarks->face.interocular_px;
+    result.interocular_px = face->interocular_px;
   }
   if (subject->fitted) {
-    impl_->take_mesh(*subject, frame.media_time_ns);
+    impl_->take_mesh(*subject, time_of(views));
   } else {
     impl_->depth_filter.reset();
   }

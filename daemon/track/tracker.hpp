@@ -5,12 +5,14 @@
 #include <filesystem>
 #include <memory>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "face/face_model.hpp"
 #include "facet/frame.hpp"
 #include "mesh/mesh_frame.hpp"
 #include "track/subject.hpp"
+#include "track/view.hpp"
 
 namespace facet::track {
 
@@ -18,8 +20,10 @@ struct TrackerConfig {
   std::filesystem::path landmark_assets;  ///< face_mesh_solution_packed_assets.data
   int acquisition_frames = 15;            ///< good frames over which identity and focal length are estimated
   std::optional<CameraIntrinsics> intrinsics;  ///< known camera: the focal length is then not estimated
-  float expression_prior = 1.0F;               ///< scales the default weight
-  float temporal_prior = 1.0F;                 ///< scales the default weight
+  /// Calibrated cameras beside that one, which then is the reference camera and must be known.
+  std::vector<View> further_views{};
+  float expression_prior = 1.0F;  ///< scales the default weight
+  float temporal_prior = 1.0F;    ///< scales the default weight
 };
 
 /// The coarse face of one frame.
@@ -38,6 +42,8 @@ struct TrackResult {
   std::vector<Eigen::Vector2f> landmarks_px;  ///< [468] measured; empty where no face was found
   float reprojection_px = 0;                  ///< median over the landmarks used
   float interocular_px = 0;  ///< distance of the outer eye corners, to scale the figure above
+  /// [view] 1 where the view's landmarks went into the fit: the reference camera, then further_views.
+  std::vector<std::uint8_t> view_used;
   float detect_ms = 0;
   float landmarks_ms = 0;
   float fit_ms = 0;
@@ -49,13 +55,18 @@ struct TrackResult {
 class Tracker {
  public:
   /// Throws Error(UnreadableInput) where the landmark assets are missing or damaged. The model must outlive
-  /// the tracker.
+  /// the tracker; Error(Usage) where further views come without intrinsics.
   Tracker(const face::FaceModel& model, const TrackerConfig& config);
   ~Tracker();
 
   /// Never throws; a frame it can't use gives state Searching or Lost. The result is valid until the next
   /// call.
   const TrackResult& process(const Frame& frame);
+
+  /// The same for one picture of each view, exposed at the same moment, the reference camera's first. An
+  /// empty or damaged picture, and one of another size than calibrated, shows no face; so do views left out
+  /// at the end. All results are in the reference camera's frame.
+  const TrackResult& process(std::span<const Frame> views);
 
   /// The person being tracked; nothing before the first identity estimate. Same thread as process.
   std::optional<Subject> subject() const;

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
 #include <filesystem>
 
 #include "derivative_check.hpp"
@@ -25,7 +26,8 @@ class CoarseFitTest : public testing::Test {
 
   Observation observation_of(const test::SyntheticView& view, const FaceLandmarks& face) const {
     Observation observation;
-    observe(model, trust, face, view.pose.translation_mm.z(), view.focal_px, view.centre_px(), observation);
+    observe(model, trust, face, view.pose.translation_mm, view.focal_px, {.centre_px = view.centre_px()},
+            observation);
     return observation;
   }
 
@@ -61,12 +63,12 @@ TEST_F(CoarseFitTest, GradientMatchesDifferences) {
     const FrameState state = disturbed(view);
     const TemporalPrior previous{disturbed(view), 0.04};
     NormalEquations equations(kExpressionAt + model.expression_count());
-    const double energy = fit.linearise(basis, observation, 880, &previous, state, equations);
-    EXPECT_NEAR(energy, fit.energy(basis, observation, 880, &previous, state), 1e-9 * energy);
+    const double energy = fit.linearise(basis, {&observation, 1}, 880, &previous, state, equations);
+    EXPECT_NEAR(energy, fit.energy(basis, {&observation, 1}, 880, &previous, state), 1e-9 * energy);
     const auto energy_at = [&](int i, double h) {
       FrameState moved;
       apply_step(state, h * Eigen::VectorXd::Unit(equations.unknown_count(), i), moved);
-      return fit.energy(basis, observation, 880, &previous, moved);
+      return fit.energy(basis, {&observation, 1}, 880, &previous, moved);
     };
     EXPECT_LT(test::gradient_error(equations.gradient, energy_at), kDerivativeTolerance);
 
@@ -75,6 +77,33 @@ TEST_F(CoarseFitTest, GradientMatchesDifferences) {
     wrong[round] += 0.01 * wrong.cwiseAbs().maxCoeff();
     EXPECT_GT(test::gradient_error(wrong, energy_at), 100 * kDerivativeTolerance);
   }
+}
+
+TEST_F(CoarseFitTest, GradientOfTwoViewsMatchesDifferences) {
+  const auto view = test::random_view(model, test::random_identity(model, random), random);
+  const View side = test::side_view(view, -0.4);
+  std::array<Observation, 2> views;
+  views[0] = observation_of(view, test::synthetic_landmarks(model, view, 1.0, random));
+  observe(model, trust, test::synthetic_landmarks(model, test::seen_by(side, view), 1.0, random),
+          view.pose.translation_mm, view.focal_px, test::camera_of(side, view), views[1]);
+  LandmarkBasis basis;
+  model.contract_identity(view.identity, basis);
+  const FrameState state = disturbed(view);
+  NormalEquations equations(kExpressionAt + model.expression_count());
+  const double energy = fit.linearise(basis, views, view.focal_px, nullptr, state, equations);
+  const auto energy_at = [&](int i, double h) {
+    FrameState moved;
+    apply_step(state, h * Eigen::VectorXd::Unit(equations.unknown_count(), i), moved);
+    return fit.energy(basis, views, view.focal_px, nullptr, moved);
+  };
+  EXPECT_LT(test::gradient_error(equations.gradient, energy_at), kDerivativeTolerance);
+
+  // A view that shows nothing says nothing, wherever its camera stands.
+  views[1].seen = false;
+  views[1].camera.view_from_reference.translation().z() = -5000;
+  const double alone = fit.energy(basis, {&views[0], 1}, view.focal_px, nullptr, state);
+  EXPECT_EQ(fit.energy(basis, views, view.focal_px, nullptr, state), alone);
+  EXPECT_LT(alone, energy);
 }
 
 TEST_F(CoarseFitTest, HessianMatchesDifferencesWhereTheResidualsVanish) {
@@ -131,11 +160,12 @@ TEST(Gaze, IsReadFromTheIrises) {
     for (const bool seen : {true, false}) {
       face.iris_confidence = {seen ? 1.0F : 0.0F, seen ? 1.0F : 0.0F};
       Observation observation;
-      observe(model, {}, face, view.pose.translation_mm.z(), view.focal_px, view.centre_px(), observation);
+      observe(model, {}, face, view.pose.translation_mm, view.focal_px, {.centre_px = view.centre_px()},
+              observation);
       LandmarkBasis basis;
       model.contract_identity(view.identity, basis);
       FrameState state{view.pose, Eigen::VectorXd::Zero(model.expression_count())};
-      fit.solve(basis, observation, view.focal_px, nullptr, 25, state);
+      fit.solve(basis, {&observation, 1}, view.focal_px, nullptr, 25, state);
       const double left = weight(state, "eyeLookOutLeft") - weight(state, "eyeLookInLeft");
       const double right = weight(state, "eyeLookInRight") - weight(state, "eyeLookOutRight");
       EXPECT_NEAR(left, seen ? aside : 0.0, 0.12) << "seen " << seen;
@@ -156,7 +186,7 @@ TEST_F(CoarseFitTest, FindsPoseAndExpressionFromAfar) {
     LandmarkBasis basis;
     model.contract_identity(view.identity, basis);
     FrameState state = disturbed(view);
-    const FitReport report = exact.solve(basis, observation, view.focal_px, nullptr, 40, state);
+    const FitReport report = exact.solve(basis, {&observation, 1}, view.focal_px, nullptr, 40, state);
     EXPECT_EQ(report.outcome, FitOutcome::Converged);
     EXPECT_LT(vector_from_rotation(state.pose.rotation * view.pose.rotation.transpose()).norm(), 1e-3);
     EXPECT_LT((state.pose.translation_mm - view.pose.translation_mm).norm(), 0.5);
@@ -175,10 +205,10 @@ TEST_F(CoarseFitTest, EndsInAMinimumWithinTheBounds) {
     model.contract_identity(Eigen::VectorXd::Zero(model.identity_count()), basis);
     FrameState state = disturbed(view);
     for (int call = 0; call < 4; ++call) {
-      fit.solve(basis, observation, view.focal_px, nullptr, 100, state);
+      fit.solve(basis, {&observation, 1}, view.focal_px, nullptr, 100, state);
     }
     NormalEquations equations(kExpressionAt + model.expression_count());
-    const double energy = fit.linearise(basis, observation, view.focal_px, nullptr, state, equations);
+    const double energy = fit.linearise(basis, {&observation, 1}, view.focal_px, nullptr, state, equations);
     // A step along the gradient that the curvature allows would gain less than this part of the energy.
     constexpr double kGainLeft = 1e-3;
     for (int i = 0; i < equations.unknown_count(); ++i) {
@@ -209,11 +239,11 @@ TEST_F(CoarseFitTest, WildLandmarksAreOutvoted) {
   model.contract_identity(view.identity, basis);
   FrameState robust = disturbed(view);
   FrameState plain = robust;
-  fit.solve(basis, observation, view.focal_px, nullptr, 40, robust);
+  fit.solve(basis, {&observation, 1}, view.focal_px, nullptr, 40, robust);
   LandmarkTrust trusting = trust;
   trusting.huber_sigmas = 1e6;
   CoarseFit least_squares(model, prior, trusting, {});
-  least_squares.solve(basis, observation, view.focal_px, nullptr, 40, plain);
+  least_squares.solve(basis, {&observation, 1}, view.focal_px, nullptr, 40, plain);
   const auto error_mm = [&](const FrameState& state) {
     return (state.pose.translation_mm - view.pose.translation_mm).head<2>().norm();
   };
@@ -234,7 +264,7 @@ TEST_F(CoarseFitTest, TemporalPriorHoldsJitterAndLetsMovementPass) {
       const Observation observation =
           observation_of(view, test::synthetic_landmarks(model, view, 2.0, noise));
       FrameState state = previous.previous;
-      fit.solve(basis, observation, view.focal_px, use_prior ? &previous : nullptr, 20, state);
+      fit.solve(basis, {&observation, 1}, view.focal_px, use_prior ? &previous : nullptr, 20, state);
       sum += (state.expression - previous.previous.expression).squaredNorm();
       previous.previous = state;
     }
@@ -249,7 +279,7 @@ TEST_F(CoarseFitTest, TemporalPriorHoldsJitterAndLetsMovementPass) {
   open.expression[0] = 0.8;
   const Observation observation = observation_of(open, test::synthetic_landmarks(model, open, 0.0, random));
   FrameState state = previous.previous;
-  fit.solve(basis, observation, view.focal_px, &previous, 20, state);
+  fit.solve(basis, {&observation, 1}, view.focal_px, &previous, 20, state);
   EXPECT_GT(state.expression[0], 0.9 * 0.8);
 }
 
@@ -262,7 +292,7 @@ TEST_F(CoarseFitTest, FacesBehindTheCameraAreRefused) {
   FrameState state{view.pose, view.expression};
   state.pose.translation_mm.z() = -300;
   const FrameState before = state;
-  EXPECT_EQ(fit.solve(basis, observation, view.focal_px, nullptr, 20, state).outcome,
+  EXPECT_EQ(fit.solve(basis, {&observation, 1}, view.focal_px, nullptr, 20, state).outcome,
             FitOutcome::NumericalFailure);
   EXPECT_EQ(state.pose.translation_mm, before.pose.translation_mm);
 }

@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
+
 #include "derivative_check.hpp"
 #include "support/synthetic_model.hpp"
 #include "synthetic_landmarks.hpp"
@@ -20,14 +22,21 @@ class IdentityFitTest : public testing::Test {
   IdentityFit batch(const Eigen::VectorXd& identity, int count, double noise_px, double fixed_focal_px,
                     const IdentityPriorStrength& strength) {
     test::SyntheticView any;
-    IdentityFit fit(model, prior, {}, strength, any.width_px, fixed_focal_px, any.centre_px());
+    IdentityFit fit(model, prior, {}, strength, any.width_px, fixed_focal_px,
+                    {{.centre_px = any.centre_px()}});
     for (int f = 0; f < count; ++f) {
       auto view = test::random_view(model, identity, random, 0.5);
       view.focal_px = 1000;
       const auto face = test::synthetic_landmarks(model, view, noise_px, random);
-      fit.add_frame(face, {view.pose, Eigen::VectorXd::Zero(model.expression_count())});
+      const FaceLandmarks* const faces = &face;
+      fit.add_frame({&faces, 1}, {view.pose, Eigen::VectorXd::Zero(model.expression_count())});
     }
     return fit;
+  }
+
+  static void add(IdentityFit& fit, const FaceLandmarks& face, const FrameState& start) {
+    const FaceLandmarks* const shown = &face;
+    fit.add_frame({&shown, 1}, start);
   }
 
   std::mt19937 random{30};
@@ -89,14 +98,14 @@ TEST_F(IdentityFitTest, PersistentOffsetsBecomeBias) {
   // The net sees one landmark 3 mm off on every frame of this face: that is no identity and no expression.
   const Eigen::VectorXd identity = Eigen::VectorXd::Zero(model.identity_count());
   test::SyntheticView any;
-  IdentityFit fit(model, prior, {}, {}, any.width_px, any.focal_px, any.centre_px());
+  IdentityFit fit(model, prior, {}, {}, any.width_px, any.focal_px, {{.centre_px = any.centre_px()}});
   const int landmark = model.landmarks()[200];
   for (int f = 0; f < 12; ++f) {
     const auto view = test::random_view(model, identity, random, 0.2);
     auto face = test::synthetic_landmarks(model, view, 0.2, random);
     const double px_per_mm = view.focal_px / view.pose.translation_mm.z();
     face.points_px(0, landmark) += static_cast<float>(3.0 * px_per_mm);
-    fit.add_frame(face, {view.pose, view.expression});
+    add(fit, face, {view.pose, view.expression});
   }
   fit.improve(30);
   const Eigen::VectorXd bias = fit.landmark_bias_mm();
@@ -105,9 +114,35 @@ TEST_F(IdentityFitTest, PersistentOffsetsBecomeBias) {
   EXPECT_LT(bias.segment<3>(3 * 100).norm(), 0.5);
 }
 
+TEST_F(IdentityFitTest, TwoViewsAreOneEnergy) {
+  test::SyntheticView any;
+  const View side = test::side_view(any, 0.4);
+  IdentityFit fit(model, prior, {}, {}, any.width_px, any.focal_px,
+                  {{.centre_px = any.centre_px()}, test::camera_of(side, any)});
+  const Eigen::VectorXd identity = test::random_identity(model, random);
+  for (int f = 0; f < 3; ++f) {
+    const auto view = test::random_view(model, identity, random, 0.3);
+    const auto front = test::synthetic_landmarks(model, view, 0.5, random);
+    const auto aside = test::synthetic_landmarks(model, test::seen_by(side, view), 0.5, random);
+    const std::array<const FaceLandmarks*, 2> both = {&front, f == 1 ? nullptr : &aside};
+    fit.add_frame(both, {view.pose, Eigen::VectorXd::Constant(model.expression_count(), 0.4)});
+  }
+  std::normal_distribution<double> normal;
+  fit.move(0.05 * Eigen::VectorXd::NullaryExpr(fit.gradient().size(), [&] { return normal(random); }));
+  const Eigen::VectorXd gradient = fit.gradient();
+  const auto energy_at = [&](int i, double h) {
+    const Eigen::VectorXd step = h * Eigen::VectorXd::Unit(gradient.size(), i);
+    fit.move(step);
+    const double energy = fit.energy();
+    fit.move(-step);
+    return energy;
+  };
+  EXPECT_LT(test::gradient_error(gradient, energy_at), 2e-6);
+}
+
 TEST_F(IdentityFitTest, AnEmptyBatchIsAFailureNotACrash) {
   test::SyntheticView any;
-  IdentityFit fit(model, prior, {}, {}, any.width_px, 0, any.centre_px());
+  IdentityFit fit(model, prior, {}, {}, any.width_px, 0, {{.centre_px = any.centre_px()}});
   EXPECT_EQ(fit.improve(3).outcome, FitOutcome::NumericalFailure);
 }
 

@@ -2,8 +2,10 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
 #include <functional>
 #include <limits>
+#include <optional>
 
 #include "allocation_counter.hpp"
 #include "support/synthetic_model.hpp"
@@ -294,6 +296,157 @@ TEST_F(SubjectTrackerTest, TrackingAllocatesNothing) {
   // Losing and finding the face again is no start-up either.
   tracker.process(nullptr, false, width_px, height_px, now_ns + kFrameNs);
   tracker.process(&faces.back(), true, width_px, height_px, now_ns + 2 * kFrameNs);
+  EXPECT_EQ(test::allocation_count() - before, 0U);
+}
+
+/// Two calibrated cameras, the second one 23 degrees beside the first.
+class TwoViewsTest : public SubjectTrackerTest {
+ protected:
+  TwoViewsTest() : side(test::side_view({}, 0.4)), both(model, prior, config_with(true)) {}
+
+  SubjectTrackerConfig config_with(bool with_side) const {
+    const test::SyntheticView front;
+    SubjectTrackerConfig config;
+    config.intrinsics = test::side_view(front, 0).intrinsics;
+    if (with_side) {
+      config.further_views = {side};
+    }
+    return config;
+  }
+
+  /// front_off_mm, side_off_mm: how far beside its place the camera sees the face; none: it sees no face.
+  const SubjectFrame& show_both(const Eigen::VectorXd& identity, std::optional<double> front_off_mm,
+                                std::optional<double> side_off_mm, double noise_px = 0.8) {
+    now_ns += kFrameNs;
+    const test::SyntheticView view = acting(identity, time++);
+    truth = view.pose;
+    const auto seen = [&](const test::SyntheticView& placed, std::optional<double> off_mm) {
+      test::SyntheticView moved = placed;
+      moved.pose.translation_mm.x() += off_mm.value_or(0);
+      return test::synthetic_landmarks(model, moved, noise_px, random);
+    };
+    const FaceLandmarks in_front = seen(view, front_off_mm);
+    const FaceLandmarks aside = seen(test::seen_by(side, view), side_off_mm);
+    const std::array<ViewLandmarks, 2> views = {ViewLandmarks{front_off_mm ? &in_front : nullptr, false},
+                                                ViewLandmarks{side_off_mm ? &aside : nullptr, false}};
+    return both.process(views, width_px, height_px, now_ns);
+  }
+
+  void acquire_both(const Eigen::VectorXd& identity) {
+    for (int f = 0; f < 150; ++f) {
+      if (show_both(identity, 0, 0).state == TrackingState::Tracking) {
+        return;
+      }
+    }
+    FAIL() << "never tracked";
+  }
+
+  double error_mm(const SubjectFrame& result) const {
+    return (result.face.pose.translation_mm - truth.translation_mm).norm();
+  }
+
+  View side;
+  SubjectTracker both;
+  Pose truth;
+};
+
+TEST_F(TwoViewsTest, ASecondCameraThatSeesNothingChangesNothing) {
+  const Eigen::VectorXd identity = test::random_identity(model, random);
+  SubjectTracker one(model, prior, config_with(false));
+  for (int f = 0; f < 60; ++f) {
+    now_ns += kFrameNs;
+    const auto face = test::synthetic_landmarks(model, acting(identity, time++), 0.8, random);
+    const std::array<ViewLandmarks, 2> views = {ViewLandmarks{&face, f == 0}, ViewLandmarks{}};
+    const SubjectFrame& expected = one.process(&face, f == 0, width_px, height_px, now_ns);
+    const SubjectFrame& found = both.process(views, width_px, height_px, now_ns);
+    ASSERT_EQ(found.state, expected.state) << f;
+    ASSERT_EQ(found.face.pose.rotation, expected.face.pose.rotation) << f;
+    ASSERT_EQ(found.face.pose.translation_mm, expected.face.pose.translation_mm) << f;
+    ASSERT_EQ(found.face.expression, expected.face.expression) << f;
+    ASSERT_EQ(found.reprojection_px, expected.reprojection_px) << f;
+    ASSERT_EQ(found.view_used, (std::vector<std::uint8_t>{1, 0})) << f;
+  }
+  EXPECT_EQ(both.shape().identity, one.shape().identity);
+  EXPECT_EQ(both.shape().focal_px, one.shape().focal_px);
+}
+
+TEST_F(TwoViewsTest, TheyKnowTheDistanceAndTheShapeThatOneDoesNot) {
+  for (int person = 0; person < 3; ++person) {
+    const Eigen::VectorXd identity = test::random_identity(model, random);
+    SubjectTracker one(model, prior, config_with(false));
+    both.reset_identity();
+    double distance_of_one = 0;
+    double distance_of_both = 0;
+    int frames = 0;
+    for (int f = 0; f < 150; ++f) {
+      const test::SyntheticView view = acting(identity, time);
+      const SubjectFrame& found = show_both(identity, 0, 0, 1.5);
+      const auto face = test::synthetic_landmarks(model, view, 1.5, random);
+      const SubjectFrame& alone = one.process(&face, false, width_px, height_px, now_ns);
+      if (found.state == TrackingState::Tracking && alone.state == TrackingState::Tracking) {
+        distance_of_both += error_mm(found);
+        distance_of_one += (alone.face.pose.translation_mm - truth.translation_mm).norm();
+        ++frames;
+      }
+    }
+    ASSERT_GT(frames, 30);
+    EXPECT_LT(distance_of_both, 0.6 * distance_of_one) << "person " << person;
+    EXPECT_LT(distance_of_both / frames, 3.0);
+    EXPECT_LT((both.shape().identity - identity).norm(), (one.shape().identity - identity).norm());
+  }
+}
+
+TEST_F(TwoViewsTest, EitherViewAloneIsEnoughToGoOn) {
+  const Eigen::VectorXd identity = test::random_identity(model, random);
+  acquire_both(identity);
+  for (const bool front_is_lost : {false, true}) {
+    for (int f = 0; f < 20; ++f) {
+      const SubjectFrame& result = show_both(identity, front_is_lost ? std::nullopt : std::optional(0.0),
+                                             front_is_lost ? std::optional(0.0) : std::nullopt);
+      ASSERT_EQ(result.state, TrackingState::Tracking);
+      ASSERT_EQ(result.view_used[front_is_lost ? 0 : 1], 0);
+      ASSERT_LT(error_mm(result), 12.0) << f;
+    }
+    ASSERT_LT(error_mm(show_both(identity, 0, 0)), 4.0);
+  }
+  EXPECT_EQ(show_both(identity, std::nullopt, std::nullopt).state, TrackingState::Lost);
+  EXPECT_EQ(both.subject().shape.identity.size(), model.identity_count());
+}
+
+TEST_F(TwoViewsTest, AViewThatContradictsIsLeftOut) {
+  const Eigen::VectorXd identity = test::random_identity(model, random);
+  acquire_both(identity);
+  for (const std::size_t wrong : {std::size_t{0}, std::size_t{1}}) {
+    show_both(identity, 0, 0);
+    // The landmarks of one camera hop to somebody else.
+    const SubjectFrame& result = show_both(identity, wrong == 0 ? 220.0 : 0.0, wrong == 1 ? 220.0 : 0.0);
+    ASSERT_EQ(result.state, TrackingState::Tracking) << wrong;
+    EXPECT_EQ(result.view_used[wrong], 0);
+    EXPECT_EQ(result.view_rejected[wrong], 1);
+    EXPECT_EQ(result.view_used[1 - wrong], 1);
+    EXPECT_EQ(result.view_rejected[1 - wrong], 0);
+    EXPECT_LT(error_mm(result), 12.0);
+  }
+}
+
+TEST_F(TwoViewsTest, TrackingThemAllocatesNothing) {
+  if (!test::allocations_are_counted()) {
+    GTEST_SKIP() << "the sanitizers bring their own allocator";
+  }
+  const Eigen::VectorXd identity = test::random_identity(model, random);
+  acquire_both(identity);
+  const test::SyntheticView view = acting(identity, time);
+  const auto front = test::synthetic_landmarks(model, view, 0.8, random);
+  const auto aside = test::synthetic_landmarks(model, test::seen_by(side, view), 0.8, random);
+  auto other = view;
+  other.pose.translation_mm.x() += 220;
+  const auto wrong = test::synthetic_landmarks(model, other, 0.8, random);
+  const std::size_t before = test::allocation_count();
+  for (const FaceLandmarks* shown : {&front, &wrong, &front}) {
+    now_ns += kFrameNs;
+    const std::array<ViewLandmarks, 2> views = {ViewLandmarks{shown, false}, ViewLandmarks{&aside, false}};
+    ASSERT_EQ(both.process(views, width_px, height_px, now_ns).state, TrackingState::Tracking);
+  }
   EXPECT_EQ(test::allocation_count() - before, 0U);
 }
 

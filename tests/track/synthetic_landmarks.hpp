@@ -7,6 +7,7 @@
 #include "track/camera_pose.hpp"
 #include "track/landmark_model.hpp"
 #include "track/landmarker.hpp"
+#include "track/view.hpp"
 
 namespace facet::test {
 
@@ -83,6 +84,37 @@ inline track::FaceLandmarks synthetic_landmarks(const track::LandmarkModel& mode
   face.interocular_px =
       static_cast<float>(view.focal_px * model.interocular_mm() / view.pose.translation_mm.z());
   return face;
+}
+
+/// A camera like that of `like`, turned by yaw_rad round a point half a metre before it.
+inline track::View side_view(const SyntheticView& like, double yaw_rad) {
+  constexpr double kDistanceMm = 520;
+  track::View view;
+  view.intrinsics = {.fx = static_cast<float>(like.focal_px),
+                     .fy = static_cast<float>(like.focal_px),
+                     .cx = static_cast<float>(like.centre_px().x()),
+                     .cy = static_cast<float>(like.centre_px().y()),
+                     .width_px = like.width_px,
+                     .height_px = like.height_px};
+  const Eigen::Vector3d middle_mm(0, 0, kDistanceMm);
+  view.view_from_reference.linear() = track::rotation_from_vector({0, yaw_rad, 0});
+  view.view_from_reference.translation() = middle_mm - view.view_from_reference.linear() * middle_mm;
+  return view;
+}
+
+inline track::ViewCamera camera_of(const track::View& view, const SyntheticView& reference) {
+  return {.centre_px = {view.intrinsics.cx, view.intrinsics.cy},
+          .focal_ratio = static_cast<double>(view.intrinsics.fx) / reference.focal_px,
+          .view_from_reference = view.view_from_reference};
+}
+
+/// The same face as another camera sees it.
+inline SyntheticView seen_by(const track::View& camera, const SyntheticView& view) {
+  SyntheticView out = view;
+  out.focal_px = camera.intrinsics.fx;
+  out.pose.rotation = camera.view_from_reference.linear() * view.pose.rotation;
+  out.pose.translation_mm = camera.view_from_reference * view.pose.translation_mm;
+  return out;
 }
 
 }  // namespace facet::test
