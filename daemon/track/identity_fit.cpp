@@ -69,6 +69,7 @@ void IdentityFit::observe_views(BatchFrame& frame) const {
               frame.observations[v]);
     }
   }
+  weigh_views(frame.observations);
 }
 
 double IdentityFit::shared_prior_energy(const SubjectShape& shape) const {

@@ -90,6 +90,14 @@ void observe(const LandmarkModel& model, const LandmarkTrust& trust, const FaceL
   }
 }
 
+void weigh_views(std::span<Observation> views) {
+  const auto seen =
+      std::count_if(views.begin(), views.end(), [](const Observation& view) { return view.seen; });
+  for (Observation& view : views) {
+    view.weight = view.seen ? 1.0 / static_cast<double>(seen) : 0.0;
+  }
+}
+
 LandmarkTerm::LandmarkTerm(const LandmarkModel& model, const LandmarkTrust& trust)
     : huber_sigmas_(trust.huber_sigmas), head_mm_(3 * model.count()), rotated_mm_(3, model.count()) {}
 
@@ -128,7 +136,7 @@ double LandmarkTerm::energy(const LandmarkBasis& basis, const Observation& obser
     const Eigen::Vector2d residual = whitening * (at.px - observation.points_px.col(l));
     sum += huber_energy(residual.squaredNorm(), huber_sigmas_);
   }
-  return sum;
+  return observation.weight * sum;
 }
 
 double LandmarkTerm::linearise(
@@ -140,13 +148,14 @@ double LandmarkTerm::linearise(
     return total;
   }
   const Eigen::Index expressions = state.expression.size();
+  const double root_weight = std::sqrt(observation.weight);
   for (Eigen::Index l = 0; l < rotated_mm_.cols(); ++l) {
     const Eigen::Vector3d rotated = rotated_mm_.col(l);
     Projection at;
     project_landmark(l, observation.camera, focal_px, state, at);
     Eigen::Matrix2d whitening = observation.whitening[static_cast<std::size_t>(l)];
     Eigen::Vector2d residual = whitening * (at.px - observation.points_px.col(l));
-    const double scale = huber_scale(residual.squaredNorm(), huber_sigmas_);
+    const double scale = root_weight * huber_scale(residual.squaredNorm(), huber_sigmas_);
     whitening *= scale;
     residual *= scale;
     const Eigen::Matrix<double, 2, 3> by_camera =

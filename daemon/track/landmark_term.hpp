@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <array>
+#include <span>
 #include <vector>
 
 #include "track/camera_pose.hpp"
@@ -50,7 +51,8 @@ struct Observation {
   Eigen::Matrix2Xd points_px;              ///< [2][LandmarkModel::count()]
   std::vector<Eigen::Matrix2d> whitening;  ///< [count] residual in standard deviations = whitening * px
   ViewCamera camera;
-  bool seen = true;  ///< false: this view shows no face that can be believed; it says nothing
+  bool seen = true;   ///< false: this view shows no face that can be believed; it says nothing
+  double weight = 1;  ///< of its data term, see weigh_views
 };
 
 /// Takes the model's landmarks out of a whole face mesh and sets their whitening for a head at `place_mm` of
@@ -59,9 +61,14 @@ struct Observation {
 void observe(const LandmarkModel& model, const LandmarkTrust& trust, const FaceLandmarks& face,
              const Eigen::Vector3d& place_mm, double focal_px, const ViewCamera& camera, Observation& out);
 
+/// Gives the seen views of a frame equal weights that sum to 1. The net errs on one face much alike from
+/// every side: more views say where the face is, but make its shape and expression no more certain against
+/// the priors.
+void weigh_views(std::span<Observation> views);
+
 /// The data term of the coarse fit in one view, V its view_from_reference; 0 where Observation::seen is
 /// false:
-///   E_data = 1/2 sum_l rho(|| W_l (project(V (R (n_l + D_l e) + t)) - m_l) ||^2)
+///   E_data = weight / 2 sum_l rho(|| W_l (project(V (R (n_l + D_l e) + t)) - m_l) ||^2)
 /// with rho = Huber and focal_px the reference camera's focal length, minimised by iteratively reweighted
 /// Gauss-Newton steps. Holds scratch only; one thread.
 class LandmarkTerm {

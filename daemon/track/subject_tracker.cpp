@@ -332,6 +332,7 @@ bool SubjectTracker::fit_used(bool warm, double elapsed_s) {
       observe_view(v);
     }
   }
+  weigh_views(observations_);
   candidate_report_ =
       coarse_fit_.solve(basis_, observations_, subject_.shape.focal_px, warm ? &previous_ : nullptr,
                         warm ? kWarmIterations : kColdIterations, candidate_);
