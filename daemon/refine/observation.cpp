@@ -66,7 +66,8 @@ void to_shading_frame(const mesh::Vertices& head_vertices_mm, std::span<const fl
 
 FaceRegion set_frame_parameters(const ImagePyramid& pyramid, const CameraIntrinsics& camera,
                                 std::span<const shaders::vec4> vertices,
-                                shaders::refine::FrameParameters& out) {
+                                shaders::refine::FrameParameters& out,
+                                const Eigen::Isometry3f& view_from_reference) {
   const auto k = static_cast<float>(pyramid.reduction);
   const int width = reduced(pyramid.width_px, pyramid.reduction);
   const int height = reduced(pyramid.height_px, pyramid.reduction);
@@ -77,14 +78,23 @@ FaceRegion set_frame_parameters(const ImagePyramid& pyramid, const CameraIntrins
   out.image_size = {static_cast<float>(width), static_cast<float>(height),
                     1 / static_cast<float>(padded_px.x()), 1 / static_cast<float>(padded_px.y())};
   out.reduction = pyramid.reduction;
-  out.source_px = {pyramid.width_px, pyramid.height_px, 0, 0};
+  out.source_px = {pyramid.width_px, pyramid.height_px, 1, 0};
+  const Eigen::Vector3f half_turn(1, -1, -1);  // camera axes to those of shading and back
+  Eigen::Matrix4f view = view_from_reference.matrix();
+  view.topRows<3>() = half_turn.asDiagonal() * view.topRows<3>();
+  view.leftCols<3>() = view.leftCols<3>() * half_turn.asDiagonal();
+  for (Eigen::Index column = 0; column < 4; ++column) {
+    out.view_from_reference.columns[column] = {view(0, column), view(1, column), view(2, column),
+                                               view(3, column)};
+  }
 
   Eigen::Array2f low(static_cast<float>(width), static_cast<float>(height));
   Eigen::Array2f high(0, 0);
-  for (const shaders::vec4& p : vertices) {
-    if (-p.z > kNearMm) {
-      const Eigen::Array2f px(out.projection.x * p.x / -p.z + out.projection.z,
-                              out.projection.y * -p.y / -p.z + out.projection.w);
+  for (const shaders::vec4& vertex : vertices) {
+    const Eigen::Vector4f p = view * Eigen::Vector4f(vertex.x, vertex.y, vertex.z, 1);
+    if (-p.z() > kNearMm) {
+      const Eigen::Array2f px(out.projection.x * p.x() / -p.z() + out.projection.z,
+                              out.projection.y * -p.y() / -p.z() + out.projection.w);
       low = low.min(px);
       high = high.max(px);
     }
@@ -118,11 +128,22 @@ DepthMap::DepthMap(gpu::Context& context, const mesh::Triangles& corners)
   gpu::upload(context, triangles.buffer, std::as_bytes(std::span(packed)));
 }
 
+FurtherView::FurtherView(gpu::Context& context, int width_px, int height_px, const mesh::Triangles& triangles)
+    : pyramid(context, width_px, height_px),
+      frame(context, sizeof(shaders::refine::FrameParameters), gpu::Memory::Upload, "frame parameters"),
+      depth(context, triangles),
+      gain(context, sizeof(shaders::refine::ViewGain), gpu::Memory::Device, "view gain") {
+  frame.mapped_as<shaders::refine::FrameParameters>().front() = {};
+  clear(context, {&gain});
+}
+
 ObservationKernels::ObservationKernels(gpu::Context& context)
     : linear_image_(context, shaders::refine::kernels(), "refine/linear_image"),
       rasterise_depth_(context, shaders::refine::kernels(), "refine/rasterise_depth"),
       prolong_(context, shaders::refine::kernels(), "refine/prolong"),
       observe_(context, shaders::refine::kernels(), "refine/observe"),
+      view_gain_(context, shaders::refine::kernels(), "refine/view_gain"),
+      merge_view_(context, shaders::refine::kernels(), "refine/merge_view"),
       downsampler_(context),
       sampler_(context, gpu::Filter::Linear, gpu::Filter::Linear) {}
 
@@ -172,8 +193,9 @@ void ObservationKernels::record_depth(gpu::Batch& batch, const LevelState& coars
 }
 
 void ObservationKernels::record_observe(gpu::Batch& batch, const LevelTopology& topology,
-                                        const LevelState& state, const ImagePyramid& pyramid,
-                                        const DepthMap& map, const gpu::Buffer& frame) const {
+                                        const LevelState& state, const gpu::Buffer& colours,
+                                        const ImagePyramid& pyramid, const DepthMap& map,
+                                        const gpu::Buffer& frame) const {
   const shaders::refine::ObservePush push{topology.vertex_count, DepthMap::size_px};
   batch.dispatch(observe_,
                  {{"frame", frame},
@@ -183,8 +205,25 @@ void ObservationKernels::record_observe(gpu::Batch& batch, const LevelTopology& 
                   {"linear_image", pyramid.linear, sampler_},
                   {"depth_bits", map.depth_bits},
                   {"normals", state.normals.buffer},
-                  {"colours", state.colours.buffer}},
+                  {"colours", colours}},
                  {topology.workgroup_count}, push);
+}
+
+void ObservationKernels::record_view(gpu::Batch& batch, const LevelTopology& topology,
+                                     const LevelState& state, const FurtherView& view,
+                                     const DeviceArray& view_colours, bool learn_gain, bool last) const {
+  record_observe(batch, topology, state, view_colours.buffer, view.pyramid, view.depth, view.frame);
+  const shaders::refine::ViewPush push{topology.vertex_count, last ? 1U : 0U};
+  if (learn_gain) {
+    batch.dispatch(
+        view_gain_,
+        {{"colours", state.colours.view}, {"view_colours", view_colours.view}, {"view_gain", view.gain}}, {},
+        push);
+  }
+  batch.dispatch(
+      merge_view_,
+      {{"view_colours", view_colours.view}, {"view_gain", view.gain}, {"colours", state.colours.buffer}},
+      {topology.workgroup_count}, push);
 }
 
 }  // namespace facet::refine

@@ -32,11 +32,13 @@ struct FaceRegion {
   Eigen::Array2i high_px;  ///< past the end
 };
 
-/// Fills projection, region and depth map mapping for the coarse mesh as it stands in this frame; the other
-/// members of `out` stay. vertices: shading frame, mm. Real-time safe.
+/// Fills projection, region, depth map mapping and the camera's place for the coarse mesh as it stands in
+/// this frame; the other members of `out` stay. vertices: the reference camera's shading frame, mm.
+/// view_from_reference: camera frames. Real-time safe.
 FaceRegion set_frame_parameters(const ImagePyramid& pyramid, const CameraIntrinsics& camera,
                                 std::span<const shaders::vec4> vertices,
-                                shaders::refine::FrameParameters& out);
+                                shaders::refine::FrameParameters& out,
+                                const Eigen::Isometry3f& view_from_reference = Eigen::Isometry3f::Identity());
 
 /// The vertices in the shading frame (camera frame turned by half a turn about x), fourth their
 /// displacements; where none are given, 0. Real-time safe.
@@ -57,6 +59,18 @@ struct DepthMap {
   gpu::Buffer depth_bits;  ///< [size_px][size_px] z as float bits, infinity where there is no face
 };
 
+/// A camera beside the reference camera: its picture, where it stands, and how its colours differ.
+struct FurtherView {
+  /// triangles: of M0
+  FurtherView(gpu::Context& context, int width_px, int height_px, const mesh::Triangles& triangles);
+
+  ImagePyramid pyramid;
+  gpu::Buffer frame;  ///< FrameParameters: those that record_image, record_depth and record_observe read
+  DepthMap depth;
+  gpu::Buffer gain;     ///< ViewGain
+  bool filled = false;  ///< the pyramid has held a whole picture
+};
+
 /// What a level's displacements are drawn towards.
 enum class Prior {
   None,       ///< nothing: displacements begin at 0
@@ -64,7 +78,7 @@ enum class Prior {
   Given,      ///< those that came with the control vertices; what shading does not move stands there
 };
 
-/// What the camera sees of every vertex: linear image pyramid, depth map of the coarse mesh, positions,
+/// What the cameras see of every vertex: linear image pyramid, depth map of the coarse mesh, positions,
 /// coarse normals and sampled colours of every level.
 class ObservationKernels {
  public:
@@ -83,15 +97,30 @@ class ObservationKernels {
   void record_depth(gpu::Batch& batch, const LevelState& coarsest, const DepthMap& map,
                     const gpu::Buffer& frame) const;
 
-  /// Records coarse normals, spacings and colours of a level.
+  /// Records coarse normals, spacings and colours of a level as one camera sees it.
   void record_observe(gpu::Batch& batch, const LevelTopology& topology, const LevelState& state,
-                      const ImagePyramid& pyramid, const DepthMap& map, const gpu::Buffer& frame) const;
+                      const ImagePyramid& pyramid, const DepthMap& map, const gpu::Buffer& frame) const {
+    record_observe(batch, topology, state, state.colours.buffer, pyramid, map, frame);
+  }
+
+  /// Records what a further camera sees of a level and its mean with what the cameras before it see there.
+  /// view_colours: room for the level's vertices. learn_gain: on M0, before the finer levels. last: there is
+  /// no further camera.
+  void record_view(gpu::Batch& batch, const LevelTopology& topology, const LevelState& state,
+                   const FurtherView& view, const DeviceArray& view_colours, bool learn_gain,
+                   bool last) const;
 
  private:
+  void record_observe(gpu::Batch& batch, const LevelTopology& topology, const LevelState& state,
+                      const gpu::Buffer& colours, const ImagePyramid& pyramid, const DepthMap& map,
+                      const gpu::Buffer& frame) const;
+
   gpu::Kernel linear_image_;
   gpu::Kernel rasterise_depth_;
   gpu::Kernel prolong_;
   gpu::Kernel observe_;
+  gpu::Kernel view_gain_;
+  gpu::Kernel merge_view_;
   gpu::Downsampler downsampler_;
   gpu::Sampler sampler_;
 };

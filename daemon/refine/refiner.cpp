@@ -198,6 +198,8 @@ struct SubjectBuffers {
   gpu::Buffer light_out;
   gpu::Buffer albedo_out;
   std::optional<ImagePyramid> pyramid;
+  std::vector<std::unique_ptr<FurtherView>> further_views;
+  std::optional<DeviceArray> view_colours;  ///< [finest vertex_count] of one further view at a time
   /// Recorded frames, the last used at the end.
   struct Recorded {
     StepPlan plan;
@@ -228,6 +230,7 @@ struct Kernels {
   gpu::Kernel finish;
 
  private:
+  void record_observe(gpu::Batch& batch, const SubjectBuffers& subject, const Level& level) const;
   void record_albedo(gpu::Batch& batch, const RefinerConfig& config, const SubjectBuffers& subject) const;
   void record_displacements(gpu::Batch& batch, const RefinerConfig& config, const SubjectBuffers& subject,
                             const StepPlan& plan) const;
@@ -252,6 +255,8 @@ struct Refiner::Impl {
   bool albedo_known = false;  ///< the subject came with one: it is held
   std::shared_ptr<const mesh::Albedo> albedo;
 
+  void fit_views(std::span<const RefineView> views);
+  void write_views(std::span<const RefineView> views, std::span<const vec4> control) const;
   void read(RefineOutput& output);
   void read_albedo();
   const SubjectBuffers::Recorded& recorded_frame(const StepPlan& plan, bool learn);
@@ -313,8 +318,11 @@ void Kernels::record(gpu::Batch& batch, const RefinerConfig& config, const Subje
                              coarsest.state, subject.frame, refine_coarsest,
                              config.given_prior ? Prior::Given : Prior::None);
   observation.record_depth(batch, coarsest.state, subject.depth, subject.frame);
-  observation.record_observe(batch, coarsest.topology, coarsest.state, *subject.pyramid, subject.depth,
-                             subject.frame);
+  for (const std::unique_ptr<FurtherView>& view : subject.further_views) {
+    observation.record_image(batch, view->pyramid, view->frame);
+    observation.record_depth(batch, coarsest.state, view->depth, view->frame);
+  }
+  record_observe(batch, subject, coarsest);
 
   batch.stage("lighting");
   lighting.record(batch, coarsest.topology, coarsest.state, subject.lighting, subject.frame,
@@ -334,6 +342,16 @@ void Kernels::record(gpu::Batch& batch, const RefinerConfig& config, const Subje
   batch.stage("readback");
   record_readback(batch, config, subject, learn);
   batch.finish();
+}
+
+/// What all cameras see of a level.
+void Kernels::record_observe(gpu::Batch& batch, const SubjectBuffers& subject, const Level& level) const {
+  observation.record_observe(batch, level.topology, level.state, *subject.pyramid, subject.depth,
+                             subject.frame);
+  for (const std::unique_ptr<FurtherView>& view : subject.further_views) {
+    observation.record_view(batch, level.topology, level.state, *view, *subject.view_colours,
+                            &level == subject.levels.front().get(), view == subject.further_views.back());
+  }
 }
 
 void Kernels::record_albedo(gpu::Batch& batch, const RefinerConfig& config,
@@ -367,8 +385,7 @@ void Kernels::record_displacements(gpu::Batch& batch, const RefinerConfig& confi
     }
     // The finest level is looked at in any case: its vertices' confidence is handed out.
     if (l > 0 && (refined || l + 1 == subject.levels.size())) {
-      observation.record_observe(batch, level.topology, level.state, *subject.pyramid, subject.depth,
-                                 subject.frame);
+      record_observe(batch, subject, level);
     }
     if (!refined) {
       continue;
@@ -458,6 +475,15 @@ void Refiner::submit(const RefineInput& input) {
     throw Error(ErrorKind::Usage, fmt::format("refinement was given {} displacements for {} control vertices",
                                               given, subject.control_vertex_count));
   }
+  for (const RefineView& view : input.further_views) {
+    if (!view.image.empty() &&
+        (view.image.width_px != view.camera.width_px || view.image.height_px != view.camera.height_px)) {
+      throw Error(ErrorKind::Usage,
+                  fmt::format("refinement was given an image of {} x {} px of a camera with {} x {} px",
+                              view.image.width_px, view.image.height_px, view.camera.width_px,
+                              view.camera.height_px));
+    }
+  }
   impl.submitted = std::chrono::steady_clock::now();
   const bool new_size = !subject.pyramid || subject.pyramid->width_px != input.image.width_px ||
                         subject.pyramid->height_px != input.image.height_px;
@@ -466,6 +492,7 @@ void Refiner::submit(const RefineInput& input) {
     subject.pyramid.reset();
     subject.pyramid.emplace(impl.context, input.image.width_px, input.image.height_px);
   }
+  impl.fit_views(input.further_views);
 
   const std::span<vec4> control =
       subject.control.buffer.mapped_as<vec4>().first(subject.control_vertex_count);
@@ -483,6 +510,8 @@ void Refiner::submit(const RefineInput& input) {
     end_row = input.image.height_px;
   }
   subject.pyramid->write(input.image, first_row, end_row);
+  frame.source_px.z = input.image_counts ? 1 : 0;
+  impl.write_views(input.further_views, control);
   frame.keep_displacements = impl.warm ? 1.0F : 0.0F;
   frame.keep_lighting = impl.warm ? 1.0F : 0.0F;
   frame.learn_albedo = 1;
@@ -498,6 +527,55 @@ void Refiner::submit(const RefineInput& input) {
     impl.lost = impl.in_flight->batch->submit() != gpu::Outcome::Done;
   } catch (const gpu::DeviceLostError&) {
     impl.lost = true;  // as if it had gone a moment later: collect says so
+  }
+}
+
+/// Makes room for the further views where their number or sizes changed.
+void Refiner::Impl::fit_views(std::span<const RefineView> views) {
+  std::vector<std::unique_ptr<FurtherView>>& there = subject->further_views;
+  const bool fit = std::equal(views.begin(), views.end(), there.begin(), there.end(),
+                              [](const RefineView& view, const std::unique_ptr<FurtherView>& room) {
+                                return view.camera.width_px == room->pyramid.width_px &&
+                                       view.camera.height_px == room->pyramid.height_px;
+                              });
+  if (fit) {
+    return;
+  }
+  subject->recorded.clear();
+  there.clear();
+  for (const RefineView& view : views) {
+    there.push_back(std::make_unique<FurtherView>(context, view.camera.width_px, view.camera.height_px,
+                                                  hierarchy->levels.front().triangles));
+  }
+  if (!subject->view_colours) {
+    subject->view_colours.emplace(context, subject->levels.back()->topology.vertex_count,
+                                  gpu::TexelFormat::Rgba32f, "view colours");
+    clear(context, {&subject->view_colours->buffer});
+  }
+}
+
+/// control: shading frame of the reference camera, mm.
+void Refiner::Impl::write_views(std::span<const RefineView> views, std::span<const vec4> control) const {
+  for (std::size_t v = 0; v < views.size(); ++v) {
+    FurtherView& room = *subject->further_views[v];
+    FrameParameters& frame = room.frame.mapped_as<FrameParameters>().front();
+    const FaceRegion region =
+        set_frame_parameters(room.pyramid, views[v].camera, control, frame, views[v].view_from_reference);
+    if (views[v].image.empty()) {
+      frame.source_px.z = 0;
+      frame.region_px = {0, 0, 0, 0};
+      continue;
+    }
+    int first_row = region.low_px.y() * room.pyramid.reduction;
+    int end_row = std::min(region.high_px.y() * room.pyramid.reduction, room.pyramid.height_px);
+    if (!room.filled) {
+      frame.region_px = {0, 0, static_cast<std::int32_t>(room.pyramid.linear.width_px()),
+                         static_cast<std::int32_t>(room.pyramid.linear.height_px())};
+      first_row = 0;
+      end_row = room.pyramid.height_px;
+      room.filled = true;
+    }
+    room.pyramid.write(views[v].image, first_row, end_row);
   }
 }
 

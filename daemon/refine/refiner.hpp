@@ -64,6 +64,13 @@ struct SubjectSetup {
   std::shared_ptr<const mesh::Albedo> albedo = nullptr;
 };
 
+/// What a camera beside the reference camera adds to a frame.
+struct RefineView {
+  Frame image;              ///< of the camera's size; empty: it says nothing of this frame
+  CameraIntrinsics camera;  ///< with the size of its images, always
+  Eigen::Isometry3f view_from_reference = Eigen::Isometry3f::Identity();  ///< camera frames, mm
+};
+
 struct RefineInput {
   Frame image;
   CameraIntrinsics camera;
@@ -73,6 +80,10 @@ struct RefineInput {
   /// [control_vertex_count] along the normals of the coarsest level; where RefinerConfig::given_prior, else
   /// empty. Read during submit only.
   std::span<const float> prior_displacements_mm = {};
+  /// Cameras beside `camera`, whose frame everything stands in; the same ones in every frame.
+  std::span<const RefineView> further_views = {};
+  /// false: `image` does not show the face well enough to be believed, the other cameras' do.
+  bool image_counts = true;
   /// Budget::Auto thins the solve out until submit to collect takes no longer; 0: no limit.
   float time_limit_ms = 0;
 };
@@ -105,8 +116,9 @@ struct RefineOutput {
 /// to the GPU and returns; collect waits for it. One frame may be in flight. A whole frame is one submission:
 ///   image -> linear pyramid; coarse mesh -> positions, depth map, colours of M0; light (eq. 3); while it
 ///   learns, albedo (eq. 4); then level by level positions, colours, displacements (eq. 5 to 8).
-/// Nothing is allocated per frame but for the first frame, a change of the image's size, and a new albedo to
-/// hand out (every frame while it is learned, rarely afterwards); a plan of steps not met before
+/// Further cameras' images take the same way up to the colours; a vertex then has the mean of what all see.
+/// Nothing is allocated per frame but for the first frame, a change of the images' sizes or number, and a new
+/// albedo to hand out (every frame while it is learned, rarely afterwards); a plan of steps not met before
 /// (Budget::Auto) is recorded anew.
 class Refiner {
  public:
@@ -119,8 +131,8 @@ class Refiner {
   void set_subject(const SubjectSetup& subject);
 
   /// Starts a frame. Throws Error(Usage) without a subject, for an empty image or for vertices or given
-  /// displacements that do not fit the subject; Error(NoDevice) where a first image finds no room on the
-  /// device.
+  /// displacements that do not fit the subject, for a further view's image of another size than its camera's;
+  /// Error(NoDevice) where a first image finds no room on the device.
   void submit(const RefineInput& input);
 
   /// Waits for the frame in flight. `output` is resized as needed and best used again. With DeviceLost, or

@@ -19,9 +19,11 @@ struct FrameParameters {
   float keep_lighting;       // 1: the previous frame's light is a prior
   float learn_albedo;        // 1: this frame may add to the albedo's sums
   int reduction;             // source pixels to one pixel of the linear image, in x and in y
-  ivec4 source_px;           // width, height of the source
+  ivec4 source_px;           // width, height of the source; 1: it shows the face, 0: it says nothing; 0
+  mat4 view_from_reference;  // shading frames, mm: this camera's from that in which the mesh stands
 };
-FACET_LAYOUT_SIZE(FrameParameters, 96)
+FACET_LAYOUT_SIZE(FrameParameters, 160)
+FACET_LAYOUT_OFFSET(FrameParameters, view_from_reference, 96)
 FACET_LAYOUT_OFFSET(FrameParameters, region_px, 48)
 FACET_LAYOUT_OFFSET(FrameParameters, keep_displacements, 64)
 FACET_LAYOUT_OFFSET(FrameParameters, source_px, 80)
@@ -76,6 +78,21 @@ struct ObservePush {
   uint depth_size_px;
 };
 FACET_LAYOUT_SIZE(ObservePush, 8)
+
+// A further camera's colours against those of the cameras before it. Written by view_gain.
+struct ViewGain {
+  vec4 merged_sum;  // linear RGB that the cameras before show where both see, weighted; the weights
+  vec4 view_sum;    // the same of this camera
+  vec4 gain;        // RGB: makes this camera's colours the reference camera's
+};
+FACET_LAYOUT_SIZE(ViewGain, 48)
+FACET_LAYOUT_OFFSET(ViewGain, gain, 32)
+
+struct ViewPush {
+  uint vertex_count;
+  uint last;  // merge_view: 1 for the last camera
+};
+FACET_LAYOUT_SIZE(ViewPush, 8)
 
 struct LightingPush {
   uint vertex_count;

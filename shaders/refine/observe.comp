@@ -4,7 +4,7 @@
 #include "common/workgroup.glsl"
 #include "topology.glsl"
 
-// Coarse normals (eq. 5 at d = 0), vertex spacing, and what the camera sees at every vertex: the image
+// Coarse normals (eq. 5 at d = 0), vertex spacing, and what one camera sees at every vertex: the image
 // sampled where M_d projects to, from the mip level whose pixels are half as wide as the vertices lie apart (wider ones wash the shading out), and
 // how far that colour can be trusted.
 
@@ -66,17 +66,18 @@ void main() {
     normal *= inversesqrt(max(dot(normal, normal), 1e-30));
     spacing /= float(size);
 
-    vec3 p = own.xyz + own.w * normal;
+    vec3 p = (frame.view_from_reference * vec4(own.xyz + own.w * normal, 1)).xyz;
     float z = -p.z;
     vec4 colour = vec4(0);
-    if (is_free(ring) && z > 1) {
+    if (is_free(ring) && z > 1 && frame.source_px.z != 0) {
       vec2 px = frame.projection.xy * vec2(p.x, -p.y) / z + frame.projection.zw;
       vec2 texture_position = (px + 0.5) * frame.image_size.zw;
       float spacing_px = spacing * frame.projection.x / z;
       vec4 seen = textureLod(linear_image, texture_position, log2(max(0.5 * spacing_px, 1.0)));
       float inside =
           all(greaterThan(px, vec2(0))) && all(lessThan(px, frame.image_size.xy - 1)) ? 1.0 : 0.0;
-      float facing = smoothstep(kGrazing, kFacing, dot(normal, -normalize(p)));
+      vec3 normal_in_view = (frame.view_from_reference * vec4(normal, 0)).xyz;
+      float facing = smoothstep(kGrazing, kFacing, dot(normal_in_view, -normalize(p)));
       vec2 map = px * frame.depth_from_px.xy + frame.depth_from_px.zw;
       float reach = max(1, spacing_px) * frame.depth_from_px.x;
       float shown = z > depth_at(map) + kDepthMarginMm ? 0.0 : 1.0;

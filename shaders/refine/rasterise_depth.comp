@@ -3,7 +3,7 @@
 #include "layout.h"
 #include "common/workgroup.glsl"
 
-// Draws the coarse mesh into a square depth map of the face's region: the nearest z of every pixel, mm.
+// Draws the coarse mesh as one camera sees it into a square depth map of the face's region: the nearest z of every pixel, mm.
 
 layout(push_constant) uniform Push {
   DepthPush push;
@@ -20,7 +20,7 @@ layout(std430) buffer Depth {
 const float kNearMm = 10;
 
 vec3 map_position(int vertex) {
-  vec3 p = texelFetch(positions, vertex).xyz;
+  vec3 p = (frame.view_from_reference * vec4(texelFetch(positions, vertex).xyz, 1)).xyz;
   float z = -p.z;
   vec2 px = frame.projection.xy * vec2(p.x, -p.y) / z + frame.projection.zw;
   return vec3(px * frame.depth_from_px.xy + frame.depth_from_px.zw, z);

@@ -310,13 +310,14 @@ struct RampScene {
            static_cast<std::uint16_t>(std::lround((mantissa * 2 - 1) * 1024));
   }
 
-  void upload_image(gpu::Context& context) const {
-    gpu::Buffer staging(context, pyramid.linear.level_bytes(0), gpu::Memory::Upload, "ramp");
+  void upload_image(gpu::Context& context) const { upload_image(context, pyramid); }
+  void upload_image(gpu::Context& context, const ImagePyramid& onto) const {
+    gpu::Buffer staging(context, onto.linear.level_bytes(0), gpu::Memory::Upload, "ramp");
     std::copy(linear.begin(), linear.end(), staging.mapped_as<std::uint16_t>().begin());
     const gpu::Downsampler downsampler(context);
     gpu::run_now(context, "ramp", [&](gpu::Batch& batch) {
-      batch.copy(staging, pyramid.linear, 0);
-      downsampler.record(batch, pyramid.linear);
+      batch.copy(staging, onto.linear, 0);
+      downsampler.record(batch, onto.linear);
     });
   }
 
@@ -383,6 +384,83 @@ TEST_F(RefineObservation, ObserveAgreesWithTheScalarOne) {
   EXPECT_GT(seen, 100);
   EXPECT_GT(saturated, 20);
   EXPECT_TRUE(level.tails_intact(context()));
+}
+
+TEST_F(RefineObservation, ViewsAreMergedAsByTheScalarSums) {
+  RampScene scene(context(), 301);
+  scene.upload_image(context());
+  const test::DeviceLevel level(context(), scene.small);
+  const auto positions = test::read<vec4>(context(), level.state.positions.buffer);
+  const auto vertices = std::span(positions).first(level.topology.vertex_count);
+  FrameParameters parameters{};
+  set_frame_parameters(scene.pyramid, scene.camera, vertices, parameters);
+  const gpu::Buffer uniform = upload_parameters(context(), parameters);
+  const mesh::Triangles& triangles = scene.small.hierarchy->levels[1].triangles;
+  const DepthMap map(context(), triangles);
+  FurtherView view(context(), 301, 357, triangles);
+  scene.upload_image(context(), view.pyramid);
+  // A camera to the right, turned back towards the face.
+  Eigen::Isometry3f view_from_reference = Eigen::Isometry3f::Identity();
+  view_from_reference.rotate(Eigen::AngleAxisf(0.3F, Eigen::Vector3f::UnitY()));
+  view_from_reference.translation() = Eigen::Vector3f(-150, 3, 20);
+  FrameParameters& of_view = view.frame.mapped_as<FrameParameters>().front();
+  set_frame_parameters(view.pyramid, scene.camera, vertices, of_view, view_from_reference);
+  const DeviceArray view_colours(context(), level.topology.vertex_count + test::kTailCount,
+                                 gpu::TexelFormat::Rgba32f, "view colours");
+  const ObservationKernels kernels(context());
+  std::vector<vec4> alone;
+  for (const bool shows_face : {true, false}) {
+    of_view.source_px.z = shows_face ? 1 : 0;
+    gpu::run_now(context(), "observe", [&](gpu::Batch& batch) {
+      kernels.record_depth(batch, level.state, map, uniform);
+      kernels.record_observe(batch, level.topology, level.state, scene.pyramid, map, uniform);
+    });
+    alone = test::read<vec4>(context(), level.state.colours.buffer);
+    gpu::run_now(context(), "view", [&](gpu::Batch& batch) {
+      kernels.record_depth(batch, level.state, view.depth, view.frame);
+      kernels.record_view(batch, level.topology, level.state, view, view_colours, true, true);
+    });
+    const auto seen = test::read<vec4>(context(), view_colours.buffer);
+    const auto merged = test::read<vec4>(context(), level.state.colours.buffer);
+    const auto normals = test::read<vec4>(context(), level.state.normals.buffer);
+    Eigen::Array3d of_reference = Eigen::Array3d::Zero();
+    Eigen::Array3d of_other = Eigen::Array3d::Zero();
+    for (std::size_t v = 0; v < vertices.size(); ++v) {
+      const double weight = std::min(static_cast<double>(alone[v].w), static_cast<double>(seen[v].w));
+      of_reference += weight * test::head(alone[v]).array();
+      of_other += weight * test::head(seen[v]).array();
+    }
+    const Eigen::Array3d gain = of_reference / of_other;  // not used where nothing is seen
+    int both = 0;
+    for (std::size_t v = 0; v < vertices.size(); ++v) {
+      if (seen[v].w == 0) {
+        EXPECT_EQ(test::head(merged[v]), test::head(alone[v]));
+        EXPECT_EQ(merged[v].w, alone[v].w);
+        continue;
+      }
+      ASSERT_TRUE(shows_face);
+      // Where the point lies in the other camera's frame, and what the ramp shows there.
+      const Eigen::Vector3d in_shading =
+          test::head(positions[v]) + static_cast<double>(positions[v].w) * test::head(normals[v]);
+      const Eigen::Vector3d p = view_from_reference.cast<double>() *
+                                Eigen::Vector3d(in_shading.x(), -in_shading.y(), -in_shading.z());
+      EXPECT_NEAR(static_cast<double>(seen[v].x), 0.1 + 0.002 * (2000 * p.x() / p.z() + 150), 4e-3);
+      EXPECT_NEAR(static_cast<double>(seen[v].y), 0.1 + 0.002 * (2000 * p.y() / p.z() + 178), 4e-3);
+      const Eigen::Vector3d n = view_from_reference.linear().cast<double>() *
+                                Eigen::Vector3d(test::head(normals[v]).x(), -test::head(normals[v]).y(),
+                                                -test::head(normals[v]).z());
+      const double t = std::clamp((n.dot(-p.normalized()) - 0.15) / 0.3, 0.0, 1.0);
+      EXPECT_NEAR(static_cast<double>(seen[v].w), t * t * (3 - 2 * t), 2e-3);
+      const double a = static_cast<double>(alone[v].w);
+      const double b = static_cast<double>(seen[v].w);
+      const Eigen::Array3d mean =
+          (a * test::head(alone[v]).array() + b * gain * test::head(seen[v]).array()) / (a + b);
+      EXPECT_LT((mean - test::head(merged[v]).array()).abs().maxCoeff(), 1e-4);
+      EXPECT_NEAR(static_cast<double>(merged[v].w), std::min(1.0, a + b), 1e-5);
+      ++both;
+    }
+    EXPECT_EQ(both > 100, shows_face) << both;
+  }
 }
 
 TEST_F(RefineObservation, HiddenVerticesAndOutlinesCarryNoWeight) {

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -47,14 +48,43 @@ class Session {
     return refiner.collect(output);
   }
 
+  /// What a further camera shows.
+  RefineView view(float camera_yaw_rad, const std::array<float, 3>& exposure) const {
+    synthetic::Scene there = scene;
+    there.camera_yaw_rad = camera_yaw_rad;
+    there.exposure = exposure;
+    there.seed += 1000;
+    return {synthetic::render(there), synthetic::camera(there), synthetic::view_from_reference(there)};
+  }
+
   /// Frames with the head turning to and fro, each with noise of its own.
   void run(int frames) {
     for (int k = 0; k < frames; ++k) {
-      scene.seed = static_cast<unsigned>(k) + 1;
-      scene.yaw_rad = 0.3F * std::sin(0.3F * static_cast<float>(k));
+      pose(k);
       ASSERT_EQ(refine(), RefineOutcome::Refined) << output.failure;
     }
   }
+
+  /// The same with a second camera. hidden: something stands before the first one.
+  void run_two(int frames, const std::array<float, 3>& exposure, bool hidden = false) {
+    for (int k = 0; k < frames; ++k) {
+      pose(k);
+      const RefineView beside = view(beside_rad, exposure);
+      RefineInput both = input();
+      both.further_views = {&beside, 1};
+      both.image_counts = !hidden;
+      refiner.submit(both);
+      ASSERT_EQ(refiner.collect(output), RefineOutcome::Refined) << output.failure;
+    }
+  }
+
+  void pose(int frame) {
+    scene.seed = static_cast<unsigned>(frame) + 1;
+    scene.yaw_rad = turned_rad + 0.3F * std::sin(0.3F * static_cast<float>(frame));
+  }
+
+  float turned_rad = 0;      ///< the head, on average
+  float beside_rad = 0.45F;  ///< of the second camera
 
   synthetic::Errors errors(const std::vector<float>& displacements_mm) const {
     constexpr float kMarginMm = 8;
@@ -111,6 +141,56 @@ TEST_F(RefinerTest, NormalsApproachTheTruth) {
   EXPECT_EQ(session.output.albedo, albedo);
   // 1.5 counts of noise and what the smoothness takes away.
   EXPECT_LT(session.output.photometric_rms, 0.012F);
+}
+
+TEST_F(RefinerTest, ACameraThatShowsNothingChangesNothing) {
+  Session one(context(), small_scene(), clean_config());
+  Session two(context(), small_scene(), clean_config());
+  for (int k = 0; k < 3; ++k) {
+    one.pose(k);
+    two.pose(k);
+    ASSERT_EQ(one.refine(), RefineOutcome::Refined);
+    RefineView nothing = two.view(two.beside_rad, {1, 1, 1});
+    nothing.image = {};
+    RefineInput input = two.input();
+    input.further_views = {&nothing, 1};
+    two.refiner.submit(input);
+    ASSERT_EQ(two.refiner.collect(two.output), RefineOutcome::Refined);
+    ASSERT_EQ(two.output.displacements_mm, one.output.displacements_mm) << k;
+    ASSERT_EQ(two.output.confidence, one.output.confidence) << k;
+    ASSERT_EQ(two.output.lighting, one.output.lighting) << k;
+  }
+}
+
+TEST_F(RefinerTest, TwoCamerasComeNearerToTheTruthThanOne) {
+  // The head looks at the second camera; the first one sees it at a slant.
+  const auto turn = [](Session& session) { session.turned_rad = session.beside_rad = 1.0F; };
+  Session one(context(), small_scene(), clean_config());
+  turn(one);
+  one.run(12);
+  Session two(context(), small_scene(), clean_config());
+  turn(two);
+  two.run_two(12, {1, 1, 1});
+  const double coarse_deg = one.errors({}).normal_deg;
+  const double one_deg = one.errors(one.output.displacements_mm).normal_deg;
+  const double two_deg = two.errors(two.output.displacements_mm).normal_deg;
+  EXPECT_LT(one_deg, coarse_deg);
+  EXPECT_LT(two_deg, 0.98 * one_deg);
+  EXPECT_TRUE(std::all_of(two.output.confidence.begin(), two.output.confidence.end(),
+                          [](float c) { return c >= 0 && c <= 1; }));
+
+  // Another exposure and white balance of the second camera is found, and changes hardly anything.
+  Session darker(context(), small_scene(), clean_config());
+  turn(darker);
+  darker.run_two(12, {0.62F, 0.55F, 0.5F});
+  EXPECT_NEAR(darker.errors(darker.output.displacements_mm).normal_deg, two_deg, 0.03 * two_deg);
+  EXPECT_NEAR(darker.output.lighting[0], two.output.lighting[0], 0.02F * two.output.lighting[0]);
+}
+
+TEST_F(RefinerTest, TheSecondCameraAloneIsEnough) {
+  Session session(context(), small_scene(), {});
+  session.run_two(12, {0.8F, 0.8F, 0.8F}, true);
+  EXPECT_LT(session.errors(session.output.displacements_mm).normal_deg, session.errors({}).normal_deg);
 }
 
 TEST_F(RefinerTest, OutputsFitTheSubject) {
@@ -413,6 +493,11 @@ TEST_F(RefinerTest, MisuseIsRefused) {
   input = session.input();
   const std::vector<float> unasked(static_cast<std::size_t>(session.cap.vertices_mm.cols()));
   input.prior_displacements_mm = unasked;
+  EXPECT_THROW(session.refiner.submit(input), Error);
+  input = session.input();
+  RefineView larger = session.view(0, {1, 1, 1});
+  larger.camera.width_px += 1;
+  input.further_views = {&larger, 1};
   EXPECT_THROW(session.refiner.submit(input), Error);
   SubjectSetup subject{session.hierarchy, session.cap.mean_albedo, {1, 1, 1}};
   EXPECT_THROW(session.refiner.set_subject(subject), Error);

@@ -124,6 +124,14 @@ Eigen::Isometry3f camera_from_head(const Scene& scene) {
   return out;
 }
 
+Eigen::Isometry3f view_from_reference(const Scene& scene) {
+  const Eigen::Vector3f middle(0, 0, scene.distance_mm - kAxisZ);
+  Eigen::Isometry3f out = Eigen::Isometry3f::Identity();
+  out.linear() = Eigen::AngleAxisf(scene.camera_yaw_rad, Eigen::Vector3f::UnitY()).toRotationMatrix();
+  out.translation() = middle - out.linear() * middle;
+  return out;
+}
+
 Eigen::Vector2f project(const CameraIntrinsics& camera, const Eigen::Vector3f& point) {
   return {camera.fx * point.x() / point.z() + camera.cx, camera.fy * point.y() / point.z() + camera.cy};
 }
@@ -149,6 +157,7 @@ Frame render(const Scene& scene) {
   constexpr float kGridMm = 0.5F;
   const CameraIntrinsics view = camera(scene);
   const Eigen::Isometry3f pose = camera_from_head(scene);
+  const Eigen::Isometry3f from_there = view_from_reference(scene);
   const int columns = static_cast<int>(2 * kHalfWidth / kGridMm) + 1;
   const int rows = static_cast<int>(2 * kHalfHeight / kGridMm) + 1;
   struct Corner {
@@ -162,7 +171,7 @@ Frame render(const Scene& scene) {
     for (int column = 0; column < columns; ++column) {
       const float x = -kHalfWidth + kGridMm * static_cast<float>(column);
       const float y = -kHalfHeight + kGridMm * static_cast<float>(row);
-      const Eigen::Vector3f in_camera = pose * true_point(scene, x, y);
+      const Eigen::Vector3f in_camera = from_there * (pose * true_point(scene, x, y));
       const Eigen::Vector3f normal_camera = pose.linear() * true_normal(scene, x, y);
       const Eigen::Vector3f normal(normal_camera.x(), -normal_camera.y(), -normal_camera.z());
       Eigen::Vector3f colour = shade(scene.lighting, normal) * albedo(scene, x, y);
@@ -221,7 +230,8 @@ Frame render(const Scene& scene) {
   auto pixels = std::make_shared<std::uint8_t[]>(width * height * 4);
   for (std::size_t i = 0; i < width * height; ++i) {
     for (int channel = 0; channel < 3; ++channel) {
-      const float value = std::clamp(linear[i][channel], 0.0F, 1.0F);
+      const float value =
+          std::clamp(scene.exposure.at(static_cast<std::size_t>(channel)) * linear[i][channel], 0.0F, 1.0F);
       const float srgb = value <= 0.0031308F ? 12.92F * value : 1.055F * std::pow(value, 1 / 2.4F) - 0.055F;
       const float counts = 255 * srgb + (scene.noise > 0 ? scene.noise * noise(random) : 0.0F);
       pixels.get()[i * 4 + static_cast<std::size_t>(channel)] =

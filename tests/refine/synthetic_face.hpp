@@ -27,6 +27,9 @@ struct Scene {
   std::array<float, 9> lighting{0.55F, 0.34F, 0.22F, 0.36F, 0.05F, -0.06F, 0.05F, -0.03F, 0.02F};
   float yaw_rad = 0;     ///< head turned about its y axis
   float bump_phase = 0;  ///< moves the wrinkles: another expression
+  /// Of the camera that renders: turned about the cap, from where `camera_from_head` and the light stand.
+  float camera_yaw_rad = 0;
+  std::array<float, 3> exposure{1, 1, 1};  ///< RGB, linear
 };
 
 /// True displacement along the cap's normal at its point (x, y), mm.
@@ -49,6 +52,9 @@ Cap make_cap(const Scene& scene);
 
 CameraIntrinsics camera(const Scene& scene);
 Eigen::Isometry3f camera_from_head(const Scene& scene);
+
+/// Of the camera that renders, from the one that looks straight at the cap.
+Eigen::Isometry3f view_from_reference(const Scene& scene);
 
 /// The hierarchy of the cap as the first frame sees it.
 std::shared_ptr<const mesh::Hierarchy> hierarchy(const Scene& scene, const Cap& cap,

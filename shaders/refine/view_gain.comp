@@ -1,0 +1,52 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "layout.h"
+#include "common/workgroup.glsl"
+
+// Cameras differ in exposure and white balance. One gain per channel brings a further camera's colours to those
+// of the reference camera: the ratio of what both show of the vertices of M0 that both see, weighted by the
+// smaller trust of the two, over a few frames. One workgroup.
+
+layout(push_constant) uniform Push {
+  ViewPush push;
+};
+uniform samplerBuffer colours;       // [vertex_count] linear RGB of the cameras before, weight
+uniform samplerBuffer view_colours;  // [vertex_count] of this camera
+layout(std430) buffer Gain {
+  ViewGain view_gain;
+};
+
+// What the sums keep from one frame to the next: about three frames count.
+const float kMemory = 0.7;
+// No two cameras that see the same face well differ by more than this factor.
+const float kLargestGain = 16;
+
+void main() {
+  vec4 merged = vec4(0);
+  vec4 seen = vec4(0);
+  for (uint i = gl_LocalInvocationID.x; i < push.vertex_count; i += kGroupSize) {
+    vec4 before = texelFetch(colours, int(i));
+    vec4 own = texelFetch(view_colours, int(i));
+    float weight = min(before.w, own.w);
+    if (weight > 0) {
+      merged += weight * vec4(before.rgb, 1);
+      seen += weight * vec4(own.rgb, 1);
+    }
+  }
+  merged = workgroup_sum(merged);
+  seen = workgroup_sum(seen);
+  if (gl_LocalInvocationID.x == 0) {
+    // A face that only one of them sees says nothing of their difference.
+    if (merged.w > 0) {
+      view_gain.merged_sum = kMemory * view_gain.merged_sum + merged;
+      view_gain.view_sum = kMemory * view_gain.view_sum + seen;
+    }
+    vec3 gain = vec3(1);
+    for (int c = 0; c < 3; ++c) {
+      if (view_gain.view_sum[c] > 0 && view_gain.merged_sum[c] > 0) {
+        gain[c] = clamp(view_gain.merged_sum[c] / view_gain.view_sum[c], 1 / kLargestGain, kLargestGain);
+      }
+    }
+    view_gain.gain = vec4(gain, 0);
+  }
+}
