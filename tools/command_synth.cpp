@@ -69,6 +69,9 @@ void run_synth(SynthOptions options) {
   simulation::write_sequence(studio, options.folder,
                              [&](int done) { progress.set(static_cast<std::uint64_t>(done)); });
   progress.finish();
+  if (options.studio.camera_count > 1) {
+    fmt::print("{}: {} cameras, rig.toml\n", options.folder, options.studio.camera_count);
+  }
   fmt::print(
       "{}: {} frames of {}x{} px, truth in truth/, camera.json; the actor differs from the model's span by "
       "{:.2f} mm (rms)\n",
@@ -98,6 +101,15 @@ void add_synth_command(CLI::App& app) {
                    "Of a video: the head also turns by so many degrees and back")
       ->check(CLI::Range(-90.0, 90.0))
       ->capture_default_str();
+  command
+      ->add_option("--cameras", options->studio.camera_count,
+                   "Of a video: so many calibrated cameras see the actor, the first one as without this; one "
+                   "video each and rig.toml")
+      ->capture_default_str()
+      ->check(CLI::Range(1, 8));
+  command->add_option("--spread", options->studio.spread_deg, "Degrees from one of those cameras to the next")
+      ->capture_default_str()
+      ->check(CLI::Range(1.0, 60.0));
   command->add_option("--model", options->model, "Face model file whose topology the actor uses")
       ->capture_default_str();
   command->add_option("--vertices", options->max_vertices, "Of a take's finest meshes, at most")

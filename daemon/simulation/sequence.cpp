@@ -3,9 +3,11 @@
 #include <fmt/format.h>
 
 #include <fstream>
+#include <memory>
 #include <nlohmann/json.hpp>
 #include <system_error>
 
+#include "capture/rig_file.hpp"
 #include "facet/error.hpp"
 #include "simulation/lossless_video.hpp"
 
@@ -77,16 +79,28 @@ void write_sequence(const Studio& studio, const std::filesystem::path& folder,
                    {"identity", studio.identity()},
                    {"outside_span_rms_mm", studio.outside_span_rms_mm()},
                    {"frames", json::array()}};
-  LosslessVideo video(folder / "video.mkv", camera.width_px, camera.height_px, config.rate_hz);
+  std::vector<std::unique_ptr<LosslessVideo>> videos;
+  for (const capture::RigCamera& one : studio.rig().cameras) {
+    videos.push_back(std::make_unique<LosslessVideo>(folder / (one.name + ".mkv"), one.lens.width_px,
+                                                     one.lens.height_px, config.rate_hz));
+  }
   TruthMesh truth;
   for (int index = 0; index < config.frame_count; ++index) {
     const SyntheticFrame frame = studio.render(index, &truth);
-    video.append(frame.picture);
+    videos.front()->append(frame.picture);
+    for (std::size_t k = 1; k < videos.size(); ++k) {
+      videos[k]->append(frame.further_pictures[k - 1]);
+    }
     write_truth_ply(truth, truth_file(folder, static_cast<std::uint64_t>(index)));
     document["frames"].push_back(frame_json(index, frame, studio.expression_names()));
     done(index + 1);
   }
-  video.finish();
+  for (const std::unique_ptr<LosslessVideo>& video : videos) {
+    video->finish();
+  }
+  if (videos.size() > 1) {
+    capture::write_rig(studio.rig(), folder / "rig.toml");
+  }
   std::ofstream stream(folder / "camera.json");
   stream << document.dump(1) << '\n';
   stream.close();

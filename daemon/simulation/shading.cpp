@@ -110,7 +110,7 @@ void Scene::add(const mesh::Vertices& part_mm, const Eigen::Matrix3Xf& part_norm
 }
 
 Eigen::Matrix3Xf shade_vertices(const Scene& scene, const render::Raycaster& caster, const Lighting& lighting,
-                                bool highlights) {
+                                bool highlights, const Vector3f& eye_mm) {
   constexpr int kBlock = 512;     // vertices per call
   constexpr int kKeySamples = 4;  // squared: shadow rays to the first light
   constexpr int kFillSamples = 3;
@@ -128,7 +128,7 @@ Eigen::Matrix3Xf shade_vertices(const Scene& scene, const render::Raycaster& cas
     for (Eigen::Index v = static_cast<Eigen::Index>(block) * kBlock; v < end; ++v) {
       const Vector3f at = scene.vertices_mm.col(v);
       const Vector3f normal = scene.normals.col(v);
-      const Vector3f to_eye = -at.normalized();
+      const Vector3f to_eye = (eye_mm - at).normalized();
       // Vertices just over the horizon still colour triangles that are seen.
       if (normal.isZero() || normal.dot(to_eye) < -0.3F) {
         continue;
@@ -139,7 +139,7 @@ Eigen::Matrix3Xf shade_vertices(const Scene& scene, const render::Raycaster& cas
       const bool baked = !std::isnan(open);
       // A hidden vertex only tints the rim of what is seen: shadow rays would be wasted on it.
       constexpr float kHiddenLight = 0.4F;
-      const bool hidden = (area || !baked) && caster.occluded(at + kLift_mm * normal, Vector3f::Zero(), 0);
+      const bool hidden = (area || !baked) && caster.occluded(at + kLift_mm * normal, eye_mm, 0);
       if (!baked) {
         open = hidden ? kHiddenLight : find_openness(caster, at, normal, kPropReach_mm);
       } else if (!area) {

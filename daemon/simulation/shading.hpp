@@ -29,8 +29,9 @@ struct Scene {
 /// Linear colour of every vertex that may be seen: eq. 1 (Ma & Deng 2019) for the ambient or SH light, area
 /// lights with shadow rays, highlights (GGX; Walter et al. 2007) where asked for and always on eyes; 0 where
 /// a vertex faces away. Face skin under SH light without highlights is exactly albedo * (l . SH(n)).
+/// eye_mm: the camera that looks, in the frame of the scene
 /// returns [3][vertex_count]
 Eigen::Matrix3Xf shade_vertices(const Scene& scene, const render::Raycaster& caster, const Lighting& lighting,
-                                bool highlights);
+                                bool highlights, const Eigen::Vector3f& eye_mm = Eigen::Vector3f::Zero());
 
 }  // namespace facet::simulation

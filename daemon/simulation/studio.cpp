@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <utility>
 
 #include "facet/error.hpp"
 #include "simulation/random.hpp"
@@ -72,7 +73,15 @@ struct Studio::Impl {
   Stage stage;
   CameraIntrinsics camera;
   Lighting lighting;
-  Eigen::Matrix3Xf background;
+  /// Of each camera, the first one included.
+  struct View {
+    CameraIntrinsics camera;
+    Eigen::Isometry3f view_from_first = Eigen::Isometry3f::Identity();
+    Vector3f gain{1, 1, 1};
+    Eigen::Matrix3Xf background;
+  };
+  std::vector<View> views;
+  capture::Rig rig;
 
   Impl(const face::FaceModel& model, const StudioConfig& given)
       : config(given),
@@ -97,6 +106,54 @@ struct Studio::Impl {
     const Vector3f middle_mm(random.uniform(-25, 25), random.uniform(-10, 20), distance_mm);
     stage.put(camera_from_head_axes(), middle_mm);
     stage.turn_once(static_cast<float>(config.turn_deg) * kDegree, time_s(config.frame_count - 1));
+  }
+
+  /// Further cameras, by turns to the first one's right and left, at its distance from the head.
+  void place_further_cameras() {
+    views.push_back({camera, Eigen::Isometry3f::Identity(), Vector3f(1, 1, 1), make_background(config)});
+    Random random(config.seed, 84);
+    const Vector3f middle_mm = stage.resting_pivot_mm() + Vector3f(0, -60, -60);  // about between the cheeks
+    for (int k = 1; k < config.camera_count; ++k) {
+      const float side = k % 2 == 1 ? 1.0F : -1.0F;
+      const auto steps = static_cast<float>((k + 1) / 2);
+      const float turn_rad =
+          (side * steps * static_cast<float>(config.spread_deg) + random.uniform(-1, 1)) * kDegree;
+      View view;
+      view.camera = camera;
+      view.camera.fx = view.camera.fy = camera.fx * random.uniform(0.96F, 1.04F);
+      view.camera.cx += random.uniform(-8, 8);
+      view.camera.cy += random.uniform(-8, 8);
+      const Eigen::Matrix3f turned = (Eigen::AngleAxisf(random.uniform(-2, 2) * kDegree, Vector3f::UnitZ()) *
+                                      Eigen::AngleAxisf(random.uniform(-3, 3) * kDegree, Vector3f::UnitX()) *
+                                      Eigen::AngleAxisf(turn_rad, Vector3f::UnitY()))
+                                         .toRotationMatrix();
+      const Vector3f aim_mm = middle_mm + Vector3f(random.uniform(-12, 12), random.uniform(-12, 12), 0);
+      view.view_from_first.linear() = turned;
+      view.view_from_first.translation() = aim_mm - turned * middle_mm;
+      const float exposure = random.uniform(0.75F, 1.05F);
+      view.gain = exposure * Vector3f(random.uniform(0.94F, 1.06F), 1, random.uniform(0.94F, 1.06F));
+      StudioConfig elsewhere = config;
+      elsewhere.seed = mix(config.seed + static_cast<std::uint64_t>(k));
+      view.background = make_background(elsewhere);
+      views.push_back(std::move(view));
+    }
+    for (std::size_t k = 0; k < views.size(); ++k) {
+      const View& view = views[k];
+      capture::RigCamera made;
+      made.name = k == 0 ? "video" : fmt::format("view-{}", k + 1);
+      made.colour = true;
+      made.lens.width_px = view.camera.width_px;
+      made.lens.height_px = view.camera.height_px;
+      made.lens.fx_px = static_cast<double>(view.camera.fx);
+      made.lens.fy_px = static_cast<double>(view.camera.fy);
+      made.lens.cx_px = static_cast<double>(view.camera.cx);
+      made.lens.cy_px = static_cast<double>(view.camera.cy);
+      // Orthonormal in double precision, too, as a rig file must be.
+      const Eigen::Quaterniond turn(Eigen::Matrix3d(view.view_from_first.linear().cast<double>()));
+      made.lens.camera_from_rig.linear() = turn.normalized().toRotationMatrix();
+      made.lens.camera_from_rig.translation() = view.view_from_first.translation().cast<double>();
+      rig.cameras.push_back(made);
+    }
   }
 
   /// Sets the light so that the face's brightest skin comes out as kSkinExposure in the first frame.
@@ -132,18 +189,20 @@ struct Studio::Impl {
   }
 
   /// The linear picture: the scene over the background, averaged over the rays of each pixel. [3][pixels]
-  Eigen::Matrix3Xf expose_picture(const Scene& scene, const render::Raycaster& caster,
+  /// vertices_mm, caster: in the view's frame.
+  Eigen::Matrix3Xf expose_picture(const View& view, const mesh::Vertices& vertices_mm,
+                                  const mesh::Triangles& triangles, const render::Raycaster& caster,
                                   const Eigen::Matrix3Xf& colours) const {
-    Eigen::Matrix3Xf image = background;
+    const CameraIntrinsics& lens = view.camera;
+    Eigen::Matrix3Xf image = view.background;
     // Rays only where the scene can be.
     Eigen::Array2f low(static_cast<float>(config.width_px), static_cast<float>(config.height_px));
     Eigen::Array2f high(0, 0);
-    for (Eigen::Index v = 0; v < scene.vertices_mm.cols(); ++v) {
-      const Vector3f at = scene.vertices_mm.col(v);
+    for (Eigen::Index v = 0; v < vertices_mm.cols(); ++v) {
+      const Vector3f at = vertices_mm.col(v);
       constexpr float kNear_mm = 20;
       if (at.z() > kNear_mm) {
-        const Eigen::Array2f px(camera.fx * at.x() / at.z() + camera.cx,
-                                camera.fy * at.y() / at.z() + camera.cy);
+        const Eigen::Array2f px(lens.fx * at.x() / at.z() + lens.cx, lens.fy * at.y() / at.z() + lens.cy);
         low = low.min(px);
         high = high.max(px);
       }
@@ -152,7 +211,7 @@ struct Studio::Impl {
     const int y0 = std::clamp(static_cast<int>(std::floor(low.y())) - 1, 0, config.height_px);
     const int x1 = std::clamp(static_cast<int>(std::ceil(high.x())) + 2, x0, config.width_px);
     const int y1 = std::clamp(static_cast<int>(std::ceil(high.y())) + 2, y0, config.height_px);
-    CameraIntrinsics part = camera;
+    CameraIntrinsics part = lens;
     part.cx -= static_cast<float>(x0);
     part.cy -= static_cast<float>(y0);
     part.width_px = x1 - x0;
@@ -172,7 +231,7 @@ struct Studio::Impl {
           if (hits.triangle[at] < 0) {
             sum += pixel;
           } else {
-            sum += render::interpolate(scene.triangles, hits.triangle[at], hits.barycentric[at], colours);
+            sum += render::interpolate(triangles, hits.triangle[at], hits.barycentric[at], colours);
           }
         }
         pixel = share * sum;
@@ -184,19 +243,21 @@ struct Studio::Impl {
 
 Studio::Studio(const face::FaceModel& model, const StudioConfig& config) {
   constexpr int kMaxSide_px = 8192;
+  constexpr int kMaxCameras = 8;
   if (config.width_px < 16 || config.height_px < 16 || config.width_px > kMaxSide_px ||
       config.height_px > kMaxSide_px || config.frame_count < 1 || config.rate_hz < 1 ||
-      config.rays_per_pixel < 1) {
+      config.rays_per_pixel < 1 || config.camera_count < 1 || config.camera_count > kMaxCameras) {
     throw Error(
         ErrorKind::Usage,
         fmt::format("a synthetic sequence of {} frames of {}x{} px at {} Hz cannot be made: sides are 16 to "
-                    "{} px, counts and rates at least 1",
-                    config.frame_count, config.width_px, config.height_px, config.rate_hz, kMaxSide_px));
+                    "{} px, counts and rates at least 1, cameras at most {}",
+                    config.frame_count, config.width_px, config.height_px, config.rate_hz, kMaxSide_px,
+                    kMaxCameras));
   }
   impl_ = std::make_unique<Impl>(model, config);
   impl_->place_camera();
   impl_->lighting = make_lighting(config.light, config.seed, impl_->stage.resting_pivot_mm());
-  impl_->background = make_background(config);
+  impl_->place_further_cameras();
   impl_->expose();
 }
 
@@ -207,6 +268,9 @@ const StudioConfig& Studio::config() const {
 }
 const CameraIntrinsics& Studio::camera() const {
   return impl_->camera;
+}
+const capture::Rig& Studio::rig() const {
+  return impl_->rig;
 }
 const std::vector<std::string>& Studio::expression_names() const {
   return impl_->stage.actor().expression_names();
@@ -233,14 +297,33 @@ SyntheticFrame Studio::render(int index, TruthMesh* truth) const {
   }
   const StudioConfig& config = impl_->config;
   const render::Raycaster caster(scene.vertices_mm, scene.triangles);
-  const Eigen::Matrix3Xf colours = shade_vertices(scene, caster, impl_->lighting, config.highlights);
   Sensor webcam;  // a small one
   webcam.noise = config.sensor_noise;
-  frame.picture.width_px = config.width_px;
-  frame.picture.height_px = config.height_px;
-  frame.picture.rgb =
-      develop(impl_->expose_picture(scene, caster, colours), config.width_px, config.height_px, webcam,
-              mix(config.seed * 0x10001ULL + static_cast<std::uint64_t>(index)));
+  for (std::size_t k = 0; k < impl_->views.size(); ++k) {
+    const Impl::View& view = impl_->views[k];
+    const Vector3f eye_mm = view.view_from_first.inverse().translation();
+    const Eigen::Matrix3Xf colours =
+        shade_vertices(scene, caster, impl_->lighting, config.highlights, eye_mm);
+    render::Picture picture;
+    picture.width_px = config.width_px;
+    picture.height_px = config.height_px;
+    Eigen::Matrix3Xf light;
+    if (k == 0) {
+      light = impl_->expose_picture(view, scene.vertices_mm, scene.triangles, caster, colours);
+    } else {
+      const mesh::Vertices vertices_mm = view.view_from_first * scene.vertices_mm;
+      const render::Raycaster from_there(vertices_mm, scene.triangles);
+      light = view.gain.asDiagonal() *
+              impl_->expose_picture(view, vertices_mm, scene.triangles, from_there, colours);
+    }
+    picture.rgb = develop(light, config.width_px, config.height_px, webcam,
+                          mix(config.seed * 0x10001ULL + static_cast<std::uint64_t>(index) + (k << 40U)));
+    if (k == 0) {
+      frame.picture = std::move(picture);
+    } else {
+      frame.further_pictures.push_back(std::move(picture));
+    }
+  }
   return frame;
 }
 

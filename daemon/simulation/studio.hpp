@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "capture/rig.hpp"
 #include "face/face_model.hpp"
 #include "facet/frame.hpp"
 #include "render/renderer.hpp"
@@ -24,6 +25,10 @@ struct StudioConfig {
   bool highlights = false;  ///< skin shines (GGX)
   bool glasses = false;
   double turn_deg = 0;  ///< besides its own motion the head turns to the subject's left by so much and back
+  /// More than one: further cameras stand to both sides of the first one, each with an exposure and a white
+  /// balance of its own.
+  int camera_count = 1;
+  double spread_deg = 25;  ///< from one camera to the next, as the head sees it
   int rays_per_pixel = 4;
   bool sensor_noise = true;
 };
@@ -31,12 +36,13 @@ struct StudioConfig {
 /// One rendered frame and what is true of it.
 struct SyntheticFrame {
   render::Picture picture;
+  std::vector<render::Picture> further_pictures;  ///< [camera_count - 1]
   Eigen::Isometry3f camera_from_head = Eigen::Isometry3f::Identity();
   std::vector<float> expression;  ///< [expression_count]
 };
 
-/// A virtual studio: one actor, a camera, a light and a performance, all from one seed. Frames may be
-/// rendered in any order and come out the same. One thread (it uses two inside).
+/// A virtual studio: one actor, a camera or several, a light and a performance, all from one seed. Frames may
+/// be rendered in any order and come out the same. One thread (it uses two inside).
 class Studio {
  public:
   /// Throws Error(Usage) where the configuration makes no sense, Error(UnreadableInput) where the model has
@@ -46,6 +52,8 @@ class Studio {
 
   const StudioConfig& config() const;
   const CameraIntrinsics& camera() const;
+  /// All cameras as calibrated, in the first one's frame: "video", "view-2", "view-3", ...
+  const capture::Rig& rig() const;
   const std::vector<std::string>& expression_names() const;
   const std::vector<float>& identity() const;  ///< the part inside the model's span
   float outside_span_rms_mm() const;

@@ -3,9 +3,11 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <numbers>
 
 #include "camera/factory.hpp"
 #include "facet/error.hpp"
@@ -66,6 +68,62 @@ TEST(Studio, PictureIsTheTruthUnderTheShadingModel) {
   std::sort(errors.begin(), errors.end());
   EXPECT_LT(errors[errors.size() / 2], 0.006F);  // blur and rounding; props in front of the face are few
   EXPECT_LT(errors[errors.size() * 9 / 10], 0.04F);
+}
+
+TEST(Studio, FurtherCamerasSeeTheSameFaceFromTheirCalibratedPlaces) {
+  StudioConfig config = small();
+  const auto alone = Studio(model(), config).render(2, nullptr).picture.rgb;
+  config.camera_count = 3;
+  const Studio studio(model(), config);
+  TruthMesh truth;
+  const SyntheticFrame frame = studio.render(2, &truth);
+  EXPECT_EQ(frame.picture.rgb, alone);
+  ASSERT_EQ(frame.further_pictures.size(), 2U);
+  ASSERT_EQ(studio.rig().cameras.size(), 3U);
+  EXPECT_TRUE(studio.rig().cameras.front().lens.camera_from_rig.matrix().isIdentity(0));
+  for (std::size_t k = 1; k < 3; ++k) {
+    const capture::Lens& lens = studio.rig().cameras[k].lens;
+    const Eigen::Isometry3f view = lens.camera_from_rig.cast<float>();
+    const float turn_deg = Eigen::AngleAxisf(view.linear()).angle() * 180 / std::numbers::pi_v<float>;
+    EXPECT_NEAR(turn_deg, 25, 3);
+    const render::Raycaster caster(view * truth.vertices_mm, truth.triangles);
+    const CameraIntrinsics pinhole{static_cast<float>(lens.fx_px),
+                                   static_cast<float>(lens.fy_px),
+                                   static_cast<float>(lens.cx_px),
+                                   static_cast<float>(lens.cy_px),
+                                   lens.width_px,
+                                   lens.height_px};
+    const render::HitImage hits = caster.cast(pinhole);
+    // What the picture shows over what the truth does: the camera's exposure, the same everywhere.
+    std::array<std::vector<float>, 3> ratios;
+    for (std::size_t pixel = 0; pixel < hits.triangle.size(); ++pixel) {
+      if (hits.triangle[pixel] < 0) {
+        continue;
+      }
+      const auto at = [&](const mesh::Vertices& field) {
+        return render::interpolate(truth.triangles, hits.triangle[pixel], hits.barycentric[pixel], field);
+      };
+      const Eigen::Vector3f normal = at(truth.normals).normalized();
+      const Eigen::Vector3f expected =
+          render::irradiance(studio.lighting().spherical_harmonics, normal) * at(truth.albedo);
+      if (-(view.linear() * normal).z() < 0.5F || expected.minCoeff() < 0.1F) {
+        continue;
+      }
+      for (std::size_t channel = 0; channel < 3; ++channel) {
+        ratios.at(channel).push_back(
+            render::srgb8_to_linear(frame.further_pictures[k - 1].rgb[3 * pixel + channel]) /
+            expected[static_cast<Eigen::Index>(channel)]);
+      }
+    }
+    for (std::vector<float>& ratio : ratios) {
+      ASSERT_GT(ratio.size(), 2'000U);
+      std::sort(ratio.begin(), ratio.end());
+      const float gain = ratio[ratio.size() / 2];
+      EXPECT_GT(gain, 0.6F);
+      EXPECT_LT(gain, 1.2F);
+      EXPECT_LT(ratio[ratio.size() * 3 / 4] - ratio[ratio.size() / 4], 0.06F * gain);
+    }
+  }
 }
 
 TEST(Studio, FaceIsInThePictureAtTheRightSizeAndDistance) {
