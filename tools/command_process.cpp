@@ -41,7 +41,8 @@ constexpr timespec kPeriod{0, 50'000'000};
 constexpr int kBlanksPerRun = 3;
 
 struct Options {
-  std::string input;
+  std::vector<std::string> inputs;
+  std::string input;  ///< the only one, or the first camera's video
   std::string take;
   std::string config;
   std::string frames;
@@ -68,6 +69,64 @@ void set_budget(const std::string& budget, refine::RefinerConfig& refiner) {
   }
   refiner.budget = refine::Budget::Fixed;
   refiner.gauss_newton_steps = steps;
+}
+
+/// CAMERA=VIDEO, or a video that bears its camera's name.
+struct NamedVideo {
+  std::string camera;
+  std::string file;
+};
+
+NamedVideo named_video(const std::string& given) {
+  const std::size_t equals = given.find('=');
+  if (equals == std::string::npos || equals == 0 || equals + 1 == given.size()) {
+    return {std::filesystem::path(given).stem().string(), given};
+  }
+  return {given.substr(0, equals), given.substr(equals + 1)};
+}
+
+/// Whether the input is videos of a rig's cameras, not a booth's take.
+bool has_views(const Options& options) {
+  return options.inputs.size() > 1 ||
+         (!options.rig.empty() && options.inputs.front().find('=') != std::string::npos);
+}
+
+/// The rig's cameras whose videos were given. Throws Error(Usage) where they do not agree.
+std::vector<pipeline::ViewConfig> views_of(const Options& options) {
+  if (options.rig.empty()) {
+    throw Error(
+        ErrorKind::Usage,
+        "several videos show one face only where their cameras are calibrated: give their rig file with "
+        "--rig (facet calibrate makes one)");
+  }
+  const capture::Rig rig = capture::read_rig(options.rig);
+  std::vector<pipeline::ViewConfig> views;
+  for (const std::string& given : options.inputs) {
+    const NamedVideo video = named_video(given);
+    const auto camera = std::find_if(rig.cameras.begin(), rig.cameras.end(),
+                                     [&](const capture::RigCamera& one) { return one.name == video.camera; });
+    if (camera == rig.cameras.end()) {
+      std::string known;
+      for (const capture::RigCamera& one : rig.cameras) {
+        known += (known.empty() ? "" : ", ") + one.name;
+      }
+      throw Error(
+          ErrorKind::Usage,
+          fmt::format("'{}': the rig file '{}' has no camera '{}'; it has {}: name the video's camera, as "
+                      "in {}={}",
+                      given, options.rig, video.camera, known, rig.cameras.front().name, video.file));
+    }
+    for (const pipeline::ViewConfig& other : views) {
+      if (other.camera.name == video.camera) {
+        throw Error(ErrorKind::Usage, fmt::format("camera '{}' is given twice", video.camera));
+      }
+    }
+    pipeline::ViewConfig view;
+    view.camera = *camera;
+    view.source.path = video.file;
+    views.push_back(view);
+  }
+  return views;
 }
 
 service::Config configure(const Options& options) {
@@ -192,7 +251,10 @@ void conclude(const Options& options, const pipeline::PipelineStatus& status,
 }
 
 void run_monocular(const Options& options) {
-  const service::Config config = configure(options);
+  service::Config config = configure(options);
+  if (has_views(options)) {
+    config.pipeline.views = views_of(options);
+  }
   const StopSignals signals;
   pipeline::Stages stages = pipeline::open_stages(config.pipeline);
   const CameraInfo source = stages.camera->info();
@@ -447,14 +509,21 @@ void run_booth(const Options& options, const std::function<std::unique_ptr<Team>
 
 void add_process_command(CLI::App& app, std::unique_ptr<Team> (*join)()) {
   auto options = std::make_shared<Options>();
-  CLI::App* command = app.add_subcommand(
-      "process", "Turn a video of a face, or the pictures that a booth recorded, into a take of meshes");
-  command->add_option("input", options->input, "The video; with --rig the take that holds the pictures")
+  CLI::App* command = app.add_subcommand("process",
+                                         "Turn a video of a face, videos of calibrated cameras that see it, "
+                                         "or the pictures that a booth recorded, "
+                                         "into a take of meshes");
+  command
+      ->add_option(
+          "input", options->inputs,
+          "The video; with --rig the take that holds a booth's pictures, or one video for each of the "
+          "rig's cameras that see the face, CAMERA=VIDEO (VIDEO alone where it bears the camera's name), "
+          "the one that looks at it most squarely first")
       ->required();
   command->add_option(
       "--rig", options->rig,
-      "A booth's rig file: the input is a take of its pictures, and every blank slot becomes a "
-      "mesh");
+      "Rig file: the input is videos of its cameras; or a take of a booth's pictures, and every blank slot "
+      "becomes a mesh");
   command->add_option("-o,--output", options->take, "The take to write; must not exist yet")->required();
   command->add_option("--config", options->config,
                       "Configuration file; of [source], only frames and intrinsics count");
@@ -484,8 +553,17 @@ void add_process_command(CLI::App& app, std::unique_ptr<Team> (*join)()) {
                    "Where the face is in one slot, pointed at by hand, if the landmark net does not find it "
                    "(docs/booth.md)")
       ->needs("--rig");
-  command->callback(
-      [options, join] { options->rig.empty() ? run_monocular(*options) : run_booth(*options, join); });
+  command->callback([options, join] {
+    const bool views = has_views(*options);
+    options->input = views ? named_video(options->inputs.front()).file : options->inputs.front();
+    if (views &&
+        (options->every_slot || options->shading || !options->depth.empty() || !options->points.empty())) {
+      throw Error(
+          ErrorKind::Usage,
+          "--every-slot, --shading, --depth and --points are for the pictures of a booth, not for videos");
+    }
+    options->rig.empty() || views ? run_monocular(*options) : run_booth(*options, join);
+  });
 }
 
 }  // namespace facet::tools

@@ -6,7 +6,9 @@
 #include <chrono>
 #include <mutex>
 #include <optional>
+#include <span>
 #include <utility>
+#include <vector>
 
 #include "pipeline/bounded_queue.hpp"
 #include "pipeline/figures.hpp"
@@ -33,8 +35,13 @@ enum Worker : std::size_t { kCapture, kTrack, kRefine };
 
 struct Captured {
   Frame frame;
+  std::vector<Frame> all;  ///< of every camera, `frame` first, where there are several; else empty
   Clock::time_point delivered;
   float capture_ms = 0;
+
+  std::span<const Frame> views() const {
+    return all.empty() ? std::span<const Frame>(&frame, 1) : std::span<const Frame>(all);
+  }
 };
 
 struct Tracked {
@@ -42,6 +49,7 @@ struct Tracked {
   std::shared_ptr<mesh::MeshFrame> mesh;
   std::uint32_t subject_count = 0;                     ///< TrackResult::subject
   std::shared_ptr<const std::vector<float>> identity;  ///< of that subject
+  std::vector<std::uint8_t> view_used;                 ///< TrackResult::view_used where there are several
 };
 
 float ms_since(Clock::time_point start) {
@@ -59,6 +67,9 @@ struct MonocularPipeline::Impl {
         captured(source.live ? kLiveQueue : kRecordedQueue),
         tracked(1),
         refiner(std::move(stages.refiner), stages.open_refiner, messages, given_options.pauses) {
+    for (const FurtherCamera& one : stages.further_cameras) {
+      further_views.push_back({{}, one.view.intrinsics, one.view.view_from_reference.cast<float>()});
+    }
     shown.source = source;
     shown.device = refiner.device();
   }
@@ -97,6 +108,7 @@ struct MonocularPipeline::Impl {
   // facet-refine only.
   RecoveringRefiner refiner;
   refine::RefineOutput refined;
+  std::vector<refine::RefineView> further_views;
   std::shared_ptr<const mesh::Subject> subject;
   std::uint32_t subject_count = 0;  ///< TrackResult::subject that `subject` was built for
   std::string given_up;             ///< RefineOutput::given_up of the last refined frame
@@ -107,6 +119,7 @@ struct MonocularPipeline::Impl {
 
   void capture();
   void capture_until_end();
+  bool add_further(Captured& item);
   void note_early_end(const std::string& error);
   void note_camera();
   bool take(Captured&& item);
@@ -146,8 +159,14 @@ void MonocularPipeline::Impl::set_state(PipelineState state) {
 
 void MonocularPipeline::Impl::capture() {
   stages.camera->start();
+  for (const FurtherCamera& one : stages.further_cameras) {
+    one.camera->start();
+  }
   capture_until_end();
   stages.camera->stop();
+  for (const FurtherCamera& one : stages.further_cameras) {
+    one.camera->stop();
+  }
   captured.close();
 }
 
@@ -166,7 +185,13 @@ void MonocularPipeline::Impl::capture_until_end() {
       note_early_end(stages.camera->last_error());
       return;
     }
-    if (outcome == CaptureOutcome::Timeout || item.frame.sequence < options.frames.first) {
+    if (outcome == CaptureOutcome::Timeout) {
+      continue;
+    }
+    if (!add_further(item)) {
+      return;
+    }
+    if (item.frame.sequence < options.frames.first) {
       continue;
     }
     if (item.frame.sequence >= options.frames.end) {
@@ -184,6 +209,26 @@ void MonocularPipeline::Impl::capture_until_end() {
       return;
     }
   }
+}
+
+/// The other cameras' frames of the same moment. False where one has none, or the pipeline stops.
+bool MonocularPipeline::Impl::add_further(Captured& item) {
+  if (stages.further_cameras.empty()) {
+    return true;
+  }
+  std::string error;
+  const auto go_on = [this] {
+    workers.beat(kCapture);
+    return !stopping;
+  };
+  if (!read_in_step(stages.further_cameras, item.frame.sequence, item.all, go_on, error)) {
+    if (!error.empty()) {
+      source_failure.emplace(ErrorKind::UnreadableInput, error);
+    }
+    return false;
+  }
+  item.all.insert(item.all.begin(), item.frame);
+  return true;
 }
 
 /// error: of the source, empty where it is simply at its end.
@@ -248,7 +293,7 @@ void MonocularPipeline::Impl::track_one(Captured&& item) {
     shown.dropped += item.frame.sequence - next_sequence;
   }
   next_sequence = item.frame.sequence + 1;
-  const track::TrackResult& result = stages.coarse->process(item.frame);
+  const track::TrackResult& result = stages.coarse->process(item.views());
   if (identity == nullptr || identity_count != result.subject) {
     identity = std::make_shared<const std::vector<float>>(result.identity);
     identity_count = result.subject;
@@ -257,6 +302,9 @@ void MonocularPipeline::Impl::track_one(Captured&& item) {
   tracked_item.mesh = pool.take();
   tracked_item.subject_count = result.subject;
   tracked_item.identity = identity;
+  if (!item.all.empty()) {
+    tracked_item.view_used = result.view_used;
+  }
   fill(*tracked_item.mesh, item, result);
   tracked_item.captured = std::move(item);
   tracked.push(std::move(tracked_item), [this] { workers.beat(kTrack); });
@@ -347,6 +395,13 @@ void MonocularPipeline::Impl::add_displacements(Tracked& item) {
   input.camera = mesh.camera;
   input.camera_from_head = mesh.camera_from_head;
   input.control_vertices_mm = &mesh.control_vertices_mm;
+  for (std::size_t v = 0; v < further_views.size(); ++v) {
+    // Where the landmarks were not believed something may stand before the face.
+    const Frame& picture = item.captured.all[v + 1];
+    further_views[v].image = item.view_used[v + 1] != 0 && !picture.corrupt ? picture : Frame{};
+  }
+  input.further_views = further_views;
+  input.image_counts = further_views.empty() || item.view_used.front() != 0;
   if (source.live && source.rate_hz > 0) {
     input.time_limit_ms = static_cast<float>(kRefineShare * 1000 / source.rate_hz);
   }

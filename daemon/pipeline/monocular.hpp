@@ -11,7 +11,8 @@
 
 namespace facet::pipeline {
 
-/// One colour camera in, refined meshes out: capture -> track (CPU) -> refine (GPU) -> sinks.
+/// One colour camera in, or several recorded ones in step, refined meshes out: capture -> track (CPU) ->
+/// refine (GPU) -> sinks.
 ///
 /// Threads, what each does and what it may block on:
 /// * `facet-capture`: Camera::start, next, stop. The source; where it is recorded also room in a queue.

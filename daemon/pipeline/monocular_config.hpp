@@ -2,8 +2,10 @@
 
 #include <filesystem>
 #include <string>
+#include <vector>
 
 #include "camera/factory.hpp"
+#include "capture/rig.hpp"
 #include "mesh/hierarchy.hpp"
 #include "pipeline/frame_range.hpp"
 #include "refine/refiner.hpp"
@@ -14,9 +16,18 @@ namespace facet::pipeline {
 /// Value of MonocularConfig::gpu_device for "coarse meshes only".
 inline constexpr const char* kNoDevice = "none";
 
+/// A calibrated camera and where its pictures come from.
+struct ViewConfig {
+  capture::RigCamera camera;
+  camera::CameraConfig source;
+};
+
 /// What the monocular pipeline is asked to do; MonocularPipeline is the running of it.
 struct MonocularConfig {
   camera::CameraConfig source;
+  /// Recorded calibrated cameras instead of `source`: frame n of each was exposed at the same moment. The
+  /// first one is the reference camera, in whose frame the meshes are; one is enough.
+  std::vector<ViewConfig> views;
   FrameRange frames;  ///< of the source; others are read and thrown away
   std::filesystem::path model_file;
   track::TrackerConfig tracker;

@@ -9,12 +9,56 @@
 
 #include "facet/error.hpp"
 #include "gpu/context.hpp"
+#include "pipeline/calibrated_camera.hpp"
 
 namespace facet::pipeline {
 namespace {
 
 /// Frames of a recording that are looked at ahead for the subject: beyond these it is estimated on the way.
 constexpr std::uint64_t kMostFramesAhead = 3000;
+
+/// The cameras of a configuration.
+struct Cameras {
+  std::unique_ptr<Camera> first;
+  std::vector<FurtherCamera> further;
+
+  void start() {
+    first->start();
+    for (FurtherCamera& one : further) {
+      one.camera->start();
+    }
+  }
+};
+
+Cameras open_cameras(const MonocularConfig& config) {
+  Cameras cameras;
+  if (config.views.empty()) {
+    cameras.first = camera::open_camera(config.source);
+    return cameras;
+  }
+  const ViewConfig& reference = config.views.front();
+  const Eigen::Isometry3d rig_from_reference = reference.camera.lens.camera_from_rig.inverse();
+  for (const ViewConfig& view : config.views) {
+    auto camera = calibrated(camera::open_camera(view.source), view.camera.name, view.camera.lens);
+    if (cameras.first == nullptr) {
+      cameras.first = std::move(camera);
+      continue;
+    }
+    const auto wanted = cameras.first->info().frame_count;
+    const auto there = camera->info().frame_count;
+    if (wanted && there && *wanted != *there) {
+      throw Error(
+          ErrorKind::Usage,
+          fmt::format("camera '{}' has {} frames, camera '{}' {}: frame n of each must be of the same "
+                      "moment; cut the videos to the frames that they share",
+                      view.camera.name, *there, reference.camera.name, *wanted));
+    }
+    cameras.further.push_back(
+        {std::move(camera),
+         {pinhole_of(view.camera.lens), view.camera.lens.camera_from_rig * rig_from_reference}});
+  }
+  return cameras;
+}
 
 class TrackerStage final : public CoarseStage {
  public:
@@ -25,22 +69,26 @@ class TrackerStage final : public CoarseStage {
     if (!recorded_) {
       return;
     }
-    camera::CameraConfig source = config_.source;
-    source.loop = false;
-    const std::unique_ptr<Camera> camera = camera::open_camera(source);
-    camera->start();
+    MonocularConfig once = config_;
+    once.source.loop = false;
+    Cameras cameras = open_cameras(once);
+    cameras.start();
     const auto ahead = make_tracker();
     Frame frame;
+    std::vector<Frame> views;
+    std::string error;
     for (std::uint64_t seen = 0; seen < kMostFramesAhead && !ahead->subject() && go_on();) {
-      const CaptureOutcome outcome = camera->next(frame, std::chrono::milliseconds(100));
+      const CaptureOutcome outcome = cameras.first->next(frame, std::chrono::milliseconds(100));
       if (outcome == CaptureOutcome::Timeout) {
         continue;
       }
-      if (outcome != CaptureOutcome::Delivered) {
+      if (outcome != CaptureOutcome::Delivered ||
+          !read_in_step(cameras.further, frame.sequence, views, go_on, error)) {
         break;
       }
       if (frame.sequence >= config_.frames.first) {
-        ahead->process(frame);
+        views.insert(views.begin(), frame);
+        ahead->process(views);
         ++seen;
       }
     }
@@ -50,7 +98,9 @@ class TrackerStage final : public CoarseStage {
     }
   }
 
-  const track::TrackResult& process(const Frame& frame) override { return tracker_->process(frame); }
+  const track::TrackResult& process(std::span<const Frame> views) override {
+    return tracker_->process(views);
+  }
   void reset_identity() override { tracker_->reset_identity(); }
 
  private:
@@ -114,6 +164,35 @@ track::TrackerConfig tracker_config(const MonocularConfig& config, const CameraI
   return tracker;
 }
 
+bool read_in_step(std::span<FurtherCamera> cameras, std::uint64_t sequence, std::vector<Frame>& out,
+                  const std::function<bool()>& go_on, std::string& error) {
+  out.clear();
+  for (FurtherCamera& one : cameras) {
+    for (;;) {
+      Frame frame;
+      const CaptureOutcome outcome = one.camera->next(frame, std::chrono::milliseconds(100));
+      if (outcome == CaptureOutcome::Timeout ||
+          (outcome == CaptureOutcome::Delivered && frame.sequence < sequence)) {
+        if (!go_on()) {
+          return false;
+        }
+        continue;
+      }
+      if (outcome != CaptureOutcome::Delivered || frame.sequence != sequence) {
+        const std::string why = one.camera->last_error();
+        error = fmt::format(
+            "'{}' has no frame {}, which the first camera has{}: every camera needs a picture of "
+            "every moment",
+            one.camera->info().name, sequence, why.empty() ? "" : " (" + why + ")");
+        return false;
+      }
+      out.push_back(std::move(frame));
+      break;
+    }
+  }
+  return true;
+}
+
 OpenRefiner refiner_opener(const std::string& gpu_device, const refine::RefinerConfig& config) {
   return [gpu_device, config] { return std::make_unique<GpuStage>(gpu_device, config); };
 }
@@ -121,9 +200,17 @@ OpenRefiner refiner_opener(const std::string& gpu_device, const refine::RefinerC
 Stages open_stages(const MonocularConfig& given) {
   Stages stages;
   // Cheap and likely mistakes first.
-  stages.camera = camera::open_camera(given.source);
+  Cameras cameras = open_cameras(given);
+  stages.camera = std::move(cameras.first);
+  stages.further_cameras = std::move(cameras.further);
   MonocularConfig config = given;
-  config.tracker = tracker_config(given, stages.camera->info());
+  if (!given.views.empty()) {
+    config.tracker.intrinsics.reset();  // the rig file knows
+  }
+  config.tracker = tracker_config(config, stages.camera->info());
+  for (const FurtherCamera& one : stages.further_cameras) {
+    config.tracker.further_views.push_back(one.view);
+  }
   stages.model = load_model(config);
   const bool recorded = !stages.camera->info().live && !config.source.loop;
   stages.coarse = std::make_unique<TrackerStage>(stages.model, config, recorded);

@@ -2,7 +2,9 @@
 
 #include <functional>
 #include <memory>
+#include <span>
 #include <string>
+#include <vector>
 
 #include "face/face_model.hpp"
 #include "facet/camera.hpp"
@@ -24,8 +26,8 @@ class CoarseStage {
   /// have meshes too. Asks `go_on` before each frame, which also says that it gets on; returns early where
   /// the answer is no.
   virtual void prepare(const std::function<bool()>& go_on) = 0;
-  /// As track::Tracker::process.
-  virtual const track::TrackResult& process(const Frame& frame) = 0;
+  /// As track::Tracker::process: one picture of each camera, the reference camera's first.
+  virtual const track::TrackResult& process(std::span<const Frame> views) = 0;
   /// As track::Tracker::reset_identity.
   virtual void reset_identity() = 0;
 };
@@ -54,9 +56,22 @@ using OpenRefiner = std::function<std::unique_ptr<RefineStage>()>;
 /// Opens a context on the device and a refiner on it, each time anew.
 OpenRefiner refiner_opener(const std::string& gpu_device, const refine::RefinerConfig& config);
 
+/// A recorded camera beside the first one, in step with it.
+struct FurtherCamera {
+  std::unique_ptr<Camera> camera;
+  track::View view;
+};
+
+/// Reads the frame of the same number from each further camera. go_on: asked while one keeps waiting.
+/// Returns false, and why in `error`, where one has no such frame; false without an error where go_on says
+/// no.
+bool read_in_step(std::span<FurtherCamera> cameras, std::uint64_t sequence, std::vector<Frame>& out,
+                  const std::function<bool()>& go_on, std::string& error);
+
 /// What the pipeline connects.
 struct Stages {
   std::unique_ptr<Camera> camera;
+  std::vector<FurtherCamera> further_cameras;
   std::shared_ptr<const face::FaceModel> model;
   std::unique_ptr<CoarseStage> coarse;
   OpenRefiner open_refiner;              ///< empty: refinement is off
@@ -68,7 +83,8 @@ struct Stages {
 track::TrackerConfig tracker_config(const MonocularConfig& config, const CameraInfo& source);
 
 /// Opens source, model, tracker and device. Seconds, for the kernels are compiled. Throws Error:
-/// UnreadableInput for source, model and landmark nets, NoDevice where no Vulkan device is usable.
+/// UnreadableInput for source, model and landmark nets, NoDevice where no Vulkan device is usable, Usage
+/// where the views' videos do not go together.
 Stages open_stages(const MonocularConfig& config);
 
 }  // namespace facet::pipeline

@@ -93,7 +93,8 @@ class ScriptedTracker final : public pipeline::CoarseStage {
       std::this_thread::sleep_for(std::chrono::milliseconds(1));
     }
   }
-  const track::TrackResult& process(const Frame& frame) override {
+  const track::TrackResult& process(std::span<const Frame> views) override {
+    const Frame& frame = views.front();
     script_.tracker_gate.pass();
     if (frame.sequence == script_.tracker_throws_at) {
       throw std::runtime_error("scripted tracker fault");

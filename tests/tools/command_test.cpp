@@ -479,6 +479,40 @@ TEST_F(Command, SynthBoothWritesTakeRigAndTruth) {
   EXPECT_THAT(output_, HasSubstr("exists already"));
 }
 
+TEST_F(CommandWithAssets, VideosOfCamerasThatTheRigDoesNotHaveAreRefused) {
+  capture::Rig rig;
+  for (const char* name : {"front", "side"}) {
+    capture::RigCamera camera;
+    camera.name = name;
+    camera.lens.width_px = 400;
+    camera.lens.height_px = 300;
+    camera.lens.fx_px = camera.lens.fy_px = 500;
+    rig.cameras.push_back(camera);
+  }
+  capture::write_rig(rig, file("rig.toml"));
+  const auto process = [&](const std::vector<std::string>& videos, const std::vector<std::string>& more) {
+    std::vector<std::string> arguments = {"process"};
+    arguments.insert(arguments.end(), videos.begin(), videos.end());
+    arguments.insert(arguments.end(), {"-o", file("new.take"), "--device", "none"});
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return run(arguments);
+  };
+  const std::vector<std::string> named = {"--rig", file("rig.toml")};
+  EXPECT_EQ(process({"front.mkv", "side.mkv"}, {}), static_cast<int>(ErrorKind::Usage));
+  EXPECT_THAT(output_, AllOf(HasSubstr("--rig"), HasSubstr("calibrate")));
+  EXPECT_EQ(process({"front=" + clip(), clip()}, named), static_cast<int>(ErrorKind::Usage));
+  EXPECT_THAT(output_, AllOf(HasSubstr("no camera"), HasSubstr("front, side"), HasSubstr("front=")));
+  EXPECT_EQ(process({"front=" + clip(), "front=" + clip()}, named), static_cast<int>(ErrorKind::Usage));
+  EXPECT_THAT(output_, HasSubstr("'front' is given twice"));
+  EXPECT_EQ(process({"front=" + clip(), "side=nowhere.mkv"}, named),
+            static_cast<int>(ErrorKind::UnreadableInput));
+  EXPECT_EQ(
+      process({"front=" + clip(), "side=" + clip()}, {"--rig", file("rig.toml"), "--depth", file("depth")}),
+      static_cast<int>(ErrorKind::Usage));
+  EXPECT_THAT(output_, HasSubstr("booth"));
+  EXPECT_FALSE(std::filesystem::exists(file("new.take")));
+}
+
 TEST_F(CommandWithAssets, ABoothsInputThatIsNoneIsTold) {
   simulation::BoothConfig config;
   config.scene = simulation::BoothScene::Plane;

@@ -1,0 +1,81 @@
+#include "pipeline/calibrated_camera.hpp"
+
+#include <fmt/format.h>
+
+#include <optional>
+#include <utility>
+
+#include "facet/error.hpp"
+#include "pipeline/undistortion.hpp"
+
+namespace facet::pipeline {
+namespace {
+
+bool is_distorted(const capture::LensDistortion& lens) {
+  return lens.k1 != 0 || lens.k2 != 0 || lens.p1 != 0 || lens.p2 != 0 || lens.k3 != 0;
+}
+
+class CalibratedCamera final : public Camera {
+ public:
+  CalibratedCamera(std::unique_ptr<Camera> camera, const capture::Lens& lens)
+      : camera_(std::move(camera)), pinhole_(pinhole_of(lens)) {
+    if (is_distorted(lens.distortion)) {
+      undistortion_.emplace(lens);
+    }
+  }
+
+  CameraInfo info() const override {
+    CameraInfo info = camera_->info();
+    info.intrinsics = pinhole_;
+    return info;
+  }
+  CameraStatus status() const override { return camera_->status(); }
+  void start() override { camera_->start(); }
+  CaptureOutcome next(Frame& out, std::chrono::milliseconds timeout) override {
+    const CaptureOutcome outcome = camera_->next(out, timeout);
+    if (outcome == CaptureOutcome::Delivered && undistortion_) {
+      const Frame straight = undistortion_->apply(out);
+      if (straight.empty()) {
+        out.corrupt = true;  // of another size in the middle of a recording
+      } else {
+        out = straight;
+      }
+    }
+    return outcome;
+  }
+  void restart(const std::string& why) override { camera_->restart(why); }
+  void expect_frames(bool due) override { camera_->expect_frames(due); }
+  void stop() override { camera_->stop(); }
+  std::string last_error() const override { return camera_->last_error(); }
+
+ private:
+  std::unique_ptr<Camera> camera_;
+  CameraIntrinsics pinhole_;
+  std::optional<Undistortion> undistortion_;
+};
+
+}  // namespace
+
+CameraIntrinsics pinhole_of(const capture::Lens& lens) {
+  return {static_cast<float>(lens.fx_px),
+          static_cast<float>(lens.fy_px),
+          static_cast<float>(lens.cx_px),
+          static_cast<float>(lens.cy_px),
+          lens.width_px,
+          lens.height_px};
+}
+
+std::unique_ptr<Camera> calibrated(std::unique_ptr<Camera> camera, const std::string& name,
+                                   const capture::Lens& lens) {
+  const CameraInfo info = camera->info();
+  if (info.width_px != lens.width_px || info.height_px != lens.height_px) {
+    throw Error(
+        ErrorKind::Usage,
+        fmt::format("camera '{}' gives pictures of {} x {} px, the rig file has it calibrated at {} x "
+                    "{}: give pictures of that size, or calibrate again",
+                    name, info.width_px, info.height_px, lens.width_px, lens.height_px));
+  }
+  return std::make_unique<CalibratedCamera>(std::move(camera), lens);
+}
+
+}  // namespace facet::pipeline
