@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "camera/factory.hpp"
+#include "capture/rig_file.hpp"
 #include "evaluation.hpp"
 #include "facet/assets.hpp"
 #include "facet/error.hpp"
@@ -40,6 +41,7 @@ struct Options {
   bool live = false;
   bool known_camera = false;
   bool by_name = false;
+  int cameras = 1;
 };
 
 /// Processor time of the calling thread, ms.
@@ -103,20 +105,40 @@ struct Sequence {
   std::string name;
   std::filesystem::path folder;
   std::vector<Frame> frames;
+  std::vector<std::vector<Frame>> views;  ///< [frame][camera]
+  facet::capture::Rig rig;                ///< of several cameras
   nlohmann::json document;
 };
 
-Sequence read_sequence(const std::filesystem::path& folder) {
+std::vector<Frame> read_video(const std::filesystem::path& file) {
+  std::vector<Frame> frames;
+  const auto camera = facet::camera::open_camera({.kind = "file", .path = file});
+  camera->start();
+  Frame frame;
+  while (camera->next(frame, std::chrono::seconds(10)) == facet::CaptureOutcome::Delivered) {
+    frames.push_back(frame);
+  }
+  return frames;
+}
+
+Sequence read_sequence(const std::filesystem::path& folder, int cameras) {
   Sequence sequence;
   sequence.name = folder.filename().string();
   sequence.folder = folder;
   std::ifstream stream(folder / "camera.json");
   sequence.document = nlohmann::json::parse(stream);
-  const auto camera = facet::camera::open_camera({.kind = "file", .path = folder / "video.mkv"});
-  camera->start();
-  Frame frame;
-  while (camera->next(frame, std::chrono::seconds(10)) == facet::CaptureOutcome::Delivered) {
-    sequence.frames.push_back(frame);
+  sequence.frames = read_video(folder / "video.mkv");
+  for (const Frame& frame : sequence.frames) {
+    sequence.views.push_back({frame});
+  }
+  if (cameras > 1) {
+    sequence.rig = facet::capture::read_rig(folder / "rig.toml");
+    for (std::size_t k = 1; k < static_cast<std::size_t>(cameras); ++k) {
+      const auto further = read_video(folder / (sequence.rig.cameras.at(k).name + ".mkv"));
+      for (std::size_t f = 0; f < sequence.views.size(); ++f) {
+        sequence.views[f].push_back(further.at(f));
+      }
+    }
   }
   return sequence;
 }
@@ -151,7 +173,14 @@ class TruthRun {
   TruthRun(const facet::face::FaceModel& model, const Options& options, Sequence sequence)
       : model_(model), options_(options), sequence_(std::move(sequence)) {
     config_.landmark_assets = options.assets;
-    if (options.known_camera) {
+    for (std::size_t k = 1; k < static_cast<std::size_t>(options.cameras); ++k) {
+      const facet::capture::Lens& lens = sequence_.rig.cameras.at(k).lens;
+      config_.further_views.push_back(
+          {{static_cast<float>(lens.fx_px), static_cast<float>(lens.fy_px), static_cast<float>(lens.cx_px),
+            static_cast<float>(lens.cy_px), lens.width_px, lens.height_px},
+           lens.camera_from_rig * sequence_.rig.cameras.front().lens.camera_from_rig.inverse()});
+    }
+    if (options.known_camera || options.cameras > 1) {
       const auto& document = sequence_.document;
       config_.intrinsics = facet::CameraIntrinsics{.fx = document.at("fx").get<float>(),
                                                    .fy = document.at("fy").get<float>(),
@@ -179,9 +208,9 @@ class TruthRun {
       adopt_first_pass(tracker);
     }
     Mean time_ms;
-    for (const Frame& frame : sequence_.frames) {
+    for (const std::vector<Frame>& views : sequence_.views) {
       const double before_ms = thread_ms();
-      const TrackResult& result = tracker.process(frame);
+      const TrackResult& result = tracker.process(views);
       time_ms.add(thread_ms() - before_ms);
       tracked_.push_back({result.camera_from_head,
                           result.has_mesh ? result.vertices_mm : facet::mesh::Vertices(), result.expression});
@@ -189,7 +218,9 @@ class TruthRun {
     }
     measure_weights();
     measure_surface();
-    measure_still(tracker);
+    if (options_.cameras == 1) {
+      measure_still(tracker);
+    }
     const double true_focal = sequence_.document.at("fx").get<double>();
     fmt::print(
         "{:10} {:6.2f} {:6.2f} {:6.2f} | {:6.3f} {:6.3f} | {:6.3f} {:5.2f}  {:6.3f} {:5.2f}  {:6.3f} {:5.2f} "
@@ -218,8 +249,8 @@ class TruthRun {
  private:
   void adopt_first_pass(Tracker& tracker) {
     Tracker first(model_, config_);
-    for (const Frame& frame : sequence_.frames) {
-      first.process(frame);
+    for (const std::vector<Frame>& views : sequence_.views) {
+      first.process(views);
       if (first.subject()) {
         break;
       }
@@ -452,7 +483,7 @@ int run(const Options& options) {
   TruthRun::print_header();
   std::vector<TruthRun> runs;
   for (const auto& folder : options.folders) {
-    runs.emplace_back(model, options, read_sequence(folder));
+    runs.emplace_back(model, options, read_sequence(folder, options.cameras));
     runs.back().run();
   }
   if (options.by_name) {
@@ -476,6 +507,12 @@ int main(int argc, char** argv) {
   app.add_option("--curves", options.curves, "folder for a table of true and measured weights per sequence");
   app.add_flag("--live", options.live, "acquire while measuring, as live");
   app.add_flag("--known-camera", options.known_camera, "hand the true intrinsics to the tracker");
+  app.add_option(
+         "--cameras", options.cameras,
+         "so many of the folders' calibrated cameras (facet synth --cameras), known; without the still "
+         "face")
+      ->capture_default_str()
+      ->check(CLI::Range(1, 8));
   app.add_flag("--names", options.by_name, "mean weights and errors by name");
   app.add_option("folders", options.folders, "folders that facet synth wrote")->required();
   CLI11_PARSE(app, argc, argv);
