@@ -12,6 +12,7 @@
 #include <fstream>
 #include <limits>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -217,6 +218,7 @@ class TruthRun {
       camera_ = result.camera;
     }
     measure_weights();
+    measure_turns();
     measure_surface();
     if (options_.cameras == 1) {
       measure_still(tracker);
@@ -225,13 +227,14 @@ class TruthRun {
     fmt::print(
         "{:10} {:6.2f} {:6.2f} {:6.2f} | {:6.3f} {:6.3f} | {:6.3f} {:5.2f}  {:6.3f} {:5.2f}  {:6.3f} {:5.2f} "
         " "
-        "{:6.3f} {:5.2f}  {:6.3f} {:5.2f} | {:6.1f} {:6.1f} | {:6.4f} {:6.4f} | {:5.2f} {}\n",
+        "{:6.3f} {:5.2f}  {:6.3f} {:5.2f} | {:6.1f} {:6.1f} | {:4.1f} {:5.1f} | {:6.4f} {:6.4f} | {:5.2f} "
+        "{}\n",
         sequence_.name, surface_mm_.mean(), surface_mm_.deviation(), drift_mm_.mean(), all_weights_.mean(),
         used_weights_.mean(), jaw_.correlation, jaw_.gain, blink_left_.correlation, blink_left_.gain,
         blink_right_.correlation, blink_right_.gain, gaze_yaw_.correlation, gaze_yaw_.gain,
         gaze_pitch_.correlation, gaze_pitch_.gain, 100 * depth_.mean(),
-        100 * (static_cast<double>(camera_.fx) / true_focal - 1), still_camera_mm_.mean(),
-        still_head_mm_.mean(), time_ms.mean(), missed_);
+        100 * (static_cast<double>(camera_.fx) / true_focal - 1), turn_deg_.mean(), worst_turn_deg_,
+        still_camera_mm_.mean(), still_head_mm_.mean(), time_ms.mean(), missed_);
   }
 
   static void print_header() {
@@ -239,7 +242,9 @@ class TruthRun {
         "surface: mean, deviation, drift in mm | weights: mean absolute error of all, of those in use | "
         "correlation and gain: jawOpen, eyeBlinkLeft, eyeBlinkRight, gaze sideways, gaze up | error %: "
         "depth, "
-        "focal | still face, second difference mm: camera, head | ms | frames without a mesh\n");
+        "focal | head's turn since the first mesh, error in degrees: mean, worst | still face, second "
+        "difference "
+        "mm: camera, head | ms | frames without a mesh\n");
   }
 
   const std::vector<Mean>& errors_by_name() const { return by_name_; }
@@ -334,6 +339,28 @@ class TruthRun {
         stream << fmt::format(",{:.3f},{:.3f}", truth_[k][f], tracked_[f].expression[k]);
       }
       stream << '\n';
+    }
+  }
+
+  /// How far the head's turn since the first mesh is from the true one.
+  void measure_turns() {
+    constexpr double kDegrees = 57.29577951308232;
+    std::optional<std::size_t> first;
+    for (std::size_t f = 0; f < tracked_.size(); ++f) {
+      if (tracked_[f].vertices_mm.cols() == 0) {
+        continue;
+      }
+      first = first.value_or(f);
+      const auto turn_since_first = [&](const Eigen::Isometry3f& now, const Eigen::Isometry3f& then) {
+        return Eigen::Matrix3f(now.linear() * then.linear().transpose());
+      };
+      const auto& document = sequence_.document.at("frames");
+      const Eigen::Matrix3f wrong =
+          turn_since_first(tracked_[f].camera_from_head, tracked_[*first].camera_from_head) *
+          turn_since_first(true_pose(document.at(f)), true_pose(document.at(*first))).transpose();
+      const double error_deg = kDegrees * static_cast<double>(Eigen::AngleAxisf(wrong).angle());
+      turn_deg_.add(error_deg);
+      worst_turn_deg_ = std::max(worst_turn_deg_, error_deg);
     }
   }
 
@@ -458,7 +485,9 @@ class TruthRun {
   std::vector<std::vector<double>> truth_;  ///< [expression][frame]
   std::vector<Tracked> tracked_;
   facet::CameraIntrinsics camera_;
-  Mean surface_mm_, drift_mm_, all_weights_, used_weights_, depth_, still_head_mm_, still_camera_mm_;
+  Mean surface_mm_, drift_mm_, all_weights_, used_weights_, depth_, turn_deg_, still_head_mm_,
+      still_camera_mm_;
+  double worst_turn_deg_ = 0;
   std::vector<Mean> by_name_, measured_by_name_, truth_by_name_;
   CurveFit jaw_, blink_left_, blink_right_, gaze_yaw_, gaze_pitch_;
   int missed_ = 0;

@@ -95,6 +95,20 @@ void measure_confidence(const CanonicalFace& canonical, const Frame& frame, Face
   }
 }
 
+void measure_contradiction(const Eigen::Matrix3Xf& others_px, FaceLandmarks& face) {
+  constexpr float seen = 0.5F;
+  float squares = 0;
+  int count = 0;
+  for (int i = 0; i < landmark_count; ++i) {
+    if (face.confidence[i] > seen) {
+      squares += (others_px.col(i) - face.points_px.col(i)).head<2>().squaredNorm();
+      ++count;
+    }
+  }
+  face.contradiction =
+      std::sqrt(squares / static_cast<float>(std::max(count, 1))) / std::max(face.interocular_px, 1e-3F);
+}
+
 void measure_iris_confidence(FaceLandmarks& face) {
   struct Eye {
     int outer, inner, upper, lower;

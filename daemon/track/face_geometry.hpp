@@ -27,6 +27,11 @@ void measure_shape(const CanonicalFace& canonical, FaceLandmarks& face);
 /// front. Needs the rotation of measure_shape.
 void measure_confidence(const CanonicalFace& canonical, const Frame& frame, FaceLandmarks& face);
 
+/// Sets contradiction; needs confidence and interocular_px.
+///
+/// others_px  [3][468] the same landmarks by another net
+void measure_contradiction(const Eigen::Matrix3Xf& others_px, FaceLandmarks& face);
+
 /// Sets iris_confidence from how far the lids are open and the eye is seen; needs confidence.
 void measure_iris_confidence(FaceLandmarks& face);
 

@@ -115,6 +115,7 @@ struct Landmarker::Impl {
   /// Takes lips, eyes and irises from the net with attention where it sees the face too; on profiles it often
   /// does not, while the plain net goes on.
   void refine(const Frame& frame, FaceLandmarks& face) {
+    face.contradiction = 0;
     if (!config.attends) {
       return;
     }
@@ -124,6 +125,7 @@ struct Landmarker::Impl {
       face.iris_confidence = {};
       return;
     }
+    measure_contradiction(attended_px, face);
     for (const auto& part : {lip_landmarks(), right_eye_landmarks().first(kLidLandmarks),
                              left_eye_landmarks().first(kLidLandmarks)}) {
       for (const int landmark : part) {

@@ -30,6 +30,14 @@ constexpr double kFarthestHeadMm = 20'000.0;
 /// Cosine of the largest angle between the face's axis and the line of sight (105 degrees).
 constexpr double kFarthestTurn = -0.26;
 
+/// On a head that is turned by more than this (25 degrees) the nets contradict each other where they no
+/// longer see how far: a frame in which they do so more than the first limit has no mesh, nor have those
+/// after it until they do so less than the second (FaceLandmarks::contradiction). bench/README.md, "A head
+/// that turns away".
+constexpr double kTurned = 0.906;
+constexpr float kContradicted = 0.047F;
+constexpr float kAgreed = 0.04F;
+
 /// A head does not move faster: mm and rad per second, with a floor for short intervals.
 constexpr double kFastestMmPerS = 2'500.0;
 constexpr double kFastestRadPerS = 14.0;
@@ -292,6 +300,33 @@ bool SubjectTracker::measure_residual() {
   return measured;
 }
 
+/// Cosine of the angle between the face's axis and a view's line of sight.
+double SubjectTracker::facing(const ViewState& view) const {
+  const Pose pose = pose_in(view.camera);
+  return -pose.rotation.col(2).dot(pose.translation_mm.normalized());
+}
+
+/// In every view that was used.
+bool SubjectTracker::turned() const {
+  for (std::size_t v = 0; v < views_.size(); ++v) {
+    if (observations_[v].seen && facing(views_[v]) >= kTurned) {
+      return false;
+    }
+  }
+  return true;
+}
+
+/// No used view has landmarks that can be believed so far round the head.
+bool SubjectTracker::beyond_sight() const {
+  const float limit = frame_.beyond_sight ? kAgreed : kContradicted;
+  for (std::size_t v = 0; v < views_.size(); ++v) {
+    if (observations_[v].seen && !(facing(views_[v]) < kTurned && views_[v].face->contradiction > limit)) {
+      return false;
+    }
+  }
+  return true;
+}
+
 bool SubjectTracker::plausible(double largest_residual) const {
   if (!candidate_.pose.rotation.allFinite() || !candidate_.pose.translation_mm.allFinite() ||
       !candidate_.expression.allFinite()) {
@@ -299,10 +334,8 @@ bool SubjectTracker::plausible(double largest_residual) const {
   }
   for (std::size_t v = 0; v < views_.size(); ++v) {
     if (observations_[v].seen) {
-      const Pose pose = pose_in(views_[v].camera);
-      const double depth_mm = pose.translation_mm.z();
-      const double facing = -pose.rotation.col(2).dot(pose.translation_mm.normalized());
-      if (!(depth_mm >= kNearestHeadMm && depth_mm <= kFarthestHeadMm && facing >= kFarthestTurn &&
+      const double depth_mm = pose_in(views_[v].camera).translation_mm.z();
+      if (!(depth_mm >= kNearestHeadMm && depth_mm <= kFarthestHeadMm && facing(views_[v]) >= kFarthestTurn &&
             views_[v].residual <= largest_residual)) {
         return false;
       }
@@ -441,7 +474,9 @@ const SubjectFrame& SubjectTracker::process(std::span<const ViewLandmarks> views
     good = good || is_usable;
     acquired = acquired && (view.face == nullptr || view.acquired);
   }
+  followed_ = followed_ && found && !acquired;
   if (!found) {
+    frame_.beyond_sight = false;
     miss(timestamp_ns);
     return frame_;
   }
@@ -452,9 +487,14 @@ const SubjectFrame& SubjectTracker::process(std::span<const ViewLandmarks> views
     good = fit(warm, elapsed_s) || (warm && fit(false, 0));
     good = good && !(warm && jumped(elapsed_s));
   }
-  if (good) {
-    accept(acquired || elapsed_s > kBriefGapS, timestamp_ns);
+  frame_.beyond_sight = good && beyond_sight();
+  if (frame_.beyond_sight) {
+    miss(timestamp_ns);
+  } else if (good) {
+    accept(acquired || (elapsed_s > kBriefGapS && !followed_), timestamp_ns);
+    followed_ = true;
   } else {
+    followed_ = false;
     frame_.rejected = true;
     miss(timestamp_ns);
   }
@@ -514,6 +554,9 @@ void SubjectTracker::accept(bool found_afresh, std::int64_t timestamp_ns) {
 }
 
 bool SubjectTracker::still_the_same_person() {
+  if (turned()) {
+    return true;  // the fit is worse on everybody's turned head
+  }
   if (verified_frames_ < kVerifyFrames) {
     ++verified_frames_;
     verified_residual_sum_ += candidate_residual_;

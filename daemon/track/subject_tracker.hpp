@@ -40,6 +40,9 @@ struct SubjectFrame {
   std::vector<std::uint8_t> view_rejected;
   /// [view] 1 where its landmarks went into the fit.
   std::vector<std::uint8_t> view_used;
+  /// The head is turned further than the landmark nets can follow: no mesh in this frame, but it is the same
+  /// face, and should be followed on.
+  bool beyond_sight = false;
   std::uint32_t subject = 0;        ///< counts identity estimates
   std::uint64_t shape_version = 0;  ///< changes whenever shape().identity does
   FrameState face;
@@ -56,6 +59,7 @@ struct SubjectFrame {
 ///
 ///   Searching -- plausible face --> Acquiring -- batch fitted --> Tracking
 ///   Tracking, Acquiring -- no plausible face --> Lost -- face back --> where it was
+///   Tracking, Acquiring -- turned too far --> Lost -- turned back --> where it was, without further checks
 ///   Lost -- kLostForS --> Searching; the subject is kept: when a face comes that fits it, straight to
 ///   Tracking. When over its first frames a returned face fits the held identity clearly worse than its owner
 /// did, the subject is given up and Acquiring starts anew.
@@ -124,6 +128,9 @@ class SubjectTracker {
   bool plausible(double largest_residual) const;
   Pose pose_in(const ViewCamera& camera) const;
   bool jumped(double elapsed_s) const;
+  double facing(const ViewState& view) const;
+  bool turned() const;
+  bool beyond_sight() const;
   void miss(std::int64_t timestamp_ns);
   void accept(bool found_afresh, std::int64_t timestamp_ns);
   bool acquire();
@@ -153,6 +160,7 @@ class SubjectTracker {
   double candidate_residual_ = 0;
   FitReport candidate_report_;
   TemporalPrior previous_;     ///< the last good frame, where has_previous_
+  bool followed_ = false;      ///< no frame since the last good one lacked the face
   bool has_previous_ = false;  ///< false also after the shape changed: the old pose belongs to the old shape
   std::int64_t last_good_ns_ = 0;
   int frames_since_added_ = 0;

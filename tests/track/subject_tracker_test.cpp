@@ -158,6 +158,45 @@ TEST_F(SubjectTrackerTest, StaysOnItsOwnFaceWhenLandmarksHopToAnother) {
   EXPECT_EQ(act(identity, 1).state, TrackingState::Tracking);
 }
 
+TEST_F(SubjectTrackerTest, AHeadTurnedBeyondSightHasNoMeshAndIsFollowed) {
+  const Eigen::VectorXd identity = test::random_identity(model, random);
+  acquire(identity);
+  const auto seen = [&](double turn_rad, float contradiction, double noise_px) -> const SubjectFrame& {
+    auto view = acting(identity, time++);
+    view.pose.rotation = test::SyntheticView{}.pose.rotation;
+    view.pose.rotation = rotation_from_vector(Eigen::Vector3d(0, turn_rad, 0)) * view.pose.rotation;
+    auto face = test::synthetic_landmarks(model, view, noise_px, random);
+    face.contradiction = contradiction;
+    return show(&face);
+  };
+  EXPECT_TRUE(seen(0.1, 0.08F, 0.8).fitted)
+      << "of a face that looks this way, the nets' contradiction says nothing";
+  EXPECT_TRUE(seen(0.6, 0.03F, 0.8).fitted);
+  const auto look_away = [&] {
+    for (int f = 0; f < 40; ++f) {
+      // 0.043: less than it takes to lose the face, more than it takes to have it back.
+      const SubjectFrame& away = seen(0.8, f % 2 == 0 ? 0.06F : 0.043F, 0.8);
+      EXPECT_FALSE(away.fitted);
+      EXPECT_TRUE(away.beyond_sight);
+      EXPECT_FALSE(away.rejected) << "or the face is looked for elsewhere";
+    }
+  };
+  look_away();
+  show(nullptr);
+  for (int f = 0; f < 15; ++f) {
+    const SubjectFrame& back = seen(0.7, 0.03F, 3.0);
+    EXPECT_EQ(back.state, TrackingState::Tracking) << f;
+    EXPECT_EQ(back.subject, 1U) << "a turned head always fits worse: nobody else for that";
+  }
+  act(identity, 15);
+  look_away();
+  for (int f = 0; f < 15; ++f) {
+    const SubjectFrame& back = seen(0.2, 0.02F, 3.0);
+    EXPECT_EQ(back.state, TrackingState::Tracking) << f;
+    EXPECT_EQ(back.subject, 1U) << "it was followed all the time: nobody else";
+  }
+}
+
 TEST_F(SubjectTrackerTest, ResetIdentityAcquiresAnew) {
   const Eigen::VectorXd identity = test::random_identity(model, random);
   acquire(identity);
