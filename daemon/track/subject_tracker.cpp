@@ -502,7 +502,7 @@ const SubjectFrame& SubjectTracker::process(std::span<const ViewLandmarks> views
     const bool shows_one = v < views.size() && views[v].face != nullptr;
     const bool used = frame_.fitted && views_[v].face != nullptr && observations_[v].seen;
     frame_.view_used[v] = used ? 1 : 0;
-    frame_.view_rejected[v] = shows_one && !used ? 1 : 0;
+    frame_.view_rejected[v] = shows_one && !used && !frame_.beyond_sight ? 1 : 0;
     views_[v].face = nullptr;
   }
   return frame_;
