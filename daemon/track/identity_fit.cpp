@@ -74,7 +74,13 @@ void IdentityFit::observe_views(BatchFrame& frame) const {
 
 double IdentityFit::shared_prior_energy(const SubjectShape& shape) const {
   const double focal = (std::log(shape.focal_px) - log_focal_prior_) / strength_.log_focal_sigma;
-  return frame_count() * 0.5 * (strength_.identity * shape.identity.squaredNorm() + focal * focal);
+  const double prior =
+      frame_count() * 0.5 * (strength_.identity * shape.identity.squaredNorm() + focal * focal);
+  if (!evidence_) {
+    return prior;
+  }
+  const Eigen::VectorXd from = shape.identity - evidence_->at;
+  return prior + 0.5 * from.dot(evidence_->information * from) - evidence_->pull.dot(from);
 }
 
 double IdentityFit::batch_energy(const SubjectShape& shape, bool at_trial) {
@@ -118,6 +124,11 @@ double IdentityFit::linearise() {
   const double frames = frame_count();
   shared_hessian_.diagonal().head(identities).array() += frames * strength_.identity;
   shared_gradient_.head(identities) += frames * strength_.identity * shape_.identity;
+  if (evidence_) {
+    shared_hessian_.topLeftCorner(identities, identities) += evidence_->information;
+    shared_gradient_.head(identities) +=
+        evidence_->information * (shape_.identity - evidence_->at) - evidence_->pull;
+  }
   const double information = frames / (strength_.log_focal_sigma * strength_.log_focal_sigma);
   shared_hessian_(identities, identities) += information;
   shared_gradient_[identities] += information * (std::log(shape_.focal_px) - log_focal_prior_);

@@ -25,6 +25,14 @@ struct IdentityPriorStrength {
   double bias_frames = 2.0;
 };
 
+/// What something beside the landmarks says of an identity, to second order around `at`:
+///   E(w_id) = 1/2 (w_id - at)^T information (w_id - at) - pull^T (w_id - at)
+struct IdentityEvidence {
+  Eigen::MatrixXd information;  ///< [identity_count][identity_count] positive semi-definite
+  Eigen::VectorXd pull;         ///< [identity_count]
+  Eigen::VectorXd at;           ///< [identity_count]
+};
+
 /// Estimates identity and focal length jointly over a batch of frames, each with its own pose and expression
 /// (Ma & Deng 2019, section 3.1; Wang et al. 2016):
 ///   E = sum_f (sum_views E_data + E_expression) + n (identity/2 |w_id|^2 + 1/2 ((ln f - ln f_0) / sigma)^2)
@@ -41,6 +49,9 @@ class IdentityFit {
   /// Takes a frame into the batch. faces: of each view, null where it shows none that counts; at least one is
   /// there. `start` is the frame's pose and expression so far.
   void add_frame(std::span<const FaceLandmarks* const> faces, const FrameState& start);
+
+  /// What something else says of the identity, from now on part of the energy; replaces what was said before.
+  void set_evidence(const IdentityEvidence& evidence) { evidence_ = evidence; }
 
   int frame_count() const { return static_cast<int>(frames_.size()); }
   const FrameState& frame(int index) const { return frames_[static_cast<std::size_t>(index)].state; }
@@ -98,6 +109,7 @@ class IdentityFit {
   LandmarkTerm landmark_term_;
   LandmarkBasis basis_;
   Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> by_identity_mm_;
+  std::optional<IdentityEvidence> evidence_;
   std::vector<BatchFrame> frames_;
   Eigen::MatrixXd shared_hessian_;
   Eigen::VectorXd shared_gradient_;

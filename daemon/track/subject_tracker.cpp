@@ -57,6 +57,10 @@ constexpr int kProvisionalIterations = 3;
 /// Steps per frame once the batch is full, and frames after which the fit ends without having converged.
 constexpr int kSettlingIterations = 1;
 constexpr int kMostSettlingFrames = 20;
+/// Gauss-Newton steps by the shading of the batch's pictures, one per frame, and the steps by landmarks that
+/// follow each.
+constexpr int kShadingRounds = 6;
+constexpr int kIterationsAfterShading = 2;
 
 /// A returned face is another person when its median residual over this many frames is larger than the
 /// owner's by this factor and this difference (fraction of the interocular distance).
@@ -159,6 +163,7 @@ void SubjectTracker::set_shape() {
 
 void SubjectTracker::reset_identity() {
   identity_fit_.reset();
+  shading_.reset();
   has_subject_ = false;
   has_previous_ = false;
   const double known = fixed_focal_px();
@@ -455,7 +460,8 @@ const SubjectFrame& SubjectTracker::process(const FaceLandmarks* face, bool acqu
 }
 
 const SubjectFrame& SubjectTracker::process(std::span<const ViewLandmarks> views, int width_px, int height_px,
-                                            std::int64_t timestamp_ns) {
+                                            std::int64_t timestamp_ns, const Frame* image) {
+  image_ = image;
   frame_.fitted = false;
   frame_.rejected = false;
   std::fill(frame_.view_rejected.begin(), frame_.view_rejected.end(), std::uint8_t{0});
@@ -593,6 +599,10 @@ bool SubjectTracker::acquire() {
     }
     identity_fit_.emplace(*model_, *prior_, config_.trust, config_.identity, std::max(width_px_, height_px_),
                           fixed_focal_px(), std::move(cameras));
+    if (config_.shading_model != nullptr) {
+      shading_.emplace(*config_.shading_model);
+    }
+    shading_rounds_ = 0;
     frames_since_added_ = 0;
     settling_frames_ = 0;
   }
@@ -603,6 +613,9 @@ bool SubjectTracker::acquire() {
         batch_faces_[v] = observations_[v].seen ? views_[v].face : nullptr;
       }
       identity_fit_->add_frame(batch_faces_, candidate_);
+      if (shading_) {
+        shading_->add_frame(image_ != nullptr ? *image_ : Frame{}, batch_faces_.front());
+      }
       frames_since_added_ = 0;
       const int count = identity_fit_->frame_count();
       if (std::find(kProvisionalAt.begin(), kProvisionalAt.end(), count) != kProvisionalAt.end()) {
@@ -615,15 +628,17 @@ bool SubjectTracker::acquire() {
     }
     return true;
   }
-  ++settling_frames_;
-  const FitReport report = identity_fit_->improve(kSettlingIterations);
-  if (report.outcome == FitOutcome::NotConverged && settling_frames_ < kMostSettlingFrames) {
+  if (shading_rounds_ == 0) {
+    ++settling_frames_;
+    const FitReport report = identity_fit_->improve(kSettlingIterations);
+    if (report.outcome == FitOutcome::NotConverged && settling_frames_ < kMostSettlingFrames) {
+      return true;
+    }
+  }
+  if (shade()) {
     return true;
   }
-  subject_.shape = identity_fit_->shape();
-  subject_.landmark_bias_mm = identity_fit_->landmark_bias_mm();
-  identity_fit_.reset();
-  has_subject_ = true;
+  take_identity();
   set_shape();
   // A batch can agree on a shape that does not even fit its last frame: it was no face, or several.
   if (!fit(false, 0)) {
@@ -634,13 +649,41 @@ bool SubjectTracker::acquire() {
   return true;
 }
 
+/// One step by the pictures' shading. False where there is none left to be made.
+bool SubjectTracker::shade() {
+  if (!shading_ || shading_rounds_ == kShadingRounds) {
+    return false;
+  }
+  std::vector<const FrameState*> states;
+  for (int f = 0; f < identity_fit_->frame_count(); ++f) {
+    states.push_back(&identity_fit_->frame(f));
+  }
+  const std::optional<IdentityEvidence> evidence =
+      shading_->evidence(identity_fit_->shape(), centre_px(), states);
+  if (!evidence) {
+    shading_rounds_ = kShadingRounds;
+    return false;
+  }
+  identity_fit_->set_evidence(*evidence);
+  identity_fit_->improve(kIterationsAfterShading);
+  ++shading_rounds_;
+  return true;
+}
+
+void SubjectTracker::take_identity() {
+  subject_.shape = identity_fit_->shape();
+  subject_.landmark_bias_mm = identity_fit_->landmark_bias_mm();
+  identity_fit_.reset();
+  shading_.reset();
+  has_subject_ = true;
+}
+
 bool SubjectTracker::settle() {
   if (!has_subject_ && identity_fit_ && identity_fit_->frame_count() > 0) {
     identity_fit_->improve(kMostSettlingFrames * kSettlingIterations);
-    subject_.shape = identity_fit_->shape();
-    subject_.landmark_bias_mm = identity_fit_->landmark_bias_mm();
-    identity_fit_.reset();
-    has_subject_ = true;
+    while (shade()) {
+    }
+    take_identity();
     set_shape();
     ++frame_.subject;
   }

@@ -10,12 +10,16 @@
 #include "mesh/mesh_frame.hpp"
 #include "track/coarse_fit.hpp"
 #include "track/identity_fit.hpp"
+#include "track/identity_shading.hpp"
 #include "track/subject.hpp"
 
 namespace facet::track {
 
 struct SubjectTrackerConfig {
-  int acquisition_frames = 15;                 ///< frames in the identity batch
+  int acquisition_frames = 15;  ///< frames in the identity batch
+  /// Where given, the reference camera's pictures tell of the identity, too (IdentityShading). Must outlive
+  /// the tracker.
+  const face::FaceModel* shading_model = nullptr;
   std::optional<CameraIntrinsics> intrinsics;  ///< known camera: the focal length is then not estimated
   std::vector<View> further_views{};           ///< beside the camera above, which is then known
   LandmarkTrust trust;
@@ -81,8 +85,9 @@ class SubjectTracker {
 
   /// The same for every view, the reference camera first; views that are left out at the end show nothing.
   /// width_px, height_px: of the reference camera's pictures; the others' are those of their intrinsics.
+  /// image: the reference camera's, where shading shall tell of the identity, too; else null.
   const SubjectFrame& process(std::span<const ViewLandmarks> views, int width_px, int height_px,
-                              std::int64_t timestamp_ns);
+                              std::int64_t timestamp_ns, const Frame* image = nullptr);
 
   /// Ends the acquisition with the frames gathered so far, for recordings that are shorter than it. False
   /// where there is no frame to go by.
@@ -134,6 +139,8 @@ class SubjectTracker {
   void miss(std::int64_t timestamp_ns);
   void accept(bool found_afresh, std::int64_t timestamp_ns);
   bool acquire();
+  bool shade();
+  void take_identity();
   bool worth_adding() const;
   bool still_the_same_person();
   double fixed_focal_px() const;
@@ -144,6 +151,9 @@ class SubjectTracker {
   SubjectTrackerConfig config_;
   CoarseFit coarse_fit_;
   std::optional<IdentityFit> identity_fit_;
+  std::optional<IdentityShading> shading_;  ///< of identity_fit_'s frames
+  int shading_rounds_ = 0;
+  const Frame* image_ = nullptr;  ///< of the call of `process` that runs
   Subject subject_;
   bool has_subject_ = false;
   LandmarkBasis basis_;  ///< of subject_, with its landmark bias

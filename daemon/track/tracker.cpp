@@ -24,11 +24,12 @@ ExpressionPriorStrength prior_strength(const TrackerConfig& config) {
   return strength;
 }
 
-SubjectTrackerConfig subject_config(const TrackerConfig& config) {
+SubjectTrackerConfig subject_config(const TrackerConfig& config, const face::FaceModel& model) {
   SubjectTrackerConfig result;
   result.acquisition_frames = config.acquisition_frames;
   result.intrinsics = config.intrinsics;
   result.further_views = config.further_views;
+  result.shading_model = config.identity_shading ? &model : nullptr;
   result.temporal.strength *= static_cast<double>(config.temporal_prior);
   return result;
 }
@@ -78,7 +79,7 @@ struct Tracker::Impl {
         landmark_model(face_model),
         prior(face_model.expression_names, face_model.expression_sigma, prior_strength(config),
               landmark_model.sees_gaze()),
-        subject_tracker(landmark_model, prior, subject_config(config)) {
+        subject_tracker(landmark_model, prior, subject_config(config, face_model)) {
     result.identity.resize(static_cast<std::size_t>(face_model.identity_count()));
     result.expression.resize(static_cast<std::size_t>(face_model.expression_count()));
     result.vertices_mm.setZero(3, face_model.vertex_count());
@@ -101,9 +102,9 @@ struct Tracker::Impl {
     face = view_landmarks.front().face;
     const Clock::time_point start = Clock::now();
     const bool one = lenses.size() == 1;
-    const SubjectFrame& subject =
-        subject_tracker.process(view_landmarks, one ? views.front().width_px : lenses.front().width_px,
-                                one ? views.front().height_px : lenses.front().height_px, time_of(views));
+    const SubjectFrame& subject = subject_tracker.process(
+        view_landmarks, one ? views.front().width_px : lenses.front().width_px,
+        one ? views.front().height_px : lenses.front().height_px, time_of(views), &views.front());
     result.fit_ms += milliseconds_since(start);
     return subject;
   }

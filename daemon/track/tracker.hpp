@@ -22,6 +22,7 @@ struct TrackerConfig {
   std::optional<CameraIntrinsics> intrinsics;  ///< known camera: the focal length is then not estimated
   /// Calibrated cameras beside that one, which then is the reference camera and must be known.
   std::vector<View> further_views{};
+  bool identity_shading = true;   ///< the pictures' shading tells of the identity, too (IdentityShading)
   float expression_prior = 1.0F;  ///< scales the default weight
   float temporal_prior = 1.0F;    ///< scales the default weight
 };
