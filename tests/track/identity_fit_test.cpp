@@ -69,6 +69,36 @@ TEST_F(IdentityFitTest, GradientMatchesDifferences) {
   EXPECT_GT(test::gradient_error(wrong, energy_at), 1e-3) << "the checker can't fail";
 }
 
+TEST_F(IdentityFitTest, EvidenceIsPartOfTheEnergy) {
+  const Eigen::VectorXd identity = test::random_identity(model, random);
+  IdentityFit fit = batch(Eigen::VectorXd::Zero(model.identity_count()), 3, 0.5, 1000, {});
+  const Eigen::Index count = identity.size();
+  fit.set_evidence({Eigen::MatrixXd::Identity(count, count) * 40 + Eigen::MatrixXd::Ones(count, count),
+                    Eigen::VectorXd::Constant(count, 2.0), identity});
+  std::normal_distribution<double> normal;
+  fit.move(0.05 * Eigen::VectorXd::NullaryExpr(fit.gradient().size(), [&] { return normal(random); }));
+  const Eigen::VectorXd gradient = fit.gradient();
+  const auto energy_at = [&](int i, double h) {
+    const Eigen::VectorXd step = h * Eigen::VectorXd::Unit(gradient.size(), i);
+    fit.move(step);
+    const double energy = fit.energy();
+    fit.move(-step);
+    return energy;
+  };
+  const Eigen::Index first = gradient.size() - count - 1;
+  double worst = 0;
+  for (Eigen::Index i = first; i < first + count; ++i) {
+    const double numeric =
+        (energy_at(static_cast<int>(i), 1e-6) - energy_at(static_cast<int>(i), -1e-6)) / 2e-6;
+    worst = std::max(worst, std::abs(numeric - gradient[i]) / gradient.cwiseAbs().maxCoeff());
+  }
+  EXPECT_LT(worst, 2e-6);
+  // Evidence that outweighs the landmarks is what is found.
+  fit.set_evidence({Eigen::MatrixXd::Identity(count, count) * 1e9, Eigen::VectorXd::Zero(count), identity});
+  fit.improve(30);
+  EXPECT_LT((fit.shape().identity - identity).cwiseAbs().maxCoeff(), 1e-3);
+}
+
 TEST_F(IdentityFitTest, FindsIdentityAndFocalLengthTogether) {
   const Eigen::VectorXd identity = test::random_identity(model, random);
   IdentityPriorStrength weak;
