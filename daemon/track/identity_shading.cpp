@@ -360,7 +360,7 @@ double IdentityShading::linearise(const LookedAt& frame, const Observed& seen, c
     Eigen::Vector3d slope = by_normal(*frame.light, normal);
     slope -= slope.dot(normal) * normal;
     slope = pose.rotation.transpose() * slope * (seen.sign / seen.lengths[v]);
-    const auto mode_rows = [&](std::int32_t s) { return modes_.block(3 * s, 1, 3, modes); };
+    const auto mode_rows = [&](std::int32_t s) { return modes_.block(Eigen::Index{3} * s, 1, 3, modes); };
     for (auto each = first; each != pair; ++each) {
       const auto& quad = quads_[static_cast<std::size_t>((*each)[1])];
       const Eigen::Vector3d along = places_.col(quad[2]) - places_.col(quad[0]);

@@ -655,6 +655,7 @@ bool SubjectTracker::shade() {
     return false;
   }
   std::vector<const FrameState*> states;
+  states.reserve(static_cast<std::size_t>(identity_fit_->frame_count()));
   for (int f = 0; f < identity_fit_->frame_count(); ++f) {
     states.push_back(&identity_fit_->frame(f));
   }
