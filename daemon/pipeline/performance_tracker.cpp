@@ -15,6 +15,7 @@
 #include "fit/fine_surface.hpp"
 #include "fit/skin_tracker.hpp"
 #include "fit/template_mesh.hpp"
+#include "pipeline/calibrated_camera.hpp"
 #include "pipeline/face_in_space.hpp"
 #include "pipeline/subject_builder.hpp"
 #include "pipeline/vertex_texture.hpp"
@@ -31,16 +32,6 @@ constexpr int kStrangerSlots = 3;
 
 float ms_since(Clock::time_point start) {
   return std::chrono::duration<float, std::milli>(Clock::now() - start).count();
-}
-
-/// Of a lens whose pictures had their distortion taken out.
-CameraIntrinsics intrinsics_of(const capture::Lens& lens) {
-  return {static_cast<float>(lens.fx_px),
-          static_cast<float>(lens.fy_px),
-          static_cast<float>(lens.cx_px),
-          static_cast<float>(lens.cy_px),
-          lens.width_px,
-          lens.height_px};
 }
 
 /// A camera that sees texture.
@@ -298,7 +289,7 @@ void PerformanceTracker::Impl::fill(const mesh::Vertices& vertices_mm, const Eig
       fit::align_rigidly(rest_mm, vertices_mm.cast<double>(), rigid_weights);
   out.state = mesh::TrackingState::Tracking;
   out.subject = subject;
-  out.camera = intrinsics_of(view.camera->lens);
+  out.camera = pinhole_of(view.camera->lens);
   out.camera_from_head = (view.camera->lens.camera_from_rig * rig_from_head).cast<float>();
   out.control_vertices_mm = (rig_from_head.inverse() * vertices_mm.cast<double>()).cast<float>();
   out.expression.assign(model->expression_names.size(), 0.0F);
@@ -329,7 +320,7 @@ PerformanceTracker::~PerformanceTracker() = default;
 void PerformanceTracker::process(const FrameSet& set, std::span<const capture::DepthMap> maps,
                                  mesh::MeshFrame& out) {
   Impl& impl = *impl_;
-  out.camera = intrinsics_of(impl.views.front().camera->lens);
+  out.camera = pinhole_of(impl.views.front().camera->lens);
   out.control_vertices_mm.resize(3, 0);
   impl.pictures.clear();
   for (const View& view : impl.views) {
@@ -369,7 +360,7 @@ void PerformanceTracker::process(const FrameSet& set, std::span<const capture::D
 void PerformanceTracker::process_between(double fraction, std::span<const capture::DepthMap> maps,
                                          mesh::MeshFrame& out) {
   Impl& impl = *impl_;
-  out.camera = intrinsics_of(impl.views.front().camera->lens);
+  out.camera = pinhole_of(impl.views.front().camera->lens);
   out.control_vertices_mm.resize(3, 0);
   const bool has_both = fraction > 0 && fraction < 1;
   if (!has_both || impl.subject == nullptr || impl.lost || !impl.skin.follows()) {
