@@ -53,6 +53,25 @@ void ImagePyramid::write(const Frame& frame, int first_row, int end_row) const {
   }
 }
 
+void upload_picture(ImagePyramid& pyramid, const FaceRegion& region, const Frame& picture,
+                    shaders::refine::FrameParameters& out) {
+  if (picture.empty()) {
+    out.source_px.z = 0;
+    out.region_px = {0, 0, 0, 0};
+    return;
+  }
+  int first_row = region.low_px.y() * pyramid.reduction;
+  int end_row = std::min(region.high_px.y() * pyramid.reduction, pyramid.height_px);
+  if (!pyramid.filled) {
+    out.region_px = {0, 0, static_cast<std::int32_t>(pyramid.linear.width_px()),
+                     static_cast<std::int32_t>(pyramid.linear.height_px())};
+    first_row = 0;
+    end_row = pyramid.height_px;
+    pyramid.filled = true;
+  }
+  pyramid.write(picture, first_row, end_row);
+}
+
 void to_shading_frame(const mesh::Vertices& head_vertices_mm, std::span<const float> displacements_mm,
                       const Eigen::Isometry3f& camera_from_head, std::span<shaders::vec4> out) {
   const Eigen::Matrix3f rotation = camera_from_head.linear();

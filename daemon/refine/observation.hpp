@@ -21,9 +21,10 @@ struct ImagePyramid {
 
   int width_px;  ///< of the source
   int height_px;
-  int reduction;       ///< source pixels to one of the linear image, per axis
-  DeviceArray pixels;  ///< [height][width] 8-bit sRGB as uploaded
-  gpu::Image linear;   ///< linear RGB and 1 where unsaturated, with mips; padded to whole blocks
+  int reduction;        ///< source pixels to one of the linear image, per axis
+  DeviceArray pixels;   ///< [height][width] 8-bit sRGB as uploaded
+  gpu::Image linear;    ///< linear RGB and 1 where unsaturated, with mips; padded to whole blocks
+  bool filled = false;  ///< has held a whole picture
 };
 
 /// Where a frame's face lies and how it projects.
@@ -39,6 +40,12 @@ FaceRegion set_frame_parameters(const ImagePyramid& pyramid, const CameraIntrins
                                 std::span<const shaders::vec4> vertices,
                                 shaders::refine::FrameParameters& out,
                                 const Eigen::Isometry3f& view_from_reference = Eigen::Isometry3f::Identity());
+
+/// Uploads what a frame needs of a camera's picture: the face's region, of the first picture all, for the
+/// region's surroundings must hold some colour before the mips are read. Without a picture the camera says
+/// nothing of the frame. out: as set_frame_parameters filled it. Real-time safe.
+void upload_picture(ImagePyramid& pyramid, const FaceRegion& region, const Frame& picture,
+                    shaders::refine::FrameParameters& out);
 
 /// The vertices in the shading frame (camera frame turned by half a turn about x), fourth their
 /// displacements; where none are given, 0. Real-time safe.
@@ -67,8 +74,7 @@ struct FurtherView {
   ImagePyramid pyramid;
   gpu::Buffer frame;  ///< FrameParameters: those that record_image, record_depth and record_observe read
   DepthMap depth;
-  gpu::Buffer gain;     ///< ViewGain
-  bool filled = false;  ///< the pyramid has held a whole picture
+  gpu::Buffer gain;  ///< ViewGain
 };
 
 /// What a level's displacements are drawn towards.

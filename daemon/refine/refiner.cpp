@@ -460,7 +460,10 @@ void Refiner::submit(const RefineInput& input) {
     throw Error(ErrorKind::Usage, "refinement has no subject: call set_subject first");
   }
   SubjectBuffers& subject = *impl.subject;
-  if (input.image.empty() || input.image.width_px < 1 || input.image.height_px < 1) {
+  const bool seen = !input.image.empty();
+  const int width_px = seen ? input.image.width_px : input.camera.width_px;
+  const int height_px = seen ? input.image.height_px : input.camera.height_px;
+  if ((!seen && input.further_views.empty()) || width_px < 1 || height_px < 1) {
     throw Error(ErrorKind::Usage, "refinement was given an empty image");
   }
   if (input.control_vertices_mm == nullptr ||
@@ -485,12 +488,10 @@ void Refiner::submit(const RefineInput& input) {
     }
   }
   impl.submitted = std::chrono::steady_clock::now();
-  const bool new_size = !subject.pyramid || subject.pyramid->width_px != input.image.width_px ||
-                        subject.pyramid->height_px != input.image.height_px;
-  if (new_size) {
+  if (!subject.pyramid || subject.pyramid->width_px != width_px || subject.pyramid->height_px != height_px) {
     subject.recorded.clear();
     subject.pyramid.reset();
-    subject.pyramid.emplace(impl.context, input.image.width_px, input.image.height_px);
+    subject.pyramid.emplace(impl.context, width_px, height_px);
   }
   impl.fit_views(input.further_views);
 
@@ -499,18 +500,10 @@ void Refiner::submit(const RefineInput& input) {
   to_shading_frame(*input.control_vertices_mm, input.prior_displacements_mm, input.camera_from_head, control);
   FrameParameters& frame = subject.frame.mapped_as<FrameParameters>().front();
   const FaceRegion region = set_frame_parameters(*subject.pyramid, input.camera, control, frame);
-  const int reduction = subject.pyramid->reduction;
-  int first_row = region.low_px.y() * reduction;
-  int end_row = std::min(region.high_px.y() * reduction, input.image.height_px);
-  if (new_size) {
-    // The region's surroundings must hold some colour before the mips are read the first time.
-    frame.region_px = {0, 0, static_cast<std::int32_t>(subject.pyramid->linear.width_px()),
-                       static_cast<std::int32_t>(subject.pyramid->linear.height_px())};
-    first_row = 0;
-    end_row = input.image.height_px;
+  upload_picture(*subject.pyramid, region, input.image, frame);
+  if (!input.image_counts) {
+    frame.source_px.z = 0;
   }
-  subject.pyramid->write(input.image, first_row, end_row);
-  frame.source_px.z = input.image_counts ? 1 : 0;
   impl.write_views(input.further_views, control);
   frame.keep_displacements = impl.warm ? 1.0F : 0.0F;
   frame.keep_lighting = impl.warm ? 1.0F : 0.0F;
@@ -561,21 +554,7 @@ void Refiner::Impl::write_views(std::span<const RefineView> views, std::span<con
     FrameParameters& frame = room.frame.mapped_as<FrameParameters>().front();
     const FaceRegion region =
         set_frame_parameters(room.pyramid, views[v].camera, control, frame, views[v].view_from_reference);
-    if (views[v].image.empty()) {
-      frame.source_px.z = 0;
-      frame.region_px = {0, 0, 0, 0};
-      continue;
-    }
-    int first_row = region.low_px.y() * room.pyramid.reduction;
-    int end_row = std::min(region.high_px.y() * room.pyramid.reduction, room.pyramid.height_px);
-    if (!room.filled) {
-      frame.region_px = {0, 0, static_cast<std::int32_t>(room.pyramid.linear.width_px()),
-                         static_cast<std::int32_t>(room.pyramid.linear.height_px())};
-      first_row = 0;
-      end_row = room.pyramid.height_px;
-      room.filled = true;
-    }
-    room.pyramid.write(views[v].image, first_row, end_row);
+    upload_picture(room.pyramid, region, views[v].image, frame);
   }
 }
 

@@ -72,7 +72,7 @@ struct RefineView {
 };
 
 struct RefineInput {
-  Frame image;
+  Frame image;  ///< empty: this camera says nothing of this frame, further_views do
   CameraIntrinsics camera;
   Eigen::Isometry3f camera_from_head;
   const mesh::Vertices* control_vertices_mm =
@@ -130,9 +130,9 @@ class Refiner {
   /// Not while in flight.
   void set_subject(const SubjectSetup& subject);
 
-  /// Starts a frame. Throws Error(Usage) without a subject, for an empty image or for vertices or given
-  /// displacements that do not fit the subject, for a further view's image of another size than its camera's;
-  /// Error(NoDevice) where a first image finds no room on the device.
+  /// Starts a frame. Throws Error(Usage) without a subject, for an empty image and no further views, for
+  /// vertices or given displacements that do not fit the subject, for a further view's image of another size
+  /// than its camera's; Error(NoDevice) where a first image finds no room on the device.
   void submit(const RefineInput& input);
 
   /// Waits for the frame in flight. `output` is resized as needed and best used again. With DeviceLost, or

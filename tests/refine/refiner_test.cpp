@@ -65,14 +65,20 @@ class Session {
     }
   }
 
-  /// The same with a second camera. hidden: something stands before the first one.
-  void run_two(int frames, const std::array<float, 3>& exposure, bool hidden = false) {
+  enum class First { Seen, Hidden, Gone };
+
+  /// The same with a second camera. first: whether something stands before the first one, or it has no
+  /// picture.
+  void run_two(int frames, const std::array<float, 3>& exposure, First first = First::Seen) {
     for (int k = 0; k < frames; ++k) {
       pose(k);
       const RefineView beside = view(beside_rad, exposure);
       RefineInput both = input();
       both.further_views = {&beside, 1};
-      both.image_counts = !hidden;
+      both.image_counts = first != First::Hidden;
+      if (first == First::Gone) {
+        both.image = {};
+      }
       refiner.submit(both);
       ASSERT_EQ(refiner.collect(output), RefineOutcome::Refined) << output.failure;
     }
@@ -189,8 +195,14 @@ TEST_F(RefinerTest, TwoCamerasComeNearerToTheTruthThanOne) {
 
 TEST_F(RefinerTest, TheSecondCameraAloneIsEnough) {
   Session session(context(), small_scene(), {});
-  session.run_two(12, {0.8F, 0.8F, 0.8F}, true);
+  session.run_two(12, {0.8F, 0.8F, 0.8F}, Session::First::Hidden);
   EXPECT_LT(session.errors(session.output.displacements_mm).normal_deg, session.errors({}).normal_deg);
+
+  // From the first frame on the first camera has no picture, not even one to look away from.
+  Session gone(context(), small_scene(), {});
+  gone.run_two(12, {0.8F, 0.8F, 0.8F}, Session::First::Gone);
+  EXPECT_EQ(gone.output.displacements_mm, session.output.displacements_mm);
+  EXPECT_EQ(gone.output.confidence, session.output.confidence);
 }
 
 TEST_F(RefinerTest, OutputsFitTheSubject) {
