@@ -24,7 +24,9 @@
 #include "facet/error.hpp"
 #include "gpu/context.hpp"
 #include "pipeline/booth_depth.hpp"
+#include "pipeline/calibrated_camera.hpp"
 #include "pipeline/frames.hpp"
+#include "pipeline/live_views.hpp"
 #include "service/config.hpp"
 #include "service/control_client.hpp"
 #include "service/default_paths.hpp"
@@ -176,6 +178,15 @@ void check_rig(Report& report, const service::Config& config) {
       say_open(report, "camera " + config.rig.cameras[i].name, *rig.cameras[i], "its device");
     }
     check_trigger(report, rig, daemon_runs);
+    if (service::has_live_views(config)) {
+      const auto known = pipeline::calibration_of(config.rig, config.rig_file);
+      for (std::size_t i = 0; i < known.size(); ++i) {
+        pipeline::check_size(rig.cameras[i]->info(), known[i], config.rig_file);
+      }
+      report.say(Verdict::Good, "rig file",
+                 fmt::format("{}: has all cameras; meshes are in the frame of '{}'", config.rig_file.string(),
+                             known.front().name));
+    }
   } catch (const Error& error) {
     report.bad(error.kind(), "rig", error.what());
   }
@@ -301,7 +312,7 @@ void run(const std::string& given_file) {
   report.say(Verdict::Good, "processor",
              fmt::format("{} cores", std::max(1U, std::thread::hardware_concurrency())));
   list_cameras(report);
-  if (config.mode != service::Mode::Monocular) {
+  if (config.mode != service::Mode::Monocular || service::has_live_views(config)) {
     check_rig(report, config);
   }
   if (config.mode == service::Mode::Booth) {
@@ -311,7 +322,9 @@ void run(const std::string& given_file) {
   } else if (config.mode == service::Mode::Monocular) {
     check_vulkan(report, config.pipeline.gpu_device);
     check_model(report, config);
-    check_source(report, config);
+    if (!service::has_live_views(config)) {
+      check_source(report, config);
+    }
   }
   check_takes(report, config);
   check_daemon(report, config);

@@ -23,8 +23,10 @@
 #include "depth_team.hpp"
 #include "facet/error.hpp"
 #include "pipeline/booth_meshes.hpp"
+#include "pipeline/calibrated_camera.hpp"
 #include "pipeline/face_points.hpp"
 #include "pipeline/monocular.hpp"
+#include "pipeline/set_cameras.hpp"
 #include "pipeline/take_sink.hpp"
 #include "progress.hpp"
 #include "service/config.hpp"
@@ -51,6 +53,7 @@ struct Options {
   std::string rig;
   std::string depth;
   std::string points;
+  std::vector<std::string> cameras;
   bool every_slot = false;
   bool shading = false;
 };
@@ -103,30 +106,37 @@ std::vector<pipeline::ViewConfig> views_of(const Options& options) {
   std::vector<pipeline::ViewConfig> views;
   for (const std::string& given : options.inputs) {
     const NamedVideo video = named_video(given);
-    const auto camera = std::find_if(rig.cameras.begin(), rig.cameras.end(),
-                                     [&](const capture::RigCamera& one) { return one.name == video.camera; });
-    if (camera == rig.cameras.end()) {
-      std::string known;
-      for (const capture::RigCamera& one : rig.cameras) {
-        known += (known.empty() ? "" : ", ") + one.name;
-      }
-      throw Error(
-          ErrorKind::Usage,
-          fmt::format("'{}': the rig file '{}' has no camera '{}'; it has {}: name the video's camera, as "
-                      "in {}={}",
-                      given, options.rig, video.camera, known, rig.cameras.front().name, video.file));
-    }
     for (const pipeline::ViewConfig& other : views) {
       if (other.camera.name == video.camera) {
         throw Error(ErrorKind::Usage, fmt::format("camera '{}' is given twice", video.camera));
       }
     }
     pipeline::ViewConfig view;
-    view.camera = *camera;
+    view.camera = pipeline::camera_named(
+        rig, options.rig, video.camera,
+        fmt::format("name the video's camera, as in {}={}", rig.cameras.front().name, video.file));
+    view.rig_file = options.rig;
     view.source.path = video.file;
     views.push_back(view);
   }
   return views;
+}
+
+/// The cameras of a take of frame sets that --cameras names. Throws Error(Usage) where they do not agree with
+/// the rig's.
+pipeline::OpenViews views_of_take(const Options& options, const pipeline::FrameRange& slots) {
+  const capture::Rig rig = capture::read_rig(options.rig);
+  std::vector<capture::RigCamera> known;
+  for (const std::string& name : options.cameras) {
+    known.push_back(pipeline::camera_named(rig, options.rig, name, "name cameras of it with --cameras"));
+    if (std::count(options.cameras.begin(), options.cameras.end(), name) > 1) {
+      throw Error(ErrorKind::Usage, fmt::format("--cameras: '{}' is given twice", name));
+    }
+  }
+  return [options, known, slots] {
+    auto cameras = pipeline::take_cameras(options.input, options.cameras, slots);
+    return pipeline::calibrated_views(known, options.rig, std::move(cameras));
+  };
 }
 
 service::Config configure(const Options& options) {
@@ -256,13 +266,19 @@ void run_monocular(const Options& options) {
     config.pipeline.views = views_of(options);
   }
   const StopSignals signals;
-  pipeline::Stages stages = pipeline::open_stages(config.pipeline);
+  const bool of_take = !options.cameras.empty();
+  pipeline::Stages stages =
+      of_take ? pipeline::open_stages(config.pipeline, views_of_take(options, config.pipeline.frames))
+              : pipeline::open_stages(config.pipeline);
   const CameraInfo source = stages.camera->info();
+  // Of a take the slots of the range alone are counted.
+  const std::uint64_t expected =
+      of_take ? source.frame_count.value_or(0) : expected_frames(source, config.pipeline.frames);
   pipeline::TakeSink take;
   take.begin(recorder_of(options, config));
   pipeline::MonocularPipeline pipeline(std::move(stages),
                                        {config.pipeline.hierarchy, config.pipeline.frames, {}}, {&take});
-  const int broken_off_by = run_to_end(pipeline, signals, expected_frames(source, config.pipeline.frames));
+  const int broken_off_by = run_to_end(pipeline, signals, expected);
   const std::optional<take::RecorderStatus> written = take.end();
   const pipeline::PipelineStatus status = pipeline.status();
   conclude(options, status, written, pipeline.take_messages(), broken_off_by, signals,
@@ -553,14 +569,27 @@ void add_process_command(CLI::App& app, std::unique_ptr<Team> (*join)()) {
                    "Where the face is in one slot, pointed at by hand, if the landmark net does not find it "
                    "(docs/booth.md)")
       ->needs("--rig");
+  command
+      ->add_option("--cameras", options->cameras,
+                   "Of a take of frame sets in plain light (mode \"frames\"): the cameras that see the face, "
+                   "NAME,NAME,..., the one that "
+                   "looks at it most squarely first. Their pictures are tracked and refined like videos, "
+                   "without depth maps")
+      ->delimiter(',')
+      ->needs("--rig");
   command->callback([options, join] {
-    const bool views = has_views(*options);
-    options->input = views ? named_video(options->inputs.front()).file : options->inputs.front();
+    const bool videos = has_views(*options);
+    const bool views = videos || !options->cameras.empty();
+    if (videos && !options->cameras.empty()) {
+      throw Error(ErrorKind::Usage,
+                  "--cameras is for a take of frame sets; a video's camera is named as in NAME=VIDEO");
+    }
+    options->input = videos ? named_video(options->inputs.front()).file : options->inputs.front();
     if (views &&
         (options->every_slot || options->shading || !options->depth.empty() || !options->points.empty())) {
-      throw Error(
-          ErrorKind::Usage,
-          "--every-slot, --shading, --depth and --points are for the pictures of a booth, not for videos");
+      throw Error(ErrorKind::Usage,
+                  "--every-slot, --shading, --depth and --points are for the pictures of a booth, not for "
+                  "videos and --cameras");
     }
     options->rig.empty() || views ? run_monocular(*options) : run_booth(*options, join);
   });

@@ -140,13 +140,14 @@ void print_refinement(const json& status) {
 
 void print(const json& status) {
   const bool of_rig = !status["rig"].is_null();
+  const bool tracks = !of_rig || status.value("mode", "") == "monocular";
   const json& frames = status["frames"];
   fmt::print("facetd        {} (process {}), up {:.0f} s, {:.0f} MB in memory\n",
              status["version"].get<std::string>(), status["pid"].get<int>(), status["uptime_s"].get<double>(),
              status["resident_bytes"].get<double>() / 1e6);
   const std::string reason = status["reason"];
   fmt::print("state         {}{}{}\n", status["state"].get<std::string>(),
-             of_rig ? "" : ", " + status["tracking"].get<std::string>(), reason.empty() ? "" : ": " + reason);
+             tracks ? ", " + status["tracking"].get<std::string>() : "", reason.empty() ? "" : ": " + reason);
   if (of_rig) {
     print_rig(status["rig"]);
   } else {
@@ -162,7 +163,7 @@ void print(const json& status) {
     fmt::print("degraded      the last one because: {}\n", status["degraded_reason"].get<std::string>());
   }
   fmt::print("rate          {:.2f} frames per second\n", status["frames_per_second"].get<double>());
-  if (!of_rig) {
+  if (tracks) {
     print_refinement(status);
   }
   fmt::print("stream        {}: {} readers\n", status["stream"]["socket"].get<std::string>(),

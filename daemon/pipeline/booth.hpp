@@ -5,7 +5,7 @@
 
 #include "pipeline/booth_meshes.hpp"
 #include "pipeline/frames.hpp"
-#include "pipeline/pipeline.hpp"
+#include "pipeline/sets_pipeline.hpp"
 
 namespace facet::pipeline {
 
@@ -25,24 +25,12 @@ Booth open_booth(const RigConfig& devices, const BoothConfig& config);
 /// A live booth: frame sets as FramesPipeline makes them, and meshes as BoothMeshes makes
 /// them; their threads. Slots for which the stages are too slow have no mesh, and are counted as
 /// dropped.
-class BoothPipeline final : public Pipeline {
+class BoothPipeline final : public SetsPipeline<BoothMeshes> {
  public:
   /// set_sinks: get every frame set; mesh_sinks: every slot that a mesh was asked of, later.
   BoothPipeline(Booth booth, std::vector<MeshSink*> set_sinks, std::vector<MeshSink*> mesh_sinks);
-  ~BoothPipeline() override;
 
-  void start() override;
-  void request_stop() override;
-  void stop() override;
-  bool finished() const override;
   PipelineStatus status() const override;
-  std::optional<Progress::Silence> longest_silence() const override;
-  void reset_identity() override;
-  std::vector<Messages::Message> take_messages() override;
-
- private:
-  BoothMeshes meshes_;
-  FramesPipeline frames_;  ///< delivers to meshes_
 };
 
 }  // namespace facet::pipeline

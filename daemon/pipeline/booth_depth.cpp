@@ -127,7 +127,9 @@ struct BoothDepth::Impl {
 BoothDepth::BoothDepth(const std::string& gpu_device, std::shared_ptr<const capture::Rig> rig,
                        stereo::DepthRange depths, int most_slots) {
   if (rig->pairs.empty()) {
-    throw Error(ErrorKind::Usage, "the rig has no stereo pair: add a section [[pair]] to its file");
+    throw Error(ErrorKind::Usage,
+                "the rig has no stereo pair: add a section [[pair]] to its file; without projectors see "
+                "docs/cameras.md");
   }
   stereo::StereoOptions options;
   options.depths = depths.farthest_mm > 0 ? depths : depth_range(*rig);

@@ -47,12 +47,13 @@ class BoundedQueue {
   bool pop(Item& item, const Idle& idle = kNoIdle) {
     std::unique_lock lock(mutex_);
     wait(lock, idle, [&] { return closed_ || count_ > 0; });
-    if (count_ == 0) {
-      return false;
-    }
-    item = take();
-    changed_.notify_all();
-    return true;
+    return hand(item);
+  }
+  /// The same, for `timeout` at most: false also where nothing came.
+  bool pop_within(Item& item, std::chrono::milliseconds timeout) {
+    std::unique_lock lock(mutex_);
+    changed_.wait_for(lock, timeout, [&] { return closed_ || count_ > 0; });
+    return hand(item);
   }
 
   /// Waits until everything was popped. Returns false once closed.
@@ -89,6 +90,15 @@ class BoundedQueue {
     }
     slots_[(first_ + count_) % slots_.size()] = std::move(item);
     ++count_;
+    changed_.notify_all();
+    return true;
+  }
+
+  bool hand(Item& item) {
+    if (count_ == 0) {
+      return false;
+    }
+    item = take();
     changed_.notify_all();
     return true;
   }

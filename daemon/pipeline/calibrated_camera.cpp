@@ -33,7 +33,7 @@ class CalibratedCamera final : public Camera {
   void start() override { camera_->start(); }
   CaptureOutcome next(Frame& out, std::chrono::milliseconds timeout) override {
     const CaptureOutcome outcome = camera_->next(out, timeout);
-    if (outcome == CaptureOutcome::Delivered && undistortion_) {
+    if (outcome == CaptureOutcome::Delivered && undistortion_ && !out.empty()) {
       const Frame straight = undistortion_->apply(out);
       if (straight.empty()) {
         out.corrupt = true;  // of another size in the middle of a recording
@@ -65,17 +65,36 @@ CameraIntrinsics pinhole_of(const capture::Lens& lens) {
           lens.height_px};
 }
 
-std::unique_ptr<Camera> calibrated(std::unique_ptr<Camera> camera, const std::string& name,
-                                   const capture::Lens& lens) {
-  const CameraInfo info = camera->info();
-  if (info.width_px != lens.width_px || info.height_px != lens.height_px) {
+const capture::RigCamera& camera_named(const capture::Rig& rig, const std::filesystem::path& rig_file,
+                                       const std::string& name, const std::string& advice) {
+  std::string known;
+  for (const capture::RigCamera& camera : rig.cameras) {
+    if (camera.name == name) {
+      return camera;
+    }
+    known += (known.empty() ? "" : ", ") + camera.name;
+  }
+  throw Error(ErrorKind::Usage, fmt::format("the rig file '{}' has no camera '{}'; it has {}: {}",
+                                            rig_file.string(), name, known, advice));
+}
+
+void check_size(const CameraInfo& camera, const capture::RigCamera& known,
+                const std::filesystem::path& rig_file) {
+  const capture::Lens& lens = known.lens;
+  if (camera.width_px != lens.width_px || camera.height_px != lens.height_px) {
     throw Error(
         ErrorKind::Usage,
-        fmt::format("camera '{}' gives pictures of {} x {} px, the rig file has it calibrated at {} x "
+        fmt::format("camera '{}' gives pictures of {} x {} px, the rig file '{}' has it calibrated at {} x "
                     "{}: give pictures of that size, or calibrate again",
-                    name, info.width_px, info.height_px, lens.width_px, lens.height_px));
+                    known.name, camera.width_px, camera.height_px, rig_file.string(), lens.width_px,
+                    lens.height_px));
   }
-  return std::make_unique<CalibratedCamera>(std::move(camera), lens);
+}
+
+std::unique_ptr<Camera> calibrated(std::unique_ptr<Camera> camera, const capture::RigCamera& known,
+                                   const std::filesystem::path& rig_file) {
+  check_size(camera->info(), known, rig_file);
+  return std::make_unique<CalibratedCamera>(std::move(camera), known.lens);
 }
 
 }  // namespace facet::pipeline

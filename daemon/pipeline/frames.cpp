@@ -288,6 +288,7 @@ struct FramesPipeline::Impl {
     Clock::time_point since;  ///< when it was in step, or restarted
     Clock::duration patience = kOutOfStepPatience;
     std::atomic<bool> restart_wanted{false};  ///< shared with the camera's thread
+    std::atomic<bool> ended{false};           ///< any thread: a recorded camera is at its end
   };
   std::vector<Watched> watched;
   Clock::time_point next_look;
@@ -347,6 +348,9 @@ bool FramesPipeline::Impl::not_fired_for(std::int64_t time_ns) const {
 /// What the camera says of itself, and whether it waits for the trigger, which it can't know.
 CameraStatus FramesPipeline::Impl::status_of(std::size_t index) const {
   CameraStatus status = rig.cameras[index]->status();
+  if (watched[index].ended) {
+    status.state = CameraState::Ended;  // it is stopped, too
+  }
   const bool well = status.state == CameraState::Opening || status.state == CameraState::Streaming;
   if (well && not_fired_for(std::max(kTriggerStands_ns, 3 * capture.period_ns))) {
     status.state = CameraState::Waiting;
@@ -397,6 +401,7 @@ void FramesPipeline::Impl::run_camera(std::size_t index) {
     source_failure.emplace(ErrorKind::UnreadableInput, camera.last_error());
   }
   assembler.set_streaming(index, false);
+  watched[index].ended = outcome == CaptureOutcome::EndOfStream && !stopping;
   camera.stop();
   --cameras_at_work;
 }

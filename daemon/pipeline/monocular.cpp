@@ -52,6 +52,11 @@ struct Tracked {
   std::vector<std::uint8_t> view_used;                 ///< TrackResult::view_used where there are several
 };
 
+void degrade(mesh::MeshFrame& mesh, const std::string& reason) {
+  mesh.degraded_reason += (mesh.degraded ? "; " : "") + reason;
+  mesh.degraded = true;
+}
+
 float ms_since(Clock::time_point start) {
   return std::chrono::duration<float, std::milli>(Clock::now() - start).count();
 }
@@ -67,7 +72,9 @@ struct MonocularPipeline::Impl {
         captured(source.live ? kLiveQueue : kRecordedQueue),
         tracked(1),
         refiner(std::move(stages.refiner), stages.open_refiner, messages, given_options.pauses) {
+    camera_names.push_back(source.name);
     for (const FurtherCamera& one : stages.further_cameras) {
+      camera_names.push_back(one.camera->info().name);
       further_views.push_back({{}, one.view.intrinsics, one.view.view_from_reference.cast<float>()});
     }
     shown.source = source;
@@ -79,6 +86,7 @@ struct MonocularPipeline::Impl {
   Options options;
   std::vector<MeshSink*> sinks;
   CameraInfo source;
+  std::vector<std::string> camera_names;  ///< [view]
 
   // facet-capture until it closes `captured`, then facet-refine.
   std::optional<Error> source_failure;
@@ -288,7 +296,8 @@ void MonocularPipeline::Impl::track() {
 }
 
 void MonocularPipeline::Impl::track_one(Captured&& item) {
-  if (item.frame.sequence > next_sequence) {
+  // What a recorded source leaves out was not there.
+  if (source.live && item.frame.sequence > next_sequence) {
     const std::lock_guard lock(shown_mutex);
     shown.dropped += item.frame.sequence - next_sequence;
   }
@@ -323,8 +332,13 @@ void MonocularPipeline::Impl::fill(mesh::MeshFrame& mesh, const Captured& item,
   mesh.stage_ms.landmarks_ms = result.landmarks_ms;
   mesh.stage_ms.fit_ms = result.fit_ms;
   if (item.frame.corrupt) {
-    mesh.degraded = true;
-    mesh.degraded_reason = "the source says that the image is damaged";
+    degrade(mesh, "the source says that the image is damaged");
+  }
+  const std::span<const Frame> views = item.views();
+  for (std::size_t v = 0; v < views.size(); ++v) {
+    if (views[v].empty()) {
+      degrade(mesh, "no picture of camera " + camera_names[v]);
+    }
   }
   if (result.state != mesh::TrackingState::Tracking) {
     mesh.control_vertices_mm.resize(3, 0);
@@ -367,7 +381,7 @@ void MonocularPipeline::Impl::refine_one(Tracked& item) {
   }
   face_was_away = false;
   item.mesh->subject = subject;
-  if (!item.captured.frame.corrupt) {
+  if (!item.captured.frame.corrupt || !further_views.empty()) {
     add_displacements(item);
   }
 }
@@ -391,7 +405,7 @@ void MonocularPipeline::Impl::follow_subject(const Tracked& item) {
 void MonocularPipeline::Impl::add_displacements(Tracked& item) {
   mesh::MeshFrame& mesh = *item.mesh;
   refine::RefineInput input;
-  input.image = item.captured.frame;
+  input.image = item.captured.frame.corrupt ? Frame{} : item.captured.frame;
   input.camera = mesh.camera;
   input.camera_from_head = mesh.camera_from_head;
   input.control_vertices_mm = &mesh.control_vertices_mm;
@@ -407,8 +421,7 @@ void MonocularPipeline::Impl::add_displacements(Tracked& item) {
   }
   const std::string& missing = refiner.refine(input, refined);
   if (!missing.empty()) {
-    mesh.degraded = true;
-    mesh.degraded_reason = missing;
+    degrade(mesh, missing);
     return;
   }
   note_given_up();

@@ -11,7 +11,7 @@
 
 namespace facet::pipeline {
 
-/// One colour camera in, or several recorded ones in step, refined meshes out: capture -> track (CPU) ->
+/// One colour camera in, or several in step, refined meshes out: capture -> track (CPU) ->
 /// refine (GPU) -> sinks.
 ///
 /// Threads, what each does and what it may block on:

@@ -19,6 +19,7 @@ inline constexpr const char* kNoDevice = "none";
 /// A calibrated camera and where its pictures come from.
 struct ViewConfig {
   capture::RigCamera camera;
+  std::filesystem::path rig_file;  ///< that it is from, for messages
   camera::CameraConfig source;
 };
 

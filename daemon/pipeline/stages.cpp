@@ -30,16 +30,15 @@ struct Cameras {
   }
 };
 
-Cameras open_cameras(const MonocularConfig& config) {
+using OpenCameras = std::function<Cameras()>;
+
+/// Takes the lenses' distortion out of the pictures, and sees that the cameras go together.
+Cameras in_step(std::vector<CalibratedView> views) {
   Cameras cameras;
-  if (config.views.empty()) {
-    cameras.first = camera::open_camera(config.source);
-    return cameras;
-  }
-  const ViewConfig& reference = config.views.front();
-  const Eigen::Isometry3d rig_from_reference = reference.camera.lens.camera_from_rig.inverse();
-  for (const ViewConfig& view : config.views) {
-    auto camera = calibrated(camera::open_camera(view.source), view.camera.name, view.camera.lens);
+  const capture::RigCamera& reference = views.front().camera;
+  const Eigen::Isometry3d rig_from_reference = reference.lens.camera_from_rig.inverse();
+  for (CalibratedView& view : views) {
+    auto camera = calibrated(std::move(view.source), view.camera, view.rig_file);
     if (cameras.first == nullptr) {
       cameras.first = std::move(camera);
       continue;
@@ -51,27 +50,34 @@ Cameras open_cameras(const MonocularConfig& config) {
           ErrorKind::Usage,
           fmt::format("camera '{}' has {} frames, camera '{}' {}: frame n of each must be of the same "
                       "moment; cut the videos to the frames that they share",
-                      view.camera.name, *there, reference.camera.name, *wanted));
+                      view.camera.name, *there, reference.name, *wanted));
     }
+    const capture::Lens& lens = view.camera.lens;
     cameras.further.push_back(
-        {std::move(camera),
-         {pinhole_of(view.camera.lens), view.camera.lens.camera_from_rig * rig_from_reference}});
+        {std::move(camera), {pinhole_of(lens), lens.camera_from_rig * rig_from_reference}});
   }
   return cameras;
 }
 
+std::vector<CalibratedView> open_videos(const std::vector<ViewConfig>& configs) {
+  std::vector<CalibratedView> views;
+  for (const ViewConfig& view : configs) {
+    views.push_back({view.camera, view.rig_file, camera::open_camera(view.source)});
+  }
+  return views;
+}
+
 class TrackerStage final : public CoarseStage {
  public:
-  TrackerStage(std::shared_ptr<const face::FaceModel> model, const MonocularConfig& config, bool recorded)
-      : model_(std::move(model)), config_(config), recorded_(recorded), tracker_(make_tracker()) {}
+  /// open: a recorded source once more, to look ahead; empty for others.
+  TrackerStage(std::shared_ptr<const face::FaceModel> model, const MonocularConfig& config, OpenCameras open)
+      : model_(std::move(model)), config_(config), open_(std::move(open)), tracker_(make_tracker()) {}
 
   void prepare(const std::function<bool()>& go_on) override {
-    if (!recorded_) {
+    if (!open_) {
       return;
     }
-    MonocularConfig once = config_;
-    once.source.loop = false;
-    Cameras cameras = open_cameras(once);
+    Cameras cameras = open_();
     cameras.start();
     const auto ahead = make_tracker();
     Frame frame;
@@ -110,7 +116,7 @@ class TrackerStage final : public CoarseStage {
 
   std::shared_ptr<const face::FaceModel> model_;
   MonocularConfig config_;
-  bool recorded_;
+  OpenCameras open_;
   std::unique_ptr<track::Tracker> tracker_;
 };
 
@@ -164,6 +170,42 @@ track::TrackerConfig tracker_config(const MonocularConfig& config, const CameraI
   return tracker;
 }
 
+namespace {
+
+Stages open_with(const MonocularConfig& given, const OpenCameras& open) {
+  Stages stages;
+  // Cheap and likely mistakes first.
+  Cameras cameras = open();
+  stages.camera = std::move(cameras.first);
+  stages.further_cameras = std::move(cameras.further);
+  MonocularConfig config = given;
+  config.tracker = tracker_config(config, stages.camera->info());
+  for (const FurtherCamera& one : stages.further_cameras) {
+    config.tracker.further_views.push_back(one.view);
+  }
+  stages.model = load_model(config);
+  const bool recorded = !stages.camera->info().live && !config.source.loop;
+  stages.coarse = std::make_unique<TrackerStage>(stages.model, config, recorded ? open : OpenCameras());
+  if (config.gpu_device != kNoDevice) {
+    stages.open_refiner = refiner_opener(config.gpu_device, config.refiner);
+    stages.refiner = stages.open_refiner();
+  }
+  return stages;
+}
+
+}  // namespace
+
+std::vector<CalibratedView> calibrated_views(const std::vector<capture::RigCamera>& known,
+                                             const std::filesystem::path& rig_file,
+                                             std::vector<std::unique_ptr<Camera>> cameras) {
+  std::vector<CalibratedView> views;
+  views.reserve(known.size());
+  for (std::size_t i = 0; i < known.size(); ++i) {
+    views.push_back({known[i], rig_file, std::move(cameras[i])});
+  }
+  return views;
+}
+
 bool read_in_step(std::span<FurtherCamera> cameras, std::uint64_t sequence, std::vector<Frame>& out,
                   const std::function<bool()>& go_on, std::string& error) {
   out.clear();
@@ -197,28 +239,18 @@ OpenRefiner refiner_opener(const std::string& gpu_device, const refine::RefinerC
   return [gpu_device, config] { return std::make_unique<GpuStage>(gpu_device, config); };
 }
 
-Stages open_stages(const MonocularConfig& given) {
-  Stages stages;
-  // Cheap and likely mistakes first.
-  Cameras cameras = open_cameras(given);
-  stages.camera = std::move(cameras.first);
-  stages.further_cameras = std::move(cameras.further);
+Stages open_stages(const MonocularConfig& config) {
+  if (!config.views.empty()) {
+    return open_stages(config, [views = config.views] { return open_videos(views); });
+  }
+  return open_with(config, [source = config.source] { return Cameras{camera::open_camera(source), {}}; });
+}
+
+Stages open_stages(const MonocularConfig& given, const OpenViews& open) {
   MonocularConfig config = given;
-  if (!given.views.empty()) {
-    config.tracker.intrinsics.reset();  // the rig file knows
-  }
-  config.tracker = tracker_config(config, stages.camera->info());
-  for (const FurtherCamera& one : stages.further_cameras) {
-    config.tracker.further_views.push_back(one.view);
-  }
-  stages.model = load_model(config);
-  const bool recorded = !stages.camera->info().live && !config.source.loop;
-  stages.coarse = std::make_unique<TrackerStage>(stages.model, config, recorded);
-  if (config.gpu_device != kNoDevice) {
-    stages.open_refiner = refiner_opener(config.gpu_device, config.refiner);
-    stages.refiner = stages.open_refiner();
-  }
-  return stages;
+  config.tracker.intrinsics.reset();  // the rig file knows
+  config.source.loop = false;
+  return open_with(config, [open] { return in_step(open()); });
 }
 
 }  // namespace facet::pipeline

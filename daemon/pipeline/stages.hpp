@@ -56,11 +56,26 @@ using OpenRefiner = std::function<std::unique_ptr<RefineStage>()>;
 /// Opens a context on the device and a refiner on it, each time anew.
 OpenRefiner refiner_opener(const std::string& gpu_device, const refine::RefinerConfig& config);
 
-/// A recorded camera beside the first one, in step with it.
+/// A camera beside the first one, in step with it.
 struct FurtherCamera {
   std::unique_ptr<Camera> camera;
   track::View view;
 };
+
+/// A camera of a rig, opened.
+struct CalibratedView {
+  capture::RigCamera camera;
+  std::filesystem::path rig_file;  ///< that it is from, for messages
+  std::unique_ptr<Camera> source;  ///< hands out an empty frame for a moment that it did not see
+};
+
+/// Cameras with what the rig file knows of them, [camera_count] each.
+std::vector<CalibratedView> calibrated_views(const std::vector<capture::RigCamera>& known,
+                                             const std::filesystem::path& rig_file,
+                                             std::vector<std::unique_ptr<Camera>> cameras);
+
+/// Opens the cameras, the reference camera first. Frames of one moment have one number.
+using OpenViews = std::function<std::vector<CalibratedView>()>;
 
 /// Reads the frame of the same number from each further camera. go_on: asked while one keeps waiting.
 /// Returns false, and why in `error`, where one has no such frame; false without an error where go_on says
@@ -86,5 +101,9 @@ track::TrackerConfig tracker_config(const MonocularConfig& config, const CameraI
 /// UnreadableInput for source, model and landmark nets, NoDevice where no Vulkan device is usable, Usage
 /// where the views' videos do not go together.
 Stages open_stages(const MonocularConfig& config);
+
+/// The same with the pictures of these cameras instead of the configuration's. They are opened twice where
+/// they are recorded: once to look ahead.
+Stages open_stages(const MonocularConfig& config, const OpenViews& open);
 
 }  // namespace facet::pipeline

@@ -15,6 +15,7 @@
 #include "files/text_file.hpp"
 #include "files/toml_section.hpp"
 #include "pipeline/booth.hpp"
+#include "pipeline/live_views.hpp"
 #include "stream/protocol.hpp"
 
 namespace facet::service {
@@ -483,7 +484,6 @@ void read_bridges(Section section, avatar::BridgeConfig& bridges) {
 
 void read_all(Document& document, Config& config) {
   Section root(document, &document.root(), "");
-  constexpr std::array kModes = {"monocular", "frames", "booth"};
   if (const auto mode = root.read_choice("mode", kModes)) {
     config.mode = static_cast<Mode>(*mode);
   }
@@ -555,20 +555,33 @@ pipeline::BoothConfig booth_config(const Config& config) {
   return booth;
 }
 
+bool has_live_views(const Config& config) {
+  return config.mode == Mode::Monocular && !config.rig.cameras.empty();
+}
+
 void require_source(const Config& config, const std::filesystem::path& file) {
-  if (config.mode != Mode::Monocular) {
-    try {
-      if (config.mode == Mode::Booth) {
-        pipeline::check(config.rig, booth_config(config));
-      } else {
-        pipeline::check(config.rig);
-      }
-    } catch (const Error& error) {
-      throw Error(ErrorKind::Usage, fmt::format("{}: {}", file.string(), error.what()));
-    }
-    return;
-  }
   const camera::CameraConfig& source = config.pipeline.source;
+  try {
+    if (config.mode == Mode::Booth) {
+      pipeline::check(config.rig, booth_config(config));
+      return;
+    }
+    if (config.mode == Mode::Frames) {
+      pipeline::check(config.rig);
+      return;
+    }
+    if (has_live_views(config)) {
+      if (camera::names_source(source)) {
+        throw Error(ErrorKind::Usage,
+                    "mode \"monocular\" takes pictures from one [source] or from [[camera]]s: leave out "
+                    "source.kind and source.path, or the [[camera]]s");
+      }
+      pipeline::check(config.rig, config.rig_file);
+      return;
+    }
+  } catch (const Error& error) {
+    throw Error(ErrorKind::Usage, fmt::format("{}: {}", file.string(), error.what()));
+  }
   if (source.kind == "v4l2" && source.live.device.empty()) {
     throw Error(ErrorKind::Usage,
                 fmt::format("{}: source.device is missing: name the camera that faces come from, such as "

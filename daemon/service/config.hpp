@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <string>
@@ -42,10 +43,11 @@ struct WebConfig {
 };
 
 enum class Mode {
-  Monocular,  ///< one source, refined meshes
+  Monocular,  ///< refined meshes of one source, or of several calibrated cameras
   Frames,     ///< the pictures of several cameras, no meshes
   Booth,      ///< the same, and meshes of them
 };
+inline constexpr std::array kModes = {"monocular", "frames", "booth"};
 
 /// What a take of a booth holds.
 enum class BoothRecord {
@@ -58,9 +60,9 @@ enum class BoothRecord {
 struct Config {
   Mode mode = Mode::Monocular;
   pipeline::MonocularConfig pipeline;  ///< source.path or source.live.device empty: not given
-  pipeline::RigConfig rig;             ///< modes Frames and Booth
+  pipeline::RigConfig rig;             ///< modes Frames and Booth; Monocular where it has cameras
   stereo::DepthRange booth_depths;     ///< BoothConfig::depths
-  std::filesystem::path rig_file;      ///< mode Booth
+  std::filesystem::path rig_file;      ///< modes Booth, and Monocular with cameras
   bool booth_every_slot = false;       ///< BoothConfig::every_slot
   bool booth_shading = false;          ///< BoothConfig::shading
   BoothRecord booth_record = BoothRecord::Pictures;
@@ -85,6 +87,9 @@ Config load_config(const std::filesystem::path& file);
 
 /// The same for text; `file` is for messages and for relative paths.
 Config parse_config(std::string_view text, const std::filesystem::path& file);
+
+/// Whether meshes are made of several calibrated cameras: mode Monocular with [[camera]]s.
+bool has_live_views(const Config& config);
 
 /// What mode Booth asks of the meshes; the slots are those of the trigger's program, where it has one.
 pipeline::BoothConfig booth_config(const Config& config);

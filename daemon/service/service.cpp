@@ -21,6 +21,7 @@
 #include "pipeline/booth.hpp"
 #include "pipeline/bridge_sink.hpp"
 #include "pipeline/frames.hpp"
+#include "pipeline/live_views.hpp"
 #include "pipeline/monocular.hpp"
 #include "pipeline/stream_sink.hpp"
 #include "pipeline/take_sink.hpp"
@@ -144,8 +145,10 @@ struct Service::Impl {
   void read_signals();
   void begin_pipeline();
   void make_pipeline(pipeline::Stages stages);
+  void make_pipeline(pipeline::LiveViews views);
   void make_pipeline(pipeline::Rig rig);
   void make_pipeline(pipeline::Booth booth);
+  void tell_refiner(const pipeline::Stages& stages);
   void tell_devices(const pipeline::Rig& rig);
   void start_when_awaited();
   void begin_take(const std::string& name);
@@ -239,6 +242,7 @@ json Service::Impl::status() {
   const pipeline::PipelineStatus now = pipeline ? pipeline->status() : pipeline::PipelineStatus();
   json answer = to_json(now);
   answer["version"] = FACET_VERSION;
+  answer["mode"] = kModes.at(static_cast<std::size_t>(config.mode));
   answer["pid"] = ::getpid();
   answer["uptime_s"] = std::chrono::duration<double>(Clock::now() - started).count();
   answer["resident_bytes"] = resident_bytes();
@@ -422,19 +426,33 @@ void Service::Impl::read_signals() {
   }
 }
 
+void Service::Impl::tell_refiner(const pipeline::Stages& stages) {
+  if (stages.refiner != nullptr) {
+    log.info(fmt::format("refining on {}", stages.refiner->device()));
+  } else {
+    log.warning("refinement off (gpu.device = \"none\"): meshes are coarse and marked as degraded");
+  }
+}
+
 void Service::Impl::make_pipeline(pipeline::Stages stages) {
   const CameraInfo source = stages.camera->info();
   source_name = source.name;
   live = source.live;
   log.info(fmt::format("source {}: {} x {} px, {:.2f} Hz{}", source.name, source.width_px, source.height_px,
                        source.rate_hz, source.live ? ", live" : ""));
-  if (stages.refiner != nullptr) {
-    log.info(fmt::format("refining on {}", stages.refiner->device()));
-  } else {
-    log.warning("refinement off (gpu.device = \"none\"): meshes are coarse and marked as degraded");
-  }
+  tell_refiner(stages);
   pipeline = std::make_unique<pipeline::MonocularPipeline>(
       std::move(stages),
+      pipeline::MonocularPipeline::Options{config.pipeline.hierarchy, config.pipeline.frames, {}},
+      std::vector<pipeline::MeshSink*>{&stream_sink, &bridge_sink, &takes});
+}
+
+void Service::Impl::make_pipeline(pipeline::LiveViews views) {
+  tell_devices(views.devices);
+  log.info(fmt::format("meshes are in the frame of camera {}", views.devices.config.cameras.front().name));
+  tell_refiner(views.stages);
+  pipeline = std::make_unique<pipeline::LiveViewsPipeline>(
+      std::move(views),
       pipeline::MonocularPipeline::Options{config.pipeline.hierarchy, config.pipeline.frames, {}},
       std::vector<pipeline::MeshSink*>{&stream_sink, &bridge_sink, &takes});
 }
@@ -550,8 +568,9 @@ void Service::Impl::tell_manager() {
   const pipeline::PipelineStatus now = pipeline->status();
   std::string text = pipeline::to_string(now.state);
   if (now.rig) {
-    text += fmt::format(": {:.1f} sets/s, {} of {} incomplete", now.frames_per_second,
-                        now.rig->sets.incomplete, now.processed);
+    text += fmt::format(": {}{:.1f} sets/s, {} of {} incomplete",
+                        config.mode == Mode::Frames ? "" : fmt::format("{}, ", mesh::to_string(now.tracking)),
+                        now.frames_per_second, now.rig->sets.incomplete, now.processed);
     for (const pipeline::RigCameraStatus& camera : now.rig->cameras) {
       if (!camera.status.reason.empty()) {
         text += fmt::format("; camera {}: {}", camera.name, camera.status.reason);

@@ -30,6 +30,8 @@ StageOpener::StageOpener(const Config& config) : result_(std::make_shared<Result
         result->opened = pipeline::open_rig(config.rig);
       } else if (config.mode == Mode::Booth) {
         result->opened = pipeline::open_booth(config.rig, booth_config(config));
+      } else if (has_live_views(config)) {
+        result->opened = pipeline::open_live_views(config.rig, config.rig_file, config.pipeline);
       } else {
         result->opened = pipeline::open_stages(config.pipeline);
       }

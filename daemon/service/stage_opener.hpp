@@ -9,6 +9,7 @@
 #include "facet/error.hpp"
 #include "pipeline/booth.hpp"
 #include "pipeline/frames.hpp"
+#include "pipeline/live_views.hpp"
 #include "pipeline/stages.hpp"
 #include "service/config.hpp"
 #include "stream/unix_socket.hpp"
@@ -16,7 +17,7 @@
 namespace facet::service {
 
 /// What a pipeline of either mode is made of.
-using Opened = std::variant<pipeline::Stages, pipeline::Rig, pipeline::Booth>;
+using Opened = std::variant<pipeline::Stages, pipeline::LiveViews, pipeline::Rig, pipeline::Booth>;
 
 /// Opens the pipeline's stages or devices on the thread `facet-open`, which can't be broken off: models are
 /// read, drivers loaded and kernels compiled meanwhile. One thread uses this object.
@@ -33,7 +34,7 @@ class StageOpener {
   int fd() const;
   bool done() const;
 
-  /// Once. Throws what open_stages or open_rig threw. Only when done().
+  /// Once. Throws what opening threw. Only when done().
   Opened take();
 
  private:

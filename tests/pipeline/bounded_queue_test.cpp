@@ -40,6 +40,20 @@ TEST(BoundedQueue, TheNewestReplacesTheOldest) {
   EXPECT_EQ(item, 4);
 }
 
+TEST(BoundedQueue, WhoeverWaitsForATimeGoesOn) {
+  BoundedQueue<int> queue(1);
+  int item = 0;
+  EXPECT_FALSE(queue.pop_within(item, std::chrono::milliseconds(1)));
+  queue.push(3);
+  EXPECT_TRUE(queue.pop_within(item, std::chrono::milliseconds(0)));
+  EXPECT_EQ(item, 3);
+  queue.push(4);
+  queue.close();
+  EXPECT_TRUE(queue.pop_within(item, std::chrono::hours(1)));
+  EXPECT_EQ(item, 4);
+  EXPECT_FALSE(queue.pop_within(item, std::chrono::hours(1)));
+}
+
 TEST(BoundedQueue, LetsGoOfWhatItHandedOut) {
   BoundedQueue<std::shared_ptr<int>> queue(1);
   auto item = std::make_shared<int>(7);

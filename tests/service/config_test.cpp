@@ -280,6 +280,36 @@ TEST(Config, ARigThatCannotBeIsToldByKey) {
               HasSubstr("a line of a GPIO trigger needs chip and line"));
 }
 
+TEST(Config, SeveralCamerasCanMakeMeshes) {
+  const std::string cameras =
+      "[[camera]]\nname = \"a\"\nkind = \"simulated\"\n[[camera]]\nname = \"b\"\nkind = \"simulated\"\n";
+  const auto refusal = [](const std::string& text) -> std::string {
+    try {
+      require_source(parse_config(text, "f.toml"), "f.toml");
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::Usage);
+      return error.what();
+    }
+    return "";
+  };
+  const std::string rig = "[booth]\nrig = \"r.toml\"\n";
+  const Config config = parse_config(cameras + rig, "/folder/f.toml");
+  EXPECT_EQ(config.mode, Mode::Monocular);
+  EXPECT_TRUE(has_live_views(config));
+  EXPECT_EQ(config.rig_file, "/folder/r.toml");
+  EXPECT_FALSE(has_live_views(parse_config("[source]\npath = \"v\"\n", "f.toml")));
+  EXPECT_FALSE(has_live_views(parse_config("mode = \"frames\"\n" + cameras, "f.toml")));
+  EXPECT_EQ(refusal(cameras + rig), "");
+  EXPECT_THAT(refusal(cameras),
+              AllOf(HasSubstr("f.toml: booth.rig is missing"), HasSubstr("facet calibrate")));
+  EXPECT_THAT(refusal("[source]\npath = \"v\"\n" + cameras + rig),
+              AllOf(HasSubstr("f.toml: "), HasSubstr("one [source] or from [[camera]]s")));
+  EXPECT_THAT(refusal(cameras + rig +
+                      "[trigger]\nkind = \"virtual\"\npatterns = [[\"p\"], []]\n[[trigger.line]]\nname = "
+                      "\"c\"\n[[trigger.line]]\nname = \"p\"\nrole = \"projector\"\n"),
+              HasSubstr("trigger.patterns"));
+}
+
 /// The least that a booth's configuration says.
 std::string booth_text(const std::string& more) {
   return "mode = \"booth\"\n[[camera]]\nname = \"a\"\nkind = \"simulated\"\n"

@@ -14,6 +14,7 @@
 #include "facet/error.hpp"
 #include "gpu/context.hpp"
 #include "service/default_paths.hpp"
+#include "simulation/sequence.hpp"
 #include "simulation/simulated_rig.hpp"
 #include "stream/client.hpp"
 #include "support/small_disk.hpp"
@@ -68,6 +69,77 @@ TEST_F(Daemon, ModeFramesHandsOutAndRecordsFrameSets) {
       }
     }
   }
+}
+
+/// Several calibrated cameras: one stream of meshes, recorded; a camera that is gone is missing in them.
+TEST_F(DaemonWithAssets, SeveralCamerasMakeOneMesh) {
+  simulation::StudioConfig studio;
+  studio.seed = 3;
+  studio.width_px = 480;
+  studio.height_px = 360;
+  studio.frame_count = 8;
+  studio.rays_per_pixel = 1;
+  studio.camera_count = 3;
+  simulation::write_sequence(simulation::Studio(face::FaceModel::load(test::default_model()), studio),
+                             folder_.path(), [](int) {});
+  const auto cameras = [](const std::string& third) {
+    std::string text;
+    for (const std::string& name : {std::string("video"), std::string("view-2"), third}) {
+      text += fmt::format("[[camera]]\nname = \"{}\"\nkind = \"file\"\npath = \"{}.mkv\"\nloop = {}\n", name,
+                          name == third ? "view-3" : name, name != third);
+    }
+    return text + "[booth]\nrig = \"rig.toml\"\n[tracker]\nacquisition_frames = 5\n";
+  };
+  const std::string config = configure("exit_at_end = true", "record_at_start = \"smile\"");
+  std::ofstream(config, std::ios::app) << cameras("view-3");
+  const auto daemon = start(config);
+  const json status = await(*daemon, [](const json& now) {
+    return now["rig"].is_object() && now["rig"]["cameras"][2]["state"] == "ended" &&
+           now["frames"]["mesh"] > 10;
+  });
+  ASSERT_TRUE(status.is_object());
+  EXPECT_EQ(status["mode"], "monocular");
+  EXPECT_EQ(status["state"], "running");
+  EXPECT_TRUE(status["source"].is_null());
+  EXPECT_EQ(status["rig"]["cameras"][0]["name"], "video");
+  EXPECT_EQ(status["rig"]["cameras"][0]["state"], "streaming");
+  EXPECT_GT(status["rig"]["cameras"][0]["sets"]["in_sets"], 10);
+  EXPECT_THAT(status["degraded_reason"].get<std::string>(), HasSubstr("no picture of camera view-3"));
+  ask("identity.reset");
+  ask("shutdown");
+  expect_clean_end(*daemon);
+  EXPECT_THAT(daemon->output(), AllOf(HasSubstr("meshes are in the frame of camera video"),
+                                      HasSubstr("camera view-3 ended")));
+
+  // Where the head is to a hundredth and a half; which of the sequence's frames the first set shows is not
+  // known.
+  std::ifstream stream(folder_.path() / "camera.json");
+  const auto truth = json::parse(stream).at("frames");
+  take::TakeReader take(folder_.path() / "takes" / "smile.take");
+  ASSERT_GT(take.info().mesh_frame_count, 10);
+  double least = 1;
+  for (std::size_t first = 0; first < truth.size(); ++first) {
+    double worst = 0;
+    for (std::int64_t i = 0; i < take.frame_count(); ++i) {
+      const auto frame = take.frame(i);
+      if (frame->state == mesh::TrackingState::Tracking) {
+        const auto pose = truth.at((frame->sequence + first) % truth.size()).at("camera_from_head");
+        const Eigen::Vector3f place(pose.at(0).at(3), pose.at(1).at(3), pose.at(2).at(3));
+        worst =
+            std::max<double>(worst, (frame->camera_from_head.translation() - place).norm() / place.norm());
+      }
+    }
+    least = std::min(least, worst);
+  }
+  EXPECT_LT(least, 0.03);
+
+  // A rig file of other cameras ends it with what is wrong.
+  std::string output;
+  const std::string other = configure("exit_at_end = true");
+  std::ofstream(other, std::ios::app) << cameras("left");
+  EXPECT_EQ(run({"--config", other}, output), static_cast<int>(ErrorKind::Usage));
+  EXPECT_THAT(output, AllOf(HasSubstr("rig.toml"), HasSubstr("no camera 'left'"),
+                            HasSubstr("video, view-2, view-3")));
 }
 
 TEST_F(Daemon, CommandLine) {

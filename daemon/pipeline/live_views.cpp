@@ -1,0 +1,102 @@
+#include "pipeline/live_views.hpp"
+
+#include <algorithm>
+#include <utility>
+
+#include "capture/rig_file.hpp"
+#include "facet/error.hpp"
+#include "pipeline/calibrated_camera.hpp"
+
+namespace facet::pipeline {
+
+void LiveSets::deliver(std::shared_ptr<const mesh::MeshFrame> frame) {
+  newest_.push_newest(std::move(frame));
+}
+
+CaptureOutcome LiveSets::next(std::shared_ptr<const mesh::MeshFrame>& out,
+                              std::chrono::milliseconds timeout) {
+  using namespace std::chrono_literals;
+  if (newest_.pop_within(out, timeout)) {
+    return CaptureOutcome::Delivered;
+  }
+  if (!ended_()) {
+    return CaptureOutcome::Timeout;
+  }
+  // The last one may have come meanwhile.
+  return newest_.pop_within(out, 0ms) ? CaptureOutcome::Delivered : CaptureOutcome::EndOfStream;
+}
+
+void check(const RigConfig& devices, const std::filesystem::path& rig_file) {
+  check(devices);
+  if (rig_file.empty()) {
+    throw Error(ErrorKind::Usage,
+                "booth.rig is missing: several cameras see one face only where they are calibrated; name the "
+                "file that `facet calibrate` wrote (docs/cameras.md)");
+  }
+  const std::vector<LineMask>& patterns = devices.program.patterns;
+  if (devices.trigger != TriggerKind::None &&
+      std::any_of(patterns.begin(), patterns.end(), [&](LineMask one) { return one != patterns.front(); })) {
+    throw Error(ErrorKind::Usage,
+                "mode \"monocular\" makes a mesh of every slot, and its light must be the same in all: leave "
+                "trigger.patterns out, or set mode = \"booth\"");
+  }
+}
+
+std::vector<capture::RigCamera> calibration_of(const RigConfig& devices,
+                                               const std::filesystem::path& rig_file) {
+  const capture::Rig rig = capture::read_rig(rig_file);
+  std::vector<capture::RigCamera> known;
+  for (const RigCamera& device : devices.cameras) {
+    known.push_back(camera_named(rig, rig_file, device.name,
+                                 "name the configuration's [[camera]]s as they are named there"));
+  }
+  return known;
+}
+
+LiveViews open_live_views(const RigConfig& devices, const std::filesystem::path& rig_file,
+                          const MonocularConfig& config) {
+  check(devices, rig_file);
+  const std::vector<capture::RigCamera> known = calibration_of(devices, rig_file);
+  LiveViews views;
+  views.devices = open_rig(devices);
+  views.sets = std::make_shared<LiveSets>();
+  std::vector<CameraInfo> infos;
+  for (std::size_t i = 0; i < known.size(); ++i) {
+    CameraInfo info = views.devices.cameras[i]->info();
+    info.name = known[i].name;
+    info.live = true;
+    info.frame_count.reset();
+    if (views.devices.open_trigger) {
+      info.rate_hz = devices.program.slots_per_second;
+    }
+    infos.push_back(info);
+  }
+  views.stages =
+      open_stages(config, [&] { return calibrated_views(known, rig_file, set_cameras(views.sets, infos)); });
+  return views;
+}
+
+LiveViewsPipeline::LiveViewsPipeline(LiveViews views, const MonocularPipeline::Options& options,
+                                     std::vector<MeshSink*> sinks) {
+  meshes_ = std::make_unique<MonocularPipeline>(std::move(views.stages), options, std::move(sinks));
+  frames_ =
+      std::make_unique<FramesPipeline>(std::move(views.devices), std::vector<MeshSink*>{views.sets.get()});
+  views.sets->set_ended([&frames = *frames_] {
+    const PipelineState state = frames.status().state;
+    return state == PipelineState::Ended || state == PipelineState::Failed;
+  });
+}
+
+PipelineStatus LiveViewsPipeline::status() const {
+  PipelineStatus status = meshes_->status();
+  PipelineStatus frames = frames_->status();
+  if (frames.state == PipelineState::Failed && status.state != PipelineState::Failed) {
+    status.state = frames.state;
+    status.reason = frames.reason;
+    status.failure_kind = frames.failure_kind;
+  }
+  status.rig = std::move(frames.rig);
+  return status;
+}
+
+}  // namespace facet::pipeline

@@ -1,0 +1,63 @@
+#pragma once
+
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <vector>
+
+#include "pipeline/bounded_queue.hpp"
+#include "pipeline/frames.hpp"
+#include "pipeline/monocular.hpp"
+#include "pipeline/set_cameras.hpp"
+#include "pipeline/sets_pipeline.hpp"
+
+namespace facet::pipeline {
+
+/// Frame sets on their way from FramesPipeline to MonocularPipeline: the newest, older ones are dropped.
+class LiveSets final : public MeshSink, public SetSource {
+ public:
+  /// ended: whether no more sets come; before the first `next`.
+  void set_ended(std::function<bool()> ended) { ended_ = std::move(ended); }
+
+  void deliver(std::shared_ptr<const mesh::MeshFrame> frame) override;
+  CaptureOutcome next(std::shared_ptr<const mesh::MeshFrame>& out,
+                      std::chrono::milliseconds timeout) override;
+  std::string last_error() const override { return {}; }  // FramesPipeline's status says it
+
+ private:
+  std::function<bool()> ended_;
+  BoundedQueue<std::shared_ptr<const mesh::MeshFrame>> newest_{1};
+};
+
+/// The devices and stages of several calibrated cameras that see one face, opened.
+struct LiveViews {
+  Rig devices;
+  std::shared_ptr<LiveSets> sets;  ///< that the stages' cameras read
+  Stages stages;
+};
+
+/// Throws Error(Usage) where no face can be followed with these cameras.
+void check(const RigConfig& devices, const std::filesystem::path& rig_file);
+
+/// What the rig file knows of the devices' cameras, in their order; it may have others, too. Throws
+/// Error(Usage) where it lacks one, UnreadableInput where it can't be read.
+std::vector<capture::RigCamera> calibration_of(const RigConfig& devices,
+                                               const std::filesystem::path& rig_file);
+
+/// Opens cameras, rig file and stages; see open_rig and open_stages. The first camera is the reference
+/// camera. Throws Error(Usage), too, where the rig file does not have a camera, or in another size.
+LiveViews open_live_views(const RigConfig& devices, const std::filesystem::path& rig_file,
+                          const MonocularConfig& config);
+
+/// Several calibrated cameras live, refined meshes out: frame sets as FramesPipeline makes them, meshes as
+/// MonocularPipeline makes them of each; their threads. Sets for which the stages are too slow are dropped
+/// and counted. A camera that is gone is missing in the sets: the meshes go on with the others and are marked
+/// as degraded, the status says what became of it.
+class LiveViewsPipeline final : public SetsPipeline<MonocularPipeline> {
+ public:
+  LiveViewsPipeline(LiveViews views, const MonocularPipeline::Options& options, std::vector<MeshSink*> sinks);
+
+  PipelineStatus status() const override;
+};
+
+}  // namespace facet::pipeline
