@@ -61,6 +61,7 @@ Cameras in_step(std::vector<CalibratedView> views) {
 
 std::vector<CalibratedView> open_videos(const std::vector<ViewConfig>& configs) {
   std::vector<CalibratedView> views;
+  views.reserve(configs.size());
   for (const ViewConfig& view : configs) {
     views.push_back({view.camera, view.rig_file, camera::open_camera(view.source)});
   }

@@ -280,18 +280,20 @@ TEST(Config, ARigThatCannotBeIsToldByKey) {
               HasSubstr("a line of a GPIO trigger needs chip and line"));
 }
 
+/// Why a daemon can't run with this configuration; empty where it can.
+std::string refusal(const std::string& text) {
+  try {
+    require_source(parse_config(text, "f.toml"), "f.toml");
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::Usage);
+    return error.what();
+  }
+  return "";
+}
+
 TEST(Config, SeveralCamerasCanMakeMeshes) {
   const std::string cameras =
       "[[camera]]\nname = \"a\"\nkind = \"simulated\"\n[[camera]]\nname = \"b\"\nkind = \"simulated\"\n";
-  const auto refusal = [](const std::string& text) -> std::string {
-    try {
-      require_source(parse_config(text, "f.toml"), "f.toml");
-    } catch (const Error& error) {
-      EXPECT_EQ(error.kind(), ErrorKind::Usage);
-      return error.what();
-    }
-    return "";
-  };
   const std::string rig = "[booth]\nrig = \"r.toml\"\n";
   const Config config = parse_config(cameras + rig, "/folder/f.toml");
   EXPECT_EQ(config.mode, Mode::Monocular);
@@ -348,15 +350,6 @@ TEST(Config, ReadsABooth) {
 }
 
 TEST(Config, ABoothThatCannotBeIsToldByKey) {
-  const auto refusal = [](const std::string& text) -> std::string {
-    try {
-      require_source(parse_config(text, "f.toml"), "f.toml");
-    } catch (const Error& error) {
-      EXPECT_EQ(error.kind(), ErrorKind::Usage);
-      return error.what();
-    }
-    return "";
-  };
   EXPECT_THAT(refusal(booth_text("")), HasSubstr("booth.rig is missing"));
   for (const char* range : {"[1100, 700]", "[700]", "[10, 700]", "[\"a\", 3]", "\"far\"", "700"}) {
     EXPECT_THAT(refusal(booth_text("[booth]\nrig = \"r\"\ndepth_mm = " + std::string(range) + "\n")),

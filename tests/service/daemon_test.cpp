@@ -108,8 +108,8 @@ TEST_F(DaemonWithAssets, SeveralCamerasMakeOneMesh) {
   ask("identity.reset");
   ask("shutdown");
   expect_clean_end(*daemon);
-  EXPECT_THAT(daemon->output(), AllOf(HasSubstr("meshes are in the frame of camera video"),
-                                      HasSubstr("camera view-3 ended")));
+  EXPECT_THAT(daemon->output(),
+              AllOf(HasSubstr("meshes are in the frame of camera video"), HasSubstr("camera view-3 ended")));
 
   // Where the head is to a hundredth and a half; which of the sequence's frames the first set shows is not
   // known.
