@@ -29,6 +29,7 @@ struct Options : facet::bench::SequenceOptions {
   std::vector<std::string> sweeps;  ///< NAME=VALUE,VALUE,...
   std::string device = "auto";
   bool reach = false;
+  bool coarse_alone = false;
 };
 
 /// A setting of the refiner by name.
@@ -176,6 +177,12 @@ void run(const Options& options) {
     set(probe, sweeps.back().name, sweeps.back().values.front());
   }
   const facet::face::FaceModel model = facet::face::FaceModel::load(options.model);
+  if (options.coarse_alone) {
+    for (const std::filesystem::path& folder : options.folders) {
+      facet::bench::load_sequence(model, options, folder);
+    }
+    return;
+  }
   facet::gpu::ContextOptions context_options;
   context_options.device = options.device;
   facet::gpu::Context context(context_options);
@@ -226,6 +233,7 @@ int main(int argc, char** argv) {
       "--reach", options.reach,
       "First what displacements could reach at best: the truth's own along the coarse normals, whole and "
       "smoothed");
+  app.add_flag("--coarse-alone", options.coarse_alone, "Measure the coarse meshes and refine nothing");
   app.add_option("--model", options.model, "Face model file")->capture_default_str();
   app.add_option("--device", options.device, "GPU, by part of its name")->capture_default_str();
   CLI11_PARSE(app, argc, argv);

@@ -57,10 +57,11 @@ constexpr int kProvisionalIterations = 3;
 /// Steps per frame once the batch is full, and frames after which the fit ends without having converged.
 constexpr int kSettlingIterations = 1;
 constexpr int kMostSettlingFrames = 20;
-/// Gauss-Newton steps by the shading of the batch's pictures, one per frame, and the steps by landmarks that
-/// follow each.
+/// Gauss-Newton steps by the shading of the batch's pictures, and the steps by landmarks that follow each.
+/// One step a frame: each takes a live camera's tracker about as long as a picture.
 constexpr int kShadingRounds = 6;
 constexpr int kIterationsAfterShading = 2;
+constexpr int kShadingSteps = kShadingRounds * (1 + kIterationsAfterShading);
 
 /// A returned face is another person when its median residual over this many frames is larger than the
 /// owner's by this factor and this difference (fraction of the interocular distance).
@@ -602,7 +603,7 @@ bool SubjectTracker::acquire() {
     if (config_.shading_model != nullptr) {
       shading_.emplace(*config_.shading_model);
     }
-    shading_rounds_ = 0;
+    shading_steps_ = 0;
     frames_since_added_ = 0;
     settling_frames_ = 0;
   }
@@ -628,7 +629,7 @@ bool SubjectTracker::acquire() {
     }
     return true;
   }
-  if (shading_rounds_ == 0) {
+  if (shading_steps_ == 0) {
     ++settling_frames_;
     const FitReport report = identity_fit_->improve(kSettlingIterations);
     if (report.outcome == FitOutcome::NotConverged && settling_frames_ < kMostSettlingFrames) {
@@ -649,25 +650,28 @@ bool SubjectTracker::acquire() {
   return true;
 }
 
-/// One step by the pictures' shading. False where there is none left to be made.
+/// One step by the pictures' shading or by the landmarks after it. False where there is none left to be made.
 bool SubjectTracker::shade() {
-  if (!shading_ || shading_rounds_ == kShadingRounds) {
+  if (!shading_ || shading_steps_ == kShadingSteps) {
     return false;
   }
-  std::vector<const FrameState*> states;
-  states.reserve(static_cast<std::size_t>(identity_fit_->frame_count()));
-  for (int f = 0; f < identity_fit_->frame_count(); ++f) {
-    states.push_back(&identity_fit_->frame(f));
+  if (shading_steps_ % (1 + kIterationsAfterShading) == 0) {
+    std::vector<const FrameState*> states;
+    states.reserve(static_cast<std::size_t>(identity_fit_->frame_count()));
+    for (int f = 0; f < identity_fit_->frame_count(); ++f) {
+      states.push_back(&identity_fit_->frame(f));
+    }
+    const std::optional<IdentityEvidence> evidence =
+        shading_->evidence(identity_fit_->shape(), centre_px(), states);
+    if (!evidence) {
+      shading_steps_ = kShadingSteps;
+      return false;
+    }
+    identity_fit_->set_evidence(*evidence);
+  } else {
+    identity_fit_->improve(1);
   }
-  const std::optional<IdentityEvidence> evidence =
-      shading_->evidence(identity_fit_->shape(), centre_px(), states);
-  if (!evidence) {
-    shading_rounds_ = kShadingRounds;
-    return false;
-  }
-  identity_fit_->set_evidence(*evidence);
-  identity_fit_->improve(kIterationsAfterShading);
-  ++shading_rounds_;
+  ++shading_steps_;
   return true;
 }
 

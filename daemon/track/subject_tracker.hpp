@@ -152,7 +152,7 @@ class SubjectTracker {
   CoarseFit coarse_fit_;
   std::optional<IdentityFit> identity_fit_;
   std::optional<IdentityShading> shading_;  ///< of identity_fit_'s frames
-  int shading_rounds_ = 0;
+  int shading_steps_ = 0;
   const Frame* image_ = nullptr;  ///< of the call of `process` that runs
   Subject subject_;
   bool has_subject_ = false;
