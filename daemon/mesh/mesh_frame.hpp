@@ -15,7 +15,8 @@ namespace facet::mesh {
 /// Where the tracker stands. Names on the wire and in exports: "searching", "acquiring", "tracking", "lost".
 enum class TrackingState : std::uint8_t {
   Searching,  ///< no face known
-  Acquiring,  ///< a face is found; identity and focal length are being estimated, no mesh to rely on yet
+  Acquiring,  ///< a face is found; identity and focal length are being estimated; the mesh, if any, is
+              ///< provisional
   Tracking,   ///< pose and expression are solved every frame; the mesh is valid
   Lost,       ///< the face was there a moment ago; the tracker looks for it
 };
@@ -69,7 +70,9 @@ struct MeshFrame {
   CameraIntrinsics camera;
   std::shared_ptr<const FrameSet> images;  ///< what the cameras saw; null where pictures are not passed on
 
-  // The rest is empty unless state is Tracking.
+  // The rest is empty unless state is Tracking. While Acquiring a live face may have a provisional mesh:
+  // subject (M0 alone, identity all 0), pose, expression and control vertices, of a shape that is still being
+  // estimated.
   std::shared_ptr<const Subject> subject;
   Eigen::Isometry3f camera_from_head = Eigen::Isometry3f::Identity();
   std::vector<float> expression;  ///< [expression_count] 0 to 1, order of Subject::expression_names

@@ -117,6 +117,7 @@ struct MonocularPipeline::Impl {
   RecoveringRefiner refiner;
   refine::RefineOutput refined;
   std::vector<refine::RefineView> further_views;
+  std::shared_ptr<const mesh::Subject> provisional_subject;  ///< of everybody who is not known yet
   std::shared_ptr<const mesh::Subject> subject;
   std::uint32_t subject_count = 0;  ///< TrackResult::subject that `subject` was built for
   std::string given_up;             ///< RefineOutput::given_up of the last refined frame
@@ -136,6 +137,7 @@ struct MonocularPipeline::Impl {
   void fill(mesh::MeshFrame& mesh, const Captured& item, const track::TrackResult& result) const;
   void refine();
   void refine_one(Tracked& item);
+  void add_provisional_subject(mesh::MeshFrame& mesh);
   void follow_subject(const Tracked& item);
   void add_displacements(Tracked& item);
   void note_given_up();
@@ -340,7 +342,7 @@ void MonocularPipeline::Impl::fill(mesh::MeshFrame& mesh, const Captured& item,
       degrade(mesh, "no picture of camera " + camera_names[v]);
     }
   }
-  if (result.state != mesh::TrackingState::Tracking) {
+  if (!result.has_mesh) {
     mesh.control_vertices_mm.resize(3, 0);
     return;
   }
@@ -372,6 +374,9 @@ void MonocularPipeline::Impl::refine() {
 void MonocularPipeline::Impl::refine_one(Tracked& item) {
   if (item.mesh->state != mesh::TrackingState::Tracking) {
     face_was_away = true;
+    if (item.mesh->control_vertices_mm.cols() > 0) {
+      add_provisional_subject(*item.mesh);
+    }
     return;
   }
   if (subject == nullptr || subject_count != item.subject_count) {
@@ -384,6 +389,18 @@ void MonocularPipeline::Impl::refine_one(Tracked& item) {
   if (!item.captured.frame.corrupt || !further_views.empty()) {
     add_displacements(item);
   }
+}
+
+/// While the identity is being estimated the mesh is coarse and its topology M0, which is the same for
+/// everybody.
+void MonocularPipeline::Impl::add_provisional_subject(mesh::MeshFrame& mesh) {
+  if (provisional_subject == nullptr) {
+    mesh::HierarchyOptions control_alone = options.hierarchy;
+    control_alone.max_levels = 1;
+    const std::vector<float> unknown(static_cast<std::size_t>(stages.model->identity_count()));
+    provisional_subject = build_subject(*stages.model, control_alone, mesh, unknown, 0);
+  }
+  mesh.subject = provisional_subject;
 }
 
 void MonocularPipeline::Impl::follow_subject(const Tracked& item) {

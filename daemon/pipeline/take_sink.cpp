@@ -14,9 +14,18 @@ std::shared_ptr<take::TakeRecorder> TakeSink::current() const {
 }
 
 void TakeSink::deliver(std::shared_ptr<const mesh::MeshFrame> frame) {
-  if (const auto recorder = current()) {
-    recorder->record(std::move(frame));
+  const auto recorder = current();
+  if (recorder == nullptr) {
+    return;
   }
+  if (frame->subject != nullptr && frame->state == mesh::TrackingState::Acquiring) {
+    auto without_mesh = std::make_shared<mesh::MeshFrame>(*frame);
+    without_mesh->subject = nullptr;
+    without_mesh->expression.clear();
+    without_mesh->control_vertices_mm.resize(3, 0);
+    frame = std::move(without_mesh);
+  }
+  recorder->record(std::move(frame));
 }
 
 void TakeSink::begin(const take::TakeRecorderConfig& config) {

@@ -9,8 +9,9 @@
 
 namespace facet::pipeline {
 
-/// Records frames while a take is wanted, one take at a time. With take::WhenFull::Wait deliver blocks while
-/// the disk is slower than the frames.
+/// Records frames while a take is wanted, one take at a time; of a face whose identity is still being
+/// estimated without the provisional mesh: a take has one topology for one person. With take::WhenFull::Wait
+/// deliver blocks while the disk is slower than the frames.
 class TakeSink final : public MeshSink {
  public:
   void deliver(std::shared_ptr<const mesh::MeshFrame> frame) override;

@@ -22,7 +22,7 @@ struct Weights {
   float lighting_temporal = 0.05F;      ///< w1, eq. 3, in units of what all visible vertices weigh together
   float albedo_smooth = 600.0F;         ///< w2, eq. 4, against a vertex of mean brightness
   float displacement_smooth = 10.0F;    ///< w3, eq. 6, of the squared slope (L d) / spacing
-  float displacement_hierarchy = 0.3F;  ///< w4, eq. 6, of the squared slope (pd - d) / spacing
+  float displacement_hierarchy = 1.0F;  ///< w4, eq. 6, of the squared slope (pd - d) / spacing
   float displacement_coarse = 0.004F;   ///< w5, eq. 6, of d^2 in mm^2
 };
 

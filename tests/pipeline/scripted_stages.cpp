@@ -100,6 +100,8 @@ class ScriptedTracker final : public pipeline::CoarseStage {
       throw std::runtime_error("scripted tracker fault");
     }
     result_.state = script_.state_of(frame.sequence);
+    result_.has_mesh = result_.state == mesh::TrackingState::Tracking ||
+                       (result_.state == mesh::TrackingState::Acquiring && script_.mesh_while_acquiring);
     result_.subject = script_.subject_of(frame.sequence);
     result_.landmarks_px.assign(result_.state == mesh::TrackingState::Searching ? 0 : 468,
                                 Eigen::Vector2f(1, 2));

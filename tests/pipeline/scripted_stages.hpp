@@ -53,6 +53,7 @@ struct Script {
 
   // The tracker.
   std::function<mesh::TrackingState(std::uint64_t sequence)> state_of;
+  bool mesh_while_acquiring = false;
   std::function<std::uint32_t(std::uint64_t sequence)> subject_of;
   std::uint64_t tracker_throws_at = ~0ULL;
   bool prepare_waits_for_stop = false;

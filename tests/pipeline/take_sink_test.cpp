@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include "facet/error.hpp"
+#include "support/mesh_frames.hpp"
 #include "support/paths.hpp"
 #include "take/reader.hpp"
 
@@ -47,6 +48,27 @@ TEST(TakeSink, RecordsOneTakeAtATime) {
   EXPECT_EQ(sink.end()->frames, 1U);
   EXPECT_EQ(take::TakeReader(config.file).frame_count(), 5);
   EXPECT_EQ(take::TakeReader(other.file).entry(0).sequence, 7U);
+}
+
+TEST(TakeSink, LeavesProvisionalMeshesOut) {
+  const test::TemporaryFolder folder;
+  TakeSink sink;
+  take::TakeRecorderConfig config;
+  config.when_full = take::WhenFull::Wait;
+  config.file = folder.path() / "a.take";
+  sink.begin(config);
+  const auto subject = test::patch_subject();
+  const auto albedo = test::patch_albedo(*subject, 1);
+  const auto shown = std::make_shared<mesh::MeshFrame>(test::patch_frame(1, subject, albedo));
+  shown->state = mesh::TrackingState::Acquiring;
+  sink.deliver(shown);
+  sink.deliver(std::make_shared<mesh::MeshFrame>(test::patch_frame(2, subject, albedo)));
+  EXPECT_NE(shown->subject, nullptr) << "other sinks show it";
+  ASSERT_EQ(sink.end()->frames, 2U);
+  take::TakeReader take(config.file);
+  EXPECT_EQ(take.entry(0).state, mesh::TrackingState::Acquiring);
+  EXPECT_FALSE(take.entry(0).has_mesh);
+  EXPECT_TRUE(take.entry(1).has_mesh);
 }
 
 }  // namespace
