@@ -30,6 +30,8 @@ constexpr std::int64_t kSecond_ns = 1'000'000'000;
 constexpr double kDefaultRate_hz = 25.0;
 /// A paced source that is later than this many frames skips to the newest one.
 constexpr int kPacedSlack_frames = 1;
+/// It skips for so long; where the file cannot be decoded as fast as it should run, it runs slower.
+constexpr std::int64_t kLongestSkip_ns = kSecond_ns / 10;
 /// A decoder that reports this many errors in a row, with no frame between, is not asked again.
 constexpr int kMostDecoderErrors = 100;
 /// A step in the file's times longer than this is a damaged time stamp, not a pause.
@@ -461,7 +463,12 @@ CaptureOutcome VideoFile::next_frame(Frame& out, std::chrono::milliseconds timeo
   }
   if (config_.paced) {
     // Late by more than the slack: the frames in between are gone, as they would be with a live camera.
+    const std::int64_t skip_until_ns = monotonic_ns() + kLongestSkip_ns;
     while (monotonic_ns() > clock_start_ns_ + media_time_ns_ + (kPacedSlack_frames + 1) * period_ns_) {
+      if (monotonic_ns() > skip_until_ns) {
+        clock_start_ns_ = monotonic_ns() - media_time_ns_;
+        break;
+      }
       if (decode() != Decoded::Frame) {
         at_end_ = true;
         return CaptureOutcome::EndOfStream;
