@@ -193,12 +193,15 @@ Selection with_mesh(take::TakeReader& reader, const Selection& selection) {
   return meshes;
 }
 
-take::Timeline timeline_of(take::TakeReader& reader, const Selection& selection) {
-  std::vector<take::FrameEntry> entries;
-  for (const std::int64_t index : selection) {
-    entries.push_back(reader.entry(index));
+/// A folder's files bear numbers. Where the source's times start anew there is no rate to warn of.
+void warn_of_numbers(take::TakeReader& reader, const Selection& selection, const std::string& output) {
+  try {
+    warn_of_varying_rate(timeline_of(reader, selection), output);
+  } catch (const Error& error) {
+    if (error.kind() != ErrorKind::UnreadableInput) {
+      throw;
+    }
   }
-  return take::make_timeline(entries, reader.info().file);
 }
 
 /// The coarse level's neutral face and expressions.
@@ -256,8 +259,12 @@ int export_sequence(take::TakeReader& reader, const Selection& selection, const 
   }
   writer->commit();
   progress.finish();
-  fmt::print("{}: {} frames, {} to {} of the source at {:.6g} Hz, {} vertices\n", options.output,
+  if (format == take::SequenceFormat::Pc2 || format == take::SequenceFormat::Mdd) {
+    warn_of_varying_rate(sequence.timeline, options.output);
+  }
+  fmt::print("{}: {} frames, {} to {} of the source at {}{:.6g} Hz, {} vertices\n", options.output,
              meshes.size(), sequence.timeline.sequences.front(), sequence.timeline.sequences.back(),
+             sequence.timeline.times_s.empty() ? "" : "a varying rate, on average ",
              sequence.timeline.rate_hz, next.mesh.vertices_mm.cols());
   return 0;
 }
@@ -392,6 +399,10 @@ void run_export(const ExportOptions& options) {
   const StopSignals signals;
   const auto& writer = format_of(options).writer;
   int broken_off_by = 0;
+  if (options.format == "png" || std::holds_alternative<take::MeshFormat>(writer) ||
+      std::holds_alternative<take::MapKind>(writer)) {
+    warn_of_numbers(reader, selection, options.output);
+  }
   if (const auto* mesh = std::get_if<take::MeshFormat>(&writer)) {
     broken_off_by = export_meshes(reader, selection, options, *mesh, signals);
   } else if (const auto* sequence = std::get_if<take::SequenceFormat>(&writer)) {

@@ -48,6 +48,7 @@ constexpr float kLeastMovement = 0.05F;
 struct Performance {
   std::vector<avatar::FaceState> states;  ///< of the frames with a face
   std::vector<float> times_s;
+  take::Timeline timeline;
 };
 
 std::string shape_list(const std::vector<std::size_t>& shapes) {
@@ -93,7 +94,7 @@ int read_performance(const RetargetOptions& options, const StopSignals& signals,
   if (entries.empty()) {
     throw Error(ErrorKind::NoFace, "none of the selected frames has a face: nothing was written");
   }
-  const take::Timeline timeline = take::make_timeline(entries, options.take);
+  performance.timeline = take::make_timeline(entries, options.take);
   Progress progress("Reading", entries.size());
   for (const take::FrameEntry& entry : entries) {
     if (const int signal = signals.pending(); signal != 0) {
@@ -109,8 +110,7 @@ int read_performance(const RetargetOptions& options, const StopSignals& signals,
       avatar::subtract(*neutral, state);
     }
     performance.states.push_back(state);
-    performance.times_s.push_back(static_cast<float>(
-        static_cast<double>(entry.sequence - entries.front().sequence) / timeline.rate_hz));
+    performance.times_s.push_back(static_cast<float>(take::time_s(performance.timeline, entry.sequence)));
     progress.advance();
   }
   return 0;
@@ -272,6 +272,11 @@ void run_retarget(const RetargetOptions& options) {
     signals.die_of(signal);
   }
   check_shapes(options, found, performance.states);
+  for (const std::string& folder : {options.displacement_maps, options.normal_maps}) {
+    if (!folder.empty()) {
+      warn_of_varying_rate(performance.timeline, folder);
+    }
+  }
   if (const int signal = write_maps(options, glb, found, signals); signal != 0) {
     fmt::print(stderr, "facet: broken off: the maps are not complete, nothing was written to '{}'\n",
                options.output);

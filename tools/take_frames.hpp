@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "take/export.hpp"
 #include "take/reader.hpp"
 
 namespace facet::tools {
@@ -16,5 +17,12 @@ inline constexpr const char* kFramesHelp =
 /// frame 100 of a video has frames 100, 101 ... Returns the indices in the take of the frames "A:B", in
 /// order; an empty text is all. Throws Error(Usage) where the text is no range or the take has no such frame.
 std::vector<std::int64_t> frames_in_range(take::TakeReader& take, const std::string& text);
+
+/// take::make_timeline of the frames at these indices in the take, at least one.
+take::Timeline timeline_of(take::TakeReader& take, const std::vector<std::int64_t>& indices);
+
+/// Warns on standard error where the source's rate varies: for what holds a frame for each of the source's
+/// without its time. output: the file or folder that is written.
+void warn_of_varying_rate(const take::Timeline& timeline, const std::string& output);
 
 }  // namespace facet::tools

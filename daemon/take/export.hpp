@@ -64,17 +64,24 @@ void write_mesh(MeshFormat format, const ExportMesh& mesh, const std::filesystem
 /// Formats that hold many frames in one file.
 enum class SequenceFormat { Pc2, Mdd, Usda, GlbFrames, GlbExpressions };
 
-/// When the frames of a sequence are. The frames' numbers in the source are its clock: number n is at
-/// (n - sequences.front()) / rate_hz seconds.
+/// When the frames of a sequence are. At a constant rate the frames' numbers in the source are its clock:
+/// number n is at (n - sequences.front()) / rate_hz seconds. At a varying one each frame has its own time.
 struct Timeline {
-  double rate_hz = 30;
+  double rate_hz = 30;                   ///< on average where it varies
   std::vector<std::uint64_t> sequences;  ///< of the frames with a mesh that will be written, rising
+  std::vector<double> times_s;  ///< [sequences.size()] from 0, rising, of a varying rate; empty: constant
+  double deviation_s = 0;       ///< the most that a frame's media time is beside its number over the rate
 };
 
 /// The timeline of frames of a take. entries: those to write, in their order, at least one. The rate is that
 /// between the first and the last, a usual one where it can't be told from it; 30 Hz where there is one frame
-/// alone. Throws Error(UnreadableInput) naming `take` and the frame where numbers or times don't rise.
+/// alone. It is constant where every media time is within half a frame of its number's. Throws
+/// Error(UnreadableInput) naming `take` and the frame where numbers or times don't rise.
 Timeline make_timeline(std::span<const FrameEntry> entries, const std::filesystem::path& take);
+
+/// Seconds of a number of the source since the timeline's first. sequence: from the timeline's first to its
+/// last; one that is not on it lies evenly between its neighbours.
+double time_s(const Timeline& timeline, std::uint64_t sequence);
 
 /// The shapes of a person's expressions, head frame, mm: what the take's coarse meshes were made of.
 struct ExpressionShapes {
@@ -133,7 +140,8 @@ const char* extension(SequenceFormat format);
 /// radians (mesh::live_link_rotations). Frames without a mesh have a line of zeros.
 std::string live_link_header();
 /// One line, with its newline. The timecode counts from 0 at the timeline's first frame, at its rate rounded
-/// to a whole number of frames a second.
+/// to a whole number of frames a second; at a varying rate its seconds are those of time_s, and the frame has
+/// thousandths.
 std::string live_link_line(const mesh::MeshFrame& frame, const Timeline& timeline);
 
 /// Pictures of a frame in its texture coordinates, u right and v up.

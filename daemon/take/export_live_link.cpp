@@ -30,11 +30,20 @@ constexpr std::array<std::size_t, mesh::kArkitNames.size()> column_order() {
 }
 constexpr auto kColumns = column_order();
 
-/// "HH:MM:SS:FF.mmm": a frame's thousandths are 0, since every line is a frame.
-std::string timecode(std::uint64_t frame, std::uint64_t frames_per_second) {
+/// "HH:MM:SS:FF.mmm" of a frame of the timeline. At a constant rate the thousandths are 0, since every line
+/// is a frame.
+std::string timecode(const Timeline& timeline, std::uint64_t sequence) {
+  constexpr std::uint64_t kThousandths = 1000;
+  const auto frames_per_second = static_cast<std::uint64_t>(std::max(1L, std::lround(timeline.rate_hz)));
+  const std::uint64_t thousandths =
+      timeline.times_s.empty()
+          ? (sequence - timeline.sequences.front()) * kThousandths
+          : static_cast<std::uint64_t>(std::llround(time_s(timeline, sequence) *
+                                                    static_cast<double>(frames_per_second * kThousandths)));
+  const std::uint64_t frame = thousandths / kThousandths;
   const std::uint64_t seconds = frame / frames_per_second;
-  return fmt::format("{:02}:{:02}:{:02}:{:02}.000", seconds / 3600 % 24, seconds / 60 % 60, seconds % 60,
-                     frame % frames_per_second);
+  return fmt::format("{:02}:{:02}:{:02}:{:02}.{:03}", seconds / 3600 % 24, seconds / 60 % 60, seconds % 60,
+                     frame % frames_per_second, thousandths % kThousandths);
 }
 
 }  // namespace
@@ -58,10 +67,7 @@ std::string live_link_line(const mesh::MeshFrame& frame, const Timeline& timelin
     angles =
         mesh::live_link_rotations(values, (mesh::upright_from_camera() * frame.camera_from_head).linear());
   }
-  const auto frames_per_second = static_cast<std::uint64_t>(std::max(1L, std::lround(timeline.rate_hz)));
-  std::string line =
-      fmt::format("{},{}", timecode(frame.sequence - timeline.sequences.front(), frames_per_second),
-                  values.size() + angles.size());
+  std::string line = fmt::format("{},{}", timecode(timeline, frame.sequence), values.size() + angles.size());
   for (const std::size_t column : kColumns) {
     fmt::format_to(std::back_inserter(line), ",{:.10f}", values[column]);
   }

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -48,6 +49,15 @@ Timeline make_timeline(std::span<const FrameEntry> entries, const std::filesyste
     timeline.rate_hz = usual_rate_hz(
         static_cast<double>(entries.back().sequence - entries.front().sequence) / elapsed_s, elapsed_s);
   }
+  std::vector<double> times_s;
+  for (const FrameEntry& entry : entries) {
+    times_s.push_back(1e-9 * static_cast<double>(entry.media_time_ns - entries.front().media_time_ns));
+    timeline.deviation_s =
+        std::max(timeline.deviation_s, std::abs(times_s.back() - time_s(timeline, entry.sequence)));
+  }
+  if (timeline.deviation_s * timeline.rate_hz > 0.5) {
+    timeline.times_s = std::move(times_s);
+  }
   return timeline;
 }
 
@@ -64,7 +74,18 @@ void require_same_mesh(const mesh::Triangles& triangles, const SequenceFrame& fr
 }
 
 double time_s(const Timeline& timeline, std::uint64_t sequence) {
-  return static_cast<double>(sequence - timeline.sequences.front()) / timeline.rate_hz;
+  const std::vector<std::uint64_t>& numbers = timeline.sequences;
+  if (timeline.times_s.empty()) {
+    return static_cast<double>(sequence - numbers.front()) / timeline.rate_hz;
+  }
+  const auto after = std::lower_bound(numbers.begin(), numbers.end(), sequence);
+  const auto at = static_cast<std::size_t>(after - numbers.begin());
+  if (*after == sequence) {
+    return timeline.times_s[at];
+  }
+  const double share =
+      static_cast<double>(sequence - numbers[at - 1]) / static_cast<double>(numbers[at] - numbers[at - 1]);
+  return std::lerp(timeline.times_s[at - 1], timeline.times_s[at], share);
 }
 
 Eigen::Isometry3f metres_from_head(const SequenceFrame& frame) {

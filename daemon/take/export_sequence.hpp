@@ -21,9 +21,6 @@ void mend_normals(Eigen::Matrix3Xf& normals);
 void require_same_mesh(const mesh::Triangles& triangles, const SequenceFrame& frame,
                        const std::filesystem::path& file);
 
-/// Seconds of a frame's number on the timeline.
-double time_s(const Timeline& timeline, std::uint64_t sequence);
-
 /// x right, y up, z towards the viewer, metres, from the head frame in mm: rotation as it is, translation in
 /// metres.
 Eigen::Isometry3f metres_from_head(const SequenceFrame& frame);

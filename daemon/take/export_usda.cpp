@@ -29,12 +29,16 @@ void append_tuples(Text& text, const Matrix& columns) {
 }
 
 /// Universal Scene Description as text: one UsdGeomMesh in the head frame, metres, moved by the head's pose.
-/// A time code is the frame's number in the source.
+/// A time code is the frame's number in the source; at a varying rate, the first frame's number and then the
+/// time in units of the average rate.
 class UsdaWriter final : public SequenceWriter {
  public:
   UsdaWriter(const SequenceOptions& options, const SequenceFrame& first)
-      : file_(options.file), triangles_(first.mesh.triangles), out_(options.file), normals_(options.file) {
-    const Timeline& timeline = options.timeline;
+      : file_(options.file),
+        timeline_(options.timeline),
+        triangles_(first.mesh.triangles),
+        out_(options.file),
+        normals_(options.file) {
     Text head;
     const auto to = std::back_inserter(head);
     fmt::format_to(
@@ -44,7 +48,8 @@ class UsdaWriter final : public SequenceWriter {
         "    framesPerSecond = {}\n)\n\ndef Mesh \"face\"\n{{\n"
         "    uniform token subdivisionScheme = \"none\"\n"
         "    uniform token orientation = \"rightHanded\"\n",
-        timeline.sequences.front(), timeline.sequences.back(), timeline.rate_hz, timeline.rate_hz);
+        time_code(timeline_.sequences.front()), time_code(timeline_.sequences.back()), timeline_.rate_hz,
+        timeline_.rate_hz);
     fmt::format_to(to, "    int[] faceVertexCounts = [");
     for (Eigen::Index i = 0; i < triangles_.cols(); ++i) {
       fmt::format_to(to, "{}3", i == 0 ? "" : ", ");
@@ -75,24 +80,26 @@ class UsdaWriter final : public SequenceWriter {
     Eigen::Matrix<float, 3, 2> extent;
     extent << points.rowwise().minCoeff(), points.rowwise().maxCoeff();
 
+    const double code = time_code(frame.sequence);
+
     Text text;
-    fmt::format_to(std::back_inserter(text), "        {}: ", frame.sequence);
+    fmt::format_to(std::back_inserter(text), "        {}: ", code);
     append_tuples(text, points);
     text.append(std::string_view(",\n"));
     out_.write(view(text));
 
     text.clear();
-    fmt::format_to(std::back_inserter(text), "        {}: ", frame.sequence);
+    fmt::format_to(std::back_inserter(text), "        {}: ", code);
     append_tuples(text, frame.mesh.normals);
     text.append(std::string_view(",\n"));
     normals_.write(view(text));
 
-    fmt::format_to(std::back_inserter(extents_), "        {}: ", frame.sequence);
+    fmt::format_to(std::back_inserter(extents_), "        {}: ", code);
     append_tuples(extents_, extent);
     extents_.append(std::string_view(",\n"));
     // USD's matrices are for row vectors: each tuple is a column of ours.
     const Eigen::Matrix4f pose = metres_from_head(frame).matrix();
-    fmt::format_to(std::back_inserter(poses_), "        {}: (", frame.sequence);
+    fmt::format_to(std::back_inserter(poses_), "        {}: (", code);
     for (int column = 0; column < 4; ++column) {
       fmt::format_to(std::back_inserter(poses_), "{}({}, {}, {}, {})", column == 0 ? "" : ", ",
                      pose(0, column), pose(1, column), pose(2, column), pose(3, column));
@@ -112,7 +119,14 @@ class UsdaWriter final : public SequenceWriter {
   }
 
  private:
+  double time_code(std::uint64_t sequence) const {
+    return timeline_.times_s.empty() ? static_cast<double>(sequence)
+                                     : static_cast<double>(timeline_.sequences.front()) +
+                                           time_s(timeline_, sequence) * timeline_.rate_hz;
+  }
+
   std::filesystem::path file_;
+  Timeline timeline_;
   mesh::Triangles triangles_;
   files::OutputFile out_;
   files::ScratchFile normals_;

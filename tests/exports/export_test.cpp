@@ -14,11 +14,13 @@
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <opencv2/core.hpp>
 #include <opencv2/imgcodecs.hpp>
 #include <random>
 #include <sstream>
 
+#include "avatar/glb_document.hpp"
 #include "face/face_model.hpp"
 #include "mesh/arkit.hpp"
 #include "support/child_process.hpp"
@@ -34,10 +36,13 @@ namespace {
 using test::Birth;
 using test::ChildProcess;
 using ::testing::AllOf;
+using ::testing::DoubleNear;
 using ::testing::Each;
 using ::testing::ElementsAre;
+using ::testing::FloatNear;
 using ::testing::HasSubstr;
 using ::testing::Not;
+using ::testing::Pointwise;
 
 const std::vector<std::pair<std::string, std::string>> kOneFile = {{"glb-frames", "glb"}, {"usda", "usda"},
                                                                    {"pc2", "pc2"},        {"mdd", "mdd"},
@@ -91,6 +96,38 @@ class Export : public ::testing::Test {
                                        : test::patch_frame(sequence, subject, albedo));
     }
     return record("some.take", frames);
+  }
+
+  /// The same, but each frame's media time is changed.
+  std::string patch_take(const std::function<std::int64_t(std::int64_t frame)>& media_time_ns) const {
+    const auto subject = test::patch_subject();
+    std::vector<mesh::MeshFrame> frames;
+    for (std::int64_t frame = 0; frame < 7; ++frame) {
+      const auto sequence = static_cast<std::uint64_t>(100 + frame);
+      frames.push_back(frame == 3 ? test::searching_frame(sequence)
+                                  : test::patch_frame(sequence, subject, nullptr));
+      frames.back().media_time_ns = media_time_ns(frame);
+    }
+    return record("timed.take", frames);
+  }
+
+  /// Of the last animation of a GLB, seconds.
+  std::vector<float> key_times_s(const std::string& name) const {
+    const avatar::GlbDocument glb = avatar::read_glb(file(name));
+    const auto& sampler = glb.json["animations"].back()["samplers"][0];
+    const auto& accessor = glb.json["accessors"][sampler["input"].get<std::size_t>()];
+    const auto& view = glb.json["bufferViews"][accessor["bufferView"].get<std::size_t>()];
+    std::vector<float> times_s(accessor["count"].get<std::size_t>());
+    const auto offset =
+        view.value("byteOffset", std::size_t{0}) + accessor.value("byteOffset", std::size_t{0});
+    EXPECT_LE(offset + 4 * times_s.size(), glb.binary.size());
+    std::memcpy(times_s.data(), glb.binary.data() + offset, 4 * times_s.size());
+    return times_s;
+  }
+
+  std::string bytes_of(const std::string& name) const {
+    std::ifstream in(file(name), std::ios::binary);
+    return std::string(std::istreambuf_iterator<char>(in), {});
   }
 
   /// A person of the default model who moves all expressions and the head, frames 100 to 103 of the source.
@@ -308,6 +345,100 @@ TEST_F(Export, CurvesHaveTheColumnsOfLiveLinkFace) {
   }
 }
 
+/// Footage of a phone in the dusk: 8 frames a second, then 24; 12 on average.
+std::int64_t dusk_ns(std::int64_t frame) {
+  return 1'000'000'000 * (std::min(frame, std::int64_t{3}) * 3 + std::max(frame - 3, std::int64_t{0})) / 24;
+}
+
+/// Of those of seven frames that have a face.
+const std::vector<float> kDuskTimes_s = {0, 3 / 24.0F, 6 / 24.0F, 10 / 24.0F, 11 / 24.0F, 12 / 24.0F};
+
+TEST_F(Export, AVaryingRateKeepsTheSourcesTimes) {
+  const std::string take = patch_take(dusk_ns);
+  ASSERT_EQ(run({"export", take, "--format", "glb-frames", "-o", file("a.glb")}), 0) << output_;
+  EXPECT_THAT(output_, AllOf(HasSubstr("at a varying rate, on average 12 Hz"), Not(HasSubstr("warning"))));
+  EXPECT_THAT(key_times_s("a.glb"), Pointwise(FloatNear(1e-6F), kDuskTimes_s));
+
+  ASSERT_EQ(run({"export", take, "--format", "usda", "-o", file("a.usda")}), 0) << output_;
+  EXPECT_THAT(output_, Not(HasSubstr("warning")));
+  const std::string usda = bytes_of("a.usda");
+  EXPECT_THAT(usda, AllOf(HasSubstr("startTimeCode = 100\n"), HasSubstr("endTimeCode = 106\n"),
+                          HasSubstr("timeCodesPerSecond = 12\n")));
+  std::vector<double> codes;
+  std::istringstream poses(usda.substr(usda.find("xformOp:transform.timeSamples")));
+  std::string line;
+  std::getline(poses, line);
+  while (std::getline(poses, line) && line.find(": (") != std::string::npos) {
+    codes.push_back(std::stod(line));
+  }
+  EXPECT_THAT(codes, Pointwise(DoubleNear(1e-6), std::vector<double>{100, 101.5, 103, 105, 105.5, 106}));
+
+  ASSERT_EQ(run({"export", take, "--format", "csv", "-o", file("a.csv")}), 0) << output_;
+  std::istringstream csv(bytes_of("a.csv"));
+  std::vector<std::string> timecodes;
+  while (std::getline(csv, line)) {
+    timecodes.push_back(line.substr(0, line.find(',')));
+  }
+  EXPECT_THAT(timecodes,
+              ElementsAre("Timecode", "00:00:00:00.000", "00:00:00:01.500", "00:00:00:03.000",
+                          "00:00:00:04.500", "00:00:00:05.000", "00:00:00:05.500", "00:00:00:06.000"));
+
+  // A cache has a sample for each number: that of frame 103, which has no face, lies between its neighbours.
+  ASSERT_EQ(run({"export", take, "--format", "mdd", "-o", file("a.mdd")}), 0) << output_;
+  EXPECT_THAT(output_, HasSubstr("is up to 0.083 s beside the source"));
+  const std::string mdd = bytes_of("a.mdd");
+  std::vector<float> expected_s = kDuskTimes_s;
+  expected_s.insert(expected_s.begin() + 3, 8 / 24.0F);
+  std::vector<float> times_s;
+  for (std::size_t sample = 0; sample < 7; ++sample) {
+    std::string big_endian = mdd.substr(8 + 4 * sample, 4);
+    std::reverse(big_endian.begin(), big_endian.end());
+    std::memcpy(&times_s.emplace_back(), big_endian.data(), 4);
+  }
+  EXPECT_THAT(times_s, Pointwise(FloatNear(1e-6F), expected_s));
+}
+
+TEST_F(Export, WhatHasNoTimesWarnsOfAVaryingRate) {
+  const std::string take = patch_take(dusk_ns);
+  const std::string steady = patch_take();
+  for (const auto& [format, output] : {std::pair{"pc2", "a.pc2"}, {"obj", "meshes"}, {"normal", "maps"}}) {
+    ASSERT_EQ(run({"export", take, "--format", format, "--size", "64", "-o", file(output)}), 0) << output_;
+    EXPECT_THAT(output_,
+                AllOf(HasSubstr("warning: the source's rate varies: '" + file(output) + "'"),
+                      HasSubstr("12 Hz"), HasSubstr(format == std::string("pc2") ? "0.083 s" : "0.125 s")));
+    ASSERT_EQ(run({"export", steady, "--format", format, "--size", "64", "-o", file(output)}), 0) << output_;
+    EXPECT_THAT(output_, Not(HasSubstr("warning")));
+  }
+}
+
+TEST_F(Export, ACamerasJitterIsNoVaryingRate) {
+  // 12 ms early or late at 30 Hz; the ends are in time.
+  const std::string take = patch_take([](std::int64_t frame) {
+    return 1'000'000'000 * frame / 30 + (frame % 6 == 0 ? 0 : frame % 2 == 0 ? 12'000'000 : -12'000'000);
+  });
+  ASSERT_EQ(run({"export", take, "--format", "glb-frames", "-o", file("a.glb")}), 0) << output_;
+  EXPECT_THAT(output_, HasSubstr("of the source at 30 Hz"));
+  EXPECT_THAT(key_times_s("a.glb"), ElementsAre(0, static_cast<float>(1 / 30.0), static_cast<float>(2 / 30.0),
+                                                static_cast<float>(4 / 30.0), static_cast<float>(5 / 30.0),
+                                                static_cast<float>(6 / 30.0)));
+}
+
+/// The times of a performance on an avatar are those of the take's own export.
+TEST_F(Export, RetargetingKeepsAVaryingRate) {
+  nlohmann::ordered_json rig = {
+      {"asset", {{"version", "2.0"}}},
+      {"nodes", {{{"name", "head"}, {"mesh", 0}}}},
+      {"meshes",
+       {{{"primitives", {{{"targets", nlohmann::json::array({nlohmann::json::object()})}}}},
+         {"extras", {{"targetNames", {"jawOpen"}}}}}}}};
+  avatar::write_glb({std::move(rig), {}}, file("avatar.glb"));
+  ASSERT_EQ(run({"retarget", patch_take(dusk_ns), "--rig", file("avatar.glb"), "--allow-missing", "-o",
+                 file("anim.glb")}),
+            0)
+      << output_;
+  EXPECT_THAT(key_times_s("anim.glb"), Pointwise(FloatNear(1e-6F), kDuskTimes_s));
+}
+
 TEST_F(Export, ExpressionsNeedTheTakesOwnModel) {
   const std::string take = patch_take();
   if (!std::filesystem::exists(test::default_model())) {
@@ -391,15 +522,11 @@ TEST_F(ExportPeers, ABoothsTakeComesOutWhole) {
     EXPECT_GT(deviation[channel], 2000) << "a face looks to many sides";
   }
   write_truth(take, take::MeshLevel::Finest, "truth");
-  const auto bytes = [this](const std::string& name) {
-    std::ifstream in(file(name), std::ios::binary);
-    return std::string(std::istreambuf_iterator<char>(in), {});
-  };
-  const std::string cache = bytes("cache.pc2");
+  const std::string cache = bytes_of("cache.pc2");
   constexpr std::size_t kSample = 12 * 36016;
   ASSERT_EQ(cache.size(), 32 + 4 * kSample) << "152 to 155, those without a mesh held";
   for (const std::size_t index : {0U, 3U}) {
-    const std::string truth = bytes(fmt::format("truth/frame_{:06}.f32", 152 + index));
+    const std::string truth = bytes_of(fmt::format("truth/frame_{:06}.f32", 152 + index));
     ASSERT_EQ(truth.size(), kSample);
     const auto floats = [](const std::string& from, std::size_t at) {
       Eigen::VectorXf out(kSample / 4);
