@@ -30,6 +30,7 @@ std::vector<std::int64_t> frames_in_range(take::TakeReader& take, const std::str
 
 take::Timeline timeline_of(take::TakeReader& take, const std::vector<std::int64_t>& indices) {
   std::vector<take::FrameEntry> entries;
+  entries.reserve(indices.size());
   for (const std::int64_t index : indices) {
     entries.push_back(take.entry(index));
   }

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include "facet/error.hpp"
 #include "mesh/arkit.hpp"
