@@ -14,6 +14,7 @@
 #include "commands.hpp"
 #include "facet/error.hpp"
 #include "progress.hpp"
+#include "take/closing.hpp"
 #include "take/reader.hpp"
 #include "take_stages.hpp"
 
@@ -24,6 +25,7 @@ struct Options {
   std::string take;
   bool last_mesh_frame = false;
   bool verify = false;
+  bool close = false;
 };
 
 /// What the frame sets of a take hold.
@@ -145,7 +147,18 @@ void verify(take::TakeReader& reader) {
   fmt::print("verified      {} frames with all their pictures\n", reader.frame_count());
 }
 
+/// Throws Error(Storage) where the take can't be closed now.
+void close(const std::string& file) {
+  const take::ClosedTake take = take::close_take(file);
+  if (!take.left.empty()) {
+    throw Error(ErrorKind::Storage, fmt::format("take '{}': {}", file, take.left));
+  }
+}
+
 void run(const Options& options) {
+  if (options.close) {
+    close(options.take);
+  }
   take::TakeReader reader(options.take);
   if (options.last_mesh_frame) {
     print_last_mesh_frame(reader);
@@ -197,7 +210,7 @@ void run(const Options& options) {
   fmt::print("take          {}\n", info.file.string());
   fmt::print("source        {}\n", info.source);
   fmt::print("recorded      {} by {}{}\n", info.created_utc, info.software,
-             info.closed ? "" : " (not closed: its recorder ended early or still records)");
+             info.closed ? "" : " (not closed: still recorded, or broken off: --close)");
   if (!info.end_reason.empty()) {
     fmt::print("ended         {}\n", info.end_reason);
   }
@@ -258,6 +271,9 @@ void add_summary_command(CLI::App& app) {
                     "Print only the number, in the source, of the last frame that has a mesh");
   command->add_flag("--verify", options->verify,
                     "Read every frame with its pictures and name those that are damaged");
+  command->add_flag("--close", options->close,
+                    "First close a take that was broken off and fold in the log beside it, where nobody has "
+                    "it open");
   command->callback([options] { run(*options); });
 }
 

@@ -35,6 +35,7 @@
 #include "service/thumbnails.hpp"
 #include "service/web_server.hpp"
 #include "stream/server.hpp"
+#include "take/closing.hpp"
 
 namespace facet::service {
 namespace {
@@ -71,6 +72,29 @@ stream::FileDescriptor open_signals() {
     throw Error(ErrorKind::Internal, fmt::format("cannot watch signals: {}", std::strerror(errno)));
   }
   return fd;
+}
+
+/// Closes what recorders that were killed left behind; a take that anyone has open stays as it is.
+void close_broken_off_takes(const std::filesystem::path& folder, Log& log) {
+  std::error_code error;
+  for (std::filesystem::directory_iterator entry(folder, error), end; !error && entry != end;
+       entry.increment(error)) {
+    if (entry->path().extension() != ".take") {
+      continue;
+    }
+    try {
+      const take::ClosedTake take = take::close_take(entry->path());
+      if (take.recovered) {
+        log.warning(fmt::format("take {} had been broken off: closed now with {} frames",
+                                entry->path().string(), take.info.frame_count),
+                    {{"FACET_EVENT", "take-recovered"}, {"FACET_TAKE", take.info.file.string()}});
+      } else if (!take.left.empty()) {
+        log.warning(fmt::format("take {}: {}", entry->path().string(), take.left));
+      }
+    } catch (const Error& unreadable) {
+      log.warning(unreadable.what());
+    }
+  }
 }
 
 void check_takes_folder(const std::filesystem::path& folder) {
@@ -182,6 +206,7 @@ Service::Impl::Impl(const Config& given, Log& given_log)
       thumbnails(given.takes.folder),
       bridge_sink(bridge.get()) {
   check_takes_folder(config.takes.folder);
+  close_broken_off_takes(config.takes.folder, log);
   control.emplace(config.control, methods(), std::move(passed.control));
 }
 
@@ -403,7 +428,9 @@ void Service::Impl::log_take(const take::RecorderStatus& take) const {
     log.error(fmt::format("{}; recording ended by itself: {}", text, take.reason),
               {{"FACET_EVENT", "take-failed"}, {"FACET_TAKE", take.file.string()}});
   } else {
-    log.info(text, {{"FACET_EVENT", "take-ended"}, {"FACET_TAKE", take.file.string()}});
+    const char* left =
+        take.log_left ? "; a part stays in the -wal file beside it, as another program reads it" : "";
+    log.info(text + left, {{"FACET_EVENT", "take-ended"}, {"FACET_TAKE", take.file.string()}});
   }
 }
 

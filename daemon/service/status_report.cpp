@@ -170,7 +170,8 @@ json to_json(const take::RecorderStatus& status) {
           {"frames", status.frames},
           {"mesh_frames", status.mesh_frames},
           {"dropped", status.dropped},
-          {"bytes", status.bytes}};
+          {"bytes", status.bytes},
+          {"log_left", status.log_left}};
 }
 
 json to_json(const avatar::BridgeStatus& status) {

@@ -17,6 +17,7 @@
 #include "files/output_file.hpp"
 #include "files/text_file.hpp"
 #include "mesh/hierarchy.hpp"
+#include "take/closing.hpp"
 #include "take/reader.hpp"
 #include "take/recorder.hpp"
 
@@ -340,13 +341,12 @@ void Studio::Impl::open_session(const Opening& what) {
   }
   auto made = std::make_unique<Session>();
   made->file = take::named_take(folder, what.take);
+  const take::ClosedTake closed = take::close_take(made->file);
+  if (!closed.info.closed) {
+    throw Error(ErrorKind::Usage, fmt::format("take {}: {}", what.take, closed.left));
+  }
   made->file_state = animate::state_of(made->file);
   made->reader.emplace(made->file);
-  const take::TakeInfo& info = made->reader->info();
-  if (!info.closed) {
-    throw Error(ErrorKind::Usage,
-                fmt::format("take {} is not closed: it is being recorded, or was broken off", what.take));
-  }
   std::int64_t first_ns = 0;
   for (std::int64_t index = 0; index < made->reader->frame_count(); ++index) {
     const take::FrameEntry entry = made->reader->entry(index);

@@ -30,6 +30,7 @@
 #include "service/listen_address.hpp"
 #include "service/thumbnails.hpp"
 #include "stream/web_socket.hpp"
+#include "take/closing.hpp"
 #include "take/reader.hpp"
 #include "take/recorder.hpp"
 
@@ -556,12 +557,14 @@ std::optional<std::filesystem::path> WebServer::Impl::closed_take(MHD_Connection
       refused = refuse(connection, MHD_HTTP_NOT_FOUND, "no such take");
       return std::nullopt;
     }
-    info = take::TakeReader(file).info();
-    if (!info.closed) {
-      refused = refuse(connection, MHD_HTTP_CONFLICT,
-                       "the take is not closed: it is being recorded, or was broken off");
+    take::ClosedTake take = take::close_take(file);
+    if (!take.left.empty()) {
+      refused =
+          refuse(connection, MHD_HTTP_CONFLICT,
+                 fmt::format("the take can't be downloaded now: {}; try again when that is over", take.left));
       return std::nullopt;
     }
+    info = std::move(take.info);
     return file;
   } catch (const Error& error) {
     refused = refuse(connection, error.kind() == ErrorKind::Usage ? MHD_HTTP_NOT_FOUND : MHD_HTTP_CONFLICT,

@@ -1,6 +1,10 @@
 #include "take/database.hpp"
 
+#include <fmt/format.h>
 #include <sqlite3.h>
+
+#include <system_error>
+#include <thread>
 
 #include "take/take_file.hpp"
 
@@ -18,6 +22,19 @@ void check(sqlite3* handle, int code) {
   if (code != SQLITE_OK) {
     fail(handle, code);
   }
+}
+
+/// The URI of a file that nobody changes, https://www.sqlite.org/uri.html.
+std::string immutable_uri(const std::filesystem::path& file) {
+  std::string uri = "file://";
+  for (const char character : std::filesystem::absolute(file).string()) {
+    if (character == '%' || character == '?' || character == '#') {
+      uri += fmt::format("%{:02X}", static_cast<unsigned>(character));
+    } else {
+      uri += character;
+    }
+  }
+  return uri + "?immutable=1";
 }
 
 }  // namespace
@@ -98,9 +115,11 @@ bool Statement::column_is_null(int column) {
 
 Database::Database(const std::filesystem::path& file, Mode mode) {
   sqlite3* handle = nullptr;
-  const int flags = (mode == Mode::ReadOnly ? SQLITE_OPEN_READONLY : SQLITE_OPEN_READWRITE) |
-                    SQLITE_OPEN_NOMUTEX | SQLITE_OPEN_PRIVATECACHE;
-  const int code = sqlite3_open_v2(file.c_str(), &handle, flags, nullptr);
+  const bool immutable = mode == Mode::Immutable;
+  const int flags = (mode == Mode::ReadWrite ? SQLITE_OPEN_READWRITE : SQLITE_OPEN_READONLY) |
+                    (immutable ? SQLITE_OPEN_URI : 0) | SQLITE_OPEN_NOMUTEX | SQLITE_OPEN_PRIVATECACHE;
+  const std::string name = immutable ? immutable_uri(file) : file.string();
+  const int code = sqlite3_open_v2(name.c_str(), &handle, flags, nullptr);
   handle_.reset(handle);
   check(handle, code);
   // A take from elsewhere is data: nothing in its schema may run code or make SQLite take endless memory.
@@ -124,6 +143,33 @@ bool Database::in_transaction() const {
 
 void Database::set_busy_timeout_ms(int timeout_ms) {
   sqlite3_busy_timeout(handle_.get(), timeout_ms);
+}
+
+bool Database::end_log(std::chrono::milliseconds patience) {
+  constexpr auto kPause = std::chrono::milliseconds(10);  // SQLite's own busy timeout does not hold here
+  const auto until = std::chrono::steady_clock::now() + patience;
+  while (true) {
+    try {
+      execute("PRAGMA journal_mode = DELETE");
+      return true;
+    } catch (const DatabaseError& error) {
+      if (error.code() != SQLITE_BUSY && error.code() != SQLITE_LOCKED) {
+        throw;
+      }
+    }
+    if (std::chrono::steady_clock::now() >= until) {
+      return false;
+    }
+    std::this_thread::sleep_for(kPause);
+  }
+}
+
+std::uint64_t log_bytes(const std::filesystem::path& file) {
+  std::error_code error;
+  // SQLite puts the log beside the file itself, not beside a link to it.
+  const std::uintmax_t bytes =
+      std::filesystem::file_size(std::filesystem::weakly_canonical(file, error).string() + "-wal", error);
+  return error ? 0 : bytes;
 }
 
 }  // namespace facet::take

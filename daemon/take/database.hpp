@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <filesystem>
 #include <memory>
@@ -57,13 +58,17 @@ class Statement {
 /// One connection. Throws DatabaseError.
 class Database {
  public:
-  enum class Mode { ReadOnly, ReadWrite };  ///< neither creates the file
+  /// None creates the file. Immutable: nobody can change it, a log beside it is not looked at.
+  enum class Mode { ReadOnly, ReadWrite, Immutable };
   Database(const std::filesystem::path& file, Mode mode);
 
   void execute(const std::string& sql);  ///< statements without parameters; rows are ignored
   std::int64_t query_int64(const std::string& sql);
   bool in_transaction() const;
   void set_busy_timeout_ms(int timeout_ms);
+  /// Folds the write-ahead log into the file and leaves its mode: the file alone is the database. False, with
+  /// nothing changed, where another connection of any process had the file open all the time.
+  bool end_log(std::chrono::milliseconds patience);
   sqlite3* handle() const { return handle_.get(); }
 
  private:
@@ -72,5 +77,8 @@ class Database {
   };
   std::unique_ptr<sqlite3, Close> handle_;
 };
+
+/// Bytes of the write-ahead log beside a file; 0 where there is none.
+std::uint64_t log_bytes(const std::filesystem::path& file);
 
 }  // namespace facet::take

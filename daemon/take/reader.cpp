@@ -29,7 +29,7 @@ std::uint64_t id_from(std::int64_t stored) {
   throw Error(ErrorKind::UnreadableInput, fmt::format("take '{}': {}", file.string(), what));
 }
 
-std::string explain(const DatabaseError& error) {
+std::string explain(const std::filesystem::path& file, const DatabaseError& error) {
   switch (error.code()) {
     case SQLITE_NOTADB:
       return "this is not a take (not an SQLite file)";
@@ -37,9 +37,10 @@ std::string explain(const DatabaseError& error) {
       return fmt::format("the file is damaged ({})", error.what());
     case SQLITE_CANTOPEN:
     case SQLITE_READONLY:
-      return "it was not closed by its recorder and its folder is read-only: copy it together with its -wal "
-             "file to "
-             "a folder that can be written";
+      return log_bytes(file) == 0 ? error.what()
+                                  : "a part of it is still in its -wal file and its folder is read-only: "
+                                    "copy it together with "
+                                    "its -wal file to a folder that can be written";
     case SQLITE_BUSY:
     case SQLITE_LOCKED:
       return "another program holds it locked: try again";
@@ -47,6 +48,8 @@ std::string explain(const DatabaseError& error) {
       return error.what();
   }
 }
+
+constexpr int kBusyTimeoutMs = 2000;
 
 Database open_database(const std::filesystem::path& file) {
   std::error_code error;
@@ -57,10 +60,20 @@ Database open_database(const std::filesystem::path& file) {
   if (!std::filesystem::is_regular_file(status)) {
     reject(file, "this is not a file");
   }
-  return {file, Database::Mode::ReadOnly};
+  Database database(file, Database::Mode::ReadOnly);
+  try {
+    database.set_busy_timeout_ms(kBusyTimeoutMs);
+    database.query_int64("PRAGMA schema_version");
+  } catch (const DatabaseError& unreadable) {
+    // A take whose log was folded in while a reader had it open keeps the log's mode; in a folder that can't
+    // be written SQLite would refuse it, though nothing is missing.
+    if (unreadable.code() != SQLITE_CANTOPEN || log_bytes(file) > 0) {
+      throw;
+    }
+    return {file, Database::Mode::Immutable};
+  }
+  return database;
 }
-
-constexpr int kBusyTimeoutMs = 2000;
 
 }  // namespace
 
@@ -93,7 +106,7 @@ struct TakeReader::Impl {
     try {
       return open_database(take);
     } catch (const DatabaseError& error) {
-      reject(take, explain(error));
+      reject(take, explain(take, error));
     }
   }
   std::unique_ptr<Statement> prepare(std::string_view sql) {
@@ -106,7 +119,7 @@ struct TakeReader::Impl {
     try {
       return work();
     } catch (const DatabaseError& error) {
-      reject(file, explain(error));
+      reject(file, explain(file, error));
     }
   }
 
@@ -135,7 +148,6 @@ struct TakeReader::Impl {
 
 bool TakeReader::Impl::check_schema() {
   guarded([this] {
-    database.set_busy_timeout_ms(kBusyTimeoutMs);
     const std::int64_t application = database.query_int64("PRAGMA application_id");
     if (application != kApplicationId) {
       reject(file, "this is an SQLite file, but not a take");
@@ -200,10 +212,8 @@ void TakeReader::Impl::read_info() {
           fmt::format("SELECT timestamp_ns FROM frame WHERE number = {}", info.frame_count - 1));
     }
     std::error_code error;
-    for (const char* part : {"", "-wal"}) {
-      const std::uintmax_t bytes = std::filesystem::file_size(file.string() + part, error);
-      info.file_bytes += error ? 0 : bytes;
-    }
+    const std::uintmax_t bytes = std::filesystem::file_size(file, error);
+    info.file_bytes = (error ? 0 : bytes) + log_bytes(file);
     if (info.format_version >= 2) {
       read_segments();
     }

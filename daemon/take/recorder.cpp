@@ -42,7 +42,7 @@ constexpr int kPageBytes = 16384;
 constexpr int kCheckpointPages = 512;
 // A reader in the middle of a page may hold up the closing of the log for this long; the take is readable
 // without it too.
-constexpr int kCloseTimeoutMs = 200;
+constexpr auto kCloseTimeout = std::chrono::milliseconds(200);
 constexpr std::size_t kMaxTakeNameBytes = 100;
 constexpr int kMostPackers = 16;
 
@@ -190,7 +190,7 @@ class TakeWriter {
   }
   void set_meta(std::string_view key, std::string_view value);
   void close_segments() { segments_.reset(); }
-  /// Folds the write-ahead log into the file and removes it.
+  /// Folds the write-ahead log into the file and removes it, as far as readers let it.
   void close_log();
 
  private:
@@ -288,9 +288,9 @@ void TakeWriter::set_meta(std::string_view key, std::string_view value) {
 }
 
 void TakeWriter::close_log() {
-  database_.set_busy_timeout_ms(kCloseTimeoutMs);
+  database_.set_busy_timeout_ms(static_cast<int>(kCloseTimeout.count()));
   database_.execute("PRAGMA wal_checkpoint(TRUNCATE)");
-  database_.execute("PRAGMA journal_mode = DELETE");
+  database_.end_log(kCloseTimeout);
 }
 
 struct TakeRecorder::Impl {
@@ -492,7 +492,9 @@ void TakeRecorder::Impl::finish() {
     }
   }
   writer.reset();
+  const std::uint64_t left = log_bytes(config.file);
   const std::lock_guard lock(mutex);
+  shown.log_left = left > 0;
   if (shown.state == RecorderState::Recording) {
     shown.state = RecorderState::Finished;
   }

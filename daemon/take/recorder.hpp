@@ -48,6 +48,7 @@ struct RecorderStatus {
   std::uint64_t dropped = 0;      ///< lost to a full queue, or after a failure
   std::uint64_t bytes = 0;        ///< of frame blobs and pictures committed
   std::size_t queued = 0;         ///< waiting to be written
+  bool log_left = false;  ///< stopped, but a part is still in the log beside it, as a reader has it open
 };
 
 /// Writes one take: one SQLite file, and beside it the segments of its pictures. Both are committed every
@@ -73,8 +74,9 @@ class TakeRecorder {
 
   /// First phase: takes no more frames. Any thread, returns at once, idempotent.
   void request_stop();
-  /// Second phase: what is queued is written, the write-ahead log is folded into the one file, the threads
-  /// join. Idempotent; the destructor calls both.
+  /// Second phase: what is queued is written, the write-ahead log is folded into the one file
+  /// (RecorderStatus:: log_left where a reader prevents it: close_take does it later), the threads join.
+  /// Idempotent; the destructor calls both.
   RecorderStatus stop();
 
   RecorderStatus status() const;  ///< any thread

@@ -25,6 +25,39 @@
 namespace facet::service {
 namespace {
 
+/// A daemon that is killed leaves a take that the next one closes.
+TEST_F(Daemon, BrokenOffTakeIsClosedAtTheNextStart) {
+  const auto config = folder_.path() / "facet.toml";
+  const auto write_config = [&config](const std::string& takes) {
+    std::filesystem::copy_file(std::filesystem::path(FACET_SOURCE_DIR) / "config" / "booth.toml", config,
+                               std::filesystem::copy_options::overwrite_existing);
+    std::ofstream(config, std::ios::app)
+        << "[stream]\nsocket = \"stream.sock\"\n[control]\nsocket = "
+           "\"control.sock\"\n[takes]\nfolder = \"takes\"\ndisk_reserve_mb = 1\n"
+        << takes;
+  };
+  write_config("record_at_start = \"killed\"\n");
+  const auto killed = start(config.string());
+  await(*killed,
+        [](const json& now) { return now["recording"].is_object() && now["recording"]["frames"] > 5; });
+  EXPECT_EQ(ask("takes.list")["takes"][0]["closed"], false) << "it is being recorded";
+  killed->send(SIGKILL);
+  killed->wait();
+  const std::int64_t frames = take::TakeReader(folder_.path() / "takes" / "killed.take").frame_count();
+
+  write_config("");
+  const auto daemon = start(config.string());
+  await(*daemon, [](const json& now) { return now["state"] == "running"; });
+  const json listed = ask("takes.list")["takes"][0];
+  EXPECT_EQ(listed["closed"], true);
+  EXPECT_EQ(listed["frames"], frames);
+  EXPECT_THAT(listed["end_reason"].get<std::string>(), HasSubstr("broken off"));
+  EXPECT_THAT(daemon->output(), HasSubstr("killed.take had been broken off"));
+  EXPECT_FALSE(std::filesystem::exists(folder_.path() / "takes" / "killed.take-wal"));
+  ask("shutdown");
+  expect_clean_end(*daemon);
+}
+
 /// The sample of a rig runs as it is: simulated cameras on a virtual trigger, streamed and recorded.
 TEST_F(Daemon, ModeFramesHandsOutAndRecordsFrameSets) {
   const auto sample = std::filesystem::path(FACET_SOURCE_DIR) / "config" / "booth.toml";

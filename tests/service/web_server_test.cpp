@@ -25,6 +25,7 @@
 #include "stream/web_socket.hpp"
 #include "support/mesh_frames.hpp"
 #include "support/paths.hpp"
+#include "take/database.hpp"
 #include "take/reader.hpp"
 #include "take/recorder.hpp"
 
@@ -715,6 +716,31 @@ TEST_F(Web, TakesAreDownloaded) {
   EXPECT_THAT(get("/takes/broken"), AllOf(StartsWith("HTTP/1.1 409"), Not(HasSubstr("no take"))));
   std::filesystem::create_symlink(folder_.path() / "secret.txt", folder_.path() / "takes" / "link.take");
   EXPECT_THAT(get("/takes/link"), Not(HasSubstr("outside")));
+}
+
+/// What is still in the log is no part of the file that would be sent.
+TEST_F(Web, TakeWhoseLogAReaderKeepsIsSentWholeOrNotAtAll) {
+  start();
+  take::TakeRecorderConfig config;
+  config.file = folder_.path() / "takes" / "read.take";
+  config.disk_reserve_bytes = 0;
+  take::TakeRecorder recorder(config);
+  std::optional<take::Database> reader(std::in_place, config.file, take::Database::Mode::ReadOnly);
+  reader->execute("BEGIN");
+  reader->query_int64("SELECT count(*) FROM frame");
+  recorder.start();
+  recorder.record(std::make_shared<mesh::MeshFrame>(test::patch_frame(1, subject_, albedo_)));
+  ASSERT_EQ(recorder.stop().state, take::RecorderState::Finished);
+  ASSERT_TRUE(take::TakeReader(config.file).info().closed) << "read with its log";
+  EXPECT_THAT(get("/takes/read"),
+              AllOf(StartsWith("HTTP/1.1 409"), HasSubstr("-wal file"), HasSubstr("another program"),
+                    Not(HasSubstr(folder_.path().string()))));
+  reader.reset();
+  const std::string answer = get("/takes/read");
+  EXPECT_THAT(answer, StartsWith("HTTP/1.1 200"));
+  const auto got = folder_.path() / "got.take";
+  std::ofstream(got, std::ios::binary) << answer.substr(answer.find("\r\n\r\n") + 4);
+  EXPECT_EQ(take::TakeReader(got).frame(0)->sequence, 1U);
 }
 
 TEST_F(Web, PicturesOfTakesAreServedAndNothingBesideThem) {

@@ -1,6 +1,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <poll.h>
 #include <sys/resource.h>
+#include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -8,12 +10,16 @@
 #include <csignal>
 #include <ctime>
 #include <fstream>
+#include <iterator>
+#include <optional>
 #include <thread>
 
 #include "facet/error.hpp"
 #include "record_take.hpp"
 #include "support/paths.hpp"
 #include "support/small_disk.hpp"
+#include "take/closing.hpp"
+#include "take/database.hpp"
 #include "take/reader.hpp"
 #include "take/recorder.hpp"
 
@@ -21,6 +27,7 @@ namespace facet::take {
 namespace {
 
 using namespace std::chrono_literals;
+using testing::AllOf;
 using testing::HasSubstr;
 using testing::IsEmpty;
 
@@ -278,6 +285,167 @@ TEST_F(Recorder, KilledProcessLosesOneSecondAtMost) {
   for (std::int64_t index = 0; index < reader.frame_count(); ++index) {
     EXPECT_EQ(reader.frame(index)->sequence, static_cast<std::uint64_t>(index));
   }
+}
+
+/// Records `frames` frames in a process that is killed once they are committed.
+void record_and_be_killed(const TakeRecorderConfig& config, std::uint64_t frames,
+                          const std::shared_ptr<const mesh::Subject>& subject) {
+  const Child child([&] {
+    TakeRecorder recorder(config);
+    recorder.start();
+    for (std::uint64_t index = 0; index < frames; ++index) {
+      recorder.record(test::take_frame(index, subject));
+    }
+    while (recorder.status().frames < frames) {
+      std::this_thread::sleep_for(1ms);
+    }
+    ::raise(SIGKILL);
+  });
+  const int status = child.wait();
+  ASSERT_TRUE(WIFSIGNALED(status));
+}
+
+std::int64_t files_in(const std::filesystem::path& folder) {
+  return std::distance(std::filesystem::directory_iterator(folder), std::filesystem::directory_iterator());
+}
+
+TEST_F(Recorder, LogThatAReaderKeptIsFoldedInLater) {
+  TakeRecorder recorder(test::recorder_config(file));
+  std::optional<Database> reader(std::in_place, file, Database::Mode::ReadOnly);
+  reader->execute("BEGIN");
+  EXPECT_EQ(reader->query_int64("SELECT count(*) FROM frame"), 0);  // from here on it sees this state
+  recorder.start();
+  for (std::uint64_t index = 0; index < 12; ++index) {
+    recorder.record(test::take_frame(index, subject));
+  }
+  const RecorderStatus status = recorder.stop();
+  EXPECT_EQ(status.state, RecorderState::Finished);
+  EXPECT_TRUE(status.log_left);
+  EXPECT_GT(log_bytes(file), 0U);
+  const ClosedTake read = close_take(file);
+  EXPECT_THAT(read.left, AllOf(HasSubstr("-wal file"), HasSubstr("another program")));
+  EXPECT_TRUE(read.info.closed);
+
+  reader.reset();
+  const ClosedTake closed = close_take(file);
+  EXPECT_THAT(closed.left, IsEmpty());
+  EXPECT_FALSE(closed.recovered);
+  EXPECT_THAT(closed.info.end_reason, IsEmpty()) << "it was not broken off";
+  EXPECT_EQ(closed.info.frame_count, 12);
+  EXPECT_EQ(files_in(folder.path()), 1);
+}
+
+/// A reader that is open at the end without reading keeps the log's mode, though nothing is in the log.
+TEST_F(Recorder, CompleteTakeInTheLogsModeIsReadFromAReadOnlyFolder) {
+  TakeRecorder recorder(test::recorder_config(file));
+  std::optional<Database> reader(std::in_place, file, Database::Mode::ReadOnly);
+  EXPECT_EQ(reader->query_int64("SELECT count(*) FROM frame"), 0);
+  recorder.start();
+  recorder.record(test::take_frame(0, subject));
+  EXPECT_FALSE(recorder.stop().log_left);
+  reader.reset();
+  const std::filesystem::path archive = folder.path() / "50 % of #1?";
+  std::filesystem::create_directory(archive);
+  std::filesystem::copy(file, archive / "one.take");
+  ASSERT_EQ(::chmod(folder.path().c_str(), 0755) | ::chmod(archive.c_str(), 0555), 0);
+  const bool root = ::geteuid() == 0;
+  ASSERT_TRUE(!root || ::seteuid(65534) == 0);  // root may write everywhere
+  std::string refused;
+  std::int64_t frames = 0;
+  try {
+    TakeReader archived(archive / "one.take");
+    frames = archived.frame_count();
+    EXPECT_EQ(archived.frame(0)->sequence, 0U);
+  } catch (const Error& error) {
+    refused = error.what();
+  }
+  ASSERT_TRUE(!root || ::seteuid(0) == 0);
+  EXPECT_EQ(::chmod(archive.c_str(), 0755), 0);
+  EXPECT_THAT(refused, IsEmpty());
+  EXPECT_EQ(frames, 1);
+  EXPECT_EQ(files_in(archive), 1);
+
+  // Where its folder can be written the mode is left for good.
+  EXPECT_EQ(Database(file, Database::Mode::ReadOnly).query_int64("SELECT count(*) FROM frame"), 1);
+  EXPECT_THAT(close_take(file).left, IsEmpty());
+  EXPECT_FALSE(std::filesystem::exists(file.string() + "-wal"));
+  EXPECT_FALSE(std::filesystem::exists(file.string() + "-shm"));
+}
+
+TEST_F(Recorder, BrokenOffTakeIsClosedAndSaysSo) {
+  record_and_be_killed(test::recorder_config(file), 30, subject);
+  EXPECT_FALSE(TakeReader(file).info().closed);
+  const ClosedTake closed = close_take(file);
+  EXPECT_THAT(closed.left, IsEmpty());
+  EXPECT_TRUE(closed.recovered);
+  EXPECT_TRUE(closed.info.closed);
+  EXPECT_THAT(closed.info.end_reason, HasSubstr("broken off"));
+  EXPECT_EQ(closed.info.frame_count, 30);
+  EXPECT_EQ(files_in(folder.path()), 1);
+  EXPECT_EQ(TakeReader(file).frame(29)->sequence, 29U);
+  EXPECT_FALSE(close_take(file).recovered) << "once is enough";
+}
+
+TEST_F(Recorder, BrokenOffTakeThatIsReadStaysAsItIs) {
+  record_and_be_killed(test::recorder_config(file), 3, subject);
+  Database reader(file, Database::Mode::ReadOnly);
+  reader.query_int64("SELECT count(*) FROM frame");
+  const ClosedTake read = close_take(file);
+  EXPECT_FALSE(read.recovered);
+  EXPECT_FALSE(read.info.closed);
+  EXPECT_THAT(read.left, AllOf(HasSubstr("not closed"), HasSubstr("another program")));
+}
+
+/// The other process sees nothing of whoever tries to close its take, and loses nothing.
+TEST_F(Recorder, TakeThatAnotherProcessRecordsIsNotTouched) {
+  int begun[2] = {};
+  int end[2] = {};
+  ASSERT_EQ(::pipe(begun) | ::pipe(end), 0);
+  const Child child([&] {
+    ::close(end[1]);
+    TakeRecorder recorder(test::recorder_config(file));
+    recorder.start();
+    pollfd ended{end[0], POLLIN, 0};
+    std::uint64_t index = 0;
+    for (; ::poll(&ended, 1, 2) == 0; ++index) {
+      recorder.record(test::take_frame(index, subject));
+      if (index == 0 && ::write(begun[1], "x", 1) != 1) {
+        ::_exit(1);
+      }
+    }
+    const RecorderStatus status = recorder.stop();
+    ::_exit(status.state == RecorderState::Finished && status.frames == index && !status.log_left ? 0 : 2);
+  });
+  ::close(begun[1]);
+  ::close(end[0]);
+  char byte = 0;
+  ASSERT_EQ(::read(begun[0], &byte, 1), 1);
+  for (int attempt = 0; attempt < 8; ++attempt) {  // over several commits
+    const ClosedTake recorded = close_take(file);
+    EXPECT_FALSE(recorded.recovered);
+    EXPECT_FALSE(recorded.info.closed);
+    EXPECT_THAT(recorded.left, HasSubstr("another program records"));
+  }
+  ::close(end[1]);
+  const int status = child.wait();
+  ::close(begun[0]);
+  ASSERT_TRUE(WIFEXITED(status));
+  EXPECT_EQ(WEXITSTATUS(status), 0);
+  const TakeInfo info = close_take(file).info;
+  EXPECT_TRUE(info.closed);
+  EXPECT_THAT(info.end_reason, IsEmpty());
+  EXPECT_GT(info.frame_count, 100);
+  EXPECT_EQ(files_in(folder.path()), 1);
+}
+
+TEST_F(Recorder, TakeThatThisProcessRecordsIsNotTouched) {
+  TakeRecorder recorder(test::recorder_config(file));
+  recorder.start();
+  recorder.record(test::take_frame(0, subject));
+  EXPECT_THAT(close_take(file).left, HasSubstr("another program records"));
+  recorder.record(test::take_frame(1, subject));
+  EXPECT_EQ(recorder.stop().frames, 2U);
+  EXPECT_THAT(close_take(file).info.end_reason, IsEmpty());
 }
 
 /// Records until the recorder fails. The exit status tells what went wrong.
