@@ -147,8 +147,7 @@ void Database::set_busy_timeout_ms(int timeout_ms) {
 
 bool Database::end_log(std::chrono::milliseconds patience) {
   constexpr auto kPause = std::chrono::milliseconds(10);  // SQLite's own busy timeout does not hold here
-  const auto until = std::chrono::steady_clock::now() + patience;
-  while (true) {
+  for (auto left = patience; left > left.zero(); left -= kPause) {
     try {
       execute("PRAGMA journal_mode = DELETE");
       return true;
@@ -157,11 +156,9 @@ bool Database::end_log(std::chrono::milliseconds patience) {
         throw;
       }
     }
-    if (std::chrono::steady_clock::now() >= until) {
-      return false;
-    }
     std::this_thread::sleep_for(kPause);
   }
+  return false;
 }
 
 std::uint64_t log_bytes(const std::filesystem::path& file) {

@@ -67,7 +67,8 @@ Database open_database(const std::filesystem::path& file) {
   } catch (const DatabaseError& unreadable) {
     // A take whose log was folded in while a reader had it open keeps the log's mode; in a folder that can't
     // be written SQLite would refuse it, though nothing is missing.
-    if (unreadable.code() != SQLITE_CANTOPEN || log_bytes(file) > 0) {
+    const bool no_room = unreadable.code() == SQLITE_CANTOPEN || unreadable.code() == SQLITE_READONLY;
+    if (!no_room || log_bytes(file) > 0) {
       throw;
     }
     return {file, Database::Mode::Immutable};
