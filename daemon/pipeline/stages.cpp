@@ -89,7 +89,7 @@ class TrackerStage final : public CoarseStage {
       if (outcome == CaptureOutcome::Timeout) {
         continue;
       }
-      if (outcome != CaptureOutcome::Delivered ||
+      if (outcome != CaptureOutcome::Delivered || frame.sequence >= config_.frames.end ||
           !read_in_step(cameras.further, frame.sequence, views, go_on, error)) {
         break;
       }
@@ -98,6 +98,9 @@ class TrackerStage final : public CoarseStage {
         ahead->process(views);
         ++seen;
       }
+    }
+    if (!go_on()) {
+      return;  // the work of a second, for nobody
     }
     ahead->settle_subject();
     if (const std::optional<track::Subject> subject = ahead->subject()) {

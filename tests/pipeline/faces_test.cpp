@@ -79,5 +79,51 @@ TEST_F(Faces, HalfAFaceGivesASaneMeshOrNone) {
   EXPECT_EQ(status_.subjects, 1U);
 }
 
+TEST_F(Faces, WhoStandsOutsideTheRangeSaysNothingOfThePersonInIt) {
+  constexpr int kOtherComes = 8;
+  const auto person = read("cap12_edit", kOtherComes);
+  const auto other = read("cap13_edit2", 24);
+  config_.gpu_device = kNoDevice;
+  const auto frames_of = [&](const char* file, int frame_count) {
+    config_.source.path = folder_.path() / file;
+    film(kClipWidth_px, frame_count, [&](render::Picture& onto, int f) {
+      render::paste(onto,
+                    f < kOtherComes ? person[static_cast<std::size_t>(f)]
+                                    : other[static_cast<std::size_t>(f - kOtherComes)],
+                    0, 0);
+    });
+    return run();
+  };
+  const Frames alone = frames_of("alone.mkv", kOtherComes);
+  config_.frames.end = kOtherComes;
+  const Frames before_other = frames_of("both.mkv", kOtherComes + 24);
+  ASSERT_EQ(alone.size(), std::size_t{kOtherComes});
+  ASSERT_EQ(before_other.size(), alone.size());
+  for (std::size_t f = 0; f < alone.size(); ++f) {
+    ASSERT_TRUE(has_mesh(*alone[f])) << f;
+    ASSERT_TRUE(has_mesh(*before_other[f])) << f;
+    EXPECT_EQ(before_other[f]->control_vertices_mm, alone[f]->control_vertices_mm) << f;
+  }
+}
+
+TEST_F(Faces, AStopWhileLookingAheadEstimatesNobody) {
+  constexpr int kSeen = 10;
+  const auto person = read("cap12_edit", 2 * kSeen);
+  film(kClipWidth_px, 2 * kSeen,
+       [&](render::Picture& onto, int f) { render::paste(onto, person[static_cast<std::size_t>(f)], 0, 0); });
+  config_.gpu_device = kNoDevice;
+  const auto state_after = [&](int looks) {
+    const Stages stages = open_stages(config_);
+    stages.coarse->prepare([&] { return looks-- > 0; });
+    stages.camera->start();
+    Frame first;
+    EXPECT_EQ(stages.camera->next(first, std::chrono::seconds(10)), CaptureOutcome::Delivered);
+    return stages.coarse->process({&first, 1}).state;
+  };
+  config_.tracker.acquisition_frames = 1000;
+  EXPECT_EQ(state_after(kSeen), TrackingState::Acquiring);
+  EXPECT_EQ(state_after(1000), TrackingState::Tracking) << "unless stopped, few frames do";
+}
+
 }  // namespace
 }  // namespace facet::pipeline

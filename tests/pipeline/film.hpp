@@ -74,7 +74,7 @@ class Film : public ::testing::Test {
       stages = open_stages(config_);
     }
     test::CollectingSink sink;
-    MonocularPipeline pipeline(std::move(stages), {config_.hierarchy, {}, {}}, {&sink});
+    MonocularPipeline pipeline(std::move(stages), {config_.hierarchy, config_.frames, {}}, {&sink});
     pipeline.start();
     while (!pipeline.finished()) {
       std::this_thread::sleep_for(std::chrono::milliseconds(5));
