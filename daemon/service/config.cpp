@@ -16,7 +16,9 @@
 #include "files/toml_section.hpp"
 #include "pipeline/booth.hpp"
 #include "pipeline/live_views.hpp"
+#include "service/listen_address.hpp"
 #include "stream/protocol.hpp"
+#include "stream/unix_socket.hpp"
 
 namespace facet::service {
 namespace {
@@ -393,16 +395,33 @@ void read_refiner(Section section, refine::RefinerConfig& refiner) {
   section.finish();
 }
 
+void read_socket(Section& section, std::filesystem::path& socket) {
+  section.read("socket", socket);
+  const std::size_t bytes = socket.native().size();
+  if (bytes > stream::kMaxSocketPathBytes) {
+    section.fail(
+        section.find("socket"), "socket",
+        fmt::format("'{}' has {} bytes, {} is the most that a socket's path can have: choose a shorter "
+                    "folder",
+                    socket.string(), bytes, stream::kMaxSocketPathBytes));
+  }
+}
+
 void read_stream(Section section, stream::StreamServerConfig& stream) {
-  section.read("socket", stream.socket);
+  read_socket(section, stream.socket);
   section.read("group", stream.access.group);
   section.read_mode("mode", stream.access.mode);
   section.read_integer("max_readers", stream.max_readers, 1, 1000);
   section.finish();
 }
 
-void read_control(Section section, ControlConfig& control) {
-  section.read("socket", control.socket);
+void read_control(Section section, const std::filesystem::path& stream_socket, ControlConfig& control) {
+  read_socket(section, control.socket);
+  if (control.socket.lexically_normal() == stream_socket.lexically_normal()) {
+    section.fail(section.find("socket"), "socket",
+                 fmt::format("'{}' is stream.socket, too: choose another path for one of them",
+                             control.socket.string()));
+  }
   section.read("group", control.access.group);
   section.read_mode("mode", control.access.mode);
   section.finish();
@@ -439,8 +458,31 @@ void read_metrics(Section section, MetricsConfig& metrics) {
   section.finish();
 }
 
-void read_web(Section section, WebConfig& web) {
+/// Whether two "ADDRESS:PORT" that read_listen took can't be listened on together.
+bool same_listener(const std::string& one, const std::string& other) {
+  const auto apart = [](const std::string& listen) {
+    HostAndPort found = split_host(listen);
+    found.host = found.host == "localhost" ? "127.0.0.1" : found.host;
+    return found;
+  };
+  const auto every_address = [](const std::string& host) { return host == "0.0.0.0" || host == "::"; };
+  const HostAndPort a = apart(one);
+  const HostAndPort b = apart(other);
+  constexpr int kAnyFreePort = 0;
+  return !one.empty() && !other.empty() && std::stoi(a.port) == std::stoi(b.port) &&
+         std::stoi(a.port) != kAnyFreePort &&
+         (a.host == b.host || every_address(a.host) || every_address(b.host));
+}
+
+void read_web(Section section, const MetricsConfig& metrics, WebConfig& web) {
   read_listen(section, web.listen, 8420);
+  if (same_listener(web.listen, metrics.listen)) {
+    section.fail(
+        section.find("listen"), "listen",
+        fmt::format("\"{}\" and metrics.listen (\"{}\") are the same port: choose another for one of "
+                    "them",
+                    web.listen, metrics.listen));
+  }
   section.read("page", web.page);
   if (const toml::node* node = section.find("token_file")) {
     if (section.text(*node, "token_file", files::kAnyText).empty()) {
@@ -501,11 +543,11 @@ void read_all(Document& document, Config& config) {
   gpu.read("device", config.pipeline.gpu_device);
   gpu.finish();
   read_stream(root.section("stream"), config.stream);
-  read_control(root.section("control"), config.control);
+  read_control(root.section("control"), config.stream.socket, config.control);
   read_takes(root.section("takes"), config.takes);
   read_bridges(root.section("bridges"), config.bridges);
   read_metrics(root.section("metrics"), config.metrics);
-  read_web(root.section("web"), config.web);
+  read_web(root.section("web"), config.metrics, config.web);
   config.stream.max_web_readers = config.web.listen.empty() ? 0 : config.web.max_clients;
   Section log = root.section("log");
   constexpr std::array kLevels = {"error", "warning", "info", "debug"};

@@ -28,9 +28,10 @@ sockaddr_un address_of(const std::filesystem::path& path, ErrorKind kind) {
   sockaddr_un address{};
   address.sun_family = AF_UNIX;
   const std::string name = path.string();
-  if (name.empty() || name.size() >= sizeof(address.sun_path)) {
+  static_assert(kMaxSocketPathBytes + 1 == sizeof(address.sun_path));
+  if (name.empty() || name.size() > kMaxSocketPathBytes) {
     throw Error(kind, fmt::format("socket path '{}' must have 1 to {} bytes: choose a shorter folder", name,
-                                  sizeof(address.sun_path) - 1));
+                                  kMaxSocketPathBytes));
   }
   std::memcpy(address.sun_path, name.data(), name.size());
   return address;

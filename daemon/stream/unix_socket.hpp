@@ -31,6 +31,9 @@ class FileDescriptor {
   int fd_ = -1;
 };
 
+/// A socket's path has no more bytes (sockaddr_un).
+inline constexpr std::size_t kMaxSocketPathBytes = 107;
+
 /// Who may connect to a socket.
 struct SocketAccess {
   unsigned mode = 0660;

@@ -579,6 +579,37 @@ TEST(Config, ErrorsNameFileLineKeyAndWhatIsAllowed) {
   EXPECT_THAT(error_of("[source]\npaced = true\npaced = false"), HasSubstr("facet.toml:3: "));
 }
 
+TEST(Config, ListenersThatCannotBeAreErrors) {
+  EXPECT_THAT(error_of("[stream]\nsocket = \"a/one.sock\"\n[control]\nsocket = \"b/../a/one.sock\""),
+              AllOf(StartsWith("/etc/facet/facet.toml:4: control.socket: "), HasSubstr("stream.socket")));
+  EXPECT_THAT(error_of("[stream]\nsocket = \"/run/facet/control.sock\""),
+              HasSubstr("control.socket: '/run/facet/control.sock' is stream.socket"));
+  const std::string longest = "/" + std::string(106, 's');
+  EXPECT_EQ(parse_config("[stream]\nsocket = \"" + longest + "\"", "f").stream.socket, longest);
+  for (const std::string section : {"stream", "control"}) {
+    EXPECT_THAT(error_of("[" + section + "]\nsocket = \"" + longest + "s\""),
+                AllOf(StartsWith("/etc/facet/facet.toml:2: " + section + ".socket: "), HasSubstr("107")));
+  }
+  const auto listening = [](const std::string& metrics, const std::string& web) {
+    return "[metrics]\nlisten = \"" + metrics + "\"\n[web]\nlisten = \"" + web + "\"";
+  };
+  for (const auto& [metrics, web] : {std::pair{"127.0.0.1:80", "127.0.0.1:80"},
+                                     {"127.0.0.1:80", "localhost:080"},
+                                     {"0.0.0.0:80", "192.168.0.7:80"},
+                                     {"[::1]:80", "[::]:80"}}) {
+    EXPECT_THAT(error_of(listening(metrics, web)),
+                AllOf(StartsWith("/etc/facet/facet.toml:4: web.listen: "), HasSubstr("metrics.listen")));
+  }
+  EXPECT_THAT(error_of("[web]\nlisten = \"127.0.0.1:9464\""), HasSubstr("facet.toml:2: web.listen: "));
+  for (const auto& [metrics, web] : {std::pair{"127.0.0.1:80", "127.0.0.1:81"},
+                                     {"127.0.0.1:80", "127.0.0.2:80"},
+                                     {"127.0.0.1:0", "127.0.0.1:0"},
+                                     {"", ""},
+                                     {"", "127.0.0.1:80"}}) {
+    EXPECT_EQ(parse_config(listening(metrics, web), "f").web.listen, web);
+  }
+}
+
 TEST(Config, UnknownKeysAreErrorsWithASuggestion) {
   EXPECT_THAT(error_of("[source]\npth = \"x\""),
               AllOf(HasSubstr("facet.toml:2: source.pth: unknown key"), HasSubstr("did you mean 'path'?")));
