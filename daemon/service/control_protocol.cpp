@@ -36,6 +36,32 @@ std::vector<std::string> names_of(const ControlMethods& methods) {
   return names;
 }
 
+std::vector<std::string> names_of(const std::vector<ControlParam>& params) {
+  std::vector<std::string> names;
+  for (const ControlParam& param : params) {
+    names.push_back(param.name);
+  }
+  return names;
+}
+
+void check_type(const ControlParam& param, const json& value) {
+  const auto want = [&](bool good, const char* type) {
+    if (!good) {
+      throw Refusal{kInvalidParams, fmt::format("{} must be {}", param.name, type)};
+    }
+  };
+  switch (param.type) {
+    case ControlParam::Type::Any:
+      return;
+    case ControlParam::Type::Text:
+      return want(value.is_string(), "a string");
+    case ControlParam::Type::Number:
+      return want(value.is_number(), "a number");
+    case ControlParam::Type::Flag:
+      return want(value.is_boolean(), "true or false");
+  }
+}
+
 const ControlMethod& find_method(const ControlMethods& methods, const json& request, const Caller& caller) {
   const auto& name = request.at("method").get_ref<const std::string&>();
   const auto found = methods.find(name);
@@ -59,10 +85,19 @@ json params_of(const json& request, const ControlMethod& method) {
     throw Refusal{kInvalidParams, "params must be an object"};
   }
   for (const auto& item : params.items()) {
-    if (std::find(method.params.begin(), method.params.end(), item.key()) == method.params.end()) {
-      throw Refusal{kInvalidParams, method.params.empty() ? std::string("this method takes no params")
-                                                          : fmt::format("unknown param; there are: {}",
-                                                                        fmt::join(method.params, ", "))};
+    const auto known = std::find_if(method.params.begin(), method.params.end(),
+                                    [&](const ControlParam& param) { return param.name == item.key(); });
+    if (known == method.params.end()) {
+      throw Refusal{kInvalidParams, method.params.empty()
+                                        ? std::string("this method takes no params")
+                                        : fmt::format("unknown param; there are: {}",
+                                                      fmt::join(names_of(method.params), ", "))};
+    }
+    check_type(*known, item.value());
+  }
+  for (const ControlParam& param : method.params) {
+    if (param.required && !params.contains(param.name)) {
+      throw Refusal{kInvalidParams, fmt::format("{} is missing", param.name)};
     }
   }
   return params;
@@ -75,8 +110,6 @@ json call(const ControlMethods& methods, const json& request, const Caller& call
     return method.call(params);
   } catch (const Error& error) {
     throw Refusal{kServerErrorBase - static_cast<int>(error.kind()), error.what()};
-  } catch (const json::exception& error) {
-    throw Refusal{kInvalidParams, fmt::format("params are not of the right type: {}", error.what())};
   } catch (const std::exception& error) {
     throw Refusal{kServerErrorBase - static_cast<int>(ErrorKind::Internal), error.what()};
   }

@@ -36,10 +36,20 @@ struct Caller {
   bool may_command = false;  ///< may call methods that change something
 };
 
+/// What a member of "params" may be.
+struct ControlParam {
+  enum class Type { Any, Text, Number, Flag };
+
+  std::string name;
+  Type type = Type::Any;  ///< Any: the method's own to check
+  bool required = false;
+};
+
 struct ControlMethod {
-  bool changes_something = true;    ///< callers need Caller::may_command
-  std::vector<std::string> params;  ///< names allowed in "params"
-  /// Gets the params object (empty where none were sent) and returns the result. Throws facet::Error.
+  bool changes_something = true;  ///< callers need Caller::may_command
+  std::vector<ControlParam> params;
+  /// Gets the params object (empty where none were sent), which is as `params` says, and returns the result.
+  /// Throws facet::Error.
   std::function<nlohmann::json(const nlohmann::json& params)> call;
 };
 using ControlMethods = std::map<std::string, ControlMethod, std::less<>>;

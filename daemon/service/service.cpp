@@ -213,12 +213,15 @@ Service::Impl::Impl(const Config& given, Log& given_log)
 ControlMethods Service::Impl::methods() {
   ControlMethods all = {
       {"status", {false, {}, [this](const json&) { return status(); }}},
-      {"record.start", {true, {"name"}, [this](const json& params) { return record_start(params); }}},
+      {"record.start",
+       {true,
+        {{"name", ControlParam::Type::Text}},
+        [this](const json& params) { return record_start(params); }}},
       {"record.stop", {true, {}, [this](const json&) { return record_stop(); }}},
       {"takes.list", {false, {}, [this](const json&) { return takes_list(); }}},
       {"neutral.record",
        {true,
-        {"seconds"},
+        {{"seconds", ControlParam::Type::Number}},
         [this](const json& params) {
           const double seconds = params.value("seconds", 1.0);
           if (!(seconds >= 0.1 && seconds <= 60)) {

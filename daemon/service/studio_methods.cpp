@@ -47,7 +47,10 @@ Shown shown_of(const json& params) {
 }
 
 std::string vertex_of(const json& vertex) {
-  return vertex.is_number_integer() ? vertex.dump() : vertex.get<std::string>();
+  if (!vertex.is_number_integer() && !vertex.is_string()) {
+    throw Error(ErrorKind::Usage, "vertex must be a whole number or the name of a place");
+  }
+  return vertex.is_string() ? vertex.get<std::string>() : vertex.dump();
 }
 
 json keys_json(const std::string& text) {
@@ -131,10 +134,11 @@ json to_json(const StudioStatus& status) {
 }
 
 ControlMethods studio_methods(Studio& studio) {
+  using Type = ControlParam::Type;
   return {
       {"studio.open",
        {true,
-        {"take", "pose"},
+        {{"take", Type::Text, true}, {"pose", Type::Flag}},
         [&studio](const json& params) {
           studio.open(params.at("take").get<std::string>(), params.value("pose", true));
           return json::object();
@@ -149,14 +153,14 @@ ControlMethods studio_methods(Studio& studio) {
       {"studio.status", {false, {}, [&studio](const json&) { return to_json(studio.status()); }}},
       {"studio.play",
        {true,
-        {"what", "from_s", "loop"},
+        {{"what", Type::Text}, {"from_s", Type::Number}, {"loop", Type::Flag}},
         [&studio](const json& params) {
           studio.play(shown_of(params), time_of(params, "from_s", 0), params.value("loop", false));
           return json::object();
         }}},
       {"studio.seek",
        {true,
-        {"what", "time_s"},
+        {{"what", Type::Text}, {"time_s", Type::Number}},
         [&studio](const json& params) {
           studio.seek(shown_of(params), time_of(params, "time_s", 0));
           return json::object();
@@ -177,21 +181,21 @@ ControlMethods studio_methods(Studio& studio) {
         }}},
       {"pose.set",
        {true,
-        {"controls", "whole", "clamp"},
+        {{"controls", Type::Any, true}, {"whole"}, {"clamp"}},
         [&studio](const json& params) {
           const animate::KeyList list = as_key("pose.set", params.at("controls"), params);
           return number_of_event(studio.set_controls(list.keys.front().controls, list.whole, list.clamp));
         }}},
       {"pose.move",
        {true,
-        {"vertex", "at_mm", "move_mm", "at_px"},
+        {{"vertex"}, {"at_mm"}, {"move_mm"}, {"at_px"}},
         [&studio](const json& params) {
           const animate::KeyList list = as_key("pose.move", json::array({params}), {});
           return number_of_event(studio.move_control(list.keys.front().controls.front()));
         }}},
       {"pose.remove",
        {true,
-        {"vertex"},
+        {{"vertex", Type::Any, true}},
         [&studio](const json& params) {
           return number_of_event(studio.remove_control(vertex_of(params.at("vertex"))));
         }}},
@@ -207,7 +211,7 @@ ControlMethods studio_methods(Studio& studio) {
       {"keys.get", {false, {}, [&studio](const json&) { return keys_json(studio.keys()); }}},
       {"keys.set",
        {true,
-        {"keys"},
+        {{"keys", Type::Any, true}},
         [&studio](const json& params) {
           const json& keys = params.at("keys");
           studio.set_keys(keys.is_null() ? "" : keys.dump(1, ' ', false, json::error_handler_t::replace));
@@ -215,11 +219,11 @@ ControlMethods studio_methods(Studio& studio) {
         }}},
       {"keys.save",
        {true,
-        {"time_s"},
+        {{"time_s", Type::Number}},
         [&studio](const json& params) { return keys_json(studio.save_key(time_of(params, "time_s", -1))); }}},
       {"keys.export",
        {true,
-        {"name"},
+        {{"name", Type::Text, true}},
         [&studio](const json& params) {
           return json{{"file", studio.export_keys(params.at("name").get<std::string>()).string()}};
         }}},

@@ -36,7 +36,9 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
           return json{{"state", "running"}};
         }}},
       {"record.start",
-       {true, {"name"}, [](const json& params) { return json(params.at("name").get<std::string>()); }}},
+       {true,
+        {{"name", facet::service::ControlParam::Type::Text, true}},
+        [](const json& params) { return json(params.at("name").get<std::string>()); }}},
       {"record.stop",
        {true,
         {},

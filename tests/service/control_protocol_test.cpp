@@ -36,7 +36,10 @@ class ControlProtocol : public ::testing::Test {
         }}},
       {"change",
        {true,
-        {"name"},
+        {{"name", ControlParam::Type::Text, true},
+         {"rate", ControlParam::Type::Number},
+         {"loop", ControlParam::Type::Flag},
+         {"any"}},
         [this](const json& params) {
           ++calls_;
           return json(params.at("name").get<std::string>());
@@ -73,6 +76,22 @@ TEST_F(ControlProtocol, ErrorsHaveTheCodesOfTheStandard) {
   EXPECT_EQ(error_code(R"({"jsonrpc":"2.0","method":"look","params":{"a":1},"id":1})"), kInvalidParams);
   EXPECT_EQ(error_code(R"({"jsonrpc":"2.0","method":"change","id":1})"), kInvalidParams);
   EXPECT_EQ(error_code(R"({"jsonrpc":"2.0","method":"change","params":{"name":3},"id":1})"), kInvalidParams);
+}
+
+TEST_F(ControlProtocol, ParamsOfTheWrongTypeAreNamed) {
+  const auto message = [&](const json& params) {
+    const json answer =
+        ask(json{{"jsonrpc", "2.0"}, {"method", "change"}, {"params", params}, {"id", 1}}.dump());
+    return answer.contains("error") ? answer["error"]["message"] : answer["result"];
+  };
+  EXPECT_EQ(message({{"name", 5}}), "name must be a string");
+  EXPECT_EQ(message({{"name", nullptr}}), "name must be a string");
+  EXPECT_EQ(message({{"name", "x"}, {"rate", "fast"}}), "rate must be a number");
+  EXPECT_EQ(message({{"name", "x"}, {"loop", 1}}), "loop must be true or false");
+  EXPECT_EQ(message({{"rate", 1}}), "name is missing");
+  EXPECT_EQ(message({{"name", "x"}, {"speed", 1}}), "unknown param; there are: name, rate, loop, any");
+  EXPECT_EQ(calls_, 0);
+  EXPECT_EQ(message({{"name", "x"}, {"rate", 1.5}, {"loop", true}, {"any", json::array()}}), "x");
 }
 
 TEST_F(ControlProtocol, OurErrorsKeepTheirKind) {

@@ -40,7 +40,7 @@ class Served {
                 return json{{"seen", true}};
               }}},
             {"big", {false, {}, [](const json&) { return json(std::string(1 << 20, 'x')); }}},
-            {"change", {true, {"name"}, [](const json& params) { return params; }}},
+            {"change", {true, {{"name"}}, [](const json& params) { return params; }}},
             {"full", {true, {}, [](const json&) -> json { throw Error(ErrorKind::Storage, "disk full"); }}}};
   }
   void loop() {

@@ -196,6 +196,9 @@ TEST_F(StudioTest, RefusesWhatMakesNoSense) {
   EXPECT_THAT(refusal("pose.set", {{"controls", twice}}), HasSubstr("7"));
   EXPECT_THAT(refusal("studio.play", {{"what", "pose"}}), HasSubstr("what must be"));
   EXPECT_THAT(refusal("studio.seek", {{"time_s", -1}}), HasSubstr("time_s"));
+  EXPECT_EQ(refusal("studio.seek", {{"time_s", "soon"}}), "time_s must be a number");
+  EXPECT_EQ(refusal("pose.remove", {{"vertex", 0.5}}),
+            "vertex must be a whole number or the name of a place");
   EXPECT_THAT(refusal("keys.export", {{"name", "x"}}), HasSubstr("no keys"));
   EXPECT_THAT(refusal("keys.set", {{"keys", {{"keys", json::array()}}}}), HasSubstr("empty"));
 

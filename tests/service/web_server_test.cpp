@@ -232,7 +232,7 @@ class Web : public ::testing::Test {
                 return json{{"seen", true}};
               }}},
             {"big", {false, {}, [](const json&) { return json(std::string(1 << 20, 'x')); }}},
-            {"echo", {false, {"text"}, [](const json& params) { return params; }}},
+            {"echo", {false, {{"text"}}, [](const json& params) { return params; }}},
             {"change", {true, {}, [](const json&) {
                           return json{{"changed", true}};
                         }}}};
