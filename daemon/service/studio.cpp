@@ -183,7 +183,8 @@ struct Studio::Impl {
   const std::function<void(bool)> hold_live;
   const std::string software;
 
-  mutable std::mutex mutex;  ///< guards what follows; never held while a face is made or a file is read
+  mutable std::mutex
+      mutex;  ///< guards what follows; never held while a face is made or a file is read or written
   std::condition_variable woken;
   bool stopping = false;
   std::optional<Opening> opening;
@@ -819,25 +820,31 @@ std::string Studio::keys() const {
 }
 
 void Studio::set_keys(const std::string& text) {
-  const std::lock_guard lock(impl_->mutex);
-  impl_->ready_faces();
-  const std::filesystem::path stored = keys_file(take::named_take(impl_->folder, impl_->shown.take));
+  const animate::KeyList list = text.empty() ? animate::KeyList{} : animate::parse_keys(text, "keys");
+  std::string take;
+  {
+    const std::lock_guard lock(impl_->mutex);
+    impl_->ready_faces();
+    for (const animate::Key& key : list.keys) {
+      for (const animate::KeyControl& control : key.controls) {
+        impl_->resolve(control);
+      }
+    }
+    take = impl_->shown.take;
+  }
+  const std::filesystem::path stored = keys_file(take::named_take(impl_->folder, take));
   if (text.empty()) {
     std::error_code ignored;
     std::filesystem::remove(stored, ignored);
-    impl_->keys.clear();
-    return;
+  } else {
+    files::OutputFile file(stored);
+    file.write(text);
+    file.commit();
   }
-  const animate::KeyList list = animate::parse_keys(text, "keys");
-  for (const animate::Key& key : list.keys) {
-    for (const animate::KeyControl& control : key.controls) {
-      impl_->resolve(control);
-    }
+  const std::lock_guard lock(impl_->mutex);
+  if (impl_->shown.take == take) {
+    impl_->keys = text;
   }
-  files::OutputFile file(stored);
-  file.write(text);
-  file.commit();
-  impl_->keys = text;
 }
 
 std::string Studio::save_key(double time_s) {
