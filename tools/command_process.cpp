@@ -540,7 +540,13 @@ void add_process_command(CLI::App& app, std::unique_ptr<Team> (*join)()) {
       "--rig", options->rig,
       "Rig file: the input is videos of its cameras; or a take of a booth's pictures, and every blank slot "
       "becomes a mesh");
-  command->add_option("-o,--output", options->take, "The take to write; must not exist yet")->required();
+  command->add_option("-o,--output", options->take, "The take to write, NAME.take; must not exist yet")
+      ->required()
+      ->check([](const std::string& file) {
+        return std::filesystem::path(file).extension() == ".take"
+                   ? std::string()
+                   : fmt::format("'{}' must end in .take", file);
+      });
   command->add_option("--config", options->config,
                       "Configuration file; of [source], only frames and intrinsics count");
   command->add_option("--frames", options->frames, kFramesHelp);

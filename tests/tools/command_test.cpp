@@ -196,6 +196,8 @@ TEST_F(Command, WrongUsageIsStatus2AndSaysWhatIsAllowed) {
   EXPECT_THAT(output_, HasSubstr("input is required"));
   EXPECT_EQ(run({"process", "a.mp4"}), 2);
   EXPECT_THAT(output_, HasSubstr("--output is required"));
+  EXPECT_EQ(run({"process", "a.mp4", "-o", file("new.xyz")}), 2);
+  EXPECT_THAT(output_, HasSubstr("new.xyz' must end in .take"));
   EXPECT_EQ(run({"process", "a.mp4", "-o", file("new.take"), "--frames", "20:10"}), 2);
   EXPECT_THAT(output_, AllOf(HasSubstr("'20:10'"), HasSubstr("write A:B")));
   EXPECT_EQ(run({"process", "a.mp4", "-o", file("new.take"), "--budget", "fast"}), 2);
