@@ -219,7 +219,7 @@ void check_result(const Options& options, const pipeline::PipelineStatus& status
 take::TakeRecorderConfig recorder_of(const Options& options, const service::Config& config) {
   take::TakeRecorderConfig recorder;
   recorder.file = options.take;
-  recorder.source = options.input;
+  recorder.source = std::filesystem::absolute(options.input).lexically_normal().string();
   recorder.software = "facet process " FACET_VERSION;
   recorder.when_full = take::WhenFull::Wait;
   recorder.disk_reserve_bytes = config.takes.disk_reserve_bytes;

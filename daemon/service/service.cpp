@@ -466,7 +466,10 @@ void Service::Impl::tell_refiner(const pipeline::Stages& stages) {
 
 void Service::Impl::make_pipeline(pipeline::Stages stages) {
   const CameraInfo source = stages.camera->info();
-  source_name = source.name;
+  const camera::CameraConfig& given = config.pipeline.source;
+  // A take tells where its video is, from whatever folder the daemon was started.
+  source_name =
+      given.kind == "file" ? std::filesystem::absolute(given.path).lexically_normal().string() : source.name;
   live = source.live;
   log.info(fmt::format("source {}: {} x {} px, {:.2f} Hz{}", source.name, source.width_px, source.height_px,
                        source.rate_hz, source.live ? ", live" : ""));
