@@ -227,6 +227,15 @@ take::TakeRecorderConfig recorder_of(const Options& options, const service::Conf
   return recorder;
 }
 
+/// The take stays, but whoever waits for it learns that it lacks what the video lost.
+void check_whole(const Options& options, const pipeline::PipelineStatus& status) {
+  if (!status.reason.empty()) {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("'{}' holds the {} frames that could be read, not the whole recording",
+                            options.take, status.processed));
+  }
+}
+
 /// What is to be told once all is written; throws where it came to nothing.
 void conclude(const Options& options, const pipeline::PipelineStatus& status,
               const std::optional<take::RecorderStatus>& written,
@@ -283,6 +292,7 @@ void run_monocular(const Options& options) {
   const pipeline::PipelineStatus status = pipeline.status();
   conclude(options, status, written, pipeline.take_messages(), broken_off_by, signals,
            [&] { check_result(options, status); });
+  check_whole(options, status);
 }
 
 std::string booth_note(const pipeline::PipelineStatus& status) {
@@ -583,6 +593,9 @@ void add_process_command(CLI::App& app, std::unique_ptr<Team> (*join)()) {
                    "without depth maps")
       ->delimiter(',')
       ->needs("--rig");
+  command->footer(
+      "Exit status 3 with a take written: the video or take is truncated or damaged, and what could be read "
+      "of it is\nprocessed.");
   command->callback([options, join] {
     const bool videos = has_views(*options);
     const bool views = videos || !options->cameras.empty();

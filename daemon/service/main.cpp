@@ -44,7 +44,9 @@ int main(int argc, char** argv) {
       "Exit status: 0 stopped on request or at the source's end, 1 internal fault, 2 usage or "
       "configuration,\n"
       "3 unreadable source, model or configuration, 5 no usable Vulkan device, 6 cannot write or socket path "
-      "taken.\nA source that ends or fails while the daemon runs ends it only with source.exit_at_end.");
+      "taken.\nA source that ends or fails while the daemon runs ends it only with source.exit_at_end: with "
+      "3 "
+      "where it\nfailed or is truncated or damaged.");
   std::string file = facet::service::default_config_file().string();
   bool check_only = false;
   app.add_option("--config", file, "The configuration file (TOML), see facet.toml(5)")->capture_default_str();

@@ -573,14 +573,19 @@ void Service::Impl::look_after_pipeline() {
   if (failed) {
     log.error(now.reason, {{"FACET_EVENT", "failed"}, {"FACET_SOURCE", source_name}});
   }
+  const bool cut_short = !failed && !now.reason.empty();
   log.info(fmt::format("{}: {} frames, {} with a mesh, {} refined, {} dropped",
-                       failed ? "until then" : "the source is at its end", now.processed, now.mesh_frames,
-                       now.refined_frames, now.dropped));
+                       failed      ? "until then"
+                       : cut_short ? "the source ended early"
+                                   : "the source is at its end",
+                       now.processed, now.mesh_frames, now.refined_frames, now.dropped));
   // A source that is gone leaves takes and status to be asked for; a fault of ours is for whoever supervises
   // the process.
   const bool source_failed = failed && now.failure_kind == ErrorKind::UnreadableInput;
   if (config.exit_at_end || (failed && !source_failed)) {
-    exit_status = failed ? static_cast<int>(now.failure_kind) : 0;
+    exit_status = failed      ? static_cast<int>(now.failure_kind)
+                  : cut_short ? static_cast<int>(ErrorKind::UnreadableInput)
+                              : 0;
   }
 }
 

@@ -96,6 +96,7 @@ class VideoFile final : public Camera {
  private:
   CaptureOutcome next_frame(Frame& out, std::chrono::milliseconds timeout);
   void set_state(CameraState state, std::string reason = {});
+  CaptureOutcome end_of_stream();
   enum class Decoded { Frame, End, Failed };
   Decoded decode();
   bool rewind();
@@ -129,6 +130,8 @@ class VideoFile final : public Camera {
   std::int64_t pass_offset_ns_ = 0;  // media time at which this pass over a looped file began
   std::int64_t media_time_ns_ = 0;
   std::int64_t period_ns_ = 0;
+  std::int64_t longest_step_ns_ = 0;  // from one frame to the next
+  std::int64_t duration_ns_ = 0;      // that the file names; 0 where it does not
   std::int64_t clock_start_ns_ = 0;
 
   mutable std::mutex shown_mutex_;
@@ -223,6 +226,12 @@ VideoFile::VideoFile(const CameraConfig& config) : config_(config) {
       const double seconds = static_cast<double>(format_->duration) / AV_TIME_BASE;
       info_.frame_count = static_cast<std::uint64_t>(std::lround(seconds * info_.rate_hz));
     }
+  }
+  if (stream.duration > 0) {
+    duration_ns_ =
+        av_rescale_q(stream.duration, stream.time_base, AVRational{1, static_cast<int>(kSecond_ns)});
+  } else if (format_->duration > 0) {
+    duration_ns_ = av_rescale(format_->duration, kSecond_ns, AV_TIME_BASE);
   }
   if (frame_ == nullptr || packet_ == nullptr) {
     throw Error(ErrorKind::Internal, "out of memory");
@@ -335,6 +344,7 @@ VideoFile::Decoded VideoFile::decode() {
       time_ns = from_file;
     }
   }
+  longest_step_ns_ = std::max(longest_step_ns_, time_ns - media_time_ns_);
   media_time_ns_ = time_ns;
   ++decoded_count_;
   ++decoded_in_pass_;
@@ -454,12 +464,7 @@ CaptureOutcome VideoFile::next_frame(Frame& out, std::chrono::milliseconds timeo
   const std::int64_t deadline_ns =
       monotonic_ns() + std::chrono::duration_cast<std::chrono::nanoseconds>(timeout).count();
   if (!pending_ && decode() != Decoded::Frame) {
-    at_end_ = true;
-    if (info_.frame_count && decoded_count_ + 1 < *info_.frame_count && last_error().empty()) {
-      set_error(fmt::format("{}: ended at frame {} of about {}; the file seems truncated",
-                            config_.path.string(), decoded_count_, *info_.frame_count));
-    }
-    return CaptureOutcome::EndOfStream;
+    return end_of_stream();
   }
   if (config_.paced) {
     // Late by more than the slack: the frames in between are gone, as they would be with a live camera.
@@ -470,8 +475,7 @@ CaptureOutcome VideoFile::next_frame(Frame& out, std::chrono::milliseconds timeo
         break;
       }
       if (decode() != Decoded::Frame) {
-        at_end_ = true;
-        return CaptureOutcome::EndOfStream;
+        return end_of_stream();
       }
     }
     const std::int64_t due_ns = clock_start_ns_ + media_time_ns_;
@@ -482,6 +486,20 @@ CaptureOutcome VideoFile::next_frame(Frame& out, std::chrono::milliseconds timeo
     std::this_thread::sleep_for(std::chrono::nanoseconds(std::max<std::int64_t>(0, due_ns - monotonic_ns())));
   }
   return deliver(out) ? CaptureOutcome::Delivered : CaptureOutcome::Failed;
+}
+
+CaptureOutcome VideoFile::end_of_stream() {
+  at_end_ = true;
+  // Either alone is no truncation: an edit list leaves frames out, and a varying rate has fewer than the
+  // nominal one.
+  const bool fewer = info_.frame_count && decoded_count_ + 1 < *info_.frame_count;
+  const bool earlier = duration_ns_ == 0 ||
+                       media_time_ns_ + std::max(longest_step_ns_, period_ns_) + period_ns_ < duration_ns_;
+  if (fewer && earlier && last_error().empty()) {
+    set_error(fmt::format("{}: ended at frame {} of about {}; the file seems truncated",
+                          config_.path.string(), decoded_count_, *info_.frame_count));
+  }
+  return CaptureOutcome::EndOfStream;
 }
 
 }  // namespace

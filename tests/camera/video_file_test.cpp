@@ -231,6 +231,22 @@ TEST_F(VideoFileTest, TruncatedFileGivesWhatItHoldsAndSaysSo) {
   EXPECT_THAT(camera->last_error(), HasSubstr("cut.mkv"));
 }
 
+TEST_F(VideoFileTest, FewerFramesThanTheContainerCountsAreNoTruncation) {
+  // Cut without encoding anew: frames before the cut stay in the file, and an edit list hides them.
+  const auto whole = make("whole.mp4", "-f lavfi -i testsrc=s=64x48:r=25:d=4 -c:v mpeg4 -g 100");
+  const auto cut = make("cut.mp4", fmt::format("-ss 1.3 -i {} -c copy", whole.string()));
+  // Every frame at first, then every fourth.
+  const auto varying = make("varying.mkv",
+                            "-f lavfi -i testsrc=s=64x48:r=25:d=4 -vf \"select='lt(n,20)+not(mod(n,4))'\" "
+                            "-vsync vfr -c:v mpeg4");
+  for (const auto& file : {cut, varying}) {
+    auto camera = started(file);
+    ASSERT_TRUE(camera->info().frame_count.has_value());
+    EXPECT_LT(all_frames(*camera).size() + 1, *camera->info().frame_count) << file;
+    EXPECT_EQ(camera->last_error(), "");
+  }
+}
+
 TEST_F(VideoFileTest, DamagedPacketsCostTheirFramesOnly) {
   const auto file = make("damaged.mkv", "-f lavfi -i testsrc=s=320x240:r=25:d=4 -c:v mpeg4");
   {

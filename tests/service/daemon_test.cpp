@@ -589,6 +589,26 @@ TEST_F(DaemonWithAssets, ATruncatedSourceEndsWithItsReason) {
   expect_clean_end(*daemon);
 }
 
+TEST_F(DaemonWithAssets, ExitsAtAnEarlyEndWithStatus3AndATakeThatKnowsItsVideo) {
+  const std::string config_file =
+      configure(grey_source(40) + "\nexit_at_end = true", "record_at_start = \"rest\"");
+  std::filesystem::resize_file(grey(), std::filesystem::file_size(grey()) * 3 / 4);
+  std::string text;
+  std::getline(std::ifstream(config_file), text, '\0');
+  text.replace(text.find(grey().string()), grey().string().size(), "grey.mkv");
+  std::ofstream(config_file) << text;
+  // Every path is then relative to where the daemon was started.
+  const auto config = std::filesystem::path(config_file).lexically_relative(std::filesystem::current_path());
+  std::string output;
+  EXPECT_EQ(run({"--config", config.string()}, output), 3) << output;
+  EXPECT_THAT(output, AllOf(HasSubstr("grey.mkv"), HasSubstr("the source ended early")));
+  const take::TakeReader reader(folder_.path() / "takes/rest.take");
+  EXPECT_TRUE(reader.info().closed);
+  EXPECT_GT(reader.frame_count(), 10);
+  EXPECT_LT(reader.frame_count(), 40);
+  EXPECT_EQ(reader.info().source, grey().string());
+}
+
 TEST_F(DaemonWithAssets, SurvivesItsOwnKill) {
   const std::string config = configure(looped());
   {

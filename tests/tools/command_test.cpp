@@ -307,7 +307,7 @@ TEST_F(CommandWithAssets, AVideoThatCannotBeReadIsStatus3) {
   EXPECT_FALSE(take_exists());
 }
 
-TEST_F(CommandWithAssets, ATruncatedVideoGivesWhatItHoldsWithAWarning) {
+TEST_F(CommandWithAssets, ATruncatedVideoGivesWhatItHoldsAndStatus3) {
   const std::string cut = file("cut.mkv");
   {
     const auto source = camera::open_camera({.kind = "file", .path = clip()});
@@ -321,11 +321,23 @@ TEST_F(CommandWithAssets, ATruncatedVideoGivesWhatItHoldsWithAWarning) {
     video.finish();
   }
   std::filesystem::resize_file(cut, std::filesystem::file_size(cut) * 3 / 4);
-  EXPECT_EQ(process(cut), 0) << output_;
-  EXPECT_THAT(output_, AllOf(HasSubstr("warning: "), HasSubstr("cut.mkv")));
+  EXPECT_EQ(process(cut, {"--frames", ":10"}), 0) << "all that was asked for is there: " << output_;
+  std::filesystem::remove(file("new.take"));
+  EXPECT_EQ(process(cut), 3) << output_;
+  EXPECT_THAT(output_, AllOf(HasSubstr("warning: "), HasSubstr("cut.mkv"), HasSubstr("refined"),
+                             HasSubstr("new.take' holds the"), HasSubstr("not the whole recording")));
   const take::TakeReader reader(file("new.take"));
+  EXPECT_TRUE(reader.info().closed);
   EXPECT_GT(reader.frame_count(), 15);
   EXPECT_LT(reader.frame_count(), 40);
+}
+
+TEST_F(CommandWithAssets, ATakeKnowsItsVideoFromEveryFolder) {
+  const std::filesystem::path from_here =
+      std::filesystem::path(clip()).lexically_relative(std::filesystem::current_path());
+  ASSERT_TRUE(from_here.is_relative());
+  ASSERT_EQ(process(from_here.string(), {"--frames", ":2"}), 0) << output_;
+  EXPECT_EQ(take::TakeReader(file("new.take")).info().source, clip());
 }
 
 TEST_F(CommandWithAssets, GreyOddAndRotatedPicturesAreProcessed) {
