@@ -1,5 +1,7 @@
 #include "refine/observation.hpp"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -7,6 +9,7 @@
 #include <span>
 #include <vector>
 
+#include "facet/error.hpp"
 #include "refine_shaders.hpp"
 
 namespace facet::refine {
@@ -34,14 +37,28 @@ std::uint32_t padded(int size_px, int reduction) {
   return static_cast<std::uint32_t>((reduced(size_px, reduction) + block - 1) / block * block);
 }
 
+/// The picture is uploaded as it is, and reduced on the device.
+std::size_t uploaded_pixels(gpu::Context& context, int width_px, int height_px) {
+  const auto pixels = static_cast<std::size_t>(width_px) * static_cast<std::size_t>(height_px);
+  const std::size_t most = context.info().max_storage_buffer_bytes / 4;
+  if (pixels > most) {
+    throw Error(
+        ErrorKind::NoDevice,
+        fmt::format("a picture of {}x{} px is more than '{}' can take ({} pixels): scale the video down, "
+                    "or choose another gpu.device",
+                    width_px, height_px, context.info().name, most));
+  }
+  return pixels;
+}
+
 }  // namespace
 
 ImagePyramid::ImagePyramid(gpu::Context& context, int source_width_px, int source_height_px)
     : width_px(source_width_px),
       height_px(source_height_px),
       reduction(reduction_for(source_width_px, source_height_px)),
-      pixels(context, static_cast<std::size_t>(source_width_px) * static_cast<std::size_t>(source_height_px),
-             gpu::TexelFormat::Rgba8, "pixels", gpu::Memory::Upload),
+      pixels(context, uploaded_pixels(context, source_width_px, source_height_px), gpu::TexelFormat::Rgba8,
+             "pixels", gpu::Memory::Upload),
       linear(context, gpu::ImageFormat::Rgba16f, padded(source_width_px, reduction),
              padded(source_height_px, reduction), 0, "linear image") {}
 

@@ -14,6 +14,7 @@ namespace facet::refine {
 
 /// Room on the device for images of one size, and their linear pyramid.
 struct ImagePyramid {
+  /// Throws Error(NoDevice) where the device has no room for the source's picture, or can't bind it.
   ImagePyramid(gpu::Context& context, int source_width_px, int source_height_px);
 
   /// Copies the rows [first_row, end_row) of a frame of that size to the upload buffer. Real-time safe.

@@ -1,5 +1,6 @@
 #include "refine/observation.hpp"
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <bit>
@@ -8,10 +9,13 @@
 #include <random>
 
 #include "device_level.hpp"
+#include "facet/error.hpp"
 #include "support/gpu.hpp"
 
 namespace facet::refine {
 namespace {
+
+using ::testing::HasSubstr;
 
 using shaders::vec4;
 using shaders::refine::FrameParameters;
@@ -77,6 +81,19 @@ std::vector<float> read_linear(gpu::Context& context, const ImagePyramid& pyrami
     values.push_back(half_to_float(half));
   }
   return values;
+}
+
+TEST_F(RefineObservation, APictureTooLargeForTheDeviceIsNamed) {
+  constexpr int kWidth_px = 16384;
+  const auto height_px = static_cast<int>(context().info().max_storage_buffer_bytes / 4 / kWidth_px + 1);
+  try {
+    const ImagePyramid pyramid(context(), kWidth_px, height_px);
+    FAIL();
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::NoDevice);
+    EXPECT_THAT(error.what(),
+                HasSubstr("of " + std::to_string(kWidth_px) + "x" + std::to_string(height_px) + " px"));
+  }
 }
 
 TEST_F(RefineObservation, LinearImageAgreesWithTheScalarOneAndStaysInItsRegion) {
