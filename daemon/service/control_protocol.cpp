@@ -38,6 +38,7 @@ std::vector<std::string> names_of(const ControlMethods& methods) {
 
 std::vector<std::string> names_of(const std::vector<ControlParam>& params) {
   std::vector<std::string> names;
+  names.reserve(params.size());
   for (const ControlParam& param : params) {
     names.push_back(param.name);
   }
