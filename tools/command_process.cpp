@@ -588,10 +588,11 @@ void add_process_command(CLI::App& app, std::unique_ptr<Team> (*join)()) {
   command
       ->add_option("--cameras", options->cameras,
                    "Of a take of frame sets in plain light (mode \"frames\"): the cameras that see the face, "
-                   "NAME,NAME,..., the one that "
-                   "looks at it most squarely first. Their pictures are tracked and refined like videos, "
+                   "NAME,NAME,..., the one that looks at it most squarely first. Their pictures are tracked "
+                   "and refined like videos, "
                    "without depth maps")
       ->delimiter(',')
+      ->allow_extra_args(false)
       ->needs("--rig");
   command->footer(
       "Exit status 3 with a take written: the video or take is truncated or damaged, and what could be read "

@@ -33,12 +33,10 @@ void add_record_command(CLI::App& app) {
     fmt::print("{}: {} frames, {} not recorded, {:.1f} MB\n", take["file"].get<std::string>(),
                take["frames"].get<std::uint64_t>(), take["dropped"].get<std::uint64_t>(),
                take["bytes"].get<double>() / 1e6);
-    if (take["log_left"].get<bool>()) {
-      fmt::print(
-          stderr,
-          "note: a part of it stays in the -wal file beside it, as another program reads the take: end "
-          "that, then "
-          "'facet summary --close' makes one file of it\n");
+    if (take["state"] == "finished" && take.value("log_left", false)) {
+      fmt::print(stderr,
+                 "note: a part of it stays in the -wal file beside it, as another program reads the take: "
+                 "end that, then 'facet summary --close' makes one file of it\n");
     }
     if (take["state"] == "failed") {
       throw Error(ErrorKind::Storage,

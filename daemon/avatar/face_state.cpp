@@ -58,6 +58,7 @@ FaceState face_state(const mesh::MeshFrame& frame) {
   if (!state.tracked) {
     return state;
   }
+  state.provisional = frame.state == mesh::TrackingState::Acquiring;
   state.has_expression = !frame.expression.empty();
   state.values = mesh::arkit_values(frame.subject->expression_names, frame.expression);
   state.upright_from_head = mesh::upright_from_camera() * frame.camera_from_head;
@@ -74,7 +75,7 @@ void subtract(const NeutralPose& neutral, FaceState& state) {
 }
 
 void NeutralRecorder::add(const FaceState& state) {
-  if (!state.tracked) {
+  if (!state.tracked || state.provisional) {
     return;
   }
   ++frames_;

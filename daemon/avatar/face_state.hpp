@@ -15,6 +15,7 @@ struct FaceState {
   std::uint64_t sequence = 0;
   std::int64_t timestamp_ns = 0;  ///< CLOCK_MONOTONIC
   bool tracked = false;           ///< without a face the rest is as it was last
+  bool provisional = false;       ///< of a face that is still being got to know
   bool has_expression = false;    ///< false: meshes without expressions (a booth's); all values are 0
   mesh::ArkitValues values{};
   /// x right, y up, z towards the viewer, metres; no turn where the face looks straight at the camera.
@@ -40,6 +41,7 @@ class NeutralRecorder {
   /// So many tracked frames at least make a neutral pose.
   static constexpr int kFewestFrames = 10;
 
+  /// Provisional states do not count.
   void add(const FaceState& state);
   int frames() const { return frames_; }
   /// Nothing where there were too few frames.

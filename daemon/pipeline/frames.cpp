@@ -399,6 +399,10 @@ void FramesPipeline::Impl::run_camera(std::size_t index) {
   if (outcome == CaptureOutcome::Failed) {
     const std::lock_guard lock(mutex);
     source_failure.emplace(ErrorKind::UnreadableInput, camera.last_error());
+  } else if (outcome == CaptureOutcome::EndOfStream && !camera.last_error().empty()) {
+    messages.warning(camera.last_error());
+    const std::lock_guard lock(mutex);
+    shown.reason = camera.last_error();
   }
   assembler.set_streaming(index, false);
   watched[index].ended = outcome == CaptureOutcome::EndOfStream && !stopping;

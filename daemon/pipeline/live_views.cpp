@@ -71,8 +71,8 @@ LiveViews open_live_views(const RigConfig& devices, const std::filesystem::path&
     }
     infos.push_back(info);
   }
-  views.stages =
-      open_stages(config, [&] { return calibrated_views(known, rig_file, set_cameras(views.sets, infos)); });
+  views.stages = open_stages(
+      config, [=, sets = views.sets] { return calibrated_views(known, rig_file, set_cameras(sets, infos)); });
   return views;
 }
 
@@ -94,6 +94,8 @@ PipelineStatus LiveViewsPipeline::status() const {
     status.state = frames.state;
     status.reason = frames.reason;
     status.failure_kind = frames.failure_kind;
+  } else if (status.reason.empty()) {
+    status.reason = frames.reason;
   }
   status.rig = std::move(frames.rig);
   return status;

@@ -95,7 +95,7 @@ const std::string& RecoveringRefiner::refine(const refine::RefineInput& input, r
 
 void RecoveringRefiner::refuse(const std::string& reason) {
   const std::string said =
-      fmt::format("no room for pictures of this size on {} ({}): use a smaller picture or another device",
+      fmt::format("no room for pictures of this size on {} ({}): use a smaller picture or another gpu.device",
                   device_, reason);
   if (said != reason_) {
     messages_.warning(said);

@@ -42,11 +42,9 @@ std::size_t uploaded_pixels(gpu::Context& context, int width_px, int height_px) 
   const auto pixels = static_cast<std::size_t>(width_px) * static_cast<std::size_t>(height_px);
   const std::size_t most = context.info().max_storage_buffer_bytes / 4;
   if (pixels > most) {
-    throw Error(
-        ErrorKind::NoDevice,
-        fmt::format("a picture of {}x{} px is more than '{}' can take ({} pixels): scale the video down, "
-                    "or choose another gpu.device",
-                    width_px, height_px, context.info().name, most));
+    throw Error(ErrorKind::NoDevice,
+                fmt::format("a picture of {}x{} px is more than '{}' can take ({} pixels)", width_px,
+                            height_px, context.info().name, most));
   }
   return pixels;
 }

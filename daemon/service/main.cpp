@@ -37,7 +37,7 @@ int main(int argc, char** argv) {
   }
 #endif
   CLI::App app{
-      "facetd: turns one video source into a stream of refined face meshes, and records takes of it."};
+      "facetd: turns what cameras see into a stream of refined face meshes, and records takes of it."};
   app.name("facetd");
   app.set_version_flag("--version", FACET_VERSION);
   app.footer(
@@ -45,8 +45,7 @@ int main(int argc, char** argv) {
       "configuration,\n"
       "3 unreadable source, model or configuration, 5 no usable Vulkan device, 6 cannot write or socket path "
       "taken.\nA source that ends or fails while the daemon runs ends it only with source.exit_at_end: with "
-      "3 "
-      "where it\nfailed or is truncated or damaged.");
+      "3 where it\nfailed or is truncated or damaged.");
   std::string file = facet::service::default_config_file().string();
   bool check_only = false;
   app.add_option("--config", file, "The configuration file (TOML), see facet.toml(5)")->capture_default_str();

@@ -16,7 +16,7 @@
 
 namespace facet::service {
 
-/// What a pipeline of either mode is made of.
+/// What a pipeline of any mode is made of.
 using Opened = std::variant<pipeline::Stages, pipeline::LiveViews, pipeline::Rig, pipeline::Booth>;
 
 /// Opens the pipeline's stages or devices on the thread `facet-open`, which can't be broken off: models are

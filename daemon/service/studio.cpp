@@ -183,8 +183,8 @@ struct Studio::Impl {
   const std::function<void(bool)> hold_live;
   const std::string software;
 
-  mutable std::mutex
-      mutex;  ///< guards what follows; never held while a face is made or a file is read or written
+  /// Guards what follows; never held while a face is made or a file is read or written.
+  mutable std::mutex mutex;
   std::condition_variable woken;
   bool stopping = false;
   std::optional<Opening> opening;
@@ -824,6 +824,9 @@ void Studio::set_keys(const std::string& text) {
   std::string take;
   {
     const std::lock_guard lock(impl_->mutex);
+    if (impl_->opening) {
+      throw Error(ErrorKind::Unavailable, "the take is still being opened");
+    }
     impl_->ready_faces();
     for (const animate::Key& key : list.keys) {
       for (const animate::KeyControl& control : key.controls) {

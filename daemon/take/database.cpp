@@ -145,11 +145,11 @@ void Database::set_busy_timeout_ms(int timeout_ms) {
   sqlite3_busy_timeout(handle_.get(), timeout_ms);
 }
 
-bool Database::end_log(std::chrono::milliseconds patience) {
+bool Database::set_journal_mode(const std::string& mode, std::chrono::milliseconds patience) {
   constexpr auto kPause = std::chrono::milliseconds(10);  // SQLite's own busy timeout does not hold here
   for (auto left = patience; left > left.zero(); left -= kPause) {
     try {
-      execute("PRAGMA journal_mode = DELETE");
+      execute("PRAGMA journal_mode = " + mode);
       return true;
     } catch (const DatabaseError& error) {
       if (error.code() != SQLITE_BUSY && error.code() != SQLITE_LOCKED) {

@@ -66,12 +66,14 @@ class Database {
   std::int64_t query_int64(const std::string& sql);
   bool in_transaction() const;
   void set_busy_timeout_ms(int timeout_ms);
-  /// Folds the write-ahead log into the file and leaves its mode: the file alone is the database. False, with
-  /// nothing changed, where another connection of any process had the file open all the time.
-  bool end_log(std::chrono::milliseconds patience);
+  /// Begins a write-ahead log, or folds it into the file and leaves its mode: the file alone is the database.
+  /// False, with nothing changed, where another connection of any process was in the way all the time.
+  bool begin_log(std::chrono::milliseconds patience) { return set_journal_mode("WAL", patience); }
+  bool end_log(std::chrono::milliseconds patience) { return set_journal_mode("DELETE", patience); }
   sqlite3* handle() const { return handle_.get(); }
 
  private:
+  bool set_journal_mode(const std::string& mode, std::chrono::milliseconds patience);
   struct Close {
     void operator()(sqlite3* handle) const;
   };

@@ -43,6 +43,8 @@ constexpr int kCheckpointPages = 512;
 // A reader in the middle of a page may hold up the closing of the log for this long; the take is readable
 // without it too.
 constexpr auto kCloseTimeout = std::chrono::milliseconds(200);
+// Who watches the folder may look into the new file before it is a take.
+constexpr auto kCreateTimeout = std::chrono::seconds(2);
 constexpr std::size_t kMaxTakeNameBytes = 100;
 constexpr int kMostPackers = 16;
 
@@ -214,7 +216,9 @@ class TakeWriter {
 
 bool TakeWriter::make_schema(const TakeRecorderConfig& config) {
   database_.execute(fmt::format("PRAGMA page_size = {}", kPageBytes));
-  database_.execute("PRAGMA journal_mode = WAL");
+  if (!database_.begin_log(kCreateTimeout)) {
+    throw Error(ErrorKind::Storage, "another program holds the new file");
+  }
   // FULL: a commit survives a power cut, not only a killed process.
   database_.execute("PRAGMA synchronous = FULL");
   database_.execute(fmt::format("PRAGMA wal_autocheckpoint = {}", kCheckpointPages));

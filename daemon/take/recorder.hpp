@@ -75,7 +75,7 @@ class TakeRecorder {
   /// First phase: takes no more frames. Any thread, returns at once, idempotent.
   void request_stop();
   /// Second phase: what is queued is written, the write-ahead log is folded into the one file
-  /// (RecorderStatus:: log_left where a reader prevents it: close_take does it later), the threads join.
+  /// (RecorderStatus::log_left where a reader prevents it: close_take does it later), the threads join.
   /// Idempotent; the destructor calls both.
   RecorderStatus stop();
 

@@ -30,7 +30,7 @@ constexpr std::int64_t kSecond_ns = 1'000'000'000;
 constexpr double kDefaultRate_hz = 25.0;
 /// A paced source that is later than this many frames skips to the newest one.
 constexpr int kPacedSlack_frames = 1;
-/// It skips for so long; where the file cannot be decoded as fast as it should run, it runs slower.
+/// It skips for so long; where the file cannot be decoded as fast as it should run, frames come late.
 constexpr std::int64_t kLongestSkip_ns = kSecond_ns / 10;
 /// A decoder that reports this many errors in a row, with no frame between, is not asked again.
 constexpr int kMostDecoderErrors = 100;
@@ -471,7 +471,6 @@ CaptureOutcome VideoFile::next_frame(Frame& out, std::chrono::milliseconds timeo
     const std::int64_t skip_until_ns = monotonic_ns() + kLongestSkip_ns;
     while (monotonic_ns() > clock_start_ns_ + media_time_ns_ + (kPacedSlack_frames + 1) * period_ns_) {
       if (monotonic_ns() > skip_until_ns) {
-        clock_start_ns_ = monotonic_ns() - media_time_ns_;
         break;
       }
       if (decode() != Decoded::Frame) {

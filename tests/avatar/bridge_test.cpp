@@ -256,6 +256,18 @@ TEST_F(BridgeTest, NobodyListensAndNobodyWaits) {
   EXPECT_EQ(status.targets.at(2).failed, 0U);
 }
 
+TEST(NeutralRecorder, AFaceThatIsNotKnownYetDoesNotCount) {
+  FaceState state;
+  state.tracked = true;
+  state.provisional = true;
+  NeutralRecorder recorder;
+  for (int i = 0; i < 2 * NeutralRecorder::kFewestFrames; ++i) {
+    recorder.add(state);
+  }
+  EXPECT_EQ(recorder.frames(), 0);
+  EXPECT_FALSE(recorder.mean().has_value());
+}
+
 TEST_F(BridgeTest, NeutralPoseIsTakenAwayAndKept) {
   const Receiver receiver;
   const BridgeConfig wanted = config({receiver.target(BridgeProtocol::Vmc)});

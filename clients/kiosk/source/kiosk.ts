@@ -191,13 +191,13 @@ function problem(): Problem | null {
       return { title: text('problem_trigger'), help: status.rig.trigger.reason, grave: true };
     }
   }
+  if (tracking === 1) {
+    return { title: text('problem_acquiring'), help: text('problem_acquiring_help') }; // over the provisional mesh
+  }
   if (isFresh()) {
     return null;
   }
-  if (tracking === 1) {
-    return { title: text('problem_acquiring'), help: text('problem_acquiring_help') };
-  }
-  if (status?.rig && status.frames.processed > 0 && status.frames.mesh === 0 && status.frames.face === 0) {
+  if (status?.mode === 'frames' && status.frames.processed > 0) {
     return { title: text('problem_no_mesh'), help: text('problem_no_mesh_help') };
   }
   if (tracking === 0 || tracking === 3) {

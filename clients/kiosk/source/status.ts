@@ -61,6 +61,7 @@ export interface Keys {
 export interface Status {
   version: string;
   state: string;
+  mode: string;
   reason: string;
   source: { name: string; width_px: number; height_px: number } | null;
   camera: DeviceStatus | null;
