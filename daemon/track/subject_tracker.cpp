@@ -58,7 +58,7 @@ constexpr int kProvisionalIterations = 3;
 constexpr int kSettlingIterations = 1;
 constexpr int kMostSettlingFrames = 20;
 /// Gauss-Newton steps by the shading of the batch's pictures, and the steps by landmarks that follow each.
-/// One step a frame: each takes a live camera's tracker about as long as a picture.
+/// One step a frame: each takes as long as two or three pictures of a live camera.
 constexpr int kShadingRounds = 6;
 constexpr int kIterationsAfterShading = 2;
 constexpr int kShadingSteps = kShadingRounds * (1 + kIterationsAfterShading);
