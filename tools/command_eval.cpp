@@ -5,7 +5,6 @@
 #include <CLI/CLI.hpp>
 #include <cmath>
 #include <filesystem>
-#include <fstream>
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -13,6 +12,7 @@
 
 #include "commands.hpp"
 #include "facet/error.hpp"
+#include "files/output_file.hpp"
 #include "progress.hpp"
 #include "take/reader.hpp"
 #include "take_evaluation.hpp"
@@ -84,12 +84,9 @@ void run_eval(const EvalOptions& options) {
   if (options.output.empty()) {
     fmt::print("{}\n", document.dump(2));
   } else {
-    std::ofstream stream(options.output);
-    stream << document.dump(2) << '\n';
-    stream.close();
-    if (!stream) {
-      throw Error(ErrorKind::Storage, fmt::format("{}: cannot write", options.output));
-    }
+    files::OutputFile output(options.output);
+    output.write(document.dump(2) + "\n");
+    output.commit();
   }
   fmt::print(
       stderr,

@@ -11,6 +11,7 @@
 
 #include "commands.hpp"
 #include "facet/error.hpp"
+#include "files/output_file.hpp"
 #include "render/renderer.hpp"
 #include "trigger/edge_log.hpp"
 #include "trigger/virtual_trigger.hpp"
@@ -57,10 +58,9 @@ void record(const Options& options) {
   }
   trigger->stop();
   fmt::print("{}\n", trigger->status().scheduling);
-  std::ofstream file(options.log);
-  if (!(file << trigger::to_text(log) << std::flush)) {
-    throw Error(ErrorKind::Storage, fmt::format("{}: can't be written", options.log));
-  }
+  files::OutputFile output(options.log);
+  output.write(trigger::to_text(log));
+  output.commit();
 }
 
 void run(const Options& options) {

@@ -18,6 +18,7 @@
 
 #include "face/face_model.hpp"
 #include "facet/error.hpp"
+#include "files/output_file.hpp"
 
 namespace facet::face {
 namespace {
@@ -393,41 +394,6 @@ void add_core(const FaceModel& model, ChunkWriter& writer) {
   writer.add("CORE", bytes_of(numbers.data(), numbers.size()), true);
 }
 
-void write_atomically(const std::vector<std::byte>& bytes, const std::filesystem::path& file) {
-  std::string temporary = file.string() + ".XXXXXX";
-  const auto fail = [&](const char* what, int error) {
-    throw Error(ErrorKind::Storage, fmt::format("{}: can't {} the face model: {}", file.string(), what,
-                                                std::generic_category().message(error)));
-  };
-  const int descriptor = ::mkostemp(temporary.data(), O_CLOEXEC);
-  if (descriptor < 0) {
-    fail("create", errno);
-  }
-  std::size_t done = 0;
-  int error = 0;
-  while (done < bytes.size() && error == 0) {
-    const ssize_t wrote = ::write(descriptor, bytes.data() + done, bytes.size() - done);
-    if (wrote < 0 && errno != EINTR) {
-      error = errno;
-    }
-    done += wrote > 0 ? static_cast<std::size_t>(wrote) : 0;
-  }
-  constexpr mode_t kReadableByAll = 0644;
-  if (error == 0 && (::fchmod(descriptor, kReadableByAll) != 0 || ::fsync(descriptor) != 0)) {
-    error = errno;
-  }
-  if (::close(descriptor) != 0 && error == 0) {
-    error = errno;
-  }
-  if (error == 0 && ::rename(temporary.c_str(), file.c_str()) != 0) {
-    error = errno;
-  }
-  if (error != 0) {
-    ::unlink(temporary.c_str());
-    fail("write", error);
-  }
-}
-
 }  // namespace
 
 FaceModel FaceModel::load(const std::filesystem::path& file) {
@@ -525,7 +491,9 @@ void FaceModel::save(const std::filesystem::path& file) const {
     writer.add("LAND", bytes_of(landmarks.data(), landmarks.size()), false);
   }
   add_core(*this, writer);
-  write_atomically(writer.file(), file);
+  files::OutputFile output(file);
+  output.write(writer.file());
+  output.commit();
 }
 
 }  // namespace facet::face

@@ -26,6 +26,7 @@
 #include <vector>
 
 #include "facet/error.hpp"
+#include "files/output_file.hpp"
 #include "files/text_file.hpp"
 #include "service/listen_address.hpp"
 #include "service/thumbnails.hpp"
@@ -143,18 +144,19 @@ std::string make_token(const std::filesystem::path& file) {
   for (const std::uint8_t byte : random) {
     token += fmt::format("{:02x}", byte);
   }
-  const stream::FileDescriptor out(::open(file.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0640));
-  const std::string line = token + "\n";
-  if (!out || ::write(out.get(), line.data(), line.size()) != static_cast<ssize_t>(line.size())) {
+  try {
+    files::OutputFile out(file, 0640);
+    out.write(token + "\n");
+    out.commit();
+  } catch (const Error& error) {
     throw Error(ErrorKind::Storage,
-                fmt::format("web.token_file = \"{}\": can't write: {}; web.token_file = \"\" does without",
-                            file.string(), std::strerror(errno)));
+                fmt::format("web.token_file: {}; web.token_file = \"\" does without", error.what()));
   }
   return token;
 }
 
-/// What has to be shown to change something; empty: nobody can.
-std::string read_token(const std::filesystem::path& file) {
+/// What has to be shown to change something; empty: nobody can. fault: what was wrong with the file.
+std::string read_token(const std::filesystem::path& file, std::string& fault) {
   if (file.empty()) {
     return {};
   }
@@ -175,11 +177,12 @@ std::string read_token(const std::filesystem::path& file) {
     return (c >= '0' && c <= '9') || (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || c == '-' || c == '_';
   });
   if (!sound || token.size() < kLeastTokenBytes || token.size() > kMostTokenBytes) {
-    throw Error(
-        ErrorKind::Usage,
-        fmt::format("web.token_file = \"{}\": a token is one line of {} to {} letters, digits, - and _; "
-                    "remove the file to have one made",
-                    file.string(), kLeastTokenBytes, kMostTokenBytes));
+    fault = fmt::format(
+        "web.token_file = \"{}\": a token is one line of {} to {} letters, digits, - and _; {}, and a new "
+        "one "
+        "is made",
+        file.string(), kLeastTokenBytes, kMostTokenBytes, files::set_aside(file));
+    return make_token(file);
   }
   return token;
 }
@@ -384,7 +387,7 @@ struct WebServer::Impl {
         stream(given_stream),
         control(given_control),
         page(read_page(given.page)),
-        token(read_token(given.token_file)),
+        token(read_token(given.token_file, token_fault)),
         hosts{"localhost", "127.0.0.1", "::1", split_host(given.listen).host} {
     for (const std::string& host : config.hosts) {
       hosts.insert(split_host(host).host);
@@ -399,6 +402,7 @@ struct WebServer::Impl {
   stream::StreamServer& stream;
   ControlServer& control;
   const std::map<std::string, PageFile, std::less<>> page;
+  std::string token_fault;
   const std::string token;
   std::set<std::string> hosts;
   std::array<Passage, static_cast<std::size_t>(Door::Count)> passages{};
@@ -790,6 +794,10 @@ int WebServer::port() const {
 std::string WebServer::url() const {
   const std::string& listen = impl_->config.listen;
   return fmt::format("http://{}:{}/", listen.substr(0, listen.rfind(':')), port());
+}
+
+const std::string& WebServer::token_fault() const {
+  return impl_->token_fault;
 }
 
 bool WebServer::has_page() const {

@@ -29,8 +29,8 @@ struct WebStatistics {
 /// live on.
 class WebServer {
  public:
-  /// Borrows both servers. Makes the token's file where there is none. Throws Error(Unavailable) where it
-  /// can't listen, Error(Storage) where the token can't be read or made, Error(Usage) where it is none.
+  /// Borrows both servers. Makes the token's file where there is none or no token in it. Throws
+  /// Error(Unavailable) where it can't listen, Error(Storage) where the token can't be read or made.
   WebServer(const WebConfig& config, std::filesystem::path takes, stream::StreamServer& stream,
             ControlServer& control);
   ~WebServer();
@@ -40,6 +40,8 @@ class WebServer {
   int port() const;
   std::string url() const;  ///< for people, "http://ADDRESS:PORT/"
   bool has_page() const;
+  /// What was wrong with the token's file, which was set aside and made anew; empty: nothing.
+  const std::string& token_fault() const;
   WebStatistics statistics() const;  ///< any thread
 
   /// Guesses of the token that are looked at in a row; after them one in kGuessPeriod.

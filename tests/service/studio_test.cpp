@@ -355,6 +355,16 @@ TEST_F(StudioTest, TakesGetPictures) {
   EXPECT_GE(std::filesystem::last_write_time(file), std::filesystem::last_write_time(take_));
 }
 
+TEST_F(StudioTest, BrokenKeysAreSetAsideAndTheTakeIsOpen) {
+  const std::filesystem::path keys = folder_.path() / "actor1.keys.json";
+  std::ofstream(keys) << "";  // as a power cut leaves it
+  open(true);
+  EXPECT_THAT(ask("studio.status")["reason"].get<std::string>(), HasSubstr(keys.string() + ".broken-1"));
+  EXPECT_FALSE(std::filesystem::exists(keys));
+  ask("keys.set", {{"keys", {{"keys", {{{"time_s", 0}, {"frame", 1}}}}}}});
+  EXPECT_TRUE(std::filesystem::exists(keys));
+}
+
 TEST_F(StudioTest, ATakeThatChangesIsClosed) {
   open(true);
   std::ofstream(take_, std::ios::app | std::ios::binary) << "more";

@@ -424,10 +424,14 @@ TEST_F(Web, WithoutATokenNobodyCommands) {
   EXPECT_EQ(ask("change", "x"), static_cast<int>(stream::WebSocketClose::WrongToken));
 }
 
-TEST_F(Web, WhatIsNoTokenIsNamed) {
-  std::ofstream(folder_.path() / "token") << "short\n";
-  EXPECT_THROW(start(), Error);
-  std::filesystem::remove(folder_.path() / "token");
+TEST_F(Web, WhatIsNoTokenIsSetAsideAndNamed) {
+  for (const std::string content : {"short\n", ""}) {  // a power cut leaves it empty
+    std::ofstream(folder_.path() / "token") << content;
+    const WebServer web(config_, folder_.path() / "takes", *stream_, *control_);
+    EXPECT_THAT(web.token_fault(), AllOf(HasSubstr("token"), HasSubstr(".broken-")));
+    EXPECT_EQ(token().size(), 32U);
+    std::filesystem::remove(folder_.path() / "token");
+  }
   config_.token_file = folder_.path() / "none" / "token";
   EXPECT_THROW(WebServer(config_, folder_.path() / "takes", *stream_, *control_), Error);
 }
