@@ -4,7 +4,6 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
-#include <atomic>
 #include <ctime>
 #include <exception>
 #include <functional>
@@ -288,7 +287,8 @@ void run_monocular(const Options& options) {
   pipeline::MonocularPipeline pipeline(std::move(stages),
                                        {config.pipeline.hierarchy, config.pipeline.frames, {}}, {&take});
   const int broken_off_by = run_to_end(pipeline, signals, expected);
-  const std::optional<take::RecorderStatus> written = take.end();
+  const std::optional<take::RecorderStatus> written =
+      take.end(broken_off_by != 0 ? "broken off by a signal" : "");
   const pipeline::PipelineStatus status = pipeline.status();
   conclude(options, status, written, pipeline.take_messages(), broken_off_by, signals,
            [&] { check_result(options, status); });
@@ -371,12 +371,11 @@ std::string made_of(const take::TakeReader& take, const pipeline::BoothConfig& b
 int run_to_end(pipeline::BoothMeshes& meshes, take::TakeReader& input, const std::vector<std::int64_t>& slots,
                const StopSignals& signals, const std::function<void()>& show) {
   meshes.start();
-  // Reads ahead as far as the meshes let it; joined below.
-  std::atomic<bool> wanted{true};
+  // Reads ahead as far as the meshes let it.
   std::exception_ptr damage;
-  std::thread reading([&] {
+  std::jthread reading([&](const std::stop_token& broken_off) {
     try {
-      for (auto slot = slots.begin(); slot != slots.end() && wanted; ++slot) {
+      for (auto slot = slots.begin(); slot != slots.end() && !broken_off.stop_requested(); ++slot) {
         meshes.deliver(input.frame(*slot));
       }
     } catch (...) {
@@ -388,12 +387,12 @@ int run_to_end(pipeline::BoothMeshes& meshes, take::TakeReader& input, const std
   while (!meshes.finished()) {
     if (const int signal = signals.wait(kPeriod); signal != 0) {
       broken_off_by = signal;
-      wanted = false;
+      reading.request_stop();
       meshes.request_stop();
     }
     show();
   }
-  wanted = false;
+  reading.request_stop();
   reading.join();
   meshes.stop();
   show();
@@ -492,7 +491,8 @@ void lead_booth(const Options& options, Team& team, const StopSignals& signals) 
     damage = std::current_exception();
   }
   progress.finish();
-  const std::optional<take::RecorderStatus> written = take.end();
+  const std::optional<take::RecorderStatus> written =
+      take.end(broken_off_by != 0 ? "broken off by a signal" : "");
   if (broken_off_by != 0 && folder != nullptr) {
     fmt::print(stderr,
                "facet: the depth maps found so far are kept in '{}': the same command goes on from there\n",

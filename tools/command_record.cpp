@@ -38,6 +38,12 @@ void add_record_command(CLI::App& app) {
                  "note: a part of it stays in the -wal file beside it, as another program reads the take: "
                  "end that, then 'facet summary --close' makes one file of it\n");
     }
+    if (const std::string warning = take.value("warning", ""); !warning.empty()) {
+      fmt::print(stderr, "warning: {}; look at it with 'facet summary --verify', and at the disk\n", warning);
+    }
+    if (const std::string reason = take["reason"]; take["state"] == "finished" && !reason.empty()) {
+      fmt::print(stderr, "note: it had ended before: {}\n", reason);
+    }
     if (take["state"] == "failed") {
       throw Error(ErrorKind::Storage,
                   "the recording had ended by itself: " + take["reason"].get<std::string>());

@@ -12,6 +12,8 @@
 #include <cmath>
 #include <csignal>
 #include <cstring>
+#include <exception>
+#include <new>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <utility>
@@ -149,6 +151,7 @@ struct Service::Impl {
   std::atomic<bool> running{false};  ///< the pipeline was started
   bool stopping = false;             ///< somebody asked for the end
   bool end_seen = false;             ///< the pipeline's end was logged
+  std::string end_reason;            ///< of the daemon, for the take that it cuts short
   std::optional<int> exit_status;    ///< set: leave the loop
 
   ControlMethods methods();
@@ -259,6 +262,7 @@ ControlMethods Service::Impl::methods() {
         [this](const json&) {
           log.info("shutdown asked over the control socket");
           stopping = true;
+          end_reason = "facetd was shut down over the control socket";
           return json::object();
         }}},
   };
@@ -320,6 +324,9 @@ void Service::Impl::open_web() {
     web.emplace(config.web, config.takes.folder, *stream, *control);
     log.info(fmt::format("page on {}{}", web->url(),
                          web->has_page() ? "" : ": its files are not there, only its WebSockets"));
+    if (!web->token_fault().empty()) {
+      log.warning(web->token_fault());
+    }
   } catch (const Error& error) {
     log.warning(error.what());
   }
@@ -397,7 +404,7 @@ json Service::Impl::record_start(const json& params) {
 }
 
 json Service::Impl::record_stop() {
-  const auto take = takes.end();
+  const auto take = takes.end({});
   if (!take) {
     throw Error(ErrorKind::Usage, failed_take
                                       ? fmt::format("nothing is being recorded: {} ended by itself: {}",
@@ -430,10 +437,14 @@ void Service::Impl::log_take(const take::RecorderStatus& take) const {
   if (take.state == take::RecorderState::Failed) {
     log.error(fmt::format("{}; recording ended by itself: {}", text, take.reason),
               {{"FACET_EVENT", "take-failed"}, {"FACET_TAKE", take.file.string()}});
+  } else if (!take.warning.empty()) {
+    log.error(fmt::format("{}; {}", text, take.warning),
+              {{"FACET_EVENT", "take-doubtful"}, {"FACET_TAKE", take.file.string()}});
   } else {
     const char* left =
         take.log_left ? "; a part stays in the -wal file beside it, as another program reads it" : "";
-    log.info(text + left, {{"FACET_EVENT", "take-ended"}, {"FACET_TAKE", take.file.string()}});
+    const std::string why = take.reason.empty() ? "" : "; ended: " + take.reason;
+    log.info(text + why + left, {{"FACET_EVENT", "take-ended"}, {"FACET_TAKE", take.file.string()}});
   }
 }
 
@@ -453,6 +464,7 @@ void Service::Impl::read_signals() {
   while (::read(signals.get(), &info, sizeof(info)) == sizeof(info)) {
     log.info(fmt::format("stopping on signal {}", info.ssi_signo));
     stopping = true;
+    end_reason = fmt::format("facetd was stopped by signal {}", info.ssi_signo);
   }
 }
 
@@ -550,7 +562,7 @@ void Service::Impl::start_when_awaited() {
 void Service::Impl::look_after_take() {
   const auto take = takes.status();
   if (take && take->state == take::RecorderState::Failed) {
-    failed_take = takes.end();
+    failed_take = takes.end({});
     log_take(*failed_take);
   }
 }
@@ -573,6 +585,7 @@ void Service::Impl::look_after_pipeline() {
   if (failed) {
     log.error(now.reason, {{"FACET_EVENT", "failed"}, {"FACET_SOURCE", source_name}});
   }
+  takes.request_end(now.reason.empty() ? "the source is at its end" : now.reason);
   const bool cut_short = !failed && !now.reason.empty();
   log.info(fmt::format("{}: {} frames, {} with a mesh, {} refined, {} dropped",
                        failed      ? "until then"
@@ -659,7 +672,7 @@ void Service::Impl::finish() {
   if (pipeline) {
     pipeline->request_stop();
   }
-  takes.request_end();
+  takes.request_end(end_reason);
   studio.request_stop();
   thumbnails.request_stop();
   stream->request_stop();
@@ -668,7 +681,7 @@ void Service::Impl::finish() {
   }
   metrics.reset();
   web.reset();
-  if (const auto take = takes.end()) {
+  if (const auto take = takes.end(end_reason)) {
     log_take(*take);
   }
   stream->stop();
@@ -714,6 +727,9 @@ int Service::run() {
     impl.open_web();
     if (impl.bridge) {
       impl.bridge->start();
+      if (const std::string fault = impl.bridge->status().neutral_reason; !fault.empty()) {
+        impl.log.warning(fault);
+      }
       for (const avatar::BridgeTarget& target : impl.config.bridges.targets) {
         impl.log.info(fmt::format("bridge: {} to {}", avatar::to_string(target.protocol), target.text()));
         impl.warn_of_silence(target);
@@ -724,10 +740,18 @@ int Service::run() {
       impl.wait_for_events();
       impl.look_after();
     }
-  } catch (const Error& error) {
-    impl.log.error(error.what(), {{"FACET_EVENT", "failed"}});
-    impl.manager.status(error.what());
-    impl.exit_status = static_cast<int>(error.kind());
+  } catch (const std::exception& error) {
+    // Whatever it was, the take is closed and everybody is told.
+    const auto* known = dynamic_cast<const Error*>(&error);
+    impl.exit_status = static_cast<int>(known != nullptr ? known->kind() : ErrorKind::Internal);
+    try {
+      impl.end_reason = error.what();
+      impl.log.error(known != nullptr ? error.what() : fmt::format("internal fault: {}", error.what()),
+                     {{"FACET_EVENT", "failed"}});
+      impl.manager.status(error.what());
+    } catch (const std::bad_alloc&) {
+      // The exit status tells it.
+    }
   }
   impl.finish();
   return *impl.exit_status;

@@ -166,6 +166,7 @@ json to_json(const WebStatistics& web) {
 json to_json(const take::RecorderStatus& status) {
   return {{"state", take::to_string(status.state)},
           {"reason", status.reason},
+          {"warning", status.warning},
           {"file", status.file.string()},
           {"frames", status.frames},
           {"mesh_frames", status.mesh_frames},

@@ -8,6 +8,7 @@
 #include <cmath>
 #include <condition_variable>
 #include <mutex>
+#include <new>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <thread>
@@ -201,7 +202,7 @@ struct Studio::Impl {
   std::string keys;
 
   std::unique_ptr<Session> session;  ///< the thread only
-  std::thread thread;
+  std::jthread thread;
   std::atomic<bool> ended{true};
 
   // The daemon's loop.
@@ -363,6 +364,7 @@ void Studio::Impl::open_session(const Opening& what) {
     throw Error(ErrorKind::UnreadableInput, fmt::format("take {} has no mesh", what.take));
   }
   std::string stored_keys;
+  std::string keys_fault;
   if (what.posing) {
     auto ready = std::make_shared<Faces>();
     ready->basis = animate::TakeBasis::open(made->file, {}, [&](std::int64_t done, std::int64_t total) {
@@ -381,8 +383,14 @@ void Studio::Impl::open_session(const Opening& what) {
     made->faces = ready;
     std::error_code ignored;
     if (std::filesystem::exists(keys_file(made->file), ignored)) {
-      stored_keys = files::read_text(keys_file(made->file), animate::kMostKeysBytes, "keys file");
-      animate::parse_keys(stored_keys, keys_file(made->file).string());
+      try {
+        stored_keys = files::read_text(keys_file(made->file), animate::kMostKeysBytes, "keys file");
+        animate::parse_keys(stored_keys, keys_file(made->file).string());
+      } catch (const Error& error) {
+        stored_keys.clear();
+        keys_fault = fmt::format("the take is open without its keys: {}; {}", error.what(),
+                                 files::set_aside(keys_file(made->file)));
+      }
     }
   }
   made->check_due = Clock::now() + kRepeat;
@@ -398,6 +406,7 @@ void Studio::Impl::open_session(const Opening& what) {
     shown.places = faces != nullptr ? faces->places : decltype(faces->places)();
     shown.duration_s = session->meshes.back().time_s;
     shown.state = StudioState::Ready;
+    shown.reason = std::move(keys_fault);
   }
   if (session->faces != nullptr) {
     solve({Wish::Kind::Pose, Shown::Pose, 0, false, Clock::now()});
@@ -668,7 +677,15 @@ void Studio::Impl::run() {
   ::pthread_setname_np(::pthread_self(), "facet-studio");
   std::unique_lock lock(mutex);
   while (!stopping) {
-    if (work_once(lock)) {
+    try {
+      if (work_once(lock)) {
+        continue;
+      }
+    } catch (const std::bad_alloc&) {
+      // There was not even the memory to say what had failed. What is asked for next finds some, or not.
+      if (!lock.owns_lock()) {
+        lock.lock();
+      }
       continue;
     }
     if (session == nullptr) {
@@ -697,7 +714,12 @@ Studio::~Studio() {
 
 void Studio::start() {
   impl_->ended = false;
-  impl_->thread = std::thread([this] { impl_->run(); });
+  try {
+    impl_->thread = std::jthread([this] { impl_->run(); });
+  } catch (...) {
+    impl_->ended = true;
+    throw;
+  }
 }
 
 void Studio::request_stop() {

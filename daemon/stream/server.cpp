@@ -171,7 +171,6 @@ struct StreamServer::Impl {
   std::optional<ListeningSocket> listening;
   std::filesystem::path socket_path;
   FileDescriptor wake;
-  std::thread thread;
   std::atomic<bool> stopping{false};
 
   std::mutex newest_mutex;                        ///< held for a pointer's swap only
@@ -235,6 +234,8 @@ struct StreamServer::Impl {
   void remove_gone();
   void farewell();
   void show_statistics();
+
+  std::jthread thread;  // last, so that it is joined before anything is freed
 };
 
 /// A free packet of the pool, or one more: the pool is bounded by the packets in use, one per reader and
@@ -852,7 +853,7 @@ void StreamServer::start() {
       throw Error(ErrorKind::Internal, fmt::format("stream: epoll: {}", std::strerror(errno)));
     }
   }
-  impl_->thread = std::thread([this] { impl_->run(); });
+  impl_->thread = std::jthread([this] { impl_->run(); });
 }
 
 void StreamServer::publish(std::shared_ptr<const mesh::MeshFrame> frame) {

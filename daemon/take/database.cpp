@@ -161,6 +161,29 @@ bool Database::set_journal_mode(const std::string& mode, std::chrono::millisecon
   return false;
 }
 
+bool Database::end_log(std::chrono::milliseconds patience) {
+  // All that changes behind the log is two bytes in the file's first sector, which is written whole or not at
+  // all: a journal on the disk would only cost three more syncs and a descriptor.
+  if (!set_journal_mode("MEMORY", patience)) {
+    return false;
+  }
+  execute("PRAGMA journal_mode = DELETE");
+  return true;
+}
+
+void Database::keep_log() {
+  sqlite3_db_config(handle_.get(), SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1, nullptr);
+}
+
+void Database::sync() {
+  // By SQLite's own descriptor: another one of ours, closed, would take all its locks of the file away.
+  sqlite3_file* file = nullptr;
+  check(handle_.get(), sqlite3_file_control(handle_.get(), "main", SQLITE_FCNTL_FILE_POINTER, &file));
+  if (const int code = file->pMethods->xSync(file, SQLITE_SYNC_NORMAL); code != SQLITE_OK) {
+    throw DatabaseError(code & kPrimaryCodeMask, sqlite3_errstr(code));
+  }
+}
+
 std::uint64_t log_bytes(const std::filesystem::path& file) {
   std::error_code error;
   // SQLite puts the log beside the file itself, not beside a link to it.

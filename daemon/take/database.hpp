@@ -69,7 +69,11 @@ class Database {
   /// Begins a write-ahead log, or folds it into the file and leaves its mode: the file alone is the database.
   /// False, with nothing changed, where another connection of any process was in the way all the time.
   bool begin_log(std::chrono::milliseconds patience) { return set_journal_mode("WAL", patience); }
-  bool end_log(std::chrono::milliseconds patience) { return set_journal_mode("DELETE", patience); }
+  bool end_log(std::chrono::milliseconds patience);
+  /// The log stays where it is when the connection closes: what is in it may be nowhere else.
+  void keep_log();
+  /// Waits until the file is on the disk.
+  void sync();
   sqlite3* handle() const { return handle_.get(); }
 
  private:
