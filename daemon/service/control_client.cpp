@@ -10,6 +10,7 @@
 #include <nlohmann/json.hpp>
 
 #include "facet/error.hpp"
+#include "files/json_text.hpp"
 #include "service/control_protocol.hpp"
 
 namespace facet::service {
@@ -19,6 +20,7 @@ using nlohmann::json;
 
 constexpr timeval kTimeout{10, 0};
 constexpr std::size_t kMaxResponseBytes = 64U << 20;
+constexpr std::size_t kMaxResponseValues = 4'000'000;
 
 /// The kind of the facet::Error that the daemon met.
 ErrorKind kind_of(int code) {
@@ -73,7 +75,13 @@ json ControlClient::call(const std::string& method, const json& params) {
   const int id = next_id_++;
   const json request = {{"jsonrpc", "2.0"}, {"method", method}, {"params", params}, {"id", id}};
   const std::string line = request.dump(-1, ' ', false, json::error_handler_t::replace) + '\n';
-  const json response = json::parse(exchange(line), nullptr, false);
+  json response;
+  try {
+    response = files::parse_json(exchange(line), {kMaxResponseBytes, kMaxResponseValues}, "its answer");
+  } catch (const Error& error) {
+    throw Error(ErrorKind::Unavailable, fmt::format("'{}' does not answer like a facet control socket: {}",
+                                                    socket_.string(), error.what()));
+  }
   if (!response.is_object() || (!response.contains("result") && !response.contains("error"))) {
     throw Error(ErrorKind::Unavailable,
                 fmt::format("'{}' does not answer like a facet control socket", socket_.string()));

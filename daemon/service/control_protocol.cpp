@@ -7,11 +7,15 @@
 #include <nlohmann/json.hpp>
 
 #include "facet/error.hpp"
+#include "files/json_text.hpp"
 
 namespace facet::service {
 namespace {
 
 using nlohmann::json;
+
+/// As many values as a line of the densest keys has.
+constexpr files::JsonLimits kRequestLimits{kMaxRequestBytes, 250'000};
 
 /// What a request got instead of a result.
 struct Refusal {
@@ -163,9 +167,11 @@ std::string error_response(int code, const std::string& message) {
 }
 
 std::string answer_request(const ControlMethods& methods, std::string_view line, const Caller& caller) {
-  const json message = json::parse(line, nullptr, false);
-  if (message.is_discarded()) {
-    return error_response(kParseError, "not valid JSON; a request is one line");
+  json message;
+  try {
+    message = files::parse_json(line, kRequestLimits, "the line");
+  } catch (const Error& error) {
+    return error_response(kParseError, fmt::format("{}; a request is one line", error.what()));
   }
   if (!message.is_array()) {
     const json response = answer_one(methods, message, caller);

@@ -14,6 +14,7 @@
 
 #include "animate/places.hpp"
 #include "facet/error.hpp"
+#include "files/json_text.hpp"
 #include "files/output_file.hpp"
 #include "files/text_file.hpp"
 #include "mesh/hierarchy.hpp"
@@ -381,7 +382,7 @@ void Studio::Impl::open_session(const Opening& what) {
     made->faces = ready;
     std::error_code ignored;
     if (std::filesystem::exists(keys_file(made->file), ignored)) {
-      stored_keys = files::read_text(keys_file(made->file), animate::kMostKeysBytes, "keys file");
+      stored_keys = files::read_text(keys_file(made->file), animate::kKeysLimits.most_bytes, "keys file");
       animate::parse_keys(stored_keys, keys_file(made->file).string());
     }
   }
@@ -855,7 +856,8 @@ std::string Studio::save_key(double time_s) {
   {
     const std::lock_guard lock(impl_->mutex);
     impl_->ready_faces();
-    root = impl_->keys.empty() ? json::object() : json::parse(impl_->keys);
+    root =
+        impl_->keys.empty() ? json::object() : files::parse_json(impl_->keys, animate::kKeysLimits, "keys");
     json controls = json::array();
     for (const animate::ControlTarget& target : impl_->wanted) {
       const bool on_screen = target.space == animate::ControlTarget::Space::Screen;

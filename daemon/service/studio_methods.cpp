@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 
 #include "facet/error.hpp"
+#include "files/json_text.hpp"
 #include "stream/base64.hpp"
 
 namespace facet::service {
@@ -23,7 +24,7 @@ animate::KeyList as_key(const std::string& method, const json& controls, const j
       root[name] = params[name];
     }
   }
-  return animate::parse_keys(root.dump(-1, ' ', false, json::error_handler_t::replace), method);
+  return animate::keys_of(root, method);
 }
 
 json number_of_event(std::uint64_t event) {
@@ -54,7 +55,7 @@ std::string vertex_of(const json& vertex) {
 }
 
 json keys_json(const std::string& text) {
-  return {{"keys", text.empty() ? json(nullptr) : json::parse(text)}};
+  return {{"keys", text.empty() ? json(nullptr) : files::parse_json(text, animate::kKeysLimits, "keys")}};
 }
 
 json times_json(const StudioTimes& times) {
@@ -214,7 +215,10 @@ ControlMethods studio_methods(Studio& studio) {
         {{"keys", Type::Any, true}},
         [&studio](const json& params) {
           const json& keys = params.at("keys");
-          studio.set_keys(keys.is_null() ? "" : keys.dump(1, ' ', false, json::error_handler_t::replace));
+          if (!keys.is_null()) {
+            animate::keys_of(keys, "keys");  // before anything is made of it
+          }
+          studio.set_keys(keys.is_null() ? "" : keys.dump());
           return json::object();
         }}},
       {"keys.save",

@@ -323,12 +323,14 @@ TEST_F(BridgeTest, NeutralPoseWithoutAFaceFails) {
 
 TEST_F(BridgeTest, ADamagedNeutralPoseIsNamed) {
   const BridgeConfig wanted = config({});
-  for (const char* text :
-       {"", "{", "[]", R"({"facet_neutral": 2})",
-        R"({"facet_neutral": 1, "values": {"jawOpen": 2}, "rotation": [0,0,0,1], "translation_m": [0,0,0]})",
-        R"({"facet_neutral": 1, "values": {"jaw": 0}, "rotation": [0,0,0,1], "translation_m": [0,0,0]})",
-        R"({"facet_neutral": 1, "values": {}, "rotation": [0,0,0,0], "translation_m": [0,0,0]})",
-        R"({"facet_neutral": 1, "values": {}, "rotation": [0,0,0,1], "translation_m": [0,"x",0]})"}) {
+  for (
+      const std::string& text : std::initializer_list<std::string>{
+          "", "{", "[]", std::string(60'000, '['), R"({"facet_neutral":)" + std::string(60'000, '['),
+          R"({"facet_neutral": 2})",
+          R"({"facet_neutral": 1, "values": {"jawOpen": 2}, "rotation": [0,0,0,1], "translation_m": [0,0,0]})",
+          R"({"facet_neutral": 1, "values": {"jaw": 0}, "rotation": [0,0,0,1], "translation_m": [0,0,0]})",
+          R"({"facet_neutral": 1, "values": {}, "rotation": [0,0,0,0], "translation_m": [0,0,0]})",
+          R"({"facet_neutral": 1, "values": {}, "rotation": [0,0,0,1], "translation_m": [0,"x",0]})"}) {
     std::ofstream(wanted.neutral_file) << text;
     try {
       const Bridge bridge(wanted);

@@ -201,6 +201,7 @@ TEST_F(StudioTest, RefusesWhatMakesNoSense) {
             "vertex must be a whole number or the name of a place");
   EXPECT_THAT(refusal("keys.export", {{"name", "x"}}), HasSubstr("no keys"));
   EXPECT_THAT(refusal("keys.set", {{"keys", {{"keys", json::array()}}}}), HasSubstr("empty"));
+  EXPECT_THAT(refusal("keys.set", {{"keys", json::array({json::array()})}}), HasSubstr("must be an object"));
 
   // On the open edge, and two that pull skin apart: not refused, but told; and what is streamed is finite.
   const auto basis = animate::TakeBasis::open(take_);
@@ -362,6 +363,28 @@ TEST_F(StudioTest, ATakeThatChangesIsClosed) {
   EXPECT_THAT(status["reason"].get<std::string>(), HasSubstr("changed while it was open"));
   EXPECT_FALSE(held_);
   EXPECT_THAT(refusal("pose.set", {{"controls", json::array()}}), HasSubstr("no take is open"));
+}
+
+/// The depth is refused before anything is copied or written: its cost would be the depth times the length.
+TEST_F(StudioTest, BracketsWithoutEndAreRefusedByEveryMethod) {
+  open(false);
+  for (const std::size_t bytes : {20'000U, 80'000U, 600'000U, 1'000'000U}) {
+    const std::string deep = std::string(bytes / 2, '[') + std::string(bytes / 2, ']');
+    for (const auto& [name, method] : methods_) {
+      std::vector<std::string> all_params{deep};
+      for (const ControlParam& param : method.params) {
+        all_params.push_back(fmt::format(R"({{"{}":{}}})", param.name, deep));
+        all_params.push_back(fmt::format(R"({{"{}":{{"keys":{}}}}})", param.name, deep));
+      }
+      for (const std::string& params : all_params) {
+        const std::string line =
+            fmt::format(R"({{"jsonrpc":"2.0","method":"{}","params":{},"id":1}})", name, params);
+        const json answer = json::parse(answer_request(methods_, line, {1, 1000, true}));
+        EXPECT_EQ(answer["error"]["code"], kParseError) << name << ", " << bytes << " bytes";
+      }
+    }
+  }
+  EXPECT_TRUE(ask("keys.get")["keys"].is_null());
 }
 
 }  // namespace

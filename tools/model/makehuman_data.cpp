@@ -9,12 +9,12 @@
 #include <algorithm>
 #include <cctype>
 #include <climits>
-#include <fstream>
-#include <iterator>
 #include <nlohmann/json.hpp>
 #include <numeric>
 
 #include "facet/error.hpp"
+#include "files/json_text.hpp"
+#include "files/text_file.hpp"
 
 namespace facet::model {
 namespace {
@@ -36,20 +36,15 @@ constexpr const char* kHint = "Run packaging/fetch-assets again.";
   throw Error(ErrorKind::UnreadableInput, fmt::format("{}: {}. {}", file.string(), what, kHint));
 }
 
-std::string read_text(const std::filesystem::path& file) {
-  std::ifstream in(file, std::ios::binary);
-  if (!in) {
-    fail(file, "can't open it");
-  }
-  return {std::istreambuf_iterator<char>(in), {}};
-}
+/// Of a mesh or a list of targets; the largest has 8 MB.
+constexpr files::JsonLimits kJsonLimits{64U << 20, 8'000'000};
 
-json parse_json(std::string_view text, const std::filesystem::path& file) {
-  json document = json::parse(text, nullptr, false);
-  if (document.is_discarded()) {
-    fail(file, "not valid JSON");
+std::string read_text(const std::filesystem::path& file) {
+  try {
+    return files::read_text(file, kJsonLimits.most_bytes, "file of MakeHuman's");
+  } catch (const Error& error) {
+    throw Error(ErrorKind::UnreadableInput, fmt::format("{}. {}", error.what(), kHint));
   }
-  return document;
 }
 
 /// A face's numbers are indices: whole, and none of them beyond an int.
@@ -74,7 +69,7 @@ MakeHumanMesh parse_makehuman_mesh(std::string_view text, const std::filesystem:
   constexpr std::size_t kFaceNumbers = 10;
   MakeHumanMesh mesh;
   try {
-    const json document = parse_json(text, file);
+    const json document = files::parse_json(text, kJsonLimits, file.string());
     const auto vertices = document.at("vertices").get<std::vector<double>>();
     const auto faces = indices(document.at("faces"), file);
     const auto uvs = document.at("uvs").at(0).get<std::vector<float>>();
@@ -122,7 +117,7 @@ MakeHumanRows parse_makehuman_target_list(std::string_view text, const std::file
                                           std::size_t target_count) {
   std::vector<std::string> names;
   try {
-    const json document = parse_json(text, file);
+    const json document = files::parse_json(text, kJsonLimits, file.string());
     for (const auto& [key, value] : document.at("targets").items()) {
       std::string name = key;
       std::transform(name.begin(), name.end(), name.begin(), [](unsigned char c) { return std::tolower(c); });
