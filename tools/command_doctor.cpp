@@ -31,6 +31,7 @@
 #include "service/control_client.hpp"
 #include "service/default_paths.hpp"
 #include "stream/unix_socket.hpp"
+#include "tell.hpp"
 #include "track/landmark_assets.hpp"
 
 namespace facet::tools {
@@ -44,9 +45,9 @@ class Report {
   void say(Verdict verdict, const std::string& what, const std::string& finding,
            const std::string& advice = {}) {
     const char* mark = verdict == Verdict::Good ? "ok  " : verdict == Verdict::Note ? "note" : "BAD ";
-    fmt::print("{}  {:<16} {}\n", mark, what, finding);
+    tell("{}  {:<16} {}\n", mark, what, finding);
     if (!advice.empty()) {
-      fmt::print("      {:<16} -> {}\n", "", advice);
+      tell("      {:<16} -> {}\n", "", advice);
     }
   }
   void bad(ErrorKind kind, const std::string& what, const std::string& finding,
@@ -332,7 +333,7 @@ void run(const std::string& given_file) {
     throw Error(*report.first_fault(),
                 fmt::format("doctor found {} fault{}", report.faults(), report.faults() == 1 ? "" : "s"));
   }
-  fmt::print("\nEverything that was looked at is in order.\n");
+  tell("\nEverything that was looked at is in order.\n");
 }
 
 }  // namespace

@@ -16,6 +16,7 @@
 #include "progress.hpp"
 #include "take/reader.hpp"
 #include "take_evaluation.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 namespace {
@@ -82,7 +83,7 @@ void run_eval(const EvalOptions& options) {
                                : std::filesystem::path(options.heat_map);
   render::write_png(evaluation.heat_map, picture);
   if (options.output.empty()) {
-    fmt::print("{}\n", document.dump(2));
+    std::puts(document.dump(2, ' ', true).c_str());
   } else {
     std::ofstream stream(options.output);
     stream << document.dump(2) << '\n';
@@ -91,7 +92,7 @@ void run_eval(const EvalOptions& options) {
       throw Error(ErrorKind::Storage, fmt::format("{}: cannot write", options.output));
     }
   }
-  fmt::print(
+  tell(
       stderr,
       "{}: {} frames; mean {:.3f} mm (coarse {:.3f}), normals {:.2f} deg (coarse {:.2f}), wrinkles correlate "
       "by {:.2f}; heat map in {}\n",

@@ -12,6 +12,7 @@
 #include "commands.hpp"
 #include "facet/error.hpp"
 #include "render/renderer.hpp"
+#include "tell.hpp"
 #include "trigger/edge_log.hpp"
 #include "trigger/virtual_trigger.hpp"
 #include "trigger_diagram.hpp"
@@ -56,7 +57,7 @@ void record(const Options& options) {
     log.events.push_back(event);
   }
   trigger->stop();
-  fmt::print("{}\n", trigger->status().scheduling);
+  tell("{}\n", trigger->status().scheduling);
   std::ofstream file(options.log);
   if (!(file << trigger::to_text(log) << std::flush)) {
     throw Error(ErrorKind::Storage, fmt::format("{}: can't be written", options.log));

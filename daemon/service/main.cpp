@@ -8,6 +8,7 @@
 #include <string>
 
 #include "facet/error.hpp"
+#include "facet/printable.hpp"
 #include "service/config.hpp"
 #include "service/default_paths.hpp"
 #include "service/log.hpp"
@@ -19,7 +20,7 @@ int run(const std::string& file, bool check_only) {
   const facet::service::Config config = facet::service::load_config(file);
   facet::service::require_source(config, file);
   if (check_only) {
-    fmt::print("{}: good\n", file);
+    fmt::print("{}: good\n", facet::printable(file));
     return 0;
   }
   facet::service::Log log(config.log_level);

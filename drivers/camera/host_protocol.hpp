@@ -50,7 +50,7 @@ struct HostMessage {
 std::size_t write_host_message(const HostMessage& message, std::span<std::uint8_t> buffer);
 
 /// Reads a message from a host that may be broken. Nothing where the bytes are none; `wrong` then says why.
-/// In texts everything but visible ASCII is replaced by '?'.
+/// Texts are printable (facet/printable.hpp).
 std::optional<HostMessage> read_host_message(std::span<const std::uint8_t> bytes, std::string& wrong);
 
 /// The memory of one picture: a mark, rows of R G B A, the mark again. The host sets both marks to the

@@ -28,6 +28,7 @@
 #include "camera/device_fault.hpp"
 #include "camera/host_protocol.hpp"
 #include "facet/error.hpp"
+#include "facet/printable.hpp"
 
 namespace facet::camera {
 namespace {
@@ -385,14 +386,14 @@ int run_camera_host(int argc, const char* const* argv, const HostedCameras& came
       throw Error(ErrorKind::Usage, "facetd starts this program; by hand it takes --list alone");
     }
     for (const CameraListing& camera : cameras.list()) {
-      fmt::print("{}\t{}\n", camera.id, camera.description);
+      fmt::print("{}\t{}\n", printable(camera.id), printable(camera.description));
     }
     return EXIT_SUCCESS;
   } catch (const Error& error) {
-    fmt::print(stderr, "facet-camera-host: {}\n", error.what());
+    fmt::print(stderr, "facet-camera-host: {}\n", printable(error.what()));
     return static_cast<int>(error.kind());
   } catch (const std::exception& error) {
-    fmt::print(stderr, "facet-camera-host: {}\n", error.what());
+    fmt::print(stderr, "facet-camera-host: {}\n", printable(error.what()));
     return EXIT_FAILURE;
   }
 }
