@@ -5,12 +5,12 @@
 #include <CLI/CLI.hpp>
 #include <chrono>
 #include <fstream>
-#include <iterator>
 #include <memory>
 #include <string>
 
 #include "commands.hpp"
 #include "facet/error.hpp"
+#include "files/text_file.hpp"
 #include "render/renderer.hpp"
 #include "tell.hpp"
 #include "trigger/edge_log.hpp"
@@ -68,11 +68,8 @@ void run(const Options& options) {
   if (options.record) {
     record(options);
   }
-  std::ifstream file(options.log);
-  if (!file) {
-    throw Error(ErrorKind::UnreadableInput, fmt::format("{}: can't be opened", options.log));
-  }
-  const std::string text{std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
+  constexpr std::size_t kMostBytes = 256U << 20;  // a million events have a third of it
+  const std::string text = files::read_text(options.log, kMostBytes, "edge log");
   render::write_png(draw_trigger_diagram(trigger::parse_edge_log(text, options.log), options.slots),
                     options.output);
 }
