@@ -8,6 +8,7 @@
 #include <sys/un.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <optional>
@@ -176,6 +177,25 @@ void check_passed(int fd, const std::filesystem::path& path) {
   ::fcntl(fd, F_SETFD, FD_CLOEXEC);
 }
 
+bool is_member(int fd, gid_t primary, gid_t wanted) {
+  std::vector<gid_t> groups(64);
+  socklen_t size = static_cast<socklen_t>(groups.size() * sizeof(gid_t));
+  if (::getsockopt(fd, SOL_SOCKET, SO_PEERGROUPS, groups.data(), &size) != 0) {
+    // ERANGE: `size` now says how much it takes.
+    groups.resize(size / sizeof(gid_t));
+    if (errno != ERANGE || ::getsockopt(fd, SOL_SOCKET, SO_PEERGROUPS, groups.data(), &size) != 0) {
+      return primary == wanted;
+    }
+  }
+  groups.resize(size / sizeof(gid_t));
+  return primary == wanted || std::find(groups.begin(), groups.end(), wanted) != groups.end();
+}
+
+gid_t group_of(const std::filesystem::path& path) {
+  struct stat status {};
+  return ::stat(path.c_str(), &status) == 0 ? status.st_gid : static_cast<gid_t>(-1);
+}
+
 }  // namespace
 
 void FileDescriptor::reset(int fd) {
@@ -191,6 +211,7 @@ ListeningSocket::ListeningSocket(const std::filesystem::path& path, const Socket
   if (passed) {
     check_passed(passed.get(), path);
     fd_ = std::move(passed);
+    group_ = group_of(path);
     return;
   }
   const sockaddr_un address = address_of(path, ErrorKind::Usage);
@@ -206,6 +227,7 @@ ListeningSocket::ListeningSocket(const std::filesystem::path& path, const Socket
       inode_ = status.st_ino;
     }
     set_access(path, access);
+    group_ = group_of(path);
     if (::listen(fd_.get(), kBacklog) != 0) {
       throw Error(ErrorKind::Storage,
                   fmt::format("cannot listen on socket '{}': {}", path.string(), reason(errno)));
@@ -222,6 +244,17 @@ ListeningSocket::~ListeningSocket() {
       status.st_ino == inode_) {
     ::unlink(path_.c_str());
   }
+}
+
+UnixPeer ListeningSocket::peer(int connection) const {
+  ucred peer{};
+  socklen_t size = sizeof(peer);
+  if (::getsockopt(connection, SOL_SOCKET, SO_PEERCRED, &peer, &size) != 0) {
+    return {};
+  }
+  const bool may_command =
+      peer.uid == 0 || peer.uid == ::geteuid() || is_member(connection, peer.gid, group_);
+  return {peer.pid, peer.uid, may_command};
 }
 
 FileDescriptor connect_unix(const std::filesystem::path& path) {

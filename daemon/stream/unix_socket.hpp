@@ -1,5 +1,7 @@
 #pragma once
 
+#include <sys/types.h>
+
 #include <cstdint>
 #include <filesystem>
 #include <string>
@@ -40,6 +42,13 @@ struct SocketAccess {
   std::string group;  ///< name; empty: the process's own
 };
 
+/// The process at the other end of a connection, as it was when it connected.
+struct UnixPeer {
+  std::int32_t pid = 0;
+  std::uint32_t uid = 0;
+  bool may_command = false;
+};
+
 /// A listening Unix stream socket. One that was bound here owns its path: the destructor removes the path if
 /// it is still this socket.
 class ListeningSocket {
@@ -60,9 +69,14 @@ class ListeningSocket {
   int fd() const { return fd_.get(); }
   const std::filesystem::path& path() const { return path_; }
 
+  /// Root, our own user and members of the socket's group may command; nobody where the connection does not
+  /// say who it is.
+  UnixPeer peer(int connection) const;
+
  private:
   std::filesystem::path path_;
   FileDescriptor fd_;
+  gid_t group_ = static_cast<gid_t>(-1);  ///< of the path, as it was when we began to listen
   bool owns_path_ = false;
   std::uint64_t device_ = 0;
   std::uint64_t inode_ = 0;
