@@ -58,6 +58,7 @@ Caller caller_at(int fd, const std::filesystem::path& socket) {
 ControlServer::ControlServer(const ControlConfig& config, ControlMethods methods,
                              stream::FileDescriptor passed)
     : methods_(std::move(methods)),
+      max_clients_(config.max_clients),
       listening_(config.socket, config.access, std::move(passed)),
       epoll_(::epoll_create1(EPOLL_CLOEXEC)),
       spare_(open_spare()),
@@ -134,7 +135,7 @@ void ControlServer::admit(Client& client) {
       static_cast<std::size_t>(std::count_if(clients_.begin(), clients_.end(), [&](const Client& entry) {
         return entry.web.has_value() == client.web.has_value();
       }));
-  if (alike > kMaxClients) {
+  if (alike > max_clients_) {
     say(client, error_response(kServerErrorBase - static_cast<int>(ErrorKind::Unavailable),
                                "too many control clients; try again"));
     client.last_words = true;

@@ -80,6 +80,7 @@ class ControlServer {
   void watch(const Client& client, int operation);
 
   ControlMethods methods_;
+  std::size_t max_clients_;
   stream::ListeningSocket listening_;
   stream::FileDescriptor epoll_;
   stream::FileDescriptor spare_;  ///< given up for a moment to turn a client away when descriptors run out

@@ -10,19 +10,25 @@
 #include "facet/error.hpp"
 #include "service/config.hpp"
 #include "service/default_paths.hpp"
+#include "service/descriptors.hpp"
 #include "service/log.hpp"
 #include "service/service.hpp"
 
 namespace {
 
 int run(const std::string& file, bool check_only) {
-  const facet::service::Config config = facet::service::load_config(file);
+  facet::service::Config config = facet::service::load_config(file);
   facet::service::require_source(config, file);
   if (check_only) {
     fmt::print("{}: good\n", file);
     return 0;
   }
   facet::service::Log log(config.log_level);
+  if (const std::string lowered =
+          facet::service::fit_descriptors(config, facet::service::raise_descriptor_limit());
+      !lowered.empty()) {
+    log.warning(lowered);
+  }
   return facet::service::Service(config, log).run();
 }
 

@@ -317,7 +317,14 @@ void Service::Impl::open_web() {
     return;
   }
   try {
-    web.emplace(config.web, config.takes.folder, *stream, *control);
+    const auto find = [this](const std::string& name) -> std::optional<TakeFiles> {
+      const auto take = takes.status();
+      if (take && take->file.stem() == name) {
+        return TakeFiles{take->file, {}, "it is being recorded"};
+      }
+      return find_take(config.takes.folder, name);
+    };
+    web.emplace(config.web, config.takes.folder, find, *stream, *control);
     log.info(fmt::format("page on {}{}", web->url(),
                          web->has_page() ? "" : ": its files are not there, only its WebSockets"));
   } catch (const Error& error) {
@@ -326,6 +333,9 @@ void Service::Impl::open_web() {
 }
 
 void Service::Impl::look_after_web() {
+  if (web) {
+    web->look_after();
+  }
   const std::uint64_t wrong = web ? web->statistics().wrong_tokens : 0;
   if (wrong != wrong_tokens_told && Clock::now() - told >= kStatusPeriod) {
     log.warning(fmt::format("{} wrong tokens were shown to {}", wrong - wrong_tokens_told, web->url()),
@@ -339,7 +349,8 @@ void Service::Impl::open_metrics() {
     return;
   }
   try {
-    metrics.emplace(config.metrics.listen, [this] { return metrics_snapshot(); });
+    metrics.emplace(
+        config.metrics, [this] { return metrics_snapshot(); }, config.web.hosts);
     log.info(fmt::format("metrics on http://{}:{}/metrics",
                          config.metrics.listen.substr(0, config.metrics.listen.rfind(':')), metrics->port()));
   } catch (const Error& error) {

@@ -19,12 +19,14 @@
 #include <thread>
 
 #include "facet/error.hpp"
+#include "service/http_connections.hpp"
 #include "stream/client.hpp"
 #include "stream/decoder.hpp"
 #include "stream/encoder.hpp"
 #include "stream/web_socket.hpp"
 #include "support/mesh_frames.hpp"
 #include "support/paths.hpp"
+#include "take/closing.hpp"
 #include "take/database.hpp"
 #include "take/reader.hpp"
 #include "take/recorder.hpp"
@@ -205,7 +207,7 @@ class Web : public ::testing::Test {
     }
   }
 
-  void start(int max_web_readers = 16) {
+  void start(int max_web_readers = 16, const FindTake& find = {}) {
     stream::StreamServerConfig stream;
     stream.socket = folder_.path() / "stream.sock";
     stream.server_name = "test server";
@@ -222,7 +224,11 @@ class Web : public ::testing::Test {
         control_->serve();
       }
     });
-    web_ = std::make_unique<WebServer>(config_, folder_.path() / "takes", *stream_, *control_);
+    web_ = std::make_unique<WebServer>(config_, folder_.path() / "takes", find ? find : in_folder(), *stream_,
+                                       *control_);
+  }
+  FindTake in_folder() const {
+    return [this](const std::string& name) { return find_take(folder_.path() / "takes", name); };
   }
   static ControlMethods methods() {
     return {{"look",
@@ -399,7 +405,7 @@ TEST_F(Web, LookingNeedsNoTokenChangingDoes) {
   // Kept from one start to the next.
   const std::string before = token();
   web_.reset();
-  web_ = std::make_unique<WebServer>(config_, folder_.path() / "takes", *stream_, *control_);
+  web_ = std::make_unique<WebServer>(config_, folder_.path() / "takes", in_folder(), *stream_, *control_);
   EXPECT_EQ(token(), before);
   EXPECT_EQ(ask("change", before)["result"]["changed"], true);
 }
@@ -429,7 +435,7 @@ TEST_F(Web, WhatIsNoTokenIsNamed) {
   EXPECT_THROW(start(), Error);
   std::filesystem::remove(folder_.path() / "token");
   config_.token_file = folder_.path() / "none" / "token";
-  EXPECT_THROW(WebServer(config_, folder_.path() / "takes", *stream_, *control_), Error);
+  EXPECT_THROW(WebServer(config_, folder_.path() / "takes", in_folder(), *stream_, *control_), Error);
 }
 
 TEST_F(Web, StreamsTheSameMessagesAsTheSocket) {
@@ -718,6 +724,25 @@ TEST_F(Web, TakesAreDownloaded) {
   EXPECT_THAT(get("/takes/link"), Not(HasSubstr("outside")));
 }
 
+/// The server's one thread waits for nobody: what may be downloaded is known without a look into the take.
+TEST_F(Web, ATakeThatIsLockedIsNotWaitedFor) {
+  write_take("locked");
+  take::Database other(folder_.path() / "takes" / "locked.take", take::Database::Mode::ReadWrite);
+  other.execute("BEGIN EXCLUSIVE");
+  int asked = 0;
+  start(16, [&](const std::string& name) -> std::optional<TakeFiles> {
+    ++asked;
+    return name == "locked" ? TakeFiles{folder_.path() / "takes" / "locked.take", {}, ""}
+                            : TakeFiles{"", {}, "it is being recorded"};
+  });
+  EXPECT_THAT(get("/takes/locked"), StartsWith("HTTP/1.1 200"));
+  EXPECT_THAT(get("/takes/open"), AllOf(StartsWith("HTTP/1.1 409"), HasSubstr("being recorded")));
+  EXPECT_EQ(asked, 2);
+  EXPECT_THAT(find_take(folder_.path() / "takes", "locked")->obstacle, HasSubstr("another program"));
+  EXPECT_FALSE(find_take(folder_.path() / "takes", "nobody").has_value());
+  EXPECT_FALSE(find_take(folder_.path() / "takes", "../locked").has_value());
+}
+
 /// What is still in the log is no part of the file that would be sent.
 TEST_F(Web, TakeWhoseLogAReaderKeepsIsSentWholeOrNotAtAll) {
   start();
@@ -736,6 +761,7 @@ TEST_F(Web, TakeWhoseLogAReaderKeepsIsSentWholeOrNotAtAll) {
               AllOf(StartsWith("HTTP/1.1 409"), HasSubstr("-wal file"), HasSubstr("another program"),
                     Not(HasSubstr(folder_.path().string()))));
   reader.reset();
+  ASSERT_EQ(take::close_take(config.file).left, "");
   const std::string answer = get("/takes/read");
   EXPECT_THAT(answer, StartsWith("HTTP/1.1 200"));
   const auto got = folder_.path() / "got.take";
@@ -816,11 +842,12 @@ TEST_F(Web, RecordedPicturesCanBeDownloaded) {
   EXPECT_THAT(get("/frames/with%20pictures"), StartsWith("HTTP/1.1 409"));
 }
 
-/// Requests that never end keep nobody else out.
-TEST_F(Web, HalfRequestsAreBounded) {
+/// Requests that never end keep nobody else out, however many they are: the newest comes in, and in time all
+/// of them are closed, also those that send a byte now and then.
+TEST_F(Web, HalfRequestsKeepNobodyOut) {
   start();
   std::vector<Peer> crowd;
-  for (int i = 0; i < 40; ++i) {
+  for (std::size_t i = 0; i < 2 * config_.max_connections; ++i) {
     crowd.push_back(peer());
     crowd.back().send("GET / HTTP/1.1\r\nHost: local");
   }
@@ -828,13 +855,128 @@ TEST_F(Web, HalfRequestsAreBounded) {
   huge.send("GET / HTTP/1.1\r\nHost: localhost\r\nX: " + std::string(100'000, 'x') + "\r\n\r\n");
   EXPECT_THAT(huge.take_all(), Not(StartsWith("HTTP/1.1 200")));
   EXPECT_THAT(get("/"), StartsWith("HTTP/1.1 200"));
+  crowd.front().take_all();  // its place went to another
+  crowd.back().send("h");
+  web_->look_after(WebServer::Clock::now() + HttpConnections::kFirstRequestTime);
+  for (Peer& one : crowd) {
+    EXPECT_EQ(one.take_all(), "");
+  }
+}
+
+/// A connection that was answered may ask again; without places it gives way.
+TEST_F(Web, ConnectionsAreKeptAsLongAsNobodyElseNeedsThem) {
+  start();
+  const std::string request = "GET /kiosk.js HTTP/1.1\r\nHost: localhost\r\n\r\n";
+  const auto ask_again = [&](Peer& client) {
+    client.send(request);
+    const std::string head = client.take_head();
+    return head + client.take(9);
+  };
+  Peer kept = peer();
+  EXPECT_THAT(ask_again(kept), HasSubstr("let face;"));
+  web_->look_after(WebServer::Clock::now() + HttpConnections::kFirstRequestTime);
+  EXPECT_THAT(ask_again(kept), HasSubstr("let face;"));
+  web_->look_after(WebServer::Clock::now() + HttpConnections::kNextRequestTime);
+  EXPECT_EQ(kept.take_all(), "");
+
+  std::vector<Peer> crowd;
+  ASSERT_TRUE(eventually([&] {
+    crowd.push_back(peer());
+    return ask_again(crowd.back()).empty() || web_->statistics().broken_off > 1;
+  }));
+  EXPECT_GE(crowd.size(), config_.max_connections / 2);
+  EXPECT_TRUE(eventually([&] { return get("/").rfind("HTTP/1.1 200", 0) == 0; }));
+}
+
+/// Answers that nobody takes end, and never take all places.
+TEST_F(Web, UnreadDownloadsEnd) {
+  start();
+  const auto file = folder_.path() / "takes" / "long.take";
+  write_take("long");
+  std::filesystem::resize_file(file, 64U << 20);
+  std::vector<Peer> crowd;
+  int begun = 0;
+  int refused = 0;
+  for (int i = 0; i < 24; ++i) {
+    crowd.push_back(peer());
+    crowd.back().send("GET /takes/long HTTP/1.1\r\nHost: localhost\r\n\r\n");
+    const std::string head = crowd.back().take_head();
+    begun += head.rfind("HTTP/1.1 200", 0) == 0 ? 1 : 0;
+    refused += head.rfind("HTTP/1.1 503", 0) == 0 ? 1 : 0;
+  }
+  EXPECT_EQ(begun, static_cast<int>(config_.max_downloads));
+  EXPECT_EQ(begun + refused, 24);
+  EXPECT_THAT(get("/"), StartsWith("HTTP/1.1 200"));
+  const auto later = WebServer::Clock::now() + HttpConnections::kLeastBytesTime;
+  web_->look_after(later);
+  // What the kernels hold may have been taken in the first ten seconds, nothing is in the next.
+  web_->look_after(later + HttpConnections::kLeastBytesTime);
+  EXPECT_TRUE(eventually([&] { return get("/takes/long").rfind("HTTP/1.1 200", 0) == 0; }));
+  EXPECT_GE(web_->statistics().broken_off, config_.max_downloads);
+}
+
+TEST_F(Web, ADownloadHasOneFileOpenAtATime) {
+  start(16, [this](const std::string&) {
+    TakeFiles take{"", {}, ""};
+    for (int i = 0; i < 40; ++i) {
+      take.segments.push_back(folder_.path() / "takes" / fmt::format("{:02}.pictures", i));
+      if (!std::filesystem::exists(take.segments.back())) {
+        std::ofstream(take.segments.back()) << std::string(1U << 20, static_cast<char>('a' + i % 26));
+      }
+    }
+    return take;
+  });
+  const auto open_files = [] {
+    const std::filesystem::directory_iterator all("/proc/self/fd");
+    return std::count_if(begin(all), end(all), [](const auto& entry) {
+      std::error_code ignored;
+      return std::filesystem::read_symlink(entry.path(), ignored).extension() == ".pictures";
+    });
+  };
+  Peer slow = peer();
+  slow.send("GET /frames/x HTTP/1.1\r\nHost: localhost\r\n\r\n");
+  EXPECT_THAT(slow.take_head(), StartsWith("HTTP/1.1 200"));
+  std::size_t taken = 0;
+  std::ptrdiff_t most = 0;
+  while (taken < 30U << 20) {
+    const std::size_t got = slow.take(1U << 20).size();
+    ASSERT_GT(got, 0U);
+    taken += got;
+    most = std::max(most, open_files());
+  }
+  EXPECT_EQ(most, 1);
+
+  // A file that changes or goes meanwhile ends the download, and nothing is sent in its place.
+  Peer cut = peer();
+  cut.send("GET /frames/x HTTP/1.1\r\nHost: localhost\r\n\r\n");
+  const std::string head = cut.take_head();
+  EXPECT_THAT(head, HasSubstr("Content-Length:"));
+  std::filesystem::resize_file(folder_.path() / "takes" / "39.pictures", 1000);
+  EXPECT_LT(cut.take_all().size(), std::size_t{39} * ((1U << 20) + 512) + 2048);
+}
+
+/// Readers that say nothing or take nothing do not keep the next one out.
+TEST_F(Web, ReadersThatStandStillGiveWay) {
+  start(4);
+  publish(1);
+  std::vector<Peer> crowd;
+  for (int i = 0; i < 4; ++i) {
+    crowd.push_back(peer());
+    crowd.back().shake_hands("/stream");
+  }
+  EXPECT_TRUE(eventually([&] {
+    Peer client = reader(stream::Profile::Signals);
+    const auto first = client.frame();
+    return first && first->opcode == WebSocketOpcode::Binary &&
+           stream::message_type(first->payload) == stream::MessageType::Hello;
+  }));
 }
 
 TEST_F(Web, APortInUseIsNamed) {
   start();
   config_.listen = fmt::format("127.0.0.1:{}", web_->port());
   try {
-    const WebServer second(config_, folder_.path() / "takes", *stream_, *control_);
+    const WebServer second(config_, folder_.path() / "takes", in_folder(), *stream_, *control_);
     ADD_FAILURE() << "two servers on one port";
   } catch (const Error& error) {
     EXPECT_EQ(error.kind(), ErrorKind::Unavailable);
