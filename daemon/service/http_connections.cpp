@@ -102,9 +102,8 @@ std::string foreign_host(MHD_Connection* connection, const std::set<std::string>
 
 HttpConnections::HttpConnections(std::size_t places, std::size_t downloads)
     : options_{{MHD_OPTION_NOTIFY_CONNECTION, reinterpret_cast<intptr_t>(&on_connection), this},
-               {MHD_OPTION_NOTIFY_COMPLETED, reinterpret_cast<intptr_t>(&on_completed), this},
                {MHD_OPTION_CONNECTION_LIMIT, static_cast<intptr_t>(places + kEnding), nullptr},
-               {MHD_OPTION_CONNECTION_TIMEOUT, static_cast<intptr_t>(kNextRequestTime.count()), nullptr},
+               {MHD_OPTION_CONNECTION_TIMEOUT, static_cast<intptr_t>(kLeastBytesTime.count()), nullptr},
                {MHD_OPTION_CONNECTION_MEMORY_LIMIT, static_cast<intptr_t>(kConnectionBytes), nullptr},
                {MHD_OPTION_END, 0, nullptr}},
       downloads_(downloads),
@@ -144,23 +143,12 @@ void HttpConnections::begin(MHD_Connection* connection) {
   }
 }
 
-void HttpConnections::on_completed(void* self, MHD_Connection* connection, void** /*state*/,
-                                   MHD_RequestTerminationCode /*how*/) {
-  auto& all = *static_cast<HttpConnections*>(self);
-  const std::lock_guard lock(all.mutex_);
-  if (const auto found = all.entries_.find(connection); found != all.entries_.end()) {
-    found->second.state = State::HasAsked;
-    found->second.download = false;
-    found->second.since = Clock::now();
-    all.places_.used(found->second.id, found->second.since);
-  }
-}
-
 void HttpConnections::asked(MHD_Connection* connection) {
   const std::lock_guard lock(mutex_);
   if (const auto found = entries_.find(connection); found != entries_.end()) {
     Entry& entry = found->second;
-    entry.state = State::IsAnswered;
+    entry.asked = true;
+    entry.download = false;
     entry.since = Clock::now();
     entry.acknowledged = acknowledged_bytes(entry.fd);
     entry.acknowledged_before = entry.acknowledged;
@@ -201,8 +189,8 @@ void HttpConnections::look_after_locked(Clock::time_point now) {
     if (entry.ended) {
       continue;
     }
-    if (entry.state != State::IsAnswered) {
-      if (now - entry.since >= (entry.state == State::Asks ? kFirstRequestTime : kNextRequestTime)) {
+    if (!entry.asked) {
+      if (now - entry.since >= kRequestTime) {
         end_locked(entry);
       }
       continue;

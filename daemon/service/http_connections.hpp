@@ -64,9 +64,8 @@ class HttpConnections {
   std::size_t size() const;
   std::uint64_t broken_off() const;  ///< connections that were ended here, and that had no place
 
-  /// For the head of a connection's first request, and of each further one after the last answer.
-  static constexpr std::chrono::seconds kFirstRequestTime{5};
-  static constexpr std::chrono::seconds kNextRequestTime{30};
+  /// For the head of a request: a connection brings one.
+  static constexpr std::chrono::seconds kRequestTime{5};
   /// An answer of which less is acknowledged in this time is ended.
   static constexpr std::uint64_t kLeastBytes = 64U << 10;
   static constexpr std::chrono::seconds kLeastBytesTime{10};
@@ -75,22 +74,19 @@ class HttpConnections {
   static constexpr unsigned kEnding = 16;
 
  private:
-  enum class State { Asks, IsAnswered, HasAsked };
   struct Entry {
     stream::Places::Id id = 0;
     int fd = -1;
-    State state = State::Asks;
+    bool asked = false;  ///< it is being answered
     bool download = false;
     bool ended = false;       ///< shut down, the library is to close it
-    Clock::time_point since;  ///< of the state, or of the acknowledged bytes
+    Clock::time_point since;  ///< it came, or acknowledged so much as it had before
     std::uint64_t acknowledged = 0;
     std::uint64_t acknowledged_before = 0;  ///< at `since`
   };
 
   static void on_connection(void* self, MHD_Connection* connection, void** /*context*/,
                             MHD_ConnectionNotificationCode what);
-  static void on_completed(void* self, MHD_Connection* connection, void** /*state*/,
-                           MHD_RequestTerminationCode /*how*/);
   void begin(MHD_Connection* connection);
   void look_after_locked(Clock::time_point now);
   void end_locked(Entry& entry);

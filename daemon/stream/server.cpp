@@ -163,11 +163,13 @@ PlacesConfig socket_places(const StreamServerConfig& config) {
   return places;
 }
 
-/// No limit of one address: behind a proxy all have the same.
+/// No limit of one address: behind a proxy all have the same. A page subscribes as soon as it is connected;
+/// who does not gives way at once.
 PlacesConfig web_places(const StreamServerConfig& config) {
   PlacesConfig places;
   places.total = static_cast<std::size_t>(config.max_web_readers);
   places.per_peer = places.total;
+  places.unused_keeps = std::chrono::milliseconds(0);
   return places;
 }
 

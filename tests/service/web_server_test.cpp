@@ -857,35 +857,10 @@ TEST_F(Web, HalfRequestsKeepNobodyOut) {
   EXPECT_THAT(get("/"), StartsWith("HTTP/1.1 200"));
   crowd.front().take_all();  // its place went to another
   crowd.back().send("h");
-  web_->look_after(WebServer::Clock::now() + HttpConnections::kFirstRequestTime);
+  web_->look_after(WebServer::Clock::now() + HttpConnections::kRequestTime);
   for (Peer& one : crowd) {
     EXPECT_EQ(one.take_all(), "");
   }
-}
-
-/// A connection that was answered may ask again; without places it gives way.
-TEST_F(Web, ConnectionsAreKeptAsLongAsNobodyElseNeedsThem) {
-  start();
-  const std::string request = "GET /kiosk.js HTTP/1.1\r\nHost: localhost\r\n\r\n";
-  const auto ask_again = [&](Peer& client) {
-    client.send(request);
-    const std::string head = client.take_head();
-    return head + client.take(9);
-  };
-  Peer kept = peer();
-  EXPECT_THAT(ask_again(kept), HasSubstr("let face;"));
-  web_->look_after(WebServer::Clock::now() + HttpConnections::kFirstRequestTime);
-  EXPECT_THAT(ask_again(kept), HasSubstr("let face;"));
-  web_->look_after(WebServer::Clock::now() + HttpConnections::kNextRequestTime);
-  EXPECT_EQ(kept.take_all(), "");
-
-  std::vector<Peer> crowd;
-  ASSERT_TRUE(eventually([&] {
-    crowd.push_back(peer());
-    return ask_again(crowd.back()).empty() || web_->statistics().broken_off > 1;
-  }));
-  EXPECT_GE(crowd.size(), config_.max_connections / 2);
-  EXPECT_TRUE(eventually([&] { return get("/").rfind("HTTP/1.1 200", 0) == 0; }));
 }
 
 /// Answers that nobody takes end, and never take all places.
