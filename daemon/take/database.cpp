@@ -125,7 +125,7 @@ Database::Database(const std::filesystem::path& file, Mode mode) {
   // A take from elsewhere is data: nothing in its schema may run code or make SQLite take endless memory.
   sqlite3_db_config(handle, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
   sqlite3_db_config(handle, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
-  sqlite3_limit(handle, SQLITE_LIMIT_LENGTH, static_cast<int>(kMaxBlobBytes + (1U << 20)));
+  set_longest_value(kMaxStoredBytes);
 }
 
 void Database::execute(const std::string& sql) {
@@ -139,6 +139,10 @@ std::int64_t Database::query_int64(const std::string& sql) {
 
 bool Database::in_transaction() const {
   return sqlite3_get_autocommit(handle_.get()) == 0;
+}
+
+void Database::set_longest_value(std::size_t bytes) {
+  sqlite3_limit(handle_.get(), SQLITE_LIMIT_LENGTH, static_cast<int>(bytes));
 }
 
 void Database::set_busy_timeout_ms(int timeout_ms) {

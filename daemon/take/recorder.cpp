@@ -235,8 +235,9 @@ bool TakeWriter::make_schema(const TakeRecorderConfig& config) {
       {"take_id", to_text(id_)},
       {"created_utc", utc_text(std::chrono::system_clock::now(), "{:%Y-%m-%dT%H:%M:%SZ}")}};
   for (const auto& [key, value] : entries) {
+    const std::string stored = cut_text(value, kMaxMetaBytes);
     meta.bind(1, key);
-    meta.bind(2, std::string_view(value));
+    meta.bind(2, std::string_view(stored));
     meta.run();
   }
   database_.execute("COMMIT");
@@ -286,8 +287,9 @@ void TakeWriter::write(const PackedFrame& frame) {
 }
 
 void TakeWriter::set_meta(std::string_view key, std::string_view value) {
+  const std::string stored = cut_text(value, kMaxMetaBytes);
   set_meta_.bind(1, key);
-  set_meta_.bind(2, value);
+  set_meta_.bind(2, std::string_view(stored));
   set_meta_.run();
 }
 
@@ -485,6 +487,7 @@ void TakeRecorder::Impl::finish() {
     writer->rollback();
     writer->begin();
     writer->set_meta("dropped", std::to_string(end.dropped));
+    writer->set_meta("mesh_frames", std::to_string(end.mesh_frames));
     writer->set_meta("end_reason", end.reason);
     writer->set_meta("closed", "1");
     writer->commit();
