@@ -196,7 +196,8 @@ struct TakeReader::Impl : OpenTake {
 
   std::vector<std::uint8_t> message;  ///< reused
   SubjectCache subjects;
-  stream::DecodedAlbedo albedo;  ///< the last one read
+  std::unordered_map<std::uint64_t, std::uint64_t> topologies;  ///< what was found under each hierarchy's id
+  stream::DecodedAlbedo albedo;                                 ///< the last one read
   std::unique_ptr<Statement> select_entry{
       prepare("SELECT sequence, timestamp_ns, media_time_ns, state, has_mesh FROM frame WHERE number = ?")};
   std::unique_ptr<Statement> select_data{prepare("SELECT data FROM frame_data WHERE number = ?")};
@@ -369,6 +370,11 @@ std::shared_ptr<const mesh::Subject> TakeReader::Impl::subject(std::uint64_t id)
   auto read = decoded(what, [&] { return stream::decode_subject(message); });
   if (read->id != id || read->hierarchy == nullptr || read->hierarchy->control_vertex_count == 0) {
     reject(file, fmt::format("{}: not the topology that a take holds", what));
+  }
+  const std::uint64_t found = mesh::topology_id(*read->hierarchy);
+  if (topologies.try_emplace(read->hierarchy->id, found).first->second != found) {
+    reject(file,
+           fmt::format("{}: the take has another topology of the id {:016x}", what, read->hierarchy->id));
   }
   subjects.keep(read);
   return read;

@@ -282,6 +282,29 @@ TEST_F(Reader, DamagedContentIsNamedWithItsFrame) {
   EXPECT_THAT(open_error(), HasSubstr("frames are missing"));
 }
 
+TEST_F(Reader, ASecondTopologyUnderOneIdIsRefused) {
+  const auto of_id_7 = [](const mesh::Subject& like) {
+    auto subject = std::make_shared<mesh::Subject>(like);
+    auto hierarchy = std::make_shared<mesh::Hierarchy>(*like.hierarchy);
+    hierarchy->id = 7;
+    subject->hierarchy = std::move(hierarchy);
+    return subject;
+  };
+  const auto same = of_id_7(*test::patch_subject(3, 5));
+  {
+    TakeRecorder recorder(test::recorder_config(file));
+    recorder.start();
+    recorder.record(test::take_frame(0, of_id_7(*test::patch_subject(1, 5))));
+    recorder.record(test::take_frame(1, of_id_7(*test::patch_subject(2, 4))));
+    recorder.record(test::take_frame(2, same));
+    recorder.stop();
+  }
+  TakeReader reader(file);
+  EXPECT_EQ(reader.frame(0)->subject->id, 1U);
+  EXPECT_THAT(rejection([&] { reader.frame(1); }), AllOf(HasSubstr("another topology"), HasSubstr("07")));
+  EXPECT_EQ(reader.frame(2)->subject->id, 3U) << "two subjects may share one";
+}
+
 TEST_F(Reader, SubjectUnderAnotherIdIsNoticed) {
   test::record_take(file, 2, subject);
   const auto other = test::patch_subject(7, 5);
