@@ -4,11 +4,9 @@
 #include <cstddef>
 #include <cstdint>
 #include <filesystem>
-#include <memory>
 #include <optional>
 #include <span>
 #include <type_traits>
-#include <utility>
 #include <vector>
 
 /// The file NAME.basis beside a take: docs/animation.md is its page.
@@ -96,27 +94,9 @@ void seal_basis(std::span<std::byte> bytes);
 /// The sections of unsealed bytes.
 BasisSections unsealed_sections(std::span<const std::byte> bytes);
 
-/// A basis' bytes, mapped from a file or in memory. Movable.
-class BasisMemory {
- public:
-  explicit BasisMemory(std::vector<std::byte> bytes) : owned_(std::move(bytes)) {}
-  /// Maps a file; nothing where there is none or it can't be mapped.
-  static std::optional<BasisMemory> map(const std::filesystem::path& file);
-
-  std::span<const std::byte> bytes() const {
-    return mapped_ != nullptr ? std::span<const std::byte>(mapped_.get(), mapped_.get_deleter().bytes)
-                              : std::span<const std::byte>(owned_);
-  }
-
- private:
-  struct Unmap {
-    std::size_t bytes;
-    void operator()(const std::byte* start) const;
-  };
-  using Mapping = std::unique_ptr<const std::byte, Unmap>;
-  explicit BasisMemory(Mapping mapped) : mapped_(std::move(mapped)) {}
-  std::vector<std::byte> owned_;
-  Mapping mapped_{nullptr, Unmap{0}};
-};
+/// The bytes of a basis file, read into memory; nothing where there is none, it can't be read, or its size is
+/// not what its header says. Memory is taken after that. No more than 1 GiB: a basis of the default ranks and
+/// half a million vertices has half of it.
+std::optional<std::vector<std::byte>> read_basis(const std::filesystem::path& file);
 
 }  // namespace facet::animate

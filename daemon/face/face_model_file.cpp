@@ -2,7 +2,6 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
-#include <sys/mman.h>
 #include <sys/stat.h>
 #include <unistd.h>
 #include <zstd.h>
@@ -18,6 +17,7 @@
 
 #include "face/face_model.hpp"
 #include "facet/error.hpp"
+#include "files/text_file.hpp"
 
 namespace facet::face {
 namespace {
@@ -29,6 +29,7 @@ constexpr std::array<char, 8> kMagic = {'F', 'A', 'C', 'E', 'T', 'M', 'D', 'L'};
 constexpr std::uint32_t kVersion = 1;
 
 // Bounds that a damaged or hostile file can't pass.
+constexpr std::size_t kMostFileBytes = std::size_t{2} << 30;
 constexpr std::uint32_t kMaxChunks = 64;
 constexpr std::uint32_t kMaxVertices = 1'000'000;
 constexpr std::uint32_t kMaxModes = 1024;
@@ -92,50 +93,6 @@ template <typename T>
 std::span<const std::byte> bytes_of(const T* values, std::size_t count) {
   return {reinterpret_cast<const std::byte*>(values), count * sizeof(T)};
 }
-
-/// A file mapped for reading; unmapped at the end of the scope.
-class MappedFile {
- public:
-  explicit MappedFile(const std::filesystem::path& file) {
-    const int descriptor = ::open(file.c_str(), O_RDONLY | O_CLOEXEC);
-    struct stat facts {};
-    if (descriptor < 0 || ::fstat(descriptor, &facts) != 0) {
-      const int error = errno;
-      close_if_open(descriptor);
-      throw Error(ErrorKind::UnreadableInput,
-                  fmt::format("{}: can't open the face model: {}. `facet model build` makes it.",
-                              file.string(), std::generic_category().message(error)));
-    }
-    if (!S_ISREG(facts.st_mode) || facts.st_size <= 0) {
-      close_if_open(descriptor);
-      throw Error(ErrorKind::UnreadableInput,
-                  fmt::format("{}: not a face model: not a regular file, or empty", file.string()));
-    }
-    size_ = static_cast<std::size_t>(facts.st_size);
-    data_ = ::mmap(nullptr, size_, PROT_READ, MAP_PRIVATE, descriptor, 0);
-    const int error = errno;
-    close_if_open(descriptor);
-    if (data_ == MAP_FAILED) {
-      throw Error(ErrorKind::UnreadableInput, fmt::format("{}: can't map the file: {}", file.string(),
-                                                          std::generic_category().message(error)));
-    }
-  }
-  ~MappedFile() { ::munmap(data_, size_); }
-  MappedFile(const MappedFile&) = delete;
-  MappedFile& operator=(const MappedFile&) = delete;
-
-  std::span<const std::byte> bytes() const { return {static_cast<const std::byte*>(data_), size_}; }
-
- private:
-  static void close_if_open(int descriptor) {
-    if (descriptor >= 0) {
-      ::close(descriptor);
-    }
-  }
-
-  void* data_ = MAP_FAILED;
-  std::size_t size_ = 0;
-};
 
 /// Chunks of one file by tag, every bound and checksum verified.
 class ChunkReader {
@@ -431,8 +388,13 @@ void write_atomically(const std::vector<std::byte>& bytes, const std::filesystem
 }  // namespace
 
 FaceModel FaceModel::load(const std::filesystem::path& file) {
-  const MappedFile mapped(file);
-  return parse(mapped.bytes(), file.string());
+  std::vector<std::byte> bytes;
+  try {
+    bytes = files::read_bytes(file, kMostFileBytes, "face model");
+  } catch (const Error& error) {
+    throw Error(error.kind(), fmt::format("{}. `facet model build` makes it.", error.what()));
+  }
+  return parse(bytes, file.string());
 }
 
 FaceModel FaceModel::parse(std::span<const std::byte> bytes, const std::string& source,

@@ -1,10 +1,6 @@
 #include "model/makehuman_data.hpp"
 
-#include <fcntl.h>
 #include <fmt/format.h>
-#include <sys/mman.h>
-#include <sys/stat.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <cctype>
@@ -23,6 +19,7 @@ using nlohmann::json;
 
 constexpr std::size_t kVertices = 19158;  // of the base mesh; the width of a row of targets.bin
 constexpr std::size_t kTargets = 1258;
+constexpr std::size_t kRowBytes = kVertices * 3 * sizeof(std::int16_t);
 constexpr double kTargetUnitDm = 1e-3;
 
 // The file has no header: the sum of one row's x coordinates and the rest shows that rows and names still
@@ -149,37 +146,23 @@ MakeHumanRows parse_makehuman_target_list(std::string_view text, const std::file
   return rows;
 }
 
-MakeHumanTargets::MakeHumanTargets(const std::filesystem::path& folder) {
+MakeHumanTargets::MakeHumanTargets(const std::filesystem::path& folder)
+    : file_(folder / "public/data/targets/targets.bin"), values_(file_, "file of MakeHuman's") {
   const auto list_file = folder / "src/json/targets/target-list.json";
   rows_ = parse_makehuman_target_list(read_text(list_file), list_file, kTargets);
-
-  const auto file = folder / "public/data/targets/targets.bin";
-  const int descriptor = ::open(file.c_str(), O_RDONLY | O_CLOEXEC);
-  struct stat facts {};
-  const std::size_t expected_bytes = kTargets * kVertices * 3 * sizeof(std::int16_t);
-  if (descriptor < 0 || ::fstat(descriptor, &facts) != 0 ||
-      static_cast<std::size_t>(facts.st_size) != expected_bytes) {
-    if (descriptor >= 0) {
-      ::close(descriptor);
-    }
-    fail(file, fmt::format("it can't be opened or does not hold {} bytes", expected_bytes));
+  if (values_.size() != kTargets * kRowBytes) {
+    fail(file_, fmt::format("it does not hold {} bytes", kTargets * kRowBytes));
   }
-  void* mapped = ::mmap(nullptr, expected_bytes, PROT_READ, MAP_PRIVATE, descriptor, 0);
-  ::close(descriptor);
-  if (mapped == MAP_FAILED) {
-    fail(file, "can't map it");
-  }
-  mapped_bytes_ = expected_bytes;
-  values_ = static_cast<const std::int16_t*>(mapped);
-  const std::int16_t* checked = values_ + kCheckedRow * kVertices * 3;
-  if (std::accumulate(checked, checked + kVertices * 3, 0L) != kCheckedRowSum) {
-    ::munmap(mapped, mapped_bytes_);
-    fail(file, "its rows are not in the expected order");
+  const std::vector<std::int16_t> checked = row(kCheckedRow);
+  if (std::accumulate(checked.begin(), checked.end(), 0L) != kCheckedRowSum) {
+    fail(file_, "its rows are not in the expected order");
   }
 }
 
-MakeHumanTargets::~MakeHumanTargets() {
-  ::munmap(const_cast<std::int16_t*>(values_), mapped_bytes_);
+std::vector<std::int16_t> MakeHumanTargets::row(std::size_t index) const {
+  std::vector<std::int16_t> values(kVertices * 3);
+  values_.read(index * kRowBytes, std::as_writable_bytes(std::span(values)));
+  return values;
 }
 
 std::vector<std::string> MakeHumanTargets::names(std::string_view prefix) const {
@@ -197,10 +180,10 @@ Eigen::Matrix3Xd MakeHumanTargets::displacements_dm(std::string_view name,
     throw Error(ErrorKind::UnreadableInput,
                 fmt::format("MakeHuman's data has no target '{}'. {}", name, kHint));
   }
-  const std::int16_t* row = values_ + found->second * kVertices * 3;
+  const std::vector<std::int16_t> values = row(found->second);
   Eigen::Matrix3Xd displacements(3, static_cast<Eigen::Index>(vertices.size()));
   for (std::size_t v = 0; v < vertices.size(); ++v) {
-    const std::int16_t* at = row + 3 * static_cast<std::size_t>(vertices[v]);
+    const std::int16_t* at = values.data() + 3 * static_cast<std::size_t>(vertices[v]);
     displacements.col(static_cast<Eigen::Index>(v)) = kTargetUnitDm * Eigen::Vector3d(at[0], at[1], at[2]);
   }
   return displacements;
