@@ -3,11 +3,13 @@
 #include <fcntl.h>
 #include <fmt/format.h>
 #include <grp.h>
+#include <poll.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/un.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <optional>
@@ -45,14 +47,10 @@ FileDescriptor make_socket(int flags) {
   return fd;
 }
 
+/// 0 or errno.
 int try_connect(int fd, const sockaddr_un& address) {
   // The socket API takes every address as a sockaddr.
-  const auto* generic = reinterpret_cast<const sockaddr*>(&address);
-  int result = 0;
-  do {
-    result = ::connect(fd, generic, sizeof(address));
-  } while (result != 0 && errno == EINTR);
-  return result == 0 ? 0 : errno;
+  return ::connect(fd, reinterpret_cast<const sockaddr*>(&address), sizeof(address)) == 0 ? 0 : errno;
 }
 
 std::optional<gid_t> group_id(const std::string& name) {
@@ -176,7 +174,31 @@ void check_passed(int fd, const std::filesystem::path& path) {
   ::fcntl(fd, F_SETFD, FD_CLOEXEC);
 }
 
+/// At least a millisecond: 0 would be without end.
+timeval time_until(Deadline deadline) {
+  const auto left = std::max<std::chrono::microseconds>(
+      std::chrono::ceil<std::chrono::microseconds>(deadline - std::chrono::steady_clock::now()),
+      std::chrono::milliseconds(1));
+  const auto whole = std::chrono::duration_cast<std::chrono::seconds>(left);
+  return {whole.count(), (left - whole).count()};
+}
+
 }  // namespace
+
+bool wait_for(int fd, short events, Deadline deadline) {
+  for (;;) {
+    const auto left =
+        std::chrono::ceil<std::chrono::milliseconds>(deadline - std::chrono::steady_clock::now()).count();
+    pollfd entry{fd, events, 0};
+    const int ready = ::poll(&entry, 1, static_cast<int>(std::clamp<std::int64_t>(left, 0, 1 << 30)));
+    if (ready >= 0) {
+      return ready > 0;
+    }
+    if (errno != EINTR) {
+      throw Error(ErrorKind::Internal, fmt::format("cannot wait for a socket: {}", reason(errno)));
+    }
+  }
+}
 
 void FileDescriptor::reset(int fd) {
   if (fd_ >= 0) {
@@ -225,11 +247,33 @@ ListeningSocket::~ListeningSocket() {
 }
 
 FileDescriptor connect_unix(const std::filesystem::path& path) {
+  constexpr auto kPatience = std::chrono::seconds(10);
+  return connect_unix(path, std::chrono::steady_clock::now() + kPatience);
+}
+
+FileDescriptor connect_unix(const std::filesystem::path& path, Deadline deadline) {
   const sockaddr_un address = address_of(path, ErrorKind::Usage);
   FileDescriptor fd = make_socket(0);
-  const int error = try_connect(fd.get(), address);
+  // A Unix socket's connect can't be polled for: it waits for a place in the queue as long as a send may
+  // take.
+  int error = EINTR;
+  for (bool first = true; error == EINTR && (first || std::chrono::steady_clock::now() < deadline);
+       first = false) {
+    const timeval patience = time_until(deadline);
+    ::setsockopt(fd.get(), SOL_SOCKET, SO_SNDTIMEO, &patience, sizeof(patience));
+    error = try_connect(fd.get(), address);
+  }
   if (error == 0) {
+    const timeval forever{};
+    ::setsockopt(fd.get(), SOL_SOCKET, SO_SNDTIMEO, &forever, sizeof(forever));
     return fd;
+  }
+  if (error == EAGAIN || error == EINTR) {
+    throw Error(
+        ErrorKind::Unavailable,
+        fmt::format("the program at the socket '{}' does not answer: it is stopped, or has more to do "
+                    "than it can",
+                    path.string()));
   }
   if (error == EACCES) {
     struct stat status {};

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <filesystem>
 #include <string>
@@ -68,8 +69,17 @@ class ListeningSocket {
   std::uint64_t inode_ = 0;
 };
 
-/// Connects to a Unix stream socket, blocking. Throws Error(Unavailable) saying what is wrong: no such
-/// socket, nobody listens, no permission (and which group would have it).
-FileDescriptor connect_unix(const std::filesystem::path& path);
+/// The end of a wait. Every call that waits for a peer has one, whatever it waits for in between.
+using Deadline = std::chrono::steady_clock::time_point;
+
+/// Connects to a Unix stream socket; what comes back blocks. Throws Error(Unavailable) saying what is wrong:
+/// no such socket, nobody listens, no permission (and which group would have it), or a queue that stayed full
+/// up to the deadline, as that of a stopped program does.
+FileDescriptor connect_unix(const std::filesystem::path& path, Deadline deadline);
+FileDescriptor connect_unix(const std::filesystem::path& path);  ///< the same, with 10 seconds
+
+/// Waits until a descriptor can be read (POLLIN) or written (POLLOUT), as `events` says, or has failed. False
+/// at the deadline. Throws Error(Internal).
+bool wait_for(int fd, short events, Deadline deadline);
 
 }  // namespace facet::stream

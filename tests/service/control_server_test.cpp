@@ -7,18 +7,21 @@
 #include <sys/stat.h>
 
 #include <atomic>
+#include <chrono>
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <thread>
 
 #include "facet/error.hpp"
 #include "service/control_client.hpp"
+#include "support/full_queue.hpp"
 #include "support/paths.hpp"
 
 namespace facet::service {
 namespace {
 
 using nlohmann::json;
+using namespace std::chrono_literals;
 using ::testing::HasSubstr;
 
 /// A control server with its own loop on a thread.
@@ -263,12 +266,47 @@ TEST_F(ControlServerTest, ModeAndGroup) {
 
 TEST_F(ControlServerTest, ClientSaysThatNobodyAnswers) {
   try {
-    ControlClient client(config().socket);
+    ControlClient(config().socket).call("look", json::object());
     FAIL();
   } catch (const Error& error) {
     EXPECT_EQ(error.kind(), ErrorKind::Unavailable);
     EXPECT_THAT(error.what(), HasSubstr(config().socket.string()));
   }
+}
+
+TEST_F(ControlServerTest, ClientWaitsForAStoppedDaemonNoLongerThanItIsToldTo) {
+  const stream::ListeningSocket stopped(config().socket, {});
+  const auto silence = [&] {
+    try {
+      ControlClient(config().socket, 50ms).call("look", json::object());
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::Unavailable);
+      return std::string(error.what());
+    }
+    return std::string();
+  };
+  EXPECT_THAT(silence(), HasSubstr("gave no answer for 50 ms"));
+  const auto queued = test::fill_queue(config().socket);
+  EXPECT_THAT(silence(), HasSubstr("does not answer"));
+}
+
+TEST_F(ControlServerTest, ClientWaitsForAWholeAnswerAndNotForEachPieceOfIt) {
+  const stream::ListeningSocket slow(config().socket, {});
+  std::thread daemon([&] {
+    pollfd entry{slow.fd(), POLLIN, 0};
+    ::poll(&entry, 1, -1);
+    const stream::FileDescriptor connection(::accept(slow.fd(), nullptr, nullptr));
+    while (::send(connection.get(), " ", 1, MSG_NOSIGNAL) == 1) {
+      std::this_thread::sleep_for(1ms);
+    }
+  });
+  try {
+    ControlClient(config().socket, 100ms).call("look", json::object());
+    ADD_FAILURE() << "no error";
+  } catch (const Error& error) {
+    EXPECT_THAT(error.what(), HasSubstr("no whole answer for 100 ms"));
+  }
+  daemon.join();
 }
 
 }  // namespace

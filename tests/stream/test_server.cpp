@@ -17,6 +17,7 @@
 #include "stream/framing.hpp"
 #include "stream/server.hpp"
 #include "support/eventually.hpp"
+#include "support/full_queue.hpp"
 #include "support/mesh_frames.hpp"
 #include "support/paths.hpp"
 
@@ -715,6 +716,18 @@ TEST_F(Server, SilentServerIsUnavailable) {
     ADD_FAILURE() << "no error";
   } catch (const Error& error) {
     EXPECT_EQ(error.kind(), ErrorKind::Unavailable);
+  }
+}
+
+TEST_F(Server, AStoppedServerWithAFullQueueIsUnavailable) {
+  const ListeningSocket stopped(path, {});
+  const auto queued = test::fill_queue(path);
+  try {
+    const StreamClient client(path, wanted(Profile::Signals), 50ms);
+    ADD_FAILURE() << "no error";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::Unavailable);
+    EXPECT_THAT(error.what(), HasSubstr("does not answer"));
   }
 }
 
