@@ -284,11 +284,11 @@ TEST_F(Reader, DamagedContentIsNamedWithItsFrame) {
 
 TEST_F(Reader, ASecondTopologyUnderOneIdIsRefused) {
   const auto of_id_7 = [](const mesh::Subject& like) {
-    auto subject = std::make_shared<mesh::Subject>(like);
+    auto out = std::make_shared<mesh::Subject>(like);
     auto hierarchy = std::make_shared<mesh::Hierarchy>(*like.hierarchy);
     hierarchy->id = 7;
-    subject->hierarchy = std::move(hierarchy);
-    return subject;
+    out->hierarchy = std::move(hierarchy);
+    return out;
   };
   const auto same = of_id_7(*test::patch_subject(3, 5));
   {
