@@ -150,11 +150,11 @@ BasisSections basis_sections(std::span<const std::byte> bytes) {
   return sections;
 }
 
-std::vector<std::byte> make_basis_bytes(const BasisHeader& header) {
+BasisBytes make_basis_bytes(const BasisHeader& header) {
   check_header(header);
   std::size_t size = 0;
   lay_out(header, {}, size);
-  std::vector<std::byte> bytes(size);
+  BasisBytes bytes(size);
   std::memcpy(bytes.data(), &header, sizeof(header));
   return bytes;
 }
@@ -170,7 +170,7 @@ BasisSections unsealed_sections(std::span<const std::byte> bytes) {
   return lay_out(*reinterpret_cast<const BasisHeader*>(bytes.data()), bytes, size);
 }
 
-std::optional<std::vector<std::byte>> read_basis(const std::filesystem::path& file) {
+std::optional<BasisBytes> read_basis(const std::filesystem::path& file) {
   constexpr std::size_t kMostBytes = std::size_t{1} << 30;
   try {
     const files::InputFile in(file, "basis");
@@ -180,7 +180,7 @@ std::optional<std::vector<std::byte>> read_basis(const std::filesystem::path& fi
     if (in.size() > kMostBytes) {
       return std::nullopt;
     }
-    std::vector<std::byte> bytes(in.size());
+    BasisBytes bytes(in.size());
     in.read(0, bytes);
     return bytes;
   } catch (const Error&) {

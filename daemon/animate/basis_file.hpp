@@ -1,5 +1,6 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <array>
 #include <cstddef>
 #include <cstdint>
@@ -82,13 +83,16 @@ struct BasisSections {
   const std::uint8_t* eye_of_vertex = nullptr;
 };
 
+/// Of a whole file. Aligned as Eigen adds up: sums have the same bits wherever the memory lies.
+using BasisBytes = std::vector<std::byte, Eigen::aligned_allocator<std::byte>>;
+
 /// Finds the parts in the bytes of a file from outside. Throws Error(UnreadableInput), without a file's name,
 /// where sizes, checksum or numbers are wrong.
 BasisSections basis_sections(std::span<const std::byte> bytes);
 
 /// Bytes of a whole basis file of which header says the sizes; its parts are 0 and are written through
 /// mutable_part.
-std::vector<std::byte> make_basis_bytes(const BasisHeader& header);
+BasisBytes make_basis_bytes(const BasisHeader& header);
 /// Sets the checksum, after which basis_sections takes it.
 void seal_basis(std::span<std::byte> bytes);
 /// The sections of unsealed bytes.
@@ -97,6 +101,6 @@ BasisSections unsealed_sections(std::span<const std::byte> bytes);
 /// The bytes of a basis file, read into memory; nothing where there is none, it can't be read, or its size is
 /// not what its header says. Memory is taken after that. No more than 1 GiB: a basis of the default ranks and
 /// half a million vertices has half of it.
-std::optional<std::vector<std::byte>> read_basis(const std::filesystem::path& file);
+std::optional<BasisBytes> read_basis(const std::filesystem::path& file);
 
 }  // namespace facet::animate

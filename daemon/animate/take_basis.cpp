@@ -131,7 +131,7 @@ class Builder {
   Builder(const std::filesystem::path& take, const BasisOptions& options, const BasisProgress& progress)
       : take_(take), options_(options), progress_(progress), reader_(take) {}
 
-  std::vector<std::byte> build(const FileState& state) {
+  BasisBytes build(const FileState& state) {
     find_directions();
     find_coefficients();
     return pack(state);
@@ -400,7 +400,7 @@ class Builder {
     header_.blinks_known = std::find(names.begin(), names.end(), "eyeBlinkLeft") != names.end() ? 1 : 0;
   }
 
-  std::vector<std::byte> pack(const FileState& state) {
+  BasisBytes pack(const FileState& state) {
     const mesh::Hierarchy& hierarchy = *subject_->hierarchy;
     header_.take = state;
     header_.subject_id = subject_->id;
@@ -431,7 +431,7 @@ class Builder {
                          Eigen::Map<const mesh::Vertices>(coarse_mean.data(), 3, reference_.cols()), levels);
     const Eigen::MatrixXf folds = narrow_part(hierarchy, levels.back(), detail);
 
-    std::vector<std::byte> bytes = make_basis_bytes(header_);
+    BasisBytes bytes = make_basis_bytes(header_);
     const BasisSections parts = unsealed_sections(bytes);
     const auto fill = [](const auto* part, const auto* from, std::size_t count) {
       if (count > 0) {
@@ -479,9 +479,9 @@ class Builder {
 };
 
 /// The kept basis, where it is sound and of this take and these options.
-std::optional<std::vector<std::byte>> kept_basis(const std::filesystem::path& file, const FileState& state,
-                                                 const BasisOptions& options) {
-  std::optional<std::vector<std::byte>> memory = read_basis(file);
+std::optional<BasisBytes> kept_basis(const std::filesystem::path& file, const FileState& state,
+                                     const BasisOptions& options) {
+  std::optional<BasisBytes> memory = read_basis(file);
   if (!memory) {
     return std::nullopt;
   }
@@ -565,7 +565,7 @@ Eigen::MatrixXf narrow_part(const mesh::Hierarchy& hierarchy, const mesh::Vertic
   return values - broad;
 }
 
-TakeBasis::TakeBasis(std::filesystem::path take, std::vector<std::byte> memory, bool was_kept,
+TakeBasis::TakeBasis(std::filesystem::path take, BasisBytes memory, bool was_kept,
                      std::shared_ptr<const mesh::MeshFrame> sample)
     : take_(std::move(take)),
       memory_(std::move(memory)),
@@ -589,7 +589,7 @@ std::shared_ptr<const TakeBasis> TakeBasis::open(const std::filesystem::path& ta
   // Opening a take may fold its log in: only then is the file as it stays.
   { const take::TakeReader opened(take); }
   const FileState state = state_of(take);
-  std::optional<std::vector<std::byte>> memory = kept_basis(file, state, options);
+  std::optional<BasisBytes> memory = kept_basis(file, state, options);
   const bool was_kept = memory.has_value();
   if (!memory) {
     memory = Builder(take, options, progress).build(state);

@@ -95,11 +95,11 @@ class TakeBasis {
   std::vector<std::pair<std::int32_t, float>> stencil(std::int32_t finest_vertex) const;
 
  private:
-  TakeBasis(std::filesystem::path take, std::vector<std::byte> memory, bool was_kept,
+  TakeBasis(std::filesystem::path take, BasisBytes memory, bool was_kept,
             std::shared_ptr<const mesh::MeshFrame> sample);
 
   std::filesystem::path take_;
-  std::vector<std::byte> memory_;
+  BasisBytes memory_;
   BasisSections sections_;
   bool was_kept_;
   std::shared_ptr<const mesh::MeshFrame> sample_;
