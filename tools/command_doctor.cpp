@@ -16,6 +16,7 @@
 
 #include "camera/contained_camera.hpp"
 #include "camera/factory.hpp"
+#include "camera/host_sandbox.hpp"
 #include "camera/v4l2_camera.hpp"
 #include "capture/rig_file.hpp"
 #include "commands.hpp"
@@ -129,6 +130,10 @@ void list_cameras(Report& report) {
     }
   } catch (const Error& error) {
     report.say(Verdict::Note, "camera", error.what());
+  }
+  if (const std::string unguarded = camera::files_unguarded(); !unguarded.empty()) {
+    report.say(Verdict::Note, "containment", unguarded,
+               "a camera's process can read and write all files of the daemon's user until it has");
   }
 }
 

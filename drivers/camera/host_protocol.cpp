@@ -39,6 +39,22 @@ std::string visible(std::span<const std::uint8_t> bytes) {
 
 }  // namespace
 
+const char* to_string(HostMessage::Kind kind) {
+  switch (kind) {
+    case HostMessage::Kind::Listed:
+      return "a camera of a list";
+    case HostMessage::Kind::Opened:
+      return "that its camera is open";
+    case HostMessage::Kind::Frame:
+      return "a frame";
+    case HostMessage::Kind::Alive:
+      return "that it is alive";
+    case HostMessage::Kind::Fault:
+      return "a fault";
+  }
+  return "nothing";
+}
+
 std::size_t write_host_message(const HostMessage& message, std::span<std::uint8_t> buffer) {
   Record record{};
   record.magic = kMagic;
