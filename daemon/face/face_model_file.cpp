@@ -18,6 +18,7 @@
 
 #include "face/face_model.hpp"
 #include "facet/error.hpp"
+#include "facet/system_error.hpp"
 
 namespace facet::face {
 namespace {
@@ -102,9 +103,9 @@ class MappedFile {
     if (descriptor < 0 || ::fstat(descriptor, &facts) != 0) {
       const int error = errno;
       close_if_open(descriptor);
-      throw Error(ErrorKind::UnreadableInput,
-                  fmt::format("{}: can't open the face model: {}. `facet model build` makes it.",
-                              file.string(), std::generic_category().message(error)));
+      throw Error(kind_of_errno(error),
+                  fmt::format("{}: can't open the face model: {}{}", file.string(), describe_errno(error),
+                              may_pass(error) ? "" : ". `facet model build` makes it."));
     }
     if (!S_ISREG(facts.st_mode) || facts.st_size <= 0) {
       close_if_open(descriptor);
@@ -116,8 +117,8 @@ class MappedFile {
     const int error = errno;
     close_if_open(descriptor);
     if (data_ == MAP_FAILED) {
-      throw Error(ErrorKind::UnreadableInput, fmt::format("{}: can't map the file: {}", file.string(),
-                                                          std::generic_category().message(error)));
+      throw Error(kind_of_errno(error),
+                  fmt::format("{}: can't map the file: {}", file.string(), describe_errno(error)));
     }
   }
   ~MappedFile() { ::munmap(data_, size_); }

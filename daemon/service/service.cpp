@@ -49,11 +49,13 @@ constexpr std::chrono::milliseconds kLoopPeriod{100};
 constexpr std::chrono::milliseconds kImpatientPeriod{10};
 /// How often the service manager is told how the daemon does, where that changes.
 constexpr std::chrono::seconds kStatusPeriod{2};
+/// How often a page that could not be opened is tried again: its port may be in use, descriptors short.
+constexpr std::chrono::seconds kWebPeriod{10};
 /// How long a stop waits for threads that a driver holds; with the stream's farewells it stays below a
 /// second.
 constexpr std::chrono::milliseconds kStopPatience{600};
 
-sigset_t stop_signals() {
+sigset_t watched_signals() {
   sigset_t set;
   sigemptyset(&set);
   for (const int signal : {SIGTERM, SIGINT, SIGHUP}) {
@@ -63,10 +65,7 @@ sigset_t stop_signals() {
 }
 
 stream::FileDescriptor open_signals() {
-  const sigset_t set = stop_signals();
-  // A reader that goes away is an error of its write, not of the process.
-  std::signal(SIGPIPE, SIG_IGN);
-  ::pthread_sigmask(SIG_BLOCK, &set, nullptr);
+  const sigset_t set = watched_signals();
   stream::FileDescriptor fd(::signalfd(-1, &set, SFD_CLOEXEC | SFD_NONBLOCK));
   if (!fd) {
     throw Error(ErrorKind::Internal, fmt::format("cannot watch signals: {}", std::strerror(errno)));
@@ -116,6 +115,13 @@ stream::StreamServerConfig named(stream::StreamServerConfig config) {
 
 }  // namespace
 
+void hold_signals() {
+  const sigset_t set = watched_signals();
+  // A reader that goes away is an error of its write, not of the process.
+  std::signal(SIGPIPE, SIG_IGN);
+  ::pthread_sigmask(SIG_BLOCK, &set, nullptr);
+}
+
 const char* software_name() {
   return "facetd " FACET_VERSION;
 }
@@ -145,6 +151,8 @@ struct Service::Impl {
   bool live = false;                     ///< the source goes on while nobody reads
   std::optional<MetricsServer> metrics;  ///< once there is a pipeline; freed before it
   std::optional<WebServer> web;          ///< where it could be opened
+  std::string web_fault;                 ///< why it could not, as told
+  Clock::time_point web_tried;
   std::uint64_t wrong_tokens_told = 0;
   std::atomic<bool> running{false};  ///< the pipeline was started
   bool stopping = false;             ///< somebody asked for the end
@@ -321,11 +329,18 @@ void Service::Impl::open_web() {
     log.info(fmt::format("page on {}{}", web->url(),
                          web->has_page() ? "" : ": its files are not there, only its WebSockets"));
   } catch (const Error& error) {
-    log.warning(error.what());
+    if (web_fault != error.what()) {
+      log.warning(error.what());
+    }
+    web_fault = error.what();
   }
+  web_tried = Clock::now();
 }
 
 void Service::Impl::look_after_web() {
+  if (!web && Clock::now() - web_tried >= kWebPeriod) {
+    open_web();
+  }
   const std::uint64_t wrong = web ? web->statistics().wrong_tokens : 0;
   if (wrong != wrong_tokens_told && Clock::now() - told >= kStatusPeriod) {
     log.warning(fmt::format("{} wrong tokens were shown to {}", wrong - wrong_tokens_told, web->url()),
@@ -451,6 +466,11 @@ void Service::Impl::wait_for_events() {
 void Service::Impl::read_signals() {
   signalfd_siginfo info{};
   while (::read(signals.get(), &info, sizeof(info)) == sizeof(info)) {
+    if (info.ssi_signo == SIGHUP) {
+      log.warning(
+          "SIGHUP is ignored: the configuration is read at the start alone (systemctl restart facetd)");
+      continue;
+    }
     log.info(fmt::format("stopping on signal {}", info.ssi_signo));
     stopping = true;
   }

@@ -16,9 +16,9 @@ namespace facet::service {
 /// the driver | | `facet-stream`, `facet-bridge`, `facet-take`, `facet-pack-N`, `facet-capture`,
 /// `facet-track`, `facet-refine` | see their rooms | |
 ///
-/// SIGTERM, SIGINT, SIGHUP and the control method "shutdown" end it within a second in every state: takes are
-/// closed and sockets removed; a frame that the GPU or a driver still holds then is abandoned with the
-/// process.
+/// SIGTERM, SIGINT and the control method "shutdown" end it within a second in every state: takes are closed
+/// and sockets removed; a frame that the GPU or a driver still holds then is abandoned with the process.
+/// SIGHUP is logged and ignored: the configuration is read at the start alone.
 ///
 /// A service manager (systemd) is told when source, model and GPU are open (READY), how the daemon does
 /// (STATUS) and that it ends (STOPPING); its watchdog is fed as long as no thread of the pipeline hangs.
@@ -26,8 +26,7 @@ class Service {
  public:
   /// Binds the sockets, or takes those that the service manager passes. Throws Error(Storage) where a
   /// socket's path is taken or the takes' folder can't be written, Error(Usage) where a group does not exist.
-  /// Blocks the signals above in the calling thread, which must be the process's only one. `log` outlives the
-  /// service.
+  /// hold_signals() comes before. `log` outlives the service.
   Service(const Config& config, Log& log);
   ~Service();
   Service(const Service&) = delete;
@@ -42,6 +41,10 @@ class Service {
   struct Impl;
   std::unique_ptr<Impl> impl_;
 };
+
+/// Blocks the signals that a Service reads, which then wait for it, and ignores SIGPIPE. In the process's
+/// only thread, as the first thing that it does.
+void hold_signals();
 
 /// Program and version, for people.
 const char* software_name();

@@ -26,6 +26,7 @@
 #include <vector>
 
 #include "facet/error.hpp"
+#include "facet/system_error.hpp"
 #include "files/text_file.hpp"
 #include "service/listen_address.hpp"
 #include "service/thumbnails.hpp"
@@ -146,9 +147,10 @@ std::string make_token(const std::filesystem::path& file) {
   const stream::FileDescriptor out(::open(file.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0640));
   const std::string line = token + "\n";
   if (!out || ::write(out.get(), line.data(), line.size()) != static_cast<ssize_t>(line.size())) {
-    throw Error(ErrorKind::Storage,
+    const int error = errno;
+    throw Error(kind_of_errno(error, ErrorKind::Storage),
                 fmt::format("web.token_file = \"{}\": can't write: {}; web.token_file = \"\" does without",
-                            file.string(), std::strerror(errno)));
+                            file.string(), describe_errno(error)));
   }
   return token;
 }

@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "facet/error.hpp"
+#include "facet/system_error.hpp"
 
 namespace facet::stream {
 namespace {
@@ -40,7 +41,8 @@ sockaddr_un address_of(const std::filesystem::path& path, ErrorKind kind) {
 FileDescriptor make_socket(int flags) {
   FileDescriptor fd(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | flags, 0));
   if (!fd) {
-    throw Error(ErrorKind::Internal, fmt::format("cannot make a socket: {}", reason(errno)));
+    throw Error(kind_of_errno(errno, ErrorKind::Internal),
+                fmt::format("cannot make a socket: {}", describe_errno(errno)));
   }
   return fd;
 }
@@ -60,6 +62,9 @@ std::optional<gid_t> group_id(const std::string& name) {
   group entry{};
   group* found = nullptr;
   const int error = ::getgrnam_r(name.c_str(), &entry, buffer.data(), buffer.size(), &found);
+  if (may_pass(error)) {
+    throw Error(kind_of_errno(error), fmt::format("group '{}': {}", name, describe_errno(error)));
+  }
   return error == 0 && found != nullptr ? std::optional<gid_t>(found->gr_gid) : std::nullopt;
 }
 
