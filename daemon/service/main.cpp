@@ -70,7 +70,9 @@ int main(int argc, char** argv) {
     log.error(facet::describe_errno(ENOMEM));
     return static_cast<int>(facet::ErrorKind::Unavailable);
   } catch (const std::system_error& error) {
-    log.error(fmt::format("{}; {}", error.what(), facet::describe_errno(error.code().value())));
+    const bool passing = facet::may_pass(error.code().value());
+    log.error(passing ? fmt::format("{} (another try may help)", error.what())
+                      : fmt::format("internal fault: {}", error.what()));
     return static_cast<int>(facet::kind_of_errno(error.code().value(), facet::ErrorKind::Internal));
   } catch (const std::exception& error) {
     log.error(fmt::format("internal fault: {}", error.what()));

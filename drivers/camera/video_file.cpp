@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstring>
 #include <mutex>
+#include <new>
 #include <string>
 #include <thread>
 #include <vector>
@@ -65,8 +66,9 @@ std::string describe(int av_error) {
 ///
 /// what   with {} for the reason
 Error refusal(int av_error, const std::string& path, const char* what) {
-  const std::string reason = may_pass(-av_error) ? describe_errno(-av_error) : describe(av_error);
-  return {kind_of_errno(-av_error), fmt::format("{}: {}", path, fmt::format(fmt::runtime(what), reason))};
+  const std::string why = may_pass(-av_error) ? "can't be read: " + describe_errno(-av_error)
+                                              : fmt::format(fmt::runtime(what), describe(av_error));
+  return {kind_of_errno(-av_error), fmt::format("{}: {}", path, why)};
 }
 
 std::int64_t monotonic_ns() {

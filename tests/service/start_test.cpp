@@ -16,6 +16,7 @@ namespace facet::service {
 namespace {
 
 using ::testing::AnyOf;
+using ::testing::Not;
 
 TEST(SystemError, WhatMayPassIsTriedAgain) {
   for (const int passing : {EAGAIN, EINTR, EIO, EMFILE, ENFILE, ENOMEM}) {
@@ -60,13 +61,15 @@ class ShortOfSomething : public DaemonWithAssets {
   }
 
   /// Every n-th call of a kind, until there are no more. None may end in a status that nobody tries again.
+  /// (An end by a signal is tried again: libgcrypt, which the journal's library brings, aborts before main
+  /// where it can't open a file.)
   void sweep(const std::string& call, int error, int most) {
     int count = 0;
     for (bool failed = true; failed; ++count) {
       ASSERT_LT(count, most) << "calls of " << call;
       const End end = end_of(fmt::format("{} {} {}", call, count + 1, error));
       failed = end.failed;
-      EXPECT_THAT(end.status, AnyOf(0, 1, 5, 6, 7)) << call << " " << count + 1 << ": " << end.output;
+      EXPECT_THAT(end.status, Not(AnyOf(2, 3))) << call << " " << count + 1 << ": " << end.output;
     }
     EXPECT_GT(count, 3) << "calls of " << call;
   }
