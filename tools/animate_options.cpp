@@ -11,6 +11,7 @@
 #include "progress.hpp"
 #include "stop_signals.hpp"
 #include "take_pictures.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 
@@ -46,28 +47,27 @@ std::shared_ptr<const animate::TakeBasis> open_basis(const BasisChoice& choice, 
   } catch (const Error&) {
     progress.reset();
     if (const int signal = signals.pending(); signal != 0) {
-      fmt::print(stderr, "facet: broken off while '{}' was reduced: nothing was written\n", choice.take);
+      tell(stderr, "facet: broken off while '{}' was reduced: nothing was written\n", choice.take);
       signals.die_of(signal);
     }
     throw;
   }
   progress.reset();
   const animate::BasisHeader& header = basis->header();
-  fmt::print(
-      stderr,
-      "{}: {} faces in {} + {} numbers; vertices within {:.3f} mm (rms {:.4f}), wrinkles within {:.3f} mm "
-      "(rms {:.4f})\n",
-      choice.take, header.frame_count, header.coarse_rank, header.detail_rank, header.coarse_max_mm,
-      header.coarse_rms_mm, header.detail_max_mm, header.detail_rms_mm);
+  tell(stderr,
+       "{}: {} faces in {} + {} numbers; vertices within {:.3f} mm (rms {:.4f}), wrinkles within {:.3f} mm "
+       "(rms {:.4f})\n",
+       choice.take, header.frame_count, header.coarse_rank, header.detail_rank, header.coarse_max_mm,
+       header.coarse_rms_mm, header.detail_max_mm, header.detail_rms_mm);
   if (header.left_out > 0) {
-    fmt::print(stderr, "note: {} frames without refinement are left out\n", header.left_out);
+    tell(stderr, "note: {} frames without refinement are left out\n", header.left_out);
   }
   return basis;
 }
 
 void end_where_broken_off(const StopSignals& signals, const std::string& output) {
   if (const int signal = signals.pending(); signal != 0) {
-    fmt::print(stderr, "facet: broken off: nothing was written to '{}'\n", output);
+    tell(stderr, "facet: broken off: nothing was written to '{}'\n", output);
     signals.die_of(signal);
   }
 }

@@ -26,6 +26,7 @@
 #include "take/export.hpp"
 #include "take/recorder.hpp"
 #include "take_pictures.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 namespace {
@@ -192,29 +193,28 @@ bool write_glb(Frames& frames, const AnimateOptions& options, double rate_hz, co
 
 void print_report(const animate::AnimationReport& report, bool all) {
   for (const std::string& warning : report.warnings) {
-    fmt::print(stderr, "facet animate: {}\n", warning);
+    tell(stderr, "facet animate: {}\n", warning);
   }
   if (all) {
-    fmt::print("{:>9} {:>6} {:>7} {:>9} {:>9} {:>9} {:>6} {:>6} {:>12} {:>7}\n", "keys", "region", "offset",
-               "path", "shortest", "direct", "faces", "jumps", "worst step", "speed");
+    tell("{:>9} {:>6} {:>7} {:>9} {:>9} {:>9} {:>6} {:>6} {:>12} {:>7}\n", "keys", "region", "offset", "path",
+         "shortest", "direct", "faces", "jumps", "worst step", "speed");
   }
   const animate::TransitionReport* worst = nullptr;
   for (const animate::TransitionReport& one : report.transitions) {
     if (all) {
-      fmt::print(
-          "{:>4}->{:<3} {:>6} {:>7.2f} {:>9.2f} {:>9.2f} {:>9.2f} {:>6} {:>6} {:>6.2f} at {:<5} {:>5.2f}\n",
-          one.key + 1, one.key + 2, one.region + 1, one.key_offset_mm, one.cost, one.shortest_cost,
-          one.direct_cost, one.faces, one.jumps, one.worst_cost, one.worst_frame, one.speed);
+      tell("{:>4}->{:<3} {:>6} {:>7.2f} {:>9.2f} {:>9.2f} {:>9.2f} {:>6} {:>6} {:>6.2f} at {:<5} {:>5.2f}\n",
+           one.key + 1, one.key + 2, one.region + 1, one.key_offset_mm, one.cost, one.shortest_cost,
+           one.direct_cost, one.faces, one.jumps, one.worst_cost, one.worst_frame, one.speed);
     }
     worst = worst == nullptr || one.worst_cost > worst->worst_cost ? &one : worst;
   }
   if (worst != nullptr) {
-    fmt::print("worst transition: {:.2f} mm after frame {}, between keys {} and {} in region {}\n",
-               worst->worst_cost, worst->worst_frame, worst->key + 1, worst->key + 2, worst->region + 1);
+    tell("worst transition: {:.2f} mm after frame {}, between keys {} and {} in region {}\n",
+         worst->worst_cost, worst->worst_frame, worst->key + 1, worst->key + 2, worst->region + 1);
   }
   if (report.jumps > 0) {
-    fmt::print("{} jumps, the worst {:.2f} mm after frame {}\n", report.jumps, report.worst_jump_cost,
-               report.worst_jump_frame);
+    tell("{} jumps, the worst {:.2f} mm after frame {}\n", report.jumps, report.worst_jump_cost,
+         report.worst_jump_frame);
   }
 }
 
@@ -268,7 +268,7 @@ void run_animate(const AnimateOptions& options) {
     end_where_broken_off(signals, options.output);
   }
   basis->check_unchanged();
-  fmt::print("{}: {} frames, {:.2f} s\n", options.output, frames.count(), frames.time_s(frames.count()));
+  tell("{}: {} frames, {:.2f} s\n", options.output, frames.count(), frames.time_s(frames.count()));
 }
 
 }  // namespace

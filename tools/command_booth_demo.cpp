@@ -31,6 +31,7 @@
 #include "service/control_client.hpp"
 #include "stop_signals.hpp"
 #include "take/reader.hpp"
+#include "tell.hpp"
 
 extern char** environ;
 
@@ -163,7 +164,7 @@ class Demo {
     step({"summary", in("meshes.take")});
     step({"view", in("meshes.take"), "--rig", in("booth/rig.toml"), "--pictures", in("pictures.take"),
           "--depth", in("depth"), "--truth", in("booth"), "-o", in("booth-sheet.png")});
-    fmt::print("\nLook at {}\n", in("booth-sheet.png"));
+    tell("\nLook at {}\n", in("booth-sheet.png"));
   }
 
   std::string in(const std::string& name) const { return (folder_ / name).string(); }
@@ -181,7 +182,7 @@ class Demo {
 
   /// Shows a command and runs it to its end.
   void step(const std::vector<std::string>& arguments) const {
-    fmt::print("\n==> facet {}\n", fmt::join(arguments, " "));
+    tell("\n==> facet {}\n", fmt::format("{}", fmt::join(arguments, " ")));
     std::fflush(stdout);
     Child child("facet", arguments);
     while (!child.wait(kPollPeriod)) {
@@ -262,7 +263,7 @@ class Demo {
     const std::filesystem::path sockets = name;
     try {
       write_config(sockets);
-      fmt::print("\n==> facetd --config {}\n", in("booth.toml"));
+      tell("\n==> facetd --config {}\n", in("booth.toml"));
       std::fflush(stdout);
       record(sockets / "control.sock");
     } catch (...) {
@@ -316,9 +317,8 @@ class Demo {
       right += found ? 1 : 0;
       incomplete += frame->images->complete() ? 0 : 1;
     }
-    fmt::print(
-        "{} of {} recorded sets show in every camera what the trigger's lines selected; {} are incomplete\n",
-        right, recorded.frame_count(), incomplete);
+    tell("{} of {} recorded sets show in every camera what the trigger's lines selected; {} are incomplete\n",
+         right, recorded.frame_count(), incomplete);
     if (right == 0 || right + incomplete < recorded.frame_count()) {
       throw Error(ErrorKind::Internal,
                   fmt::format("{} recorded sets do not show what the booth was rendered to show",

@@ -27,6 +27,7 @@
 #include "stop_signals.hpp"
 #include "stream/client.hpp"
 #include "take/reader.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 namespace {
@@ -382,31 +383,32 @@ void print_rejected(const std::vector<calibration::RejectedPicture>& rejected) {
     for (std::size_t i = 0; i < std::min(members.size(), kNamed); ++i) {
       names.push_back(members[i]->view);
     }
-    fmt::print("left out, camera '{}': {} ({} picture{}: {}{})\n", key.first,
-               members.size() == 1 ? members[0]->reason : key.second, members.size(),
-               members.size() == 1 ? "" : "s", fmt::join(names, ", "), members.size() > kNamed ? " ..." : "");
+    tell("left out, camera '{}': {} ({} picture{}: {}{})\n", key.first,
+         members.size() == 1 ? members[0]->reason : key.second, members.size(),
+         members.size() == 1 ? "" : "s", fmt::format("{}", fmt::join(names, ", ")),
+         members.size() > kNamed ? " ..." : "");
   }
 }
 
 void print_report(const calibration::Calibration& found, const std::vector<calibration::Coverage>& coverage) {
-  fmt::print("\n{:<16}{:>6}{:>9}{:>15}{:>21}{:>19}{:>10}\n", "camera", "views", "corners", "reprojection",
-             "focal length px", "principal point", "covered");
+  tell("\n{:<16}{:>6}{:>9}{:>15}{:>21}{:>19}{:>10}\n", "camera", "views", "corners", "reprojection",
+       "focal length px", "principal point", "covered");
   for (std::size_t i = 0; i < found.cameras.size(); ++i) {
     const calibration::CameraReport& camera = found.cameras[i];
     const capture::Lens& lens = found.rig.cameras[i].lens;
-    fmt::print("{:<16}{:>6}{:>9}{:>12.3f} px{:>13.2f} +- {:.2f}{:>11.2f} {:7.2f}{:>8.0f} %\n", camera.name,
-               camera.views, camera.corners, camera.rms_px, 0.5 * (lens.fx_px + lens.fy_px), camera.sigma[0],
-               lens.cx_px, lens.cy_px, 100 * coverage[i].part());
+    tell("{:<16}{:>6}{:>9}{:>12.3f} px{:>13.2f} +- {:.2f}{:>11.2f} {:7.2f}{:>8.0f} %\n", camera.name,
+         camera.views, camera.corners, camera.rms_px, 0.5 * (lens.fx_px + lens.fy_px), camera.sigma[0],
+         lens.cx_px, lens.cy_px, 100 * coverage[i].part());
   }
   if (!found.pairs.empty()) {
-    fmt::print("\n{:<32}{:>9}{:>15}{:>15}{:>8}\n", "pair", "corners", "epipolar", "baseline", "angle");
+    tell("\n{:<32}{:>9}{:>15}{:>15}{:>8}\n", "pair", "corners", "epipolar", "baseline", "angle");
   }
   for (const calibration::PairReport& pair : found.pairs) {
-    fmt::print("{:<32}{:>9}{:>12.3f} px{:>12.3f} mm{:>7.1f}°\n",
-               found.cameras[pair.pair.left].name + " | " + found.cameras[pair.pair.right].name, pair.corners,
-               pair.epipolar_rms_px, pair.baseline_mm, pair.angle_deg);
+    tell("{:<32}{:>9}{:>12.3f} px{:>12.3f} mm{:>7.1f}°\n",
+         found.cameras[pair.pair.left].name + " | " + found.cameras[pair.pair.right].name, pair.corners,
+         pair.epipolar_rms_px, pair.baseline_mm, pair.angle_deg);
   }
-  fmt::print("\n{} views, reprojection error {:.3f} px (rms)\n", found.views, found.rms_px);
+  tell("\n{} views, reprojection error {:.3f} px (rms)\n", found.views, found.rms_px);
 }
 
 /// What is not wrong but could be better.
@@ -418,21 +420,21 @@ void print_warnings(const calibration::Calibration& found,
   for (std::size_t i = 0; i < found.cameras.size(); ++i) {
     const calibration::CameraReport& camera = found.cameras[i];
     if (coverage[i].part() < kLeastCovered) {
-      fmt::print(
+      tell(
           "warning: camera '{}': corners in {:.0f} % of the picture only: the distortion elsewhere is a "
           "guess. "
           "Bring the board to its edges and corners\n",
           camera.name, 100 * coverage[i].part());
     }
     if (camera.sigma[0] > kMostFocalSigma * found.rig.cameras[i].lens.fx_px) {
-      fmt::print(
+      tell(
           "warning: camera '{}': the focal length is uncertain by {:.2f} %: tilt the board more (at most "
           "{:.0f} "
           "degrees between views so far), and take more views\n",
           camera.name, 100 * camera.sigma[0] / found.rig.cameras[i].lens.fx_px, camera.largest_tilt_deg);
     }
     if (camera.rms_px > kMostRms_px) {
-      fmt::print(
+      tell(
           "warning: camera '{}': a reprojection error of {:.2f} px is large: is the board flat and its "
           "square "
           "size right? Wide lenses need --k3\n",
@@ -477,7 +479,7 @@ void finish(const Arguments& arguments, const Board& board, Footage footage) {
   };
   // Before the calibration, which may fail for what this picture shows.
   render::write_png(calibration::coverage_picture(names, coverage), beside("coverage"));
-  fmt::print("{}: where corners were seen\n", beside("coverage").string());
+  tell("{}: where corners were seen\n", beside("coverage").string());
   calibration::Calibration found;
   {
     Progress progress("Calibrating", footage.cameras.size() + 1, "steps");
@@ -490,11 +492,11 @@ void finish(const Arguments& arguments, const Board& board, Footage footage) {
   print_warnings(found, coverage);
   render::write_png(calibration::error_picture(found, calibration::fitting_exaggeration(found)),
                     beside("errors"));
-  fmt::print("{}: what remains at every corner\n", beside("errors").string());
+  tell("{}: what remains at every corner\n", beside("errors").string());
   capture::write_rig(found.rig, output);
-  fmt::print("{}: {} camera{}, {} pair{}\n", output.string(), found.rig.cameras.size(),
-             found.rig.cameras.size() == 1 ? "" : "s", found.rig.pairs.size(),
-             found.rig.pairs.size() == 1 ? "" : "s");
+  tell("{}: {} camera{}, {} pair{}\n", output.string(), found.rig.cameras.size(),
+       found.rig.cameras.size() == 1 ? "" : "s", found.rig.pairs.size(),
+       found.rig.pairs.size() == 1 ? "" : "s");
 }
 
 void add_board_options(CLI::App& command, BoardArguments& board) {
@@ -577,7 +579,7 @@ void add_board(CLI::App& parent) {
       throw Error(ErrorKind::Usage, fmt::format("-o {}: the name must end in .pdf or .png", sheet->output));
     }
     const double margin = calibration::margin_mm(board);
-    fmt::print(
+    tell(
         "{}: {:g} x {:g} mm with its margin. Print it at 100 %, glue it on something flat, measure a "
         "square\n",
         file.string(), board.columns * board.square_mm + 2 * margin,

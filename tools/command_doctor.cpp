@@ -16,6 +16,7 @@
 
 #include "camera/contained_camera.hpp"
 #include "camera/factory.hpp"
+#include "camera/host_sandbox.hpp"
 #include "camera/v4l2_camera.hpp"
 #include "capture/rig_file.hpp"
 #include "commands.hpp"
@@ -31,6 +32,7 @@
 #include "service/control_client.hpp"
 #include "service/default_paths.hpp"
 #include "stream/unix_socket.hpp"
+#include "tell.hpp"
 #include "track/landmark_assets.hpp"
 
 namespace facet::tools {
@@ -44,9 +46,9 @@ class Report {
   void say(Verdict verdict, const std::string& what, const std::string& finding,
            const std::string& advice = {}) {
     const char* mark = verdict == Verdict::Good ? "ok  " : verdict == Verdict::Note ? "note" : "BAD ";
-    fmt::print("{}  {:<16} {}\n", mark, what, finding);
+    tell("{}  {:<16} {}\n", mark, what, finding);
     if (!advice.empty()) {
-      fmt::print("      {:<16} -> {}\n", "", advice);
+      tell("      {:<16} -> {}\n", "", advice);
     }
   }
   void bad(ErrorKind kind, const std::string& what, const std::string& finding,
@@ -129,6 +131,10 @@ void list_cameras(Report& report) {
     }
   } catch (const Error& error) {
     report.say(Verdict::Note, "camera", error.what());
+  }
+  if (const std::string unguarded = camera::files_unguarded(); !unguarded.empty()) {
+    report.say(Verdict::Note, "containment", unguarded,
+               "a camera's process can read and write all files of the daemon's user until it has");
   }
 }
 
@@ -332,7 +338,7 @@ void run(const std::string& given_file) {
     throw Error(*report.first_fault(),
                 fmt::format("doctor found {} fault{}", report.faults(), report.faults() == 1 ? "" : "s"));
   }
-  fmt::print("\nEverything that was looked at is in order.\n");
+  tell("\nEverything that was looked at is in order.\n");
 }
 
 }  // namespace

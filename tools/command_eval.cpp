@@ -5,7 +5,6 @@
 #include <CLI/CLI.hpp>
 #include <cmath>
 #include <filesystem>
-#include <fstream>
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -13,9 +12,11 @@
 
 #include "commands.hpp"
 #include "facet/error.hpp"
+#include "files/output_file.hpp"
 #include "progress.hpp"
 #include "take/reader.hpp"
 #include "take_evaluation.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 namespace {
@@ -82,16 +83,13 @@ void run_eval(const EvalOptions& options) {
                                : std::filesystem::path(options.heat_map);
   render::write_png(evaluation.heat_map, picture);
   if (options.output.empty()) {
-    fmt::print("{}\n", document.dump(2));
+    std::puts(document.dump(2, ' ', true).c_str());
   } else {
-    std::ofstream stream(options.output);
-    stream << document.dump(2) << '\n';
-    stream.close();
-    if (!stream) {
-      throw Error(ErrorKind::Storage, fmt::format("{}: cannot write", options.output));
-    }
+    files::OutputFile output(options.output);
+    output.write(document.dump(2) + "\n");
+    output.commit();
   }
-  fmt::print(
+  tell(
       stderr,
       "{}: {} frames; mean {:.3f} mm (coarse {:.3f}), normals {:.2f} deg (coarse {:.2f}), wrinkles correlate "
       "by {:.2f}; heat map in {}\n",

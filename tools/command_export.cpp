@@ -24,6 +24,7 @@
 #include "take/reader.hpp"
 #include "take_frames.hpp"
 #include "take_person.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 namespace {
@@ -119,8 +120,8 @@ std::string ranges_text(const std::vector<std::uint64_t>& numbers) {
 /// Throws Error(NoFace) where no frame is left.
 void tell_left_out(const std::vector<std::uint64_t>& without_mesh, std::size_t selected) {
   if (!without_mesh.empty()) {
-    fmt::print(stderr, "{} of {} frames have no mesh (no face was tracked) and were left out: {}\n",
-               without_mesh.size(), selected, ranges_text(without_mesh));
+    tell(stderr, "{} of {} frames have no mesh (no face was tracked) and were left out: {}\n",
+         without_mesh.size(), selected, ranges_text(without_mesh));
   }
   if (without_mesh.size() == selected) {
     throw Error(ErrorKind::NoFace, "none of the selected frames has a mesh: nothing was written");
@@ -154,8 +155,8 @@ int export_meshes(take::TakeReader& reader, const Selection& selection, const Ex
   std::size_t done = 0;
   for (const std::int64_t index : selection) {
     if (const int signal = signals.pending(); signal != 0) {
-      fmt::print(stderr, "facet: broken off: '{}' holds {} of the {} frames\n", options.output,
-                 done - without_mesh.size(), selection.size());
+      tell(stderr, "facet: broken off: '{}' holds {} of the {} frames\n", options.output,
+           done - without_mesh.size(), selection.size());
       return signal;
     }
     ++done;
@@ -172,8 +173,8 @@ int export_meshes(take::TakeReader& reader, const Selection& selection, const Ex
   progress.finish();
   const std::size_t written = selection.size() - without_mesh.size();
   tell_left_out(without_mesh, selection.size());
-  fmt::print("{}: {} {} file{}, {} mesh, {} vertices\n", options.output, written, options.format,
-             written == 1 ? "" : "s", options.level, mesh.vertices_mm.cols());
+  tell("{}: {} {} file{}, {} mesh, {} vertices\n", options.output, written, options.format,
+       written == 1 ? "" : "s", options.level, mesh.vertices_mm.cols());
   return 0;
 }
 
@@ -240,7 +241,7 @@ int export_sequence(take::TakeReader& reader, const Selection& selection, const 
   take::SequenceFrame next;
   for (const std::int64_t index : meshes) {
     if (const int signal = signals.pending(); signal != 0) {
-      fmt::print(stderr, "facet: broken off: nothing was written to '{}'\n", options.output);
+      tell(stderr, "facet: broken off: nothing was written to '{}'\n", options.output);
       return signal;
     }
     const auto frame = reader.frame(index, take::Pictures::Described);
@@ -262,10 +263,10 @@ int export_sequence(take::TakeReader& reader, const Selection& selection, const 
   if (format == take::SequenceFormat::Pc2 || format == take::SequenceFormat::Mdd) {
     warn_of_varying_rate(sequence.timeline, options.output);
   }
-  fmt::print("{}: {} frames, {} to {} of the source at {}{:.6g} Hz, {} vertices\n", options.output,
-             meshes.size(), sequence.timeline.sequences.front(), sequence.timeline.sequences.back(),
-             sequence.timeline.times_s.empty() ? "" : "a varying rate, on average ",
-             sequence.timeline.rate_hz, next.mesh.vertices_mm.cols());
+  tell("{}: {} frames, {} to {} of the source at {}{:.6g} Hz, {} vertices\n", options.output, meshes.size(),
+       sequence.timeline.sequences.front(), sequence.timeline.sequences.back(),
+       sequence.timeline.times_s.empty() ? "" : "a varying rate, on average ", sequence.timeline.rate_hz,
+       next.mesh.vertices_mm.cols());
   return 0;
 }
 
@@ -282,7 +283,7 @@ int export_maps(take::TakeReader& reader, const Selection& selection, const Expo
   std::size_t written = 0;
   for (const std::int64_t index : meshes) {
     if (const int signal = signals.pending(); signal != 0) {
-      fmt::print(stderr, "facet: broken off: '{}' holds {} maps\n", options.output, written);
+      tell(stderr, "facet: broken off: '{}' holds {} maps\n", options.output, written);
       return signal;
     }
     const auto frame = reader.frame(index, take::Pictures::Described);
@@ -301,8 +302,8 @@ int export_maps(take::TakeReader& reader, const Selection& selection, const Expo
     throw Error(ErrorKind::NoFace,
                 fmt::format("none of the selected frames of '{}' has an albedo", options.take));
   }
-  fmt::print("{}: {} {} maps, {} x {} px\n", options.output, written, options.format, options.size_px,
-             options.size_px);
+  tell("{}: {} {} maps, {} x {} px\n", options.output, written, options.format, options.size_px,
+       options.size_px);
   return 0;
 }
 
@@ -318,7 +319,7 @@ int export_signals(take::TakeReader& reader, const Selection& selection, const E
   const take::Timeline timeline = curves ? timeline_of(reader, selection) : take::Timeline();
   const auto write = [&](const std::string& text) {
     if (to_standard_output) {
-      fmt::print("{}", text);
+      std::fwrite(text.data(), 1, text.size(), stdout);
     } else {
       file->write(text);
     }
@@ -329,9 +330,9 @@ int export_signals(take::TakeReader& reader, const Selection& selection, const E
   Progress progress("Exporting", selection.size());
   for (const std::int64_t index : selection) {
     if (const int signal = signals.pending(); signal != 0) {
-      fmt::print(stderr, "facet: broken off: {}\n",
-                 to_standard_output ? "the last line written is a whole one"
-                                    : fmt::format("nothing was written to '{}'", options.output));
+      tell(stderr, "facet: broken off: {}\n",
+           to_standard_output ? "the last line written is a whole one"
+                              : fmt::format("nothing was written to '{}'", options.output));
       return signal;
     }
     const auto frame = reader.frame(index, take::Pictures::Described);
@@ -341,7 +342,7 @@ int export_signals(take::TakeReader& reader, const Selection& selection, const E
   progress.finish();
   if (!to_standard_output) {
     file->commit();
-    fmt::print("{}: {} frames\n", options.output, selection.size());
+    tell("{}: {} frames\n", options.output, selection.size());
   }
   return 0;
 }
@@ -355,7 +356,7 @@ int export_pictures(take::TakeReader& reader, const Selection& selection, const 
   std::string first_fault;
   for (const std::int64_t index : selection) {
     if (const int signal = signals.pending(); signal != 0) {
-      fmt::print(stderr, "facet: broken off: '{}' holds {} pictures\n", options.output, written);
+      tell(stderr, "facet: broken off: '{}' holds {} pictures\n", options.output, written);
       return signal;
     }
     std::shared_ptr<const FrameSet> images;
@@ -380,7 +381,7 @@ int export_pictures(take::TakeReader& reader, const Selection& selection, const 
                 fmt::format("'{}' holds no pictures: they are recorded in modes \"frames\" and \"booth\"",
                             options.take));
   }
-  fmt::print("{}: {} pictures of {} frames\n", options.output, written, selection.size());
+  tell("{}: {} pictures of {} frames\n", options.output, written, selection.size());
   return 0;
 }
 
@@ -392,8 +393,8 @@ void run_export(const ExportOptions& options) {
   take::TakeReader reader(options.take);
   const take::TakeInfo& info = reader.info();
   if (!info.closed) {
-    fmt::print(stderr, "note: '{}' was not closed by its recorder; exporting the {} frames that are in it\n",
-               options.take, info.frame_count);
+    tell(stderr, "note: '{}' was not closed by its recorder; exporting the {} frames that are in it\n",
+         options.take, info.frame_count);
   }
   const Selection selection = frames_in_range(reader, options.frames);
   const StopSignals signals;

@@ -17,6 +17,7 @@
 #include "model/ict_model.hpp"
 #include "model/landmark_map.hpp"
 #include "progress.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 namespace {
@@ -76,17 +77,17 @@ void find_and_check_landmarks(face::FaceModel& model, const std::filesystem::pat
   const auto agreements = model::check_landmarks(model, landmarker, [&](int done, int total) {
     checking(static_cast<std::uint64_t>(done), static_cast<std::uint64_t>(total), "");
   });
-  fmt::print("Landmarks: what the net finds on renders against the model's own, mean in mm\n  {:<24}", "");
+  tell("Landmarks: what the net finds on renders against the model's own, mean in mm\n  {:<24}", "");
   for (const char* group : kGroupNames) {
-    fmt::print("{:>9}", group);
+    tell("{:>9}", group);
   }
-  fmt::print("\n");
+  tell("\n");
   for (const model::LandmarkAgreement& agreement : agreements) {
-    fmt::print("  {:<24}", agreement.pose);
+    tell("  {:<24}", agreement.pose);
     for (const float mean_mm : agreement.mean_mm) {
-      fmt::print("{:>9}", agreement.found ? fmt::format("{:.1f}", mean_mm) : "no face");
+      tell("{:>9}", agreement.found ? fmt::format("{:.1f}", mean_mm) : "no face");
     }
-    fmt::print("\n");
+    tell("\n");
   }
 }
 
@@ -101,7 +102,7 @@ void run_build(BuildArguments arguments) {
       arguments.options,
       [&](std::uint64_t done, std::uint64_t total, const std::string& what) { progress(done, total, what); },
       report);
-  fmt::print(
+  tell(
       "{} identity modes hold {:.1f} % of the variance; faces spread {:.1f} mm (rms) about their mean\n"
       "unseen faces: {:.2f} mm (rms) lost on the neutral face, {:.2f} mm on an expression\n"
       "eyes {:.1f} mm apart, {} vertices, {} quads, {} expressions\n",
@@ -110,8 +111,7 @@ void run_build(BuildArguments arguments) {
       model.control.quads.cols(), model.expression_count());
   find_and_check_landmarks(model, assets / "mediapipe" / "face_mesh_solution_packed_assets.data");
   model.save(output);
-  fmt::print("{}: {:.1f} MB\n", output.string(),
-             static_cast<double>(std::filesystem::file_size(output)) / 1e6);
+  tell("{}: {:.1f} MB\n", output.string(), static_cast<double>(std::filesystem::file_size(output)) / 1e6);
 }
 
 void run_import_ict(const ImportArguments& arguments) {
@@ -123,18 +123,18 @@ void run_import_ict(const ImportArguments& arguments) {
         reading(static_cast<std::uint64_t>(done), static_cast<std::uint64_t>(total), "");
       },
       report);
-  fmt::print("{} vertices, {} quads, {} identity modes, {} expressions\n", model.vertex_count(),
-             model.control.quads.cols(), model.identity_count(), model.expression_count());
+  tell("{} vertices, {} quads, {} identity modes, {} expressions\n", model.vertex_count(),
+       model.control.quads.cols(), model.identity_count(), model.expression_count());
   if (!report.missing.empty()) {
-    fmt::print("no shape for  {}\n", fmt::join(report.missing, ", "));
+    tell("no shape for  {}\n", fmt::format("{}", fmt::join(report.missing, ", ")));
   }
   find_and_check_landmarks(model, arguments.landmark_assets);
   if (!arguments.albedo_from.empty()) {
     model::borrow_albedo(face::FaceModel::load(arguments.albedo_from), model);
   }
   model.save(arguments.output);
-  fmt::print("{}: {:.1f} MB\n", arguments.output,
-             static_cast<double>(std::filesystem::file_size(arguments.output)) / 1e6);
+  tell("{}: {:.1f} MB\n", arguments.output,
+       static_cast<double>(std::filesystem::file_size(arguments.output)) / 1e6);
 }
 
 void run_landmarks(const FileArguments& arguments) {
@@ -144,11 +144,11 @@ void run_landmarks(const FileArguments& arguments) {
     constexpr int kSheetTilePx = 500;
     track::Landmarker landmarker(arguments.landmark_assets);
     render::write_png(model::landmark_sheet(model, landmarker, kSheetTilePx), arguments.sheet);
-    fmt::print("{}\n", arguments.sheet);
+    tell("{}\n", arguments.sheet);
   }
   const std::string& output = arguments.output.empty() ? arguments.model : arguments.output;
   model.save(output);
-  fmt::print("{}\n", output);
+  tell("{}\n", output);
 }
 
 void run_show(const FileArguments& arguments) {
@@ -159,7 +159,7 @@ void run_show(const FileArguments& arguments) {
         progress(static_cast<std::uint64_t>(done), static_cast<std::uint64_t>(total), "");
       });
   render::write_png(sheet, arguments.output);
-  fmt::print("{}: {}x{} px\n", arguments.output, sheet.width_px, sheet.height_px);
+  tell("{}: {}x{} px\n", arguments.output, sheet.width_px, sheet.height_px);
 }
 
 void run_info(const FileArguments& arguments) {
@@ -170,7 +170,7 @@ void run_info(const FileArguments& arguments) {
   };
   const auto mean_mm = model.core_row(0, 0);
   const Eigen::Vector3f size_mm = mean_mm.rowwise().maxCoeff() - mean_mm.rowwise().minCoeff();
-  fmt::print(
+  tell(
       "{}\n  name         {}\n  file         {:.1f} MB; in memory {:.0f} MB\n  mesh         {} vertices, {} "
       "quads, "
       "{:.0f} x {:.0f} x {:.0f} mm\n  identity     {} modes\n  expressions  {}\n  landmarks    {}\n  regions "
@@ -185,17 +185,16 @@ void run_info(const FileArguments& arguments) {
       count(face::Region::Refinable), count(face::Region::Eye), count(face::Region::Lips),
       count(face::Region::MouthInterior), count(face::Region::Boundary), count(face::Region::Scalp),
       count(face::Region::Brow));
-  fmt::print("\n  {:<22}{:>14}{:>20}{:>22}\n", "expression", "typical weight", "largest move, mm",
-             "varies by person, mm");
+  tell("\n  {:<22}{:>14}{:>20}{:>22}\n", "expression", "typical weight", "largest move, mm",
+       "varies by person, mm");
   for (int e = 0; e < model.expression_count(); ++e) {
     const float largest_mm = model.core_row(0, e + 1).colwise().norm().maxCoeff();
     Eigen::VectorXf variance = Eigen::VectorXf::Zero(model.vertex_count());
     for (int i = 1; i < model.identity_modes; ++i) {
       variance += model.core_row(i, e + 1).colwise().squaredNorm().transpose();
     }
-    fmt::print("  {:<22}{:>14.2f}{:>20.1f}{:>22.2f}\n", model.expression_names[static_cast<std::size_t>(e)],
-               model.expression_sigma[static_cast<std::size_t>(e)], largest_mm,
-               std::sqrt(variance.maxCoeff()));
+    tell("  {:<22}{:>14.2f}{:>20.1f}{:>22.2f}\n", model.expression_names[static_cast<std::size_t>(e)],
+         model.expression_sigma[static_cast<std::size_t>(e)], largest_mm, std::sqrt(variance.maxCoeff()));
   }
 }
 

@@ -13,6 +13,7 @@
 #include "daemon_options.hpp"
 #include "facet/error.hpp"
 #include "progress.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 namespace {
@@ -39,7 +40,7 @@ void record(const DaemonOptions& options, double seconds) {
     throw Error(neutral["frames"] == 0 ? ErrorKind::NoFace : ErrorKind::Unavailable,
                 fmt::format("no neutral pose: {}", neutral["reason"].get<std::string>()));
   }
-  fmt::print("neutral pose of {} frames\n", neutral["frames"].get<int>());
+  tell("neutral pose of {} frames\n", neutral["frames"].get<int>());
 }
 
 }  // namespace

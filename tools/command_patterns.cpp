@@ -22,6 +22,7 @@
 #include "picture_size.hpp"
 #include "progress.hpp"
 #include "render/renderer.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 namespace {
@@ -110,14 +111,13 @@ void run_write(const PatternsOptions& options) {
   const std::string projectors =
       fmt::format("{} projector{}", screens.size(), screens.size() == 1 ? "" : "s");
   if (sequence) {
-    fmt::print(
+    tell(
         "{}: {} pictures for {}, to be shown by one projector at a time. Folders of the cameras' pictures, "
         "named "
         "in the same order, go to `facet scan --sequence {}`\n",
         options.folder, slots, projectors, options.sequence);
   } else {
-    fmt::print("{}: {} slots (stripes A, stripes B, blank, and again) for {}\n", options.folder, slots,
-               projectors);
+    tell("{}: {} slots (stripes A, stripes B, blank, and again) for {}\n", options.folder, slots, projectors);
   }
 }
 

@@ -20,6 +20,7 @@
 #include "stream/server.hpp"
 #include "take/reader.hpp"
 #include "take_frames.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 namespace {
@@ -59,8 +60,8 @@ void run_play(const PlayOptions& options) {
   const StopSignals signals;  // before the server's thread
   stream::StreamServer server(config);
   server.start();
-  fmt::print("{}: {} frames on {}{}\n", options.take, selection.size(), config.socket.string(),
-             options.loop ? ", until stopped" : "");
+  tell("{}: {} frames on {}{}\n", options.take, selection.size(), config.socket.string(),
+       options.loop ? ", until stopped" : "");
   std::fflush(stdout);
   int signal = 0;
   while (options.wait && signal == 0) {

@@ -18,6 +18,7 @@
 #include "stop_signals.hpp"
 #include "take/export.hpp"
 #include "take_pictures.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 namespace {
@@ -79,7 +80,7 @@ mesh::Vertices resting_vertices(animate::FaceIk& ik) {
 void print_places(const animate::TakeBasis& basis, const mesh::Vertices& resting_mm) {
   for (const auto& [name, vertex] : animate::places(basis)) {
     const Eigen::Vector3f at = resting_mm.col(vertex);
-    fmt::print("{:<12} vertex {:<6} rests at {:.1f},{:.1f},{:.1f}\n", name, vertex, at.x(), at.y(), at.z());
+    tell("{:<12} vertex {:<6} rests at {:.1f},{:.1f},{:.1f}\n", name, vertex, at.x(), at.y(), at.z());
   }
 }
 
@@ -88,20 +89,19 @@ void report(const std::vector<Control>& controls, const std::vector<animate::Con
   for (std::size_t i = 0; i < controls.size(); ++i) {
     const char* unit = controls[i].target.space == animate::ControlTarget::Space::Screen ? "px" : "mm";
     const animate::ControlOutcome& outcome = outcomes[i];
-    fmt::print("{}: {:.3f} {} from its target; the region is {:.2f} mm (rms) from frame {}", controls[i].name,
-               outcome.miss, unit, outcome.nearest_mm,
-               basis.frames()[static_cast<std::size_t>(outcome.nearest_frame)].sequence);
+    tell("{}: {:.3f} {} from its target; the region is {:.2f} mm (rms) from frame {}", controls[i].name,
+         outcome.miss, unit, outcome.nearest_mm,
+         basis.frames()[static_cast<std::size_t>(outcome.nearest_frame)].sequence);
     if (outcome.clamped) {
-      fmt::print("; pulled back, the target was {:.1f} {} outside what was captured", outcome.outside, unit);
+      tell("; pulled back, the target was {:.1f} {} outside what was captured", outcome.outside, unit);
     } else if (outcome.outside > animate::kOutsideTolerance) {
-      fmt::print("; {:.1f} {} outside what was captured: --clamp pulls it back", outcome.outside, unit);
+      tell("; {:.1f} {} outside what was captured: --clamp pulls it back", outcome.outside, unit);
     }
-    fmt::print("\n");
+    tell("\n");
     if (!outcome.met) {
-      fmt::print(
-          stderr,
-          "facet pose: {} can't be met: the take does not move it so, or other control points hold it\n",
-          controls[i].name);
+      tell(stderr,
+           "facet pose: {} can't be met: the take does not move it so, or other control points hold it\n",
+           controls[i].name);
     }
   }
 }
@@ -189,7 +189,7 @@ void run_pose(const PoseOptions& options) {
                                            : take::MeshFormat::Ply,
                      mesh, options.output);
   }
-  fmt::print("{}\n", options.output);
+  tell("{}\n", options.output);
 }
 
 }  // namespace

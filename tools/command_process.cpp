@@ -4,7 +4,6 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
-#include <atomic>
 #include <ctime>
 #include <exception>
 #include <functional>
@@ -33,6 +32,7 @@
 #include "stop_signals.hpp"
 #include "take/reader.hpp"
 #include "take_frames.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 namespace {
@@ -242,7 +242,7 @@ void conclude(const Options& options, const pipeline::PipelineStatus& status,
               const std::vector<pipeline::Messages::Message>& messages, int broken_off_by,
               const StopSignals& signals, const std::function<void()>& check) {
   for (const pipeline::Messages::Message& message : messages) {
-    fmt::print(stderr, "facet: {}{}\n", message.warning ? "warning: " : "", message.text);
+    tell(stderr, "facet: {}{}\n", message.warning ? "warning: " : "", message.text);
   }
   if (written && written->state == take::RecorderState::Failed) {
     throw Error(ErrorKind::Storage, fmt::format("'{}': {}", options.take, written->reason));
@@ -253,20 +253,19 @@ void conclude(const Options& options, const pipeline::PipelineStatus& status,
     std::filesystem::remove(options.take, ignored);
   }
   if (broken_off_by != 0) {
-    fmt::print(stderr, "facet: broken off: {}\n",
-               status.mesh_frames == 0
-                   ? "no mesh was made yet, nothing is left"
-                   : fmt::format("'{}' holds the first {} frames", options.take, status.processed));
+    tell(stderr, "facet: broken off: {}\n",
+         status.mesh_frames == 0
+             ? "no mesh was made yet, nothing is left"
+             : fmt::format("'{}' holds the first {} frames", options.take, status.processed));
     signals.die_of(broken_off_by);
   }
   check();
   if (status.degraded_frames > 0) {
-    fmt::print(stderr, "facet: warning: {} frames are degraded, the last one because: {}\n",
-               status.degraded_frames, status.degraded_reason);
+    tell(stderr, "facet: warning: {} frames are degraded, the last one because: {}\n", status.degraded_frames,
+         status.degraded_reason);
   }
-  fmt::print("{}: {} frames, {} with a mesh, {} refined, {:.1f} MB\n", options.take, status.processed,
-             status.mesh_frames, status.refined_frames,
-             static_cast<double>(written ? written->bytes : 0) / 1e6);
+  tell("{}: {} frames, {} with a mesh, {} refined, {:.1f} MB\n", options.take, status.processed,
+       status.mesh_frames, status.refined_frames, static_cast<double>(written ? written->bytes : 0) / 1e6);
 }
 
 void run_monocular(const Options& options) {
@@ -288,7 +287,8 @@ void run_monocular(const Options& options) {
   pipeline::MonocularPipeline pipeline(std::move(stages),
                                        {config.pipeline.hierarchy, config.pipeline.frames, {}}, {&take});
   const int broken_off_by = run_to_end(pipeline, signals, expected);
-  const std::optional<take::RecorderStatus> written = take.end();
+  const std::optional<take::RecorderStatus> written =
+      take.end(broken_off_by != 0 ? "broken off by a signal" : "");
   const pipeline::PipelineStatus status = pipeline.status();
   conclude(options, status, written, pipeline.take_messages(), broken_off_by, signals,
            [&] { check_result(options, status); });
@@ -371,12 +371,11 @@ std::string made_of(const take::TakeReader& take, const pipeline::BoothConfig& b
 int run_to_end(pipeline::BoothMeshes& meshes, take::TakeReader& input, const std::vector<std::int64_t>& slots,
                const StopSignals& signals, const std::function<void()>& show) {
   meshes.start();
-  // Reads ahead as far as the meshes let it; joined below.
-  std::atomic<bool> wanted{true};
+  // Reads ahead as far as the meshes let it.
   std::exception_ptr damage;
-  std::thread reading([&] {
+  std::jthread reading([&](const std::stop_token& broken_off) {
     try {
-      for (auto slot = slots.begin(); slot != slots.end() && wanted; ++slot) {
+      for (auto slot = slots.begin(); slot != slots.end() && !broken_off.stop_requested(); ++slot) {
         meshes.deliver(input.frame(*slot));
       }
     } catch (...) {
@@ -388,12 +387,12 @@ int run_to_end(pipeline::BoothMeshes& meshes, take::TakeReader& input, const std
   while (!meshes.finished()) {
     if (const int signal = signals.wait(kPeriod); signal != 0) {
       broken_off_by = signal;
-      wanted = false;
+      reading.request_stop();
       meshes.request_stop();
     }
     show();
   }
-  wanted = false;
+  reading.request_stop();
   reading.join();
   meshes.stop();
   show();
@@ -468,8 +467,8 @@ void lead_booth(const Options& options, Team& team, const StopSignals& signals) 
       folder->write(slot, maps);
     };
     if (!folder->kept().empty()) {
-      fmt::print(stderr, "facet: {} depth maps are in '{}' already and are taken from there\n",
-                 folder->kept().size(), options.depth);
+      tell(stderr, "facet: {} depth maps are in '{}' already and are taken from there\n",
+           folder->kept().size(), options.depth);
     }
   }
   pipeline::TakeSink take;
@@ -492,11 +491,11 @@ void lead_booth(const Options& options, Team& team, const StopSignals& signals) 
     damage = std::current_exception();
   }
   progress.finish();
-  const std::optional<take::RecorderStatus> written = take.end();
+  const std::optional<take::RecorderStatus> written =
+      take.end(broken_off_by != 0 ? "broken off by a signal" : "");
   if (broken_off_by != 0 && folder != nullptr) {
-    fmt::print(stderr,
-               "facet: the depth maps found so far are kept in '{}': the same command goes on from there\n",
-               options.depth);
+    tell(stderr, "facet: the depth maps found so far are kept in '{}': the same command goes on from there\n",
+         options.depth);
   }
   conclude(options, status, written, meshes.take_messages(), broken_off_by, signals, [&] {
     if (damage != nullptr && status.mesh_frames == 0) {
@@ -520,13 +519,13 @@ void run_booth(const Options& options, const std::function<std::unique_ptr<Team>
       throw;
     }
     // The others wait for this one.
-    fmt::print(stderr, "facet: process {} of {}: {}\n", team.rank() + 1, team.size(), error.what());
+    tell(stderr, "facet: process {} of {}: {}\n", team.rank() + 1, team.size(), error.what());
     team.abort(static_cast<int>(error.kind()));
   } catch (const std::exception& error) {
     if (team.size() == 1) {
       throw;
     }
-    fmt::print(stderr, "facet: process {} of {}: {}\n", team.rank() + 1, team.size(), error.what());
+    tell(stderr, "facet: process {} of {}: {}\n", team.rank() + 1, team.size(), error.what());
     team.abort(static_cast<int>(ErrorKind::Internal));
   }
 }

@@ -8,6 +8,7 @@
 #include "commands.hpp"
 #include "daemon_options.hpp"
 #include "facet/error.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 
@@ -23,20 +24,26 @@ void add_record_command(CLI::App& app) {
   start->add_option("name", *name, "Name of the take (default: the time, UTC)");
   start->callback([start_options, name] {
     const json params = name->empty() ? json::object() : json{{"name", *name}};
-    fmt::print("{}\n", call_daemon(*start_options, "record.start", params)["file"].get<std::string>());
+    tell("{}\n", call_daemon(*start_options, "record.start", params)["file"].get<std::string>());
   });
 
   CLI::App* stop = command->add_subcommand("stop", "End the take and close its file");
   const auto stop_options = add_daemon_options(*stop);
   stop->callback([stop_options] {
     const json take = call_daemon(*stop_options, "record.stop", json::object());
-    fmt::print("{}: {} frames, {} not recorded, {:.1f} MB\n", take["file"].get<std::string>(),
-               take["frames"].get<std::uint64_t>(), take["dropped"].get<std::uint64_t>(),
-               take["bytes"].get<double>() / 1e6);
+    tell("{}: {} frames, {} not recorded, {:.1f} MB\n", take["file"].get<std::string>(),
+         take["frames"].get<std::uint64_t>(), take["dropped"].get<std::uint64_t>(),
+         take["bytes"].get<double>() / 1e6);
     if (take["state"] == "finished" && take.value("log_left", false)) {
-      fmt::print(stderr,
-                 "note: a part of it stays in the -wal file beside it, as another program reads the take: "
-                 "end that, then 'facet summary --close' makes one file of it\n");
+      tell(stderr,
+           "note: a part of it stays in the -wal file beside it, as another program reads the take: "
+           "end that, then 'facet summary --close' makes one file of it\n");
+    }
+    if (const std::string warning = take.value("warning", ""); !warning.empty()) {
+      tell(stderr, "warning: {}; look at it with 'facet summary --verify', and at the disk\n", warning);
+    }
+    if (const std::string reason = take["reason"]; take["state"] == "finished" && !reason.empty()) {
+      tell(stderr, "note: it had ended before: {}\n", reason);
     }
     if (take["state"] == "failed") {
       throw Error(ErrorKind::Storage,

@@ -29,6 +29,7 @@
 #include "take_evaluation.hpp"
 #include "take_pictures.hpp"
 #include "take_stages.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 namespace {
@@ -435,7 +436,7 @@ void run_report(const ReportOptions& options) {
   }
   page.write("</body></html>\n");
   page.commit();
-  fmt::print("{}: {} frames of {}\n", options.output, take.frame_count(), options.take);
+  tell("{}: {} frames of {}\n", options.output, take.frame_count(), options.take);
 }
 
 }  // namespace

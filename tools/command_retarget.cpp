@@ -22,6 +22,7 @@
 #include "take/export.hpp"
 #include "take_frames.hpp"
 #include "take_person.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 namespace {
@@ -142,7 +143,7 @@ void check_shapes(const RetargetOptions& options, const avatar::Avatar& found,
     throw Error(ErrorKind::Usage,
                 what + (found.meshes.empty() ? "" : "; --allow-missing goes on without them"));
   }
-  fmt::print(stderr, "note: {}\n", what);
+  tell(stderr, "note: {}\n", what);
 }
 
 /// The take's face as an avatar's skin is placed on it. Shapes and surface are those of the coarse level.
@@ -177,7 +178,7 @@ std::shared_ptr<const take::MapLayout> map_layout(const RetargetOptions& options
   const std::vector<avatar::Skin> skins = avatar::read_skins(glb, found);
   const auto [chosen, placement] = avatar::choose_skin(skins, shapes_of(frame, basis));
   const avatar::Skin& skin = skins[chosen];
-  fmt::print(
+  tell(
       "mesh '{}': on the face by {} shapes, {:.1f} mm apart (median), surfaces {:.1f} mm (rms), {:.0f} % of "
       "the face covered; 1 mm of the maps is {:.4g} of its units\n",
       skin.name, placement.shape_count, placement.shape_distance_mm, placement.surface_distance_mm,
@@ -268,7 +269,7 @@ void run_retarget(const RetargetOptions& options) {
   }
   Performance performance;
   if (const int signal = read_performance(options, signals, performance); signal != 0) {
-    fmt::print(stderr, "facet: broken off: nothing was written to '{}'\n", options.output);
+    tell(stderr, "facet: broken off: nothing was written to '{}'\n", options.output);
     signals.die_of(signal);
   }
   check_shapes(options, found, performance.states);
@@ -278,14 +279,14 @@ void run_retarget(const RetargetOptions& options) {
     }
   }
   if (const int signal = write_maps(options, glb, found, signals); signal != 0) {
-    fmt::print(stderr, "facet: broken off: the maps are not complete, nothing was written to '{}'\n",
-               options.output);
+    tell(stderr, "facet: broken off: the maps are not complete, nothing was written to '{}'\n",
+         options.output);
     signals.die_of(signal);
   }
   avatar::add_animation(glb, found, performance.states, performance.times_s, !options.no_head);
   avatar::write_glb(glb, options.output);
-  fmt::print("{}: {} frames, {:.2f} s, {} meshes\n", options.output, performance.states.size(),
-             performance.times_s.back(), found.meshes.size());
+  tell("{}: {} frames, {:.2f} s, {} meshes\n", options.output, performance.states.size(),
+       performance.times_s.back(), found.meshes.size());
 }
 
 }  // namespace

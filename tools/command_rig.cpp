@@ -15,6 +15,7 @@
 #include "commands.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 namespace {
@@ -44,12 +45,12 @@ capture::Rig read(RigArguments& arguments) {
 
 void show(const capture::Rig& rig) {
   constexpr double kDegrees = 180 / std::numbers::pi;
-  fmt::print("{:<16}{:>11}{:>20}{:>20}{:>24}   {}\n", "camera", "picture", "focal length px",
-             "principal point", "place mm (x y z)", "distortion k1 k2 p1 p2 k3");
+  tell("{:<16}{:>11}{:>20}{:>20}{:>24}   {}\n", "camera", "picture", "focal length px", "principal point",
+       "place mm (x y z)", "distortion k1 k2 p1 p2 k3");
   const auto line = [&](const std::string& name, const capture::Lens& lens, const char* note) {
     const Eigen::Vector3d at = lens.centre_mm();
     const capture::LensDistortion& bent = lens.distortion;
-    fmt::print(
+    tell(
         "{:<16}{:>6}x{:<4}{:>10.2f} {:9.2f}{:>10.2f} {:9.2f}{:>8.1f} {:7.1f} {:7.1f}   {:.4f} {:.4f} {:.5f} "
         "{:.5f} "
         "{:.4f}{}\n",
@@ -66,10 +67,9 @@ void show(const capture::Rig& rig) {
     const capture::Lens& left = rig.cameras[pair.left].lens;
     const capture::Lens& right = rig.cameras[pair.right].lens;
     const double cosine = left.camera_from_rig.linear().row(2).dot(right.camera_from_rig.linear().row(2));
-    fmt::print("pair {} | {}: baseline {:.3f} mm, {:.2f} degrees between the views\n",
-               rig.cameras[pair.left].name, rig.cameras[pair.right].name,
-               (left.centre_mm() - right.centre_mm()).norm(),
-               std::acos(std::clamp(cosine, -1.0, 1.0)) * kDegrees);
+    tell("pair {} | {}: baseline {:.3f} mm, {:.2f} degrees between the views\n", rig.cameras[pair.left].name,
+         rig.cameras[pair.right].name, (left.centre_mm() - right.centre_mm()).norm(),
+         std::acos(std::clamp(cosine, -1.0, 1.0)) * kDegrees);
   }
 }
 
@@ -77,7 +77,7 @@ void write(const std::string& text, const std::filesystem::path& file) {
   files::OutputFile output(file);
   output.write(text);
   output.commit();
-  fmt::print("{}\n", file.string());
+  tell("{}\n", file.string());
 }
 
 capture::StereoPair pair_of(const capture::Rig& rig, const std::string& text) {
@@ -106,7 +106,7 @@ void convert(RigArguments& arguments) {
   const std::filesystem::path output = arguments.output;
   if (arguments.format == "rig") {
     capture::write_rig(rig, output);
-    fmt::print("{}\n", output.string());
+    tell("{}\n", output.string());
   } else if (arguments.format == "kalibr") {
     write(calibration::format_kalibr(rig), output);
   } else {

@@ -23,6 +23,7 @@
 #include "progress.hpp"
 #include "render/renderer.hpp"
 #include "stereo/structured_light.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 namespace {
@@ -109,9 +110,9 @@ Footage footage_of(const ScanOptions& options, const capture::Rig& rig, const st
 }
 
 void explain(const Footage& footage, const capture::Rig& rig, const capture::CodeSequence& sequence) {
-  fmt::print("camera '{}':\n", rig.cameras[footage.camera].name);
+  tell("camera '{}':\n", rig.cameras[footage.camera].name);
   for (std::size_t picture = 0; picture < footage.files.size(); ++picture) {
-    fmt::print("  {:<28} {}\n", capture::name_of(sequence, picture), footage.files[picture].string());
+    tell("  {:<28} {}\n", capture::name_of(sequence, picture), footage.files[picture].string());
   }
 }
 
@@ -160,17 +161,17 @@ stereo::DecodedView decode(const Footage& footage, const capture::Rig& rig,
 }
 
 void report(const stereo::DecodedView& view, const std::string& camera, const std::string& folder) {
-  fmt::print("camera '{}':", camera);
+  tell("camera '{}':", camera);
   const char* comma = "";
   for (std::size_t fault = 0; fault < stereo::kPhaseFaults; ++fault) {
     if (view.faults[fault] > 0) {
-      fmt::print("{} {:.1f} % {}", comma,
-                 100 * static_cast<double>(view.faults[fault]) / static_cast<double>(view.fault.size()),
-                 stereo::to_string(static_cast<stereo::PhaseFault>(fault)));
+      tell("{} {:.1f} % {}", comma,
+           100 * static_cast<double>(view.faults[fault]) / static_cast<double>(view.fault.size()),
+           stereo::to_string(static_cast<stereo::PhaseFault>(fault)));
       comma = ",";
     }
   }
-  fmt::print("; {:.1f} % of the fringes' modulation is no sine\n", 100 * static_cast<double>(view.residual));
+  tell("; {:.1f} % of the fringes' modulation is no sine\n", 100 * static_cast<double>(view.residual));
   for (const stereo::PhaseField* field : {&view.columns, &view.rows}) {
     if (!field->why_no_phases.empty()) {
       throw Error(ErrorKind::UnreadableInput,
@@ -241,21 +242,20 @@ void write(const stereo::StructuredDepth& depth, const capture::Lens& camera, co
   }
   std::nth_element(sigmas.begin(), sigmas.begin() + static_cast<std::ptrdiff_t>(sigmas.size() / 2),
                    sigmas.end());
-  fmt::print("{}: {} points, standard deviation {:.3f} mm (median)", options.output, points,
-             sigmas[sigmas.size() / 2]);
+  tell("{}: {} points, standard deviation {:.3f} mm (median)", options.output, points,
+       sigmas[sigmas.size() / 2]);
   if (depth.ambiguous > 0) {
-    fmt::print("; {} px left out with more than one match", depth.ambiguous);
+    tell("; {} px left out with more than one match", depth.ambiguous);
   }
   if (depth.epipolar_count > 0) {
-    fmt::print("; epipolar error {:.2f} px", depth.epipolar_px);
+    tell("; epipolar error {:.2f} px", depth.epipolar_px);
   }
-  fmt::print("\n");
+  tell("\n");
   constexpr float kMostEpipolar_px = 1;
   if (depth.epipolar_px > kMostEpipolar_px) {
-    fmt::print(
-        stderr,
-        "facet: the epipolar error is above {:g} px: the calibration in {} does not fit these pictures\n",
-        kMostEpipolar_px, options.rig);
+    tell(stderr,
+         "facet: the epipolar error is above {:g} px: the calibration in {} does not fit these pictures\n",
+         kMostEpipolar_px, options.rig);
   }
 }
 
@@ -305,7 +305,7 @@ void run_scan(ScanOptions options) {
   }
   progress.finish();
   const auto folder_of = [](const Footage& footage) { return footage.files.front().parent_path().string(); };
-  fmt::print("response of the cameras: {}\n", options.response);
+  tell("response of the cameras: {}\n", options.response);
   report(left_view, rig.cameras[left.camera].name, folder_of(left));
   if (right) {
     report(*right_view, rig.cameras[right->camera].name, folder_of(*right));
@@ -316,8 +316,8 @@ void run_scan(ScanOptions options) {
   } else {
     options.match.depths = right ? stereo::find_depths(rig, pair, left_view, *right_view)
                                  : stereo::find_depths(rig, left.camera, *projector, left_view);
-    fmt::print("depths: {:.0f} to {:.0f} mm (--depths)\n", options.match.depths.nearest_mm,
-               options.match.depths.farthest_mm);
+    tell("depths: {:.0f} to {:.0f} mm (--depths)\n", options.match.depths.nearest_mm,
+         options.match.depths.farthest_mm);
   }
   const stereo::StructuredDepth depth =
       right ? stereo::match_phases(rig, pair, left_view, *right_view, options.match)

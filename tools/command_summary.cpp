@@ -17,6 +17,7 @@
 #include "take/closing.hpp"
 #include "take/reader.hpp"
 #include "take_stages.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 namespace {
@@ -81,7 +82,7 @@ float mean(const std::vector<float>& values) {
 void print_last_mesh_frame(take::TakeReader& reader) {
   for (std::int64_t i = reader.frame_count() - 1; i >= 0; --i) {
     if (const take::FrameEntry entry = reader.entry(i); entry.has_mesh) {
-      fmt::print("{}\n", entry.sequence);
+      tell("{}\n", entry.sequence);
       return;
     }
   }
@@ -90,12 +91,12 @@ void print_last_mesh_frame(take::TakeReader& reader) {
 }
 
 void print_pictures(const PictureFigures& figures, const take::TakeInfo& info, double rate_hz) {
-  fmt::print("pictures      {} cameras; {} sets, {} complete\n", figures.cameras.size(), figures.sets,
-             figures.complete);
+  tell("pictures      {} cameras; {} sets, {} complete\n", figures.cameras.size(), figures.sets,
+       figures.complete);
   for (const PictureFigures::Camera& camera : figures.cameras) {
-    fmt::print("  {:<12}{}x{}, {} pictures, missing in {} sets{}\n", camera.name, camera.width_px,
-               camera.height_px, camera.pictures, figures.sets - camera.pictures,
-               camera.corrupt > 0 ? fmt::format(", {} damaged as the driver says", camera.corrupt) : "");
+    tell("  {:<12}{}x{}, {} pictures, missing in {} sets{}\n", camera.name, camera.width_px, camera.height_px,
+         camera.pictures, figures.sets - camera.pictures,
+         camera.corrupt > 0 ? fmt::format(", {} damaged as the driver says", camera.corrupt) : "");
   }
   std::uint64_t bytes = 0;
   std::int64_t sets = 0;
@@ -105,8 +106,8 @@ void print_pictures(const PictureFigures& figures, const take::TakeInfo& info, d
   }
   if (sets > 0) {
     const double megabytes_a_set = static_cast<double>(bytes) / 1e6 / static_cast<double>(sets);
-    fmt::print("segments      {}, {:.2f} MB a set{}\n", info.segments.size(), megabytes_a_set,
-               rate_hz > 0 ? fmt::format(", {:.1f} MB a second", megabytes_a_set * rate_hz) : "");
+    tell("segments      {}, {:.2f} MB a set{}\n", info.segments.size(), megabytes_a_set,
+         rate_hz > 0 ? fmt::format(", {:.1f} MB a second", megabytes_a_set * rate_hz) : "");
   }
 }
 
@@ -116,8 +117,8 @@ int print_faults(take::TakeReader& reader) {
   for (const take::TakeSegment& segment : reader.info().segments) {
     if (!segment.fault.empty()) {
       ++faults;
-      fmt::print("damaged       {} (frames {} to {})\n", segment.fault,
-                 reader.entry(segment.first_frame).sequence, reader.entry(segment.last_frame).sequence);
+      tell("damaged       {} (frames {} to {})\n", segment.fault, reader.entry(segment.first_frame).sequence,
+           reader.entry(segment.last_frame).sequence);
     }
   }
   return faults;
@@ -133,7 +134,7 @@ void verify(take::TakeReader& reader) {
     } catch (const Error& error) {
       constexpr std::int64_t kMostNamed = 20;
       if (++damaged <= kMostNamed) {
-        fmt::print("damaged       {}\n", error.what());
+        tell("damaged       {}\n", error.what());
       }
     }
     progress.advance();
@@ -144,7 +145,7 @@ void verify(take::TakeReader& reader) {
                 fmt::format("{}: {} of {} frames are damaged", reader.info().file.string(), damaged,
                             reader.frame_count()));
   }
-  fmt::print("verified      {} frames with all their pictures\n", reader.frame_count());
+  tell("verified      {} frames with all their pictures\n", reader.frame_count());
 }
 
 /// Throws Error(Storage) where the take can't be closed now.
@@ -207,52 +208,51 @@ void run(const Options& options) {
   }
 
   const double seconds = static_cast<double>(info.last_timestamp_ns - info.first_timestamp_ns) * 1e-9;
-  fmt::print("take          {}\n", info.file.string());
-  fmt::print("source        {}\n", info.source);
-  fmt::print("recorded      {} by {}{}\n", info.created_utc, info.software,
-             info.closed ? "" : " (not closed: still recorded, or broken off: --close)");
+  tell("take          {}\n", info.file.string());
+  tell("source        {}\n", info.source);
+  tell("recorded      {} by {}{}\n", info.created_utc, info.software,
+       info.closed ? "" : " (not closed: still recorded, or broken off: --close)");
   if (!info.end_reason.empty()) {
-    fmt::print("ended         {}\n", info.end_reason);
+    tell("ended         {}\n", info.end_reason);
   }
-  fmt::print(
-      "frames        {} ({} tracking, {} acquiring, {} searching, {} lost; {} refined; {} not recorded)\n",
-      frame_count, states[static_cast<std::size_t>(mesh::TrackingState::Tracking)],
-      states[static_cast<std::size_t>(mesh::TrackingState::Acquiring)],
-      states[static_cast<std::size_t>(mesh::TrackingState::Searching)],
-      states[static_cast<std::size_t>(mesh::TrackingState::Lost)], refined, info.dropped);
+  tell("frames        {} ({} tracking, {} acquiring, {} searching, {} lost; {} refined; {} not recorded)\n",
+       frame_count, states[static_cast<std::size_t>(mesh::TrackingState::Tracking)],
+       states[static_cast<std::size_t>(mesh::TrackingState::Acquiring)],
+       states[static_cast<std::size_t>(mesh::TrackingState::Searching)],
+       states[static_cast<std::size_t>(mesh::TrackingState::Lost)], refined, info.dropped);
   if (degraded > 0) {
-    fmt::print("degraded      {} frames, the last one because: {}\n", degraded, degraded_reason);
+    tell("degraded      {} frames, the last one because: {}\n", degraded, degraded_reason);
   }
   if (refined > 0) {
-    fmt::print("mesh          {} vertices on the finest of {} levels\n", finest_vertices, levels);
+    tell("mesh          {} vertices on the finest of {} levels\n", finest_vertices, levels);
   }
   const double rate_hz = frame_count > 1 && seconds > 0 ? static_cast<double>(frame_count - 1) / seconds : 0;
   if (rate_hz > 0) {
-    fmt::print("rate          {:.2f} frames per second\n", rate_hz);
+    tell("rate          {:.2f} frames per second\n", rate_hz);
   }
-  fmt::print("size          {:.1f} MB, {:.1f} KB a frame\n", static_cast<double>(info.file_bytes) / 1e6,
-             static_cast<double>(info.file_bytes) / 1e3 /
-                 static_cast<double>(std::max<std::int64_t>(1, frame_count)));
+  tell("size          {:.1f} MB, {:.1f} KB a frame\n", static_cast<double>(info.file_bytes) / 1e6,
+       static_cast<double>(info.file_bytes) / 1e3 /
+           static_cast<double>(std::max<std::int64_t>(1, frame_count)));
   if (pictures.sets > 0) {
     print_pictures(pictures, info, rate_hz);
   }
   const int faults = print_faults(reader);
   if (!reprojection_px.empty()) {
-    fmt::print("reprojection  {:.2f} px median of the frames' medians\n", quantile(reprojection_px, 0.5));
+    tell("reprojection  {:.2f} px median of the frames' medians\n", quantile(reprojection_px, 0.5));
   }
   if (!photometric_rms.empty()) {
-    fmt::print("photometric   {:.4f} mean rms error, {:.4f} worst frame (linear light, 0 to 1)\n",
-               mean(photometric_rms), quantile(photometric_rms, 1.0));
+    tell("photometric   {:.4f} mean rms error, {:.4f} worst frame (linear light, 0 to 1)\n",
+         mean(photometric_rms), quantile(photometric_rms, 1.0));
   }
-  fmt::print("\n{:<24} {:>9} {:>9} {:>9} {:>8}\n", "stage", "mean ms", "median", "p95", "frames");
+  tell("\n{:<24} {:>9} {:>9} {:>9} {:>8}\n", "stage", "mean ms", "median", "p95", "frames");
   for (std::size_t s = 0; s < kStages.size(); ++s) {
     if (!times_ms[s].empty()) {
-      fmt::print("{:<24} {:>9.2f} {:>9.2f} {:>9.2f} {:>8}\n", kStages[s].name, mean(times_ms[s]),
-                 quantile(times_ms[s], 0.5), quantile(times_ms[s], 0.95), times_ms[s].size());
+      tell("{:<24} {:>9.2f} {:>9.2f} {:>9.2f} {:>8}\n", kStages[s].name, mean(times_ms[s]),
+           quantile(times_ms[s], 0.5), quantile(times_ms[s], 0.95), times_ms[s].size());
     }
   }
   if (options.verify) {
-    fmt::print("\n");
+    tell("\n");
     verify(reader);
   } else if (faults > 0) {
     throw Error(ErrorKind::UnreadableInput, fmt::format("{}: {} of {} segments can't be read whole",

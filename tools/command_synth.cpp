@@ -15,6 +15,7 @@
 #include "simulation/actor_take.hpp"
 #include "simulation/sequence.hpp"
 #include "take/recorder.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 namespace {
@@ -49,8 +50,8 @@ void write_take(const face::FaceModel& model, const SynthOptions& options) {
   if (status.state == take::RecorderState::Failed) {
     throw Error(ErrorKind::Storage, fmt::format("'{}': {}", options.folder, status.reason));
   }
-  fmt::print("{}: {} meshes of {} vertices\n", options.folder, status.mesh_frames,
-             actor.subject().hierarchy->finest().vertex_count);
+  tell("{}: {} meshes of {} vertices\n", options.folder, status.mesh_frames,
+       actor.subject().hierarchy->finest().vertex_count);
 }
 
 void run_synth(SynthOptions options) {
@@ -70,9 +71,9 @@ void run_synth(SynthOptions options) {
                              [&](int done) { progress.set(static_cast<std::uint64_t>(done)); });
   progress.finish();
   if (options.studio.camera_count > 1) {
-    fmt::print("{}: {} cameras, rig.toml\n", options.folder, options.studio.camera_count);
+    tell("{}: {} cameras, rig.toml\n", options.folder, options.studio.camera_count);
   }
-  fmt::print(
+  tell(
       "{}: {} frames of {}x{} px, truth in truth/, camera.json; the actor differs from the model's span by "
       "{:.2f} mm (rms)\n",
       options.folder, options.studio.frame_count, options.studio.width_px, options.studio.height_px,

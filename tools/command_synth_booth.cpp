@@ -22,6 +22,7 @@
 #include "render/renderer.hpp"
 #include "simulation/booth.hpp"
 #include "take/recorder.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 namespace {
@@ -155,8 +156,8 @@ void run_synth_booth(SynthBoothOptions options) {
                 fmt::format("{}: {} of {} slots were recorded: {}", config.file.string(), status.frames,
                             options.slots, status.reason.empty() ? "the recorder ended" : status.reason));
   }
-  fmt::print("{}: {} slots of {} cameras in capture.take, rig.toml, depth maps of the pairs in truth/\n",
-             options.folder, options.slots, booth.rig().cameras.size());
+  tell("{}: {} slots of {} cameras in capture.take, rig.toml, depth maps of the pairs in truth/\n",
+       options.folder, options.slots, booth.rig().cameras.size());
 }
 
 }  // namespace

@@ -3,10 +3,12 @@
 #include <fmt/format.h>
 
 #include <CLI/CLI.hpp>
+#include <cstdio>
 #include <nlohmann/json.hpp>
 
 #include "commands.hpp"
 #include "daemon_options.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 namespace {
@@ -14,29 +16,28 @@ namespace {
 using nlohmann::json;
 
 void print(const json& list) {
-  fmt::print("{} takes in {}\n", list["count"].get<std::size_t>(), list["folder"].get<std::string>());
+  tell("{} takes in {}\n", list["count"].get<std::size_t>(), list["folder"].get<std::string>());
   if (list["takes"].empty()) {
     return;
   }
-  fmt::print("{:<32} {:<21} {:>8} {:>8} {:>9} {:>9}\n", "name", "recorded (UTC)", "frames", "meshes",
-             "seconds", "MB");
+  tell("{:<32} {:<21} {:>8} {:>8} {:>9} {:>9}\n", "name", "recorded (UTC)", "frames", "meshes", "seconds",
+       "MB");
   for (const json& take : list["takes"]) {
     const std::string name = take["name"];
     if (take.contains("error")) {
-      fmt::print("{:<32} {}\n", name, take["error"].get<std::string>());
+      tell("{:<32} {}\n", name, take["error"].get<std::string>());
       continue;
     }
     const std::string end_reason = take["end_reason"];
-    fmt::print("{:<32} {:<21} {:>8} {:>8} {:>9.1f} {:>9.1f}{}\n", name,
-               take["created_utc"].get<std::string>(), take["frames"].get<std::int64_t>(),
-               take["mesh_frames"].get<std::int64_t>(), take["duration_s"].get<double>(),
-               take["bytes"].get<double>() / 1e6,
-               !end_reason.empty()           ? "  ended: " + end_reason
-               : !take["closed"].get<bool>() ? "  not closed"
-                                             : "");
+    tell("{:<32} {:<21} {:>8} {:>8} {:>9.1f} {:>9.1f}{}\n", name, take["created_utc"].get<std::string>(),
+         take["frames"].get<std::int64_t>(), take["mesh_frames"].get<std::int64_t>(),
+         take["duration_s"].get<double>(), take["bytes"].get<double>() / 1e6,
+         !end_reason.empty()           ? "  ended: " + end_reason
+         : !take["closed"].get<bool>() ? "  not closed"
+                                       : "");
   }
   if (list["count"].get<std::size_t>() > list["takes"].size()) {
-    fmt::print("(the newest {} are shown)\n", list["takes"].size());
+    tell("(the newest {} are shown)\n", list["takes"].size());
   }
 }
 
@@ -50,7 +51,7 @@ void add_takes_command(CLI::App& app) {
   command->callback([options, as_json] {
     const json list = call_daemon(*options, "takes.list", json::object());
     if (*as_json) {
-      fmt::print("{}\n", list.dump(2));
+      std::puts(list.dump(2, ' ', true).c_str());
     } else {
       print(list);
     }

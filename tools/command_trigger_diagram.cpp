@@ -5,13 +5,15 @@
 #include <CLI/CLI.hpp>
 #include <chrono>
 #include <fstream>
-#include <iterator>
 #include <memory>
 #include <string>
 
 #include "commands.hpp"
 #include "facet/error.hpp"
+#include "files/output_file.hpp"
+#include "files/text_file.hpp"
 #include "render/renderer.hpp"
+#include "tell.hpp"
 #include "trigger/edge_log.hpp"
 #include "trigger/virtual_trigger.hpp"
 #include "trigger_diagram.hpp"
@@ -56,22 +58,18 @@ void record(const Options& options) {
     log.events.push_back(event);
   }
   trigger->stop();
-  fmt::print("{}\n", trigger->status().scheduling);
-  std::ofstream file(options.log);
-  if (!(file << trigger::to_text(log) << std::flush)) {
-    throw Error(ErrorKind::Storage, fmt::format("{}: can't be written", options.log));
-  }
+  tell("{}\n", trigger->status().scheduling);
+  files::OutputFile output(options.log);
+  output.write(trigger::to_text(log));
+  output.commit();
 }
 
 void run(const Options& options) {
   if (options.record) {
     record(options);
   }
-  std::ifstream file(options.log);
-  if (!file) {
-    throw Error(ErrorKind::UnreadableInput, fmt::format("{}: can't be opened", options.log));
-  }
-  const std::string text{std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
+  constexpr std::size_t kMostBytes = 256U << 20;  // a million events have a third of it
+  const std::string text = files::read_text(options.log, kMostBytes, "edge log");
   render::write_png(draw_trigger_diagram(trigger::parse_edge_log(text, options.log), options.slots),
                     options.output);
 }

@@ -20,6 +20,7 @@
 #include "progress.hpp"
 #include "sheet.hpp"
 #include "take_frames.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 namespace {
@@ -83,7 +84,7 @@ std::optional<take::TakeReader> open_pictures(const take::TakeReader& take, cons
   if (!given.empty() || std::filesystem::is_regular_file(source, ignored)) {
     return take::TakeReader(source);
   }
-  fmt::print(stderr, "facet view: the take's source '{}' is not here; give it with --pictures\n", source);
+  tell(stderr, "facet view: the take's source '{}' is not here; give it with --pictures\n", source);
   return std::nullopt;
 }
 
@@ -102,10 +103,10 @@ void view_booth(const ViewOptions& options, take::TakeReader& take, const std::v
   progress.finish();
   render::write_png(sheet, options.sheet);
   for (const BoothError& error : errors) {
-    fmt::print("slot {}: {:.3f} mm from the truth (mean; 95 %: {:.3f} mm), normals {:.1f} degrees off\n",
-               error.slot, error.mean_mm, error.p95_mm, error.normal_deg);
+    tell("slot {}: {:.3f} mm from the truth (mean; 95 %: {:.3f} mm), normals {:.1f} degrees off\n",
+         error.slot, error.mean_mm, error.p95_mm, error.normal_deg);
   }
-  fmt::print("{}: {} frames of {}\n", options.sheet, frames.size(), options.take);
+  tell("{}: {} frames of {}\n", options.sheet, frames.size(), options.take);
 }
 
 void run_view(const ViewOptions& options) {
@@ -117,15 +118,15 @@ void run_view(const ViewOptions& options) {
   }
   const auto images = open_source_images(take.info(), options.video);
   if (!images) {
-    fmt::print(stderr, "facet view: the take's source '{}' is not a video file here; give it with --video\n",
-               take.info().source);
+    tell(stderr, "facet view: the take's source '{}' is not a video file here; give it with --video\n",
+         take.info().source);
   }
   Progress progress("Drawing", frames.size(), "rows");
   const render::Picture sheet = make_sheet(take, frames, images.get(),
                                            [&](int rows) { progress.set(static_cast<std::uint64_t>(rows)); });
   progress.finish();
   render::write_png(sheet, options.sheet);
-  fmt::print("{}: {} frames of {}\n", options.sheet, frames.size(), options.take);
+  tell("{}: {} frames of {}\n", options.sheet, frames.size(), options.take);
 }
 
 }  // namespace

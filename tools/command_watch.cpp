@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cstdint>
+#include <cstdio>
 #include <deque>
 #include <filesystem>
 #include <memory>
@@ -20,6 +21,7 @@
 #include "stream/client.hpp"
 #include "stream/ring_layout.h"
 #include "take/export.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 namespace {
@@ -106,13 +108,17 @@ class LiveLine {
       return;
     }
     next_ = now + (terminal_ ? Clock::duration(100ms) : Clock::duration(1s));
-    fmt::print("{}{}{}", terminal_ ? "\r" : "", text, terminal_ ? "\x1b[K" : "\n");
+    if (terminal_) {
+      tell("\r{}\x1b[K", text);
+    } else {
+      tell("{}\n", text);
+    }
     std::fflush(stdout);
     drawn_ = terminal_;
   }
   void finish() {
     if (drawn_) {
-      fmt::print("\n");
+      tell("\n");
       drawn_ = false;
     }
   }
@@ -156,7 +162,7 @@ void save_images(const FrameSet* set, const std::filesystem::path& folder) {
                 "no frame with pictures came: facetd passes them on in mode \"frames\"");
   }
   const std::size_t written = write_set_pictures(*set, folder);
-  fmt::print(stderr, "{}: {} pictures of slot {}\n", folder.string(), written, set->slot);
+  tell(stderr, "{}: {} pictures of slot {}\n", folder.string(), written, set->slot);
 }
 
 void save_mesh(const std::shared_ptr<const mesh::MeshFrame>& frame, const std::filesystem::path& file) {
@@ -167,7 +173,7 @@ void save_mesh(const std::shared_ptr<const mesh::MeshFrame>& frame, const std::f
   take::ExportMesh mesh;
   take::build_export_mesh(*frame, take::MeshLevel::Finest, take::MeshSpace::Camera, mesh);
   take::write_mesh(*format_of(file), mesh, file);
-  fmt::print(stderr, "{}: frame {}, {} vertices\n", file.string(), frame->sequence, mesh.vertices_mm.cols());
+  tell(stderr, "{}: frame {}, {} vertices\n", file.string(), frame->sequence, mesh.vertices_mm.cols());
 }
 
 void run_watch(const WatchOptions& options) {
@@ -207,7 +213,7 @@ void run_watch(const WatchOptions& options) {
     }
     last_arrival = Clock::now();
     if (options.json) {
-      fmt::print("{}\n", take::frame_json(got.frame, static_cast<std::int64_t>(received)));
+      std::puts(take::frame_json(got.frame, static_cast<std::int64_t>(received)).c_str());
       std::fflush(stdout);
     } else {
       window.add(got.frame);
@@ -220,9 +226,9 @@ void run_watch(const WatchOptions& options) {
     }
   }
   line.finish();
-  fmt::print(stderr, "{} frames received{}, {} dropped, {:.1f} MB over the socket\n", received,
-             client->by_ring() ? " by ring" : "", client->dropped(),
-             static_cast<double>(client->bytes_received()) * 1e-6);
+  tell(stderr, "{} frames received{}, {} dropped, {:.1f} MB over the socket\n", received,
+       client->by_ring() ? " by ring" : "", client->dropped(),
+       static_cast<double>(client->bytes_received()) * 1e-6);
   if (!options.save_last.empty()) {
     save_mesh(last_with_mesh, options.save_last);
   }
@@ -234,7 +240,7 @@ void run_watch(const WatchOptions& options) {
                                                     options.frames, client->closed_reason()));
   }
   if (!client->closed_reason().empty()) {
-    fmt::print(stderr, "{}\n", client->closed_reason());
+    tell(stderr, "{}\n", client->closed_reason());
   }
 }
 

@@ -1,6 +1,7 @@
 #include "daemon_options.hpp"
 
 #include <CLI/CLI.hpp>
+#include <chrono>
 #include <nlohmann/json.hpp>
 
 #include "service/config.hpp"
@@ -29,7 +30,9 @@ nlohmann::json call_daemon(const DaemonOptions& options, const std::string& meth
     const service::Config config = file.empty() ? service::default_config() : service::load_config(file);
     socket = config.control.socket;
   }
-  return service::ControlClient(socket).call(method, params);
+  // A slow disk may take its time for the beginning and the end of a take; all else is answered at once.
+  const bool waits_for_disk = method.starts_with("record.");
+  return service::ControlClient(socket, std::chrono::seconds(waits_for_disk ? 60 : 10)).call(method, params);
 }
 
 }  // namespace facet::tools

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "face/face_model.hpp"
+#include "facet/error.hpp"
 
 namespace facet::tools {
 namespace {
@@ -160,6 +161,10 @@ Comparison compare(const Reconstruction& reconstruction, const Truth& truth, Ali
 std::vector<std::int32_t> measured_vertices(const mesh::Subject& subject, const mesh::Vertices& coarse_mm,
                                             const Eigen::Matrix3Xf& coarse_normals) {
   const mesh::Hierarchy& hierarchy = *subject.hierarchy;
+  if (subject.regions.size() != static_cast<std::size_t>(hierarchy.control_vertex_count)) {
+    throw Error(ErrorKind::UnreadableInput,
+                "the take does not say of which regions its vertices are: there is nothing to measure");
+  }
   Eigen::MatrixXf skin(1, hierarchy.control_vertex_count);
   for (std::int32_t v = 0; v < hierarchy.control_vertex_count; ++v) {
     const std::uint8_t bits = subject.regions[static_cast<std::size_t>(v)];

@@ -59,6 +59,7 @@ Comparison compare(const Reconstruction& reconstruction, const Truth& truth, Ali
 /// subject        with hierarchy and regions
 /// coarse_mm      [3][finest vertex_count] camera frame, without displacements
 /// coarse_normals [3][finest vertex_count]
+/// Throws Error(UnreadableInput) where the subject, of a take from elsewhere, has no regions.
 std::vector<std::int32_t> measured_vertices(const mesh::Subject& subject, const mesh::Vertices& coarse_mm,
                                             const Eigen::Matrix3Xf& coarse_normals);
 

@@ -6,6 +6,8 @@
 #include <cmath>
 #include <limits>
 
+#include "facet/printable.hpp"
+
 namespace facet::tools {
 namespace {
 
@@ -123,7 +125,7 @@ const char* const kPlotStyle = R"(
 
 std::string html_text(const std::string& text) {
   std::string out;
-  for (const char letter : text) {
+  for (const char letter : printable(text)) {
     switch (letter) {
       case '&':
         out += "&amp;";

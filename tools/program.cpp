@@ -7,15 +7,15 @@
 #include <exception>
 
 #include "facet/error.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 
 int run_program(CLI::App& app, int argc, char** argv) {
 #if defined(__AVX2__) && defined(__FMA__)
   if (!__builtin_cpu_supports("avx2") || !__builtin_cpu_supports("fma")) {
-    fmt::print(stderr,
-               "{}: this build needs a processor with AVX2 and FMA; rebuild with -DFACET_MARCH=x86-64\n",
-               app.get_name());
+    tell(stderr, "{}: this build needs a processor with AVX2 and FMA; rebuild with -DFACET_MARCH=x86-64\n",
+         app.get_name());
     return static_cast<int>(ErrorKind::Internal);
   }
 #endif
@@ -28,10 +28,10 @@ int run_program(CLI::App& app, int argc, char** argv) {
     const int status = app.exit(error);
     return status == 0 ? 0 : static_cast<int>(ErrorKind::Usage);
   } catch (const Error& error) {
-    fmt::print(stderr, "{}: {}\n", app.get_name(), error.what());
+    tell(stderr, "{}: {}\n", app.get_name(), error.what());
     return static_cast<int>(error.kind());
   } catch (const std::exception& error) {
-    fmt::print(stderr, "{}: internal fault: {}\n", app.get_name(), error.what());
+    tell(stderr, "{}: internal fault: {}\n", app.get_name(), error.what());
     return static_cast<int>(ErrorKind::Internal);
   }
   return 0;

@@ -9,6 +9,8 @@
 #include <cstdio>
 #include <utility>
 
+#include "tell.hpp"
+
 namespace facet::tools {
 namespace {
 
@@ -91,9 +93,12 @@ void Progress::draw(bool last) {
   }
   if (terminal_) {
     line.resize(std::min(line.size(), static_cast<std::size_t>(terminal_columns() - 1)));
-    fmt::print(stderr, "\r{}\x1b[K{}", line, last ? "\n" : "");
+    tell(stderr, "\r{}\x1b[K", line);
+    if (last) {
+      tell(stderr, "\n");
+    }
   } else {
-    fmt::print(stderr, "{}\n", line);
+    tell(stderr, "{}\n", line);
   }
   std::fflush(stderr);
 }

@@ -4,6 +4,7 @@
 
 #include "facet/error.hpp"
 #include "pipeline/frame_range.hpp"
+#include "tell.hpp"
 
 namespace facet::tools {
 
@@ -39,10 +40,10 @@ take::Timeline timeline_of(take::TakeReader& take, const std::vector<std::int64_
 
 void warn_of_varying_rate(const take::Timeline& timeline, const std::string& output) {
   if (!timeline.times_s.empty()) {
-    fmt::print(stderr,
-               "facet: warning: the source's rate varies: '{}', played at its average of {:.6g} Hz, is up to "
-               "{:.3f} s beside the source (--format jsonl has every frame's time)\n",
-               output, timeline.rate_hz, timeline.deviation_s);
+    tell(stderr,
+         "facet: warning: the source's rate varies: '{}', played at its average of {:.6g} Hz, is up to "
+         "{:.3f} s beside the source (--format jsonl has every frame's time)\n",
+         output, timeline.rate_hz, timeline.deviation_s);
   }
 }
 

@@ -17,6 +17,9 @@
 #include "wire.h"
 
 enum { PASSED_DESCRIPTORS = 2, RING_ATTEMPTS = 64, FIRST_PAUSE_MS = 50, LONGEST_PAUSE_MS = 2000 };
+/* After its deadline a call still takes what has come; from a server that never pauses no longer than this.
+ */
+enum { GRACE_MS = 100 };
 
 /* A message whose memory is used again. */
 struct buffer {
@@ -44,6 +47,7 @@ struct facet_client {
 
   int fd; /* -1: not connected */
   int subscribed;
+  int64_t late_ms;  /* when a call ends though the server sends on and on */
   int64_t retry_ms; /* when to connect again */
   int pause_ms;
   uint8_t header[WIRE_HEADER_BYTES];
@@ -140,12 +144,21 @@ static int bad_data(facet_client* client, const char* what) {
   return lost(client, FACET_BAD_DATA);
 }
 
+static int late(const facet_client* client) {
+  return now_ms() >= client->late_ms;
+}
+
 /* the socket */
 
 static int connect_now(facet_client* client) {
   client->fd = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
   if (client->fd < 0 ||
       connect(client->fd, (const struct sockaddr*)&client->address, sizeof(client->address)) != 0) {
+    if (client->fd >= 0 && errno == EAGAIN) { /* its queue is full: it is there, and may accept yet */
+      say(client, "the server at '%s' does not answer", client->address.sun_path);
+      hang_up(client);
+      return AGAIN;
+    }
     say(client, "nobody answers at the socket '%s': %s", client->address.sun_path, strerror(errno));
     return lost(client, FACET_UNAVAILABLE);
   }
@@ -277,8 +290,8 @@ static int receive_message(facet_client* client) {
     if (outcome == FACET_CLOSED) {
       return lost(client, FACET_CLOSED);
     }
-    if (outcome != FACET_OK) {
-      return outcome;
+    if (outcome != FACET_OK || late(client)) {
+      return outcome != FACET_OK ? outcome : AGAIN;
     }
   }
 }
@@ -304,30 +317,38 @@ static int open_ring(facet_client* client, uint32_t version) {
   if (version != FACET_RING_VERSION || client->passed_count != PASSED_DESCRIPTORS) {
     return bad_data(client, "a ring of another version, or without its descriptors");
   }
+  /* Memory that its owner may shorten kills its readers (SIGBUS). */
   const int seals = fcntl(client->passed[0], F_GET_SEALS);
-  if (seals < 0 || (seals & F_SEAL_SHRINK) == 0 || fstat(client->passed[0], &status) != 0 ||
-      status.st_size < (off_t)FACET_RING_PAGE_BYTES) {
-    return bad_data(client, "a ring whose memory is not sealed, or too small");
+  if (seals < 0 || (seals & F_SEAL_SHRINK) == 0 || fstat(client->passed[0], &status) != 0) {
+    return bad_data(client, "a ring whose memory is not sealed");
   }
-  void* memory =
-      mmap(NULL, (size_t)status.st_size, PROT_READ, MAP_SHARED | MAP_POPULATE, client->passed[0], 0);
+  /* The page first: no more is mapped than it says, and it may not say more than the limits. */
+  if (pread(client->passed[0], &page, offsetof(struct facet_ring_page, published), 0) !=
+          (ssize_t)offsetof(struct facet_ring_page, published) ||
+      page.magic != FACET_RING_MAGIC || page.version != FACET_RING_VERSION || page.slot_count < 2 ||
+      page.slot_count > FACET_RING_MAX_SLOTS || page.slot_bytes < sizeof(struct facet_ring_slot) ||
+      page.slot_bytes % FACET_RING_ALIGNMENT != 0 || page.slot_bytes > WIRE_MAX_MESSAGE_BYTES) {
+    return bad_data(client, "a ring whose page makes no sense");
+  }
+  /* In blocks, too: what is not there yet would become this process's memory when it is read. */
+  const uint64_t bytes = FACET_RING_PAGE_BYTES + page.slot_count * page.slot_bytes;
+  if ((uint64_t)status.st_size < bytes || (uint64_t)status.st_blocks * 512 < bytes) {
+    return bad_data(client, "a ring whose memory is not all there");
+  }
+  if (fstat(client->passed[1], &status) != 0 || !S_ISFIFO(status.st_mode)) {
+    return bad_data(client, "a ring whose wake-ups come through no pipe");
+  }
+  void* memory = mmap(NULL, (size_t)bytes, PROT_READ, MAP_SHARED, client->passed[0], 0);
   if (memory == MAP_FAILED) {
     say(client, "no memory for a ring: %s", strerror(errno));
     return lost(client, FACET_OUT_OF_MEMORY);
   }
   ring->memory = memory;
-  ring->bytes = (size_t)status.st_size;
+  ring->bytes = (size_t)bytes;
   ring->wake = client->passed[1];
   client->passed_count = 1;
   drop_passed(client);
   fcntl(ring->wake, F_SETFL, O_NONBLOCK);
-  memcpy(&page, memory, offsetof(struct facet_ring_page, published));
-  if (page.magic != FACET_RING_MAGIC || page.version != FACET_RING_VERSION || page.slot_count < 2 ||
-      page.slot_count > FACET_RING_MAX_SLOTS || page.slot_bytes < sizeof(struct facet_ring_slot) ||
-      page.slot_bytes % FACET_RING_ALIGNMENT != 0 || page.slot_bytes > WIRE_MAX_MESSAGE_BYTES ||
-      ring->bytes < FACET_RING_PAGE_BYTES + page.slot_count * page.slot_bytes) {
-    return bad_data(client, "a ring whose page makes no sense");
-  }
   ring->slot_count = page.slot_count;
   ring->slot_bytes = page.slot_bytes;
   ring->publication = 0;
@@ -417,8 +438,12 @@ static int next_of_ring(facet_client* client) {
   struct ring* ring = &client->ring;
   struct wire_array arrays[FACET_RING_ARRAY_COUNT];
   char wake_ups[64];
-  /* First the wake-ups, then the frame: one that comes in between wakes again. */
-  while (read(ring->wake, wake_ups, sizeof(wake_ups)) == (ssize_t)sizeof(wake_ups)) {
+  /* First the wake-ups, then the frame: one that comes in between wakes again. A server that sends them
+   * without end is not waited for; nor one that took O_NONBLOCK away from its pipe. */
+  struct pollfd woken = {ring->wake, POLLIN, 0};
+  if (poll(&woken, 1, 0) > 0 && (woken.revents & POLLIN) != 0 &&
+      read(ring->wake, wake_ups, sizeof(wake_ups)) < 0 && errno != EAGAIN && errno != EINTR) {
+    return bad_data(client, "a ring whose wake-ups can't be read");
   }
   const int outcome = newest_head(client);
   if (outcome != FACET_OK && !(outcome == AGAIN && client->fd >= 0 && client->ring_head_waits)) {
@@ -563,7 +588,7 @@ void facet_client_free(facet_client* client) {
   free(client);
 }
 
-/* Whatever can be done at once. FACET_OK: a frame is there. AGAIN: wait for something. */
+/* Whatever can be done at once. FACET_OK: a frame is there. AGAIN: wait for something, or it is late. */
 static int advance(facet_client* client) {
   if (client->fd < 0) {
     if (now_ms() < client->retry_ms) {
@@ -585,7 +610,7 @@ static int advance(facet_client* client) {
       return outcome;
     }
     outcome = accept_message(client);
-    if (outcome != AGAIN || client->fd < 0) {
+    if (outcome != AGAIN || client->fd < 0 || late(client)) {
       return outcome;
     }
   }
@@ -606,6 +631,7 @@ static void wait_for_more(const facet_client* client, int64_t left_ms) {
 
 int facet_client_next(facet_client* client, int timeout_ms) {
   const int64_t deadline_ms = now_ms() + timeout_ms;
+  client->late_ms = timeout_ms < 0 ? INT64_MAX : deadline_ms + GRACE_MS;
   client->has_frame = 0;
   if ((client->flags & FACET_RECONNECT) == 0) {
     client->retry_ms = 0;

@@ -1,4 +1,4 @@
-"""The live meshes of a running facetd, in Python: libfacet-client through ctypes, arrays as NumPy views.
+"""The live meshes of a running facetd, in Python: libfacet-client through ctypes, arrays of NumPy.
 
     import facet_client
     with facet_client.Client(profile=facet_client.DISPLACEMENTS, ring=True, reconnect=True) as client:
@@ -7,11 +7,13 @@
             if mesh is not None:
                 vertices_mm, normals = mesh  # [vertex_count][3] float32, head frame
 
-Arrays are views of the client's memory, read-only, and hold until its next frame: copy() what is to stay. One thread at a
-time. Needs NumPy and libfacet-client (facet-client-dev); FACET_CLIENT_LIBRARY names another file of it.
+Arrays are copies, yours for as long as you like. A client that was closed raises ValueError, one that another thread is
+using RuntimeError. Needs NumPy and libfacet-client (facet-client-dev); FACET_CLIENT_LIBRARY names another file of it.
 """
+import contextlib
 import ctypes
 import os
+import threading
 from types import SimpleNamespace
 
 import numpy
@@ -91,13 +93,9 @@ def _load():
     return library
 
 
-def _view(pointer, *shape):
-    """A read-only array of the memory behind a pointer; None where there is none."""
-    if not pointer:
-        return None
-    array = numpy.ctypeslib.as_array(pointer, shape=shape)
-    array.flags.writeable = False
-    return array
+def _copy(pointer, *shape):
+    """The memory behind a pointer, copied: the library uses it again for the next frame. None where there is none."""
+    return numpy.array(numpy.ctypeslib.as_array(pointer, shape=shape)) if pointer else None
 
 
 class Client:
@@ -109,15 +107,38 @@ class Client:
     """
 
     def __init__(self, socket=DEFAULT_SOCKET, profile=DISPLACEMENTS, albedo=False, ring=False, reconnect=False, name="python"):
+        self._client = None
+        self._socket = os.fsdecode(socket)
+        self._lock = threading.Lock()
+        self._subject = (None, None)  # which, and what
         self._library = _load()
         flags = (_WANT_ALBEDO if albedo else 0) | (_WANT_RING if ring else 0) | (_RECONNECT if reconnect else 0)
         self._client = self._library.facet_client_new(os.fsencode(socket), profile, flags, name.encode())
         if not self._client:
             raise Error(f"no client: {os.strerror(ctypes.get_errno())}")
 
+    @contextlib.contextmanager
+    def _open(self):
+        """The library's client, for one thread: nobody frees or refills what is being read."""
+        if not self._lock.acquire(blocking=False):
+            raise RuntimeError(f"the client of '{self._socket}' is in use by another thread")
+        try:
+            if not self._client:
+                raise ValueError(f"the client of '{self._socket}' is closed")
+            yield self._client
+        finally:
+            self._lock.release()
+
     def close(self):
-        self._library.facet_client_free(self._client)
-        self._client = None
+        """Frees the client; arrays that it gave stay. Again: nothing."""
+        if self._client:
+            with self._open() as client:
+                self._client = None
+                self._library.facet_client_free(client)
+
+    def __del__(self):
+        if getattr(self, "_client", None):
+            self.close()
 
     def __enter__(self):
         return self
@@ -139,64 +160,74 @@ class Client:
         """The newest frame that was not had yet; None where none comes in time. timeout_s None waits without end.
 
         Raises ConnectionResetError where the server said goodbye or is gone, Error for all else."""
-        outcome = self._library.facet_client_next(self._client, -1 if timeout_s is None else int(timeout_s * 1000))
-        if outcome == _TIMEOUT:
-            return None
-        if outcome == _CLOSED:
-            raise ConnectionResetError(self.message)
-        if outcome != _OK:
-            raise Error(self.message)
-        frame = self._library.facet_client_frame(self._client).contents
-        return SimpleNamespace(
-            sequence=frame.sequence, timestamp_ns=frame.timestamp_ns, media_time_ns=frame.media_time_ns,
-            state=STATES[frame.state], degraded=bool(frame.degraded), degraded_reason=frame.degraded_reason.decode(errors="replace"),
-            camera=(frame.fx, frame.fy, frame.cx, frame.cy, frame.width_px, frame.height_px),
-            landmarks_px=_view(frame.landmarks_px, frame.landmark_count, 2), latency_ms=frame.latency_ms,
-            subject_id=frame.subject_id, albedo_version=frame.albedo_version,
-            camera_from_head=numpy.array(frame.camera_from_head, numpy.float32).reshape(3, 4),
-            expression=_view(frame.expression, frame.expression_count),
-            photometric_rms=frame.photometric_rms, lighting=numpy.array(frame.lighting, numpy.float32))
+        timeout_ms = -1 if timeout_s is None else int(1000 * min(max(timeout_s, 0), 2_000_000))
+        with self._open() as client:
+            outcome = self._library.facet_client_next(client, timeout_ms)
+            if outcome == _TIMEOUT:
+                return None
+            if outcome != _OK:
+                message = self._library.facet_client_message(client).decode(errors="replace")
+                raise ConnectionResetError(message) if outcome == _CLOSED else Error(message)
+            frame = self._library.facet_client_frame(client).contents
+            return SimpleNamespace(
+                sequence=frame.sequence, timestamp_ns=frame.timestamp_ns, media_time_ns=frame.media_time_ns,
+                state=STATES[frame.state], degraded=bool(frame.degraded), degraded_reason=frame.degraded_reason.decode(errors="replace"),
+                camera=(frame.fx, frame.fy, frame.cx, frame.cy, frame.width_px, frame.height_px),
+                landmarks_px=_copy(frame.landmarks_px, frame.landmark_count, 2), latency_ms=frame.latency_ms,
+                subject_id=frame.subject_id, albedo_version=frame.albedo_version,
+                camera_from_head=numpy.array(frame.camera_from_head, numpy.float32).reshape(3, 4),
+                expression=_copy(frame.expression, frame.expression_count),
+                photometric_rms=frame.photometric_rms, lighting=numpy.array(frame.lighting, numpy.float32))
 
     def mesh(self):
         """(vertices_mm, normals) of the frame, [vertex_count][3] float32 each; None where it has none, or where it was
         overwritten in the ring meanwhile."""
-        mesh = ctypes.POINTER(_Mesh)()
-        outcome = self._library.facet_client_mesh(self._client, ctypes.byref(mesh))
-        if outcome in (_NO_MESH, _OVERWRITTEN):
-            return None
-        if outcome != _OK:
-            raise Error("no memory for a mesh")
-        count = mesh.contents.vertex_count
-        return _view(mesh.contents.vertices_mm, count, 3), _view(mesh.contents.normals, count, 3)
+        with self._open() as client:
+            mesh = ctypes.POINTER(_Mesh)()
+            outcome = self._library.facet_client_mesh(client, ctypes.byref(mesh))
+            if outcome in (_NO_MESH, _OVERWRITTEN):
+                return None
+            if outcome != _OK:
+                raise Error("no memory for a mesh")
+            count = mesh.contents.vertex_count
+            return _copy(mesh.contents.vertices_mm, count, 3), _copy(mesh.contents.normals, count, 3)
 
     @property
     def subject(self):
-        """What does not change from frame to frame; None before the first mesh."""
-        pointer = self._library.facet_client_subject(self._client)
-        if not pointer:
-            return None
-        subject = pointer.contents
-        return SimpleNamespace(
-            id=subject.id, expression_names=[subject.expression_names[k].decode(errors="replace") for k in range(subject.expression_count)],
-            identity=_view(subject.identity, subject.identity_count), vertex_count=subject.vertex_count,
-            triangles=_view(subject.triangles, subject.triangle_count, 3),
-            texture_coordinates=_view(subject.texture_coordinates, subject.vertex_count, 2))
+        """What does not change from frame to frame, copied once; None before the first mesh."""
+        with self._open() as client:
+            pointer = self._library.facet_client_subject(client)
+            if not pointer:
+                return None
+            subject = pointer.contents
+            which = self._library.facet_client_statistics(client).contents.connections, subject.id
+            if self._subject[0] == which:
+                return self._subject[1]
+            self._subject = which, SimpleNamespace(
+                id=subject.id, expression_names=[subject.expression_names[k].decode(errors="replace") for k in range(subject.expression_count)],
+                identity=_copy(subject.identity, subject.identity_count), vertex_count=subject.vertex_count,
+                triangles=_copy(subject.triangles, subject.triangle_count, 3),
+                texture_coordinates=_copy(subject.texture_coordinates, subject.vertex_count, 2))
+            return self._subject[1]
 
     @property
     def albedo(self):
         """(version, linear RGB [vertex_count][3] float32); None before the first."""
-        pointer = self._library.facet_client_albedo(self._client)
-        if not pointer:
-            return None
-        albedo = pointer.contents
-        return albedo.version, _view(albedo.linear_rgb, albedo.vertex_count, 3) * numpy.float32(albedo.scale / 65535)
+        with self._open() as client:
+            pointer = self._library.facet_client_albedo(client)
+            if not pointer:
+                return None
+            albedo = pointer.contents
+            return albedo.version, _copy(albedo.linear_rgb, albedo.vertex_count, 3) * numpy.float32(albedo.scale / 65535)
 
     @property
     def statistics(self):
-        statistics = self._library.facet_client_statistics(self._client).contents
-        return SimpleNamespace(**{name: getattr(statistics, name) for name, _ in _Statistics._fields_})
+        with self._open() as client:
+            statistics = self._library.facet_client_statistics(client).contents
+            return SimpleNamespace(**{name: getattr(statistics, name) for name, _ in _Statistics._fields_})
 
     @property
     def message(self):
         """Why the last frame did not come, for people."""
-        return self._library.facet_client_message(self._client).decode(errors="replace")
+        with self._open() as client:
+            return self._library.facet_client_message(client).decode(errors="replace")

@@ -1,15 +1,13 @@
 #include "animate/basis_file.hpp"
 
-#include <fcntl.h>
 #include <fmt/format.h>
-#include <sys/mman.h>
 #include <sys/stat.h>
-#include <unistd.h>
 
 #include <cmath>
 #include <cstring>
 
 #include "facet/error.hpp"
+#include "files/text_file.hpp"
 #include "take/checksum.hpp"
 
 namespace facet::animate {
@@ -85,6 +83,22 @@ void check_header(const BasisHeader& header) {
   }
 }
 
+/// Whether it is a basis, and as many bytes as its header says.
+void check_size(const BasisHeader& header, std::size_t bytes) {
+  if (header.magic != kBasisMagic) {
+    refuse("it is no basis");
+  }
+  if (header.version != kBasisVersion) {
+    refuse(fmt::format("it is of version {}, not {}", header.version, kBasisVersion));
+  }
+  check_header(header);
+  std::size_t size = 0;
+  lay_out(header, {}, size);
+  if (size != bytes) {
+    refuse(fmt::format("it has {} bytes instead of {}", bytes, size));
+  }
+}
+
 void check_finite(const float* values, std::size_t count) {
   // A number that is not finite makes every sum with it not finite.
   float sum = 0;
@@ -114,18 +128,9 @@ BasisSections basis_sections(std::span<const std::byte> bytes) {
   }
   BasisHeader header;
   std::memcpy(&header, bytes.data(), sizeof(header));
-  if (header.magic != kBasisMagic) {
-    refuse("it is no basis");
-  }
-  if (header.version != kBasisVersion) {
-    refuse(fmt::format("it is of version {}, not {}", header.version, kBasisVersion));
-  }
-  check_header(header);
+  check_size(header, bytes.size());
   std::size_t size = 0;
   const BasisSections sections = lay_out(header, bytes, size);
-  if (size != bytes.size()) {
-    refuse(fmt::format("it has {} bytes instead of {}", bytes.size(), size));
-  }
   const auto* start = reinterpret_cast<const std::uint8_t*>(bytes.data());
   if (take::crc32c({start + kChecksummedFrom, bytes.size() - kChecksummedFrom}) != header.crc32c) {
     refuse("its checksum is wrong");
@@ -145,11 +150,11 @@ BasisSections basis_sections(std::span<const std::byte> bytes) {
   return sections;
 }
 
-std::vector<std::byte> make_basis_bytes(const BasisHeader& header) {
+BasisBytes make_basis_bytes(const BasisHeader& header) {
   check_header(header);
   std::size_t size = 0;
   lay_out(header, {}, size);
-  std::vector<std::byte> bytes(size);
+  BasisBytes bytes(size);
   std::memcpy(bytes.data(), &header, sizeof(header));
   return bytes;
 }
@@ -165,24 +170,22 @@ BasisSections unsealed_sections(std::span<const std::byte> bytes) {
   return lay_out(*reinterpret_cast<const BasisHeader*>(bytes.data()), bytes, size);
 }
 
-void BasisMemory::Unmap::operator()(const std::byte* start) const {
-  ::munmap(const_cast<std::byte*>(start), bytes);
-}
-
-std::optional<BasisMemory> BasisMemory::map(const std::filesystem::path& file) {
-  const int descriptor = ::open(file.c_str(), O_RDONLY | O_CLOEXEC);
-  if (descriptor < 0) {
+std::optional<BasisBytes> read_basis(const std::filesystem::path& file) {
+  constexpr std::size_t kMostBytes = std::size_t{1} << 30;
+  try {
+    const files::InputFile in(file, "basis");
+    BasisHeader header;
+    in.read(0, std::as_writable_bytes(std::span(&header, 1)));
+    check_size(header, in.size());
+    if (in.size() > kMostBytes) {
+      return std::nullopt;
+    }
+    BasisBytes bytes(in.size());
+    in.read(0, bytes);
+    return bytes;
+  } catch (const Error&) {
     return std::nullopt;
   }
-  struct stat status {};
-  const bool regular = ::fstat(descriptor, &status) == 0 && S_ISREG(status.st_mode) && status.st_size > 0;
-  const auto size = static_cast<std::size_t>(status.st_size);
-  void* start = regular ? ::mmap(nullptr, size, PROT_READ, MAP_SHARED, descriptor, 0) : MAP_FAILED;
-  ::close(descriptor);
-  if (start == MAP_FAILED) {
-    return std::nullopt;
-  }
-  return BasisMemory(Mapping(static_cast<const std::byte*>(start), Unmap{size}));
 }
 
 }  // namespace facet::animate

@@ -1,14 +1,13 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <array>
 #include <cstddef>
 #include <cstdint>
 #include <filesystem>
-#include <memory>
 #include <optional>
 #include <span>
 #include <type_traits>
-#include <utility>
 #include <vector>
 
 /// The file NAME.basis beside a take: docs/animation.md is its page.
@@ -84,39 +83,24 @@ struct BasisSections {
   const std::uint8_t* eye_of_vertex = nullptr;
 };
 
+/// Of a whole file. Aligned as Eigen adds up: sums have the same bits wherever the memory lies.
+using BasisBytes = std::vector<std::byte, Eigen::aligned_allocator<std::byte>>;
+
 /// Finds the parts in the bytes of a file from outside. Throws Error(UnreadableInput), without a file's name,
 /// where sizes, checksum or numbers are wrong.
 BasisSections basis_sections(std::span<const std::byte> bytes);
 
 /// Bytes of a whole basis file of which header says the sizes; its parts are 0 and are written through
 /// mutable_part.
-std::vector<std::byte> make_basis_bytes(const BasisHeader& header);
+BasisBytes make_basis_bytes(const BasisHeader& header);
 /// Sets the checksum, after which basis_sections takes it.
 void seal_basis(std::span<std::byte> bytes);
 /// The sections of unsealed bytes.
 BasisSections unsealed_sections(std::span<const std::byte> bytes);
 
-/// A basis' bytes, mapped from a file or in memory. Movable.
-class BasisMemory {
- public:
-  explicit BasisMemory(std::vector<std::byte> bytes) : owned_(std::move(bytes)) {}
-  /// Maps a file; nothing where there is none or it can't be mapped.
-  static std::optional<BasisMemory> map(const std::filesystem::path& file);
-
-  std::span<const std::byte> bytes() const {
-    return mapped_ != nullptr ? std::span<const std::byte>(mapped_.get(), mapped_.get_deleter().bytes)
-                              : std::span<const std::byte>(owned_);
-  }
-
- private:
-  struct Unmap {
-    std::size_t bytes;
-    void operator()(const std::byte* start) const;
-  };
-  using Mapping = std::unique_ptr<const std::byte, Unmap>;
-  explicit BasisMemory(Mapping mapped) : mapped_(std::move(mapped)) {}
-  std::vector<std::byte> owned_;
-  Mapping mapped_{nullptr, Unmap{0}};
-};
+/// The bytes of a basis file, read into memory; nothing where there is none, it can't be read, or its size is
+/// not what its header says. Memory is taken after that. No more than 1 GiB: a basis of the default ranks and
+/// half a million vertices has half of it.
+std::optional<BasisBytes> read_basis(const std::filesystem::path& file);
 
 }  // namespace facet::animate

@@ -10,6 +10,7 @@
 
 #include "animate/influence.hpp"
 #include "facet/error.hpp"
+#include "files/json_text.hpp"
 #include "files/text_file.hpp"
 
 namespace facet::animate {
@@ -149,13 +150,15 @@ class Reader {
 }  // namespace
 
 KeyList parse_keys(std::string_view text, const std::string& source) {
-  const Reader reader(source);
-  json root;
   try {
-    root = json::parse(text);
-  } catch (const json::exception& exception) {
-    reader.fail("it", fmt::format("is not JSON: {}", exception.what()));
+    return keys_of(files::parse_json(text, kKeysLimits, source), source);
+  } catch (const Error& error) {
+    throw Error(ErrorKind::Usage, error.what());
   }
+}
+
+KeyList keys_of(const json& root, const std::string& source) {
+  const Reader reader(source);
   reader.check_names(root, "the file", {"rate_hz", "whole", "clamp", "pace", "regions", "keys"});
   KeyList out;
   if (root.contains("rate_hz")) {
@@ -192,7 +195,7 @@ KeyList parse_keys(std::string_view text, const std::string& source) {
 }
 
 KeyList read_keys(const std::filesystem::path& file) {
-  return parse_keys(files::read_text(file, kMostKeysBytes, "keys file"), file.string());
+  return parse_keys(files::read_text(file, kKeysLimits.most_bytes, "keys file"), file.string());
 }
 
 }  // namespace facet::animate

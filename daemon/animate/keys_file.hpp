@@ -3,10 +3,13 @@
 #include <Eigen/Core>
 #include <cstdint>
 #include <filesystem>
+#include <nlohmann/json_fwd.hpp>
 #include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
+
+#include "files/json_text.hpp"
 
 namespace facet::animate {
 
@@ -45,7 +48,7 @@ struct KeyList {
   std::vector<Key> keys;             ///< at least one; times rise
 };
 
-inline constexpr std::size_t kMostKeysBytes = 16U << 20;
+inline constexpr files::JsonLimits kKeysLimits{16U << 20, 4'000'000};
 inline constexpr std::size_t kMostKeys = 10'000;
 inline constexpr double kLongest_s = 24 * 3600;
 
@@ -53,6 +56,8 @@ inline constexpr double kLongest_s = 24 * 3600;
 /// and what is wrong: no JSON, an unknown or missing name, a wrong type, numbers out of bounds, no keys,
 /// time that does not rise.
 KeyList parse_keys(std::string_view text, const std::string& source);
+/// The same of a text that is parsed already.
+KeyList keys_of(const nlohmann::json& root, const std::string& source);
 KeyList read_keys(const std::filesystem::path& file);
 
 }  // namespace facet::animate

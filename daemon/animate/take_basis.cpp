@@ -131,7 +131,7 @@ class Builder {
   Builder(const std::filesystem::path& take, const BasisOptions& options, const BasisProgress& progress)
       : take_(take), options_(options), progress_(progress), reader_(take) {}
 
-  std::vector<std::byte> build(const FileState& state) {
+  BasisBytes build(const FileState& state) {
     find_directions();
     find_coefficients();
     return pack(state);
@@ -159,7 +159,7 @@ class Builder {
     }
     if (subject_ == nullptr) {
       begin(*frame);
-    } else if (frame->subject->hierarchy->id != subject_->hierarchy->id) {
+    } else if (!mesh::same_topology(*frame->subject->hierarchy, *subject_->hierarchy)) {
       refuse(fmt::format(
           "has meshes of more than one topology: frame {} is of another than frame {} (another person, or "
           "the same one acquired anew); process the footage of each apart, with --frames",
@@ -400,7 +400,7 @@ class Builder {
     header_.blinks_known = std::find(names.begin(), names.end(), "eyeBlinkLeft") != names.end() ? 1 : 0;
   }
 
-  std::vector<std::byte> pack(const FileState& state) {
+  BasisBytes pack(const FileState& state) {
     const mesh::Hierarchy& hierarchy = *subject_->hierarchy;
     header_.take = state;
     header_.subject_id = subject_->id;
@@ -431,7 +431,7 @@ class Builder {
                          Eigen::Map<const mesh::Vertices>(coarse_mean.data(), 3, reference_.cols()), levels);
     const Eigen::MatrixXf folds = narrow_part(hierarchy, levels.back(), detail);
 
-    std::vector<std::byte> bytes = make_basis_bytes(header_);
+    BasisBytes bytes = make_basis_bytes(header_);
     const BasisSections parts = unsealed_sections(bytes);
     const auto fill = [](const auto* part, const auto* from, std::size_t count) {
       if (count > 0) {
@@ -479,14 +479,14 @@ class Builder {
 };
 
 /// The kept basis, where it is sound and of this take and these options.
-std::optional<BasisMemory> kept_basis(const std::filesystem::path& file, const FileState& state,
-                                      const BasisOptions& options) {
-  std::optional<BasisMemory> memory = BasisMemory::map(file);
+std::optional<BasisBytes> kept_basis(const std::filesystem::path& file, const FileState& state,
+                                     const BasisOptions& options) {
+  std::optional<BasisBytes> memory = read_basis(file);
   if (!memory) {
     return std::nullopt;
   }
   try {
-    const BasisHeader& header = *basis_sections(memory->bytes()).header;
+    const BasisHeader& header = *basis_sections(*memory).header;
     const bool fits = header.take == state && header.wanted_coarse_rank == options.coarse_rank &&
                       header.wanted_detail_rank == options.detail_rank;
     return fits ? std::move(memory) : std::nullopt;
@@ -565,11 +565,11 @@ Eigen::MatrixXf narrow_part(const mesh::Hierarchy& hierarchy, const mesh::Vertic
   return values - broad;
 }
 
-TakeBasis::TakeBasis(std::filesystem::path take, BasisMemory memory, bool was_kept,
+TakeBasis::TakeBasis(std::filesystem::path take, BasisBytes memory, bool was_kept,
                      std::shared_ptr<const mesh::MeshFrame> sample)
     : take_(std::move(take)),
       memory_(std::move(memory)),
-      sections_(unsealed_sections(memory_.bytes())),
+      sections_(unsealed_sections(memory_)),
       was_kept_(was_kept),
       sample_(std::move(sample)) {
   std::vector<mesh::Vertices> levels;
@@ -589,10 +589,10 @@ std::shared_ptr<const TakeBasis> TakeBasis::open(const std::filesystem::path& ta
   // Opening a take may fold its log in: only then is the file as it stays.
   { const take::TakeReader opened(take); }
   const FileState state = state_of(take);
-  std::optional<BasisMemory> memory = kept_basis(file, state, options);
+  std::optional<BasisBytes> memory = kept_basis(file, state, options);
   const bool was_kept = memory.has_value();
   if (!memory) {
-    std::vector<std::byte> bytes = Builder(take, options, progress).build(state);
+    memory = Builder(take, options, progress).build(state);
     if (state_of(take) != state) {
       throw Error(
           ErrorKind::UnreadableInput,
@@ -600,17 +600,12 @@ std::shared_ptr<const TakeBasis> TakeBasis::open(const std::filesystem::path& ta
     }
     try {
       files::OutputFile out(file);
-      out.write(std::span<const std::byte>(bytes));
+      out.write(std::span<const std::byte>(*memory));
       out.commit();
-      memory = BasisMemory::map(file);
-    } catch (const Error&) {
-      memory.reset();  // a folder that can't be written
-    }
-    if (!memory || memory->bytes().size() != bytes.size()) {
-      memory.emplace(std::move(bytes));
+    } catch (const Error&) {  // a folder that can't be written: it is made anew the next time
     }
   }
-  auto sample = sample_frame(take, unsealed_sections(memory->bytes()));
+  auto sample = sample_frame(take, unsealed_sections(*memory));
   return std::shared_ptr<const TakeBasis>(
       new TakeBasis(take, std::move(*memory), was_kept, std::move(sample)));
 }

@@ -39,7 +39,7 @@ using BasisProgress = std::function<bool(std::int64_t done, std::int64_t total)>
 /// they move rigidly and are in none of the coarse directions. Immutable; any thread.
 class TakeBasis {
  public:
-  /// Maps the basis kept for this take or, where there is none that belongs to the take as it is, makes one
+  /// Reads the basis kept for this take or, where there is none that belongs to the take as it is, makes one
   /// by two readings of the take in blocks. Throws Error(UnreadableInput) where the take can't be read, has
   /// fewer than 3 meshes, meshes of more than one topology, or changes meanwhile; Error(Usage) where options
   /// make no sense; Error(Unavailable) where progress returned false.
@@ -95,11 +95,11 @@ class TakeBasis {
   std::vector<std::pair<std::int32_t, float>> stencil(std::int32_t finest_vertex) const;
 
  private:
-  TakeBasis(std::filesystem::path take, BasisMemory memory, bool was_kept,
+  TakeBasis(std::filesystem::path take, BasisBytes memory, bool was_kept,
             std::shared_ptr<const mesh::MeshFrame> sample);
 
   std::filesystem::path take_;
-  BasisMemory memory_;
+  BasisBytes memory_;
   BasisSections sections_;
   bool was_kept_;
   std::shared_ptr<const mesh::MeshFrame> sample_;

@@ -20,6 +20,7 @@
 
 #include "avatar/protocols.hpp"
 #include "facet/error.hpp"
+#include "files/output_file.hpp"
 
 namespace facet::avatar {
 namespace {
@@ -141,12 +142,14 @@ struct Bridge::Impl {
   Clock::time_point recorded_until;
 
   // The thread's own.
-  std::thread thread;
   OscBundles vmc{kMostDatagram};
   std::vector<std::vector<std::byte>> live_link{1};
 
+  std::jthread thread;  // last, so that it is joined before anything is freed
+
   static int open_socket(int family);
   void run();
+  void work_once(std::unique_lock<std::mutex>& lock, Clock::time_point& next_send);
   void finish_recording(std::unique_lock<std::mutex>& lock);
   void send(const FaceState& state, bool with_neutral);
   static std::string send_all(Destination& to, const std::vector<std::vector<std::byte>>& datagrams);
@@ -154,7 +157,12 @@ struct Bridge::Impl {
 
 Bridge::Impl::Impl(const BridgeConfig& given)
     : smoother(static_cast<float>(given.smoothing_ms * 1e-3)), config(given) {
-  neutral = load_neutral(config.neutral_file);
+  try {
+    neutral = load_neutral(config.neutral_file);
+  } catch (const Error& error) {
+    // A file that a power cut left empty must not keep the daemon from its work.
+    status.neutral_reason = fmt::format("{}; {}", error.what(), files::set_aside(config.neutral_file));
+  }
   status.neutral = neutral ? NeutralState::Set : NeutralState::None;
   for (const BridgeTarget& target : config.targets) {
     const Address address = socket_address(target.address, target.port);
@@ -182,37 +190,53 @@ int Bridge::Impl::open_socket(int family) {
 
 void Bridge::Impl::run() {
   ::pthread_setname_np(::pthread_self(), "facet-bridge");
-  const auto period =
-      std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1 / config.rate_hz));
   Clock::time_point next_send = Clock::now();
   std::unique_lock lock(mutex);
   while (!stopping) {
-    const auto now = Clock::now();
-    if (recorder && now >= recorded_until) {
-      finish_recording(lock);
+    try {
+      work_once(lock, next_send);
+    } catch (const std::exception& error) {
+      // A frame for which there was no memory: the next one finds some, or not.
+      if (!lock.owns_lock()) {
+        lock.lock();
+      }
+      for (BridgeTargetStatus& target : status.targets) {
+        ++target.failed;
+        target.reason = error.what();
+      }
     }
-    if (newest == nullptr || now < next_send) {
-      // A recording ends without a frame too.
-      const auto until = newest != nullptr ? next_send : now + std::chrono::milliseconds(100);
-      changed.wait_until(lock, until);
-      continue;
-    }
-    // A frame that comes a little early is in time all the same: a camera at rate_hz loses none.
-    next_send = std::max(next_send + period, now - period / 2);
-    FaceState state = face_state(*std::exchange(newest, nullptr));
-    if (recorder) {
-      recorder->add(state);
-      status.neutral_frames = recorder->frames();
-    }
-    const bool with_neutral = neutral.has_value();
-    if (neutral && state.tracked) {
-      subtract(*neutral, state);
-    }
-    lock.unlock();
-    smoother.apply(state);
-    send(state, with_neutral);
-    lock.lock();
   }
+}
+
+/// Waits for a frame or the time to send it, sends it, or ends the recording of a neutral pose.
+void Bridge::Impl::work_once(std::unique_lock<std::mutex>& lock, Clock::time_point& next_send) {
+  const auto period =
+      std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1 / config.rate_hz));
+  const auto now = Clock::now();
+  if (recorder && now >= recorded_until) {
+    finish_recording(lock);
+  }
+  if (newest == nullptr || now < next_send) {
+    // A recording ends without a frame too.
+    const auto until = newest != nullptr ? next_send : now + std::chrono::milliseconds(100);
+    changed.wait_until(lock, until);
+    return;
+  }
+  // A frame that comes a little early is in time all the same: a camera at rate_hz loses none.
+  next_send = std::max(next_send + period, now - period / 2);
+  FaceState state = face_state(*std::exchange(newest, nullptr));
+  if (recorder) {
+    recorder->add(state);
+    status.neutral_frames = recorder->frames();
+  }
+  const bool with_neutral = neutral.has_value();
+  if (neutral && state.tracked) {
+    subtract(*neutral, state);
+  }
+  lock.unlock();
+  smoother.apply(state);
+  send(state, with_neutral);
+  lock.lock();
 }
 
 /// Writes the file with the lock open: whoever hands frames over does not wait for the disk.
@@ -287,7 +311,7 @@ Bridge::~Bridge() {
 }
 
 void Bridge::start() {
-  impl_->thread = std::thread([this] { impl_->run(); });
+  impl_->thread = std::jthread([this] { impl_->run(); });
 }
 
 void Bridge::request_stop() {

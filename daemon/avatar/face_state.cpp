@@ -9,6 +9,7 @@
 #include <system_error>
 
 #include "facet/error.hpp"
+#include "files/json_text.hpp"
 #include "files/output_file.hpp"
 #include "files/text_file.hpp"
 
@@ -20,11 +21,11 @@ using nlohmann::json;
 constexpr float kMetresPerMillimetre = 0.001F;
 /// A value that rests so near to its end has no range left.
 constexpr float kMostRest = 0.95F;
-constexpr std::size_t kMostFileBytes = 1 << 16;
 
-/// Throws json::exception or std::runtime_error saying what is wrong.
-NeutralPose parse_neutral(const std::string& text) {
-  const json document = json::parse(text);
+/// Throws std::exception saying what is wrong.
+NeutralPose parse(std::string_view text) {
+  constexpr std::size_t kMostValues = 1000;  // of 59
+  const json document = files::parse_json(text, {kMostNeutralBytes, kMostValues}, "its text");
   if (document.at("facet_neutral") != 1) {
     throw std::runtime_error("it is of another version");
   }
@@ -120,19 +121,21 @@ void save_neutral(const NeutralPose& neutral, const std::filesystem::path& file)
   output.commit();
 }
 
+NeutralPose parse_neutral(std::string_view text, const std::string& source) {
+  try {
+    return parse(text);
+  } catch (const std::exception& error) {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("neutral pose {}: {}; `facet neutral` records it anew", source, error.what()));
+  }
+}
+
 std::optional<NeutralPose> load_neutral(const std::filesystem::path& file) {
   std::error_code ignored;
   if (!std::filesystem::exists(file, ignored)) {
     return std::nullopt;
   }
-  const std::string text = files::read_text(file, kMostFileBytes, "neutral pose");
-  try {
-    return parse_neutral(text);
-  } catch (const std::exception& error) {
-    throw Error(
-        ErrorKind::UnreadableInput,
-        fmt::format("neutral pose {}: {}; `facet neutral` records it anew", file.string(), error.what()));
-  }
+  return parse_neutral(files::read_text(file, kMostNeutralBytes, "neutral pose"), file.string());
 }
 
 void Smoother::apply(FaceState& state) {

@@ -4,6 +4,8 @@
 #include <cstdint>
 #include <filesystem>
 #include <optional>
+#include <string>
+#include <string_view>
 
 #include "mesh/arkit.hpp"
 #include "mesh/mesh_frame.hpp"
@@ -57,6 +59,9 @@ class NeutralRecorder {
 /// A neutral pose as a JSON file: "facet_neutral": 1, "values" {name: value}, "rotation" [x, y, z, w],
 /// "translation_m". Throws Error(Storage) naming the file.
 void save_neutral(const NeutralPose& neutral, const std::filesystem::path& file);
+inline constexpr std::size_t kMostNeutralBytes = 1U << 16;
+/// Reads what save_neutral writes; source names it in messages. Throws Error(UnreadableInput).
+NeutralPose parse_neutral(std::string_view text, const std::string& source);
 /// Nothing where there is no file. Throws Error(UnreadableInput) naming it where it can't be used.
 std::optional<NeutralPose> load_neutral(const std::filesystem::path& file);
 

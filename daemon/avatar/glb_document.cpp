@@ -9,6 +9,7 @@
 #include <stdexcept>
 
 #include "facet/error.hpp"
+#include "files/json_text.hpp"
 #include "files/output_file.hpp"
 #include "files/text_file.hpp"
 
@@ -26,8 +27,8 @@ constexpr std::uint32_t kBinaryChunk = 0x004E4942;
 constexpr int kFloat = 5126;
 constexpr std::size_t kHeadBytes = 12;
 constexpr std::size_t kChunkHeadBytes = 8;
-/// Documents nest a dozen deep; what goes on for ever would end the stack where it is written.
-constexpr int kMostDepth = 100;
+/// Avatars have some megabytes of it; documents nest a dozen deep, but what extensions hold may nest deeper.
+constexpr files::JsonLimits kJsonLimits{64U << 20, 4'000'000, 100};
 
 std::uint32_t word(std::span<const std::byte> bytes, std::size_t at) {
   std::uint32_t value = 0;
@@ -66,13 +67,8 @@ GlbDocument parse(std::span<const std::byte> bytes) {
     throw std::runtime_error("its first chunk is not JSON");
   }
   GlbDocument glb;
-  const auto* begin = reinterpret_cast<const char*>(text.content.data());
-  glb.json = Json::parse(begin, begin + text.content.size(), [](int depth, Json::parse_event_t, const Json&) {
-    if (depth > kMostDepth) {
-      throw std::runtime_error("its JSON nests too deep");
-    }
-    return true;
-  });
+  glb.json = files::parse_ordered_json(
+      {reinterpret_cast<const char*>(text.content.data()), text.content.size()}, kJsonLimits, "its JSON");
   if (!glb.json.is_object()) {
     throw std::runtime_error("its JSON is no object");
   }

@@ -2,7 +2,6 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
-#include <sys/mman.h>
 #include <sys/stat.h>
 #include <unistd.h>
 #include <zstd.h>
@@ -18,6 +17,8 @@
 
 #include "face/face_model.hpp"
 #include "facet/error.hpp"
+#include "files/output_file.hpp"
+#include "files/text_file.hpp"
 
 namespace facet::face {
 namespace {
@@ -29,6 +30,7 @@ constexpr std::array<char, 8> kMagic = {'F', 'A', 'C', 'E', 'T', 'M', 'D', 'L'};
 constexpr std::uint32_t kVersion = 1;
 
 // Bounds that a damaged or hostile file can't pass.
+constexpr std::size_t kMostFileBytes = std::size_t{2} << 30;
 constexpr std::uint32_t kMaxChunks = 64;
 constexpr std::uint32_t kMaxVertices = 1'000'000;
 constexpr std::uint32_t kMaxModes = 1024;
@@ -92,50 +94,6 @@ template <typename T>
 std::span<const std::byte> bytes_of(const T* values, std::size_t count) {
   return {reinterpret_cast<const std::byte*>(values), count * sizeof(T)};
 }
-
-/// A file mapped for reading; unmapped at the end of the scope.
-class MappedFile {
- public:
-  explicit MappedFile(const std::filesystem::path& file) {
-    const int descriptor = ::open(file.c_str(), O_RDONLY | O_CLOEXEC);
-    struct stat facts {};
-    if (descriptor < 0 || ::fstat(descriptor, &facts) != 0) {
-      const int error = errno;
-      close_if_open(descriptor);
-      throw Error(ErrorKind::UnreadableInput,
-                  fmt::format("{}: can't open the face model: {}. `facet model build` makes it.",
-                              file.string(), std::generic_category().message(error)));
-    }
-    if (!S_ISREG(facts.st_mode) || facts.st_size <= 0) {
-      close_if_open(descriptor);
-      throw Error(ErrorKind::UnreadableInput,
-                  fmt::format("{}: not a face model: not a regular file, or empty", file.string()));
-    }
-    size_ = static_cast<std::size_t>(facts.st_size);
-    data_ = ::mmap(nullptr, size_, PROT_READ, MAP_PRIVATE, descriptor, 0);
-    const int error = errno;
-    close_if_open(descriptor);
-    if (data_ == MAP_FAILED) {
-      throw Error(ErrorKind::UnreadableInput, fmt::format("{}: can't map the file: {}", file.string(),
-                                                          std::generic_category().message(error)));
-    }
-  }
-  ~MappedFile() { ::munmap(data_, size_); }
-  MappedFile(const MappedFile&) = delete;
-  MappedFile& operator=(const MappedFile&) = delete;
-
-  std::span<const std::byte> bytes() const { return {static_cast<const std::byte*>(data_), size_}; }
-
- private:
-  static void close_if_open(int descriptor) {
-    if (descriptor >= 0) {
-      ::close(descriptor);
-    }
-  }
-
-  void* data_ = MAP_FAILED;
-  std::size_t size_ = 0;
-};
 
 /// Chunks of one file by tag, every bound and checksum verified.
 class ChunkReader {
@@ -393,46 +351,19 @@ void add_core(const FaceModel& model, ChunkWriter& writer) {
   writer.add("CORE", bytes_of(numbers.data(), numbers.size()), true);
 }
 
-void write_atomically(const std::vector<std::byte>& bytes, const std::filesystem::path& file) {
-  std::string temporary = file.string() + ".XXXXXX";
-  const auto fail = [&](const char* what, int error) {
-    throw Error(ErrorKind::Storage, fmt::format("{}: can't {} the face model: {}", file.string(), what,
-                                                std::generic_category().message(error)));
-  };
-  const int descriptor = ::mkostemp(temporary.data(), O_CLOEXEC);
-  if (descriptor < 0) {
-    fail("create", errno);
-  }
-  std::size_t done = 0;
-  int error = 0;
-  while (done < bytes.size() && error == 0) {
-    const ssize_t wrote = ::write(descriptor, bytes.data() + done, bytes.size() - done);
-    if (wrote < 0 && errno != EINTR) {
-      error = errno;
-    }
-    done += wrote > 0 ? static_cast<std::size_t>(wrote) : 0;
-  }
-  constexpr mode_t kReadableByAll = 0644;
-  if (error == 0 && (::fchmod(descriptor, kReadableByAll) != 0 || ::fsync(descriptor) != 0)) {
-    error = errno;
-  }
-  if (::close(descriptor) != 0 && error == 0) {
-    error = errno;
-  }
-  if (error == 0 && ::rename(temporary.c_str(), file.c_str()) != 0) {
-    error = errno;
-  }
-  if (error != 0) {
-    ::unlink(temporary.c_str());
-    fail("write", error);
-  }
-}
-
 }  // namespace
 
 FaceModel FaceModel::load(const std::filesystem::path& file) {
-  const MappedFile mapped(file);
-  return parse(mapped.bytes(), file.string());
+  std::vector<std::byte> bytes;
+  try {
+    bytes = files::read_bytes(file, kMostFileBytes, "face model");
+  } catch (const Error& error) {
+    if (error.kind() == ErrorKind::Unavailable) {
+      throw;  // it may be there
+    }
+    throw Error(error.kind(), fmt::format("{}. `facet model build` makes it.", error.what()));
+  }
+  return parse(bytes, file.string());
 }
 
 FaceModel FaceModel::parse(std::span<const std::byte> bytes, const std::string& source,
@@ -525,7 +456,9 @@ void FaceModel::save(const std::filesystem::path& file) const {
     writer.add("LAND", bytes_of(landmarks.data(), landmarks.size()), false);
   }
   add_core(*this, writer);
-  write_atomically(writer.file(), file);
+  files::OutputFile output(file);
+  output.write(writer.file());
+  output.commit();
 }
 
 }  // namespace facet::face

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <sys/types.h>
+
 #include <cstddef>
 #include <cstdint>
 #include <cstdio>
@@ -15,18 +17,20 @@ struct CloseFile {
   void operator()(std::FILE* stream) const { std::fclose(stream); }
 };
 
-/// A file that comes into being whole: written under a temporary name beside its place and renamed by
-/// commit(). Without commit the temporary file is removed and an earlier file of the name stays as it was.
+/// A file that comes into being whole: written under a temporary name beside its place, which nobody can
+/// foresee, and renamed by commit(). Without commit the temporary file is removed and an earlier file of the
+/// name stays as it was; so it does where the power is cut.
 class OutputFile {
  public:
-  /// Throws Error(Storage) naming the file, as do the others.
-  explicit OutputFile(const std::filesystem::path& file);
+  /// mode: as of open(2), less the umask. Throws Error(Storage) naming the file, as do the others.
+  explicit OutputFile(const std::filesystem::path& file, mode_t mode = 0666);
   ~OutputFile();
   OutputFile(const OutputFile&) = delete;
   OutputFile& operator=(const OutputFile&) = delete;
 
   void write(std::string_view text);
   void write(std::span<const std::byte> bytes);
+  /// The file is on the disk under its name when this returns.
   void commit();
 
  private:
@@ -35,6 +39,7 @@ class OutputFile {
   std::filesystem::path file_;
   std::filesystem::path temporary_;
   std::unique_ptr<std::FILE, CloseFile> stream_;
+  bool committed_ = false;
 };
 
 /// What is written now and goes into an output file later, behind something that is known only then. It has
@@ -58,6 +63,14 @@ class ScratchFile {
   std::unique_ptr<std::FILE, CloseFile> stream_;
   std::uint64_t size_ = 0;
 };
+
+/// Waits until the names in a folder are on the disk; empty: the current one. Throws Error(Storage) naming
+/// it.
+void sync_folder(const std::filesystem::path& folder);
+
+/// Renames a file whose contents are not what they should be to NAME.broken-N, so that it is neither in the
+/// way nor lost. Returns what became of it, for people: "set aside as '...'", or why it could not be.
+std::string set_aside(const std::filesystem::path& file);
 
 /// Makes a folder and those above it, where they are not there yet. Throws Error(Storage) naming it.
 void make_folder(const std::filesystem::path& folder);

@@ -8,12 +8,11 @@
 #include <charconv>
 #include <cmath>
 #include <cstring>
-#include <fstream>
-#include <iterator>
 #include <string_view>
 
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
+#include "files/text_file.hpp"
 
 namespace facet::files {
 namespace {
@@ -104,12 +103,8 @@ FloatImage parse_pfm(std::span<const std::byte> bytes, const std::string& source
 }
 
 FloatImage read_pfm(const std::filesystem::path& file) {
-  std::ifstream stream(file, std::ios::binary);
-  const std::string text{std::istreambuf_iterator<char>(stream), {}};
-  if (!stream) {
-    throw Error(ErrorKind::UnreadableInput,
-                fmt::format("{}: cannot be read; check the name and the permissions", file.string()));
-  }
+  constexpr std::size_t kMostBytes = std::size_t{1} << 30;  // of 16384x16384 px; depth maps have a tenth
+  const std::string text = read_text(file, kMostBytes, "float map");
   return parse_pfm(std::as_bytes(std::span(text)), file.string());
 }
 

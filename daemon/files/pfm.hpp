@@ -20,7 +20,7 @@ struct FloatImage {
 void write_pfm(const FloatImage& image, const std::filesystem::path& file);
 
 /// Reads what write_pfm writes, from any program. Throws Error(UnreadableInput) naming the file and what is
-/// wrong: missing, coloured, big-endian, cut off, sides over 32768 px.
+/// wrong: missing, coloured, big-endian, cut off, sides over 32768 px; Error(Usage) beyond 1 GiB.
 FloatImage read_pfm(const std::filesystem::path& file);
 
 /// The same from memory; source names it in messages.

@@ -37,6 +37,119 @@ std::string suggestion(std::string_view word, const std::vector<std::string>& kn
   return fmt::format("known are: {}", fmt::join(known, ", "));
 }
 
+/// The place behind the string that begins at `at`, or behind the line that cuts it off.
+std::size_t end_of_string(std::string_view text, std::size_t at) {
+  const char quote = text[at];
+  const std::string_view rest = text.substr(at);
+  const bool long_form = rest.size() > 2 && rest[1] == quote && rest[2] == quote;
+  for (at += long_form ? 3 : 1; at < text.size(); ++at) {
+    if (text[at] == '\\' && quote == '"') {
+      ++at;
+    } else if (!long_form && text[at] == '\n') {
+      return at;
+    } else if (text[at] == quote && !long_form) {
+      return at + 1;
+    } else if (text[at] == quote && text.substr(at, 3) == std::string(3, quote)) {
+      // Up to two quotes that belong to the string may stand before the three that end it.
+      at += 3;
+      for (int more = 0; more < 2 && at < text.size() && text[at] == quote; ++more) {
+        ++at;
+      }
+      return at;
+    }
+  }
+  return text.size();
+}
+
+/// Counts what a text would make before anything is made of it: the parser and the destructors behind it
+/// recurse over names with dots, and its search for tables costs the square of their number. Reads as the
+/// parser does up to the first error, where the parser stops.
+class TomlMeasure {
+ public:
+  TomlMeasure(std::string_view text, const std::filesystem::path& file) : text_(text), file_(file) {}
+
+  void check() {
+    if (text_.size() > kMostTomlBytes) {
+      fail(fmt::format("it has more than {} bytes", kMostTomlBytes));
+    }
+    for (std::size_t at = 0; at < text_.size();) {
+      const char letter = text_[at];
+      if (letter == '"' || letter == '\'') {
+        const std::size_t end = end_of_string(text_, at);
+        line_ += static_cast<std::size_t>(std::count(text_.data() + at, text_.data() + end, '\n'));
+        at = end;
+        line_is_fresh_ = false;
+      } else if (letter == '#') {
+        at = std::min(text_.find('\n', at), text_.size());
+      } else {
+        count(letter);
+        ++at;
+      }
+    }
+  }
+
+ private:
+  void count(char letter) {
+    const bool begins_line = std::exchange(
+        line_is_fresh_, letter == '\n' || (line_is_fresh_ && (letter == ' ' || letter == '\t')));
+    switch (letter) {
+      case '.':
+        limit(++dots_ + 1, kMostTomlNames, "names in one key");
+        return;  // all others begin a key or a value anew
+      case '\n':
+        ++line_;
+        in_header_ = false;
+        break;
+      case '=':
+        limit(++keys_, kMostTomlKeys, "keys");
+        limit(tables_ += dots_, kMostTomlTables, "tables");
+        break;
+      case '[':
+        in_header_ = in_header_ || (begins_line && nested_ == 0);
+        limit(++nested_, kMostTomlNesting, "lists and tables in one another");
+        break;
+      case '{':
+        limit(++tables_, kMostTomlTables, "tables");
+        limit(++nested_, kMostTomlNesting, "lists and tables in one another");
+        break;
+      case ']':
+      case '}':
+        if (in_header_) {
+          limit(tables_ += dots_ + 1, kMostTomlTables, "tables");
+        }
+        nested_ -= nested_ > 0 ? 1 : 0;
+        break;
+      case ',':
+        limit(++items_, kMostTomlItems, "values in lists");
+        break;
+      default:
+        return;
+    }
+    dots_ = 0;
+  }
+
+  void limit(std::size_t count, std::size_t most, const char* what) const {
+    if (count > most) {
+      fail(fmt::format("it has more than {} {}", most, what));
+    }
+  }
+
+  [[noreturn]] void fail(const std::string& what) const {
+    throw Error(ErrorKind::Usage, fmt::format("{}:{}: {}", file_.string(), line_, what));
+  }
+
+  std::string_view text_;
+  const std::filesystem::path& file_;
+  std::size_t line_ = 1;
+  std::size_t dots_ = 0;  ///< since a key or a value began; a number has one at most
+  std::size_t keys_ = 0;
+  std::size_t items_ = 0;
+  std::size_t tables_ = 0;
+  std::size_t nested_ = 0;
+  bool line_is_fresh_ = true;  ///< blanks alone so far
+  bool in_header_ = false;
+};
+
 }  // namespace
 
 void TomlDocument::fail(const toml::node* node, const std::string& key, const std::string& what) const {
@@ -175,8 +288,10 @@ void TomlSection::finish() const {
   if (table_ == nullptr) {
     return;
   }
+  std::vector<std::string_view> sorted(known_.begin(), known_.end());
+  std::sort(sorted.begin(), sorted.end());
   for (const auto& [key, value] : *table_) {
-    if (std::find(known_.begin(), known_.end(), key.str()) == known_.end()) {
+    if (!std::binary_search(sorted.begin(), sorted.end(), key.str())) {
       document_.fail(&value, full(std::string(key.str())), "unknown key; " + suggestion(key.str(), known_));
     }
   }
@@ -202,6 +317,7 @@ double TomlSection::number(const toml::node& node, const std::string& key, doubl
 
 void read_toml(std::string_view text, const std::filesystem::path& file,
                const std::function<void(TomlDocument&)>& read) {
+  TomlMeasure(text, file).check();
   try {
     const toml::table root = toml::parse(text, file.string());
     TomlDocument document(root, file);

@@ -18,6 +18,14 @@
 
 namespace facet::files {
 
+/// What a TOML file may hold; far beyond every file of ours (64 cameras with 468 face points each).
+inline constexpr std::size_t kMostTomlBytes = 1U << 20;
+inline constexpr std::size_t kMostTomlNames = 16;    ///< a.b.c has three
+inline constexpr std::size_t kMostTomlNesting = 32;  ///< lists and tables within a value
+inline constexpr std::size_t kMostTomlTables = 10'000;
+inline constexpr std::size_t kMostTomlKeys = 50'000;
+inline constexpr std::size_t kMostTomlItems = 200'000;  ///< of all lists together
+
 inline constexpr const char* kAnyText = "a text in quotes";
 
 /// A TOML file as a whole: where messages point, and the keys that were asked for.
@@ -144,8 +152,9 @@ class TomlSection {
   std::vector<std::string> known_;
 };
 
-/// Parses a text and hands it to `read`. Throws Error(Usage) naming file and line where it is no TOML. `file`
-/// stands in messages alone.
+/// Parses a text and hands it to `read`. Throws Error(Usage) naming file and line where it is no TOML or
+/// holds more than the above, before anything is made of it. The tree's only TOML parser. `file` stands in
+/// messages alone.
 void read_toml(std::string_view text, const std::filesystem::path& file,
                const std::function<void(TomlDocument&)>& read);
 

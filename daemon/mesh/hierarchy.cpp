@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <optional>
 #include <utility>
 
@@ -32,17 +33,13 @@ class ContentHash {
   std::uint64_t state_ = 0xcbf29ce484222325;
 };
 
-std::uint64_t hash(const Hierarchy& hierarchy) {
-  ContentHash content;
-  content.add(&hierarchy.control_vertex_count, 1);
-  for (const Level& level : hierarchy.levels) {
-    content.add(&level.vertex_count, 1);
-    content.add(level.triangles.data(), static_cast<std::size_t>(level.triangles.size()));
-    content.add(level.from_coarser.row_offsets.data(), level.from_coarser.row_offsets.size());
-    content.add(level.from_coarser.columns.data(), level.from_coarser.columns.size());
-    content.add(level.from_coarser.weights.data(), level.from_coarser.weights.size());
-  }
-  return content.value() != 0 ? content.value() : 1;
+bool same_rows(const SparseRows& a, const SparseRows& b) {
+  return a.row_offsets == b.row_offsets && a.columns == b.columns && a.weights == b.weights;
+}
+
+bool same_level(const Level& a, const Level& b) {
+  return a.vertex_count == b.vertex_count && a.triangles.cols() == b.triangles.cols() &&
+         a.triangles == b.triangles && same_rows(a.from_coarser, b.from_coarser);
 }
 
 SparseRows to_rows(const AdaptiveSurface::Stencils& stencils) {
@@ -90,7 +87,7 @@ void complete(Hierarchy& hierarchy) {
     texture_coordinates = std::move(finer);
   }
   hierarchy.texture_coordinates = texture_coordinates;
-  hierarchy.id = hash(hierarchy);
+  hierarchy.id = topology_id(hierarchy);
 }
 
 void check(const ControlMesh& control, const TextureCoordinates& control_px,
@@ -116,6 +113,25 @@ void check(const ControlMesh& control, const TextureCoordinates& control_px,
 }
 
 }  // namespace
+
+std::uint64_t topology_id(const Hierarchy& hierarchy) {
+  ContentHash content;
+  content.add(&hierarchy.control_vertex_count, 1);
+  for (const Level& level : hierarchy.levels) {
+    content.add(&level.vertex_count, 1);
+    content.add(level.triangles.data(), static_cast<std::size_t>(level.triangles.size()));
+    content.add(level.from_coarser.row_offsets.data(), level.from_coarser.row_offsets.size());
+    content.add(level.from_coarser.columns.data(), level.from_coarser.columns.size());
+    content.add(level.from_coarser.weights.data(), level.from_coarser.weights.size());
+  }
+  return content.value() != 0 ? content.value() : 1;
+}
+
+bool same_topology(const Hierarchy& a, const Hierarchy& b) {
+  return &a == &b ||
+         (a.id == b.id && a.control_vertex_count == b.control_vertex_count &&
+          std::equal(a.levels.begin(), a.levels.end(), b.levels.begin(), b.levels.end(), same_level));
+}
 
 std::shared_ptr<const Hierarchy> build_hierarchy(const ControlMesh& control,
                                                  const TextureCoordinates& control_px,

@@ -33,6 +33,14 @@ struct Hierarchy {
   const Level& finest() const { return levels.back(); }
 };
 
+/// Hierarchy::id of what a hierarchy holds. 15 ms for 200,000 vertices; any thread.
+std::uint64_t topology_id(const Hierarchy& hierarchy);
+
+/// Whether two hierarchies are one: id, counts, triangles and stencils. What comes from a file or a stream is
+/// compared with this and not by its id alone, which it states itself. At once where they are one object; any
+/// thread.
+bool same_topology(const Hierarchy& a, const Hierarchy& b);
+
 struct HierarchyOptions {
   float min_edge_px =
       2.0F;  ///< epsilon of Algorithm 1: a block whose interior edge projects to fewer pixels stays whole

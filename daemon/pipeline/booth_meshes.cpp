@@ -480,8 +480,8 @@ BoothMeshes::~BoothMeshes() {
 }
 
 void BoothMeshes::start() {
-  impl_->workers.begin(kPerform, [impl = impl_.get()] { impl->perform(); });
-  impl_->workers.begin(kDepth, [impl = impl_.get()] { impl->find_depth(); });
+  Impl& impl = *impl_;
+  impl.workers.begin({{kPerform, [&impl] { impl.perform(); }}, {kDepth, [&impl] { impl.find_depth(); }}});
 }
 
 void BoothMeshes::deliver(FramePointer frame) {

@@ -599,13 +599,14 @@ void FramesPipeline::start() {
   impl.set_state(PipelineState::Preparing);
   impl.cameras_at_work = impl.rig.cameras.size();
   impl.last_firing_ns = capture::monotonic_now_ns();
-  impl.workers.begin(kSets, [&impl] { impl.hand_out_sets(); });
+  std::vector<Workers::Work> works = {{kSets, [&impl] { impl.hand_out_sets(); }}};
   for (std::size_t i = 0; i < impl.rig.cameras.size(); ++i) {
-    impl.workers.begin(kFirstCamera + i, [&impl, i] { impl.run_camera(i); });
+    works.push_back({kFirstCamera + i, [&impl, i] { impl.run_camera(i); }});
   }
   if (impl.rig.open_trigger) {
-    impl.workers.begin(kEdges, [&impl] { impl.run_trigger(); });
+    works.push_back({kEdges, [&impl] { impl.run_trigger(); }});
   }
+  impl.workers.begin(works);
 }
 
 void FramesPipeline::request_stop() {

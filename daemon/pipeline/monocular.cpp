@@ -494,9 +494,10 @@ MonocularPipeline::~MonocularPipeline() {
 
 void MonocularPipeline::start() {
   impl_->set_state(PipelineState::Preparing);
-  impl_->workers.begin(kRefine, [impl = impl_.get()] { impl->refine(); });
-  impl_->workers.begin(kTrack, [impl = impl_.get()] { impl->track(); });
-  impl_->workers.begin(kCapture, [impl = impl_.get()] { impl->capture(); });
+  Impl& impl = *impl_;
+  impl.workers.begin({{kRefine, [&impl] { impl.refine(); }},
+                      {kTrack, [&impl] { impl.track(); }},
+                      {kCapture, [&impl] { impl.capture(); }}});
 }
 
 void MonocularPipeline::request_stop() {

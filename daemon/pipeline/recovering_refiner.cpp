@@ -5,6 +5,8 @@
 
 #include <algorithm>
 #include <exception>
+#include <new>
+#include <system_error>
 #include <utility>
 
 #include "facet/error.hpp"
@@ -27,9 +29,6 @@ RecoveringRefiner::RecoveringRefiner(std::unique_ptr<RefineStage> first, OpenRef
 
 RecoveringRefiner::~RecoveringRefiner() {
   request_stop();
-  if (helper_.joinable()) {
-    helper_.join();
-  }
 }
 
 void RecoveringRefiner::request_stop() {
@@ -108,16 +107,30 @@ void RecoveringRefiner::lose(const std::string& reason) {
   reason_ = "GPU lost, being reopened: " + reason;
   device_.clear();
   stage_.reset();
+  helped_ = false;
+  begin_reopening();
+}
+
+/// Where no thread can be made, the next frame tries again.
+void RecoveringRefiner::begin_reopening() {
   if (helper_.joinable()) {
     helper_.join();  // ended when it handed over the device that is lost now
   }
-  // Lives until it has a device or request_stop; joined above or by the destructor.
-  helper_ = std::thread([this, subject = subject_] { reopen(subject); });
+  try {
+    // Lives until it has a device or request_stop; joined above or by the destructor.
+    helper_ = std::jthread([this, subject = subject_] { reopen(subject); });
+    helped_ = true;
+  } catch (const std::system_error&) {
+    // Frames stay coarse, and say so, until there is one.
+  }
 }
 
 void RecoveringRefiner::adopt_reopened() {
   if (stage_ != nullptr || open_ == nullptr) {
     return;
+  }
+  if (!helped_) {
+    begin_reopening();
   }
   const mesh::Hierarchy* reopened_for = nullptr;
   {
@@ -157,6 +170,7 @@ void RecoveringRefiner::reopen(const refine::SubjectSetup& subject) {
   }
 }
 
+/// Null where it is not there yet, or memory for it.
 std::unique_ptr<RefineStage> RecoveringRefiner::try_open(const refine::SubjectSetup& subject) {
   try {
     std::unique_ptr<RefineStage> stage = open_();
@@ -165,7 +179,11 @@ std::unique_ptr<RefineStage> RecoveringRefiner::try_open(const refine::SubjectSe
     }
     return stage;
   } catch (const std::exception& error) {
-    messages_.warning(fmt::format("cannot reopen the GPU: {}", error.what()));
+    try {
+      messages_.warning(fmt::format("cannot reopen the GPU: {}", error.what()));
+    } catch (const std::bad_alloc&) {
+      // Told by the next attempt.
+    }
     return nullptr;
   }
 }

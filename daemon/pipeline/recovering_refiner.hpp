@@ -48,6 +48,7 @@ class RecoveringRefiner {
  private:
   void refuse(const std::string& reason);
   void lose(const std::string& reason);
+  void begin_reopening();
   void adopt_reopened();
   void reopen(const refine::SubjectSetup& subject);
   std::unique_ptr<RefineStage> try_open(const refine::SubjectSetup& subject);
@@ -60,13 +61,14 @@ class RecoveringRefiner {
   std::string reason_;
   refine::SubjectSetup subject_;
   bool has_subject_ = false;
-  std::thread helper_;
+  bool helped_ = true;  ///< the helper of the last loss was made
 
   std::mutex mutex_;
   std::condition_variable stop_changed_;
   bool stop_ = false;                              ///< guarded by mutex_
   std::unique_ptr<RefineStage> reopened_;          ///< guarded by mutex_
   const mesh::Hierarchy* reopened_for_ = nullptr;  ///< guarded by mutex_: whose subject reopened_ has
+  std::jthread helper_;
 };
 
 }  // namespace facet::pipeline

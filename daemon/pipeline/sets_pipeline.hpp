@@ -23,7 +23,12 @@ class SetsPipeline : public Pipeline {
 
   void start() override {
     meshes_->start();
-    frames_->start();
+    try {
+      frames_->start();
+    } catch (...) {
+      SetsPipeline::stop();
+      throw;
+    }
   }
   void request_stop() override {
     frames_->request_stop();

@@ -35,23 +35,48 @@ void TakeSink::begin(const take::TakeRecorderConfig& config) {
     throw Error(ErrorKind::Usage,
                 fmt::format("'{}' is being recorded: stop it first", running->status().file.string()));
   }
-  auto recorder = std::make_shared<take::TakeRecorder>(config);
-  recorder->start();
+  {
+    const std::lock_guard lock(mutex_);
+    beginning_ = true;
+    end_wanted_.reset();
+  }
+  std::shared_ptr<take::TakeRecorder> recorder;
+  try {
+    recorder = std::make_shared<take::TakeRecorder>(config);
+    recorder->start();
+  } catch (...) {
+    const std::lock_guard lock(mutex_);
+    beginning_ = false;
+    throw;
+  }
   const std::lock_guard lock(mutex_);
+  if (end_wanted_) {
+    recorder->request_stop(*std::exchange(end_wanted_, std::nullopt));
+  }
   recorder_ = std::move(recorder);
+  beginning_ = false;
 }
 
-void TakeSink::request_end() {
-  if (const auto recorder = current()) {
-    recorder->request_stop();
+void TakeSink::request_end(std::string reason) {
+  const std::lock_guard lock(mutex_);
+  if (recorder_ != nullptr) {
+    recorder_->request_stop(std::move(reason));
+  } else if (beginning_ && !end_wanted_) {
+    end_wanted_ = std::move(reason);
   }
 }
 
-std::optional<take::RecorderStatus> TakeSink::end() {
+bool TakeSink::ended() const {
+  const std::lock_guard lock(mutex_);
+  return !beginning_ && (recorder_ == nullptr || recorder_->ended());
+}
+
+std::optional<take::RecorderStatus> TakeSink::end(std::string reason) {
   const auto recorder = current();
   if (recorder == nullptr) {
     return std::nullopt;
   }
+  recorder->request_stop(std::move(reason));
   take::RecorderStatus status = recorder->stop();
   const std::lock_guard lock(mutex_);
   recorder_ = nullptr;

@@ -1,17 +1,15 @@
 #include <fmt/format.h>
-#include <unistd.h>
 
 #include <algorithm>
-#include <cerrno>
 #include <cstdio>
-#include <cstring>
 #include <fstream>
 #include <iterator>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
-#include <system_error>
+#include <span>
 
 #include "facet/error.hpp"
+#include "files/output_file.hpp"
 #include "render/renderer.hpp"
 
 namespace facet::render {
@@ -83,24 +81,9 @@ std::vector<std::uint8_t> encode_png(const Picture& picture) {
 
 void write_png(const Picture& picture, const std::filesystem::path& file) {
   const std::vector<std::uint8_t> bytes = encode_png(picture);
-  std::filesystem::path temporary = file;
-  temporary += fmt::format(".{}.part", ::getpid());
-  std::ofstream stream(temporary, std::ios::binary);
-  stream.write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
-  stream.close();
-  std::error_code failure;
-  if (stream) {
-    std::filesystem::rename(temporary, file, failure);
-  }
-  if (!stream || failure) {
-    const std::string reason = failure ? failure.message() : std::strerror(errno);
-    std::error_code ignored;
-    std::filesystem::remove(temporary, ignored);
-    throw Error(
-        ErrorKind::Storage,
-        fmt::format("{}: cannot write the picture ({}); check the folder, its permissions and the free space",
-                    file.string(), reason));
-  }
+  files::OutputFile output(file);
+  output.write(std::as_bytes(std::span(bytes)));
+  output.commit();
 }
 
 namespace {

@@ -3,6 +3,8 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <exception>
+#include <system_error>
 #include <thread>
 
 #include "facet/error.hpp"
@@ -17,15 +19,31 @@ void for_each_row(int row_count, const std::function<void(int)>& work) {
       work(y);
     }
   };
-  if (row_count < 2 || std::thread::hardware_concurrency() < 2) {
-    for (int y = 0; y < row_count; ++y) {
-      work(y);
+  std::exception_ptr fault;
+  std::jthread odd;
+  const bool alone = row_count < 2 || std::thread::hardware_concurrency() < 2;
+  try {
+    if (!alone) {
+      odd = std::jthread([&] {
+        try {
+          rows_of(1);
+        } catch (...) {
+          fault = std::current_exception();
+        }
+      });
     }
-    return;
+  } catch (const std::system_error&) {
+    // No thread to be had: it takes longer.
   }
-  std::thread odd(rows_of, 1);
   rows_of(0);
-  odd.join();
+  if (odd.joinable()) {
+    odd.join();
+  } else {
+    rows_of(1);
+  }
+  if (fault != nullptr) {
+    std::rethrow_exception(fault);
+  }
 }
 
 Eigen::MatrixXf interpolate(const HitImage& hits, const mesh::Triangles& triangles,

@@ -8,6 +8,7 @@
 #include <cmath>
 #include <limits>
 #include <optional>
+#include <set>
 
 #include "camera/v4l2_controls.hpp"
 #include "facet/assets.hpp"
@@ -86,11 +87,11 @@ void read_format(Section& section, const std::array<const char*, Count>& formats
 
 /// Controls of a device by its driver's names for them.
 void read_controls(Section section, std::vector<camera::ControlSetting>& controls) {
-  std::vector<std::string> keys;
+  std::set<std::string> keys;
   for (const auto& [name, node] : section.entries()) {
-    keys.push_back(camera::control_key(name));
-    if (keys.back().empty() || std::count(keys.begin(), keys.end(), keys.back()) > 1) {
-      section.fail(node, name, keys.back().empty() ? "is no name of a control" : "is set twice");
+    const std::string key = camera::control_key(name);
+    if (key.empty() || !keys.insert(key).second) {
+      section.fail(node, name, key.empty() ? "is no name of a control" : "is set twice");
     }
     if (const auto number = node->value_exact<std::int64_t>()) {
       controls.push_back({name, *number});

@@ -19,6 +19,7 @@ namespace facet::service {
 struct ControlConfig {
   std::filesystem::path socket = "/run/facet/control.sock";
   stream::SocketAccess access;
+  std::size_t max_clients = 64;  ///< places, as many again for those of the page
 };
 
 struct TakesConfig {
@@ -30,6 +31,7 @@ struct TakesConfig {
 
 struct MetricsConfig {
   std::string listen = "127.0.0.1:9464";  ///< "ADDRESS:PORT"; empty: off
+  std::size_t max_connections = 16;
 };
 
 /// The page and its WebSockets (WebServer).
@@ -40,6 +42,8 @@ struct WebConfig {
   std::vector<std::string> hosts;    ///< further names under which the page may be asked for
   std::vector<std::string> origins;  ///< further pages, "http://NAME[:PORT]", that may use the WebSockets
   int max_clients = 16;              ///< readers of the stream over WebSockets
+  std::size_t max_connections = 64;  ///< requests at a time, those of WebSockets not counted
+  std::size_t max_downloads = 16;    ///< of them
 };
 
 enum class Mode {
@@ -55,8 +59,8 @@ enum class BoothRecord {
   Meshes,    ///< the meshes that were made live
 };
 
-/// All that a configuration file says; defaults are those of config/facet.toml. Running state is elsewhere
-/// (Service).
+/// All that a configuration file says, and limits that fit_descriptors lowers; defaults are those of
+/// config/facet.toml. Running state is elsewhere (Service).
 struct Config {
   Mode mode = Mode::Monocular;
   pipeline::MonocularConfig pipeline;  ///< source.path or source.live.device empty: not given

@@ -1,15 +1,17 @@
 #include "service/control_client.hpp"
 
 #include <fmt/format.h>
+#include <poll.h>
 #include <sys/socket.h>
-#include <sys/time.h>
 
 #include <array>
 #include <cerrno>
 #include <cstring>
 #include <nlohmann/json.hpp>
+#include <utility>
 
 #include "facet/error.hpp"
+#include "files/json_text.hpp"
 #include "service/control_protocol.hpp"
 
 namespace facet::service {
@@ -17,8 +19,8 @@ namespace {
 
 using nlohmann::json;
 
-constexpr timeval kTimeout{10, 0};
 constexpr std::size_t kMaxResponseBytes = 64U << 20;
+constexpr std::size_t kMaxResponseValues = 4'000'000;
 
 /// The kind of the facet::Error that the daemon met.
 ErrorKind kind_of(int code) {
@@ -31,22 +33,23 @@ ErrorKind kind_of(int code) {
 
 }  // namespace
 
-ControlClient::ControlClient(const std::filesystem::path& socket)
-    : socket_(socket), fd_(stream::connect_unix(socket)) {
-  ::setsockopt(fd_.get(), SOL_SOCKET, SO_RCVTIMEO, &kTimeout, sizeof(kTimeout));
-  ::setsockopt(fd_.get(), SOL_SOCKET, SO_SNDTIMEO, &kTimeout, sizeof(kTimeout));
-}
+ControlClient::ControlClient(const std::filesystem::path& socket, std::chrono::milliseconds patience)
+    : socket_(socket), patience_(patience) {}
 
-std::string ControlClient::exchange(const std::string& request) {
+std::string ControlClient::exchange(const std::string& request, stream::Deadline deadline) {
   const auto fail = [&](const std::string& what) {
     return Error(ErrorKind::Unavailable, fmt::format("control socket '{}': {}", socket_.string(), what));
   };
   for (std::size_t sent = 0; sent < request.size();) {
-    const ssize_t count = ::send(fd_.get(), request.data() + sent, request.size() - sent, MSG_NOSIGNAL);
+    if (!stream::wait_for(fd_.get(), POLLOUT, deadline)) {
+      throw fail(fmt::format("the daemon took no request for {} ms", patience_.count()));
+    }
+    const ssize_t count =
+        ::send(fd_.get(), request.data() + sent, request.size() - sent, MSG_NOSIGNAL | MSG_DONTWAIT);
     if (count < 0 && (errno == EPIPE || errno == ECONNRESET)) {
       break;  // a daemon that hangs up in the middle has said why
     }
-    if (count < 0 && errno != EINTR) {
+    if (count < 0 && errno != EINTR && errno != EAGAIN) {
       throw fail(fmt::format("the daemon takes no requests: {}", std::strerror(errno)));
     }
     sent += count > 0 ? static_cast<std::size_t>(count) : 0;
@@ -54,12 +57,18 @@ std::string ControlClient::exchange(const std::string& request) {
   std::string response;
   std::array<char, 65536> piece{};
   while (response.empty() || response.back() != '\n') {
-    const ssize_t count = ::recv(fd_.get(), piece.data(), piece.size(), 0);
+    // By the clock, too: an answer that comes byte by byte is always there to be read.
+    if (!stream::wait_for(fd_.get(), POLLIN, deadline) ||
+        (!response.empty() && std::chrono::steady_clock::now() >= deadline)) {
+      throw fail(fmt::format("the daemon gave no {}answer for {} ms", response.empty() ? "" : "whole ",
+                             patience_.count()));
+    }
+    const ssize_t count = ::recv(fd_.get(), piece.data(), piece.size(), MSG_DONTWAIT);
     if (count == 0) {
       throw fail("the daemon went away without an answer");
     }
-    if (count < 0 && errno != EINTR) {
-      throw fail(errno == EAGAIN ? std::string("the daemon gave no answer for 10 s") : std::strerror(errno));
+    if (count < 0 && errno != EINTR && errno != EAGAIN) {
+      throw fail(std::strerror(errno));
     }
     response.append(piece.data(), count > 0 ? static_cast<std::size_t>(count) : 0);
     if (response.size() > kMaxResponseBytes) {
@@ -70,10 +79,21 @@ std::string ControlClient::exchange(const std::string& request) {
 }
 
 json ControlClient::call(const std::string& method, const json& params) {
+  const stream::Deadline deadline = std::chrono::steady_clock::now() + patience_;
+  if (!fd_) {
+    fd_ = stream::connect_unix(socket_, deadline);
+  }
   const int id = next_id_++;
   const json request = {{"jsonrpc", "2.0"}, {"method", method}, {"params", params}, {"id", id}};
   const std::string line = request.dump(-1, ' ', false, json::error_handler_t::replace) + '\n';
-  const json response = json::parse(exchange(line), nullptr, false);
+  const std::string text = exchange(line, deadline);
+  json response;
+  try {
+    response = files::parse_json(text, {kMaxResponseBytes, kMaxResponseValues}, "its answer");
+  } catch (const Error& error) {
+    throw Error(ErrorKind::Unavailable, fmt::format("'{}' does not answer like a facet control socket: {}",
+                                                    socket_.string(), error.what()));
+  }
   if (!response.is_object() || (!response.contains("result") && !response.contains("error"))) {
     throw Error(ErrorKind::Unavailable,
                 fmt::format("'{}' does not answer like a facet control socket", socket_.string()));
@@ -83,7 +103,7 @@ json ControlClient::call(const std::string& method, const json& params) {
     throw Error(kind_of(error.value("code", 0)),
                 error.value("message", std::string("error without a message")));
   }
-  return response["result"];
+  return std::move(response["result"]);
 }
 
 }  // namespace facet::service

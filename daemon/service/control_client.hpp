@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <filesystem>
 #include <nlohmann/json_fwd.hpp>
 #include <string>
@@ -11,18 +12,21 @@ namespace facet::service {
 /// A connection to a daemon's control socket, for command-line programs. Blocking; one thread.
 class ControlClient {
  public:
-  /// Throws Error(Unavailable) where nobody answers or we may not connect.
-  explicit ControlClient(const std::filesystem::path& socket);
+  /// patience: of each call, for all that it waits for together.
+  explicit ControlClient(const std::filesystem::path& socket,
+                         std::chrono::milliseconds patience = std::chrono::seconds(10));
 
-  /// Calls a method and waits for its result, ten seconds at most. Throws Error(Unavailable) where the daemon
-  /// does not answer or goes away, and the daemon's own error with its kind and message otherwise.
+  /// Connects, the first time, calls a method and waits for its result. Throws Error(Unavailable) where
+  /// nobody answers, we may not connect, or the daemon goes away or has not answered in time, and the
+  /// daemon's own error with its kind and message otherwise.
   nlohmann::json call(const std::string& method, const nlohmann::json& params);
 
  private:
-  std::string exchange(const std::string& request);
+  std::string exchange(const std::string& request, stream::Deadline deadline);
 
   std::filesystem::path socket_;
-  stream::FileDescriptor fd_;
+  std::chrono::milliseconds patience_;
+  stream::FileDescriptor fd_;  ///< none before the first call
   int next_id_ = 1;
 };
 

@@ -7,22 +7,21 @@
 #include <nlohmann/json.hpp>
 
 #include "facet/error.hpp"
+#include "files/json_text.hpp"
 
 namespace facet::service {
 namespace {
 
 using nlohmann::json;
 
+/// As many values as a line of the densest keys has.
+constexpr files::JsonLimits kRequestLimits{kMaxRequestBytes, 250'000};
+
 /// What a request got instead of a result.
 struct Refusal {
   int code;
   std::string message;
 };
-
-std::string to_text(const json& message) {
-  // Paths need not be UTF-8; JSON must be.
-  return message.dump(-1, ' ', false, json::error_handler_t::replace);
-}
 
 json refusal_json(const Refusal& refusal, const json& id) {
   return {{"jsonrpc", "2.0"}, {"error", {{"code", refusal.code}, {"message", refusal.message}}}, {"id", id}};
@@ -104,11 +103,11 @@ json params_of(const json& request, const ControlMethod& method) {
   return params;
 }
 
-json call(const ControlMethods& methods, const json& request, const Caller& caller) {
-  const ControlMethod& method = find_method(methods, request, caller);
-  const json params = params_of(request, method);
+/// Calls, and turns what is thrown into what a client is told.
+template <typename Call>
+auto refusing(const Call& call) {
   try {
-    return method.call(params);
+    return call();
   } catch (const Error& error) {
     throw Refusal{kServerErrorBase - static_cast<int>(error.kind()), error.what()};
   } catch (const std::exception& error) {
@@ -140,48 +139,106 @@ void check_request(const json& request) {
   }
 }
 
-/// The response to one request of a batch or a line; a discarded value for a notification.
-json answer_one(const ControlMethods& methods, const json& request, const Caller& caller) {
+/// result: JSON text.
+std::string result_text(const std::string& result, const json& id) {
+  std::string text = R"({"id":)" + to_text(id) + R"(,"jsonrpc":"2.0","result":)" + result + "}";
+  if (text.size() > kMaxAnswerBytes) {
+    return to_text(
+        refusal_json({kServerErrorBase - static_cast<int>(ErrorKind::Internal),
+                      fmt::format("the answer has {} bytes; {} are allowed", text.size(), kMaxAnswerBytes)},
+                     id));
+  }
+  return text;
+}
+
+}  // namespace
+
+std::string to_text(const json& message) {
+  return message.dump(-1, ' ', false, json::error_handler_t::replace);
+}
+
+ControlExchange::ControlExchange(std::string_view line, const Caller& caller) : caller_(caller) {
+  json message;
+  try {
+    message = files::parse_json(line, kRequestLimits, "the line");
+  } catch (const Error& error) {
+    text_ = error_response(kParseError, fmt::format("{}; a request is one line", error.what()));
+    return;
+  }
+  if (!message.is_array()) {
+    requests_.push_back(std::move(message));
+  } else if (message.empty() || message.size() > kMaxBatch) {
+    text_ = error_response(kInvalidRequest, fmt::format("a batch has 1 to {} requests", kMaxBatch));
+  } else {
+    batch_ = true;
+    for (json& request : message) {
+      requests_.push_back(std::move(request));
+    }
+  }
+}
+
+std::optional<ControlJob> ControlExchange::step(const ControlMethods& methods) {
+  const json request = std::move(requests_[next_++]);
   json id = nullptr;
   bool notification = false;
   try {
     check_request(request);
     notification = !request.contains("id");
     id = notification ? json(nullptr) : request.at("id");
-    json result = call(methods, request, caller);
-    return notification ? json(json::value_t::discarded)
-                        : json{{"jsonrpc", "2.0"}, {"result", std::move(result)}, {"id", id}};
+    const ControlMethod& method = find_method(methods, request, caller_);
+    const json params = params_of(request, method);
+    if (notification && !method.changes_something) {
+      return std::nullopt;  // nobody would hear what was seen
+    }
+    ControlAnswer found = refusing([&] { return method.call(params); });
+    if (found.errands == nullptr) {
+      answer(notification ? std::string() : result_text(to_text(found.result), id));
+      return std::nullopt;
+    }
+    return ControlJob{found.errands, notification, [work = std::move(found.work), id, notification] {
+                        try {
+                          const std::string result = refusing(work);
+                          return notification ? std::string() : result_text(result, id);
+                        } catch (const Refusal& refusal) {
+                          return notification ? std::string() : to_text(refusal_json(refusal, id));
+                        }
+                      }};
   } catch (const Refusal& refusal) {
-    return notification ? json(json::value_t::discarded) : refusal_json(refusal, id);
+    answer(notification ? std::string() : to_text(refusal_json(refusal, id)));
+    return std::nullopt;
   }
 }
 
-}  // namespace
+void ControlExchange::answer(std::string response) {
+  if (response.empty()) {
+    return;
+  }
+  if (text_.size() + response.size() > kMaxAnswerBytes) {
+    response = error_response(kInvalidRequest,
+                              fmt::format("the answers to a batch have {} bytes at most", kMaxAnswerBytes));
+    // What is left would only be more of it.
+    next_ = requests_.size();
+  }
+  text_ += text_.empty() ? "" : ",";
+  text_ += response;
+}
+
+std::string ControlExchange::response() && {
+  return batch_ && !text_.empty() ? "[" + text_ + "]" : std::move(text_);
+}
 
 std::string error_response(int code, const std::string& message) {
   return to_text(refusal_json({code, message}, nullptr));
 }
 
 std::string answer_request(const ControlMethods& methods, std::string_view line, const Caller& caller) {
-  const json message = json::parse(line, nullptr, false);
-  if (message.is_discarded()) {
-    return error_response(kParseError, "not valid JSON; a request is one line");
-  }
-  if (!message.is_array()) {
-    const json response = answer_one(methods, message, caller);
-    return response.is_discarded() ? std::string() : to_text(response);
-  }
-  if (message.empty() || message.size() > kMaxBatch) {
-    return error_response(kInvalidRequest, fmt::format("a batch has 1 to {} requests", kMaxBatch));
-  }
-  json responses = json::array();
-  for (const json& request : message) {
-    json response = answer_one(methods, request, caller);
-    if (!response.is_discarded()) {
-      responses.push_back(std::move(response));
+  ControlExchange exchange(line, caller);
+  while (!exchange.done()) {
+    if (const auto job = exchange.step(methods)) {
+      exchange.answer(job->run());
     }
   }
-  return responses.empty() ? std::string() : to_text(responses);
+  return std::move(exchange).response();
 }
 
 }  // namespace facet::service

@@ -5,55 +5,50 @@
 #include <sys/epoll.h>
 #include <sys/eventfd.h>
 #include <sys/socket.h>
-#include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <array>
 #include <cerrno>
 #include <cstring>
+#include <iterator>
+#include <new>
 #include <utility>
 #include <vector>
 
 #include "facet/error.hpp"
+#include "service/errands.hpp"
 
 namespace facet::service {
 namespace {
 
+using Clock = std::chrono::steady_clock;
+
 constexpr std::uint64_t kListenTag = 0;  // epoll data
 constexpr std::uint64_t kWakeTag = 1;    // clients' ids follow
+/// What is left of the turns after so long has to wait for the next round.
+constexpr std::chrono::milliseconds kRoundBudget{20};
 
 stream::FileDescriptor open_spare() {
   return stream::FileDescriptor(::open("/dev/null", O_RDONLY | O_CLOEXEC));
 }
 
-bool is_member(int fd, gid_t primary, gid_t wanted) {
-  std::vector<gid_t> groups(64);
-  socklen_t size = static_cast<socklen_t>(groups.size() * sizeof(gid_t));
-  if (::getsockopt(fd, SOL_SOCKET, SO_PEERGROUPS, groups.data(), &size) != 0) {
-    // ERANGE: `size` now says how much it takes.
-    groups.resize(size / sizeof(gid_t));
-    if (errno != ERANGE || ::getsockopt(fd, SOL_SOCKET, SO_PEERGROUPS, groups.data(), &size) != 0) {
-      return primary == wanted;
-    }
-  }
-  groups.resize(size / sizeof(gid_t));
-  return primary == wanted || std::find(groups.begin(), groups.end(), wanted) != groups.end();
-}
-
-/// Root, the daemon's own user and members of the socket's group may command.
-Caller caller_at(int fd, const std::filesystem::path& socket) {
-  ucred peer{};
-  socklen_t size = sizeof(peer);
-  struct stat status {};
-  if (::getsockopt(fd, SOL_SOCKET, SO_PEERCRED, &peer, &size) != 0 || ::stat(socket.c_str(), &status) != 0) {
-    return {};
-  }
-  const bool may_command = peer.uid == 0 || peer.uid == ::geteuid() || is_member(fd, peer.gid, status.st_gid);
-  return {peer.pid, peer.uid, may_command};
+stream::Places places(std::size_t count) {
+  stream::PlacesConfig config;
+  config.total = count;
+  config.reserved = count / 4;
+  config.per_peer = std::max<std::size_t>(1, (count - config.reserved) / 2);
+  config.connects_at_once = 100;
+  config.connects_per_s = 50;
+  return stream::Places(config);
 }
 
 }  // namespace
+
+void ControlServer::Mailbox::rouse() const {
+  const std::uint64_t one = 1;
+  [[maybe_unused]] const ssize_t ignored = ::write(wake.get(), &one, sizeof(one));
+}
 
 ControlServer::ControlServer(const ControlConfig& config, ControlMethods methods,
                              stream::FileDescriptor passed)
@@ -61,8 +56,12 @@ ControlServer::ControlServer(const ControlConfig& config, ControlMethods methods
       listening_(config.socket, config.access, std::move(passed)),
       epoll_(::epoll_create1(EPOLL_CLOEXEC)),
       spare_(open_spare()),
-      wake_(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
-  for (const auto& [fd, tag] : {std::pair(listening_.fd(), kListenTag), std::pair(wake_.get(), kWakeTag)}) {
+      local_places_(places(config.max_clients)),
+      page_places_(places(config.max_clients)) {
+  mailbox_->wake = stream::FileDescriptor(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+  mailbox_->answers.reserve(2 * config.max_clients + 64);
+  for (const auto& [fd, tag] :
+       {std::pair(listening_.fd(), kListenTag), std::pair(mailbox_->wake.get(), kWakeTag)}) {
     epoll_event event{};
     event.events = EPOLLIN;
     event.data.u64 = tag;
@@ -84,29 +83,47 @@ void ControlServer::serve() {
       continue;
     }
     if (event.data.u64 == kWakeTag) {
-      admit_adopted();
+      read_mailbox();
       continue;
     }
     const auto client = std::find_if(clients_.begin(), clients_.end(),
                                      [&](const Client& entry) { return entry.id == event.data.u64; });
-    if (client == clients_.end()) {
+    if (client == clients_.end() || client->gone) {
       continue;
     }
-    if ((event.events & (EPOLLIN | EPOLLHUP | EPOLLERR)) != 0) {
-      receive(*client);
+    if ((event.events & (EPOLLHUP | EPOLLERR)) != 0 && !client->caller.may_command) {
+      client->gone = true;  // nobody reads what it would be told, and what it asked changes nothing
+    } else if ((event.events & (EPOLLIN | EPOLLHUP | EPOLLERR)) != 0 && !client->ended &&
+               (client->watched & EPOLLIN) != 0) {
+      try {
+        receive(*client);
+      } catch (const std::bad_alloc&) {
+        client->gone = true;
+      }
+    } else if ((event.events & (EPOLLHUP | EPOLLERR)) != 0) {
+      // What has come of it is still done, though it hears no answer. Watched on, its end would wake the loop
+      // without end.
+      client->ended = true;
+      ::epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, client->fd.get(), nullptr);
     }
     if (!client->gone) {
       send_some(*client);
     }
   }
-  const auto now = std::chrono::steady_clock::now();
+  take_turns();
+  drop_greediest();
+  const auto now = Clock::now();
   std::erase_if(clients_, [&](const Client& client) {
-    return client.gone || (!client.unsent.empty() && now - client.waits_since > kPatience);
+    const bool over = client.gone || (!client.unsent.empty() && now - client.waits_since > kPatience);
+    if (over) {
+      (client.web ? page_places_ : local_places_).leave(client.id);
+    }
+    return over;
   });
 }
 
 void ControlServer::accept_clients() {
-  for (;;) {
+  for (int accepted = 0; accepted < stream::kAcceptsPerRound; ++accepted) {
     stream::FileDescriptor connection(
         ::accept4(listening_.fd(), nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK));
     if (!connection) {
@@ -119,157 +136,309 @@ void ControlServer::accept_clients() {
       }
       return;
     }
-    Client& client = clients_.emplace_back();
+    Client client;
     client.fd = std::move(connection);
-    client.caller = caller_at(client.fd.get(), listening_.path());
-    admit(client);
+    const stream::UnixPeer peer = listening_.peer(client.fd.get());
+    client.caller = {peer.pid, peer.uid, peer.may_command};
+    admit(client, fmt::format("uid {}", client.caller.uid));
   }
 }
 
-void ControlServer::admit(Client& client) {
+/// The client becomes one of clients_, or is told why not and closed.
+void ControlServer::admit(Client& client, std::string peer) {
+  const auto now = Clock::now();
   client.id = next_id_++;
-  watch(client, EPOLL_CTL_ADD);
-  // Pages don't take the place of those who sit at the machine, nor these theirs.
-  const auto alike =
-      static_cast<std::size_t>(std::count_if(clients_.begin(), clients_.end(), [&](const Client& entry) {
-        return entry.web.has_value() == client.web.has_value();
-      }));
-  if (alike > kMaxClients) {
-    say(client, error_response(kServerErrorBase - static_cast<int>(ErrorKind::Unavailable),
-                               "too many control clients; try again"));
-    client.last_words = true;
-    send_some(client);
-    client.gone = true;
+  client.counted = now;
+  client.waits_since = now;
+  stream::Places& places = client.web ? page_places_ : local_places_;
+  const auto outcome = places.enter(client.id, {std::move(peer), client.caller.may_command}, now);
+  if (outcome.gives_way) {
+    const auto other = std::find_if(clients_.begin(), clients_.end(),
+                                    [&](const Client& entry) { return entry.id == *outcome.gives_way; });
+    if (other != clients_.end()) {
+      other->gone = true;
+    }
   }
+  if (outcome.answer != stream::Places::Answer::Admitted) {
+    say(client, error_response(kServerErrorBase - static_cast<int>(ErrorKind::Unavailable),
+                               fmt::format("too many control clients ({}); try again",
+                                           stream::to_string(outcome.answer))));
+    // An empty buffer takes these words.
+    [[maybe_unused]] const ssize_t ignored =
+        ::send(client.fd.get(), client.unsent.data(), client.unsent.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+    return;
+  }
+  epoll_event event{};
+  event.events = client.watched = EPOLLIN;
+  event.data.u64 = client.id;
+  if (::epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, client.fd.get(), &event) != 0) {
+    places.leave(client.id);
+    return;
+  }
+  clients_.push_back(std::move(client));
 }
 
-void ControlServer::adopt(stream::FileDescriptor connection, const Caller& caller,
+void ControlServer::adopt(stream::FileDescriptor connection, const Caller& caller, std::string peer,
                           std::vector<std::uint8_t> early) {
   {
-    const std::lock_guard lock(adopted_mutex_);
-    if (adopted_.size() >= kMaxClients) {
+    const std::lock_guard lock(mailbox_->mutex);
+    if (mailbox_->adopted.size() >= page_places_.config().total) {
       return;
     }
-    adopted_.push_back({std::move(connection), caller, std::move(early)});
+    mailbox_->adopted.push_back({std::move(connection), caller, std::move(peer), std::move(early)});
   }
-  const std::uint64_t one = 1;
-  [[maybe_unused]] const ssize_t ignored = ::write(wake_.get(), &one, sizeof(one));
+  mailbox_->rouse();
 }
 
-void ControlServer::admit_adopted() {
+void ControlServer::read_mailbox() {
   std::uint64_t wakes = 0;
-  [[maybe_unused]] const ssize_t ignored = ::read(wake_.get(), &wakes, sizeof(wakes));
-  std::vector<Adopted> waiting;
+  [[maybe_unused]] const ssize_t ignored = ::read(mailbox_->wake.get(), &wakes, sizeof(wakes));
+  std::vector<Adopted> adopted;
+  std::vector<std::pair<std::uint64_t, std::string>> answers;
   {
-    const std::lock_guard lock(adopted_mutex_);
-    waiting.swap(adopted_);
+    const std::lock_guard lock(mailbox_->mutex);
+    adopted.swap(mailbox_->adopted);
+    answers.assign(std::make_move_iterator(mailbox_->answers.begin()),
+                   std::make_move_iterator(mailbox_->answers.end()));
+    mailbox_->answers.clear();  // its room stays: there is one answer of a client at most
   }
-  for (Adopted& entry : waiting) {
-    Client& client = clients_.emplace_back();
+  for (Adopted& entry : adopted) {
+    Client client;
     client.fd = std::move(entry.connection);
     client.caller = entry.caller;
-    client.web.emplace(kMaxRequestBytes);
-    admit(client);
+    client.web.emplace(request_limit(client));
+    client.received.assign(entry.early.begin(), entry.early.end());
+    admit(client, std::move(entry.peer));
+  }
+  for (auto& [id, response] : answers) {
+    const auto client = std::find_if(clients_.begin(), clients_.end(),
+                                     [wanted = id](const Client& entry) { return entry.id == wanted; });
+    if (client != clients_.end()) {
+      client->at_work = false;
+      client->gone = response.empty() && !client->notified;
+      client->exchange->answer(std::move(response));
+    }
+  }
+}
+
+std::size_t ControlServer::request_limit(const Client& client) const {
+  return client.caller.may_command ? kMaxRequestBytes : kMaxLookBytes;
+}
+
+/// A client is heard again once it has all its answers, so that none can leave more undone than one request
+/// of the greatest length.
+void ControlServer::watch(Client& client) {
+  const bool has_to_do = client.exchange || client.whole || client.ended || client.last_words;
+  const std::uint32_t wanted = !client.unsent.empty() ? std::uint32_t{EPOLLOUT}
+                               : has_to_do            ? 0U
+                                                      : std::uint32_t{EPOLLIN};
+  if (wanted != client.watched && !client.gone) {
+    epoll_event event{};
+    event.events = client.watched = wanted;
+    event.data.u64 = client.id;
+    // Fails where the client was taken off the list, having hung up.
+    ::epoll_ctl(epoll_.get(), EPOLL_CTL_MOD, client.fd.get(), &event);
+  }
+}
+
+void ControlServer::receive(Client& client) {
+  std::array<char, 16384> piece{};
+  const ssize_t count = ::recv(client.fd.get(), piece.data(), piece.size(), 0);
+  if (count < 0 && (errno == EAGAIN || errno == EINTR)) {
+    return;
+  }
+  // Who sends no more may still wait for answers.
+  client.ended = count <= 0;
+  client.gone = count < 0;
+  client.received.append(piece.data(), count > 0 ? static_cast<std::size_t>(count) : 0);
+  client.whole = true;
+}
+
+/// One request of each client at most, and of one that may only look no more than its share.
+void ControlServer::take_turns() {
+  const auto began = Clock::now();
+  const auto later =
+      std::find_if(clients_.begin(), clients_.end(), [&](const Client& client) { return client.id > turn_; });
+  const auto first = static_cast<std::size_t>(later - clients_.begin());
+  for (std::size_t i = 0; i < clients_.size(); ++i) {
+    Client& client = clients_[(first + i) % clients_.size()];
+    if (client.gone) {
+      continue;
+    }
+    const auto now = Clock::now();
+    if (now - began > kRoundBudget) {
+      break;
+    }
+    if (client.at_work && !client.ended) {
+      (client.web ? page_places_ : local_places_).used(client.id, now);
+    }
+    if (may_go_on(client, now)) {
+      turn_ = client.id;
+      try {
+        take_turn(client);
+      } catch (const std::bad_alloc&) {
+        client.gone = true;
+      }
+    }
     if (!client.gone) {
-      answer_web(client, entry.early);
       send_some(client);
     }
   }
 }
 
-void ControlServer::watch(const Client& client, int operation) {
-  epoll_event event{};
-  // While a client has answers to take, it may not ask more.
-  event.events = client.unsent.empty() ? EPOLLIN : EPOLLOUT;
-  event.data.u64 = client.id;
-  // Can fail for want of kernel memory only; the client then hears nothing and goes away by itself.
-  ::epoll_ctl(epoll_.get(), operation, client.fd.get(), &event);
+bool ControlServer::has_looks(const Client& client, Clock::time_point now) const {
+  return client.caller.may_command ||
+         client.looks_left + kLooksPerSecond * std::chrono::duration<double>(now - client.counted).count() >=
+             1;
 }
 
-void ControlServer::receive(Client& client) {
-  std::array<std::uint8_t, 16384> piece{};
-  const ssize_t count = ::recv(client.fd.get(), piece.data(), piece.size(), 0);
-  if (count == 0 || (count < 0 && errno != EAGAIN && errno != EINTR)) {
-    client.gone = true;
-    return;
-  }
-  const std::span<const std::uint8_t> bytes(piece.data(), count > 0 ? static_cast<std::size_t>(count) : 0);
-  if (client.web) {
-    answer_web(client, bytes);
-  } else if (!bytes.empty()) {
-    client.unanswered.append(bytes.begin(), bytes.end());
-    answer(client);
-  }
+bool ControlServer::may_go_on(const Client& client, Clock::time_point now) const {
+  return !client.gone && !client.at_work && !client.last_words && client.unsent.empty() &&
+         (client.exchange || client.whole || client.ended) && has_looks(client, now);
 }
 
-void ControlServer::answer_web(Client& client, std::span<const std::uint8_t> bytes) {
-  using Outcome = stream::WebSocketAssembler::Outcome;
-  const auto close = [&](stream::WebSocketClose code, std::string_view why) {
-    const auto frame = stream::web_socket_close(code, why);
-    client.unsent.append(frame.begin(), frame.end());
-    client.last_words = true;
-  };
-  while (!bytes.empty() && !client.last_words) {
-    switch (client.web->feed(bytes)) {
-      case Outcome::Incomplete:
-        break;
-      case Outcome::Message: {
-        if (!client.web->is_text()) {
-          close(stream::WebSocketClose::Violation, "requests are text messages");
-          break;
+std::optional<Clock::time_point> ControlServer::due() const {
+  const auto now = Clock::now();
+  std::optional<Clock::time_point> due;
+  for (const Client& client : clients_) {
+    if (may_go_on(client, now)) {
+      return now;
+    }
+    if (may_go_on(client, Clock::time_point::max())) {
+      const auto share = now + std::chrono::milliseconds(1000 / kLooksPerSecond);
+      due = due ? std::min(*due, share) : share;
+    }
+  }
+  return due;
+}
+
+void ControlServer::charge(Client& client) {
+  const auto now = Clock::now();
+  const double since_s = std::chrono::duration<double>(now - client.counted).count();
+  client.looks_left = std::min<double>(kLooksAtOnce, client.looks_left + kLooksPerSecond * since_s) - 1;
+  client.counted = now;
+}
+
+void ControlServer::take_turn(Client& client) {
+  if (!client.exchange) {
+    const std::size_t before = client.received.size();
+    begin_exchange(client);
+    if (!client.exchange || client.exchange->done()) {
+      // What is no request costs as much as one.
+      if (client.received.size() != before) {
+        charge(client);
+      }
+      if (!client.exchange) {
+        return;
+      }
+    }
+    (client.web ? page_places_ : local_places_).used(client.id, Clock::now());
+  }
+  if (!client.exchange->done()) {
+    charge(client);
+    if (const auto job = client.exchange->step(methods_)) {
+      client.at_work = true;
+      client.notified = job->notification;
+      job->errands->ask([mailbox = mailbox_, id = client.id, run = job->run] {
+        std::string response;
+        try {
+          response = run();
+        } catch (const std::exception&) {
+          // Not even the memory for an answer: an empty one says so to the loop, which hangs up.
         }
-        const std::span<const std::uint8_t> message = client.web->message();
-        say(client, answer_request(methods_, std::string(message.begin(), message.end()), client.caller));
-        client.web->next();
-        client.last_words = client.unsent.size() > kMaxUnreadBytes;
-        break;
-      }
-      case Outcome::Ping: {
-        const auto pong = stream::web_socket_pong(client.web->control());
-        client.unsent.append(pong.begin(), pong.end());
-        client.last_words = client.unsent.size() > kMaxUnreadBytes;
-        break;
-      }
-      case Outcome::Close:
-        close(stream::WebSocketClose::GoingAway, "");
-        break;
-      case Outcome::Violation:
-        close(stream::WebSocketClose::Violation, "not the WebSocket protocol");
-        break;
-      case Outcome::TooLong:
-        say(client,
-            error_response(kInvalidRequest, fmt::format("a request has {} bytes at most", kMaxRequestBytes)));
-        close(stream::WebSocketClose::TooLong, "request too long");
-        break;
+        {
+          const std::lock_guard lock(mailbox->mutex);
+          mailbox->answers.emplace_back(id, std::move(response));
+        }
+        mailbox->rouse();
+      });
+      return;
     }
+  }
+  if (client.exchange->done()) {
+    say(client, std::move(*client.exchange).response());
+    client.exchange.reset();
   }
 }
 
-void ControlServer::answer(Client& client) {
-  std::size_t start = 0;
-  for (std::size_t end = client.unanswered.find('\n'); end != std::string::npos && !client.last_words;
-       end = client.unanswered.find('\n', start)) {
-    const std::string_view line = std::string_view(client.unanswered).substr(start, end - start);
-    start = end + 1;
-    if (line.empty() || line == "\r") {
-      continue;
-    }
-    if (line.size() > kMaxRequestBytes) {
-      refuse_line(client);
+void ControlServer::begin_exchange(Client& client) {
+  if (client.web) {
+    begin_message(client);
+  } else {
+    begin_line(client);
+  }
+  if (!client.exchange && !client.whole && client.ended && client.unsent.empty()) {
+    client.gone = true;
+  }
+}
+
+void ControlServer::begin_message(Client& client) {
+  using Outcome = stream::WebSocketAssembler::Outcome;
+  std::span<const std::uint8_t> bytes(reinterpret_cast<const std::uint8_t*>(client.received.data()),
+                                      client.received.size());
+  switch (client.web->feed(bytes)) {
+    case Outcome::Incomplete:
+      break;
+    case Outcome::Message: {
+      if (!client.web->is_text()) {
+        close_web(client, stream::WebSocketClose::Violation, "requests are text messages");
+        break;
+      }
+      const std::span<const std::uint8_t> message = client.web->message();
+      client.exchange.emplace(std::string_view(reinterpret_cast<const char*>(message.data()), message.size()),
+                              client.caller);
+      client.web->next();
       break;
     }
-    say(client, answer_request(methods_, line, client.caller));
-    client.last_words = client.unsent.size() > kMaxUnreadBytes;
+    case Outcome::Ping: {
+      const auto pong = stream::web_socket_pong(client.web->control());
+      client.unsent.append(pong.begin(), pong.end());
+      break;
+    }
+    case Outcome::Close:
+      close_web(client, stream::WebSocketClose::GoingAway, "");
+      break;
+    case Outcome::Violation:
+      close_web(client, stream::WebSocketClose::Violation, "not the WebSocket protocol");
+      break;
+    case Outcome::TooLong:
+      refuse(client, fmt::format("a request has {} bytes at most", request_limit(client)));
+      close_web(client, stream::WebSocketClose::TooLong, "request too long");
+      break;
   }
-  client.unanswered.erase(0, start);
-  if (!client.last_words && client.unanswered.size() > kMaxRequestBytes) {
-    refuse_line(client);
-  }
+  client.received.erase(0, client.received.size() - bytes.size());
+  client.whole = !client.received.empty();
 }
 
-void ControlServer::refuse_line(Client& client) {
-  say(client,
-      error_response(kInvalidRequest, fmt::format("a request line has {} bytes at most", kMaxRequestBytes)));
+void ControlServer::begin_line(Client& client) {
+  std::size_t start = 0;
+  std::size_t end = client.received.find('\n');
+  // Empty lines ask nothing.
+  while (end != std::string::npos && (end == start || (end == start + 1 && client.received[start] == '\r'))) {
+    start = end + 1;
+    end = client.received.find('\n', start);
+  }
+  const std::size_t length = (end == std::string::npos ? client.received.size() : end) - start;
+  if (length > request_limit(client)) {
+    refuse(client, fmt::format("a request line has {} bytes at most", request_limit(client)));
+    return;
+  }
+  client.whole = end != std::string::npos;
+  if (client.whole) {
+    client.exchange.emplace(std::string_view(client.received).substr(start, length), client.caller);
+    start = end + 1;
+  }
+  client.received.erase(0, start);
+}
+
+void ControlServer::close_web(Client& client, stream::WebSocketClose code, std::string_view why) {
+  const auto frame = stream::web_socket_close(code, why);
+  client.unsent.append(frame.begin(), frame.end());
+  client.last_words = true;
+}
+
+void ControlServer::refuse(Client& client, const std::string& why) {
+  say(client, error_response(kInvalidRequest, why));
   client.last_words = true;
 }
 
@@ -278,7 +447,7 @@ void ControlServer::say(Client& client, const std::string& response) {
     return;
   }
   if (client.unsent.empty()) {
-    client.waits_since = std::chrono::steady_clock::now();
+    client.waits_since = Clock::now();
   }
   if (client.web) {
     const stream::WebSocketHeader header(stream::WebSocketOpcode::Text, response.size());
@@ -290,25 +459,48 @@ void ControlServer::say(Client& client, const std::string& response) {
 }
 
 void ControlServer::send_some(Client& client) {
-  const bool had_unsent = !client.unsent.empty();
-  while (!client.unsent.empty()) {
-    const ssize_t count =
-        ::send(client.fd.get(), client.unsent.data(), client.unsent.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+  while (client.sent < client.unsent.size()) {
+    const ssize_t count = ::send(client.fd.get(), client.unsent.data() + client.sent,
+                                 client.unsent.size() - client.sent, MSG_NOSIGNAL | MSG_DONTWAIT);
     if (count < 0 && errno == EINTR) {
       continue;
     }
     if (count < 0) {
-      client.gone = errno != EAGAIN && errno != EWOULDBLOCK;
+      if (errno != EAGAIN && errno != EWOULDBLOCK) {
+        // It hears no more; what else it asked is still done, if it may change something.
+        client.sent = client.unsent.size();
+        client.ended = true;
+        client.gone = !client.caller.may_command;
+      }
       break;
     }
-    client.unsent.erase(0, static_cast<std::size_t>(count));
-    client.waits_since = std::chrono::steady_clock::now();
+    client.sent += static_cast<std::size_t>(count);
+    client.waits_since = Clock::now();
   }
-  if (client.last_words && client.unsent.empty()) {
-    client.gone = true;
+  if (client.sent == client.unsent.size()) {
+    client.unsent = {};
+    client.sent = 0;
+    client.gone = client.gone || client.last_words;
   }
-  if (had_unsent && !client.gone) {
-    watch(client, EPOLL_CTL_MOD);
+  watch(client);
+}
+
+std::size_t ControlServer::unread_bytes(const Client& client) {
+  return client.unsent.size() + (client.exchange ? client.exchange->response_bytes() : 0);
+}
+
+void ControlServer::drop_greediest() {
+  std::size_t bytes = 0;
+  Client* greediest = nullptr;
+  for (Client& client : clients_) {
+    if (!client.caller.may_command && !client.gone) {
+      const std::size_t held = unread_bytes(client);
+      bytes += held;
+      greediest = greediest == nullptr || held > unread_bytes(*greediest) ? &client : greediest;
+    }
+  }
+  if (bytes > kMaxUnreadBytes) {
+    greediest->gone = true;
   }
 }
 

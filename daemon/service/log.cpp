@@ -15,6 +15,8 @@
 #define SD_JOURNAL_SUPPRESS_LOCATION
 #include <systemd/sd-journal.h>
 
+#include "facet/printable.hpp"
+
 namespace facet::service {
 namespace {
 
@@ -66,8 +68,9 @@ void Log::write(LogLevel level, std::string_view message, Fields fields) const {
   }
   const LevelText& text = kLevels.at(static_cast<std::size_t>(level));
   std::string line(message);
-  // One message is one line, whatever a file name holds.
+  // One message is one line, whatever a file name holds, and it steers no terminal.
   std::replace(line.begin(), line.end(), '\n', ' ');
+  line = printable(line);
   if (takes_entries_ && send_to_journal(text.journal_priority, line, fields)) {
     return;
   }

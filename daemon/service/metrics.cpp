@@ -11,11 +11,13 @@
 #include <filesystem>
 #include <fstream>
 #include <limits>
+#include <set>
 #include <string_view>
 #include <utility>
 #include <vector>
 
 #include "facet/error.hpp"
+#include "service/http_connections.hpp"
 #include "service/listen_address.hpp"
 
 namespace facet::service {
@@ -24,10 +26,6 @@ namespace {
 using prometheus::ClientMetric;
 using prometheus::MetricFamily;
 using prometheus::MetricType;
-
-constexpr unsigned kMostConnections = 16;
-constexpr unsigned kIdle_s = 10;
-constexpr std::size_t kConnectionBytes = 16384;  ///< request and buffers
 
 using Labels = std::vector<ClientMetric::Label>;
 
@@ -284,6 +282,8 @@ std::string metrics_text(const MetricsSnapshot& now) {
     out.counter("web_requests_total", "Requests to the page and its WebSockets.", now.web->requests);
     out.counter("web_refused_total", "Of them refused for host, origin, method, path or token.",
                 now.web->refused);
+    out.counter("web_broken_off_total", "Connections closed for taking too long, or for want of a place.",
+                now.web->broken_off);
     out.counter("web_wrong_tokens_total", "Of them for the token.", now.web->wrong_tokens);
   }
   collect_take(out, now.take);
@@ -294,23 +294,38 @@ std::string metrics_text(const MetricsSnapshot& now) {
 }  // namespace
 
 struct MetricsServer::Impl {
+  Impl(const MetricsConfig& config, std::function<MetricsSnapshot()> given,
+       const std::vector<std::string>& more_hosts)
+      : snapshot(std::move(given)),
+        hosts(own_hosts(config.listen, more_hosts)),
+        connections(config.max_connections) {}
+
   std::function<MetricsSnapshot()> snapshot;
+  const std::set<std::string> hosts;
+  HttpConnections connections;
   MHD_Daemon* daemon = nullptr;
 
   /// On the server's one thread.
-  MHD_Result answer(MHD_Connection* connection, const char* path, const char* method) const {
-    const bool known = std::string_view(path) == "/metrics";
-    const bool reads =
-        std::string_view(method) == MHD_HTTP_METHOD_GET || std::string_view(method) == MHD_HTTP_METHOD_HEAD;
-    const std::string body = !known  ? "not here; metrics are at /metrics\n"
-                             : reads ? metrics_text(snapshot())
-                                     : "metrics can only be read\n";
+  MHD_Result answer(MHD_Connection* connection, std::string_view path, std::string_view method) {
+    connections.asked(connection);
+    if (const std::string why = foreign_host(connection, hosts); !why.empty()) {
+      return say(connection, MHD_HTTP_FORBIDDEN, why + "\n");
+    }
+    if (path != "/metrics") {
+      return say(connection, MHD_HTTP_NOT_FOUND, "not here; metrics are at /metrics\n");
+    }
+    if (method != MHD_HTTP_METHOD_GET && method != MHD_HTTP_METHOD_HEAD) {
+      return say(connection, MHD_HTTP_METHOD_NOT_ALLOWED, "metrics can only be read\n");
+    }
+    return say(connection, MHD_HTTP_OK, metrics_text(snapshot()));
+  }
+
+  static MHD_Result say(MHD_Connection* connection, unsigned status, const std::string& body) {
     MHD_Response* response =
         MHD_create_response_from_buffer(body.size(), const_cast<char*>(body.data()),
                                         MHD_RESPMEM_MUST_COPY);  // the library does not write to it
     MHD_add_response_header(response, MHD_HTTP_HEADER_CONTENT_TYPE,
                             "text/plain; version=0.0.4; charset=utf-8");
-    const unsigned status = !known ? MHD_HTTP_NOT_FOUND : reads ? MHD_HTTP_OK : MHD_HTTP_METHOD_NOT_ALLOWED;
     const MHD_Result result = MHD_queue_response(connection, status, response);
     MHD_destroy_response(response);
     return result;
@@ -320,30 +335,27 @@ struct MetricsServer::Impl {
                                const char* /*version*/, const char* /*upload*/, std::size_t* /*upload_size*/,
                                void** /*state*/) {
     try {
-      return static_cast<const Impl*>(impl)->answer(connection, path, method);
+      return static_cast<Impl*>(impl)->answer(connection, path, method);
     } catch (const std::exception&) {
       return MHD_NO;  // closes the connection
     }
   }
 };
 
-MetricsServer::MetricsServer(const std::string& listen, std::function<MetricsSnapshot()> snapshot)
-    : impl_(std::make_unique<Impl>()) {
-  impl_->snapshot = std::move(snapshot);
-  const auto address = resolve_listen(listen);
-  if (address != nullptr) {
+MetricsServer::MetricsServer(const MetricsConfig& config, std::function<MetricsSnapshot()> snapshot,
+                             const std::vector<std::string>& hosts)
+    : impl_(std::make_unique<Impl>(config, std::move(snapshot), hosts)) {
+  if (const auto address = resolve_listen(config.listen)) {
     const unsigned ipv6 = address->ai_family == AF_INET6 ? MHD_USE_IPv6 : 0;
-    impl_->daemon =
-        MHD_start_daemon(MHD_USE_INTERNAL_POLLING_THREAD | ipv6, 0, nullptr, nullptr, &Impl::on_request,
-                         impl_.get(), MHD_OPTION_SOCK_ADDR, address->ai_addr, MHD_OPTION_CONNECTION_LIMIT,
-                         kMostConnections, MHD_OPTION_CONNECTION_TIMEOUT, kIdle_s,
-                         MHD_OPTION_CONNECTION_MEMORY_LIMIT, kConnectionBytes, MHD_OPTION_END);
+    impl_->daemon = MHD_start_daemon(MHD_USE_AUTO_INTERNAL_THREAD | ipv6, 0, nullptr, nullptr,
+                                     &Impl::on_request, impl_.get(), MHD_OPTION_SOCK_ADDR, address->ai_addr,
+                                     MHD_OPTION_ARRAY, impl_->connections.options(), MHD_OPTION_END);
   }
   if (impl_->daemon == nullptr) {
     throw Error(ErrorKind::Unavailable,
                 fmt::format("metrics.listen = \"{}\": can't listen there: is the port in use, or the address "
                             "not one of this machine? metrics.listen = \"\" turns metrics off",
-                            listen));
+                            config.listen));
   }
 }
 

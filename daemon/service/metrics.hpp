@@ -4,6 +4,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "pipeline/status.hpp"
 #include "service/web_server.hpp"
@@ -28,9 +29,10 @@ struct MetricsSnapshot {
 /// thread asks for a snapshot with every scrape. Destroying it ends the thread.
 class MetricsServer {
  public:
-  /// listen: "ADDRESS:PORT". `snapshot` is called on the server's thread. Throws
-  /// Error(Unavailable) where it can't listen there.
-  MetricsServer(const std::string& listen, std::function<MetricsSnapshot()> snapshot);
+  /// `snapshot` is called on the server's thread. hosts: further names under which the metrics may be asked
+  /// for, as those of the page. Throws Error(Unavailable) where it can't listen.
+  MetricsServer(const MetricsConfig& config, std::function<MetricsSnapshot()> snapshot,
+                const std::vector<std::string>& hosts = {});
   ~MetricsServer();
   MetricsServer(const MetricsServer&) = delete;
   MetricsServer& operator=(const MetricsServer&) = delete;

@@ -5,6 +5,7 @@
 #include <sys/signalfd.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <atomic>
 #include <cerrno>
@@ -12,8 +13,12 @@
 #include <cmath>
 #include <csignal>
 #include <cstring>
+#include <exception>
+#include <mutex>
+#include <new>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <tuple>
 #include <utility>
 #include <variant>
 
@@ -26,16 +31,19 @@
 #include "pipeline/stream_sink.hpp"
 #include "pipeline/take_sink.hpp"
 #include "service/control_server.hpp"
+#include "service/errands.hpp"
+#include "service/memory_reserve.hpp"
 #include "service/metrics.hpp"
+#include "service/recording.hpp"
 #include "service/service_manager.hpp"
 #include "service/stage_opener.hpp"
 #include "service/status_report.hpp"
 #include "service/studio.hpp"
 #include "service/studio_methods.hpp"
+#include "service/take_index.hpp"
 #include "service/thumbnails.hpp"
 #include "service/web_server.hpp"
 #include "stream/server.hpp"
-#include "take/closing.hpp"
 
 namespace facet::service {
 namespace {
@@ -49,11 +57,23 @@ constexpr std::chrono::milliseconds kLoopPeriod{100};
 constexpr std::chrono::milliseconds kImpatientPeriod{10};
 /// How often the service manager is told how the daemon does, where that changes.
 constexpr std::chrono::seconds kStatusPeriod{2};
-/// How long a stop waits for threads that a driver holds; with the stream's farewells it stays below a
-/// second.
+/// How often a page that could not be opened is tried again: its port may be in use, descriptors short.
+constexpr std::chrono::seconds kWebPeriod{10};
+/// How long a stop waits for threads that a driver or a disk holds; with the stream's farewells it stays
+/// below a second.
 constexpr std::chrono::milliseconds kStopPatience{600};
+/// A stop as a whole, with a take that grows all the time: the service manager's patience is 10 s.
+constexpr std::chrono::seconds kLongestStop{8};
+/// How long the end of a source waits for a disk that takes nothing of the take: nobody is in a hurry.
+constexpr std::chrono::seconds kEndPatience{30};
+/// A round of the loop that works for longer is said: it does nothing that should take so long.
+constexpr std::chrono::milliseconds kLongRound{100};
+constexpr std::chrono::seconds kLongRoundPeriod{10};
+/// How often the takes are looked at for whoever asks for the status, and for how long after that.
+constexpr std::chrono::seconds kIndexPeriod{2};
+constexpr std::chrono::seconds kIndexInterest{5};
 
-sigset_t stop_signals() {
+sigset_t watched_signals() {
   sigset_t set;
   sigemptyset(&set);
   for (const int signal : {SIGTERM, SIGINT, SIGHUP}) {
@@ -63,38 +83,12 @@ sigset_t stop_signals() {
 }
 
 stream::FileDescriptor open_signals() {
-  const sigset_t set = stop_signals();
-  // A reader that goes away is an error of its write, not of the process.
-  std::signal(SIGPIPE, SIG_IGN);
-  ::pthread_sigmask(SIG_BLOCK, &set, nullptr);
+  const sigset_t set = watched_signals();
   stream::FileDescriptor fd(::signalfd(-1, &set, SFD_CLOEXEC | SFD_NONBLOCK));
   if (!fd) {
     throw Error(ErrorKind::Internal, fmt::format("cannot watch signals: {}", std::strerror(errno)));
   }
   return fd;
-}
-
-/// Closes what recorders that were killed left behind; a take that anyone has open stays as it is.
-void close_broken_off_takes(const std::filesystem::path& folder, Log& log) {
-  std::error_code error;
-  for (std::filesystem::directory_iterator entry(folder, error), end; !error && entry != end;
-       entry.increment(error)) {
-    if (entry->path().extension() != ".take") {
-      continue;
-    }
-    try {
-      const take::ClosedTake take = take::close_take(entry->path());
-      if (take.recovered) {
-        log.warning(fmt::format("take {} had been broken off: closed now with {} frames",
-                                entry->path().string(), take.info.frame_count),
-                    {{"FACET_EVENT", "take-recovered"}, {"FACET_TAKE", take.info.file.string()}});
-      } else if (!take.left.empty()) {
-        log.warning(fmt::format("take {}: {}", entry->path().string(), take.left));
-      }
-    } catch (const Error& unreadable) {
-      log.warning(unreadable.what());
-    }
-  }
 }
 
 void check_takes_folder(const std::filesystem::path& folder) {
@@ -109,12 +103,26 @@ void check_takes_folder(const std::filesystem::path& folder) {
   }
 }
 
+/// Of takes.record_at_start: the pipeline starts once it is known.
+struct FirstTake {
+  std::mutex mutex;  ///< guards the others
+  bool begun = false;
+  std::exception_ptr fault;
+};
+
 stream::StreamServerConfig named(stream::StreamServerConfig config) {
   config.server_name = software_name();
   return config;
 }
 
 }  // namespace
+
+void hold_signals() {
+  const sigset_t set = watched_signals();
+  // A reader that goes away is an error of its write, not of the process.
+  std::signal(SIGPIPE, SIG_IGN);
+  ::pthread_sigmask(SIG_BLOCK, &set, nullptr);
+}
 
 const char* software_name() {
   return "facetd " FACET_VERSION;
@@ -138,16 +146,31 @@ struct Service::Impl {
   Thumbnails thumbnails;
   pipeline::BridgeSink bridge_sink;
   pipeline::TakeSink takes;
-  std::optional<take::RecorderStatus> failed_take;  ///< the last, until the next begins
+  TakeIndex index;
+  Recording recording;
+  std::atomic<bool> looking_ends{false};  ///< tells an errand of `looking` that takes long
+  Errands looking{"facet-look"};          ///< what looking methods leave: files, and what is much to compute
   std::optional<StageOpener> opener;
   std::unique_ptr<pipeline::Pipeline> pipeline;
   std::string source_name;
   bool live = false;                     ///< the source goes on while nobody reads
   std::optional<MetricsServer> metrics;  ///< once there is a pipeline; freed before it
-  std::optional<WebServer> web;          ///< where it could be opened
+  mutable std::mutex web_mutex;          ///< guards `web`, held for a pointer's copy
+  std::shared_ptr<WebServer> web;        ///< where it could be opened
+  std::atomic<bool> web_opens{false};    ///< `looking` tries
+  std::string web_fault;                 ///< why it could not, as told
+  Clock::time_point web_tried;
   std::uint64_t wrong_tokens_told = 0;
+  Clock::time_point status_asked;        ///< last
+  Clock::time_point index_looked;        ///< that `looking` was asked to look at the takes
+  std::atomic<bool> index_looks{false};  ///< `looking` has been asked, and is not through
+  std::chrono::nanoseconds longest_round{0};
+  std::uint64_t long_rounds = 0;
+  Clock::time_point long_round_told;
+  std::optional<FirstTake> first_take;
   std::atomic<bool> running{false};  ///< the pipeline was started
   bool stopping = false;             ///< somebody asked for the end
+  std::string end_reason;            ///< of the daemon, for the take that it cuts short
   bool end_seen = false;             ///< the pipeline's end was logged
   std::optional<int> exit_status;    ///< set: leave the loop
 
@@ -156,11 +179,10 @@ struct Service::Impl {
   std::string state(const pipeline::PipelineStatus& now) const;
   void open_metrics();
   void open_web();
+  std::shared_ptr<WebServer> opened_web() const;
   void look_after_web();
   MetricsSnapshot metrics_snapshot();
-  json takes_list();
-  json record_start(const json& params);
-  json record_stop();
+  ControlAnswer record_start(const json& params);
   avatar::Bridge& configured_bridge();
   /// Says where a target gets nothing because of the mode.
   void warn_of_silence(const avatar::BridgeTarget& target);
@@ -175,13 +197,16 @@ struct Service::Impl {
   void tell_refiner(const pipeline::Stages& stages);
   void tell_devices(const pipeline::Rig& rig);
   void start_when_awaited();
-  void begin_take(const std::string& name);
-  void log_take(const take::RecorderStatus& take) const;
+  take::TakeRecorderConfig take_config() const;
+  void begin_first_take();
+  bool first_take_begun();
   void tell_manager();
   void look_after();
-  void look_after_take();
+  void look_after_index();
+  void time_round(Clock::time_point began);
   void look_after_pipeline();
   void finish();
+  bool wait_for_threads();
 };
 
 Service::Impl::Impl(const Config& given, Log& given_log)
@@ -204,9 +229,10 @@ Service::Impl::Impl(const Config& given, Log& given_log)
           },
           software_name()),
       thumbnails(given.takes.folder),
-      bridge_sink(bridge.get()) {
+      bridge_sink(bridge.get()),
+      index(given.takes.folder, thumbnails),
+      recording(takes, index, given_log) {
   check_takes_folder(config.takes.folder);
-  close_broken_off_takes(config.takes.folder, log);
   control.emplace(config.control, methods(), std::move(passed.control));
 }
 
@@ -217,8 +243,14 @@ ControlMethods Service::Impl::methods() {
        {true,
         {{"name", ControlParam::Type::Text}},
         [this](const json& params) { return record_start(params); }}},
-      {"record.stop", {true, {}, [this](const json&) { return record_stop(); }}},
-      {"takes.list", {false, {}, [this](const json&) { return takes_list(); }}},
+      {"record.stop",
+       {true,
+        {},
+        [this](const json&) {
+          return ControlAnswer(recording.errands(), [this] { return to_text(to_json(recording.stop())); });
+        }}},
+      {"takes.list",
+       {false, {}, [this](const json&) { return ControlAnswer(looking, [this] { return index.list(); }); }}},
       {"neutral.record",
        {true,
         {{"seconds", ControlParam::Type::Number}},
@@ -259,10 +291,11 @@ ControlMethods Service::Impl::methods() {
         [this](const json&) {
           log.info("shutdown asked over the control socket");
           stopping = true;
+          end_reason = "facetd was shut down over the control socket";
           return json::object();
         }}},
   };
-  all.merge(studio_methods(studio));
+  all.merge(studio_methods(studio, looking));
   return all;
 }
 
@@ -277,17 +310,21 @@ json Service::Impl::status() {
   answer["state"] = state(now);
   answer["stream"] = to_json(stream->statistics());
   answer["stream"]["socket"] = config.stream.socket.string();
-  answer["web"] = web ? to_json(web->statistics()) : json(nullptr);
-  if (web) {
-    answer["web"]["url"] = web->url();
+  const auto page = opened_web();
+  answer["web"] = page ? to_json(page->statistics()) : json(nullptr);
+  if (page) {
+    answer["web"]["url"] = page->url();
   }
-  const auto take = takes.status();
-  const auto& shown = take ? take : failed_take;
   answer["bridges"] = bridge ? to_json(bridge->status()) : json(nullptr);
   const StudioStatus on_show = studio.status();
   answer["studio"] =
       on_show.state == StudioState::Closed && on_show.reason.empty() ? json(nullptr) : to_json(on_show);
-  answer["recording"] = shown ? to_json(*shown) : json(nullptr);
+  const auto take = recording.status();
+  answer["recording"] = take ? to_json(*take) : json(nullptr);
+  answer["takes"] = {{"folder", config.takes.folder.string()}, {"list", index.number()}};
+  answer["loop"] = {{"longest_ms", std::chrono::duration<double, std::milli>(longest_round).count()},
+                    {"long_rounds", long_rounds}};
+  status_asked = Clock::now();
   return answer;
 }
 
@@ -306,8 +343,8 @@ MetricsSnapshot Service::Impl::metrics_snapshot() {
   now.disk_free_bytes = std::filesystem::space(config.takes.folder, ignored).available;
   now.stream = stream->statistics();
   now.take = takes.status();
-  if (web) {
-    now.web = web->statistics();
+  if (const auto page = opened_web()) {
+    now.web = page->statistics();
   }
   return now;
 }
@@ -317,18 +354,51 @@ void Service::Impl::open_web() {
     return;
   }
   try {
-    web.emplace(config.web, config.takes.folder, *stream, *control);
-    log.info(fmt::format("page on {}{}", web->url(),
-                         web->has_page() ? "" : ": its files are not there, only its WebSockets"));
+    const auto find = [this](const std::string& name) -> std::optional<TakeFiles> {
+      const auto take = takes.status();
+      if (take && take->file.stem() == name) {
+        return TakeFiles{take->file, {}, "it is being recorded"};
+      }
+      return find_take(config.takes.folder, name);
+    };
+    const auto opened = std::make_shared<WebServer>(config.web, config.takes.folder, find, *stream, *control);
+    log.info(fmt::format("page on {}{}", opened->url(),
+                         opened->has_page() ? "" : ": its files are not there, only its WebSockets"));
+    if (!opened->token_fault().empty()) {
+      log.warning(opened->token_fault());
+    }
+    const std::lock_guard lock(web_mutex);
+    if (!looking_ends) {
+      web = opened;
+    }
   } catch (const Error& error) {
-    log.warning(error.what());
+    if (web_fault != error.what()) {
+      log.warning(error.what());
+    }
+    web_fault = error.what();
   }
 }
 
+std::shared_ptr<WebServer> Service::Impl::opened_web() const {
+  const std::lock_guard lock(web_mutex);
+  return web;
+}
+
 void Service::Impl::look_after_web() {
-  const std::uint64_t wrong = web ? web->statistics().wrong_tokens : 0;
+  const auto page = opened_web();
+  if (page) {
+    page->look_after();
+  } else if (!config.web.listen.empty() && Clock::now() - web_tried >= kWebPeriod &&
+             !web_opens.exchange(true)) {
+    web_tried = Clock::now();
+    looking.ask([this] {
+      open_web();
+      web_opens = false;
+    });
+  }
+  const std::uint64_t wrong = page ? page->statistics().wrong_tokens : 0;
   if (wrong != wrong_tokens_told && Clock::now() - told >= kStatusPeriod) {
-    log.warning(fmt::format("{} wrong tokens were shown to {}", wrong - wrong_tokens_told, web->url()),
+    log.warning(fmt::format("{} wrong tokens were shown to {}", wrong - wrong_tokens_told, page->url()),
                 {{"FACET_EVENT", "wrong-token"}});
     wrong_tokens_told = wrong;
   }
@@ -339,7 +409,8 @@ void Service::Impl::open_metrics() {
     return;
   }
   try {
-    metrics.emplace(config.metrics.listen, [this] { return metrics_snapshot(); });
+    metrics.emplace(
+        config.metrics, [this] { return metrics_snapshot(); }, config.web.hosts);
     log.info(fmt::format("metrics on http://{}:{}/metrics",
                          config.metrics.listen.substr(0, config.metrics.listen.rfind(':')), metrics->port()));
   } catch (const Error& error) {
@@ -372,87 +443,87 @@ avatar::Bridge& Service::Impl::configured_bridge() {
   return *bridge;
 }
 
-json Service::Impl::takes_list() {
-  json answer = list_takes(config.takes.folder);
-  for (json& take : answer["takes"]) {
-    if (take.value("closed", false) && take.value("mesh_frames", 0) > 0) {
-      if (const auto stamp = thumbnails.ask(take["name"].get<std::string>())) {
-        take["thumbnail"] = *stamp;
-      }
-    }
-  }
-  return answer;
-}
-
-json Service::Impl::record_start(const json& params) {
+ControlAnswer Service::Impl::record_start(const json& params) {
   if (!pipeline) {
     throw Error(ErrorKind::Unavailable, "facetd is still starting; try again");
   }
-  const std::string name =
-      params.contains("name")
-          ? params.at("name").get<std::string>()
-          : take::default_take_name(config.takes.folder, std::chrono::system_clock::now());
-  begin_take(name);
-  return {{"file", takes.status()->file.string()}};
+  return {recording.errands(), [this, take = take_config(), name = params.value("name", "")]() mutable {
+            const std::filesystem::path& folder = config.takes.folder;
+            take.file = take::take_path(
+                folder,
+                name.empty() ? take::default_take_name(folder, std::chrono::system_clock::now()) : name);
+            recording.begin(take);
+            return to_text({{"file", take.file.string()}});
+          }};
 }
 
-json Service::Impl::record_stop() {
-  const auto take = takes.end();
-  if (!take) {
-    throw Error(ErrorKind::Usage, failed_take
-                                      ? fmt::format("nothing is being recorded: {} ended by itself: {}",
-                                                    failed_take->file.string(), failed_take->reason)
-                                      : "nothing is being recorded");
+/// Of a take that begins now, but for its file.
+take::TakeRecorderConfig Service::Impl::take_config() const {
+  take::TakeRecorderConfig take;
+  take.source = source_name;
+  take.software = software_name();
+  take.when_full = live ? take::WhenFull::Drop : take::WhenFull::Wait;
+  take.with_images = config.mode == Mode::Frames ||
+                     (config.mode == Mode::Booth && config.booth_record == BoothRecord::Pictures);
+  take.disk_reserve_bytes = config.takes.disk_reserve_bytes;
+  take.compression_level = config.takes.compression_level;
+  return take;
+}
+
+void Service::Impl::begin_first_take() {
+  first_take.emplace();
+  recording.errands().ask([this, take = take_config()]() mutable {
+    std::exception_ptr fault;
+    try {
+      // A daemon that is started again must not stumble over its own earlier take.
+      const std::filesystem::path& folder = config.takes.folder;
+      take.file = take::take_path(folder, take::free_take_name(folder, config.takes.record_at_start));
+      recording.begin(take);
+    } catch (const std::exception&) {
+      fault = std::current_exception();
+    }
+    const std::lock_guard lock(first_take->mutex);
+    first_take->begun = true;
+    first_take->fault = fault;
+  });
+}
+
+/// Throws what kept it from beginning. True where none is to begin.
+bool Service::Impl::first_take_begun() {
+  if (!first_take) {
+    return true;
   }
-  log_take(*take);
-  return to_json(*take);
-}
-
-void Service::Impl::begin_take(const std::string& name) {
-  take::TakeRecorderConfig recorder;
-  recorder.file = take::take_path(config.takes.folder, name);
-  recorder.source = source_name;
-  recorder.software = software_name();
-  recorder.when_full = live ? take::WhenFull::Drop : take::WhenFull::Wait;
-  recorder.with_images = config.mode == Mode::Frames ||
-                         (config.mode == Mode::Booth && config.booth_record == BoothRecord::Pictures);
-  recorder.disk_reserve_bytes = config.takes.disk_reserve_bytes;
-  recorder.compression_level = config.takes.compression_level;
-  takes.begin(recorder);
-  failed_take.reset();
-  log.info(fmt::format("recording {}", recorder.file.string()),
-           {{"FACET_EVENT", "take-begun"}, {"FACET_TAKE", recorder.file.string()}});
-}
-
-void Service::Impl::log_take(const take::RecorderStatus& take) const {
-  const std::string text = fmt::format("take {}: {} frames, {} not recorded, {:.1f} MB", take.file.string(),
-                                       take.frames, take.dropped, static_cast<double>(take.bytes) / 1e6);
-  if (take.state == take::RecorderState::Failed) {
-    log.error(fmt::format("{}; recording ended by itself: {}", text, take.reason),
-              {{"FACET_EVENT", "take-failed"}, {"FACET_TAKE", take.file.string()}});
-  } else {
-    const char* left =
-        take.log_left ? "; a part stays in the -wal file beside it, as another program reads it" : "";
-    log.info(text + left, {{"FACET_EVENT", "take-ended"}, {"FACET_TAKE", take.file.string()}});
+  const std::lock_guard lock(first_take->mutex);
+  if (first_take->fault != nullptr) {
+    std::rethrow_exception(std::exchange(first_take->fault, nullptr));
   }
+  return first_take->begun;
 }
 
 void Service::Impl::wait_for_events() {
   std::array<pollfd, 3> fds{
       {{signals.get(), POLLIN, 0}, {control->fd(), POLLIN, 0}, {opener ? opener->fd() : -1, POLLIN, 0}}};
-  const auto period = pipeline && !running ? kImpatientPeriod : kLoopPeriod;
+  auto period = pipeline && !running ? kImpatientPeriod : kLoopPeriod;
+  if (const auto due = control->due()) {
+    period = std::clamp(std::chrono::ceil<std::chrono::milliseconds>(*due - Clock::now()),
+                        std::chrono::milliseconds(0), period);
+  }
   if (::poll(fds.data(), fds.size(), static_cast<int>(period.count())) < 0 && errno != EINTR) {
     throw Error(ErrorKind::Internal, fmt::format("poll: {}", std::strerror(errno)));
   }
-  read_signals();
-  control->serve();
 }
 
 void Service::Impl::read_signals() {
   signalfd_siginfo info{};
   while (::read(signals.get(), &info, sizeof(info)) == sizeof(info)) {
+    if (info.ssi_signo == SIGHUP) {
+      log.warning(
+          "SIGHUP is ignored: the configuration is read at the start alone (systemctl restart facetd)");
+      continue;
+    }
     log.info(fmt::format("stopping on signal {}", info.ssi_signo));
     stopping = true;
+    end_reason = fmt::format("facetd was stopped by signal {}", info.ssi_signo);
   }
 }
 
@@ -526,16 +597,19 @@ void Service::Impl::begin_pipeline() {
   opener.reset();
   open_metrics();
   if (!config.takes.record_at_start.empty()) {
-    // A daemon that is started again must not stumble over its own earlier take.
-    begin_take(take::free_take_name(config.takes.folder, config.takes.record_at_start));
+    begin_first_take();
   }
   if (config.wait_for_reader) {
     log.info("waiting for a reader of the stream");
   }
   manager.ready();
+  looking.ask([this] { index.close_broken_off(log, [this] { return !looking_ends; }); });
 }
 
 void Service::Impl::start_when_awaited() {
+  if (!first_take_begun()) {
+    return;
+  }
   if (config.wait_for_reader) {
     const auto readers = stream->statistics().readers;
     if (std::none_of(readers.begin(), readers.end(), [](const auto& reader) { return reader.subscribed; })) {
@@ -547,11 +621,39 @@ void Service::Impl::start_when_awaited() {
   log.info("running", {{"FACET_EVENT", "running"}, {"FACET_SOURCE", source_name}});
 }
 
-void Service::Impl::look_after_take() {
-  const auto take = takes.status();
-  if (take && take->state == take::RecorderState::Failed) {
-    failed_take = takes.end();
-    log_take(*failed_take);
+/// Whoever watches the status hears of takes that come and go by other hands.
+void Service::Impl::look_after_index() {
+  const auto now = Clock::now();
+  if (now - status_asked < kIndexInterest &&
+      now - index_looked >= (index.stale() ? kLoopPeriod : kIndexPeriod)) {
+    if (index_looks.exchange(true)) {
+      return;
+    }
+    index_looked = now;
+    looking.ask([this] {
+      try {
+        index.look();
+      } catch (const Error&) {
+        // Whoever asks for the list is told.
+      }
+      index_looks = false;
+    });
+  }
+}
+
+void Service::Impl::time_round(Clock::time_point began) {
+  const auto now = Clock::now();
+  longest_round = std::max<std::chrono::nanoseconds>(longest_round, now - began);
+  if (now - began < kLongRound) {
+    return;
+  }
+  ++long_rounds;
+  if (now - long_round_told >= kLongRoundPeriod) {
+    long_round_told = now;
+    log.warning(fmt::format("a round of the daemon's loop took {} ms ({} took over {} ms so far)",
+                            std::chrono::duration_cast<std::chrono::milliseconds>(now - began).count(),
+                            long_rounds, kLongRound.count()),
+                {{"FACET_EVENT", "long-round"}});
   }
 }
 
@@ -574,6 +676,9 @@ void Service::Impl::look_after_pipeline() {
     log.error(now.reason, {{"FACET_EVENT", "failed"}, {"FACET_SOURCE", source_name}});
   }
   const bool cut_short = !failed && !now.reason.empty();
+  recording.end(failed      ? now.reason
+                : cut_short ? "the source ended early: " + now.reason
+                            : "the source is at its end");
   log.info(fmt::format("{}: {} frames, {} with a mesh, {} refined, {} dropped",
                        failed      ? "until then"
                        : cut_short ? "the source ended early"
@@ -631,10 +736,14 @@ void Service::Impl::tell_manager() {
 }
 
 void Service::Impl::look_after() {
+  if (MemoryReserve::refill() > 0) {
+    log.warning("memory ran out for a moment", {{"FACET_EVENT", "memory"}});
+  }
   if (const std::string failure = stream->statistics().failure; !failure.empty()) {
     throw Error(ErrorKind::Internal, failure);
   }
-  look_after_take();
+  recording.look_after();
+  look_after_index();
   if (opener && opener->done()) {
     begin_pipeline();
   }
@@ -654,12 +763,15 @@ void Service::Impl::look_after() {
 
 /// Phase one: everybody is told. Phase two: takes are closed, sockets removed, threads joined.
 void Service::Impl::finish() {
-  manager.stopping();
-  const Clock::time_point patience = Clock::now() + kStopPatience;
+  if (stopping) {
+    manager.stopping();  // from now on the service manager counts the seconds
+  }
   if (pipeline) {
     pipeline->request_stop();
   }
-  takes.request_end();
+  recording.request_stop(end_reason);
+  looking_ends = true;
+  looking.request_stop();
   studio.request_stop();
   thumbnails.request_stop();
   stream->request_stop();
@@ -667,35 +779,78 @@ void Service::Impl::finish() {
     bridge->request_stop();
   }
   metrics.reset();
-  web.reset();
-  if (const auto take = takes.end()) {
-    log_take(*take);
+  if (const auto page = opened_web()) {
+    const std::lock_guard lock(web_mutex);
+    web = nullptr;
   }
   stream->stop();
   if (bridge) {
     bridge->stop();
   }
-  control.reset();
-  const auto threads_end = [&] {
-    return (!opener || opener->done()) && (!pipeline || pipeline->finished()) && studio.finished() &&
-           thumbnails.finished();
-  };
-  while (!threads_end()) {
-    if (Clock::now() >= patience) {
-      log.warning("a thread is still at work: leaving without it");
-      if (studio.finished()) {
-        studio.stop();
-      }
-      if (thumbnails.finished()) {
-        thumbnails.stop();
-      }
-      ::_exit(exit_status.value_or(0));
-    }
-    ::usleep(2000);
+  const bool all_ended = wait_for_threads();
+  manager.stopping();
+  try {
+    control->serve();  // what was answered meanwhile
+  } catch (const std::exception&) {
+    // Nobody hears it then.
   }
+  control.reset();
+  if (recording.finished()) {
+    recording.finish();
+  } else if (const auto take = recording.status()) {
+    const std::string text = fmt::format("take {}: {} frames", take->file.string(), take->frames);
+    if (take->marked) {
+      log.info(text + "; a slow disk leaves a part of it in the -wal file beside it until the next start",
+               {{"FACET_EVENT", "take-ended"}, {"FACET_TAKE", take->file.string()}});
+    } else {
+      log.error(
+          text + "; the disk does not take what came after them in time; it is closed at the next start",
+          {{"FACET_EVENT", "take-failed"}, {"FACET_TAKE", take->file.string()}});
+    }
+  }
+  if (!all_ended) {
+    log.warning("a thread is still at work: leaving without it");
+    ::_exit(exit_status.value_or(0));
+  }
+  looking.stop();
   studio.stop();
   thumbnails.stop();
   log.info("stopped");
+}
+
+/// False where one does not end. A take that grows is waited for, and a stop that is asked for meanwhile
+/// heard.
+bool Service::Impl::wait_for_threads() {
+  const auto began = Clock::now();
+  auto grown = began;
+  std::tuple<std::uint64_t, std::size_t, bool> done;
+  while (true) {
+    const auto now = Clock::now();
+    read_signals();
+    if (!stopping) {
+      manager.look_after(std::nullopt);
+    }
+    recording.end(end_reason);  // also one that was just about to begin
+    const auto take = takes.status();
+    const auto so_far = take ? std::tuple(take->frames, take->queued, take->marked) : done;
+    if (so_far != done) {
+      done = so_far;
+      grown = now;
+    }
+    const bool recorded = recording.finished();
+    const bool others = (!opener || opener->done()) && (!pipeline || pipeline->finished()) &&
+                        studio.finished() && thumbnails.finished() && looking.finished();
+    if (recorded && others) {
+      return true;
+    }
+    const bool in_vain =
+        now - grown >= (stopping ? Clock::duration(kStopPatience) : Clock::duration(kEndPatience)) ||
+        (stopping && now - began >= kLongestStop);
+    if ((recorded || in_vain) && (others || now - began >= kStopPatience)) {
+      return false;
+    }
+    ::usleep(2000);
+  }
 }
 
 Service::Service(const Config& config, Log& log) : impl_(std::make_unique<Impl>(config, log)) {}
@@ -709,11 +864,16 @@ int Service::run() {
     impl.log.info(fmt::format("{}: stream on {}, control on {}", software_name(),
                               impl.config.stream.socket.string(), impl.config.control.socket.string()),
                   {{"FACET_EVENT", "started"}, {"FACET_VERSION", FACET_VERSION}});
+    impl.recording.start();
+    impl.looking.start();
     impl.studio.start();
     impl.thumbnails.start();
     impl.open_web();
     if (impl.bridge) {
       impl.bridge->start();
+      if (const std::string fault = impl.bridge->status().neutral_reason; !fault.empty()) {
+        impl.log.warning(fault);
+      }
       for (const avatar::BridgeTarget& target : impl.config.bridges.targets) {
         impl.log.info(fmt::format("bridge: {} to {}", avatar::to_string(target.protocol), target.text()));
         impl.warn_of_silence(target);
@@ -722,12 +882,24 @@ int Service::run() {
     impl.opener.emplace(impl.config);
     while (!impl.exit_status) {
       impl.wait_for_events();
+      const auto began = Clock::now();
+      impl.read_signals();
+      impl.control->serve();
       impl.look_after();
+      impl.time_round(began);
     }
-  } catch (const Error& error) {
-    impl.log.error(error.what(), {{"FACET_EVENT", "failed"}});
-    impl.manager.status(error.what());
-    impl.exit_status = static_cast<int>(error.kind());
+  } catch (const std::exception& error) {
+    // Whatever it was, the take is closed and everybody is told.
+    const auto* known = dynamic_cast<const Error*>(&error);
+    impl.exit_status = static_cast<int>(known != nullptr ? known->kind() : ErrorKind::Internal);
+    try {
+      impl.end_reason = error.what();
+      impl.log.error(known != nullptr ? error.what() : fmt::format("internal fault: {}", error.what()),
+                     {{"FACET_EVENT", "failed"}});
+      impl.manager.status(error.what());
+    } catch (const std::bad_alloc&) {
+      // The exit status tells it.
+    }
   }
   impl.finish();
   return *impl.exit_status;

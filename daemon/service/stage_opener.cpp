@@ -23,7 +23,7 @@ StageOpener::StageOpener(const Config& config) : result_(std::make_shared<Result
     throw Error(ErrorKind::Internal, "cannot make an eventfd: too many open files");
   }
   // Ends by itself; joined by the destructor.
-  thread_ = std::thread([result = result_, config] {
+  thread_ = std::jthread([result = result_, config] {
     ::pthread_setname_np(::pthread_self(), "facet-open");
     try {
       if (config.mode == Mode::Frames) {
@@ -42,10 +42,6 @@ StageOpener::StageOpener(const Config& config) : result_(std::make_shared<Result
     const std::uint64_t one = 1;
     [[maybe_unused]] const ssize_t ignored = ::write(result->wake.get(), &one, sizeof(one));
   });
-}
-
-StageOpener::~StageOpener() {
-  thread_.join();
 }
 
 int StageOpener::fd() const {

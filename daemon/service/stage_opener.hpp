@@ -20,13 +20,12 @@ namespace facet::service {
 using Opened = std::variant<pipeline::Stages, pipeline::LiveViews, pipeline::Rig, pipeline::Booth>;
 
 /// Opens the pipeline's stages or devices on the thread `facet-open`, which can't be broken off: models are
-/// read, drivers loaded and kernels compiled meanwhile. One thread uses this object.
+/// read, drivers loaded and kernels compiled meanwhile. The destructor waits for it. One thread uses this
+/// object.
 class StageOpener {
  public:
   /// Begins at once.
   explicit StageOpener(const Config& config);
-  /// Waits for the thread.
-  ~StageOpener();
   StageOpener(const StageOpener&) = delete;
   StageOpener& operator=(const StageOpener&) = delete;
 
@@ -40,7 +39,7 @@ class StageOpener {
  private:
   struct Result;
   std::shared_ptr<Result> result_;
-  std::thread thread_;
+  std::jthread thread_;
 };
 
 }  // namespace facet::service

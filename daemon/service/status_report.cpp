@@ -160,12 +160,14 @@ json to_json(const WebStatistics& web) {
   return {{"requests", web.requests},
           {"refused", web.refused},
           {"wrong_tokens", web.wrong_tokens},
+          {"broken_off", web.broken_off},
           {"last_refusal", web.last_refusal}};
 }
 
 json to_json(const take::RecorderStatus& status) {
   return {{"state", take::to_string(status.state)},
           {"reason", status.reason},
+          {"warning", status.warning},
           {"file", status.file.string()},
           {"frames", status.frames},
           {"mesh_frames", status.mesh_frames},
@@ -196,55 +198,6 @@ std::uint64_t resident_bytes() {
   std::uint64_t resident_pages = 0;
   statm >> total_pages >> resident_pages;
   return statm ? resident_pages * static_cast<std::uint64_t>(::sysconf(_SC_PAGESIZE)) : 0;
-}
-
-json list_takes(const std::filesystem::path& folder) {
-  struct Found {
-    std::filesystem::path file;
-    std::filesystem::file_time_type changed;
-  };
-  std::vector<Found> found;
-  std::error_code error;
-  for (std::filesystem::directory_iterator entry(folder, error), end; !error && entry != end;
-       entry.increment(error)) {
-    std::error_code ignored;
-    if (entry->path().extension() == ".take" && entry->is_regular_file(ignored)) {
-      found.push_back({entry->path(), entry->last_write_time(ignored)});
-    }
-  }
-  if (error) {
-    throw Error(ErrorKind::Storage, folder.string() + ": cannot list this folder: " + error.message());
-  }
-  std::sort(found.begin(), found.end(), [](const Found& a, const Found& b) { return a.changed > b.changed; });
-  json takes = json::array();
-  for (const Found& take : found) {
-    if (takes.size() == kMostListedTakes) {
-      break;
-    }
-    json entry = {{"name", take.file.stem().string()}, {"file", take.file.string()}};
-    try {
-      const take::TakeReader reader(take.file);
-      const take::TakeInfo& info = reader.info();
-      entry["created_utc"] = info.created_utc;
-      entry["frames"] = info.frame_count;
-      entry["mesh_frames"] = info.mesh_frame_count;
-      entry["duration_s"] = static_cast<double>(info.last_timestamp_ns - info.first_timestamp_ns) * 1e-9;
-      entry["bytes"] = info.file_bytes;
-      std::error_code missing;
-      std::uint64_t picture_bytes = 0;
-      for (const take::TakeSegment& segment : info.segments) {
-        const std::uintmax_t bytes = std::filesystem::file_size(segment.file, missing);
-        picture_bytes += missing ? 0 : bytes;
-      }
-      entry["picture_bytes"] = picture_bytes;
-      entry["closed"] = info.closed;
-      entry["end_reason"] = info.end_reason;
-    } catch (const Error& unreadable) {
-      entry["error"] = unreadable.what();
-    }
-    takes.push_back(std::move(entry));
-  }
-  return {{"folder", folder.string()}, {"count", found.size()}, {"takes", std::move(takes)}};
 }
 
 }  // namespace facet::service

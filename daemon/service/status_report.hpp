@@ -1,6 +1,6 @@
 #pragma once
 
-#include <filesystem>
+#include <cstdint>
 #include <nlohmann/json_fwd.hpp>
 
 #include "avatar/bridge.hpp"
@@ -20,10 +20,5 @@ nlohmann::json to_json(const avatar::BridgeStatus& status);
 
 /// Memory of this process in use, bytes; 0 where the system does not tell.
 std::uint64_t resident_bytes();
-
-/// The takes of a folder, newest first, and what each says of itself; a file that is no readable take has
-/// "error" instead. At most kMostListedTakes are looked into; "count" tells all.
-nlohmann::json list_takes(const std::filesystem::path& folder);
-inline constexpr std::size_t kMostListedTakes = 200;
 
 }  // namespace facet::service

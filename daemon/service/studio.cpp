@@ -8,12 +8,14 @@
 #include <cmath>
 #include <condition_variable>
 #include <mutex>
+#include <new>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <thread>
 
 #include "animate/places.hpp"
 #include "facet/error.hpp"
+#include "files/json_text.hpp"
 #include "files/output_file.hpp"
 #include "files/text_file.hpp"
 #include "mesh/hierarchy.hpp"
@@ -201,10 +203,10 @@ struct Studio::Impl {
   std::string keys;
 
   std::unique_ptr<Session> session;  ///< the thread only
-  std::thread thread;
+  std::jthread thread;
   std::atomic<bool> ended{true};
 
-  // The daemon's loop.
+  // Whoever asks; under the mutex.
   const Faces& ready_faces() const;
   animate::ControlTarget resolve(const animate::KeyControl& control) const;
   std::uint64_t ask_pose(std::vector<animate::ControlTarget> targets, const animate::IkOptions& how);
@@ -233,7 +235,7 @@ struct Studio::Impl {
   bool wanted_still(StudioState what);
 };
 
-// ---- the daemon's loop ----------------------------------------------------------------------------------
+// ---- whoever asks --------------------------------------------------------------------------------------
 
 const Studio::Impl::Faces& Studio::Impl::ready_faces() const {
   if (faces != nullptr) {
@@ -363,6 +365,7 @@ void Studio::Impl::open_session(const Opening& what) {
     throw Error(ErrorKind::UnreadableInput, fmt::format("take {} has no mesh", what.take));
   }
   std::string stored_keys;
+  std::string keys_fault;
   if (what.posing) {
     auto ready = std::make_shared<Faces>();
     ready->basis = animate::TakeBasis::open(made->file, {}, [&](std::int64_t done, std::int64_t total) {
@@ -381,8 +384,14 @@ void Studio::Impl::open_session(const Opening& what) {
     made->faces = ready;
     std::error_code ignored;
     if (std::filesystem::exists(keys_file(made->file), ignored)) {
-      stored_keys = files::read_text(keys_file(made->file), animate::kMostKeysBytes, "keys file");
-      animate::parse_keys(stored_keys, keys_file(made->file).string());
+      try {
+        stored_keys = files::read_text(keys_file(made->file), animate::kKeysLimits.most_bytes, "keys file");
+        animate::parse_keys(stored_keys, keys_file(made->file).string());
+      } catch (const Error& error) {
+        stored_keys.clear();
+        keys_fault = fmt::format("the take is open without its keys: {}; {}", error.what(),
+                                 files::set_aside(keys_file(made->file)));
+      }
     }
   }
   made->check_due = Clock::now() + kRepeat;
@@ -403,6 +412,10 @@ void Studio::Impl::open_session(const Opening& what) {
     solve({Wish::Kind::Pose, Shown::Pose, 0, false, Clock::now()});
   } else {
     show_at(Shown::Take, 0);
+  }
+  if (!keys_fault.empty()) {
+    const std::lock_guard lock(mutex);
+    shown.reason = std::move(keys_fault);
   }
 }
 
@@ -668,7 +681,15 @@ void Studio::Impl::run() {
   ::pthread_setname_np(::pthread_self(), "facet-studio");
   std::unique_lock lock(mutex);
   while (!stopping) {
-    if (work_once(lock)) {
+    try {
+      if (work_once(lock)) {
+        continue;
+      }
+    } catch (const std::bad_alloc&) {
+      // There was not even the memory to say what had failed. What is asked for next finds some, or not.
+      if (!lock.owns_lock()) {
+        lock.lock();
+      }
       continue;
     }
     if (session == nullptr) {
@@ -697,7 +718,12 @@ Studio::~Studio() {
 
 void Studio::start() {
   impl_->ended = false;
-  impl_->thread = std::thread([this] { impl_->run(); });
+  try {
+    impl_->thread = std::jthread([this] { impl_->run(); });
+  } catch (...) {
+    impl_->ended = true;
+    throw;
+  }
 }
 
 void Studio::request_stop() {
@@ -851,34 +877,40 @@ void Studio::set_keys(const std::string& text) {
 }
 
 std::string Studio::save_key(double time_s) {
-  json root;
+  // Copies: what is made of them takes long where the keys are many.
+  std::string keys;
+  std::vector<animate::ControlTarget> wanted;
+  animate::IkOptions options;
   {
     const std::lock_guard lock(impl_->mutex);
     impl_->ready_faces();
-    root = impl_->keys.empty() ? json::object() : json::parse(impl_->keys);
-    json controls = json::array();
-    for (const animate::ControlTarget& target : impl_->wanted) {
-      const bool on_screen = target.space == animate::ControlTarget::Space::Screen;
-      json at = json::array();
-      for (Eigen::Index axis = 0; axis < (on_screen ? 2 : 3); ++axis) {
-        at.push_back(std::round(1e4 * static_cast<double>(target.target[axis])) / 1e4);
-      }
-      controls.push_back({{"vertex", target.vertex}, {on_screen ? "at_px" : "at_mm", std::move(at)}});
-    }
-    json kept = json::array();
-    for (const json& key : root.value("keys", json::array())) {
-      if (std::abs(key.at("time_s").get<double>() - time_s) > kSameTime_s) {
-        kept.push_back(key);
-      }
-    }
-    const auto later = std::find_if(kept.begin(), kept.end(),
-                                    [&](const json& key) { return key.at("time_s").get<double>() > time_s; });
-    // Not a braced list: that would insert its two members.
-    kept.insert(later, json({{"time_s", time_s}, {"controls", std::move(controls)}}));
-    root["keys"] = std::move(kept);
-    root["whole"] = impl_->options.whole;
-    root["clamp"] = impl_->options.clamp;
+    keys = impl_->keys;
+    wanted = impl_->wanted;
+    options = impl_->options;
   }
+  json root = keys.empty() ? json::object() : files::parse_json(keys, animate::kKeysLimits, "keys");
+  json controls = json::array();
+  for (const animate::ControlTarget& target : wanted) {
+    const bool on_screen = target.space == animate::ControlTarget::Space::Screen;
+    json at = json::array();
+    for (Eigen::Index axis = 0; axis < (on_screen ? 2 : 3); ++axis) {
+      at.push_back(std::round(1e4 * static_cast<double>(target.target[axis])) / 1e4);
+    }
+    controls.push_back({{"vertex", target.vertex}, {on_screen ? "at_px" : "at_mm", std::move(at)}});
+  }
+  json kept = json::array();
+  for (const json& key : root.value("keys", json::array())) {
+    if (std::abs(key.at("time_s").get<double>() - time_s) > kSameTime_s) {
+      kept.push_back(key);
+    }
+  }
+  const auto later = std::find_if(kept.begin(), kept.end(),
+                                  [&](const json& key) { return key.at("time_s").get<double>() > time_s; });
+  // Not a braced list: that would insert its two members.
+  kept.insert(later, json({{"time_s", time_s}, {"controls", std::move(controls)}}));
+  root["keys"] = std::move(kept);
+  root["whole"] = options.whole;
+  root["clamp"] = options.clamp;
   std::string text = root.dump(1);
   set_keys(text);
   return text;

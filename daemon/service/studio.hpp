@@ -77,10 +77,10 @@ struct RegionColours {
 /// by keys. While one is open, `hold_live(true)` has been called and the pipeline goes on unseen.
 ///
 /// One thread, `facet-studio`, which start begins and stop joins, and which alone solves and publishes; it
-/// blocks on the disk, but for set_keys and save_key. The methods below are for the daemon's loop: they check
-/// what is asked, leave it for the thread and return at once. What is left has room for one: a pose, a place
-/// in time or a halt takes the place of the one before, so that a controller of any speed holds nothing up
-/// (newest wins).
+/// blocks on the disk, but for open, set_keys, save_key and export_keys, which look at files. The methods
+/// below are for any thread: they check what is asked, leave it for the thread and return at once. What is
+/// left has room for one: a pose, a place in time or a halt takes the place of the one before, so that a
+/// controller of any speed holds nothing up (newest wins).
 ///
 /// Methods throw Error(Usage) where what is asked makes no sense now, with a sentence for people;
 /// Error(Unavailable) while a take is being opened. What fails later stands in status().reason.

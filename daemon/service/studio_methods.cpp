@@ -2,9 +2,11 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <nlohmann/json.hpp>
 
 #include "facet/error.hpp"
+#include "files/json_text.hpp"
 #include "stream/base64.hpp"
 
 namespace facet::service {
@@ -23,7 +25,7 @@ animate::KeyList as_key(const std::string& method, const json& controls, const j
       root[name] = params[name];
     }
   }
-  return animate::parse_keys(root.dump(-1, ' ', false, json::error_handler_t::replace), method);
+  return animate::keys_of(root, method);
 }
 
 json number_of_event(std::uint64_t event) {
@@ -53,8 +55,11 @@ std::string vertex_of(const json& vertex) {
   return vertex.is_string() ? vertex.get<std::string>() : vertex.dump();
 }
 
-json keys_json(const std::string& text) {
-  return {{"keys", text.empty() ? json(nullptr) : json::parse(text)}};
+/// text: keys that are JSON, on as many lines as whoever wrote them liked; an answer is one line.
+std::string keys_text(std::string text) {
+  std::replace_if(
+      text.begin(), text.end(), [](char c) { return c == '\n' || c == '\r'; }, ' ');
+  return R"({"keys":)" + (text.empty() ? "null" : text) + "}";
 }
 
 json times_json(const StudioTimes& times) {
@@ -133,15 +138,18 @@ json to_json(const StudioStatus& status) {
           {"exported", status.exported.string()}};
 }
 
-ControlMethods studio_methods(Studio& studio) {
+ControlMethods studio_methods(Studio& studio, Errands& errands) {
   using Type = ControlParam::Type;
   return {
       {"studio.open",
        {true,
         {{"take", Type::Text, true}, {"pose", Type::Flag}},
-        [&studio](const json& params) {
-          studio.open(params.at("take").get<std::string>(), params.value("pose", true));
-          return json::object();
+        [&studio, &errands](const json& params) {
+          return ControlAnswer(errands, [&studio, take = params.at("take").get<std::string>(),
+                                         pose = params.value("pose", true)] {
+            studio.open(take, pose);
+            return std::string("{}");
+          });
         }}},
       {"studio.close",
        {true,
@@ -202,30 +210,47 @@ ControlMethods studio_methods(Studio& studio) {
       {"pose.regions",
        {false,
         {},
-        [&studio](const json&) {
-          const RegionColours regions = studio.regions();
-          return json{{"vertices", regions.vertices},
-                      {"colours", regions.colours},
-                      {"rgb", stream::base64(regions.rgb)}};
+        [&studio, &errands](const json&) {
+          return ControlAnswer(errands, [&studio] {
+            const RegionColours regions = studio.regions();
+            return to_text({{"vertices", regions.vertices},
+                            {"colours", regions.colours},
+                            {"rgb", stream::base64(regions.rgb)}});
+          });
         }}},
-      {"keys.get", {false, {}, [&studio](const json&) { return keys_json(studio.keys()); }}},
+      {"keys.get",
+       {false,
+        {},
+        [&studio, &errands](const json&) {
+          return ControlAnswer(errands, [&studio] { return keys_text(studio.keys()); });
+        }}},
       {"keys.set",
        {true,
         {{"keys", Type::Any, true}},
-        [&studio](const json& params) {
-          const json& keys = params.at("keys");
-          studio.set_keys(keys.is_null() ? "" : keys.dump(1, ' ', false, json::error_handler_t::replace));
-          return json::object();
+        [&studio, &errands](const json& params) {
+          return ControlAnswer(errands, [&studio, keys = params.at("keys")] {
+            if (!keys.is_null()) {
+              animate::keys_of(keys, "keys");  // before anything is made of it
+            }
+            studio.set_keys(keys.is_null() ? "" : to_text(keys));
+            return std::string("{}");
+          });
         }}},
       {"keys.save",
        {true,
         {{"time_s", Type::Number}},
-        [&studio](const json& params) { return keys_json(studio.save_key(time_of(params, "time_s", -1))); }}},
+        [&studio, &errands](const json& params) {
+          return ControlAnswer(errands, [&studio, time_s = time_of(params, "time_s", -1)] {
+            return keys_text(studio.save_key(time_s));
+          });
+        }}},
       {"keys.export",
        {true,
         {{"name", Type::Text, true}},
-        [&studio](const json& params) {
-          return json{{"file", studio.export_keys(params.at("name").get<std::string>()).string()}};
+        [&studio, &errands](const json& params) {
+          return ControlAnswer(errands, [&studio, name = params.at("name").get<std::string>()] {
+            return to_text({{"file", studio.export_keys(name).string()}});
+          });
         }}},
   };
 }

@@ -8,8 +8,8 @@
 namespace facet::service {
 
 /// The studio's part of the control protocol: studio.*, pose.* and keys.* (docs/control-protocol.md). Borrows
-/// the studio.
-ControlMethods studio_methods(Studio& studio);
+/// the studio, and the errands for what waits for a disk or takes long to compute.
+ControlMethods studio_methods(Studio& studio, Errands& errands);
 
 /// What studio.status answers.
 nlohmann::json to_json(const StudioStatus& status);

@@ -12,6 +12,7 @@
 #include <condition_variable>
 #include <deque>
 #include <mutex>
+#include <new>
 #include <set>
 #include <thread>
 #include <utility>
@@ -98,7 +99,7 @@ struct Thumbnails::Impl {
   std::deque<std::string> wanted;
   std::set<std::pair<std::string, std::filesystem::file_time_type>> failed;  ///< takes as they were
   std::atomic<bool> ended{true};
-  std::thread thread;
+  std::jthread thread;
 
   void run();
   void make(const std::string& take) const;
@@ -111,10 +112,7 @@ void Thumbnails::Impl::make(const std::string& take) const {
   }
   const std::filesystem::path to = file(folder, take);
   files::make_folder(to.parent_path());
-  // write_png is not atomic: under a name that nobody asks for, then renamed.
-  const std::filesystem::path half = to.parent_path() / ".half.png";
-  render::write_png(draw(*mesh), half);
-  std::filesystem::rename(half, to);
+  render::write_png(draw(*mesh), to);
 }
 
 void Thumbnails::Impl::run() {
@@ -126,22 +124,28 @@ void Thumbnails::Impl::run() {
     if (stopping) {
       break;
     }
-    const std::string take = wanted.front();
+    // It stays in front while it is drawn, so that it is not asked for again.
+    const std::string& take = wanted.front();
     lock.unlock();
     bool made = false;
     std::error_code ignored;
-    const auto changed = std::filesystem::last_write_time(take::named_take(folder, take), ignored);
+    std::filesystem::file_time_type changed;
     try {
+      changed = std::filesystem::last_write_time(take::named_take(folder, take), ignored);
       make(take);
       made = true;
     } catch (const std::exception&) {
       // No picture of this take: the page shows none.
     }
     lock.lock();
-    wanted.pop_front();
-    if (!made) {
-      failed.insert({take, changed});
+    try {
+      if (!made) {
+        failed.insert({take, changed});
+      }
+    } catch (const std::bad_alloc&) {
+      // It will be tried once more.
     }
+    wanted.pop_front();
   }
   lock.unlock();
   ended = true;
@@ -157,7 +161,12 @@ Thumbnails::~Thumbnails() {
 
 void Thumbnails::start() {
   impl_->ended = false;
-  impl_->thread = std::thread([this] { impl_->run(); });
+  try {
+    impl_->thread = std::jthread([this] { impl_->run(); });
+  } catch (...) {
+    impl_->ended = true;
+    throw;
+  }
 }
 
 void Thumbnails::request_stop() {

@@ -16,6 +16,7 @@
 #include <charconv>
 #include <cstring>
 #include <exception>
+#include <iterator>
 #include <map>
 #include <mutex>
 #include <optional>
@@ -26,11 +27,14 @@
 #include <vector>
 
 #include "facet/error.hpp"
+#include "facet/system_error.hpp"
+#include "files/output_file.hpp"
 #include "files/text_file.hpp"
+#include "service/http_connections.hpp"
 #include "service/listen_address.hpp"
 #include "service/thumbnails.hpp"
 #include "stream/web_socket.hpp"
-#include "take/closing.hpp"
+#include "take/database.hpp"
 #include "take/reader.hpp"
 #include "take/recorder.hpp"
 
@@ -39,8 +43,6 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr unsigned kIdle_s = 30;
-constexpr std::size_t kConnectionBytes = 16384;  ///< request and buffers
 /// What the kernel may hold for one WebSocket, bytes: a reader that is slow is to lose old frames, not to get
 /// them late.
 constexpr int kSendBufferBytes = 512 << 10;
@@ -80,13 +82,6 @@ struct PageFile {
   std::string bytes;
   const char* type;
 };
-
-std::string lower(std::string_view text) {
-  std::string out(text);
-  std::transform(out.begin(), out.end(), out.begin(),
-                 [](char c) { return c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c; });
-  return out;
-}
 
 /// The entries of a list that commas part, without the blanks around them.
 std::vector<std::string_view> entries(std::string_view list) {
@@ -143,18 +138,19 @@ std::string make_token(const std::filesystem::path& file) {
   for (const std::uint8_t byte : random) {
     token += fmt::format("{:02x}", byte);
   }
-  const stream::FileDescriptor out(::open(file.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0640));
-  const std::string line = token + "\n";
-  if (!out || ::write(out.get(), line.data(), line.size()) != static_cast<ssize_t>(line.size())) {
+  try {
+    files::OutputFile out(file, 0640);
+    out.write(token + "\n");
+    out.commit();
+  } catch (const Error& error) {
     throw Error(ErrorKind::Storage,
-                fmt::format("web.token_file = \"{}\": can't write: {}; web.token_file = \"\" does without",
-                            file.string(), std::strerror(errno)));
+                fmt::format("web.token_file: {}; web.token_file = \"\" does without", error.what()));
   }
   return token;
 }
 
-/// What has to be shown to change something; empty: nobody can.
-std::string read_token(const std::filesystem::path& file) {
+/// What has to be shown to change something; empty: nobody can. fault: what was wrong with the file.
+std::string read_token(const std::filesystem::path& file, std::string& fault) {
   if (file.empty()) {
     return {};
   }
@@ -175,11 +171,12 @@ std::string read_token(const std::filesystem::path& file) {
     return (c >= '0' && c <= '9') || (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || c == '-' || c == '_';
   });
   if (!sound || token.size() < kLeastTokenBytes || token.size() > kMostTokenBytes) {
-    throw Error(
-        ErrorKind::Usage,
-        fmt::format("web.token_file = \"{}\": a token is one line of {} to {} letters, digits, - and _; "
-                    "remove the file to have one made",
-                    file.string(), kLeastTokenBytes, kMostTokenBytes));
+    fault = fmt::format(
+        "web.token_file = \"{}\": a token is one line of {} to {} letters, digits, - and _; {}, and a new "
+        "one "
+        "is made",
+        file.string(), kLeastTokenBytes, kMostTokenBytes, files::set_aside(file));
+    return make_token(file);
   }
   return token;
 }
@@ -194,27 +191,6 @@ bool same_token(std::string_view shown, std::string_view token) {
     difference |= static_cast<unsigned char>(shown[i]) ^ static_cast<unsigned char>(token[i]);
   }
   return difference == 0;
-}
-
-/// What a request says of a header: the value where it is there once.
-struct HeaderValue {
-  std::string name;  ///< in lower case
-  std::optional<std::string> value;
-  int count = 0;
-};
-
-HeaderValue header(MHD_Connection* connection, std::string_view name) {
-  HeaderValue found{lower(name), std::nullopt, 0};
-  const auto visit = [](void* cls, MHD_ValueKind /*kind*/, const char* key, const char* value) {
-    auto& wanted = *static_cast<HeaderValue*>(cls);
-    if (lower(key) == wanted.name) {
-      wanted.value =
-          value != nullptr && ++wanted.count == 1 ? std::optional<std::string>(value) : std::nullopt;
-    }
-    return MHD_YES;
-  };
-  MHD_get_connection_values(connection, MHD_HEADER_KIND, visit, &found);
-  return found;
 }
 
 /// The bytes [first, end) of a file.
@@ -287,15 +263,17 @@ Response words(const std::string& text) {
 /// is known before, and any part of it can be read.
 class TarOfFiles {
  public:
-  /// Names in the archive are folder/name. False where a file can't be opened or is none.
+  /// Names in the archive are folder/name. False where a file is missing or none.
   bool add(const std::filesystem::path& file, const std::string& folder) {
     Entry entry;
-    entry.file = stream::FileDescriptor(::open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW));
+    entry.file = file;
     struct stat status {};
-    if (!entry.file || ::fstat(entry.file.get(), &status) != 0 || !S_ISREG(status.st_mode) ||
+    if (::lstat(file.c_str(), &status) != 0 || !S_ISREG(status.st_mode) ||
         static_cast<std::uint64_t>(status.st_size) > kMostFileBytes) {
       return false;
     }
+    entry.device = status.st_dev;
+    entry.inode = status.st_ino;
     entry.begin = size_ - 2 * kBlock;
     entry.bytes = static_cast<std::uint64_t>(status.st_size);
     const auto put = [&](std::size_t at, const std::string& text) {
@@ -323,8 +301,9 @@ class TarOfFiles {
   }
   std::uint64_t size() const { return size_; }
 
-  /// Up to `most` bytes from `position` < size(); what a file that shrank has lost is an error, -1.
-  ssize_t read(std::uint64_t position, char* out, std::size_t most) const {
+  /// Up to `most` bytes from `position` < size(). -1 where a file is gone, is another one or has another size
+  /// than when it was added. One file is open at a time.
+  ssize_t read(std::uint64_t position, char* out, std::size_t most) {
     const auto after = std::upper_bound(entries_.begin(), entries_.end(), position,
                                         [](std::uint64_t at, const Entry& one) { return at < one.begin; });
     const auto zeros = [&](std::uint64_t count) {
@@ -347,8 +326,11 @@ class TarOfFiles {
       const std::uint64_t end = after == entries_.end() ? size_ : after->begin;
       return zeros(end - position);
     }
+    if (!open(entry)) {
+      return -1;
+    }
     const ssize_t got = ::pread(
-        entry.file.get(), out, static_cast<std::size_t>(std::min<std::uint64_t>(most, entry.bytes - in_file)),
+        opened_.get(), out, static_cast<std::size_t>(std::min<std::uint64_t>(most, entry.bytes - in_file)),
         static_cast<off_t>(in_file));
     return got > 0 ? got : -1;
   }
@@ -357,12 +339,34 @@ class TarOfFiles {
   static constexpr std::size_t kBlock = 512;
   static constexpr std::uint64_t kMostFileBytes = (std::uint64_t{1} << 33) - 1;  ///< 11 octal digits
   struct Entry {
-    stream::FileDescriptor file;
+    std::filesystem::path file;
+    dev_t device = 0;
+    ino_t inode = 0;
     std::array<char, kBlock> head{};
     std::uint64_t begin = 0;  ///< of its head in the archive
     std::uint64_t bytes = 0;
   };
+
+  bool open(const Entry& entry) {
+    if (opened_entry_ == &entry) {
+      return true;
+    }
+    opened_entry_ = nullptr;
+    opened_.reset();  // first: there are as many descriptors as downloads
+    opened_.reset(::open(entry.file.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK));
+    struct stat status {};
+    if (!opened_ || ::fstat(opened_.get(), &status) != 0 || status.st_dev != entry.device ||
+        status.st_ino != entry.inode || static_cast<std::uint64_t>(status.st_size) != entry.bytes) {
+      return false;
+    }
+    opened_entry_ = &entry;
+    return true;
+  }
+
   std::vector<Entry> entries_;
+  stream::FileDescriptor opened_;
+  const Entry* opened_entry_ =
+      nullptr;                       ///< whose opened_ is; of entries_, to which nothing is added any more
   std::uint64_t size_ = 2 * kBlock;  ///< two empty blocks are the end
 };
 
@@ -377,18 +381,17 @@ struct WebServer::Impl {
     Door door;
   };
 
-  Impl(const WebConfig& given, std::filesystem::path folder, stream::StreamServer& given_stream,
-       ControlServer& given_control)
+  Impl(const WebConfig& given, std::filesystem::path folder, FindTake find,
+       stream::StreamServer& given_stream, ControlServer& given_control)
       : config(given),
         takes(std::move(folder)),
+        find_take(std::move(find)),
         stream(given_stream),
         control(given_control),
         page(read_page(given.page)),
-        token(read_token(given.token_file)),
-        hosts{"localhost", "127.0.0.1", "::1", split_host(given.listen).host} {
-    for (const std::string& host : config.hosts) {
-      hosts.insert(split_host(host).host);
-    }
+        token(read_token(given.token_file, token_fault)),
+        hosts(own_hosts(given.listen, given.hosts)),
+        connections(given.max_connections, given.max_downloads) {
     for (std::size_t door = 0; door < passages.size(); ++door) {
       passages.at(door) = {this, static_cast<Door>(door)};
     }
@@ -396,11 +399,14 @@ struct WebServer::Impl {
 
   const WebConfig config;
   const std::filesystem::path takes;
+  const FindTake find_take;
   stream::StreamServer& stream;
   ControlServer& control;
   const std::map<std::string, PageFile, std::less<>> page;
+  std::string token_fault;
   const std::string token;
-  std::set<std::string> hosts;
+  const std::set<std::string> hosts;
+  HttpConnections connections;
   std::array<Passage, static_cast<std::size_t>(Door::Count)> passages{};
   MHD_Daemon* daemon = nullptr;
 
@@ -418,8 +424,8 @@ struct WebServer::Impl {
   MHD_Result send_page(MHD_Connection* connection, const PageFile& file) const;
   MHD_Result send_take(MHD_Connection* connection, const std::string& name);
   MHD_Result send_frames(MHD_Connection* connection, const std::string& name);
-  std::optional<std::filesystem::path> closed_take(MHD_Connection* connection, const std::string& name,
-                                                   take::TakeInfo& info, MHD_Result& refused);
+  std::optional<TakeFiles> closed_take(MHD_Connection* connection, const std::string& name,
+                                       MHD_Result& refused);
   MHD_Result shake_hands(MHD_Connection* connection, Door door);
   Door door_of_token(std::string_view shown_token);
   void hand_over(Door door, stream::FileDescriptor connection, std::vector<std::uint8_t> early);
@@ -448,6 +454,10 @@ MHD_Result WebServer::Impl::refuse(MHD_Connection* connection, unsigned status, 
   if (status == MHD_HTTP_METHOD_NOT_ALLOWED) {
     MHD_add_response_header(response.get(), MHD_HTTP_HEADER_ALLOW, "GET, HEAD");
   }
+  if (status == MHD_HTTP_SERVICE_UNAVAILABLE) {
+    MHD_add_response_header(response.get(), MHD_HTTP_HEADER_RETRY_AFTER,
+                            std::to_string(HttpConnections::kLeastBytesTime.count()).c_str());
+  }
   if (status == MHD_HTTP_UPGRADE_REQUIRED) {
     MHD_add_response_header(response.get(), MHD_HTTP_HEADER_SEC_WEBSOCKET_VERSION, "13");
   }
@@ -456,19 +466,18 @@ MHD_Result WebServer::Impl::refuse(MHD_Connection* connection, unsigned status, 
 
 /// Empty where a request is for us and from us; else why it is not.
 std::string WebServer::Impl::stranger(MHD_Connection* connection) const {
-  const auto host = header(connection, MHD_HTTP_HEADER_HOST).value;
-  if (!host || hosts.count(split_host(*host).host) == 0) {
-    return fmt::format("'{}' is no name of this machine: ask for the page by one of web.hosts",
-                       host.value_or("").substr(0, 100));
+  if (std::string why = foreign_host(connection, hosts); !why.empty()) {
+    return why;
   }
+  const std::string host = lower_case(header(connection, MHD_HTTP_HEADER_HOST).value.value_or(""));
   const HeaderValue origin = header(connection, MHD_HTTP_HEADER_ORIGIN);
   if (origin.count == 0) {
     return {};  // no page: browsers always say where a WebSocket or a request by a script comes from
   }
-  const std::string from = lower(origin.value.value_or(""));
-  const bool own = from == "http://" + lower(*host) || from == "https://" + lower(*host);
+  const std::string from = lower_case(origin.value.value_or(""));
+  const bool own = from == "http://" + host || from == "https://" + host;
   if (own || std::any_of(config.origins.begin(), config.origins.end(),
-                         [&](const std::string& allowed) { return lower(allowed) == from; })) {
+                         [&](const std::string& allowed) { return lower_case(allowed) == from; })) {
     return {};
   }
   return fmt::format("pages of '{}' may not use this (web.origins)", from.substr(0, 100));
@@ -476,6 +485,7 @@ std::string WebServer::Impl::stranger(MHD_Connection* connection) const {
 
 MHD_Result WebServer::Impl::answer(MHD_Connection* connection, const std::string& path,
                                    std::string_view method) {
+  connections.asked(connection);
   {
     const std::lock_guard lock(statistics_mutex);
     ++shown.requests;
@@ -546,46 +556,39 @@ MHD_Result WebServer::Impl::send_thumbnail(MHD_Connection* connection, const std
   return send(connection, MHD_HTTP_OK, response);
 }
 
-/// The file of a take that may be downloaded, and what it says of itself; none where the request was refused.
-std::optional<std::filesystem::path> WebServer::Impl::closed_take(MHD_Connection* connection,
-                                                                  const std::string& name,
-                                                                  take::TakeInfo& info, MHD_Result& refused) {
-  try {
-    const std::filesystem::path file = take::named_take(takes, name);
-    std::error_code ignored;
-    if (!std::filesystem::is_regular_file(file, ignored)) {
-      refused = refuse(connection, MHD_HTTP_NOT_FOUND, "no such take");
-      return std::nullopt;
-    }
-    take::ClosedTake take = take::close_take(file);
-    if (!take.left.empty()) {
-      refused =
-          refuse(connection, MHD_HTTP_CONFLICT,
-                 fmt::format("the take can't be downloaded now: {}; try again when that is over", take.left));
-      return std::nullopt;
-    }
-    info = std::move(take.info);
-    return file;
-  } catch (const Error& error) {
-    refused = refuse(connection, error.kind() == ErrorKind::Usage ? MHD_HTTP_NOT_FOUND : MHD_HTTP_CONFLICT,
-                     error.kind() == ErrorKind::Usage ? "no such take" : "the take can't be read");
+/// The files of a take that may be downloaded; none where the request was refused.
+std::optional<TakeFiles> WebServer::Impl::closed_take(MHD_Connection* connection, const std::string& name,
+                                                      MHD_Result& refused) {
+  std::optional<TakeFiles> found = find_take(name);
+  if (!found) {
+    refused = refuse(connection, MHD_HTTP_NOT_FOUND, "no such take");
     return std::nullopt;
   }
+  if (!found->obstacle.empty()) {
+    refused = refuse(connection, MHD_HTTP_CONFLICT,
+                     fmt::format("the take can't be downloaded now: {}", found->obstacle));
+    return std::nullopt;
+  }
+  if (!connections.begin_download(connection)) {
+    refused = refuse(connection, MHD_HTTP_SERVICE_UNAVAILABLE,
+                     fmt::format("{} downloads are under way already; try again", config.max_downloads));
+    return std::nullopt;
+  }
+  return found;
 }
 
 MHD_Result WebServer::Impl::send_frames(MHD_Connection* connection, const std::string& name) {
-  take::TakeInfo info;
   MHD_Result refused = MHD_NO;
-  const auto file = closed_take(connection, name, info, refused);
-  if (!file) {
+  const auto files = closed_take(connection, name, refused);
+  if (!files) {
     return refused;
   }
-  if (info.segments.empty()) {
+  if (files->segments.empty()) {
     return refuse(connection, MHD_HTTP_NOT_FOUND, "the take has no pictures");
   }
   auto tar = std::make_unique<TarOfFiles>();
-  for (const take::TakeSegment& segment : info.segments) {
-    if (!tar->add(segment.file, segment.file.parent_path().filename().string())) {
+  for (const std::filesystem::path& segment : files->segments) {
+    if (!tar->add(segment, segment.parent_path().filename().string())) {
       return refuse(connection, MHD_HTTP_CONFLICT, "a file of the take's pictures is missing");
     }
   }
@@ -611,14 +614,13 @@ MHD_Result WebServer::Impl::send_frames(MHD_Connection* connection, const std::s
 }
 
 MHD_Result WebServer::Impl::send_take(MHD_Connection* connection, const std::string& name) {
-  take::TakeInfo info;
   MHD_Result refused = MHD_NO;
-  const auto closed = closed_take(connection, name, info, refused);
-  if (!closed) {
+  const auto found = closed_take(connection, name, refused);
+  if (!found) {
     return refused;
   }
-  const std::filesystem::path& file = *closed;
-  const stream::FileDescriptor fd(::open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW));
+  const stream::FileDescriptor fd(
+      ::open(found->take.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK));
   struct stat status {};
   if (!fd || ::fstat(fd.get(), &status) != 0 || !S_ISREG(status.st_mode)) {
     return refuse(connection, MHD_HTTP_NOT_FOUND, "no such take");
@@ -675,7 +677,7 @@ WebServer::Impl::Door WebServer::Impl::door_of_token(std::string_view shown_toke
 
 MHD_Result WebServer::Impl::shake_hands(MHD_Connection* connection, Door door) {
   const auto has = [&](const char* name, std::string_view wanted) {
-    const std::string value = lower(header(connection, name).value.value_or(""));
+    const std::string value = lower_case(header(connection, name).value.value_or(""));
     const auto listed = entries(value);
     return std::find(listed.begin(), listed.end(), wanted) != listed.end();
   };
@@ -707,10 +709,11 @@ MHD_Result WebServer::Impl::shake_hands(MHD_Connection* connection, Door door) {
   return send(connection, MHD_HTTP_SWITCHING_PROTOCOLS, response);
 }
 
-void WebServer::Impl::on_upgrade(void* passage, MHD_Connection* /*connection*/, void* /*state*/,
+void WebServer::Impl::on_upgrade(void* passage, MHD_Connection* connection, void* /*state*/,
                                  const char* early, std::size_t early_size, MHD_socket socket,
                                  MHD_UpgradeResponseHandle* handle) {
   const auto& through = *static_cast<const Passage*>(passage);
+  through.impl->connections.handed_over(connection);
   // A descriptor of our own: libmicrohttpd closes its own with the handle and needs no more of the
   // connection.
   stream::FileDescriptor own(::fcntl(socket, F_DUPFD_CLOEXEC, 0));
@@ -740,7 +743,8 @@ void WebServer::Impl::hand_over(Door door, stream::FileDescriptor connection,
       return;
     case Door::Look:
     case Door::Command:
-      control.adopt(std::move(connection), {0, 0, door == Door::Command}, std::move(early));
+      control.adopt(std::move(connection), {0, 0, door == Door::Command}, stream::peer_address(fd),
+                    std::move(early));
       return;
     case Door::WrongToken:
     case Door::TooManyTokens:
@@ -756,16 +760,15 @@ void WebServer::Impl::hand_over(Door door, stream::FileDescriptor connection,
   }
 }
 
-WebServer::WebServer(const WebConfig& config, std::filesystem::path takes, stream::StreamServer& stream,
-                     ControlServer& control)
-    : impl_(std::make_unique<Impl>(config, std::move(takes), stream, control)) {
+WebServer::WebServer(const WebConfig& config, std::filesystem::path takes, FindTake find_take,
+                     stream::StreamServer& stream, ControlServer& control)
+    : impl_(std::make_unique<Impl>(config, std::move(takes), std::move(find_take), stream, control)) {
   if (const auto address = resolve_listen(config.listen)) {
     const unsigned ipv6 = address->ai_family == AF_INET6 ? MHD_USE_IPv6 : 0;
     impl_->daemon =
         MHD_start_daemon(MHD_USE_AUTO_INTERNAL_THREAD | MHD_ALLOW_UPGRADE | ipv6, 0, nullptr, nullptr,
                          &Impl::on_request, impl_.get(), MHD_OPTION_SOCK_ADDR, address->ai_addr,
-                         MHD_OPTION_CONNECTION_LIMIT, kMostConnections, MHD_OPTION_CONNECTION_TIMEOUT,
-                         kIdle_s, MHD_OPTION_CONNECTION_MEMORY_LIMIT, kConnectionBytes, MHD_OPTION_END);
+                         MHD_OPTION_ARRAY, impl_->connections.options(), MHD_OPTION_END);
   }
   if (impl_->daemon == nullptr) {
     throw Error(
@@ -792,13 +795,56 @@ std::string WebServer::url() const {
   return fmt::format("http://{}:{}/", listen.substr(0, listen.rfind(':')), port());
 }
 
+const std::string& WebServer::token_fault() const {
+  return impl_->token_fault;
+}
+
 bool WebServer::has_page() const {
   return !impl_->page.empty();
 }
 
 WebStatistics WebServer::statistics() const {
-  const std::lock_guard lock(impl_->statistics_mutex);
-  return impl_->shown;
+  WebStatistics now;
+  {
+    const std::lock_guard lock(impl_->statistics_mutex);
+    now = impl_->shown;
+  }
+  now.broken_off = impl_->connections.broken_off();
+  return now;
+}
+
+void WebServer::look_after(Clock::time_point now) {
+  impl_->connections.look_after(now);
+}
+
+std::optional<TakeFiles> find_take(const std::filesystem::path& folder, const std::string& name) {
+  TakeFiles found;
+  try {
+    found.take = take::named_take(folder, name);
+  } catch (const Error&) {
+    return std::nullopt;
+  }
+  std::error_code ignored;
+  if (!std::filesystem::is_regular_file(std::filesystem::symlink_status(found.take, ignored))) {
+    return std::nullopt;
+  }
+  try {
+    // Whoever holds the file locked is not waited for; the reader of takes would.
+    take::Database(found.take, take::Database::Mode::ReadOnly).query_int64("SELECT count(*) FROM meta");
+    const take::TakeInfo info = take::TakeReader(found.take).info();
+    if (!info.closed) {
+      found.obstacle = "it is not closed";
+    } else if (take::log_bytes(found.take) > 0) {
+      found.obstacle = "a part of it is still in the -wal file beside it, as another program reads it";
+    }
+    std::transform(info.segments.begin(), info.segments.end(), std::back_inserter(found.segments),
+                   [](const take::TakeSegment& segment) { return segment.file; });
+  } catch (const take::DatabaseError&) {
+    found.obstacle = "it can't be read now, or another program holds it";
+  } catch (const Error&) {
+    found.obstacle = "it can't be read";
+  }
+  return found;
 }
 
 }  // namespace facet::service

@@ -2,13 +2,13 @@
 
 #include <fmt/format.h>
 
-#include <fstream>
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <system_error>
 
 #include "capture/rig_file.hpp"
 #include "facet/error.hpp"
+#include "files/output_file.hpp"
 #include "simulation/lossless_video.hpp"
 
 namespace facet::simulation {
@@ -101,13 +101,9 @@ void write_sequence(const Studio& studio, const std::filesystem::path& folder,
   if (videos.size() > 1) {
     capture::write_rig(studio.rig(), folder / "rig.toml");
   }
-  std::ofstream stream(folder / "camera.json");
-  stream << document.dump(1) << '\n';
-  stream.close();
-  if (!stream) {
-    throw Error(ErrorKind::Storage,
-                fmt::format("{}: cannot write; check the free space", (folder / "camera.json").string()));
-  }
+  files::OutputFile output(folder / "camera.json");
+  output.write(document.dump(1) + "\n");
+  output.commit();
 }
 
 }  // namespace facet::simulation

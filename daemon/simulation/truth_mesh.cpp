@@ -1,20 +1,19 @@
 #include "simulation/truth_mesh.hpp"
 
 #include <fmt/format.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <array>
 #include <bit>
-#include <cerrno>
 #include <charconv>
 #include <cstring>
 #include <fstream>
 #include <iterator>
+#include <span>
 #include <string_view>
-#include <system_error>
 
 #include "facet/error.hpp"
+#include "files/output_file.hpp"
 #include "render/renderer.hpp"
 
 namespace facet::simulation {
@@ -215,27 +214,11 @@ void write_truth_ply(const TruthMesh& mesh, const std::filesystem::path& file) {
     faces[f] = {3, {corners[0], corners[1], corners[2]}};
   }
 
-  std::filesystem::path temporary = file;
-  temporary += fmt::format(".{}.part", ::getpid());
-  std::ofstream stream(temporary, std::ios::binary);
-  stream << header;
-  stream.write(reinterpret_cast<const char*>(vertices.data()),
-               static_cast<std::streamsize>(vertices.size() * sizeof(PlyVertex)));
-  stream.write(reinterpret_cast<const char*>(faces.data()),
-               static_cast<std::streamsize>(faces.size() * sizeof(PlyFace)));
-  stream.close();
-  std::error_code failure;
-  if (stream) {
-    std::filesystem::rename(temporary, file, failure);
-  }
-  if (!stream || failure) {
-    const std::string reason = failure ? failure.message() : std::strerror(errno);
-    std::error_code ignored;
-    std::filesystem::remove(temporary, ignored);
-    throw Error(ErrorKind::Storage,
-                fmt::format("{}: cannot write the truth mesh ({}); check the folder and the free space",
-                            file.string(), reason));
-  }
+  files::OutputFile output(file);
+  output.write(header);
+  output.write(std::as_bytes(std::span(vertices)));
+  output.write(std::as_bytes(std::span(faces)));
+  output.commit();
 }
 
 TruthMesh read_truth_ply(const std::filesystem::path& file) {

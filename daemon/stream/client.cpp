@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 #include <poll.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -28,6 +29,11 @@ using Clock = std::chrono::steady_clock;
 
 constexpr std::size_t kReceiveBytes = 256U << 10;
 constexpr std::size_t kMaxPassed = 2;  // descriptors with one message
+// After its deadline a call still takes what has come; from a server that never pauses no longer than this.
+constexpr auto kGrace = std::chrono::milliseconds(100);
+// Frames of a ring that were overwritten while they were read, in a row: then it is time to look at the
+// socket.
+constexpr int kRingAttempts = 16;
 
 /// recv() that takes in the descriptors that come beside the bytes.
 ssize_t receive_some(int fd, std::span<std::uint8_t> out, std::vector<FileDescriptor>& passed) {
@@ -59,7 +65,8 @@ ssize_t receive_some(int fd, std::span<std::uint8_t> out, std::vector<FileDescri
 }  // namespace
 
 struct StreamClient::Impl {
-  explicit Impl(const std::filesystem::path& socket) : path(socket), fd(connect_unix(socket)) {}
+  Impl(const std::filesystem::path& socket, Clock::time_point deadline)
+      : path(socket), fd(connect_unix(socket, deadline)) {}
 
   std::filesystem::path path;
   FileDescriptor fd;
@@ -82,7 +89,7 @@ struct StreamClient::Impl {
   std::uint64_t overwritten = 0;
   bool waiting_for_subject = false;  ///< the ring's newest frame is known but for its subject
 
-  enum class Event { Socket, Ring, Deadline };
+  enum class Event { Socket, Ring, Late };
   Event wait(Clock::time_point deadline);
   bool receive(Clock::time_point deadline);
   bool next_message(Clock::time_point deadline);
@@ -90,7 +97,7 @@ struct StreamClient::Impl {
   void open_ring(const RingOffer& offer);
   void close(const std::string& reason);
   bool accept(std::span<const std::uint8_t> message, DecodedFrame& out);
-  void send_all(std::span<const std::uint8_t> bytes);
+  void send_all(std::span<const std::uint8_t> bytes, Clock::time_point deadline);
 };
 
 void StreamClient::Impl::close(const std::string& reason) {
@@ -110,7 +117,7 @@ StreamClient::Impl::Event StreamClient::Impl::wait(Clock::time_point deadline) {
       return entries[0].revents != 0 ? Event::Socket : Event::Ring;
     }
     if (ready == 0) {
-      return Event::Deadline;
+      return Event::Late;
     }
     if (errno != EINTR) {
       throw Error(ErrorKind::Unavailable,
@@ -151,6 +158,9 @@ bool StreamClient::Impl::next_message(Clock::time_point deadline) {
       case MessageAssembler::Outcome::Complete:
         return true;
       case MessageAssembler::Outcome::Incomplete:
+        if (Clock::now() >= deadline + kGrace) {
+          return false;
+        }
         break;
       case MessageAssembler::Outcome::WrongMagic:
         throw Error(
@@ -170,6 +180,11 @@ void StreamClient::Impl::open_ring(const RingOffer& offer) {
                 fmt::format("stream '{}': a ring of version {} with {} descriptors", path.string(),
                             offer.version, passed.size()));
   }
+  struct stat status {};
+  if (::fstat(passed[1].get(), &status) != 0 || !S_ISFIFO(status.st_mode)) {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("stream '{}': a ring whose wake-ups come through no pipe", path.string()));
+  }
   ring.emplace(passed[0]);
   ring_wake = std::move(passed[1]);
   waiting_for_subject = false;
@@ -180,10 +195,16 @@ void StreamClient::Impl::open_ring(const RingOffer& offer) {
 /// True where a frame is in `out`. False where the newest is known already, or its subject is still on the
 /// way.
 bool StreamClient::Impl::next_ring_frame(DecodedFrame& out) {
-  // First the wake-ups, then the frame: one that comes in between wakes again.
-  std::array<char, 64> wake_ups{};
-  [[maybe_unused]] const ssize_t ignored = ::read(ring_wake.get(), wake_ups.data(), wake_ups.size());
-  while (ring->newest() == RingReader::Outcome::Frame || waiting_for_subject) {
+  // First the wake-ups, then the frame: one that comes in between wakes again. Looked for first, since a
+  // server may take O_NONBLOCK away from its pipe.
+  if (wait_for(ring_wake.get(), POLLIN, Clock::time_point())) {
+    std::array<char, 64> wake_ups{};
+    [[maybe_unused]] const ssize_t ignored = ::read(ring_wake.get(), wake_ups.data(), wake_ups.size());
+  }
+  for (int attempt = 0; attempt < kRingAttempts; ++attempt) {
+    if (ring->newest() != RingReader::Outcome::Frame && !waiting_for_subject) {
+      return false;
+    }
     const FrameReferences wanted = frame_references(ring->head());
     waiting_for_subject = wanted.subject_id != 0 && (subject == nullptr || subject->id != wanted.subject_id);
     if (waiting_for_subject) {
@@ -242,31 +263,44 @@ bool StreamClient::Impl::accept(std::span<const std::uint8_t> message, DecodedFr
   return false;
 }
 
-void StreamClient::Impl::send_all(std::span<const std::uint8_t> bytes) {
+void StreamClient::Impl::send_all(std::span<const std::uint8_t> bytes, Clock::time_point deadline) {
+  const auto fail = [&](const char* why) {
+    throw Error(ErrorKind::Unavailable, fmt::format("stream '{}': {}", path.string(), why));
+  };
   while (!bytes.empty()) {
-    const ssize_t count = ::send(fd.get(), bytes.data(), bytes.size(), MSG_NOSIGNAL);
-    if (count < 0 && errno != EINTR) {
-      throw Error(ErrorKind::Unavailable,
-                  fmt::format("stream '{}': {}", path.string(), std::strerror(errno)));
+    if (!wait_for(fd.get(), POLLOUT, deadline)) {
+      fail("the server takes no requests");
+    }
+    const ssize_t count = ::send(fd.get(), bytes.data(), bytes.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+    if (count < 0 && errno != EINTR && errno != EAGAIN) {
+      fail(std::strerror(errno));
     }
     bytes = bytes.subspan(count > 0 ? static_cast<std::size_t>(count) : 0);
   }
 }
 
 StreamClient::StreamClient(const std::filesystem::path& socket, const Subscription& subscription,
-                           std::chrono::milliseconds timeout)
-    : impl_(std::make_unique<Impl>(socket)) {
+                           std::chrono::milliseconds timeout) {
   const auto deadline = Clock::now() + timeout;
+  impl_ = std::make_unique<Impl>(socket, deadline);
+  const auto late = [&] {
+    return Error(ErrorKind::Unavailable,
+                 fmt::format("stream '{}': no answer within {} ms", socket.string(), timeout.count()));
+  };
   DecodedFrame none;
   while (!impl_->hello_received) {
     if (!impl_->next_message(deadline)) {
-      throw Error(ErrorKind::Unavailable,
-                  impl_->closed
-                      ? fmt::format("stream '{}': {}", socket.string(), impl_->closed_reason)
-                      : fmt::format("stream '{}': no answer within {} ms", socket.string(), timeout.count()));
+      if (impl_->closed) {
+        throw Error(ErrorKind::Unavailable,
+                    fmt::format("stream '{}': {}", socket.string(), impl_->closed_reason));
+      }
+      throw late();
     }
     impl_->accept(impl_->assembler.message(), none);
     impl_->assembler.next();
+    if (!impl_->hello_received && Clock::now() >= deadline) {
+      throw late();
+    }
   }
   if (impl_->hello.protocol_version != kProtocolVersion) {
     throw Error(
@@ -278,14 +312,15 @@ StreamClient::StreamClient(const std::filesystem::path& socket, const Subscripti
   Encoder encoder;
   const auto request = encoder.subscription(subscription);
   const auto header = make_header(request.size());
-  impl_->send_all(header);
-  impl_->send_all(request);
+  impl_->send_all(header, deadline);
+  impl_->send_all(request, deadline);
 }
 
 StreamClient::~StreamClient() = default;
 
 ReceiveOutcome StreamClient::next(DecodedFrame& out, std::chrono::milliseconds timeout) {
   const auto deadline = Clock::now() + timeout;
+  const auto late = [&] { return Clock::now() >= deadline + kGrace; };
   for (;;) {
     if (impl_->ring && impl_->next_ring_frame(out)) {
       return ReceiveOutcome::Received;
@@ -295,6 +330,9 @@ ReceiveOutcome StreamClient::next(DecodedFrame& out, std::chrono::milliseconds t
       impl_->assembler.next();
       if (is_frame) {
         return ReceiveOutcome::Received;
+      }
+      if (late()) {
+        return ReceiveOutcome::Timeout;
       }
     } else if (impl_->closed) {
       return ReceiveOutcome::Closed;

@@ -10,6 +10,7 @@
 #include <cerrno>
 #include <cstring>
 #include <string>
+#include <utility>
 
 #include "facet/error.hpp"
 
@@ -76,8 +77,9 @@ std::size_t ring_slot_bytes(const RingFrame& frame) {
 }
 
 Mapping::Mapping(int fd, std::size_t bytes, bool writable) {
-  void* memory =
-      ::mmap(nullptr, bytes, writable ? PROT_READ | PROT_WRITE : PROT_READ, MAP_SHARED | MAP_POPULATE, fd, 0);
+  // A writer makes its pages at once; a reader's are there already.
+  void* memory = ::mmap(nullptr, bytes, writable ? PROT_READ | PROT_WRITE : PROT_READ,
+                        writable ? MAP_SHARED | MAP_POPULATE : MAP_SHARED, fd, 0);
   if (memory == MAP_FAILED) {
     fail("mmap");
   }
@@ -154,20 +156,30 @@ RingReader::RingReader(const FileDescriptor& fd) {
   struct stat status {};
   const int seals = ::fcntl(fd.get(), F_GET_SEALS);
   // Memory that its owner may shorten kills its readers (SIGBUS).
-  require(seals >= 0 && (seals & F_SEAL_SHRINK) != 0, "its memory is not sealed");
-  require(::fstat(fd.get(), &status) == 0 && status.st_size >= FACET_RING_PAGE_BYTES, "it is too small");
-  mapping_ = Mapping(fd.get(), static_cast<std::size_t>(status.st_size), false);
-  check(mapping_.bytes());
+  require(seals >= 0 && (seals & F_SEAL_SHRINK) != 0 && ::fstat(fd.get(), &status) == 0,
+          "its memory is not sealed");
+  // The page first: no more is mapped than it says, and it may not say more than the limits.
+  facet_ring_page page{};
+  constexpr std::size_t kFixed = offsetof(facet_ring_page, published);
+  require(::pread(fd.get(), &page, kFixed, 0) == static_cast<ssize_t>(kFixed), "it is too small");
+  const std::size_t bytes = check(page);
+  require(std::cmp_greater_equal(status.st_size, bytes), "it is too small");
+  // What is not there yet would become this process's memory when it is read.
+  constexpr std::uint64_t kBlockBytes = 512;
+  require(static_cast<std::uint64_t>(status.st_blocks) * kBlockBytes >= bytes, "its memory is not all there");
+  mapping_ = Mapping(fd.get(), bytes, false);
+  memory_ = mapping_.bytes();
 }
 
 RingReader::RingReader(std::span<const std::uint8_t> memory) {
-  check(memory);
-}
-
-void RingReader::check(std::span<const std::uint8_t> memory) {
   require(memory.size() >= FACET_RING_PAGE_BYTES, "it is too small");
   facet_ring_page page{};
   std::memcpy(&page, memory.data(), offsetof(facet_ring_page, published));
+  require(memory.size() >= check(page), "it is too small");
+  memory_ = memory;
+}
+
+std::size_t RingReader::check(const facet_ring_page& page) {
   require(page.magic == FACET_RING_MAGIC, "no ring");
   require(page.version == FACET_RING_VERSION, "another version");
   require(page.slot_count >= 2 && page.slot_count <= FACET_RING_MAX_SLOTS, "number of slots");
@@ -175,11 +187,10 @@ void RingReader::check(std::span<const std::uint8_t> memory) {
               page.slot_bytes <= kMaxMessageBytes,
           "size of a slot");
   require(page.profile < kProfileCount, "profile");
-  require(memory.size() >= FACET_RING_PAGE_BYTES + page.slot_count * page.slot_bytes, "it is too small");
-  memory_ = memory;
   profile_ = static_cast<Profile>(page.profile);
   slot_count_ = page.slot_count;
   slot_bytes_ = page.slot_bytes;
+  return FACET_RING_PAGE_BYTES + slot_count_ * slot_bytes_;
 }
 
 const std::uint8_t* RingReader::slot_of(std::uint64_t publication) const {

@@ -32,7 +32,7 @@ std::size_t ring_slot_bytes(const RingFrame& frame);
 class Mapping {
  public:
   Mapping() = default;
-  /// Maps all of `fd`, its pages made at once. Throws Error(Internal).
+  /// Maps the first bytes of `fd`; a writer's pages are made at once. Throws Error(Internal).
   Mapping(int fd, std::size_t bytes, bool writable);
   Mapping(Mapping&& other) noexcept : bytes_(std::exchange(other.bytes_, {})) {}
   Mapping& operator=(Mapping&& other) noexcept {
@@ -84,8 +84,9 @@ struct RingArray {
 /// One reader. One thread. It takes the memory for hostile: all that it follows is copied and checked first.
 class RingReader {
  public:
-  /// Maps the memory behind `fd`, which must be sealed against shortening. Throws Error(UnreadableInput)
-  /// where it is no ring of this version, or not what its page says.
+  /// Maps what the page of the memory behind `fd` says, at most 64 slots of 64 MiB. Throws
+  /// Error(UnreadableInput) where the memory is not sealed against shortening, is no ring of this version, or
+  /// is not all there.
   explicit RingReader(const FileDescriptor& fd);
   /// The same for memory that is mapped already and outlives this.
   explicit RingReader(std::span<const std::uint8_t> memory);
@@ -108,7 +109,8 @@ class RingReader {
   Profile profile() const { return profile_; }
 
  private:
-  void check(std::span<const std::uint8_t> memory);
+  /// Takes over what a page says; the bytes that the ring needs. `published` is not looked at.
+  std::size_t check(const facet_ring_page& page);
   const std::uint8_t* slot_of(std::uint64_t publication) const;
 
   Mapping mapping_;

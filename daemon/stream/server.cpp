@@ -26,6 +26,7 @@
 #include "stream/decoder.hpp"
 #include "stream/encoder.hpp"
 #include "stream/framing.hpp"
+#include "stream/places.hpp"
 #include "stream/ring.hpp"
 #include "stream/web_socket.hpp"
 
@@ -75,8 +76,9 @@ struct Reader {
   std::size_t sent_bytes = 0;              ///< of outgoing
   bool outgoing_is_frame = false;
   bool hello_sent = false;
-  bool waits_for_room = false;       ///< EPOLLOUT is armed
-  bool gone = false;                 ///< to be removed after this round
+  bool waits_for_room = false;  ///< EPOLLOUT is armed
+  bool gone = false;            ///< to be removed after this round
+  Clock::time_point came = Clock::now();
   std::uint64_t subject_number = 0;  ///< of the one that the reader was sent in its profile; 0: none
   std::uint64_t albedo_version = 0;
   std::uint64_t last_number = 0;  ///< newest publication that was sent or counted as dropped
@@ -147,6 +149,30 @@ ssize_t send_some(int fd, std::span<iovec> parts, const std::vector<FileDescript
   return ::sendmsg(fd, &message, MSG_NOSIGNAL | MSG_DONTWAIT);
 }
 
+/// A reader who may only look connects this often, so that who does it without end is closed unheard.
+constexpr int kConnectsAtOnce = 64;
+constexpr int kConnectsPerSecond = 16;
+
+PlacesConfig socket_places(const StreamServerConfig& config) {
+  PlacesConfig places;
+  places.total = static_cast<std::size_t>(config.max_readers);
+  places.reserved = places.total / 8;
+  places.per_peer = (places.total + 1) / 2;
+  places.connects_at_once = kConnectsAtOnce;
+  places.connects_per_s = kConnectsPerSecond;
+  return places;
+}
+
+/// No limit of one address: behind a proxy all have the same. A page subscribes as soon as it is connected;
+/// who does not gives way at once.
+PlacesConfig web_places(const StreamServerConfig& config) {
+  PlacesConfig places;
+  places.total = static_cast<std::size_t>(config.max_web_readers);
+  places.per_peer = places.total;
+  places.unused_keeps = std::chrono::milliseconds(0);
+  return places;
+}
+
 FileDescriptor open_spare() {
   return FileDescriptor(::open("/dev/null", O_RDONLY | O_CLOEXEC));
 }
@@ -160,7 +186,9 @@ struct StreamServer::Impl {
         socket_path(given.socket),
         wake(open_checked(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK), "eventfd")),
         epoll(open_checked(::epoll_create1(EPOLL_CLOEXEC), "epoll")),
-        spare(open_spare()) {
+        spare(open_spare()),
+        places(socket_places(given)),
+        places_of_web(web_places(given)) {
     Hello hello_message;
     hello_message.server = config.server_name;
     hello = packet(encoder.hello(hello_message));
@@ -171,7 +199,6 @@ struct StreamServer::Impl {
   std::optional<ListeningSocket> listening;
   std::filesystem::path socket_path;
   FileDescriptor wake;
-  std::thread thread;
   std::atomic<bool> stopping{false};
 
   std::mutex newest_mutex;                        ///< held for a pointer's swap only
@@ -187,6 +214,8 @@ struct StreamServer::Impl {
   // facet-stream only.
   FileDescriptor epoll;
   FileDescriptor spare;  ///< given up for a moment to turn a connection away when descriptors run out
+  Places places;         ///< of the socket's readers
+  Places places_of_web;  ///< these don't take the place of those who sit at the machine, nor these theirs
   Encoder encoder;
   std::vector<std::unique_ptr<Reader>> readers;
   std::uint64_t next_reader_id = kFirstReaderId;
@@ -214,7 +243,11 @@ struct StreamServer::Impl {
   void accept_readers();
   void admit_adopted();
   void admit(FileDescriptor connection);
-  Reader* admit(std::unique_ptr<Reader> reader, int limit);
+  Reader* admit(std::unique_ptr<Reader> reader, const Visitor& visitor);
+  Places& places_for(const Reader& reader) { return reader.web ? places_of_web : places; }
+  bool find_place(Reader& reader, const Visitor& visitor);
+  int patience_ms() const;
+  void drop_silent();
   void handle(Reader& reader, std::uint32_t events);
   void receive(Reader& reader);
   void read_requests(Reader& reader, std::span<const std::uint8_t> bytes);
@@ -235,6 +268,8 @@ struct StreamServer::Impl {
   void remove_gone();
   void farewell();
   void show_statistics();
+
+  std::jthread thread;  // last, so that it is joined before anything is freed
 };
 
 /// A free packet of the pool, or one more: the pool is bounded by the packets in use, one per reader and
@@ -287,7 +322,7 @@ void StreamServer::Impl::take_newest() {
 }
 
 void StreamServer::Impl::accept_readers() {
-  for (;;) {
+  for (int accepted = 0; accepted < kAcceptsPerRound; ++accepted) {
     FileDescriptor connection(::accept4(listening->fd(), nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK));
     if (connection) {
       admit(std::move(connection));
@@ -319,7 +354,8 @@ void StreamServer::Impl::admit_adopted() {
     auto reader = std::make_unique<Reader>(std::move(entry.connection));
     reader->web.emplace();
     reader->statistics.web = true;
-    if (Reader* admitted = admit(std::move(reader), config.max_web_readers)) {
+    const Visitor visitor{peer_address(reader->fd.get()), false};
+    if (Reader* admitted = admit(std::move(reader), visitor)) {
       read_web_requests(*admitted, entry.early);
       if (!admitted->gone) {
         pump(*admitted);
@@ -329,25 +365,63 @@ void StreamServer::Impl::admit_adopted() {
 }
 
 void StreamServer::Impl::admit(FileDescriptor connection) {
+  const UnixPeer peer = listening->peer(connection.get());
   auto reader = std::make_unique<Reader>(std::move(connection));
-  ucred peer{};
-  socklen_t size = sizeof(peer);
-  if (::getsockopt(reader->fd.get(), SOL_SOCKET, SO_PEERCRED, &peer, &size) == 0) {
-    reader->statistics.pid = peer.pid;
-    reader->statistics.uid = peer.uid;
+  reader->statistics.pid = peer.pid;
+  reader->statistics.uid = peer.uid;
+  admit(std::move(reader), {fmt::format("uid {}", peer.uid), peer.may_command});
+}
+
+/// False where the reader was refused.
+bool StreamServer::Impl::find_place(Reader& reader, const Visitor& visitor) {
+  const auto now = Clock::now();
+  Places& own = places_for(reader);
+  const PlacesConfig& limits = own.config();
+  if (own.size() >= std::min(limits.per_peer, limits.total - limits.reserved)) {
+    // Who has taken all that there was makes use of its place, also while nothing comes.
+    for (const std::unique_ptr<Reader>& entry : readers) {
+      int unseen = 0;
+      if (entry->web.has_value() == reader.web.has_value() && entry->statistics.subscribed &&
+          entry->outgoing == nullptr &&
+          (!entry->wake_far_end ||
+           (::ioctl(entry->wake_far_end.get(), FIONREAD, &unseen) == 0 && unseen == 0))) {
+        own.used(entry->statistics.id, now);
+      }
+    }
   }
-  admit(std::move(reader), config.max_readers);
+  const Places::Outcome outcome = own.enter(reader.statistics.id, visitor, now);
+  if (outcome.gives_way) {
+    const auto idle = std::find_if(readers.begin(), readers.end(), [&](const std::unique_ptr<Reader>& entry) {
+      return entry->statistics.id == *outcome.gives_way;
+    });
+    if (idle != readers.end()) {
+      refuse(**idle, "an idle reader, which gave its place to another");
+    }
+  }
+  switch (outcome.answer) {
+    case Places::Answer::Admitted:
+      return true;
+    case Places::Answer::NoPlace:
+      refuse(reader, fmt::format("{} readers are connected already, which is the limit", own.config().total));
+      return false;
+    case Places::Answer::TooManyOfPeer:
+      refuse(reader, fmt::format("{} readers of this user are connected already, which is the limit",
+                                 own.config().per_peer));
+      return false;
+    case Places::Answer::TooManyConnects:
+      // Not even told so: that is what would cost the others.
+      ++statistics.refused;
+      statistics.last_refusal = to_string(outcome.answer);
+      return false;
+  }
+  return false;
 }
 
 /// The reader in its place, or null where it was refused.
-Reader* StreamServer::Impl::admit(std::unique_ptr<Reader> reader, int limit) {
+Reader* StreamServer::Impl::admit(std::unique_ptr<Reader> reader, const Visitor& visitor) {
   reader->statistics.id = next_reader_id++;
   ++statistics.connections;
-  const auto alike = std::count_if(readers.begin(), readers.end(), [&](const std::unique_ptr<Reader>& entry) {
-    return entry->statistics.web == reader->statistics.web;
-  });
-  if (alike >= limit) {
-    refuse(*reader, fmt::format("{} readers are connected already, which is the limit", limit));
+  if (!find_place(*reader, visitor)) {
     return nullptr;
   }
   epoll_event event{};
@@ -355,6 +429,7 @@ Reader* StreamServer::Impl::admit(std::unique_ptr<Reader> reader, int limit) {
   event.data.u64 = reader->statistics.id;
   if (::epoll_ctl(epoll.get(), EPOLL_CTL_ADD, reader->fd.get(), &event) != 0) {
     refuse(*reader, "no memory for one more reader");
+    places_for(*reader).leave(reader->statistics.id);
     return nullptr;
   }
   readers.push_back(std::move(reader));
@@ -487,6 +562,7 @@ void StreamServer::Impl::accept_request(Reader& reader, std::span<const std::uin
     reader.subject_number = 0;
     reader.albedo_version = 0;
   }
+  places_for(reader).used(reader.statistics.id, Clock::now());
   reader.subscription = wanted;
   reader.statistics.subscribed = true;
   reader.statistics.ring = reader.by_ring();
@@ -588,6 +664,7 @@ void StreamServer::Impl::announce(Reader& reader) {
     [[maybe_unused]] const ssize_t ignored = ::write(reader.wake.get(), &wake_up, 1);
     reader.statistics.frames_dropped += missed;
     ++reader.statistics.frames_sent;
+    places_for(reader).used(reader.statistics.id, Clock::now());
   }
   // Readers of a ring see what they lost by the frames' numbers.
   reader.dropped_told = reader.statistics.frames_dropped;
@@ -708,6 +785,9 @@ bool StreamServer::Impl::send_outgoing(Reader& reader) {
   }
   reader.statistics.frames_sent += reader.outgoing_is_frame ? 1 : 0;
   reader.outgoing = nullptr;
+  if (reader.statistics.subscribed) {
+    places_for(reader).used(reader.statistics.id, Clock::now());
+  }
   return true;
 }
 
@@ -745,7 +825,12 @@ void StreamServer::Impl::pump(Reader& reader) {
 
 void StreamServer::Impl::remove_gone() {
   // Closing the descriptor takes it out of epoll as well.
-  std::erase_if(readers, [](const std::unique_ptr<Reader>& reader) { return reader->gone; });
+  std::erase_if(readers, [this](const std::unique_ptr<Reader>& reader) {
+    if (reader->gone) {
+      places_for(*reader).leave(reader->statistics.id);
+    }
+    return reader->gone;
+  });
 }
 
 void StreamServer::Impl::show_statistics() {
@@ -756,10 +841,34 @@ void StreamServer::Impl::show_statistics() {
   shown_statistics = statistics;
 }
 
+/// Until the next reader has had its time to subscribe; -1 where none is awaited.
+int StreamServer::Impl::patience_ms() const {
+  std::optional<Clock::time_point> next;
+  for (const std::unique_ptr<Reader>& reader : readers) {
+    if (!reader->statistics.subscribed && (!next || reader->came < *next)) {
+      next = reader->came;
+    }
+  }
+  if (!next) {
+    return -1;
+  }
+  const auto left = std::chrono::ceil<std::chrono::milliseconds>(*next + kSubscribeTime - Clock::now());
+  return static_cast<int>(std::max<std::chrono::milliseconds::rep>(0, left.count()));
+}
+
+void StreamServer::Impl::drop_silent() {
+  const auto now = Clock::now();
+  for (const std::unique_ptr<Reader>& reader : readers) {
+    if (!reader->gone && !reader->statistics.subscribed && now - reader->came >= kSubscribeTime) {
+      refuse(*reader, fmt::format("nothing was subscribed to in {} s", kSubscribeTime.count()));
+    }
+  }
+}
+
 void StreamServer::Impl::run_until_stopped() {
   std::array<epoll_event, kEventsPerWait> events{};
   while (!stopping.load()) {
-    const int count = ::epoll_wait(epoll.get(), events.data(), kEventsPerWait, -1);
+    const int count = ::epoll_wait(epoll.get(), events.data(), kEventsPerWait, patience_ms());
     if (count < 0 && errno != EINTR) {
       throw Error(ErrorKind::Internal, fmt::format("stream: epoll: {}", std::strerror(errno)));
     }
@@ -774,11 +883,12 @@ void StreamServer::Impl::run_until_stopped() {
         const auto reader = std::find_if(
             readers.begin(), readers.end(),
             [&](const std::unique_ptr<Reader>& entry) { return entry->statistics.id == event.data.u64; });
-        if (reader != readers.end()) {
+        if (reader != readers.end() && !(*reader)->gone) {
           handle(**reader, event.events);
         }
       }
     }
+    drop_silent();
     remove_gone();
     if (woken) {
       std::uint64_t wakes = 0;
@@ -794,6 +904,7 @@ void StreamServer::Impl::run_until_stopped() {
       }
       remove_gone();
     }
+    ++statistics.rounds;
     show_statistics();
   }
 }
@@ -852,7 +963,7 @@ void StreamServer::start() {
       throw Error(ErrorKind::Internal, fmt::format("stream: epoll: {}", std::strerror(errno)));
     }
   }
-  impl_->thread = std::thread([this] { impl_->run(); });
+  impl_->thread = std::jthread([this] { impl_->run(); });
 }
 
 void StreamServer::publish(std::shared_ptr<const mesh::MeshFrame> frame) {

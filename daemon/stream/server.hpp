@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <filesystem>
 #include <memory>
@@ -15,7 +16,7 @@ namespace facet::stream {
 struct StreamServerConfig {
   std::filesystem::path socket;
   SocketAccess access;
-  int max_readers = 64;     ///< a connection more is told so and closed
+  int max_readers = 64;     ///< places for them; docs/stream-protocol.md says who gets one
   int max_web_readers = 0;  ///< the same for those that come by adopt
   std::string server_name;  ///< for people, in Hello: program and version
 };
@@ -38,7 +39,9 @@ struct StreamStatistics {
   std::uint64_t published = 0;  ///< frames
   std::uint64_t skipped = 0;    ///< frames that were replaced before the stream thread saw them
   std::uint64_t connections = 0;
-  std::uint64_t refused = 0;        ///< connections closed for a wrong or oversized request, or too many
+  std::uint64_t rounds = 0;  ///< of the stream's thread
+  /// Connections closed for a wrong or oversized request, for want of a place, or because they gave way.
+  std::uint64_t refused = 0;
   std::string last_refusal;         ///< for people; also why there was no ring
   std::uint64_t encoded_bytes = 0;  ///< frame messages, each profile counted once
   std::string failure;              ///< empty; else why the stream thread ended early
@@ -49,6 +52,9 @@ struct StreamStatistics {
 /// whole frames, the newest wins, and is told how many (message Dropped); it never slows the pipeline or
 /// another reader. A reader that joins late first gets the current subject and albedo. Readers that ask for
 /// it get frames through shared memory (ring.hpp), one ring per profile, which stays until the server ends.
+///
+/// A reader has a place (places.hpp) as long as it takes what is sent; one that does not gives way to others,
+/// and one that never subscribes is closed.
 ///
 /// Life: construct (binds the socket, may throw Error) -> start -> publish ... -> request_stop -> stop ->
 /// destroy. start begins the one thread `facet-stream`, which owns all connections and all encoding and
@@ -70,7 +76,7 @@ class StreamServer {
 
   /// Takes over a TCP connection whose WebSocket handshake is done: the same messages as binary messages,
   /// without the socket's header, and no ring. `early`: what has come of the client's bytes already. Any
-  /// thread. A connection too many is told so and closed, as is one after request_stop without a word.
+  /// thread. A connection without a place is told so and closed, as is one after request_stop without a word.
   void adopt(FileDescriptor connection, std::vector<std::uint8_t> early);
 
   /// First phase of stopping: readers get Goodbye, nothing new is sent. Any thread, returns at once;
@@ -83,6 +89,12 @@ class StreamServer {
 
   StreamStatistics statistics() const;  ///< any thread
   const std::filesystem::path& socket() const;
+
+  /// A reader that asks for nothing for so long is closed.
+  static constexpr std::chrono::seconds kSubscribeTime{5};
+  /// File descriptors that a reader of the socket takes at most: itself, both ends of its wake-ups, and two
+  /// on their way to it.
+  static constexpr int kDescriptorsPerReader = 5;
 
  private:
   struct Impl;

@@ -3,17 +3,20 @@
 #include <fcntl.h>
 #include <fmt/format.h>
 #include <grp.h>
+#include <poll.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/un.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <optional>
 #include <vector>
 
 #include "facet/error.hpp"
+#include "facet/system_error.hpp"
 
 namespace facet::stream {
 namespace {
@@ -40,19 +43,16 @@ sockaddr_un address_of(const std::filesystem::path& path, ErrorKind kind) {
 FileDescriptor make_socket(int flags) {
   FileDescriptor fd(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | flags, 0));
   if (!fd) {
-    throw Error(ErrorKind::Internal, fmt::format("cannot make a socket: {}", reason(errno)));
+    throw Error(kind_of_errno(errno, ErrorKind::Internal),
+                fmt::format("cannot make a socket: {}", describe_errno(errno)));
   }
   return fd;
 }
 
+/// 0 or errno.
 int try_connect(int fd, const sockaddr_un& address) {
   // The socket API takes every address as a sockaddr.
-  const auto* generic = reinterpret_cast<const sockaddr*>(&address);
-  int result = 0;
-  do {
-    result = ::connect(fd, generic, sizeof(address));
-  } while (result != 0 && errno == EINTR);
-  return result == 0 ? 0 : errno;
+  return ::connect(fd, reinterpret_cast<const sockaddr*>(&address), sizeof(address)) == 0 ? 0 : errno;
 }
 
 std::optional<gid_t> group_id(const std::string& name) {
@@ -60,6 +60,9 @@ std::optional<gid_t> group_id(const std::string& name) {
   group entry{};
   group* found = nullptr;
   const int error = ::getgrnam_r(name.c_str(), &entry, buffer.data(), buffer.size(), &found);
+  if (may_pass(error)) {
+    throw Error(kind_of_errno(error), fmt::format("group '{}': {}", name, describe_errno(error)));
+  }
   return error == 0 && found != nullptr ? std::optional<gid_t>(found->gr_gid) : std::nullopt;
 }
 
@@ -176,7 +179,50 @@ void check_passed(int fd, const std::filesystem::path& path) {
   ::fcntl(fd, F_SETFD, FD_CLOEXEC);
 }
 
+bool is_member(int fd, gid_t primary, gid_t wanted) {
+  std::vector<gid_t> groups(64);
+  socklen_t size = static_cast<socklen_t>(groups.size() * sizeof(gid_t));
+  if (::getsockopt(fd, SOL_SOCKET, SO_PEERGROUPS, groups.data(), &size) != 0) {
+    // ERANGE: `size` now says how much it takes.
+    groups.resize(size / sizeof(gid_t));
+    if (errno != ERANGE || ::getsockopt(fd, SOL_SOCKET, SO_PEERGROUPS, groups.data(), &size) != 0) {
+      return primary == wanted;
+    }
+  }
+  groups.resize(size / sizeof(gid_t));
+  return primary == wanted || std::find(groups.begin(), groups.end(), wanted) != groups.end();
+}
+
+gid_t group_of(const std::filesystem::path& path) {
+  struct stat status {};
+  return ::stat(path.c_str(), &status) == 0 ? status.st_gid : static_cast<gid_t>(-1);
+}
+
+/// At least a millisecond: 0 would be without end.
+timeval time_until(Deadline deadline) {
+  const auto left = std::max<std::chrono::microseconds>(
+      std::chrono::ceil<std::chrono::microseconds>(deadline - std::chrono::steady_clock::now()),
+      std::chrono::milliseconds(1));
+  const auto whole = std::chrono::duration_cast<std::chrono::seconds>(left);
+  return {whole.count(), (left - whole).count()};
+}
+
 }  // namespace
+
+bool wait_for(int fd, short events, Deadline deadline) {
+  for (;;) {
+    const auto left =
+        std::chrono::ceil<std::chrono::milliseconds>(deadline - std::chrono::steady_clock::now()).count();
+    pollfd entry{fd, events, 0};
+    const int ready = ::poll(&entry, 1, static_cast<int>(std::clamp<std::int64_t>(left, 0, 1 << 30)));
+    if (ready >= 0) {
+      return ready > 0;
+    }
+    if (errno != EINTR) {
+      throw Error(ErrorKind::Internal, fmt::format("cannot wait for a socket: {}", reason(errno)));
+    }
+  }
+}
 
 void FileDescriptor::reset(int fd) {
   if (fd_ >= 0) {
@@ -191,6 +237,7 @@ ListeningSocket::ListeningSocket(const std::filesystem::path& path, const Socket
   if (passed) {
     check_passed(passed.get(), path);
     fd_ = std::move(passed);
+    group_ = group_of(path);
     return;
   }
   const sockaddr_un address = address_of(path, ErrorKind::Usage);
@@ -206,6 +253,7 @@ ListeningSocket::ListeningSocket(const std::filesystem::path& path, const Socket
       inode_ = status.st_ino;
     }
     set_access(path, access);
+    group_ = group_of(path);
     if (::listen(fd_.get(), kBacklog) != 0) {
       throw Error(ErrorKind::Storage,
                   fmt::format("cannot listen on socket '{}': {}", path.string(), reason(errno)));
@@ -224,12 +272,45 @@ ListeningSocket::~ListeningSocket() {
   }
 }
 
+UnixPeer ListeningSocket::peer(int connection) const {
+  ucred peer{};
+  socklen_t size = sizeof(peer);
+  if (::getsockopt(connection, SOL_SOCKET, SO_PEERCRED, &peer, &size) != 0) {
+    return {};
+  }
+  const bool may_command =
+      peer.uid == 0 || peer.uid == ::geteuid() || is_member(connection, peer.gid, group_);
+  return {peer.pid, peer.uid, may_command};
+}
+
 FileDescriptor connect_unix(const std::filesystem::path& path) {
+  constexpr auto kPatience = std::chrono::seconds(10);
+  return connect_unix(path, std::chrono::steady_clock::now() + kPatience);
+}
+
+FileDescriptor connect_unix(const std::filesystem::path& path, Deadline deadline) {
   const sockaddr_un address = address_of(path, ErrorKind::Usage);
   FileDescriptor fd = make_socket(0);
-  const int error = try_connect(fd.get(), address);
+  // A Unix socket's connect can't be polled for: it waits for a place in the queue as long as a send may
+  // take.
+  int error = EINTR;
+  for (bool first = true; error == EINTR && (first || std::chrono::steady_clock::now() < deadline);
+       first = false) {
+    const timeval patience = time_until(deadline);
+    ::setsockopt(fd.get(), SOL_SOCKET, SO_SNDTIMEO, &patience, sizeof(patience));
+    error = try_connect(fd.get(), address);
+  }
   if (error == 0) {
+    const timeval forever{};
+    ::setsockopt(fd.get(), SOL_SOCKET, SO_SNDTIMEO, &forever, sizeof(forever));
     return fd;
+  }
+  if (error == EAGAIN || error == EINTR) {
+    throw Error(
+        ErrorKind::Unavailable,
+        fmt::format("the program at the socket '{}' does not answer: it is stopped, or has more to do "
+                    "than it can",
+                    path.string()));
   }
   if (error == EACCES) {
     struct stat status {};

@@ -1,5 +1,8 @@
 #pragma once
 
+#include <sys/types.h>
+
+#include <chrono>
 #include <cstdint>
 #include <filesystem>
 #include <string>
@@ -40,6 +43,13 @@ struct SocketAccess {
   std::string group;  ///< name; empty: the process's own
 };
 
+/// The process at the other end of a connection, as it was when it connected.
+struct UnixPeer {
+  std::int32_t pid = 0;
+  std::uint32_t uid = 0;
+  bool may_command = false;
+};
+
 /// A listening Unix stream socket. One that was bound here owns its path: the destructor removes the path if
 /// it is still this socket.
 class ListeningSocket {
@@ -60,16 +70,30 @@ class ListeningSocket {
   int fd() const { return fd_.get(); }
   const std::filesystem::path& path() const { return path_; }
 
+  /// Root, our own user and members of the socket's group may command; nobody where the connection does not
+  /// say who it is.
+  UnixPeer peer(int connection) const;
+
  private:
   std::filesystem::path path_;
   FileDescriptor fd_;
+  gid_t group_ = static_cast<gid_t>(-1);  ///< of the path, as it was when we began to listen
   bool owns_path_ = false;
   std::uint64_t device_ = 0;
   std::uint64_t inode_ = 0;
 };
 
-/// Connects to a Unix stream socket, blocking. Throws Error(Unavailable) saying what is wrong: no such
-/// socket, nobody listens, no permission (and which group would have it).
-FileDescriptor connect_unix(const std::filesystem::path& path);
+/// The end of a wait. Every call that waits for a peer has one, whatever it waits for in between.
+using Deadline = std::chrono::steady_clock::time_point;
+
+/// Connects to a Unix stream socket; what comes back blocks. Throws Error(Unavailable) saying what is wrong:
+/// no such socket, nobody listens, no permission (and which group would have it), or a queue that stayed full
+/// up to the deadline, as that of a stopped program does.
+FileDescriptor connect_unix(const std::filesystem::path& path, Deadline deadline);
+FileDescriptor connect_unix(const std::filesystem::path& path);  ///< the same, with 10 seconds
+
+/// Waits until a descriptor can be read (POLLIN) or written (POLLOUT), as `events` says, or has failed. False
+/// at the deadline. Throws Error(Internal).
+bool wait_for(int fd, short events, Deadline deadline);
 
 }  // namespace facet::stream

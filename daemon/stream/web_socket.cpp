@@ -1,7 +1,12 @@
 #include "stream/web_socket.hpp"
 
+#include <arpa/inet.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
+
 #include <algorithm>
 #include <bit>
+#include <cstring>
 
 #include "stream/base64.hpp"
 
@@ -180,6 +185,26 @@ void WebSocketAssembler::next() {
   message_.clear();
   opcode_ = WebSocketOpcode::Continuation;
   whole_ = false;
+}
+
+std::string peer_address(int connection) {
+  sockaddr_storage address{};
+  socklen_t size = sizeof(address);
+  std::array<char, INET6_ADDRSTRLEN> text{};
+  if (::getpeername(connection, reinterpret_cast<sockaddr*>(&address), &size) != 0) {
+    return {};
+  }
+  if (address.ss_family == AF_INET) {
+    const auto& four = reinterpret_cast<const sockaddr_in&>(address);
+    ::inet_ntop(AF_INET, &four.sin_addr, text.data(), text.size());
+  } else if (address.ss_family == AF_INET6) {
+    in6_addr six = reinterpret_cast<const sockaddr_in6&>(address).sin6_addr;
+    if (!IN6_IS_ADDR_V4MAPPED(&six) && !IN6_IS_ADDR_LOOPBACK(&six)) {
+      std::memset(&six.s6_addr[8], 0, 8);
+    }
+    ::inet_ntop(AF_INET6, &six, text.data(), text.size());
+  }
+  return text.data();
 }
 
 }  // namespace facet::stream

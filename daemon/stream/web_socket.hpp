@@ -97,4 +97,8 @@ class WebSocketAssembler {
   std::array<std::uint8_t, 4> mask_{};
 };
 
+/// The address at the other end of a TCP connection, as places are counted by it: without its port, IPv6 only
+/// its network of 64 bits, of which one machine has all. Empty where there is none.
+std::string peer_address(int connection);
+
 }  // namespace facet::stream

@@ -125,7 +125,7 @@ Database::Database(const std::filesystem::path& file, Mode mode) {
   // A take from elsewhere is data: nothing in its schema may run code or make SQLite take endless memory.
   sqlite3_db_config(handle, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
   sqlite3_db_config(handle, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
-  sqlite3_limit(handle, SQLITE_LIMIT_LENGTH, static_cast<int>(kMaxBlobBytes + (1U << 20)));
+  set_longest_value(kMaxStoredBytes);
 }
 
 void Database::execute(const std::string& sql) {
@@ -139,6 +139,10 @@ std::int64_t Database::query_int64(const std::string& sql) {
 
 bool Database::in_transaction() const {
   return sqlite3_get_autocommit(handle_.get()) == 0;
+}
+
+void Database::set_longest_value(std::size_t bytes) {
+  sqlite3_limit(handle_.get(), SQLITE_LIMIT_LENGTH, static_cast<int>(bytes));
 }
 
 void Database::set_busy_timeout_ms(int timeout_ms) {
@@ -159,6 +163,29 @@ bool Database::set_journal_mode(const std::string& mode, std::chrono::millisecon
     std::this_thread::sleep_for(kPause);
   }
   return false;
+}
+
+bool Database::end_log(std::chrono::milliseconds patience) {
+  // All that changes behind the log is two bytes in the file's first sector, which is written whole or not at
+  // all: a journal on the disk would only cost three more syncs and a descriptor.
+  if (!set_journal_mode("MEMORY", patience)) {
+    return false;
+  }
+  execute("PRAGMA journal_mode = DELETE");
+  return true;
+}
+
+void Database::keep_log() {
+  sqlite3_db_config(handle_.get(), SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1, nullptr);
+}
+
+void Database::sync() {
+  // By SQLite's own descriptor: another one of ours, closed, would take all its locks of the file away.
+  sqlite3_file* file = nullptr;
+  check(handle_.get(), sqlite3_file_control(handle_.get(), "main", SQLITE_FCNTL_FILE_POINTER, &file));
+  if (const int code = file->pMethods->xSync(file, SQLITE_SYNC_NORMAL); code != SQLITE_OK) {
+    throw DatabaseError(code & kPrimaryCodeMask, sqlite3_errstr(code));
+  }
 }
 
 std::uint64_t log_bytes(const std::filesystem::path& file) {

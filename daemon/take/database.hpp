@@ -1,6 +1,7 @@
 #pragma once
 
 #include <chrono>
+#include <cstddef>
 #include <cstdint>
 #include <filesystem>
 #include <memory>
@@ -65,11 +66,17 @@ class Database {
   void execute(const std::string& sql);  ///< statements without parameters; rows are ignored
   std::int64_t query_int64(const std::string& sql);
   bool in_transaction() const;
+  /// A longer text or blob is not read: SQLITE_TOOBIG instead. At first as long as a take's blobs may be.
+  void set_longest_value(std::size_t bytes);
   void set_busy_timeout_ms(int timeout_ms);
   /// Begins a write-ahead log, or folds it into the file and leaves its mode: the file alone is the database.
   /// False, with nothing changed, where another connection of any process was in the way all the time.
   bool begin_log(std::chrono::milliseconds patience) { return set_journal_mode("WAL", patience); }
-  bool end_log(std::chrono::milliseconds patience) { return set_journal_mode("DELETE", patience); }
+  bool end_log(std::chrono::milliseconds patience);
+  /// The log stays where it is when the connection closes: what is in it may be nowhere else.
+  void keep_log();
+  /// Waits until the file is on the disk.
+  void sync();
   sqlite3* handle() const { return handle_.get(); }
 
  private:

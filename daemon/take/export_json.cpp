@@ -93,7 +93,7 @@ std::string frame_json(const mesh::MeshFrame& frame, std::int64_t index) {
     out["frame_set"] = frame_set_json(*frame.images);
   }
   // A reason from a driver may hold any bytes.
-  return out.dump(-1, ' ', false, Json::error_handler_t::replace);
+  return out.dump(-1, ' ', true, Json::error_handler_t::replace);
 }
 
 }  // namespace facet::take

@@ -12,6 +12,7 @@
 #include "stream/pixel_packing.hpp"
 #include "stream/protocol.hpp"
 #include "take/checksum.hpp"
+#include "take/take_file.hpp"
 
 namespace facet::take {
 namespace {
@@ -75,7 +76,7 @@ struct PictureWriter::Impl {
   struct Free {
     void operator()(ZSTD_CCtx* owned) const { ZSTD_freeCCtx(owned); }
   };
-  std::unique_ptr<ZSTD_CCtx, Free> context{ZSTD_createCCtx()};
+  std::unique_ptr<ZSTD_CCtx, Free> context{made(ZSTD_createCCtx())};
   std::vector<std::uint8_t> pixels;
   std::vector<std::uint8_t> differences;
 
@@ -149,7 +150,7 @@ struct PictureReader::Impl {
   struct Free {
     void operator()(ZSTD_DCtx* owned) const { ZSTD_freeDCtx(owned); }
   };
-  std::unique_ptr<ZSTD_DCtx, Free> context{ZSTD_createDCtx()};
+  std::unique_ptr<ZSTD_DCtx, Free> context{made(ZSTD_createDCtx())};
   std::vector<std::uint8_t> pixels;
 
   void read(const PictureRecord& record, std::span<const std::uint8_t> payload, const std::string& camera,

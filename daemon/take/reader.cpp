@@ -7,6 +7,8 @@
 #include <bit>
 #include <cstddef>
 #include <cstdlib>
+#include <filesystem>
+#include <map>
 #include <string_view>
 #include <unordered_map>
 #include <utility>
@@ -41,6 +43,8 @@ std::string explain(const std::filesystem::path& file, const DatabaseError& erro
                                   : "a part of it is still in its -wal file and its folder is read-only: "
                                     "copy it together with "
                                     "its -wal file to a folder that can be written";
+    case SQLITE_TOOBIG:
+      return "the file is damaged (a text or blob in it is longer than any of a take)";
     case SQLITE_BUSY:
     case SQLITE_LOCKED:
       return "another program holds it locked: try again";
@@ -51,6 +55,14 @@ std::string explain(const std::filesystem::path& file, const DatabaseError& erro
 
 constexpr int kBusyTimeoutMs = 2000;
 
+/// A connection that reads texts of `meta` at most, until it is let read blobs.
+Database open_briefly(const std::filesystem::path& file, Database::Mode mode) {
+  Database database(file, mode);
+  // SQLite looks at a value's length before it reads it: nothing longer takes time or memory.
+  database.set_longest_value(kMaxMetaBytes);
+  return database;
+}
+
 Database open_database(const std::filesystem::path& file) {
   std::error_code error;
   const auto status = std::filesystem::status(file, error);
@@ -60,7 +72,7 @@ Database open_database(const std::filesystem::path& file) {
   if (!std::filesystem::is_regular_file(status)) {
     reject(file, "this is not a file");
   }
-  Database database(file, Database::Mode::ReadOnly);
+  Database database = open_briefly(file, Database::Mode::ReadOnly);
   try {
     database.set_busy_timeout_ms(kBusyTimeoutMs);
     database.query_int64("PRAGMA schema_version");
@@ -71,24 +83,121 @@ Database open_database(const std::filesystem::path& file) {
     if (!no_room || log_bytes(file) > 0) {
       throw;
     }
-    return {file, Database::Mode::Immutable};
+    return open_briefly(file, Database::Mode::Immutable);
   }
   return database;
 }
 
-}  // namespace
+/// Bytes of the segments beside a take, whether its index names them or not.
+std::uint64_t segment_bytes(const std::filesystem::path& take) {
+  std::uint64_t bytes = 0;
+  std::int64_t files = 0;
+  std::error_code error;
+  for (std::filesystem::directory_iterator entry(segments_folder(take), error), end;
+       !error && entry != end && files < kMaxSegments; entry.increment(error), ++files) {
+    std::error_code unknown;
+    const std::uintmax_t size = entry->file_size(unknown);
+    bytes += unknown || entry->path().extension() != ".seg" ? 0 : size;
+  }
+  return bytes;
+}
 
-struct TakeReader::Impl {
-  explicit Impl(const std::filesystem::path& take)
-      : file(take), database(open_checked(take)), checked(check_schema()) {}
+/// The subjects that were used last, and those that somebody else still has: frames that share a subject
+/// share the object, and a take of many keeps no memory of each.
+class SubjectCache {
+ public:
+  /// Null where it has to be read.
+  std::shared_ptr<const mesh::Subject> find(std::uint64_t id) {
+    const auto known = all_.find(id);
+    auto subject = known != all_.end() ? known->second.lock() : nullptr;
+    if (subject != nullptr && subject != newest_) {
+      before_ = std::exchange(newest_, subject);
+    }
+    return subject;
+  }
+  void keep(const std::shared_ptr<const mesh::Subject>& subject) {
+    before_ = std::exchange(newest_, subject);
+    // Seldom, so that it costs little: twice what is alive.
+    if (all_.size() >= clean_at_) {
+      std::erase_if(all_, [](const auto& entry) { return entry.second.expired(); });
+      clean_at_ = std::max(kLeastEntries, 2 * all_.size());
+    }
+    all_.insert_or_assign(subject->id, subject);
+  }
+
+ private:
+  static constexpr std::size_t kLeastEntries = 64;
+  std::shared_ptr<const mesh::Subject> newest_;
+  std::shared_ptr<const mesh::Subject> before_;
+  std::unordered_map<std::uint64_t, std::weak_ptr<const mesh::Subject>> all_;
+  std::size_t clean_at_ = kLeastEntries;
+};
+
+enum class Detail {
+  Listed,  ///< meshes as the recorder counted them, segments by their size alone
+  Whole
+};
+
+/// A take's file with what it says of itself, checked.
+struct OpenTake {
+  OpenTake(const std::filesystem::path& take, Detail detail) : file(take), database(open_checked(take)) {
+    info.file = file;
+    guarded([&] {
+      database.execute("BEGIN");  // one state of a take that is being recorded
+      check_schema();
+      read_meta();
+      read_counts(detail);
+      database.execute("COMMIT");
+    });
+  }
 
   std::filesystem::path file;
   Database database;
   TakeInfo info;
-  bool checked;  ///< orders the construction: nothing is read before the schema is known to be ours
+  std::map<std::string, std::string, std::less<>> meta;
+
+  static Database open_checked(const std::filesystem::path& take) {
+    try {
+      return open_database(take);
+    } catch (const DatabaseError& error) {
+      reject(take, explain(take, error));
+    }
+  }
+
+  /// Runs `work` and turns what SQLite reports into an Error that names the file.
+  template <typename Work>
+  auto guarded(Work&& work) -> decltype(work()) {
+    try {
+      return work();
+    } catch (const DatabaseError& error) {
+      reject(file, explain(file, error));
+    }
+  }
+
+  void check_schema();
+  void read_meta();
+  void read_counts(Detail detail);
+  /// Empty where it is not there.
+  std::string text(std::string_view key) const {
+    const auto found = meta.find(key);
+    return found != meta.end() ? found->second : std::string();
+  }
+};
+
+}  // namespace
+
+struct TakeReader::Impl : OpenTake {
+  explicit Impl(const std::filesystem::path& take) : OpenTake(take, Detail::Whole) {
+    database.set_longest_value(kMaxStoredBytes);
+    if (info.format_version >= 2) {
+      guarded([this] { read_segments(); });
+    }
+  }
+
   std::vector<std::uint8_t> message;  ///< reused
-  std::unordered_map<std::uint64_t, std::shared_ptr<const mesh::Subject>> subjects;
-  stream::DecodedAlbedo albedo;  ///< the last one read
+  SubjectCache subjects;
+  std::unordered_map<std::uint64_t, std::uint64_t> topologies;  ///< what was found under each hierarchy's id
+  stream::DecodedAlbedo albedo;                                 ///< the last one read
   std::unique_ptr<Statement> select_entry{
       prepare("SELECT sequence, timestamp_ns, media_time_ns, state, has_mesh FROM frame WHERE number = ?")};
   std::unique_ptr<Statement> select_data{prepare("SELECT data FROM frame_data WHERE number = ?")};
@@ -103,25 +212,8 @@ struct TakeReader::Impl {
   std::unique_ptr<SegmentReader> segments;  ///< null before version 2
   PictureReader pictures;
 
-  static Database open_checked(const std::filesystem::path& take) {
-    try {
-      return open_database(take);
-    } catch (const DatabaseError& error) {
-      reject(take, explain(take, error));
-    }
-  }
   std::unique_ptr<Statement> prepare(std::string_view sql) {
     return guarded([&] { return std::make_unique<Statement>(database, sql); });
-  }
-
-  /// Runs `work` and turns what SQLite reports into an Error that names the file.
-  template <typename Work>
-  auto guarded(Work&& work) -> decltype(work()) {
-    try {
-      return work();
-    } catch (const DatabaseError& error) {
-      reject(file, explain(file, error));
-    }
   }
 
   /// Runs a decoder over a blob and adds to its Error which one is damaged.
@@ -134,10 +226,7 @@ struct TakeReader::Impl {
     }
   }
 
-  bool check_schema();
-  void read_info();
   void read_segments();
-  std::string meta(std::string_view key);
   void require_index(std::int64_t index) const;
   /// The blob of the only row of a bound statement, decompressed into `message`.
   void load(Statement& statement, const std::string& what);
@@ -147,82 +236,85 @@ struct TakeReader::Impl {
   std::shared_ptr<const FrameSet> with_pixels(std::int64_t index, const FrameSet& described);
 };
 
-bool TakeReader::Impl::check_schema() {
-  guarded([this] {
-    const std::int64_t application = database.query_int64("PRAGMA application_id");
-    if (application != kApplicationId) {
-      reject(file, "this is an SQLite file, but not a take");
+void OpenTake::check_schema() {
+  const std::int64_t application = database.query_int64("PRAGMA application_id");
+  if (application != kApplicationId) {
+    reject(file, "this is an SQLite file, but not a take");
+  }
+  const std::int64_t version = database.query_int64("PRAGMA user_version");
+  if (version < 1 || version > kFormatVersion) {
+    reject(file, fmt::format("its format version is {}, this program reads 1 to {}: use a newer Facet",
+                             version, kFormatVersion));
+  }
+  info.format_version = static_cast<std::int32_t>(version);
+  // Exact text: a view, trigger or computed column in a table's place could run anything on reading.
+  Statement schema(database, "SELECT name, sql FROM sqlite_schema WHERE sql IS NOT NULL");
+  std::size_t known = 0;
+  while (schema.step()) {
+    const std::string name = schema.column_text(0);
+    const std::string sql = schema.column_text(1);
+    if (std::none_of(kTables.begin(), kTables.end(), [&](const TableDefinition& table) {
+          return table.name == name && table.sql == sql && table.since <= version;
+        })) {
+      reject(file, fmt::format("its table '{}' is not that of a take", name));
     }
-    const std::int64_t version = database.query_int64("PRAGMA user_version");
-    if (version < 1 || version > kFormatVersion) {
-      reject(file, fmt::format("its format version is {}, this program reads 1 to {}: use a newer Facet",
-                               version, kFormatVersion));
-    }
-    info.format_version = static_cast<std::int32_t>(version);
-    // Exact text: a view, trigger or computed column in a table's place could run anything on reading.
-    Statement schema(database, "SELECT name, sql FROM sqlite_schema WHERE sql IS NOT NULL");
-    std::size_t known = 0;
-    while (schema.step()) {
-      const std::string name = schema.column_text(0);
-      const std::string sql = schema.column_text(1);
-      if (std::none_of(kTables.begin(), kTables.end(), [&](const TableDefinition& table) {
-            return table.name == name && table.sql == sql && table.since <= version;
-          })) {
-        reject(file, fmt::format("its table '{}' is not that of a take", name));
-      }
-      ++known;
-    }
-    if (known != static_cast<std::size_t>(
-                     std::count_if(kTables.begin(), kTables.end(),
-                                   [&](const TableDefinition& table) { return table.since <= version; }))) {
-      reject(file, "tables are missing");
-    }
-  });
-  return true;
+    ++known;
+  }
+  if (known != static_cast<std::size_t>(
+                   std::count_if(kTables.begin(), kTables.end(),
+                                 [&](const TableDefinition& table) { return table.since <= version; }))) {
+    reject(file, "tables are missing");
+  }
 }
 
-std::string TakeReader::Impl::meta(std::string_view key) {
-  Statement select(database, "SELECT value FROM meta WHERE key = ?");
-  select.bind(1, key);
-  std::string value = select.step() ? select.column_text(0) : std::string();
-  return value;
+void OpenTake::read_meta() {
+  // Not by key: a search reads the keys that it compares, however long they are.
+  Statement select(database, "SELECT key, value FROM meta NOT INDEXED");
+  while (select.step()) {
+    if (meta.size() == kMaxMetaEntries) {
+      reject(file, fmt::format("it says more than {} things of itself", kMaxMetaEntries));
+    }
+    meta.insert_or_assign(select.column_text(0), select.column_text(1));
+  }
+  info.source = text("source");
+  info.software = cut_text(text("software"), kMaxShownBytes);
+  info.created_utc = cut_text(text("created_utc"), kMaxShownBytes);
+  info.closed = text("closed") == "1";
+  info.end_reason = cut_text(text("end_reason"), kMaxShownBytes);
+  info.dropped = std::strtoull(text("dropped").c_str(), nullptr, 10);
 }
 
-void TakeReader::Impl::read_info() {
-  guarded([this] {
-    info.file = file;
-    info.source = meta("source");
-    info.software = meta("software");
-    info.created_utc = meta("created_utc");
-    info.closed = meta("closed") == "1";
-    info.end_reason = meta("end_reason");
-    info.dropped = std::strtoull(meta("dropped").c_str(), nullptr, 10);
-    Statement frames(database, "SELECT count(*), min(number), max(number), total(has_mesh <> 0) FROM frame");
-    frames.step();
-    info.frame_count = frames.column_int64(0);
-    if (info.frame_count > 0 &&
-        (frames.column_int64(1) != 0 || frames.column_int64(2) != info.frame_count - 1)) {
+void OpenTake::read_counts(Detail detail) {
+  // Each by itself: so SQLite counts entries of pages and searches, and reads no row.
+  info.frame_count = database.query_int64("SELECT count(*) FROM frame");
+  if (info.frame_count > 0) {
+    if (database.query_int64("SELECT min(number) FROM frame") != 0 ||
+        database.query_int64("SELECT max(number) FROM frame") != info.frame_count - 1) {
       reject(file, "the file is damaged (frames are missing)");
     }
-    info.mesh_frame_count = frames.column_int64(3);
-    frames.reset();
-    info.subject_count = database.query_int64("SELECT count(*) FROM subject");
-    if (info.frame_count > 0) {
-      info.first_timestamp_ns = database.query_int64("SELECT timestamp_ns FROM frame WHERE number = 0");
-      info.last_timestamp_ns = database.query_int64(
-          fmt::format("SELECT timestamp_ns FROM frame WHERE number = {}", info.frame_count - 1));
-    }
-    std::error_code error;
-    const std::uintmax_t bytes = std::filesystem::file_size(file, error);
-    info.file_bytes = (error ? 0 : bytes) + log_bytes(file);
-    if (info.format_version >= 2) {
-      read_segments();
-    }
-  });
+    info.first_timestamp_ns = database.query_int64("SELECT timestamp_ns FROM frame WHERE number = 0");
+    info.last_timestamp_ns = database.query_int64(
+        fmt::format("SELECT timestamp_ns FROM frame WHERE number = {}", info.frame_count - 1));
+  }
+  const std::string counted = text("mesh_frames");
+  if (detail == Detail::Listed && info.closed && !counted.empty()) {
+    info.mesh_frame_count =
+        std::clamp<std::int64_t>(std::strtoll(counted.c_str(), nullptr, 10), 0, info.frame_count);
+  } else {
+    info.mesh_frame_count = database.query_int64("SELECT total(has_mesh <> 0) FROM frame");
+  }
+  info.subject_count = database.query_int64("SELECT count(*) FROM subject");
+  std::error_code error;
+  const std::uintmax_t bytes = std::filesystem::file_size(file, error);
+  info.file_bytes = (error ? 0 : bytes) + log_bytes(file);
+  if (detail == Detail::Listed && info.format_version >= 2) {
+    info.picture_bytes = segment_bytes(file);
+    info.file_bytes += info.picture_bytes;
+  }
 }
 
 void TakeReader::Impl::read_segments() {
-  segments = std::make_unique<SegmentReader>(file, take_id_from(meta("take_id")));
+  segments = std::make_unique<SegmentReader>(file, take_id_from(text("take_id")));
   Statement select(
       database,
       "SELECT segment, min(number), max(number), count(*), sum(bytes), max(position + bytes) FROM "
@@ -230,6 +322,9 @@ void TakeReader::Impl::read_segments() {
   while (select.step()) {
     TakeSegment segment;
     segment.number = select.column_int64(0);
+    if (segment.number < 1 || segment.number > kMaxSegments) {
+      reject(file, fmt::format("the file is damaged (it names a segment {})", segment.number));
+    }
     segment.file = segment_file(file, segment.number);
     segment.first_frame = select.column_int64(1);
     segment.last_frame = select.column_int64(2);
@@ -238,6 +333,7 @@ void TakeReader::Impl::read_segments() {
     try {
       const std::uint64_t size = segments->check(segment.number);
       info.file_bytes += size;
+      info.picture_bytes += size;
       if (std::cmp_less(size, select.column_int64(5))) {
         segment.fault = fmt::format("segment '{}': it ends at byte {} of {}: the rest is lost",
                                     segment.file.string(), size, select.column_int64(5));
@@ -265,8 +361,8 @@ void TakeReader::Impl::load(Statement& statement, const std::string& what) {
 }
 
 std::shared_ptr<const mesh::Subject> TakeReader::Impl::subject(std::uint64_t id) {
-  if (const auto known = subjects.find(id); known != subjects.end()) {
-    return known->second;
+  if (auto known = subjects.find(id)) {
+    return known;
   }
   const std::string what = fmt::format("subject {:016x}", id);
   select_subject->bind(1, std::bit_cast<std::int64_t>(id));
@@ -275,7 +371,12 @@ std::shared_ptr<const mesh::Subject> TakeReader::Impl::subject(std::uint64_t id)
   if (read->id != id || read->hierarchy == nullptr || read->hierarchy->control_vertex_count == 0) {
     reject(file, fmt::format("{}: not the topology that a take holds", what));
   }
-  subjects.emplace(id, read);
+  const std::uint64_t found = mesh::topology_id(*read->hierarchy);
+  if (topologies.try_emplace(read->hierarchy->id, found).first->second != found) {
+    reject(file,
+           fmt::format("{}: the take has another topology of the id {:016x}", what, read->hierarchy->id));
+  }
+  subjects.keep(read);
   return read;
 }
 
@@ -341,9 +442,11 @@ std::shared_ptr<const mesh::MeshFrame> TakeReader::Impl::frame(std::int64_t inde
   return std::make_shared<mesh::MeshFrame>(std::move(out.frame));
 }
 
-TakeReader::TakeReader(const std::filesystem::path& file) : impl_(std::make_unique<Impl>(file)) {
-  impl_->read_info();
+TakeInfo listed_info(const std::filesystem::path& file) {
+  return OpenTake(file, Detail::Listed).info;
 }
+
+TakeReader::TakeReader(const std::filesystem::path& file) : impl_(std::make_unique<Impl>(file)) {}
 
 TakeReader::~TakeReader() = default;
 TakeReader::TakeReader(TakeReader&&) noexcept = default;
@@ -383,22 +486,6 @@ FrameEntry TakeReader::entry(std::int64_t index) {
 std::shared_ptr<const mesh::MeshFrame> TakeReader::frame(std::int64_t index, Pictures pictures) {
   impl_->require_index(index);
   return impl_->guarded([&] { return impl_->frame(index, pictures); });
-}
-
-std::vector<std::shared_ptr<const mesh::Subject>> TakeReader::subjects() {
-  return impl_->guarded([&] {
-    std::vector<std::uint64_t> ids;
-    Statement select(impl_->database, "SELECT id FROM subject ORDER BY number");
-    while (select.step()) {
-      ids.push_back(id_from(select.column_int64(0)));
-    }
-    std::vector<std::shared_ptr<const mesh::Subject>> out;
-    out.reserve(ids.size());
-    for (const std::uint64_t id : ids) {
-      out.push_back(impl_->subject(id));
-    }
-    return out;
-  });
 }
 
 }  // namespace facet::take

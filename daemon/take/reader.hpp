@@ -26,7 +26,7 @@ struct TakeSegment {
 struct TakeInfo {
   std::filesystem::path file;
   std::int32_t format_version = 0;
-  std::string source;
+  std::string source;  ///< 4 KiB at most; the texts below 1 KiB, cut
   std::string software;
   std::string created_utc;  ///< ISO 8601
   bool closed = false;      ///< false: its recorder was killed or failed, or still records
@@ -38,8 +38,15 @@ struct TakeInfo {
   std::int64_t last_timestamp_ns = 0;
   std::int64_t subject_count = 0;
   std::vector<TakeSegment> segments;  ///< of the pictures, in their order; none in format version 1
+  std::uint64_t picture_bytes = 0;    ///< of the segments' files
   std::uint64_t file_bytes = 0;       ///< with the segments
 };
+
+/// What a list of takes shows, in a time that hardly grows with the take: its meshes are as many as its
+/// recorder says, and the segments are not looked into (`segments` is empty). A take that is not closed, or
+/// of an older recorder, has its index read once. Texts but the source are cut at 1 KiB. Any thread. Throws
+/// as TakeReader does.
+TakeInfo listed_info(const std::filesystem::path& file);
 
 /// What the index knows of a frame without decoding it.
 struct FrameEntry {
@@ -73,10 +80,9 @@ class TakeReader {
   std::int64_t frame_count() const;
 
   FrameEntry entry(std::int64_t index);
-  /// Subjects and albedos are cached: frames that share one share the object.
+  /// Subjects and albedos are cached, the last two and the last one of them: frames that share one share the
+  /// object as long as anybody has it.
   std::shared_ptr<const mesh::MeshFrame> frame(std::int64_t index, Pictures pictures = Pictures::Decoded);
-  /// All subjects in the order in which they appear.
-  std::vector<std::shared_ptr<const mesh::Subject>> subjects();
 
  private:
   struct Impl;

@@ -9,12 +9,15 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <atomic>
 #include <bit>
 #include <cerrno>
 #include <condition_variable>
 #include <cstring>
 #include <exception>
+#include <functional>
 #include <mutex>
+#include <new>
 #include <optional>
 #include <string_view>
 #include <thread>
@@ -22,6 +25,7 @@
 #include <vector>
 
 #include "facet/error.hpp"
+#include "files/output_file.hpp"
 #include "stream/decoder.hpp"
 #include "stream/encoder.hpp"
 #include "take/database.hpp"
@@ -68,6 +72,14 @@ void create_file(const std::filesystem::path& file) {
   throw Error(ErrorKind::Storage,
               fmt::format("cannot create take '{}': {}{}", file.string(), std::strerror(error),
                           error == ENOENT ? ": create its folder first" : ""));
+}
+
+/// What a recorder made that could not begin. The folder of pictures goes with its writer.
+void remove_take(const std::filesystem::path& file) {
+  for (const char* suffix : {"", "-wal", "-shm"}) {
+    std::error_code ignored;
+    std::filesystem::remove(file.string() + suffix, ignored);
+  }
 }
 
 bool take_exists(const std::filesystem::path& file) {
@@ -160,48 +172,71 @@ class TakeWriter {
       : id_(new_take_id()),
         compressor_(config.compression_level),
         database_(config.file, Database::Mode::ReadWrite),
+        file_(NamedFile::of(config.file)),
         schema_(make_schema(config)),
         insert_subject_(database_, "INSERT OR IGNORE INTO subject(id, data) VALUES(?, ?)"),
         insert_albedo_(database_, "INSERT OR IGNORE INTO albedo(subject_id, version, data) VALUES(?, ?, ?)"),
         insert_frame_(database_, "INSERT INTO frame VALUES(?, ?, ?, ?, ?, ?)"),
         insert_data_(database_, "INSERT INTO frame_data VALUES(?, ?)"),
         insert_pictures_(database_, "INSERT INTO pictures VALUES(?, ?, ?, ?)"),
-        set_meta_(database_, "INSERT OR REPLACE INTO meta VALUES(?, ?)") {
+        set_meta_(database_, "INSERT OR REPLACE INTO meta VALUES(?, ?)"),
+        log_(NamedFile::of(std::filesystem::canonical(config.file).string() + "-wal")) {
     if (config.with_images) {
       segments_.emplace(config.file, id_, config.segment_bytes);
     }
+    files::sync_folder(config.file.parent_path());
   }
 
   /// Writes a frame and what it refers to into the open transaction.
   void write(const PackedFrame& frame);
-  void begin() { database_.execute("BEGIN"); }
-  /// The pictures first: no index ever names what is not on the disk.
+  /// Begins a transaction where none is open.
+  void begin() {
+    if (!database_.in_transaction()) {
+      database_.execute("BEGIN");
+    }
+  }
+  /// The pictures first: no index ever names what is not on the disk. Throws where the files are no longer
+  /// there under their names, too: what is written into them then is for nobody.
   void commit() {
     if (segments_) {
       segments_->sync();
     }
     database_.execute("COMMIT");
+    try {
+      file_.is_there();
+      log_.is_there();
+      if (segments_) {
+        segments_->is_there();
+      }
+    } catch (const Error&) {
+      database_.keep_log();  // what now bears its name may be another take's
+      throw;
+    }
   }
-  void rollback() {
+  /// Gives up the open transaction and the pictures of it.
+  void give_up() {
+    segments_.reset();
     if (database_.in_transaction()) {
       database_.execute("ROLLBACK");
     }
-    // What the lost transaction wrote must be written again if anything follows.
-    subject_id_ = 0;
-    albedo_version_ = 0;
   }
-  void set_meta(std::string_view key, std::string_view value);
-  void close_segments() { segments_.reset(); }
-  /// Folds the write-ahead log into the file and removes it, as far as readers let it.
+  void mark_closed(std::uint64_t dropped, std::uint64_t mesh_frames, std::string_view reason);
+  /// Folds the write-ahead log into the file and removes it, as far as readers let it. What can't be written
+  /// stays in the log.
   void close_log();
+  /// Throws where the take's files are not what and where they were written; false where that can't be seen
+  /// now. frames: committed.
+  bool is_whole(std::uint64_t frames);
 
  private:
   bool make_schema(const TakeRecorderConfig& config);
+  void set_meta(std::string_view key, std::string_view value);
 
   TakeId id_;
   stream::Encoder encoder_;
   BlobCompressor compressor_;
   Database database_;
+  NamedFile file_;
   bool schema_;  ///< only orders the construction: the statements need the tables
   Statement insert_subject_;
   Statement insert_albedo_;
@@ -209,19 +244,21 @@ class TakeWriter {
   Statement insert_data_;
   Statement insert_pictures_;
   Statement set_meta_;
+  NamedFile log_;                          ///< there since the statements were prepared
   std::optional<SegmentWriter> segments_;  ///< none without pictures
   std::uint64_t subject_id_ = 0;           ///< written last
   std::uint64_t albedo_version_ = 0;
 };
 
+/// With one sync at its end: on a slow disk each takes seconds, and of a take that is being made nothing is
+/// lost.
 bool TakeWriter::make_schema(const TakeRecorderConfig& config) {
+  database_.set_busy_timeout_ms(static_cast<int>(config.lock_patience.count()));
   database_.execute(fmt::format("PRAGMA page_size = {}", kPageBytes));
+  database_.execute("PRAGMA synchronous = OFF");
   if (!database_.begin_log(kCreateTimeout)) {
     throw Error(ErrorKind::Storage, "another program holds the new file");
   }
-  // FULL: a commit survives a power cut, not only a killed process.
-  database_.execute("PRAGMA synchronous = FULL");
-  database_.execute(fmt::format("PRAGMA wal_autocheckpoint = {}", kCheckpointPages));
   database_.execute("BEGIN");
   database_.execute(fmt::format("PRAGMA application_id = {}", kApplicationId));
   database_.execute(fmt::format("PRAGMA user_version = {}", kFormatVersion));
@@ -235,11 +272,18 @@ bool TakeWriter::make_schema(const TakeRecorderConfig& config) {
       {"take_id", to_text(id_)},
       {"created_utc", utc_text(std::chrono::system_clock::now(), "{:%Y-%m-%dT%H:%M:%SZ}")}};
   for (const auto& [key, value] : entries) {
+    const std::string stored = cut_text(value, kMaxMetaBytes);
     meta.bind(1, key);
-    meta.bind(2, std::string_view(value));
+    meta.bind(2, std::string_view(stored));
     meta.run();
   }
   database_.execute("COMMIT");
+  // Where a reader prevents it, the first frames' commit brings the tables to the disk with the log.
+  database_.execute("PRAGMA wal_checkpoint(PASSIVE)");
+  database_.sync();
+  // FULL: a commit survives a power cut, not only a killed process.
+  database_.execute("PRAGMA synchronous = FULL");
+  database_.execute(fmt::format("PRAGMA wal_autocheckpoint = {}", kCheckpointPages));
   return true;
 }
 
@@ -286,15 +330,44 @@ void TakeWriter::write(const PackedFrame& frame) {
 }
 
 void TakeWriter::set_meta(std::string_view key, std::string_view value) {
+  const std::string stored = cut_text(value, kMaxMetaBytes);
   set_meta_.bind(1, key);
-  set_meta_.bind(2, value);
+  set_meta_.bind(2, std::string_view(stored));
   set_meta_.run();
 }
 
+void TakeWriter::mark_closed(std::uint64_t dropped, std::uint64_t mesh_frames, std::string_view reason) {
+  begin();
+  set_meta("dropped", std::to_string(dropped));
+  set_meta("mesh_frames", std::to_string(mesh_frames));
+  set_meta("end_reason", reason);
+  set_meta("closed", "1");
+}
+
 void TakeWriter::close_log() {
-  database_.set_busy_timeout_ms(static_cast<int>(kCloseTimeout.count()));
-  database_.execute("PRAGMA wal_checkpoint(TRUNCATE)");
-  database_.end_log(kCloseTimeout);
+  try {
+    database_.set_busy_timeout_ms(static_cast<int>(kCloseTimeout.count()));
+    database_.execute("PRAGMA wal_checkpoint(TRUNCATE)");
+    database_.end_log(kCloseTimeout);
+  } catch (...) {
+    // The kernel tells of a page that it could not write once: a second sync that succeeds proves nothing.
+    database_.keep_log();
+    throw;
+  }
+}
+
+bool TakeWriter::is_whole(std::uint64_t frames) {
+  bool seen = file_.is_there();
+  if (segments_) {
+    seen = segments_->are_all_there() && seen;
+  }
+  database_.execute("PRAGMA shrink_memory");  // from the file, not from what is remembered of it
+  const auto found = static_cast<std::uint64_t>(database_.query_int64("SELECT count(*) FROM frame"));
+  if (found != frames) {
+    throw Error(ErrorKind::Storage, fmt::format("'{}' holds {} frames of the {} that were written",
+                                                file_.path.string(), found, frames));
+  }
+  return seen;
 }
 
 struct TakeRecorder::Impl {
@@ -311,8 +384,6 @@ struct TakeRecorder::Impl {
 
   TakeRecorderConfig config;
   std::optional<TakeWriter> writer;  ///< facet-take only, once started
-  std::thread thread;                ///< facet-take
-  std::vector<std::thread> packers;  ///< facet-pack-N
 
   mutable std::mutex mutex;
   std::condition_variable to_pack;  ///< a frame came, or the end
@@ -325,29 +396,77 @@ struct TakeRecorder::Impl {
   std::uint64_t written = 0;                        ///< of these, given to facet-take
   std::vector<std::unique_ptr<PackedFrame>> spare;  ///< keep their memory; as many as were ever in use
   bool stopping = false;                            ///< takes no more frames
+  std::string end_reason;                           ///< given by who asked for the end
+  std::string pack_fault;                           ///< why a facet-pack ended early; else empty
   RecorderStatus shown;
 
   // facet-take only.
   RecorderStatus counted;                       ///< with what the open transaction holds
   std::optional<Clock::time_point> commit_due;  ///< set while a transaction is open
 
+  std::atomic<bool> ended{false};  ///< the take is closed, or never will be
+  // Last, so that they are joined before anything is freed.
+  std::vector<std::jthread> packers;  ///< facet-pack-N
+  std::jthread thread;                ///< facet-take
+
   std::size_t queued() const { return static_cast<std::size_t>(taken - written); }  ///< under mutex
-  void pack_until_stopped(int index);
-  std::unique_ptr<PackedFrame> wait_for_frame(bool& ended);
+  void pack_until_stopped();
+  void run_packer(int index);
+  std::string told(const char* doing, const std::exception& error) const;
+  bool attempt(const char* doing, const std::function<void()>& work);
+  std::unique_ptr<PackedFrame> wait_for_frame(bool& at_end);
   void write_until_stopped();
   void write(const PackedFrame& frame);
-  void commit();
+  void show_committed();
   void check_disk() const;
-  void fail(const std::string& reason);
+  void fail(std::string reason);
+  void close();
   void finish();
   void run();
+  void join();
 };
 
-void TakeRecorder::Impl::pack_until_stopped(int index) {
+/// What went wrong, for people. Where there is no memory for that, it says so without any.
+std::string TakeRecorder::Impl::told(const char* doing, const std::exception& error) const {
+  try {
+    if (dynamic_cast<const std::bad_alloc*>(&error) == nullptr) {
+      return dynamic_cast<const Error*>(&error) != nullptr
+                 ? error.what()
+                 : fmt::format("cannot {} take '{}': {}", doing, config.file.string(), error.what());
+    }
+  } catch (const std::bad_alloc&) {
+    // The same end.
+  }
+  return "out of memory";
+}
+
+/// Does some of the take's work; what prevents it ends the recording. False then.
+bool TakeRecorder::Impl::attempt(const char* doing, const std::function<void()>& step) {
+  try {
+    step();
+    return true;
+  } catch (const std::exception& error) {
+    fail(told(doing, error));
+    return false;
+  }
+}
+
+void TakeRecorder::Impl::run_packer(int index) {
   ::pthread_setname_np(::pthread_self(), fmt::format("facet-pack-{}", index).c_str());
   // Who hands a frame in must not give up its processor to the one whom it wakes.
   const sched_param any{};
   ::pthread_setschedparam(::pthread_self(), SCHED_BATCH, &any);
+  try {
+    pack_until_stopped();
+  } catch (const std::exception& error) {
+    std::string why = told("encode", error);
+    const std::lock_guard lock(mutex);
+    pack_fault = std::move(why);
+    work.notify_one();
+  }
+}
+
+void TakeRecorder::Impl::pack_until_stopped() {
   FramePacker packer(config);
   std::unique_lock lock(mutex);
   while (true) {
@@ -369,7 +488,7 @@ void TakeRecorder::Impl::pack_until_stopped(int index) {
     try {
       packer.pack(*frame, static_cast<std::int64_t>(number), *packed);
     } catch (const std::exception& error) {
-      packed->fault = error.what();
+      packed->fault = told("encode", error);
     }
     frame = nullptr;  // the pictures go back to their cameras
     lock.lock();
@@ -381,17 +500,22 @@ void TakeRecorder::Impl::pack_until_stopped(int index) {
 }
 
 /// The next frame; null at the commit's time or, with `ended`, at the end of the queue after request_stop.
-std::unique_ptr<PackedFrame> TakeRecorder::Impl::wait_for_frame(bool& ended) {
+/// Throws where the frames can't be encoded.
+std::unique_ptr<PackedFrame> TakeRecorder::Impl::wait_for_frame(bool& at_end) {
   std::unique_lock lock(mutex);
   const auto ready = [this] {
-    return queued() > 0 ? ring[written % ring.size()].packed != nullptr : stopping;
+    const bool next = queued() > 0 ? ring[written % ring.size()].packed != nullptr : stopping;
+    return next || !pack_fault.empty();
   };
   if (commit_due) {
     work.wait_until(lock, *commit_due, ready);
   } else {
     work.wait(lock, ready);
   }
-  ended = stopping && queued() == 0;
+  if (!pack_fault.empty()) {
+    throw Error(ErrorKind::Internal, pack_fault);
+  }
+  at_end = stopping && queued() == 0;
   if (queued() == 0) {
     return nullptr;
   }
@@ -417,16 +541,12 @@ void TakeRecorder::Impl::check_disk() const {
   }
 }
 
-void TakeRecorder::Impl::commit() {
-  writer->commit();
+void TakeRecorder::Impl::show_committed() {
   commit_due.reset();
-  {
-    const std::lock_guard lock(mutex);
-    counted.dropped = shown.dropped;
-    counted.file = shown.file;
-    shown = counted;
-  }
-  check_disk();
+  const std::lock_guard lock(mutex);
+  shown.frames = counted.frames;
+  shown.mesh_frames = counted.mesh_frames;
+  shown.bytes = counted.bytes;
 }
 
 void TakeRecorder::Impl::write(const PackedFrame& frame) {
@@ -440,9 +560,10 @@ void TakeRecorder::Impl::write(const PackedFrame& frame) {
   counted.mesh_frames += frame.has_mesh ? 1 : 0;
 }
 
+/// The last transaction stays open: the marks of the end go into it.
 void TakeRecorder::Impl::write_until_stopped() {
-  for (bool ended = false; !ended;) {
-    std::unique_ptr<PackedFrame> frame = wait_for_frame(ended);
+  for (bool at_end = false; !at_end;) {
+    std::unique_ptr<PackedFrame> frame = wait_for_frame(at_end);
     if (frame != nullptr) {
       write(*frame);
       frame->subject = nullptr;
@@ -450,18 +571,24 @@ void TakeRecorder::Impl::write_until_stopped() {
       const std::lock_guard lock(mutex);
       spare.push_back(std::move(frame));
     }
-    if (commit_due && (ended || Clock::now() >= *commit_due)) {
-      commit();
+    if (commit_due && !at_end && Clock::now() >= *commit_due) {
+      writer->commit();
+      show_committed();
+      check_disk();
     }
   }
 }
 
-/// Takes no more frames and lets nobody wait; what is queued counts as dropped.
-void TakeRecorder::Impl::fail(const std::string& reason) {
+/// Takes no more frames and lets nobody wait; what is queued or not committed counts as dropped. The first
+/// reason stays.
+void TakeRecorder::Impl::fail(std::string reason) {
   const std::lock_guard lock(mutex);
   stopping = true;
+  if (shown.state == RecorderState::Failed) {
+    return;
+  }
   shown.state = RecorderState::Failed;
-  shown.reason = reason;
+  shown.reason = std::move(reason);
   shown.dropped += taken - shown.frames;
   for (Place& place : ring) {
     place.frame = nullptr;
@@ -472,31 +599,68 @@ void TakeRecorder::Impl::fail(const std::string& reason) {
   room.notify_all();
 }
 
-/// Writes how the take ended and folds the log. On a full disk either may fail: the take is readable as it
-/// is.
-void TakeRecorder::Impl::finish() {
-  const RecorderStatus end = [this] {
+/// Commits the last frames with the marks of the end, folds the log and looks at what is there then. Throws
+/// where the take is not what was recorded.
+void TakeRecorder::Impl::close() {
+  std::uint64_t dropped = 0;
+  {
     const std::lock_guard lock(mutex);
-    return shown;
-  }();
-  bool marked = false;
+    dropped = shown.dropped;
+    shown.reason = end_reason;
+  }
+  writer->mark_closed(dropped, counted.mesh_frames,
+                      end_reason);  // settled: nobody sets it once the queue is at its end
+  writer->commit();
+  show_committed();
+  {
+    const std::lock_guard lock(mutex);
+    shown.marked = true;
+  }
+  std::string warning;
   try {
-    writer->close_segments();
-    writer->rollback();
-    writer->begin();
-    writer->set_meta("dropped", std::to_string(end.dropped));
-    writer->set_meta("end_reason", end.reason);
-    writer->set_meta("closed", "1");
-    writer->commit();
-    marked = true;
     writer->close_log();
   } catch (const DatabaseError& error) {
-    if (!marked && end.state == RecorderState::Recording) {
-      fail(fmt::format("cannot close take '{}': {}", config.file.string(), error.what()));
+    warning = fmt::format("not known to be on the disk: {}", error.what());
+  }
+  try {
+    if (!writer->is_whole(counted.frames) && warning.empty()) {
+      warning = "not known to be whole: its files can't be looked at";
+    }
+  } catch (const DatabaseError& error) {
+    warning = fmt::format("not known to be readable: {}", error.what());
+  }
+  const std::lock_guard lock(mutex);
+  shown.warning = std::move(warning);
+}
+
+/// The take's end, whatever it was. On a full disk the last marks may fail: the take is readable as it is.
+void TakeRecorder::Impl::finish() {
+  bool failed = false;
+  {
+    const std::lock_guard lock(mutex);
+    failed = shown.state == RecorderState::Failed;
+  }
+  if (failed || !attempt("close", [this] { close(); })) {
+    try {
+      writer->give_up();
+      const RecorderStatus end = [this] {
+        const std::lock_guard lock(mutex);
+        return shown;
+      }();
+      writer->mark_closed(end.dropped, end.mesh_frames, end.reason);
+      writer->commit();
+      writer->close_log();
+    } catch (const std::exception&) {
+      // It failed for a reason that is told; what is missing in it now is only that.
     }
   }
   writer.reset();
-  const std::uint64_t left = log_bytes(config.file);
+  std::uint64_t left = 0;
+  try {
+    left = log_bytes(config.file);
+  } catch (const std::bad_alloc&) {
+    // It is a note for people.
+  }
   const std::lock_guard lock(mutex);
   shown.log_left = left > 0;
   if (shown.state == RecorderState::Recording) {
@@ -506,14 +670,19 @@ void TakeRecorder::Impl::finish() {
 
 void TakeRecorder::Impl::run() {
   ::pthread_setname_np(::pthread_self(), "facet-take");
-  try {
-    write_until_stopped();
-  } catch (const DatabaseError& error) {
-    fail(fmt::format("cannot write take '{}': {}", config.file.string(), error.what()));
-  } catch (const std::exception& error) {
-    fail(error.what());
-  }
+  attempt("write", [this] { write_until_stopped(); });
   finish();
+  ended = true;
+}
+
+void TakeRecorder::Impl::join() {
+  if (thread.joinable()) {
+    thread.join();
+    packers.clear();
+  } else if (writer) {
+    finish();  // never started: the empty take is closed properly
+    ended = true;
+  }
 }
 
 TakeRecorder::TakeRecorder(const TakeRecorderConfig& config) : impl_(std::make_unique<Impl>(config)) {
@@ -521,20 +690,17 @@ TakeRecorder::TakeRecorder(const TakeRecorderConfig& config) : impl_(std::make_u
   try {
     impl_->check_disk();
     impl_->writer.emplace(config);
-  } catch (const DatabaseError& error) {
-    std::error_code ignored;
-    std::filesystem::remove(config.file, ignored);
-    throw Error(ErrorKind::Storage,
+  } catch (const std::exception& error) {
+    remove_take(config.file);
+    const auto* known = dynamic_cast<const Error*>(&error);
+    throw Error(known != nullptr ? known->kind() : ErrorKind::Storage,
                 fmt::format("cannot create take '{}': {}", config.file.string(), error.what()));
-  } catch (const Error& error) {
-    std::error_code ignored;
-    std::filesystem::remove(config.file, ignored);
-    throw Error(error.kind(), fmt::format("cannot create take '{}': {}", config.file.string(), error.what()));
   }
 }
 
 TakeRecorder::~TakeRecorder() {
-  stop();
+  request_stop();
+  impl_->join();
 }
 
 void TakeRecorder::start() {
@@ -543,10 +709,20 @@ void TakeRecorder::start() {
   const int automatic = impl.config.with_images ? processors : 1;
   const int count =
       impl.config.pack_threads > 0 ? std::min(impl.config.pack_threads, kMostPackers) : automatic;
-  for (int i = 0; i < count; ++i) {
-    impl.packers.emplace_back([&impl, i] { impl.pack_until_stopped(i); });
+  try {
+    for (int i = 0; i < count; ++i) {
+      impl.packers.emplace_back([&impl, i] { impl.run_packer(i); });
+    }
+    impl.thread = std::jthread([&impl] { impl.run(); });
+  } catch (const std::exception& error) {
+    request_stop();
+    impl.packers.clear();
+    impl.fail("no thread");
+    impl.writer.reset();
+    remove_take(impl.config.file);
+    throw Error(ErrorKind::Internal, fmt::format("cannot record take '{}': no thread for it: {}",
+                                                 impl.config.file.string(), error.what()));
   }
-  impl.thread = std::thread([&impl] { impl.run(); });
 }
 
 bool TakeRecorder::record(std::shared_ptr<const mesh::MeshFrame> frame) {
@@ -571,9 +747,11 @@ bool TakeRecorder::record(std::shared_ptr<const mesh::MeshFrame> frame) {
   return true;
 }
 
-void TakeRecorder::request_stop() {
+void TakeRecorder::request_stop(std::string reason) {
   const std::lock_guard lock(impl_->mutex);
-  impl_->stopping = true;
+  if (!std::exchange(impl_->stopping, true)) {
+    impl_->end_reason = std::move(reason);
+  }
   impl_->to_pack.notify_all();
   impl_->work.notify_all();
   impl_->room.notify_all();
@@ -581,16 +759,12 @@ void TakeRecorder::request_stop() {
 
 RecorderStatus TakeRecorder::stop() {
   request_stop();
-  if (impl_->thread.joinable()) {
-    impl_->thread.join();
-    for (std::thread& packer : impl_->packers) {
-      packer.join();
-    }
-    impl_->packers.clear();
-  } else if (impl_->writer) {
-    impl_->finish();  // never started: the empty take is closed properly
-  }
+  impl_->join();
   return status();
+}
+
+bool TakeRecorder::ended() const {
+  return impl_->ended;
 }
 
 RecorderStatus TakeRecorder::status() const {

@@ -28,26 +28,35 @@ struct TakeRecorderConfig {
   bool with_images = false;   ///< the pictures of MeshFrame::images too, losslessly, in segments
   /// A segment of pictures is ended before it would be longer, bytes.
   std::uint64_t segment_bytes = 1ULL << 30;
+  /// How long another process may hold SQLite's write lock of the take, as a backup does, until recording
+  /// stops.
+  std::chrono::milliseconds lock_patience{2000};
   int pack_threads = 0;  ///< 1 to 16; 0: as many as there are processors, 4 at most, and one without pictures
 };
 
 enum class RecorderState {
   Recording,
-  Finished,  ///< stopped on request; the take is one closed file
-  Failed,    ///< stopped by itself (disk full ...): `reason` says why. What was committed stays readable.
+  /// Stopped on request: every frame that is counted was found in the take, under its name and on the disk,
+  /// or RecorderStatus::warning says what is not known of that.
+  Finished,
+  /// Stopped by itself (disk full, take removed ...): `reason` says why. What was committed stays readable,
+  /// where it lies.
+  Failed,
 };
 
 const char* to_string(RecorderState state);
 
 struct RecorderStatus {
   RecorderState state = RecorderState::Recording;
-  std::string reason;  ///< empty unless Failed
+  std::string reason;   ///< why it ended, unless somebody asked for that
+  std::string warning;  ///< Finished, but this is not known to be so; else empty
   std::filesystem::path file;
   std::uint64_t frames = 0;       ///< committed
   std::uint64_t mesh_frames = 0;  ///< of these, with a mesh
   std::uint64_t dropped = 0;      ///< lost to a full queue, or after a failure
   std::uint64_t bytes = 0;        ///< of frame blobs and pictures committed
   std::size_t queued = 0;         ///< waiting to be written
+  bool marked = false;    ///< all is committed, with the marks of the end; what is left is to fold the log
   bool log_left = false;  ///< stopped, but a part is still in the log beside it, as a reader has it open
 };
 
@@ -66,20 +75,25 @@ class TakeRecorder {
   TakeRecorder(const TakeRecorder&) = delete;
   TakeRecorder& operator=(const TakeRecorder&) = delete;
 
+  /// Throws Error(Internal) where a thread can't be made: nothing of the take is left then.
   void start();
 
   /// Queues one frame; one thread at a time. With WhenFull::Drop real-time safe (a lock held for a pointer's
   /// move). Returns false where the frame was not taken: queue full, failed or stopped.
   bool record(std::shared_ptr<const mesh::MeshFrame> frame);
 
-  /// First phase: takes no more frames. Any thread, returns at once, idempotent.
-  void request_stop();
+  /// First phase: takes no more frames. reason: why, for RecorderStatus and the take's `end_reason`; empty
+  /// where it was asked for; that of the first call stays. Any thread, returns at once.
+  void request_stop(std::string reason = {});
   /// Second phase: what is queued is written, the write-ahead log is folded into the one file
   /// (RecorderStatus::log_left where a reader prevents it: close_take does it later), the threads join.
   /// Idempotent; the destructor calls both.
   RecorderStatus stop();
 
-  RecorderStatus status() const;  ///< any thread
+  /// True once the take is closed and its threads are through. Any thread, returns at once.
+  bool ended() const;
+
+  RecorderStatus status() const;  ///< any thread; never waits for the disk
 
  private:
   struct Impl;

@@ -69,12 +69,9 @@ class File {
               fmt::format("cannot {} '{}': {}", what, file.string(), std::strerror(error)));
 }
 
-/// A new name in a folder is on the disk when the folder is.
-void sync_folder(const std::filesystem::path& folder) {
-  const File opened(::open(folder.empty() ? "." : folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
-  if (!opened || ::fsync(opened.get()) != 0) {
-    storage_error(folder, "sync the folder", errno);
-  }
+[[noreturn]] void no_longer_there(const std::filesystem::path& file) {
+  throw Error(ErrorKind::Storage,
+              fmt::format("'{}' is no longer there: it was removed or moved", file.string()));
 }
 
 }  // namespace
@@ -117,12 +114,44 @@ std::filesystem::path segment_file(const std::filesystem::path& take, std::int64
   return segments_folder(take) / fmt::format("{:06}.seg", number);
 }
 
+NamedFile NamedFile::of(const std::filesystem::path& path) {
+  struct stat status {};
+  if (::stat(path.c_str(), &status) != 0) {
+    storage_error(path, "look at", errno);
+  }
+  return {path, status.st_dev, status.st_ino};
+}
+
+bool NamedFile::is_there() const {
+  struct stat status {};
+  if (::stat(path.c_str(), &status) != 0) {
+    if (errno == ENOENT || errno == ENOTDIR) {
+      no_longer_there(path);
+    }
+    return false;
+  }
+  if (status.st_dev != device || status.st_ino != inode) {
+    no_longer_there(path);
+  }
+  return true;
+}
+
 struct SegmentWriter::Impl {
+  /// A segment that is written to its end.
+  struct Ended {
+    NamedFile file;
+    std::uint64_t size = 0;
+  };
+
   std::filesystem::path take;
+  std::filesystem::path folder_path;
   TakeId id{};
   std::uint64_t segment_bytes = 0;
+  File folder;  ///< held for its syncs
+  File next;    ///< of the next segment, without a name yet; none where the file system knows no such files
   File file;
-  std::filesystem::path path;  ///< of `file`
+  NamedFile named;  ///< `file`
+  std::vector<Ended> ended;
   std::int64_t number = 0;
   std::uint64_t size = 0;
   std::uint64_t written_back = 0;  ///< the kernel was told to write what stands before
@@ -131,6 +160,8 @@ struct SegmentWriter::Impl {
   bool closed = false;
 
   void write(std::span<const std::uint8_t> bytes);
+  void hold_next();
+  File open_next(const std::filesystem::path& path);
   void begin_next();
   void sync();
 };
@@ -140,7 +171,8 @@ SegmentWriter::SegmentWriter(const std::filesystem::path& take, const TakeId& id
   impl_->take = take;
   impl_->id = id;
   impl_->segment_bytes = segment_bytes;
-  const std::filesystem::path folder = segments_folder(take);
+  impl_->folder_path = segments_folder(take);
+  const std::filesystem::path& folder = impl_->folder_path;
   if (::mkdir(folder.c_str(), 0755) != 0) {
     const int error = errno;
     if (error == EEXIST) {
@@ -152,7 +184,13 @@ SegmentWriter::SegmentWriter(const std::filesystem::path& take, const TakeId& id
     }
     storage_error(folder, "create the folder", error);
   }
-  sync_folder(folder.parent_path());
+  impl_->folder = File(::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
+  if (!impl_->folder) {
+    const int error = errno;
+    ::rmdir(folder.c_str());
+    storage_error(folder, "open the folder", error);
+  }
+  impl_->hold_next();
 }
 
 SegmentWriter::~SegmentWriter() {
@@ -163,7 +201,7 @@ void SegmentWriter::Impl::write(std::span<const std::uint8_t> bytes) {
   while (!bytes.empty()) {
     const ssize_t written = ::pwrite(file.get(), bytes.data(), bytes.size(), static_cast<off_t>(size));
     if (written < 0 && errno != EINTR) {
-      storage_error(path, "write", errno);
+      storage_error(named.path, "write", errno);
     }
     const auto count = static_cast<std::size_t>(std::max<ssize_t>(written, 0));
     size += count;
@@ -171,15 +209,42 @@ void SegmentWriter::Impl::write(std::span<const std::uint8_t> bytes) {
   }
 }
 
-void SegmentWriter::Impl::begin_next() {
-  sync();
-  ++number;
-  path = segment_file(take, number);
-  file = File(::open(path.c_str(), O_CREAT | O_EXCL | O_WRONLY | O_CLOEXEC, 0644));
-  if (!file) {
+/// Tried again with every sync: a want of descriptors passes.
+void SegmentWriter::Impl::hold_next() {
+  if (!next) {
+    next = File(::openat(folder.get(), ".", O_TMPFILE | O_WRONLY | O_CLOEXEC, 0644));
+  }
+}
+
+/// The file in reserve under its name, else one opened now.
+File SegmentWriter::Impl::open_next(const std::filesystem::path& path) {
+  if (next) {
+    const std::string nameless = fmt::format("/proc/self/fd/{}", next.get());
+    if (::linkat(AT_FDCWD, nameless.c_str(), AT_FDCWD, path.c_str(), AT_SYMLINK_FOLLOW) == 0) {
+      return std::exchange(next, File());
+    }
+  }
+  File opened(::open(path.c_str(), O_CREAT | O_EXCL | O_WRONLY | O_CLOEXEC, 0644));
+  if (!opened) {
     storage_error(path, "create", errno);
   }
+  return opened;
+}
+
+void SegmentWriter::Impl::begin_next() {
+  sync();
+  if (file) {
+    ended.push_back({named, size});
+    if (!next) {
+      file = File();  // its descriptor may be the only one to be had for the next
+    }
+  }
+  const std::filesystem::path path = segment_file(take, number + 1);
+  file = open_next(path);
+  ++number;
   size = written_back = synced = 0;
+  named.path = path;
+  named = NamedFile::of(path);
   new_name = true;
   SegmentHead head;
   head.number = static_cast<std::uint32_t>(number);
@@ -211,17 +276,45 @@ void SegmentWriter::Impl::sync() {
     return;
   }
   if (::fdatasync(file.get()) != 0) {
-    storage_error(path, "sync", errno);
+    storage_error(named.path, "sync", errno);
   }
   synced = size;
   if (new_name) {
-    sync_folder(path.parent_path());
+    // A new name in a folder is on the disk when the folder is; some file systems can't, and say EINVAL.
+    if (::fsync(folder.get()) != 0 && errno != EINVAL) {
+      storage_error(named.path.parent_path(), "sync the folder", errno);
+    }
     new_name = false;
   }
+  hold_next();
 }
 
 void SegmentWriter::sync() {
   impl_->sync();
+}
+
+bool SegmentWriter::is_there() const {
+  return !impl_->file || impl_->named.is_there();
+}
+
+bool SegmentWriter::are_all_there() const {
+  std::vector<Impl::Ended> all = impl_->ended;
+  if (impl_->file) {
+    all.push_back({impl_->named, impl_->size});
+  }
+  bool seen = true;
+  for (const Impl::Ended& one : all) {
+    seen = one.file.is_there() && seen;
+    std::error_code unseen;
+    const std::uintmax_t bytes = std::filesystem::file_size(one.file.path, unseen);
+    if (!unseen && bytes < one.size) {
+      throw Error(ErrorKind::Storage,
+                  fmt::format("'{}' has {} bytes of the {} that were written: it was cut off",
+                              one.file.path.string(), bytes, one.size));
+    }
+    seen = seen && !unseen;
+  }
+  return seen;
 }
 
 void SegmentWriter::close() {
@@ -231,12 +324,14 @@ void SegmentWriter::close() {
   }
   // What follows the last sync is in no index; should it stay, it is only a waste.
   if (impl.file && impl.synced == 0) {
-    ::unlink(impl.path.c_str());
+    ::unlink(impl.named.path.c_str());
   } else if (impl.file && impl.synced != impl.size) {
     [[maybe_unused]] const int ignored = ::ftruncate(impl.file.get(), static_cast<off_t>(impl.synced));
   }
   impl.file = File();
-  ::rmdir(segments_folder(impl.take).c_str());  // fails, as it should, where segments lie in it
+  impl.next = File();
+  impl.folder = File();
+  ::rmdir(impl.folder_path.c_str());  // fails, as it should, where segments lie in it
 }
 
 struct SegmentReader::Impl {

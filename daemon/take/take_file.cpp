@@ -7,11 +7,19 @@
 
 namespace facet::take {
 
+std::string cut_text(std::string_view text, std::size_t bytes) {
+  const auto within_character = [&] { return (static_cast<unsigned char>(text[bytes]) & 0xC0U) == 0x80U; };
+  while (bytes > 0 && bytes < text.size() && within_character()) {
+    --bytes;
+  }
+  return std::string(text.substr(0, bytes));
+}
+
 struct BlobCompressor::Impl {
   struct Free {
     void operator()(ZSTD_CCtx* owned) const { ZSTD_freeCCtx(owned); }
   };
-  std::unique_ptr<ZSTD_CCtx, Free> context{ZSTD_createCCtx()};
+  std::unique_ptr<ZSTD_CCtx, Free> context{made(ZSTD_createCCtx())};
   std::vector<std::uint8_t> out;
 };
 

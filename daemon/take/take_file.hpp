@@ -4,7 +4,9 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <new>
 #include <span>
+#include <string>
 #include <string_view>
 #include <vector>
 
@@ -18,6 +20,16 @@ inline constexpr std::int32_t kFormatVersion = 2;
 
 /// Biggest blob, uncompressed, that is written or read (stream::kMaxMessageBytes).
 inline constexpr std::size_t kMaxBlobBytes = 64U << 20;
+/// The same as it is stored: what can't be compressed grows a little.
+inline constexpr std::size_t kMaxStoredBytes = kMaxBlobBytes + (1U << 20);
+/// Longest key or value of `meta`: the longest path of Linux. A recorder cuts what is longer, a reader
+/// refuses it.
+inline constexpr std::size_t kMaxMetaBytes = 4096;
+inline constexpr std::size_t kMaxMetaEntries = 64;
+/// What a reader hands out of the texts of `meta` but the source.
+inline constexpr std::size_t kMaxShownBytes = 1024;
+/// Of a take's pictures; the first is 1. 64 TiB.
+inline constexpr std::int64_t kMaxSegments = 65'536;
 
 struct TableDefinition {
   std::string_view name;
@@ -44,6 +56,18 @@ inline constexpr std::array<TableDefinition, 6> kTables{{
      "bytes INTEGER NOT NULL)",
      2},
 }};
+
+/// The text, cut at `bytes` or, in UTF-8, at the character before.
+std::string cut_text(std::string_view text, std::size_t bytes);
+
+/// What a library of C made; std::bad_alloc where it could not.
+template <typename T>
+T* made(T* object) {
+  if (object == nullptr) {
+    throw std::bad_alloc();
+  }
+  return object;
+}
 
 /// Compresses blobs: one zstd frame each, with content size and checksum. One thread; memory is reused.
 class BlobCompressor {

@@ -3,9 +3,11 @@
 #include <fmt/format.h>
 
 #include <array>
+#include <cerrno>
 #include <fstream>
 
 #include "facet/error.hpp"
+#include "facet/system_error.hpp"
 
 namespace facet::track {
 namespace {
@@ -42,16 +44,24 @@ std::uint32_t crc32(std::span<const std::uint8_t> bytes) {
 
 LandmarkAssets LandmarkAssets::load(const std::filesystem::path& file) {
   constexpr const char* remedy = "run packaging/fetch-assets to download it";
+  // The streams of the library say that something failed, and leave in errno what.
+  errno = 0;
   std::ifstream stream(file, std::ios::binary);
   if (!stream) {
-    throw Error(ErrorKind::UnreadableInput,
-                fmt::format("{}: cannot open the landmark nets; {}", file.string(), remedy));
+    const int error = errno;
+    throw Error(kind_of_errno(error),
+                fmt::format("{}: cannot open the landmark nets: {}{}", file.string(), describe_errno(error),
+                            may_pass(error) ? "" : fmt::format("; {}", remedy)));
   }
   LandmarkAssets assets;
   // One byte more than it should hold, so that a longer file shows without being read whole.
   assets.bytes_.resize(file_size + 1);
   stream.read(reinterpret_cast<char*>(assets.bytes_.data()),
               static_cast<std::streamsize>(assets.bytes_.size()));
+  if (const int error = errno; stream.bad()) {
+    throw Error(kind_of_errno(error),
+                fmt::format("{}: cannot read the landmark nets: {}", file.string(), describe_errno(error)));
+  }
   assets.bytes_.resize(static_cast<std::size_t>(stream.gcount()));
   if (assets.bytes_.size() != file_size) {
     throw Error(

@@ -3,10 +3,12 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cerrno>
 #include <map>
 #include <opencv2/dnn.hpp>
 
 #include "facet/error.hpp"
+#include "facet/system_error.hpp"
 
 namespace facet::track {
 namespace {
@@ -321,7 +323,7 @@ Network::Network(const TfliteModel& model, const std::string& name, int channels
       }
     }
   } catch (const cv::Exception& error) {
-    throw Error(ErrorKind::UnreadableInput,
+    throw Error(kind_of_errno(error.code == cv::Error::StsNoMem ? ENOMEM : EINVAL),
                 fmt::format("{}: OpenCV can't run this net: {}", name, error.what()));
   }
 }

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <cstdint>
 #include <cstring>
 #include <exception>
@@ -41,6 +42,19 @@ CameraState state_of(DeviceFault::Kind kind) {
   return kind == DeviceFault::Kind::Absent ? CameraState::Absent : CameraState::Failing;
 }
 
+/// Signs of life that may have piled up unread, beside one in each period.
+constexpr std::int64_t kAliveSlack = 20;
+
+/// Throws where a host says what it may not say now.
+void check_turn(HostPhase phase, const HostMessage& message) {
+  if (!may_say(phase, message.kind)) {
+    constexpr std::array kDoing = {"opens its camera", "delivers frames", "lists cameras"};
+    throw DeviceFault(DeviceFault::Kind::Failing,
+                      fmt::format("its process says {} while it {}", to_string(message.kind),
+                                  kDoing.at(static_cast<std::size_t>(phase))));
+  }
+}
+
 /// The next message, awaited until `until_ns`; nothing where none comes.
 std::optional<HostMessage> await_message(HostProcess& process, std::int64_t until_ns) {
   for (;;) {
@@ -72,6 +86,7 @@ class ContainedCamera final : public Camera {
   std::filesystem::path program() const { return program_.empty() ? host_program() : program_; }
   bool reopen(std::int64_t deadline_ns);
   bool take(Frame& out);
+  void note_sign_of_life();
   void note_counters(const CameraCounters& counters);
   void deliver(const HostMessage& message, Frame& out);
   void check_order(const HostMessage& message, std::int64_t now_ns) const;
@@ -100,6 +115,7 @@ class ContainedCamera final : public Camera {
   std::int64_t watchdog_ns_ = 0;                ///< the process is given up when no frame has come until then
   bool opened_ = false;                         ///< the process says that its camera is
   bool asked_ = false;                          ///< it was asked for a frame
+  std::int64_t signs_of_life_ = 0;              ///< that this process has sent
   std::optional<std::uint64_t> host_sequence_;  ///< of the newest frame of this process
   std::uint64_t sequence_ = 0;                  ///< of the newest frame
   std::uint64_t sequence_offset_ = 0;           ///< from the process's numbers to ours
@@ -148,10 +164,11 @@ void ContainedCamera::check_device() {
     throw DeviceFault(DeviceFault::Kind::Failing, fmt::format("is not open after {:.3g} s: its process hangs",
                                                               in_s(in_ns(patience_.open))));
   }
+  check_turn(HostPhase::Opening, *message);
   if (message->kind == HostMessage::Kind::Fault) {
     throw DeviceFault(message->fault, message->text);
   }
-  if (message->kind == HostMessage::Kind::Opened && !message->name.empty()) {
+  if (!message->name.empty()) {
     info_.name = message->name;
   }
   process.end_gently(kEndPatience_ms);
@@ -241,9 +258,11 @@ CaptureOutcome ContainedCamera::next(Frame& out, std::chrono::milliseconds timeo
 
 void ContainedCamera::give_up_stalled(std::int64_t now_ns) {
   const double silent_s = in_s(now_ns - last_life_ns_);
-  give_up(CameraState::Stalled,
-          opened_ ? fmt::format("no frame for {:.3g} s: its process was ended", silent_s)
-                  : fmt::format("is not open after {:.3g} s: its process hung and was ended", silent_s));
+  const char* what = !opened_ ? "is not open after {:.3g} s: its process hung and was ended"
+                     : host_sequence_
+                         ? "no frame for {:.3g} s: its process was ended"
+                         : "is open and has delivered nothing for {:.3g} s: its process was ended";
+  give_up(CameraState::Stalled, fmt::format(fmt::runtime(what), silent_s));
 }
 
 /// Ends the process; another one is started after a pause.
@@ -276,6 +295,7 @@ bool ContainedCamera::reopen(std::int64_t deadline_ns) {
   }
   opened_ = false;
   asked_ = false;
+  signs_of_life_ = 0;
   host_sequence_.reset();
   begun_ns_ = last_life_ns_ = monotonic_ns();
   process_ = std::make_unique<HostProcess>(program(), host_arguments(config_), layout_.total_bytes);
@@ -294,6 +314,7 @@ bool ContainedCamera::take(Frame& out) {
     asked_ = true;
   }
   while (const std::optional<HostMessage> message = process_->receive()) {
+    check_turn(opened_ ? HostPhase::Delivering : HostPhase::Opening, *message);
     switch (message->kind) {
       case HostMessage::Kind::Opened:
         opened_ = true;
@@ -301,6 +322,7 @@ bool ContainedCamera::take(Frame& out) {
         wind_watchdog();
         break;
       case HostMessage::Kind::Alive:
+        note_sign_of_life();
         note_counters(message->counters);
         if (opened_ && !frames_due_) {
           wind_watchdog();
@@ -313,10 +335,20 @@ bool ContainedCamera::take(Frame& out) {
       case HostMessage::Kind::Fault:
         throw DeviceFault(message->fault, message->text);
       case HostMessage::Kind::Listed:
-        throw DeviceFault(DeviceFault::Kind::Failing, "its process lists cameras instead of opening one");
+        break;  // check_turn threw
     }
   }
   return false;
+}
+
+/// So a host can't keep `take` reading: every kind of message comes once, is asked for, or is counted here.
+void ContainedCamera::note_sign_of_life() {
+  const std::int64_t due = (monotonic_ns() - begun_ns_) / in_ns(kAlivePeriod);
+  if (++signs_of_life_ > due + kAliveSlack) {
+    throw DeviceFault(DeviceFault::Kind::Failing,
+                      fmt::format("its process said {} times in {:.3g} s that it is alive", signs_of_life_,
+                                  in_s(monotonic_ns() - begun_ns_)));
+  }
 }
 
 /// What the process has counted; what was delivered is counted here.
@@ -339,7 +371,7 @@ void ContainedCamera::note_counters(const CameraCounters& counters) {
 }
 
 void ContainedCamera::check_order(const HostMessage& message, std::int64_t now_ns) const {
-  if (!opened_ || !asked_) {
+  if (!asked_) {
     throw DeviceFault(DeviceFault::Kind::Failing, "its process sent a frame that nobody had asked for");
   }
   const std::uint64_t least = host_sequence_ ? *host_sequence_ + 1 : 0;
@@ -431,14 +463,16 @@ std::vector<CameraListing> list_contained_cameras(const std::filesystem::path& p
         throw DeviceFault(DeviceFault::Kind::Failing,
                           fmt::format("its process does not answer within {:.3g} s", in_s(in_ns(patience))));
       }
+      check_turn(HostPhase::Listing, *message);
       if (message->kind == HostMessage::Kind::Fault) {
         throw DeviceFault(message->fault, message->text);
       }
       if (message->kind == HostMessage::Kind::Alive) {
         return found;
       }
-      if (message->kind != HostMessage::Kind::Listed || found.size() == kMost) {
-        throw DeviceFault(DeviceFault::Kind::Failing, "its process sent what is no list");
+      if (found.size() == kMost) {
+        throw DeviceFault(DeviceFault::Kind::Failing,
+                          fmt::format("its process lists more than {} cameras", kMost));
       }
       found.push_back({message->name, message->text});
     }

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "camera/device_fault.hpp"
+#include "camera/host_sandbox.hpp"
 #include "camera/host_service.hpp"
 #ifdef FACET_LIBCAMERA
 #include "camera/libcamera_camera.hpp"
@@ -35,10 +36,28 @@ std::vector<CameraListing> list_cameras() {
 #endif
 }
 
+/// libcamera's devices (a sensor behind a signal processor is a graph of several), memory that devices share,
+/// and settings of its algorithms that a person changed.
+facet::camera::HostReach reach() {
+  facet::camera::HostReach reach;
+  reach.readable = {"/etc/libcamera"};
+  reach.devices = facet::camera::devices_in("/dev", {"video", "media", "v4l-subdev", "udmabuf"});
+  reach.devices.emplace_back("/dev/dma_heap");
+  return reach;
+}
+
 }  // namespace
+
+#ifdef FACET_SANITIZED
+// Looking for leaks takes what a confined process can't do: a second process that stops the first.
+// NOLINTNEXTLINE(bugprone-reserved-identifier): the name that the sanitizer looks for
+extern "C" int __lsan_is_turned_off() {
+  return 1;
+}
+#endif
 
 int main(int argc, char** argv) {
   // libcamera tells each step otherwise.
   ::setenv("LIBCAMERA_LOG_LEVELS", "*:WARN", 0);
-  return facet::camera::run_camera_host(argc, argv, {open_camera, list_cameras});
+  return facet::camera::run_camera_host(argc, argv, {open_camera, list_cameras, reach});
 }

@@ -5,9 +5,11 @@
 #include <algorithm>
 #include <array>
 #include <cstring>
+#include <string_view>
 #include <type_traits>
 
 #include "camera/pixel_buffers.hpp"
+#include "facet/printable.hpp"
 
 namespace facet::camera {
 namespace {
@@ -29,15 +31,25 @@ struct Record {
 static_assert(std::is_trivially_copyable_v<Record> && sizeof(Record) == 40 + 8 * kCameraCounts.size());
 
 constexpr std::size_t kMaxName_bytes = 256;
-
-std::string visible(std::span<const std::uint8_t> bytes) {
-  std::string text(bytes.begin(), bytes.end());
-  std::replace_if(
-      text.begin(), text.end(), [](char letter) { return letter < ' ' || letter > '~'; }, '?');
-  return text;
-}
+constexpr std::size_t kMaxText_bytes = kMaxHostMessage_bytes - sizeof(Record) - kMaxName_bytes;
 
 }  // namespace
+
+const char* to_string(HostMessage::Kind kind) {
+  switch (kind) {
+    case HostMessage::Kind::Listed:
+      return "a camera of a list";
+    case HostMessage::Kind::Opened:
+      return "that its camera is open";
+    case HostMessage::Kind::Frame:
+      return "a frame";
+    case HostMessage::Kind::Alive:
+      return "that it is alive";
+    case HostMessage::Kind::Fault:
+      return "a fault";
+  }
+  return "nothing";
+}
 
 std::size_t write_host_message(const HostMessage& message, std::span<std::uint8_t> buffer) {
   Record record{};
@@ -51,8 +63,7 @@ std::size_t write_host_message(const HostMessage& message, std::span<std::uint8_
   record.corrupt = message.corrupt ? 1 : 0;
   record.fault = static_cast<std::uint32_t>(message.fault);
   const std::size_t name_bytes = std::min(message.name.size(), kMaxName_bytes);
-  const std::size_t text_bytes =
-      std::min(message.text.size(), kMaxHostMessage_bytes - sizeof record - kMaxName_bytes);
+  const std::size_t text_bytes = std::min(message.text.size(), kMaxText_bytes);
   record.name_bytes = static_cast<std::uint32_t>(name_bytes);
   record.text_bytes = static_cast<std::uint32_t>(text_bytes);
   std::memcpy(buffer.data(), &record, sizeof record);
@@ -96,8 +107,9 @@ std::optional<HostMessage> read_host_message(std::span<const std::uint8_t> bytes
     message.counters.*kCameraCounts[i].value = record.counters[i];
   }
   message.fault = static_cast<DeviceFault::Kind>(record.fault);
-  message.name = visible(bytes.subspan(sizeof record, record.name_bytes));
-  message.text = visible(bytes.subspan(sizeof record + record.name_bytes));
+  const std::string_view texts(reinterpret_cast<const char*>(bytes.data() + sizeof record), rest);
+  message.name = printable(texts.substr(0, record.name_bytes), kMaxName_bytes);
+  message.text = printable(texts.substr(record.name_bytes), kMaxText_bytes);
   return message;
 }
 

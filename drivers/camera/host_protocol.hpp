@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <optional>
@@ -24,6 +25,8 @@ inline constexpr int kHostMemory = 4;
 
 inline constexpr std::uint8_t kFrameRequest = 'f';
 inline constexpr std::size_t kMaxHostMessage_bytes = 4096;
+/// Between two signs of life, at least.
+inline constexpr std::chrono::milliseconds kAlivePeriod{250};
 
 struct HostMessage {
   enum class Kind : std::uint32_t {
@@ -43,6 +46,26 @@ struct HostMessage {
   std::string text;
 };
 
+/// What a host is at: it decides what it may say.
+enum class HostPhase { Opening, Delivering, Listing };
+
+/// Whether a host may say that now. (A frame must besides have been asked for.)
+constexpr bool may_say(HostPhase phase, HostMessage::Kind kind) {
+  using Kind = HostMessage::Kind;
+  switch (phase) {
+    case HostPhase::Opening:
+      return kind == Kind::Opened || kind == Kind::Fault;
+    case HostPhase::Delivering:
+      return kind == Kind::Frame || kind == Kind::Alive || kind == Kind::Fault;
+    case HostPhase::Listing:
+      return kind == Kind::Listed || kind == Kind::Alive || kind == Kind::Fault;
+  }
+  return false;
+}
+
+/// For people: "a frame", "that its camera is open".
+const char* to_string(HostMessage::Kind kind);
+
 /// The bytes of a message, kMaxHostMessage_bytes at most: longer texts are cut.
 ///
 /// buffer   [kMaxHostMessage_bytes]
@@ -50,7 +73,7 @@ struct HostMessage {
 std::size_t write_host_message(const HostMessage& message, std::span<std::uint8_t> buffer);
 
 /// Reads a message from a host that may be broken. Nothing where the bytes are none; `wrong` then says why.
-/// In texts everything but visible ASCII is replaced by '?'.
+/// Texts are printable (facet/printable.hpp).
 std::optional<HostMessage> read_host_message(std::span<const std::uint8_t> bytes, std::string& wrong);
 
 /// The memory of one picture: a mark, rows of R G B A, the mark again. The host sets both marks to the

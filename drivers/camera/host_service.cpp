@@ -27,7 +27,9 @@
 
 #include "camera/device_fault.hpp"
 #include "camera/host_protocol.hpp"
+#include "camera/host_sandbox.hpp"
 #include "facet/error.hpp"
+#include "facet/printable.hpp"
 
 namespace facet::camera {
 namespace {
@@ -36,8 +38,6 @@ using Clock = std::chrono::steady_clock;
 
 /// How long the camera may block before the parent's wishes are looked at.
 constexpr std::chrono::milliseconds kPatience{100};
-/// Between two signs of life.
-constexpr std::chrono::milliseconds kAlivePeriod{250};
 /// From the parent's end to ours, whatever the camera does.
 constexpr std::chrono::milliseconds kEndPatience{300};
 
@@ -210,7 +210,16 @@ void become_host(pid_t parent) {
   std::signal(SIGINT, SIG_IGN);
   // Where memory runs out because a camera's library leaks, this process is the one to end.
   std::ofstream("/proc/self/oom_score_adj") << 500;
-  std::thread(end_with_parent).detach();
+}
+
+/// Before the camera's library has done anything, and before there is a thread.
+void confine(const HostedCameras& cameras, bool tell_gaps) {
+  const std::string unguarded = tell_gaps ? files_unguarded() : "";
+  if (!unguarded.empty()) {
+    fmt::print(stderr, "facet-camera-host: cameras can read and write all files of their user: {}\n",
+               unguarded);
+  }
+  confine_host(cameras.reach ? cameras.reach() : HostReach{});
 }
 
 // ---- frames
@@ -378,21 +387,27 @@ int run_camera_host(int argc, const char* const* argv, const HostedCameras& came
     const Arguments arguments = read_arguments(argc, argv);
     if (arguments.parent != 0) {
       become_host(arguments.parent);
+      // Once at a daemon's start is enough to hear of gaps.
+      if (!or_tell_fault([&] { confine(cameras, arguments.check); })) {
+        return EXIT_FAILURE;
+      }
+      std::thread(end_with_parent).detach();
       const bool done = arguments.list ? list_to_parent(cameras) : open_for_parent(arguments, cameras);
       return done ? EXIT_SUCCESS : EXIT_FAILURE;
     }
     if (!arguments.list) {
       throw Error(ErrorKind::Usage, "facetd starts this program; by hand it takes --list alone");
     }
+    confine(cameras, true);
     for (const CameraListing& camera : cameras.list()) {
-      fmt::print("{}\t{}\n", camera.id, camera.description);
+      fmt::print("{}\t{}\n", printable(camera.id), printable(camera.description));
     }
     return EXIT_SUCCESS;
   } catch (const Error& error) {
-    fmt::print(stderr, "facet-camera-host: {}\n", error.what());
+    fmt::print(stderr, "facet-camera-host: {}\n", printable(error.what()));
     return static_cast<int>(error.kind());
   } catch (const std::exception& error) {
-    fmt::print(stderr, "facet-camera-host: {}\n", error.what());
+    fmt::print(stderr, "facet-camera-host: {}\n", printable(error.what()));
     return EXIT_FAILURE;
   }
 }

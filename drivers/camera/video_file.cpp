@@ -6,12 +6,14 @@
 #include <cmath>
 #include <cstring>
 #include <mutex>
+#include <new>
 #include <string>
 #include <thread>
 #include <vector>
 
 #include "camera/pixel_buffers.hpp"
 #include "facet/error.hpp"
+#include "facet/system_error.hpp"
 
 extern "C" {
 #include <libavcodec/avcodec.h>
@@ -59,6 +61,16 @@ std::string describe(int av_error) {
   return text;
 }
 
+/// Why a file can't be a source. FFmpeg hands on what the system said as AVERROR(errno), minus the errno; its
+/// own numbers are no errno.
+///
+/// what   with {} for the reason
+Error refusal(int av_error, const std::string& path, const char* what) {
+  const std::string why = may_pass(-av_error) ? "can't be read: " + describe_errno(-av_error)
+                                              : fmt::format(fmt::runtime(what), describe(av_error));
+  return {kind_of_errno(-av_error), fmt::format("{}: {}", path, why)};
+}
+
 std::int64_t monotonic_ns() {
   // steady_clock is CLOCK_MONOTONIC with GNU's library.
   return std::chrono::duration_cast<std::chrono::nanoseconds>(
@@ -102,6 +114,7 @@ class VideoFile final : public Camera {
   bool rewind();
   bool deliver(Frame& out);
   void set_error(std::string text);
+  void set_error(const char* what, int av_error);
 
   CameraConfig config_;
   CameraInfo info_;
@@ -114,6 +127,7 @@ class VideoFile final : public Camera {
   std::vector<std::uint8_t> unrotated_;  // only where the file asks for a rotation
 
   int stream_index_ = -1;
+  int last_av_error_ = 0;
   int turns_ = 0;
   int scaled_width_px_ = 0;  // before rotation
   int scaled_height_px_ = 0;
@@ -144,7 +158,9 @@ VideoFile::VideoFile(const CameraConfig& config) : config_(config) {
   const std::string path = config.path.string();
   std::error_code file_error;
   if (!std::filesystem::exists(config.path, file_error)) {
-    throw Error(ErrorKind::UnreadableInput, fmt::format("{}: no such file", path));
+    throw Error(
+        kind_of_errno(file_error.value()),
+        fmt::format("{}: {}", path, file_error ? describe_errno(file_error.value()) : "no such file"));
   }
   if (std::filesystem::is_directory(config.path, file_error)) {
     throw Error(ErrorKind::UnreadableInput, fmt::format("{}: is a folder, not a video", path));
@@ -154,13 +170,14 @@ VideoFile::VideoFile(const CameraConfig& config) : config_(config) {
     throw Error(ErrorKind::UnreadableInput, fmt::format("{}: the file is empty", path));
   }
 
+  if (!frame_ || !packet_) {
+    throw std::bad_alloc();
+  }
   AVFormatContext* opened = nullptr;
   // "file:" keeps a name with a colon from being read as a protocol.
   int result = avformat_open_input(&opened, ("file:" + path).c_str(), nullptr, nullptr);
   if (result < 0) {
-    throw Error(
-        ErrorKind::UnreadableInput,
-        fmt::format("{}: not a video that can be read ({}); is the file complete?", path, describe(result)));
+    throw refusal(result, path, "not a video that can be read ({}); is the file complete?");
   }
   format_.reset(opened);
   result = avformat_find_stream_info(format_.get(), nullptr);
@@ -169,9 +186,8 @@ VideoFile::VideoFile(const CameraConfig& config) : config_(config) {
     result = av_find_best_stream(format_.get(), AVMEDIA_TYPE_VIDEO, -1, -1, &decoder, 0);
   }
   if (result < 0 || decoder == nullptr) {
-    throw Error(ErrorKind::UnreadableInput,
-                fmt::format("{}: holds no video stream that can be decoded ({})", path,
-                            result < 0 ? describe(result) : "unknown codec"));
+    throw refusal(result < 0 ? result : AVERROR_DECODER_NOT_FOUND, path,
+                  "holds no video stream that can be decoded ({})");
   }
   stream_index_ = result;
   for (unsigned i = 0; i < format_->nb_streams; ++i) {
@@ -179,15 +195,17 @@ VideoFile::VideoFile(const CameraConfig& config) : config_(config) {
   }
   const AVStream& stream = *format_->streams[stream_index_];
   codec_.reset(avcodec_alloc_context3(decoder));
-  if (!codec_ || avcodec_parameters_to_context(codec_.get(), stream.codecpar) < 0) {
-    throw Error(ErrorKind::UnreadableInput,
-                fmt::format("{}: the {} stream's parameters are damaged", path, decoder->name));
+  if (!codec_ || !frame_ || !packet_) {
+    throw std::bad_alloc();
+  }
+  result = avcodec_parameters_to_context(codec_.get(), stream.codecpar);
+  if (result < 0) {
+    throw refusal(result, path, "the stream's parameters are damaged ({})");
   }
   codec_->thread_count = static_cast<int>(std::clamp(std::thread::hardware_concurrency(), 1U, 4U));
   result = avcodec_open2(codec_.get(), decoder, nullptr);
   if (result < 0) {
-    throw Error(ErrorKind::UnreadableInput,
-                fmt::format("{}: the {} decoder does not start ({})", path, decoder->name, describe(result)));
+    throw refusal(result, path, "its decoder does not start ({})");
   }
 
   const int width = stream.codecpar->width;
@@ -233,9 +251,6 @@ VideoFile::VideoFile(const CameraConfig& config) : config_(config) {
   } else if (format_->duration > 0) {
     duration_ns_ = av_rescale(format_->duration, kSecond_ns, AV_TIME_BASE);
   }
-  if (frame_ == nullptr || packet_ == nullptr) {
-    throw Error(ErrorKind::Internal, "out of memory");
-  }
 }
 
 void VideoFile::start() {
@@ -246,7 +261,7 @@ void VideoFile::start() {
   const Decoded outcome = decode();
   if (outcome != Decoded::Frame) {
     const std::string reason = last_error();
-    throw Error(ErrorKind::UnreadableInput,
+    throw Error(kind_of_errno(-last_av_error_),
                 fmt::format("{}: holds no frame that can be decoded{}", config_.path.string(),
                             reason.empty() ? "" : " (" + reason + ")"));
   }
@@ -281,6 +296,13 @@ void VideoFile::set_error(std::string text) {
   error_ = std::move(text);
 }
 
+/// what   with {} for the frame and for the reason
+void VideoFile::set_error(const char* what, int av_error) {
+  last_av_error_ = av_error;
+  set_error(config_.path.string() + ": " +
+            fmt::format(fmt::runtime(what), decoded_count_, describe(av_error)));
+}
+
 /// Puts the next decoded picture into frame_ and its position into media_time_ns_.
 VideoFile::Decoded VideoFile::decode() {
   int errors = 0;
@@ -297,8 +319,7 @@ VideoFile::Decoded VideoFile::decode() {
     }
     if (received != AVERROR(EAGAIN)) {
       ++damaged_packets_;
-      set_error(fmt::format("{}: a damaged part near frame {} was skipped ({})", config_.path.string(),
-                            decoded_count_, describe(received)));
+      set_error("a damaged part near frame {} was skipped ({})", received);
       if (++errors >= kMostDecoderErrors) {
         return Decoded::End;
       }
@@ -307,8 +328,7 @@ VideoFile::Decoded VideoFile::decode() {
     const int read = av_read_frame(format_.get(), packet_.get());
     if (read < 0) {
       if (read != AVERROR_EOF) {
-        set_error(fmt::format("{}: reading ended early at frame {} ({})", config_.path.string(),
-                              decoded_count_, describe(read)));
+        set_error("reading ended early at frame {} ({})", read);
       }
       if (draining_) {
         return Decoded::End;
@@ -321,8 +341,7 @@ VideoFile::Decoded VideoFile::decode() {
       const int sent = avcodec_send_packet(codec_.get(), packet_.get());
       if (sent < 0 && sent != AVERROR(EAGAIN)) {
         ++damaged_packets_;
-        set_error(fmt::format("{}: a damaged part near frame {} was skipped ({})", config_.path.string(),
-                              decoded_count_, describe(sent)));
+        set_error("a damaged part near frame {} was skipped ({})", sent);
       }
     }
     av_packet_unref(packet_.get());

@@ -13,6 +13,7 @@ namespace {
 
 constexpr std::string_view kTitle = "facet-edges 1";
 constexpr std::size_t kMaxEvents = kMostLoggedEvents;
+constexpr std::size_t kLongestQuote = 40;
 constexpr std::array<std::string_view, 5> kKinds = {"edge", "seen", "missing", "dropped", "fired"};
 constexpr std::array<std::string_view, 2> kRoles = {"camera", "projector"};
 
@@ -40,7 +41,7 @@ class Words {
     Number value = 0;
     const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), value);
     if (error != std::errc() || stop != text.data() + text.size() || value < 0 || value >= end) {
-      fail(fmt::format("'{}' is no number from 0 to {}", text, end - 1));
+      fail(fmt::format("'{}' is no number from 0 to {}", text.substr(0, kLongestQuote), end - 1));
     }
     return value;
   }
@@ -50,7 +51,7 @@ class Words {
     const std::string_view text = word();
     const auto at = std::find(allowed.begin(), allowed.end(), text);
     if (at == allowed.end()) {
-      fail(fmt::format("'{}' is none of {}", text, fmt::join(allowed, ", ")));
+      fail(fmt::format("'{}' is none of {}", text.substr(0, kLongestQuote), fmt::join(allowed, ", ")));
     }
     return static_cast<std::size_t>(at - allowed.begin());
   }

@@ -173,7 +173,7 @@ class GpioLines final : public TriggerLines {
     if (chip == nullptr) {
       chip.reset(::gpiod_chip_open_lookup(wanted.c_str()));
       if (chip == nullptr) {
-        unavailable(fmt::format("GPIO chip '{}': {}; {}", wanted, std::strerror(errno), known_chips()));
+        unavailable(fmt::format("GPIO chip '{}': {}; {}", wanted, chip_fault(errno), known_chips()));
       }
     }
     return chip.get();

@@ -263,7 +263,7 @@ class GpioLines final : public TriggerLines {
     if (chip == nullptr) {
       chip = open_chip(wanted);
       if (chip == nullptr) {
-        unavailable(fmt::format("GPIO chip '{}': {}; {}", wanted, std::strerror(errno), known_chips()));
+        unavailable(fmt::format("GPIO chip '{}': {}; {}", wanted, chip_fault(errno), known_chips()));
       }
     }
     return chip.get();

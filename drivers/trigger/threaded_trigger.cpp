@@ -6,7 +6,10 @@
 
 #include <atomic>
 #include <cerrno>
+#include <exception>
 #include <mutex>
+#include <string>
+#include <system_error>
 #include <thread>
 #include <utility>
 
@@ -53,7 +56,12 @@ class ThreadedTrigger final : public Trigger {
     stop();
     stop_requested_ = false;
     set_state(TriggerState::Running, "");
-    thread_ = std::thread([this, first_slot] { run(first_slot); });
+    try {
+      thread_ = std::jthread([this, first_slot] { run(first_slot); });
+    } catch (const std::system_error& error) {
+      set_state(TriggerState::Idle, "");
+      throw Error(ErrorKind::Unavailable, std::string("no thread for the trigger: ") + error.what());
+    }
   }
 
   bool next(TriggerEvent& out, std::chrono::milliseconds timeout) override {
@@ -103,6 +111,14 @@ class ThreadedTrigger final : public Trigger {
   }
 
   void run(std::uint64_t first_slot) {
+    try {
+      run_program(first_slot);
+    } catch (const std::exception& error) {
+      set_state(TriggerState::Failed, error.what());
+    }
+  }
+
+  void run_program(std::uint64_t first_slot) {
     ::pthread_setname_np(::pthread_self(), "facet-trigger");
     ::prctl(PR_SET_TIMERSLACK, 1UL, 0UL, 0UL, 0UL);  // for a thread that is not real-time: 50 us otherwise
     RealTime scheduling{false, "ordinary, as configured"};
@@ -132,7 +148,7 @@ class ThreadedTrigger final : public Trigger {
   TriggerState state_ = TriggerState::Idle;  ///< guarded by mutex_, as all below
   std::string reason_;
   RealTime scheduling_;
-  std::thread thread_;  ///< of the thread that starts and stops
+  std::jthread thread_;  ///< of the thread that starts and stops
 };
 
 }  // namespace

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/SVD>
+#include <array>
 #include <cmath>
 #include <cstring>
 #include <fstream>
@@ -187,6 +188,45 @@ TEST_F(TakeBasisTest, RefusesTakesOfWhichNothingCanBeMade) {
   wrong.coarse_rank = 0;
   EXPECT_THAT(error_of([&] { TakeBasis::open(file("one.take"), wrong); }, ErrorKind::Usage),
               HasSubstr("directions"));
+}
+
+TEST_F(TakeBasisTest, TwoTopologiesOfOneIdAreRefused) {
+  const auto patch_of = [](std::uint64_t id, int side) {
+    auto subject = std::make_shared<mesh::Subject>(*test::patch_subject(id, side, 1));
+    auto hierarchy = std::make_shared<mesh::Hierarchy>(*subject->hierarchy);
+    hierarchy->id = 7;
+    subject->hierarchy = std::move(hierarchy);
+    return subject;
+  };
+  const std::array subjects = {patch_of(1, 40), patch_of(2, 4)};
+  test::record_frames(file("shrink.take"), 8, [&](int index) {
+    return std::make_shared<const mesh::MeshFrame>(test::patch_frame(
+        static_cast<std::uint64_t>(index), subjects[static_cast<std::size_t>(index % 2)], nullptr));
+  });
+  EXPECT_THAT(error_of([&] { TakeBasis::open(file("shrink.take")); }, ErrorKind::UnreadableInput),
+              HasSubstr("another topology of the id 0000000000000007"));
+}
+
+TEST_F(TakeBasisTest, AFileThatIsShortenedWhileItIsOpenDoesNoHarm) {
+  const auto take = test::record_actor(folder_.path(), 1, 20);
+  const float sum = TakeBasis::open(take)->coefficients().sum();
+  const auto basis = TakeBasis::open(take);
+  ASSERT_TRUE(basis->was_kept());
+  std::filesystem::resize_file(file("actor1.basis"), 0);
+  EXPECT_EQ(basis->coefficients().sum(), sum) << "the same bits, wherever they lie";
+  EXPECT_TRUE(basis->coarse().allFinite());
+  EXPECT_FALSE(TakeBasis::open(take)->was_kept());
+}
+
+TEST_F(TakeBasisTest, ABasisOfAnotherSizeThanItsHeaderSaysIsNotRead) {
+  const auto take = test::record_actor(folder_.path(), 1, 20);
+  TakeBasis::open(take);
+  const auto kept = file("actor1.basis");
+  ASSERT_TRUE(read_basis(kept).has_value());
+  std::filesystem::resize_file(kept, std::uintmax_t{1} << 40);  // sparse: reading it would take all memory
+  EXPECT_FALSE(read_basis(kept).has_value());
+  EXPECT_FALSE(read_basis("/dev/zero").has_value());
+  EXPECT_FALSE(read_basis(folder_.path()).has_value());
 }
 
 TEST_F(TakeBasisTest, TakesWithoutRefinementHaveNoDetail) {

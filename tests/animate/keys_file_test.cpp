@@ -2,6 +2,7 @@
 
 #include "animate/keys_file.hpp"
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -87,6 +88,31 @@ TEST(KeysFile, SaysWhatIsWrong) {
   EXPECT_THAT(error_of(with_control(R"({"vertex": 1, "at_mm": [0, 0, 1e9]})")), HasSubstr("is 1000000000"));
   EXPECT_THAT(error_of(with_control(R"({"vertex": 1, "at_mm": [0, null, 0]})")),
               HasSubstr("must be a number"));
+}
+
+TEST(KeysFile, DepthIsRefusedWhateverItsLength) {
+  for (const std::size_t bytes : {100U, 20'000U, 80'000U, 1U << 20, 16U << 20}) {
+    const std::string deep = std::string(bytes / 2 - 10, '[') + std::string(bytes / 2 - 10, ']');
+    EXPECT_THAT(error_of("{\"keys\": " + deep + "}"), HasSubstr("nests deeper"));
+  }
+  EXPECT_THAT(error_of(std::string((16U << 20) + 1, ' ')), HasSubstr("more than 16777216 bytes"));
+}
+
+/// As long as a keys file can be without a name or number in it that is too long: 10,000 keys of 7 controls.
+TEST(KeysFile, LongOnesAreRead) {
+  std::string text = R"({"keys":[)";
+  for (std::size_t i = 0; i < kMostKeys; ++i) {
+    text += fmt::format(R"({}{{"time_s":{},"controls":[)", i == 0 ? "" : ",", i);
+    for (int k = 0; k < 7; ++k) {
+      text += fmt::format(R"({}{{"vertex":{},"at_mm":[{}.0625,-12.5,3.25]}})", k == 0 ? "" : ",", k, i);
+    }
+    text += "]}";
+  }
+  text += "]}";
+  EXPECT_GT(text.size(), 3U << 20);
+  const KeyList list = parse_keys(text, "film.json");
+  ASSERT_EQ(list.keys.size(), kMostKeys);
+  EXPECT_EQ(list.keys.back().controls.back().value, Eigen::Vector3f(9999.0625F, -12.5F, 3.25F));
 }
 
 }  // namespace

@@ -321,22 +321,24 @@ TEST_F(BridgeTest, NeutralPoseWithoutAFaceFails) {
   EXPECT_THAT(bridge.status().neutral_reason, HasSubstr("tracked in 0 frames"));
 }
 
-TEST_F(BridgeTest, ADamagedNeutralPoseIsNamed) {
+TEST_F(BridgeTest, ADamagedNeutralPoseIsSetAsideAndNamed) {
   const BridgeConfig wanted = config({});
-  for (const char* text :
-       {"", "{", "[]", R"({"facet_neutral": 2})",
-        R"({"facet_neutral": 1, "values": {"jawOpen": 2}, "rotation": [0,0,0,1], "translation_m": [0,0,0]})",
-        R"({"facet_neutral": 1, "values": {"jaw": 0}, "rotation": [0,0,0,1], "translation_m": [0,0,0]})",
-        R"({"facet_neutral": 1, "values": {}, "rotation": [0,0,0,0], "translation_m": [0,0,0]})",
-        R"({"facet_neutral": 1, "values": {}, "rotation": [0,0,0,1], "translation_m": [0,"x",0]})"}) {
+  int number = 0;
+  for (
+      const std::string& text : std::initializer_list<std::string>{
+          "", "{", "[]", std::string(60'000, '['), R"({"facet_neutral":)" + std::string(60'000, '['),
+          R"({"facet_neutral": 2})",
+          R"({"facet_neutral": 1, "values": {"jawOpen": 2}, "rotation": [0,0,0,1], "translation_m": [0,0,0]})",
+          R"({"facet_neutral": 1, "values": {"jaw": 0}, "rotation": [0,0,0,1], "translation_m": [0,0,0]})",
+          R"({"facet_neutral": 1, "values": {}, "rotation": [0,0,0,0], "translation_m": [0,0,0]})",
+          R"({"facet_neutral": 1, "values": {}, "rotation": [0,0,0,1], "translation_m": [0,"x",0]})"}) {
     std::ofstream(wanted.neutral_file) << text;
-    try {
-      const Bridge bridge(wanted);
-      ADD_FAILURE() << text;
-    } catch (const Error& error) {
-      EXPECT_EQ(error.kind(), ErrorKind::UnreadableInput);
-      EXPECT_THAT(error.what(), HasSubstr("neutral.json"));
-    }
+    const Bridge bridge(wanted);
+    EXPECT_EQ(bridge.status().neutral, NeutralState::None);
+    const std::string aside = fmt::format("neutral.json.broken-{}", ++number);
+    EXPECT_THAT(bridge.status().neutral_reason, AllOf(HasSubstr("neutral.json:"), HasSubstr(aside)));
+    EXPECT_FALSE(std::filesystem::exists(wanted.neutral_file)) << text;
+    EXPECT_TRUE(std::filesystem::exists(folder_.path() / aside)) << text;
   }
 }
 

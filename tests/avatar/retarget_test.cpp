@@ -97,7 +97,7 @@ TEST(AvatarFile, WhatIsNoneIsNamed) {
     EXPECT_NE(fault(sound.substr(0, length)), "none") << length;
   }
   EXPECT_THAT(fault(glb_bytes("[]")), HasSubstr("no object"));
-  EXPECT_THAT(fault(glb_bytes(std::string(5000, '['))), HasSubstr("nests too deep"));
+  EXPECT_THAT(fault(glb_bytes(std::string(5000, '['))), HasSubstr("nests deeper than 100 levels"));
   const auto changed = [&](const std::string& pointer, const Json& value) {
     Json json = avatar_json();
     json[Json::json_pointer(pointer)] = value;

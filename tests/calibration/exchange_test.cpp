@@ -182,5 +182,27 @@ TEST(Exchange, OtherFilesAreRefused) {
               HasSubstr("missing.yaml"));
 }
 
+TEST(Exchange, DepthAndLengthAreRefused) {
+  const auto repeated = [](const std::string& text, std::size_t bytes) {
+    std::string all;
+    while (all.size() + text.size() <= bytes) {
+      all += text;
+    }
+    return all;
+  };
+  for (const char* piece : {"[", "{", "- ", "? ", "[{", "[a: ", "&a [", "!a {", "- - ? "}) {
+    const std::string text = repeated(piece, 100'000);
+    EXPECT_THAT(error_of([&] { parse_kalibr(text, "chain.yaml"); }), HasSubstr("chain.yaml")) << piece;
+    EXPECT_THAT(error_of([&] { parse_kalibr("cam0: " + text.substr(10), "chain.yaml"); }),
+                HasSubstr("chain.yaml"))
+        << piece;
+    EXPECT_THAT(error_of([&] { parse_opencv(text, "lenses.yml", text, "poses.yml", {}); }),
+                HasSubstr("lenses.yml"))
+        << piece;
+  }
+  EXPECT_THAT(error_of([&] { parse_kalibr(std::string(kMaxYamlBytes + 1, ' '), "chain.yaml"); }),
+              HasSubstr("more than 1048576 bytes"));
+}
+
 }  // namespace
 }  // namespace facet::calibration

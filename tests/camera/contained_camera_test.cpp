@@ -1,8 +1,12 @@
 #include "camera/contained_camera.hpp"
 
+#include <arpa/inet.h>
 #include <fcntl.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
+#include <sys/un.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -10,17 +14,22 @@
 #include <chrono>
 #include <csignal>
 #include <cstdint>
+#include <cstdio>
 #include <cstdlib>
+#include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <functional>
 #include <iterator>
 #include <memory>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
 #include "camera/host_process.hpp"
 #include "camera/host_protocol.hpp"
+#include "camera/host_sandbox.hpp"
+#include "escapes.hpp"
 #include "facet/error.hpp"
 #include "support/paths.hpp"
 
@@ -90,7 +99,7 @@ class ContainedCamera : public ::testing::Test {
   }
   std::filesystem::path marker() const { return folder_.path() / "done"; }
 
-  /// The pid that a script of the kind tell-pid or fork told.
+  /// The pid that a script of the kind tell-pid or child told.
   pid_t told_pid() const {
     pid_t pid = 0;
     std::ifstream(marker()) >> pid;
@@ -135,7 +144,7 @@ class ContainedCamera : public ::testing::Test {
 TEST_F(ContainedCamera, HandsOverFrames) {
   const auto camera = open("well");
   EXPECT_EQ(camera->status().state, CameraState::Idle);
-  EXPECT_EQ(camera->info().name, "scripted ?[31m camera");
+  EXPECT_EQ(camera->info().name, "scripted \\x1b[31m camera");
   EXPECT_TRUE(camera->info().live);
   Frame frame;
   EXPECT_EQ(camera->next(frame, 0ms), CaptureOutcome::EndOfStream) << "before start";
@@ -203,17 +212,18 @@ TEST_P(WrongHost, EndsItAndStartsAnew) {
 
 INSTANTIATE_TEST_SUITE_P(
     All, WrongHost,
-    ::testing::Values(Wrong{"segv", "was ended by SIGSEGV"}, Wrong{"abort", "was ended by SIGABRT"},
-                      Wrong{"exit", "ended with status 3"}, Wrong{"fail", "the sensor is too hot"},
-                      Wrong{"close", "its process"}, Wrong{"garbage", "a message of 10 bytes"},
-                      Wrong{"huge", "a message of 100000 bytes"},
-                      Wrong{"unasked", "frame 1 where frame 3 is next"},
-                      Wrong{"again", "frame 2 where frame 3 is next"},
-                      Wrong{"far", "frame 18446744073709551615 where frame 3 is next"},
-                      Wrong{"future", "a time that is 3.6e+03 s from now"},
-                      Wrong{"torn", "changed the pixels of frame 3"},
-                      Wrong{"wrong-size", "a picture of 136x72 px"},
-                      Wrong{"backwards", "counts 'lost' backwards"}, Wrong{"list", "lists cameras"}),
+    ::testing::Values(
+        Wrong{"segv", "was ended by SIGSEGV"}, Wrong{"abort", "was ended by SIGABRT"},
+        Wrong{"exit", "ended with status 3"}, Wrong{"fail", "the sensor is too hot"},
+        Wrong{"close", "its process"}, Wrong{"garbage", "a message of 10 bytes"},
+        Wrong{"huge", "a message of 100000 bytes"}, Wrong{"unasked", "frame 1 where frame 3 is next"},
+        Wrong{"again", "frame 2 where frame 3 is next"},
+        Wrong{"far", "frame 18446744073709551615 where frame 3 is next"},
+        Wrong{"future", "a time that is 3.6e+03 s from now"}, Wrong{"torn", "changed the pixels of frame 3"},
+        Wrong{"wrong-size", "a picture of 136x72 px"}, Wrong{"backwards", "counts 'lost' backwards"},
+        Wrong{"list", "says a camera of a list while it delivers frames"},
+        Wrong{"open-again", "says that its camera is open while it delivers frames"},
+        Wrong{"flood", "s that it is alive"}),
     [](const auto& wrong) {
       std::string name = wrong.param.action;
       std::erase(name, '-');
@@ -294,6 +304,21 @@ TEST_F(ContainedCamera, AHostThatOpensSlowlyIsAwaited) {
   EXPECT_EQ(camera->status().state, CameraState::Opening);
   ASSERT_TRUE(next(*camera, frame));
   EXPECT_EQ(camera->status().counters.reopened, 0U);
+}
+
+TEST_F(ContainedCamera, AHostThatOpensAndNeverDelivers) {
+  config_.live.stall_after = 300ms;
+  patience_.first_frame = 300ms;
+  const auto camera = open("silent:0");
+  camera->start();
+  ASSERT_TRUE(becomes(*camera, CameraState::Stalled));
+  EXPECT_THAT(camera->status().reason, HasSubstr("is open and has delivered nothing for 0.3"));
+}
+
+TEST_F(ContainedCamera, AHostThatSpeaksBeforeItsTurn) {
+  const auto camera = open("alive-before");
+  EXPECT_EQ(camera->status().state, CameraState::Failing);
+  EXPECT_THAT(camera->status().reason, HasSubstr("says that it is alive while it opens its camera"));
 }
 
 TEST_F(ContainedCamera, ADeviceThatIsAbsent) {
@@ -408,7 +433,7 @@ TEST_F(ContainedCamera, StopEndsTheProcess) {
 }
 
 TEST_F(ContainedCamera, WhatTheHostStartedEndsWithIt) {
-  const auto camera = open("fork:3:" + marker().string());
+  const auto camera = open("child:0:" + marker().string());
   camera->start();
   ASSERT_TRUE(becomes(*camera, CameraState::Failing));
   const pid_t pid = told_pid();
@@ -447,6 +472,97 @@ TEST_F(ContainedCamera, SignalsThatAreMeantForTheDaemonAreIgnored) {
   EXPECT_EQ(camera->status().counters.reopened, 0U);
 }
 
+/// Listens as the daemon's control socket does, and as another machine would.
+class Listener {
+ public:
+  explicit Listener(const std::filesystem::path& folder) {
+    sockaddr_un local{};
+    local.sun_family = AF_UNIX;
+    std::strncpy(local.sun_path, (folder / "control.sock").c_str(), sizeof local.sun_path - 1);
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    socklen_t size = sizeof address;
+    if (::bind(local_, reinterpret_cast<const sockaddr*>(&local), sizeof local) != 0 ||
+        ::listen(local_, 4) != 0 ||
+        ::bind(network_, reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0 ||
+        ::listen(network_, 4) != 0 ||
+        ::getsockname(network_, reinterpret_cast<sockaddr*>(&address), &size) != 0) {
+      throw std::runtime_error("no sockets");
+    }
+    port_ = ntohs(address.sin_port);
+  }
+  ~Listener() {
+    ::close(local_);
+    ::close(network_);
+  }
+  Listener(const Listener&) = delete;
+  Listener& operator=(const Listener&) = delete;
+  int port() const { return port_; }
+
+ private:
+  int local_ = ::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  int network_ = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  int port_ = 0;
+};
+
+class Confinement : public ContainedCamera {
+ protected:
+  Confinement() {
+    make_treasures(folder_.path());
+    ::setenv("FACET_TEST_FOLDER", folder_.path().c_str(), 1);
+    ::setenv("FACET_TEST_PORT", std::to_string(listener_.port()).c_str(), 1);
+  }
+
+  /// What fails to a process of this user that nobody confines, out of what should work for it.
+  std::string fails_unconfined() {
+    std::array<int, 2> ends{};
+    EXPECT_EQ(::pipe(ends.data()), 0);
+    // A parent of its own: a few of the attempts do harm to it.
+    const pid_t parent = ::fork();
+    if (parent == 0) {
+      const pid_t child = ::fork();
+      if (child == 0) {
+        for (const Escape& escape : escapes({folder_.path(), listener_.port()})) {
+          if (escape.guard != Escape::Guard::CallsOnly && !escape.attempt()) {
+            dprintf(ends[1], "%s; ", escape.name.c_str());
+          }
+        }
+        ::_exit(0);
+      }
+      ::waitpid(child, nullptr, 0);
+      ::_exit(0);
+    }
+    ::close(ends[1]);
+    std::string failed;
+    std::array<char, 512> piece{};
+    for (ssize_t size = 0; (size = ::read(ends[0], piece.data(), piece.size())) > 0;) {
+      failed.append(piece.data(), static_cast<std::size_t>(size));
+    }
+    ::close(ends[0]);
+    ::waitpid(parent, nullptr, 0);
+    return failed;
+  }
+
+  Listener listener_{folder_.path()};
+};
+
+TEST_F(Confinement, TheAttemptsWorkWithoutIt) {
+  EXPECT_EQ(fails_unconfined(), "");
+}
+
+TEST_F(Confinement, NothingOfTheDaemonsIsReached) {
+  const auto camera = open("escape");
+  EXPECT_EQ(camera->status().state, CameraState::Failing);
+  EXPECT_THAT(camera->status().reason, HasSubstr("it could do nothing of it"));
+  EXPECT_TRUE(std::filesystem::exists(folder_.path() / "token"));
+  EXPECT_EQ(std::filesystem::file_size(folder_.path() / "a.take"), 8U);
+}
+
+TEST_F(Confinement, LibcameraStartsInIt) {
+  EXPECT_NO_THROW(camera::list_contained_cameras(FACET_CAMERA_HOST_PROGRAM, 60s));
+}
+
 class ListContained : public ::testing::Test {
  protected:
   ~ListContained() override { ::unsetenv("FACET_TEST_LIST"); }
@@ -478,7 +594,7 @@ TEST_F(ListContained, SaysWhyItCannot) {
   EXPECT_THAT(error("hang", 300ms), HasSubstr("does not answer within 0.3 s"));
   EXPECT_THAT(error("crash"), HasSubstr("SIGABRT"));
   EXPECT_THAT(error("fail"), HasSubstr("libcamera does not start"));
-  EXPECT_THAT(error("endless"), HasSubstr("what is no list"));
+  EXPECT_THAT(error("endless"), HasSubstr("lists more than 256 cameras"));
 }
 
 TEST(HostArguments, AreReadAsTheyAreWritten) {

@@ -4,6 +4,7 @@
 #include <string>
 
 #include "camera/host_protocol.hpp"
+#include "facet/printable.hpp"
 
 /// Any bytes as a message of a camera host: a reason, or a message that is the same once written and read
 /// again.
@@ -22,14 +23,12 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   const auto again = camera::read_host_message({bytes.data(), written}, wrong);
   bool same = again && again->kind == message->kind && again->sequence == message->sequence &&
               again->timestamp_ns == message->timestamp_ns && again->corrupt == message->corrupt &&
-              again->fault == message->fault && again->name == message->name &&
-              message->text.starts_with(again->text);
+              again->fault == message->fault && again->name == message->name && again->text == message->text;
   for (const facet::CameraCount& count : facet::kCameraCounts) {
     same = same && again->counters.*count.value == message->counters.*count.value;
   }
-  for (const char letter : message->name + message->text) {
-    same = same && letter >= ' ' && letter <= '~';
-  }
+  same = same && facet::printable(message->name) == message->name &&
+         facet::printable(message->text) == message->text;
   if (!same) {
     std::abort();
   }

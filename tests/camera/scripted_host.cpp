@@ -1,10 +1,13 @@
 // A camera host whose camera does what its id says, for the tests of contained cameras:
 //   ACTION[:FRAME[:FILE]]   it does it instead of frame FRAME (0: the first); with a FILE it does it once and
-//   is
-//                           well from then on, because it makes that file first
+//                           is well from then on, because it writes into that file first
 // The pixels of frame n are n % 251, its exposure begins when it is asked for.
 
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <array>
@@ -12,20 +15,22 @@
 #include <csignal>
 #include <cstdlib>
 #include <cstring>
-#include <filesystem>
 #include <fstream>
 #include <functional>
 #include <map>
 #include <memory>
 #include <sstream>
 #include <string>
+#include <string_view>
 #include <thread>
 #include <vector>
 
 #include "camera/device_fault.hpp"
 #include "camera/host_process.hpp"
 #include "camera/host_protocol.hpp"
+#include "camera/host_sandbox.hpp"
 #include "camera/host_service.hpp"
+#include "escapes.hpp"
 
 namespace facet::test {
 namespace {
@@ -61,16 +66,63 @@ void send_message(const std::function<void(HostMessage&)>& change) {
   send_bytes(bytes.data(), write_host_message(message, bytes));
 }
 
-class ScriptedCamera final : public Camera {
- public:
-  explicit ScriptedCamera(const camera::CameraConfig& config) : config_(config) {
-    std::istringstream words(config.libcamera.id);
-    std::getline(words, action_, ':');
+struct Script {
+  explicit Script(const std::string& id) {
+    std::istringstream words(id);
+    std::getline(words, action, ':');
     std::string frame;
     if (std::getline(words, frame, ':')) {
-      at_ = std::stoull(frame);
+      at = std::stoull(frame);
     }
-    std::getline(words, once_);
+    std::getline(words, file);
+  }
+  std::string action;
+  std::uint64_t at = 0;
+  std::string file;
+};
+
+/// The script's file, open from before the host is confined; -1 where it has none.
+int marker = -1;
+
+bool is_marked() {
+  struct stat status {};
+  return ::fstat(marker, &status) == 0 && status.st_size > 0;
+}
+
+void mark(const std::string& text) {
+  if (::ftruncate(marker, 0) != 0 || ::pwrite(marker, text.data(), text.size(), 0) < 0) {
+    std::abort();
+  }
+}
+
+/// Whether the kernel keeps files from this process once it is confined, which can't ask then.
+bool files_guarded = false;
+
+/// What of all that a host must not do this one could do.
+std::string escaped() {
+  const char* folder = std::getenv("FACET_TEST_FOLDER");
+  const char* port = std::getenv("FACET_TEST_PORT");
+  std::vector<std::string> done;
+  for (const Escape& escape : escapes({folder, std::atoi(port)})) {
+    const bool guarded = escape.guard != Escape::Guard::Files || files_guarded;
+    if (guarded && escape.attempt()) {
+      done.push_back(escape.name);
+    }
+  }
+  return done.empty() ? "it could do nothing of it" : fmt::format("it could {}", fmt::join(done, ", "));
+}
+
+class ScriptedCamera final : public Camera {
+ public:
+  explicit ScriptedCamera(const camera::CameraConfig& config)
+      : config_(config), script_(config.libcamera.id), action_(script_.action), at_(script_.at) {
+    if (action_ == "escape") {
+      throw DeviceFault(DeviceFault::Kind::Failing, escaped());
+    }
+    if (action_ == "alive-before") {
+      send_message([](HostMessage& m) { m.kind = HostMessage::Kind::Alive; });
+      hang();
+    }
     if (action_ == "absent") {
       throw DeviceFault(DeviceFault::Kind::Absent, "is not plugged in");
     }
@@ -96,8 +148,11 @@ class ScriptedCamera final : public Camera {
   CameraStatus status() const override { return status_; }
   void start() override {
     status_.state = CameraState::Streaming;
-    if (!once_.empty() && action_ == "tell-pid") {
-      std::ofstream(once_) << ::getpid();
+    if (action_ == "child") {
+      crash();
+    }
+    if (action_ == "tell-pid") {
+      mark(std::to_string(::getpid()));
     }
   }
   CaptureOutcome next(Frame& out, std::chrono::milliseconds timeout) override {
@@ -113,11 +168,11 @@ class ScriptedCamera final : public Camera {
 
  private:
   bool due(std::uint64_t frame) {
-    if (frame != at_ || (!once_.empty() && std::filesystem::exists(once_))) {
+    if (frame != at_ || is_marked()) {
       return false;
     }
-    if (!once_.empty()) {
-      std::ofstream made(once_);
+    if (marker >= 0) {
+      mark("done");
     }
     return true;
   }
@@ -140,9 +195,9 @@ class ScriptedCamera final : public Camera {
   CaptureOutcome misbehave(Frame& out, std::chrono::milliseconds timeout);
 
   camera::CameraConfig config_;
+  Script script_;
   std::string action_;
   std::uint64_t at_ = 0;
-  std::string once_;
   std::uint64_t sequence_ = 0;
   bool silent_ = false;
   CameraStatus status_;
@@ -216,14 +271,15 @@ CaptureOutcome ScriptedCamera::misbehave(Frame& out, std::chrono::milliseconds t
          send_message([](HostMessage& m) { m.kind = HostMessage::Kind::Listed; });
          hang();
        }},
-      // A grandchild must not outlive the camera, nor keep the socket open.
-      {"fork",
-       [this] {
-         if (const pid_t child = ::fork(); child == 0) {
-           hang();
-         } else {
-           std::ofstream(once_) << child;
-           crash();
+      {"open-again",
+       [] {
+         send_message([](HostMessage& m) { m.kind = HostMessage::Kind::Opened; });
+         hang();
+       }},
+      {"flood",
+       [] {
+         for (;;) {
+           send_message([](HostMessage& m) { m.kind = HostMessage::Kind::Alive; });
          }
        }},
   };
@@ -280,12 +336,42 @@ std::vector<camera::CameraListing> list() {
   return {{"one", "a camera"}, {"two", "another"}};
 }
 
+/// What the script needs that a confined process can't have.
+void prepare(const Script& script) {
+  files_guarded = camera::files_unguarded().empty();
+  if (!script.file.empty()) {
+    marker = ::open(script.file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600);
+  }
+  // A child, as a library may have one that it started when it was loaded, must not outlive the camera nor
+  // keep its socket open.
+  if (script.action == "child") {
+    if (const pid_t child = ::fork(); child == 0) {
+      hang();
+    } else {
+      mark(std::to_string(child));
+    }
+  }
+}
+
 }  // namespace
 }  // namespace facet::test
+
+#ifdef FACET_SANITIZED
+// Looking for leaks takes what a confined process can't do: a second process that stops the first.
+// NOLINTNEXTLINE(bugprone-reserved-identifier): the name that the sanitizer looks for
+extern "C" int __lsan_is_turned_off() {
+  return 1;
+}
+#endif
 
 int main(int argc, char** argv) {
   if (const char* starts = std::getenv("FACET_TEST_STARTS")) {
     std::ofstream(starts, std::ios::app) << '.';
   }
-  return facet::camera::run_camera_host(argc, argv, {facet::test::open, facet::test::list});
+  for (int i = 1; i < argc; ++i) {
+    if (const std::string_view word = argv[i]; word.starts_with("--id=")) {
+      facet::test::prepare(facet::test::Script(std::string(word.substr(5))));
+    }
+  }
+  return facet::camera::run_camera_host(argc, argv, {facet::test::open, facet::test::list, {}});
 }

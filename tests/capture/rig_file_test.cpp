@@ -186,5 +186,16 @@ TEST(RigFile, WritingIsWholeOrNotAtAll) {
   }
 }
 
+TEST(RigFile, DepthIsRefused) {
+  std::string deep = "a";
+  for (int i = 0; i < 200'000; ++i) {
+    deep += ".a";
+  }
+  for (const std::string& text :
+       {deep + " = 1", "[" + deep + "]", "[[" + deep + "]]", "x = {" + deep + " = 1}"}) {
+    EXPECT_THAT(error_of(text), HasSubstr("more than 16 names in one key"));
+  }
+}
+
 }  // namespace
 }  // namespace facet::capture

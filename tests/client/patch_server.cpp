@@ -27,7 +27,7 @@ int main(int argc, char** argv) {
   web_config.listen = "127.0.0.1:0";
   web_config.page = folder;
   web_config.token_file = folder / "token";
-  const service::WebServer web(web_config, folder, server, control);
+  const service::WebServer web(web_config, folder, {}, server, control);
   auto subject = test::patch_subject();
   const auto publish = [&](std::uint64_t sequence) {
     server.publish(std::make_shared<mesh::MeshFrame>(

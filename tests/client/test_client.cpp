@@ -1,12 +1,17 @@
 // libfacet-client against a live stream server, beside the C++ client.
 
 #include <facet-client.h>
+#include <fcntl.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <poll.h>
+#include <sys/mman.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
+#include <algorithm>
+#include <array>
 #include <atomic>
 #include <chrono>
 #include <cstring>
@@ -18,9 +23,11 @@
 #include "stream/client.hpp"
 #include "stream/encoder.hpp"
 #include "stream/framing.hpp"
+#include "stream/ring.hpp"
 #include "stream/server.hpp"
 #include "support/child_process.hpp"
 #include "support/eventually.hpp"
+#include "support/full_queue.hpp"
 #include "support/mesh_frames.hpp"
 #include "support/paths.hpp"
 
@@ -296,8 +303,9 @@ TEST_F(Client, WrongArgumentsAreNamed) {
 /// up.
 class Impostor {
  public:
-  Impostor(const std::filesystem::path& path, std::vector<std::uint8_t> says)
-      : socket_(path, {}), says_(std::move(says)), thread_([this] { run(); }) {}
+  /// passes: two descriptors that go with the first bytes; {}: none
+  Impostor(const std::filesystem::path& path, std::vector<std::uint8_t> says, std::vector<int> passes = {})
+      : socket_(path, {}), says_(std::move(says)), passes_(std::move(passes)), thread_([this] { run(); }) {}
   ~Impostor() {
     done_.store(true);
     thread_.join();
@@ -312,6 +320,9 @@ class Impostor {
       }
       const FileDescriptor connection(::accept(socket_.fd(), nullptr, nullptr));
       std::span<const std::uint8_t> left = says_;
+      if (!passes_.empty()) {
+        left = left.subspan(pass(connection.get()));
+      }
       while (!left.empty()) {
         const ssize_t count = ::send(connection.get(), left.data(), left.size(), MSG_NOSIGNAL);
         if (count <= 0) {
@@ -325,8 +336,25 @@ class Impostor {
       }
     }
   }
+  /// Sends the descriptors with as many of the bytes as the socket takes; how many.
+  std::size_t pass(int connection) {
+    alignas(cmsghdr) std::array<char, CMSG_SPACE(2 * sizeof(int))> control{};
+    iovec part{says_.data(), says_.size()};
+    msghdr message{};
+    message.msg_iov = &part;
+    message.msg_iovlen = 1;
+    message.msg_control = control.data();
+    message.msg_controllen = control.size();
+    cmsghdr* header = CMSG_FIRSTHDR(&message);
+    header->cmsg_level = SOL_SOCKET;
+    header->cmsg_type = SCM_RIGHTS;
+    header->cmsg_len = CMSG_LEN(2 * sizeof(int));
+    std::memcpy(CMSG_DATA(header), passes_.data(), 2 * sizeof(int));
+    return static_cast<std::size_t>(std::max<ssize_t>(0, ::sendmsg(connection, &message, MSG_NOSIGNAL)));
+  }
   ListeningSocket socket_;
   std::vector<std::uint8_t> says_;
+  std::vector<int> passes_;
   std::atomic<bool> done_{false};
   std::thread thread_;
 };
@@ -348,8 +376,9 @@ class BadServer : public Client {
     return out;
   }
   /// What the client says of a server that says `bytes`, and then nothing.
-  std::pair<int, std::string> verdict(std::vector<std::uint8_t> bytes, unsigned flags = 0) {
-    const Impostor impostor(path, std::move(bytes));
+  std::pair<int, std::string> verdict(std::vector<std::uint8_t> bytes, unsigned flags = 0,
+                                      std::vector<int> passes = {}) {
+    const Impostor impostor(path, std::move(bytes), std::move(passes));
     const CClient client = connect(FACET_DISPLACEMENTS, flags);
     const int outcome = facet_client_next(client.get(), kPatienceMs);
     return {outcome, facet_client_message(client.get())};
@@ -434,6 +463,109 @@ TEST_F(BadServer, ARingWithoutDescriptorsIsRefused) {
   const auto without = verdict(bytes, FACET_WANT_RING);
   EXPECT_EQ(without.first, FACET_BAD_DATA);
   EXPECT_THAT(without.second, HasSubstr("ring"));
+}
+
+TEST_F(BadServer, ARingThatLiesIsRefusedBeforeItIsMapped) {
+  auto offer = greeting();
+  append(offer, encoder.ring({FACET_RING_VERSION, 65536}));
+  int ends[2];
+  ASSERT_EQ(::pipe(ends), 0);
+  const FileDescriptor wake(ends[0]);
+  const FileDescriptor other_end(ends[1]);
+  const FileDescriptor endless(::open("/dev/zero", O_RDONLY | O_CLOEXEC));
+  /// What the client says of a ring, and how much memory it took of it.
+  const auto verdict_of = [&](facet_ring_page page, off_t bytes, int wake_up) {
+    const FileDescriptor memory(::memfd_create("ring", MFD_CLOEXEC | MFD_ALLOW_SEALING));
+    EXPECT_EQ(::pwrite(memory.get(), &page, sizeof(page), 0), static_cast<ssize_t>(sizeof(page)));
+    EXPECT_EQ(::ftruncate(memory.get(), bytes), 0);
+    EXPECT_EQ(::fcntl(memory.get(), F_ADD_SEALS, F_SEAL_SHRINK | F_SEAL_GROW), 0);
+    const auto [outcome, why] = verdict(offer, FACET_WANT_RING, {memory.get(), wake_up});
+    EXPECT_EQ(outcome, FACET_BAD_DATA);
+    struct stat status {};
+    EXPECT_EQ(::fstat(memory.get(), &status), 0);
+    EXPECT_LT(status.st_blocks * 512, 1 << 20) << why;
+    return why;
+  };
+  facet_ring_page page{};
+  page.magic = FACET_RING_MAGIC;
+  page.version = FACET_RING_VERSION;
+  page.slot_count = FACET_RING_MAX_SLOTS;
+  page.slot_bytes = kMaxMessageBytes;
+  constexpr off_t kSparse = off_t{1} << 33;
+  EXPECT_THAT(verdict_of(page, kSparse, wake.get()), HasSubstr("not all there"));
+  EXPECT_THAT(verdict_of(page, 100'000, wake.get()), HasSubstr("not all there"));
+  EXPECT_THAT(verdict_of({}, kSparse, wake.get()), HasSubstr("makes no sense"));
+  facet_ring_page many = page;
+  many.slot_count = FACET_RING_MAX_SLOTS + 1;
+  EXPECT_THAT(verdict_of(many, kSparse, wake.get()), HasSubstr("makes no sense"));
+  facet_ring_page long_slots = page;
+  long_slots.slot_bytes = kMaxMessageBytes + FACET_RING_ALIGNMENT;
+  EXPECT_THAT(verdict_of(long_slots, kSparse, wake.get()), HasSubstr("makes no sense"));
+  facet_ring_page small = page;
+  small.slot_count = 2;
+  small.slot_bytes = 4096;
+  EXPECT_THAT(verdict_of(small, 0x3000, endless.get()), HasSubstr("not all there"));
+}
+
+TEST_F(BadServer, WakeUpsWithoutEndAreNotWaitedFor) {
+  auto offer = greeting();
+  append(offer, encoder.ring({FACET_RING_VERSION, 65536}));
+  const RingWriter ring(Profile::Displacements, 2, 4096);
+  const FileDescriptor endless(::open("/dev/zero", O_RDONLY | O_CLOEXEC));
+  const auto [outcome, why] = verdict(offer, FACET_WANT_RING, {ring.fd(), endless.get()});
+  EXPECT_EQ(outcome, FACET_BAD_DATA);
+  EXPECT_THAT(why, HasSubstr("no pipe"));
+}
+
+TEST_F(Client, AStoppedServerIsWaitedForUpToTheDeadline) {
+  const ListeningSocket stopped(path, {});
+  const auto queued = test::fill_queue(path);
+  const CClient client = connect(FACET_SIGNALS, 0);
+  EXPECT_EQ(facet_client_next(client.get(), 50), FACET_TIMEOUT);
+  EXPECT_THAT(facet_client_message(client.get()), HasSubstr("does not answer"));
+}
+
+TEST_F(BadServer, MessagesWithoutEndDoNotKeepACallFromEnding) {
+  const auto hello = greeting();
+  std::vector<std::uint8_t> many;
+  while (many.size() < 1 << 20) {
+    append(many, encoder.dropped({1, 1}));
+  }
+  std::atomic<bool> done{false};
+  const ListeningSocket socket(path, {});
+  std::thread flood([&] {
+    const auto send_all = [&](int fd, std::span<const std::uint8_t> bytes) {
+      while (!bytes.empty()) {
+        const ssize_t count = ::send(fd, bytes.data(), bytes.size(), MSG_NOSIGNAL);
+        if (count <= 0) {
+          return false;
+        }
+        bytes = bytes.subspan(static_cast<std::size_t>(count));
+      }
+      return true;
+    };
+    while (!done) {
+      pollfd entry{socket.fd(), POLLIN, 0};
+      if (::poll(&entry, 1, 10) <= 0) {
+        continue;
+      }
+      const FileDescriptor connection(::accept(socket.fd(), nullptr, nullptr));
+      for (bool sent = send_all(connection.get(), hello); sent && !done;) {
+        sent = send_all(connection.get(), many);
+      }
+    }
+  });
+  {
+    const CClient client = connect(FACET_SIGNALS, 0);
+    EXPECT_EQ(facet_client_next(client.get(), 50), FACET_TIMEOUT);
+  }
+  {
+    StreamClient client(path, {}, kPatience);
+    DecodedFrame frame;
+    EXPECT_EQ(client.next(frame, 50ms), ReceiveOutcome::Timeout);
+  }
+  done = true;
+  flood.join();
 }
 
 std::string text_of(const std::filesystem::path& file) {

@@ -2,12 +2,17 @@
 // Usage: node check-usda.mjs TINYUSDZ_FOLDER FILE.usda TRUTH_FOLDER
 // TRUTH_FOLDER holds frame_%06d.f32: [vertex_count][3] metres, x right, y up, z towards the viewer.
 import fs from 'fs';
+import os from 'os';
 import path from 'path';
 // The module is made for browsers alone and asks whether it is in one.
 process.type = 'renderer';
 globalThis.window = globalThis;
 const [folder, file, truthFolder] = process.argv.slice(2);
-const open = (await import(path.join(folder, 'tinyusdz.js'))).default;
+// It is an ES module that neither its name nor its package says to be one: only newer versions of Node.js find that out.
+const named = fs.mkdtempSync(path.join(os.tmpdir(), 'tinyusdz-'));
+process.on('exit', () => fs.rmSync(named, { recursive: true, force: true }));
+fs.copyFileSync(path.join(folder, 'tinyusdz.js'), path.join(named, 'tinyusdz.mjs'));
+const open = (await import(path.join(named, 'tinyusdz.mjs'))).default;
 const usd = await open({ wasmBinary: fs.readFileSync(path.join(folder, 'tinyusdz.wasm')) });
 const check = (right, what) => { if (!right) { console.log(`${file}: ${what}`); process.exit(1); } };
 

@@ -111,7 +111,7 @@ TEST(FaceModelFile, MissingOrForeignFileIsNamed) {
   expect_message(folder.path() / "empty.facemodel", "empty");
   std::ofstream(folder.path() / "text.facemodel") << std::string(1000, 'x');
   expect_message(folder.path() / "text.facemodel", "magic");
-  expect_message(folder.path(), "not a face model");
+  expect_message(folder.path(), "not a regular file");
 }
 
 TEST(FaceModelFile, UnwritablePlaceIsAStorageError) {

@@ -535,5 +535,27 @@ TEST(Hierarchy, DegenerateControlMeshesAreNamed) {
   EXPECT_THAT(error_of([&] { build(test::plane(2, 2, 1), {.min_edge_px = NAN}); }), HasSubstr("min_edge_px"));
 }
 
+TEST(SameTopology, LooksAtWhatIsThereAndNotAtTheIdAlone) {
+  const Hierarchy one = *build(test::plane(4, 4, 100), {});
+  EXPECT_EQ(topology_id(one), one.id);
+  EXPECT_TRUE(same_topology(one, Hierarchy(one)));
+
+  const std::vector<std::function<void(Hierarchy&)>> lies = {
+      [](Hierarchy& other) { ++other.id; },
+      [](Hierarchy& other) { ++other.control_vertex_count; },
+      [](Hierarchy& other) { other.levels.pop_back(); },
+      [](Hierarchy& other) { ++other.levels.back().vertex_count; },
+      [](Hierarchy& other) { other.levels.front().triangles.conservativeResize(3, 1); },
+      [](Hierarchy& other) { std::swap(other.levels[0].triangles(0, 0), other.levels[0].triangles(1, 0)); },
+      [](Hierarchy& other) { other.levels.back().from_coarser.columns.pop_back(); },
+      [](Hierarchy& other) { other.levels.back().from_coarser.weights.front() += 0.5F; }};
+  for (std::size_t k = 0; k < lies.size(); ++k) {
+    Hierarchy other = one;
+    lies[k](other);
+    EXPECT_FALSE(same_topology(one, other)) << "lie " << k;
+    EXPECT_FALSE(same_topology(other, one)) << "lie " << k;
+  }
+}
+
 }  // namespace
 }  // namespace facet::mesh

@@ -160,7 +160,7 @@ TEST_F(IctModel, WhatIsMissingOrAnotherMeshIsNamed) {
     }
     return std::string("nothing thrown");
   };
-  EXPECT_THAT(message(), HasSubstr("generic_neutral_mesh.obj: can't open it"));
+  EXPECT_THAT(message(), HasSubstr("generic_neutral_mesh.obj: cannot read this mesh"));
   const std::filesystem::path neutral = temporary.path() / "generic_neutral_mesh.obj";
   std::ofstream(neutral) << "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n";
   EXPECT_THAT(message(), HasSubstr("4 vertices; ICT-FaceKit's meshes have 26719"));

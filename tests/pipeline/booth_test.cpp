@@ -316,9 +316,12 @@ class Booth : public ::testing::Test {
   }
   static void TearDownTestSuite() { footage_.reset(); }
 
-  void write_rig(const capture::Rig& rig) const { capture::write_rig(rig, config_.rig_file); }
+  void write_rig(const capture::Rig& rig) {
+    capture::write_rig(rig, config_.rig_file);
+    pairs_ = rig.pairs;
+  }
   /// One pair is enough where it is not about the other.
-  void write_half_a_rig() const {
+  void write_half_a_rig() {
     capture::Rig rig = footage_->booth.rig();
     rig.pairs.resize(1);
     write_rig(rig);
@@ -375,7 +378,21 @@ class Booth : public ::testing::Test {
     frames_ = sink.frames();
   }
 
-  /// Mean distance of the face's skin to the truth, mm.
+  /// Whether both cameras of a pair that the rig file has see a point of a surface, and not too steeply.
+  bool is_seen(const render::Raycaster& surface, const Eigen::Vector3f& point_mm,
+               const Eigen::Vector3f& normal) const {
+    const capture::Rig& rig = footage_->booth.rig();
+    const auto sees = [&](std::size_t camera) {
+      const Eigen::Vector3f eye = rig.cameras[camera].lens.centre_mm().cast<float>();
+      return normal.dot((eye - point_mm).normalized()) > 0.5F && !surface.occluded(point_mm, eye, 1);
+    };
+    return std::any_of(pairs_.begin(), pairs_.end(),
+                       [&](const capture::StereoPair& pair) { return sees(pair.left) && sees(pair.right); });
+  }
+
+  /// Mean distance of the face's skin to the truth, mm, where a pair sees the truth. The rest is the model's
+  /// guess, which one grey value more or less in every ten thousandth pixel moves by more than half a
+  /// millimetre: other rounding would do, too.
   double distance_to_truth(const mesh::MeshFrame& frame) {
     const capture::Rig& rig = footage_->booth.rig();
     const simulation::TruthMesh truth = footage_->booth.slot(frame.sequence).surface();
@@ -388,12 +405,23 @@ class Booth : public ::testing::Test {
     double count = 0;
     for (Eigen::Index v = 0; v < frame.control_vertices_mm.cols(); ++v) {
       const auto bits = frame.subject->regions[static_cast<std::size_t>(v)];
-      // The middle of the face; its rim is hidden from one camera of each pair.
+      // The middle of the face: the rim is seen steeply.
       const Eigen::Vector3f at = frame.control_vertices_mm.col(v);
       if (face::has_region(bits, face::Region::Refinable) && std::abs(at.x()) < 40) {
         const auto nearest = caster.closest_point(rig_from_head * at, 20);
-        sum += nearest.triangle >= 0 ? static_cast<double>(nearest.distance_mm) : 20.0;
-        ++count;
+        if (nearest.triangle < 0) {
+          sum += 20;
+          ++count;
+          continue;
+        }
+        const auto corners = truth.triangles.col(nearest.triangle);
+        const Eigen::Vector3f first = truth.vertices_mm.col(corners[0]);
+        const Eigen::Vector3f across = truth.vertices_mm.col(corners[1]) - first;
+        const Eigen::Vector3f along = truth.vertices_mm.col(corners[2]) - first;
+        if (is_seen(caster, nearest.point_mm, across.cross(along).normalized())) {
+          sum += static_cast<double>(nearest.distance_mm);
+          ++count;
+        }
       }
     }
     EXPECT_GT(count, 500);
@@ -435,6 +463,7 @@ class Booth : public ::testing::Test {
   static std::unique_ptr<Footage> footage_;
   test::TemporaryFolder folder_;
   BoothConfig config_;
+  std::vector<capture::StereoPair> pairs_;  ///< of the rig file
   PipelineStatus status_;
   std::vector<std::shared_ptr<const mesh::MeshFrame>> frames_;
 };
@@ -478,7 +507,7 @@ TEST_F(Booth, EverySlotBetweenBlankOnesBecomesAMesh) {
     EXPECT_EQ(frame.timestamp_ns, footage_->sets[i].trigger_ns);
     if (i >= 2 && i <= 5) {
       ASSERT_EQ(frame.state, mesh::TrackingState::Tracking) << i << ": " << frame.degraded_reason;
-      EXPECT_LT(distance_to_truth(frame), 1) << "one pair does not see all of it";
+      EXPECT_LT(distance_to_truth(frame), 1);
       EXPECT_EQ(frame.subject->id, frames_[2]->subject->id);
       EXPECT_FALSE(frame.displacements_mm.empty());
     } else {

@@ -3,6 +3,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <string>
+
 #include "facet/error.hpp"
 
 namespace facet::pipeline {
@@ -10,6 +12,16 @@ namespace {
 
 using testing::AllOf;
 using testing::HasSubstr;
+
+std::string why(const std::string& text) {
+  try {
+    parse_face_points(text, "points.toml");
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::Usage);
+    return error.what();
+  }
+  return "nothing";
+}
 
 TEST(FacePoints, NamesAndNumbersOfLandmarks) {
   const FacePoints points = parse_face_points(
@@ -30,15 +42,6 @@ TEST(FacePoints, NamesAndNumbersOfLandmarks) {
 }
 
 TEST(FacePoints, SaysWhatIsWrongAndWhere) {
-  const auto why = [](const std::string& text) {
-    try {
-      parse_face_points(text, "points.toml");
-    } catch (const Error& error) {
-      EXPECT_EQ(error.kind(), ErrorKind::Usage);
-      return std::string(error.what());
-    }
-    return std::string("nothing");
-  };
   EXPECT_THAT(why("slot = 1\n[camera.a]\nnose = [1, 2]\n"),
               AllOf(HasSubstr("points.toml"), HasSubstr("3"), HasSubstr("nose_tip"), HasSubstr("467")));
   EXPECT_THAT(why("slot = 1\n[camera.a]\n468 = [1, 2]\n"), HasSubstr("is no landmark"));
@@ -51,6 +54,17 @@ TEST(FacePoints, SaysWhatIsWrongAndWhere) {
   EXPECT_THAT(why("slot = 1\nsolt = 2\n[camera.a]\nnose_tip = [1, 2]\n"), HasSubstr("solt"));
   EXPECT_THAT(why("slot = "), HasSubstr("points.toml"));
   EXPECT_THROW(read_face_points("/nowhere/points.toml"), Error);
+}
+
+TEST(FacePoints, DepthIsRefused) {
+  std::string deep = "a";
+  for (int i = 0; i < 200'000; ++i) {
+    deep += ".a";
+  }
+  for (const std::string& text :
+       {deep + " = 1", "[" + deep + "]", "[[" + deep + "]]", "x = {" + deep + " = 1}"}) {
+    EXPECT_THAT(why(text), HasSubstr("more than 16 names in one key"));
+  }
 }
 
 }  // namespace

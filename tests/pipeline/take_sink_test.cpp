@@ -2,6 +2,10 @@
 
 #include <gtest/gtest.h>
 
+#include <atomic>
+#include <string>
+#include <thread>
+
 #include "facet/error.hpp"
 #include "support/mesh_frames.hpp"
 #include "support/paths.hpp"
@@ -21,7 +25,7 @@ TEST(TakeSink, RecordsOneTakeAtATime) {
   };
   deliver(0);
   EXPECT_FALSE(sink.status().has_value());
-  EXPECT_FALSE(sink.end().has_value());
+  EXPECT_FALSE(sink.end({}).has_value());
 
   take::TakeRecorderConfig config;
   config.when_full = take::WhenFull::Wait;
@@ -35,7 +39,7 @@ TEST(TakeSink, RecordsOneTakeAtATime) {
     deliver(sequence);
   }
   EXPECT_EQ(sink.status()->file, config.file);
-  const auto ended = sink.end();
+  const auto ended = sink.end({});
   ASSERT_TRUE(ended.has_value());
   EXPECT_EQ(ended->frames, 5U);
   EXPECT_EQ(ended->file, config.file);
@@ -43,9 +47,9 @@ TEST(TakeSink, RecordsOneTakeAtATime) {
   EXPECT_THROW(sink.begin(config), Error) << "a take is never overwritten";
   sink.begin(other);
   deliver(7);
-  sink.request_end();
+  sink.request_end({});
   deliver(8);
-  EXPECT_EQ(sink.end()->frames, 1U);
+  EXPECT_EQ(sink.end({})->frames, 1U);
   EXPECT_EQ(take::TakeReader(config.file).frame_count(), 5);
   EXPECT_EQ(take::TakeReader(other.file).entry(0).sequence, 7U);
 }
@@ -64,11 +68,44 @@ TEST(TakeSink, LeavesProvisionalMeshesOut) {
   sink.deliver(shown);
   sink.deliver(std::make_shared<mesh::MeshFrame>(test::patch_frame(2, subject, albedo)));
   EXPECT_NE(shown->subject, nullptr) << "other sinks show it";
-  ASSERT_EQ(sink.end()->frames, 2U);
+  ASSERT_EQ(sink.end({})->frames, 2U);
   take::TakeReader take(config.file);
   EXPECT_EQ(take.entry(0).state, mesh::TrackingState::Acquiring);
   EXPECT_FALSE(take.entry(0).has_mesh);
   EXPECT_TRUE(take.entry(1).has_mesh);
+}
+
+/// Whoever stops the daemon must neither wait for a slow disk nor lose a take that is just being begun.
+TEST(TakeSink, AnEndThatIsWantedMeanwhileHoldsForWhatIsBeingBegun) {
+  const test::TemporaryFolder folder;
+  TakeSink sink;
+  take::TakeRecorderConfig config;
+  config.when_full = take::WhenFull::Wait;
+  for (int round = 0; round < 20; ++round) {
+    config.file = folder.path() / (std::to_string(round) + ".take");
+    std::atomic<bool> asked{false};
+    std::jthread stopping([&] {
+      while (sink.ended()) {
+        std::this_thread::yield();
+      }
+      sink.request_end("facetd was stopped");
+      sink.status();
+      asked = true;
+    });
+    sink.begin(config);
+    while (!asked) {
+      std::this_thread::yield();
+    }
+    while (!sink.ended()) {  // it is closed without end()
+      std::this_thread::yield();
+    }
+    ASSERT_TRUE(take::TakeReader(config.file).info().closed);
+    const auto status = sink.end("asked for later");
+    ASSERT_TRUE(status.has_value());
+    EXPECT_EQ(status->reason, "facetd was stopped");
+    EXPECT_EQ(take::TakeReader(config.file).info().end_reason, status->reason);
+    EXPECT_TRUE(sink.ended());
+  }
 }
 
 }  // namespace

@@ -644,5 +644,16 @@ TEST(Config, ADaemonNeedsASource) {
   require_source(parse_config("[source]\npath = \"a.mp4\"", "facet.toml"), "facet.toml");
 }
 
+TEST(Config, DepthIsRefused) {
+  std::string deep = "a";
+  for (int i = 0; i < 200'000; ++i) {
+    deep += ".a";
+  }
+  for (const std::string& text :
+       {deep + " = 1", "[" + deep + "]", "[[" + deep + "]]", "x = {" + deep + " = 1}"}) {
+    EXPECT_THAT(error_of(text), HasSubstr("more than 16 names in one key"));
+  }
+}
+
 }  // namespace
 }  // namespace facet::service

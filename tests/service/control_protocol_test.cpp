@@ -1,5 +1,6 @@
 #include "service/control_protocol.hpp"
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -127,11 +128,32 @@ TEST_F(ControlProtocol, AnswersAreValidJsonWhateverTheNames) {
   EXPECT_EQ(answer["result"], "\xEF\xBF\xBD path");
 }
 
+TEST_F(ControlProtocol, ALineMayHoldSoManyValues) {
+  std::string list = "0";
+  for (int i = 0; i < 300'000; ++i) {
+    list += ",[]";
+  }
+  EXPECT_EQ(error_code(R"({"jsonrpc":"2.0","method":"change","params":{"name":"x","any":[)" + list + "]}}"),
+            kParseError);
+  EXPECT_EQ(calls_, 0);
+}
+
 TEST_F(ControlProtocol, DeepNestingIsHarmless) {
   EXPECT_EQ(error_code(std::string(kMaxRequestBytes, '[')), kParseError);
-  const json answer = ask(std::string(30'000, '[') + std::string(30'000, ']'));
-  ASSERT_EQ(answer.size(), 1U) << "a batch of one that is no request";
-  EXPECT_EQ(answer[0]["error"]["code"], kInvalidRequest);
+  const std::string deep = std::string(300'000, '[') + std::string(300'000, ']');
+  EXPECT_EQ(error_code(deep), kParseError);
+  for (const auto& [name, method] : methods_) {
+    for (const char* place : {"params", "id", "method", "jsonrpc", "other"}) {
+      const std::string request =
+          fmt::format(R"({{"jsonrpc":"2.0","method":"{}","{}":{},"id":1}})", name, place, deep);
+      EXPECT_EQ(error_code(request, kStranger), kParseError) << name << ", " << place;
+      EXPECT_EQ(error_code("[" + request + "]"), kParseError) << name << ", " << place;
+    }
+    EXPECT_EQ(
+        error_code(fmt::format(R"({{"jsonrpc":"2.0","method":"{}","params":{{"any":{}}}}})", name, deep)),
+        kParseError);
+  }
+  EXPECT_EQ(calls_, 0);
 }
 
 }  // namespace

@@ -20,8 +20,8 @@
 namespace facet::service {
 namespace {
 
-/// The body of http://127.0.0.1:port/metrics; empty where nobody answers.
-std::string scrape(int port) {
+/// The answer to a request; empty where nobody answers.
+std::string ask_over_http(int port, const std::string& request) {
   const stream::FileDescriptor fd(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
   sockaddr_in address{};
   address.sin_family = AF_INET;
@@ -30,15 +30,26 @@ std::string scrape(int port) {
   if (::connect(fd.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)) != 0) {
     return "";
   }
-  const std::string request = "GET /metrics HTTP/1.0\r\n\r\n";
   EXPECT_EQ(::send(fd.get(), request.data(), request.size(), MSG_NOSIGNAL), ssize_t(request.size()));
   std::string answer;
   std::array<char, 4096> piece{};
   for (ssize_t count = 1; (count = ::recv(fd.get(), piece.data(), piece.size(), 0)) > 0;) {
     answer.append(piece.data(), static_cast<std::size_t>(count));
   }
+  return answer;
+}
+
+/// The body of http://127.0.0.1:port/metrics; empty where nobody answers.
+std::string scrape(int port) {
+  const std::string answer = ask_over_http(port, "GET /metrics HTTP/1.0\r\nHost: 127.0.0.1\r\n\r\n");
   const std::size_t body = answer.find("\r\n\r\n");
   return body == std::string::npos ? "" : answer.substr(body + 4);
+}
+
+MetricsConfig anywhere() {
+  MetricsConfig config;
+  config.listen = "127.0.0.1:0";
+  return config;
 }
 
 MetricsSnapshot snapshot() {
@@ -78,7 +89,7 @@ MetricsSnapshot snapshot() {
 }
 
 TEST(Metrics, TellWhatTheDaemonDoes) {
-  const MetricsServer server("127.0.0.1:0", snapshot);
+  const MetricsServer server(anywhere(), snapshot);
   const std::string text = scrape(server.port());
   for (const char* line :
        {"facet_state{state=\"running\"} 1", "facet_state{state=\"failed\"} 0", "facet_uptime_seconds 12.5",
@@ -99,10 +110,12 @@ TEST(Metrics, TellWhatTheDaemonDoes) {
 }
 
 TEST(Metrics, APortInUseIsNamed) {
-  const MetricsServer server("127.0.0.1:0", snapshot);
+  const MetricsServer server(anywhere(), snapshot);
   const std::string taken = "127.0.0.1:" + std::to_string(server.port());
   try {
-    const MetricsServer second(taken, snapshot);
+    MetricsConfig same;
+    same.listen = taken;
+    const MetricsServer second(same, snapshot);
     FAIL() << "two servers on one port";
   } catch (const Error& error) {
     EXPECT_EQ(error.kind(), ErrorKind::Unavailable);
@@ -110,9 +123,39 @@ TEST(Metrics, APortInUseIsNamed) {
   }
 }
 
+/// A page of a stranger, whose name points at this machine, reads nothing.
+TEST(Metrics, AnswerToNamesOfThisMachineAlone) {
+  const MetricsServer server(anywhere(), snapshot, {"booth.example.org"});
+  const auto ask = [&](const std::string& host) {
+    return ask_over_http(server.port(), "GET /metrics HTTP/1.0\r\n" + host + "\r\n");
+  };
+  for (const char* host : {"localhost", "127.0.0.1:9464", "[::1]", "booth.example.org:9464"}) {
+    EXPECT_THAT(ask(std::string("Host: ") + host + "\r\n"), HasSubstr("facet_info")) << host;
+  }
+  for (const char* host : {"Host: evil.example\r\n", "Host: \r\n", ""}) {
+    EXPECT_THAT(ask(host), AllOf(HasSubstr(" 403 "), ::testing::Not(HasSubstr("facet_info")))) << host;
+  }
+}
+
+/// Connections that ask for nothing do not keep a scrape out.
+TEST(Metrics, AreThereWhileHalfRequestsAreOpen) {
+  const MetricsServer server(anywhere(), snapshot);
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_port = htons(static_cast<std::uint16_t>(server.port()));
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  std::vector<stream::FileDescriptor> crowd;
+  for (std::size_t i = 0; i < 2 * anywhere().max_connections; ++i) {
+    crowd.emplace_back(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
+    ASSERT_EQ(::connect(crowd.back().get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)), 0);
+    ASSERT_EQ(::send(crowd.back().get(), "GET /m", 6, MSG_NOSIGNAL), 6);
+  }
+  EXPECT_THAT(scrape(server.port()), HasSubstr("facet_info"));
+}
+
 /// Every metric of the dashboard and of the documentation is there, and every metric is documented.
 TEST(Metrics, DashboardAndDocumentationNameWhatIsThere) {
-  const MetricsServer server("127.0.0.1:0", snapshot);
+  const MetricsServer server(anywhere(), snapshot);
   const std::string text = scrape(server.port());
   std::set<std::string> served;
   const std::regex type("# TYPE (facet_[a-z_]+) ");

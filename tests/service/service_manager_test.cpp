@@ -242,11 +242,13 @@ TEST_F(Managed, PassedSocketsServeThoseWhoCameBeforeIt) {
     return std::make_unique<stream::StreamClient>(stream_path, stream::Subscription(),
                                                   std::chrono::minutes(5));
   });
-  ControlClient early_asker(control());
+  auto early_answer = std::async(std::launch::async, [&] {
+    return ControlClient(control(), std::chrono::minutes(5)).call("status", json::object());
+  });
   const auto daemon =
       start(configure(looped()), birth(),
             {.sockets = {control_socket.fd(), stream_socket.fd()}, .names = "control:stream"});
-  EXPECT_EQ(early_asker.call("status", json::object())["pid"], daemon->pid());
+  EXPECT_EQ(early_answer.get()["pid"], daemon->pid());
   EXPECT_THAT(early_reader.get()->hello().server, HasSubstr("facetd"));
   await(*daemon, is_running);
   daemon->send(SIGTERM);

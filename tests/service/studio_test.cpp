@@ -16,6 +16,7 @@
 
 #include "facet/error.hpp"
 #include "render/renderer.hpp"
+#include "service/errands.hpp"
 #include "service/studio_methods.hpp"
 #include "service/thumbnails.hpp"
 #include "stream/client.hpp"
@@ -43,7 +44,7 @@ class StudioTest : public ::testing::Test {
         [this](std::shared_ptr<const mesh::MeshFrame> frame) { server_->publish(std::move(frame)); },
         [this](bool held) { held_ = held; }, "test");
     studio_->start();
-    methods_ = studio_methods(*studio_);
+    methods_ = studio_methods(*studio_, errands_);
     stream::Subscription subscription;
     subscription.profile = stream::Profile::Displacements;
     reader_.emplace(folder_.path() / "stream.sock", subscription);
@@ -119,6 +120,7 @@ class StudioTest : public ::testing::Test {
   std::optional<stream::StreamServer> server_;
   std::atomic<bool> held_{false};
   std::optional<Studio> studio_;
+  Errands errands_{"not-started"};  // answer_request does the work itself
   ControlMethods methods_;
   std::optional<stream::StreamClient> reader_;
 };
@@ -201,6 +203,7 @@ TEST_F(StudioTest, RefusesWhatMakesNoSense) {
             "vertex must be a whole number or the name of a place");
   EXPECT_THAT(refusal("keys.export", {{"name", "x"}}), HasSubstr("no keys"));
   EXPECT_THAT(refusal("keys.set", {{"keys", {{"keys", json::array()}}}}), HasSubstr("empty"));
+  EXPECT_THAT(refusal("keys.set", {{"keys", json::array({json::array()})}}), HasSubstr("must be an object"));
 
   // On the open edge, and two that pull skin apart: not refused, but told; and what is streamed is finite.
   const auto basis = animate::TakeBasis::open(take_);
@@ -355,6 +358,17 @@ TEST_F(StudioTest, TakesGetPictures) {
   EXPECT_GE(std::filesystem::last_write_time(file), std::filesystem::last_write_time(take_));
 }
 
+TEST_F(StudioTest, BrokenKeysAreSetAsideAndTheTakeIsOpen) {
+  const std::filesystem::path keys = folder_.path() / "actor1.keys.json";
+  std::ofstream(keys) << "";  // as a power cut leaves it
+  ask("studio.open", {{"take", "actor1"}});
+  const json status = await([](const json& now) { return is_ready(now) && now["reason"] != ""; });
+  EXPECT_THAT(status["reason"].get<std::string>(), HasSubstr(keys.string() + ".broken-1"));
+  EXPECT_FALSE(std::filesystem::exists(keys));
+  ask("keys.set", {{"keys", {{"keys", {{{"time_s", 0}, {"frame", 1}}}}}}});
+  EXPECT_TRUE(std::filesystem::exists(keys));
+}
+
 TEST_F(StudioTest, ATakeThatChangesIsClosed) {
   open(true);
   std::ofstream(take_, std::ios::app | std::ios::binary) << "more";
@@ -362,6 +376,28 @@ TEST_F(StudioTest, ATakeThatChangesIsClosed) {
   EXPECT_THAT(status["reason"].get<std::string>(), HasSubstr("changed while it was open"));
   EXPECT_FALSE(held_);
   EXPECT_THAT(refusal("pose.set", {{"controls", json::array()}}), HasSubstr("no take is open"));
+}
+
+/// The depth is refused before anything is copied or written: its cost would be the depth times the length.
+TEST_F(StudioTest, BracketsWithoutEndAreRefusedByEveryMethod) {
+  open(false);
+  for (const std::size_t bytes : {20'000U, 80'000U, 600'000U, 1'000'000U}) {
+    const std::string deep = std::string(bytes / 2, '[') + std::string(bytes / 2, ']');
+    for (const auto& [name, method] : methods_) {
+      std::vector<std::string> all_params{deep};
+      for (const ControlParam& param : method.params) {
+        all_params.push_back(fmt::format(R"({{"{}":{}}})", param.name, deep));
+        all_params.push_back(fmt::format(R"({{"{}":{{"keys":{}}}}})", param.name, deep));
+      }
+      for (const std::string& params : all_params) {
+        const std::string line =
+            fmt::format(R"({{"jsonrpc":"2.0","method":"{}","params":{},"id":1}})", name, params);
+        const json answer = json::parse(answer_request(methods_, line, {1, 1000, true}));
+        EXPECT_EQ(answer["error"]["code"], kParseError) << name << ", " << bytes << " bytes";
+      }
+    }
+  }
+  EXPECT_TRUE(ask("keys.get")["keys"].is_null());
 }
 
 }  // namespace

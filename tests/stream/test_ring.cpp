@@ -2,6 +2,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <sys/mman.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <atomic>
@@ -234,6 +235,31 @@ TEST(Ring, ForeignMemoryIsRefused) {
   EXPECT_THAT(with(offsetof(facet_ring_page, profile), std::uint32_t{3}), HasSubstr("profile"));
   EXPECT_THAT(with(offsetof(facet_ring_page, slot_bytes), std::uint64_t{0}), HasSubstr("slot"));
   EXPECT_THAT(with(offsetof(facet_ring_page, slot_bytes), ~std::uint64_t{63}), HasSubstr("slot"));
+}
+
+TEST(Ring, MemoryIsMappedOnceItsSizeIsKnownToBeRight) {
+  const auto refusal = [](std::uint32_t slot_count, std::uint64_t slot_bytes, off_t bytes) {
+    const FileDescriptor memory(::memfd_create("ring", MFD_CLOEXEC | MFD_ALLOW_SEALING));
+    facet_ring_page page{};
+    page.magic = FACET_RING_MAGIC;
+    page.version = FACET_RING_VERSION;
+    page.slot_count = slot_count;
+    page.slot_bytes = slot_bytes;
+    EXPECT_EQ(::pwrite(memory.get(), &page, sizeof(page), 0), static_cast<ssize_t>(sizeof(page)));
+    EXPECT_EQ(::ftruncate(memory.get(), bytes), 0);
+    EXPECT_EQ(::fcntl(memory.get(), F_ADD_SEALS, F_SEAL_SHRINK), 0);
+    const std::string why = rejection([&] { RingReader reader(memory); });
+    struct stat status {};
+    EXPECT_EQ(::fstat(memory.get(), &status), 0);
+    EXPECT_LT(status.st_blocks * 512, 1 << 20) << "pages came to be by reading them";
+    return why;
+  };
+  constexpr off_t kSparse = off_t{1} << 33;
+  EXPECT_THAT(refusal(64, kMaxMessageBytes, kSparse), HasSubstr("not all there"));
+  EXPECT_THAT(refusal(64, kMaxMessageBytes, 100'000), HasSubstr("too small"));
+  EXPECT_THAT(refusal(65, kMaxMessageBytes, kSparse), HasSubstr("number of slots"));
+  EXPECT_THAT(refusal(2, kMaxMessageBytes + 64, kSparse), HasSubstr("size of a slot"));
+  EXPECT_THAT(refusal(0, 0, kSparse), HasSubstr("number of slots"));
 }
 
 TEST(Ring, AServerThatLiesAboutASlotIsRefused) {

@@ -17,6 +17,7 @@
 #include "stream/framing.hpp"
 #include "stream/server.hpp"
 #include "support/eventually.hpp"
+#include "support/full_queue.hpp"
 #include "support/mesh_frames.hpp"
 #include "support/paths.hpp"
 
@@ -689,6 +690,78 @@ TEST_F(Server, OneReaderTooManyIsToldSo) {
   EXPECT_THAT(third.farewell(), HasSubstr("limit"));
 }
 
+TEST_F(Server, SilentConnectionsLockNobodyOut) {
+  start(8);
+  std::vector<RawPeer> silent;
+  for (int i = 0; i < 8; ++i) {
+    silent.emplace_back(path);
+  }
+  ASSERT_TRUE(eventually([&] { return server->statistics().readers.size() == 8; }));
+  StreamClient client(path, wanted(Profile::Signals));
+  publish(1);
+  DecodedFrame got;
+  EXPECT_EQ(client.next(got, kPatience), ReceiveOutcome::Received);
+  EXPECT_THAT(silent.front().farewell(), HasSubstr("idle")) << "the longest idle one gave way";
+}
+
+TEST_F(Server, AReaderThatNeverSubscribesIsClosed) {
+  start();
+  StreamClient client(path, wanted(Profile::Signals));
+  wait_for_subscribers(1);
+  RawPeer silent(path);
+  EXPECT_THAT(silent.farewell(), HasSubstr("nothing was subscribed to"));
+  EXPECT_TRUE(eventually([&] { return server->statistics().readers.size() == 1; }));
+  EXPECT_TRUE(server->statistics().readers.at(0).subscribed)
+      << "who has subscribed stays, with nothing to read";
+}
+
+/// Readers that take nothing give way; those that have taken all that there is do not, however long it is
+/// ago.
+TEST_F(Server, ReadersThatStandStillGiveWayAndReadersDoNot) {
+  subject = test::patch_subject(1, 65, 5);
+  albedo = test::patch_albedo(*subject, 1);
+  start(2);
+  StreamClient good(path, wanted(Profile::Signals));
+  RawPeer stuck(path);
+  stuck.subscribe(Profile::Vertices);
+  wait_for_subscribers(2);
+  DecodedFrame got;
+  std::uint64_t sequence = 0;
+  ASSERT_TRUE(eventually([&] {
+    publish(++sequence);
+    EXPECT_EQ(good.next(got, kPatience), ReceiveOutcome::Received);
+    const StreamStatistics now = server->statistics();
+    return std::any_of(now.readers.begin(), now.readers.end(), [&](const ReaderStatistics& reader) {
+      return reader.client == "raw" && now.published - reader.frames_sent > 100;
+    });
+  }));
+  // Refused as long as the other may yet come back, then let in; the good one is never asked to go.
+  ASSERT_TRUE(eventually([&] {
+    RawPeer third(path);
+    const auto first = third.receive();
+    return first && message_type(*first) != MessageType::Goodbye;
+  }));
+  publish(++sequence);
+  EXPECT_EQ(good.next(got, kPatience), ReceiveOutcome::Received);
+}
+
+/// However many connects wait, a round takes a few of them, and then it is the readers' turn.
+TEST_F(Server, ConnectsAreTakenAFewARound) {
+  StreamServerConfig config;
+  config.socket = path;
+  server = std::make_unique<StreamServer>(config);
+  RawPeer reader(path);
+  reader.subscribe(Profile::Signals);
+  std::vector<FileDescriptor> crowd;
+  for (int i = 0; i < 63; ++i) {
+    crowd.push_back(connect_unix(path));
+  }
+  server->start();
+  ASSERT_TRUE(eventually([&] { return server->statistics().connections == 64; }));
+  EXPECT_GE(server->statistics().rounds, 4U);
+  ASSERT_TRUE(reader.receive().has_value());
+}
+
 TEST_F(Server, ClientNamesAServerThatSpeaksSomethingElse) {
   const ListeningSocket foreign(path, {});
   std::thread answer([&] {
@@ -715,6 +788,18 @@ TEST_F(Server, SilentServerIsUnavailable) {
     ADD_FAILURE() << "no error";
   } catch (const Error& error) {
     EXPECT_EQ(error.kind(), ErrorKind::Unavailable);
+  }
+}
+
+TEST_F(Server, AStoppedServerWithAFullQueueIsUnavailable) {
+  const ListeningSocket stopped(path, {});
+  const auto queued = test::fill_queue(path);
+  try {
+    const StreamClient client(path, wanted(Profile::Signals), 50ms);
+    ADD_FAILURE() << "no error";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::Unavailable);
+    EXPECT_THAT(error.what(), HasSubstr("does not answer"));
   }
 }
 

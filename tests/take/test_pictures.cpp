@@ -5,7 +5,6 @@
 #include <gtest/gtest.h>
 #include <sys/resource.h>
 #include <sys/stat.h>
-#include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -25,46 +24,11 @@
 #include "record_take.hpp"
 #include "support/paths.hpp"
 #include "support/small_disk.hpp"
+#include "system_calls.hpp"
 #include "take/checksum.hpp"
 #include "take/picture_records.hpp"
 #include "take/reader.hpp"
 #include "take/recorder.hpp"
-
-namespace {
-
-/// What happens before this process syncs a file to the disk; called with its path.
-std::mutex before_sync_mutex;
-std::function<void(const std::string&)> before_sync;  // guarded by the mutex
-
-int sync_file(long call, int fd) {
-  std::function<void(const std::string&)> hook;
-  {
-    const std::lock_guard lock(before_sync_mutex);
-    hook = before_sync;
-  }
-  if (hook) {
-    char path[4096] = {};
-    if (::readlink(("/proc/self/fd/" + std::to_string(fd)).c_str(), path, sizeof(path) - 1) > 0) {
-      hook(path);
-    }
-  }
-  return static_cast<int>(::syscall(call, fd));
-}
-
-void hook_syncs(std::function<void(const std::string&)> hook) {
-  const std::lock_guard lock(before_sync_mutex);
-  before_sync = std::move(hook);
-}
-
-}  // namespace
-
-// In the place of the C library's, for the recorder and for SQLite.
-extern "C" int fdatasync(int fd) {
-  return sync_file(SYS_fdatasync, fd);
-}
-extern "C" int fsync(int fd) {
-  return sync_file(SYS_fsync, fd);
-}
 
 namespace facet::take {
 namespace {
@@ -197,7 +161,7 @@ TEST(Records, DamageIsNoticedAndNeverShown) {
 
 class PictureTake : public testing::Test {
  protected:
-  ~PictureTake() override { hook_syncs(nullptr); }
+  ~PictureTake() override { test::hook_syncs(nullptr); }
 
   test::TemporaryFolder folder;
   fs::path file = folder.path() / "one.take";
@@ -444,7 +408,7 @@ TEST_F(PictureTake, AreOnTheDiskBeforeTheirIndex) {
   int commits = 0;
   int unsafe = 0;
   const fs::path pictures = folder.path() / "one.frames";
-  hook_syncs([&](const std::string& path) {
+  test::hook_syncs([&](const std::string& path) {
     const std::lock_guard lock(mutex);
     if (path.ends_with(".seg")) {
       synced[path] = fs::file_size(path);
@@ -479,7 +443,7 @@ TEST_F(PictureTake, SlowDiskDropsAndCountsAndBlocksNobody) {
   std::condition_variable changed;
   bool stands = false;  // guarded by mutex
   bool go_on = false;   // guarded by mutex
-  hook_syncs([&](const std::string& path) {
+  test::hook_syncs([&](const std::string& path) {
     std::unique_lock lock(mutex);
     if (path.ends_with(".seg") && !stands) {
       stands = true;
@@ -528,7 +492,7 @@ TEST_F(PictureTake, TheirBuffersGoBackWhileTheDiskStands) {
   std::mutex mutex;
   std::condition_variable changed;
   bool go_on = false;  // guarded by mutex
-  hook_syncs([&](const std::string& path) {
+  test::hook_syncs([&](const std::string& path) {
     std::unique_lock lock(mutex);
     changed.wait(lock, [&] { return go_on || !path.ends_with(".seg"); });
   });

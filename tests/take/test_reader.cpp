@@ -86,10 +86,9 @@ TEST_F(Reader, GivesBackWhatWasRecorded) {
   }
   EXPECT_EQ(reader.frame(0)->subject, reader.frame(1)->subject) << "frames share their subject";
   EXPECT_EQ(reader.frame(0)->albedo, reader.frame(1)->albedo);
-  EXPECT_EQ(reader.subjects().size(), 1U);
 }
 
-TEST_F(Reader, SubjectsComeInTheirOrder) {
+TEST_F(Reader, EachFrameHasItsSubject) {
   TakeRecorder recorder(test::recorder_config(file));
   recorder.start();
   const auto other = test::patch_subject(7, 5);
@@ -98,12 +97,126 @@ TEST_F(Reader, SubjectsComeInTheirOrder) {
   recorder.record(test::take_frame(2, subject));
   recorder.stop();
   TakeReader reader(file);
-  ASSERT_EQ(reader.subjects().size(), 2U);
-  EXPECT_EQ(reader.subjects()[0]->id, subject->id);
-  EXPECT_EQ(reader.subjects()[1]->id, 7U);
+  EXPECT_EQ(reader.info().subject_count, 2);
   EXPECT_EQ(reader.frame(1)->subject->id, 7U);
   EXPECT_EQ(reader.frame(2)->subject->id, subject->id);
   EXPECT_EQ(reader.frame(2)->albedo->version, 1U);
+}
+
+TEST_F(Reader, SubjectsThatNobodyHasAreLetGo) {
+  constexpr std::uint64_t kSubjects = 150;
+  {
+    TakeRecorder recorder(test::recorder_config(file));
+    recorder.start();
+    for (std::uint64_t index = 0; index < kSubjects; ++index) {
+      const auto one = test::patch_subject(1000 + index, 3, 1);
+      recorder.record(std::make_shared<mesh::MeshFrame>(test::patch_frame(index, one, nullptr)));
+    }
+    recorder.stop();
+  }
+  TakeReader reader(file);
+  const auto kept = reader.frame(0);
+  std::vector<std::weak_ptr<const mesh::Subject>> seen;
+  const auto alive = [&seen] {
+    return std::count_if(seen.begin(), seen.end(), [](const auto& one) { return !one.expired(); });
+  };
+  for (std::int64_t index = 0; index < reader.frame_count(); ++index) {
+    seen.push_back(reader.frame(index)->subject);
+    EXPECT_LE(alive(), 3) << "after frame " << index;  // the last two and the one that is held here
+  }
+  EXPECT_EQ(seen.size(), kSubjects);
+  EXPECT_EQ(reader.frame(0)->subject, kept->subject) << "what somebody has is shared, not read again";
+}
+
+/// Most bytes that SQLite had at a time during the work.
+std::int64_t memory_of(auto&& work) {
+  sqlite3_memory_highwater(1);
+  const std::int64_t before = sqlite3_memory_used();
+  work();
+  return sqlite3_memory_highwater(0) - before;
+}
+
+TEST_F(Reader, LongTextsAreRefusedUnread) {
+  constexpr std::int64_t kFewBytes = 4 << 20;
+  test::record_take(file, 3, subject);
+  const std::string long_text = "printf('%.*c', 60000000, 'x')";
+  for (const std::string& sql :
+       {"INSERT OR REPLACE INTO meta VALUES('created_utc', " + long_text + ")",
+        "DELETE FROM meta WHERE key = 'created_utc'; INSERT INTO meta VALUES(" + long_text + ", 'x')",
+        "DELETE FROM meta WHERE length(key) > 1000; UPDATE frame SET timestamp_ns = " + long_text +
+            " WHERE number = 0"}) {
+    change(sql);
+    std::string said;
+    EXPECT_LT(memory_of([&] { said = open_error(); }), kFewBytes);
+    EXPECT_THAT(said, AllOf(HasSubstr(file.string()), HasSubstr("longer than any of a take")));
+    EXPECT_LT(memory_of([&] { said = rejection([&] { listed_info(file); }); }), kFewBytes);
+    EXPECT_THAT(said, HasSubstr("longer than any of a take"));
+  }
+}
+
+TEST_F(Reader, TooManyTextsAreRefused) {
+  test::record_take(file, 3, subject);
+  change(
+      "WITH RECURSIVE n(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM n WHERE k < 100) "
+      "INSERT INTO meta SELECT 'more' || k, 'x' FROM n");
+  EXPECT_THAT(open_error(), HasSubstr("more than 64"));
+}
+
+TEST_F(Reader, TextsAreCutBetweenCharacters) {
+  TakeRecorderConfig config = test::recorder_config(file);
+  for (int k = 0; k < 3000; ++k) {
+    config.source += "\xC3\xA4";
+  }
+  const std::size_t odd = config.source.size() % 2;
+  TakeRecorder(config).stop();
+  const std::string source = TakeReader(file).info().source;
+  EXPECT_EQ(source, config.source.substr(0, kMaxMetaBytes - (kMaxMetaBytes - odd) % 2));
+  change("UPDATE meta SET value = printf('%.*c', 3000, 'x') WHERE key = 'end_reason'");
+  EXPECT_EQ(TakeReader(file).info().end_reason, std::string(kMaxShownBytes, 'x'));
+  EXPECT_EQ(listed_info(file).end_reason, std::string(kMaxShownBytes, 'x'));
+}
+
+TEST_F(Reader, ListedInfoIsThatOfTheReader) {
+  test::record_take(file, 20, subject);
+  const std::filesystem::path pictures = folder.path() / "two.take";
+  test::record_pictures(test::picture_config(pictures, 20'000), 20);
+  for (const auto& take : {file, pictures}) {
+    const TakeInfo listed = listed_info(take);
+    const TakeReader reader(take);
+    const TakeInfo& info = reader.info();
+    EXPECT_EQ(listed.file, info.file);
+    EXPECT_EQ(listed.format_version, info.format_version);
+    EXPECT_EQ(listed.created_utc, info.created_utc);
+    EXPECT_TRUE(listed.closed);
+    EXPECT_EQ(listed.frame_count, 20);
+    EXPECT_EQ(listed.mesh_frame_count, info.mesh_frame_count);
+    EXPECT_EQ(listed.first_timestamp_ns, info.first_timestamp_ns);
+    EXPECT_EQ(listed.last_timestamp_ns, info.last_timestamp_ns);
+    EXPECT_EQ(listed.picture_bytes, info.picture_bytes);
+    EXPECT_EQ(listed.file_bytes, info.file_bytes);
+  }
+  EXPECT_GT(TakeReader(pictures).info().segments.size(), 2U);
+}
+
+TEST_F(Reader, MeshesAreCountedWhereTheRecorderDidNotSay) {
+  test::record_take(file, 20, subject);
+  change("UPDATE meta SET value = '3' WHERE key = 'mesh_frames'");
+  EXPECT_EQ(listed_info(file).mesh_frame_count, 3) << "a list takes the recorder's word";
+  EXPECT_EQ(TakeReader(file).info().mesh_frame_count, 16);
+  change("UPDATE meta SET value = '99999999999999999999' WHERE key = 'mesh_frames'");
+  EXPECT_EQ(listed_info(file).mesh_frame_count, 20) << "no more than there are frames";
+  change("UPDATE meta SET value = '0' WHERE key = 'closed'");
+  EXPECT_EQ(listed_info(file).mesh_frame_count, 16);
+  change("UPDATE meta SET value = '1' WHERE key = 'closed'; DELETE FROM meta WHERE key = 'mesh_frames'");
+  EXPECT_EQ(listed_info(file).mesh_frame_count, 16) << "of an older recorder";
+}
+
+TEST_F(Reader, SegmentsWithoutEndAreRefused) {
+  test::record_pictures(test::picture_config(file), 3);
+  change("UPDATE pictures SET segment = 1000000000000 WHERE number = 2");
+  EXPECT_THAT(open_error(), HasSubstr("segment 1000000000000"));
+  change("UPDATE pictures SET segment = -1 WHERE number = 2");
+  EXPECT_THAT(open_error(), HasSubstr("segment -1"));
 }
 
 TEST_F(Reader, IndexBeyondTheEndIsAUsageError) {
@@ -167,6 +280,29 @@ TEST_F(Reader, DamagedContentIsNamedWithItsFrame) {
   EXPECT_THAT(frame_error(0), HasSubstr("subject"));
   change("DELETE FROM frame WHERE number = 2");
   EXPECT_THAT(open_error(), HasSubstr("frames are missing"));
+}
+
+TEST_F(Reader, ASecondTopologyUnderOneIdIsRefused) {
+  const auto of_id_7 = [](const mesh::Subject& like) {
+    auto out = std::make_shared<mesh::Subject>(like);
+    auto hierarchy = std::make_shared<mesh::Hierarchy>(*like.hierarchy);
+    hierarchy->id = 7;
+    out->hierarchy = std::move(hierarchy);
+    return out;
+  };
+  const auto same = of_id_7(*test::patch_subject(3, 5));
+  {
+    TakeRecorder recorder(test::recorder_config(file));
+    recorder.start();
+    recorder.record(test::take_frame(0, of_id_7(*test::patch_subject(1, 5))));
+    recorder.record(test::take_frame(1, of_id_7(*test::patch_subject(2, 4))));
+    recorder.record(test::take_frame(2, same));
+    recorder.stop();
+  }
+  TakeReader reader(file);
+  EXPECT_EQ(reader.frame(0)->subject->id, 1U);
+  EXPECT_THAT(rejection([&] { reader.frame(1); }), AllOf(HasSubstr("another topology"), HasSubstr("07")));
+  EXPECT_EQ(reader.frame(2)->subject->id, 3U) << "two subjects may share one";
 }
 
 TEST_F(Reader, SubjectUnderAnotherIdIsNoticed) {

@@ -6,18 +6,22 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <atomic>
 #include <chrono>
 #include <csignal>
 #include <ctime>
 #include <fstream>
+#include <functional>
 #include <iterator>
 #include <optional>
+#include <string>
 #include <thread>
 
 #include "facet/error.hpp"
 #include "record_take.hpp"
 #include "support/paths.hpp"
 #include "support/small_disk.hpp"
+#include "system_calls.hpp"
 #include "take/closing.hpp"
 #include "take/database.hpp"
 #include "take/reader.hpp"
@@ -525,6 +529,216 @@ TEST_F(Recorder, ReserveStopsTheRecordingInTimeToCloseIt) {
   EXPECT_TRUE(reader.info().closed);
   EXPECT_THAT(reader.info().end_reason, HasSubstr("reserve"));
   EXPECT_EQ(reader.frame_count(), static_cast<std::int64_t>(status.frames));
+}
+
+/// Records pictures until some are committed, does something to the files, and goes on until the recorder has
+/// failed or committed many more.
+RecorderStatus record_while(const std::filesystem::path& file, const std::function<void()>& harm) {
+  TakeRecorder recorder(test::picture_config(file));
+  recorder.start();
+  std::uint64_t slot = 0;
+  const auto record_to = [&](std::uint64_t committed) {
+    while (recorder.status().state == RecorderState::Recording && recorder.status().frames < committed) {
+      recorder.record(test::picture_frame(slot++));
+      std::this_thread::sleep_for(2ms);
+    }
+  };
+  record_to(10);
+  harm();
+  record_to(recorder.status().frames + 300);
+  return recorder.stop();
+}
+
+TEST_F(Recorder, ATakeThatIsNoLongerThereIsNeverFinished) {
+  namespace fs = std::filesystem;
+  const fs::path takes = folder.path() / "takes";
+  const fs::path elsewhere = folder.path() / "elsewhere";
+  const fs::path one = takes / "one.take";
+  const fs::path pictures = takes / "one.frames";
+  const auto move_folder = [&] {
+    fs::rename(takes, elsewhere);
+    fs::create_directory(takes);
+  };
+  const auto replace = [&] {
+    fs::remove(one);
+    std::ofstream(one) << "of somebody else";
+  };
+  const std::pair<std::function<void()>, fs::path> harms[] = {
+      {[&] { fs::remove(one); }, one},
+      {[&] { fs::remove(one.string() + "-wal"); }, one},
+      {[&] { fs::remove_all(pictures); }, pictures},
+      {[&] { fs::rename(one, takes / "two.take"); }, one},
+      {move_folder, one},
+      {replace, one}};
+  for (const auto& [harm, named] : harms) {
+    fs::create_directory(takes);
+    const RecorderStatus status = record_while(one, harm);
+    EXPECT_EQ(status.state, RecorderState::Failed);
+    EXPECT_THAT(status.reason, AllOf(HasSubstr(named.string()), HasSubstr("no longer there")));
+    EXPECT_GT(status.dropped, 0U);
+    fs::remove_all(takes);
+    fs::remove_all(elsewhere);
+  }
+}
+
+TEST_F(Recorder, ATakeThatGoesJustBeforeItsEndIsNeverFinished) {
+  for (const bool picture : {false, true}) {
+    const std::filesystem::path one = folder.path() / (picture ? "p.take" : "t.take");
+    TakeRecorder recorder(test::picture_config(one));
+    recorder.start();
+    while (recorder.status().frames == 0) {
+      recorder.record(test::picture_frame(0));
+      std::this_thread::sleep_for(2ms);
+    }
+    std::filesystem::remove(picture ? folder.path() / "p.frames" / "000001.seg" : one);
+    const RecorderStatus status = recorder.stop();
+    EXPECT_EQ(status.state, RecorderState::Failed);
+    EXPECT_THAT(status.reason, HasSubstr("no longer there"));
+  }
+}
+
+TEST_F(Recorder, ASegmentThatWasCutOffIsTold) {
+  TakeRecorder recorder(test::picture_config(file, 1));  // a segment for each frame
+  recorder.start();
+  for (std::uint64_t slot = 0; recorder.status().frames < 3; ++slot) {
+    recorder.record(test::picture_frame(slot));
+    std::this_thread::sleep_for(2ms);
+  }
+  std::filesystem::resize_file(folder.path() / "one.frames" / "000001.seg", 100);
+  const RecorderStatus status = recorder.stop();
+  EXPECT_EQ(status.state, RecorderState::Failed);
+  EXPECT_THAT(status.reason, AllOf(HasSubstr("000001.seg"), HasSubstr("cut off")));
+}
+
+/// From the n-th sync of the end on the disk gives errors: nobody is told that all is well.
+TEST_F(Recorder, AFailedSyncOfTheEndIsTold) {
+  int told = 0;
+  for (int n = 1;; ++n) {
+    file = folder.path() / (std::to_string(n) + ".take");
+    TakeRecorder recorder(test::picture_config(file));
+    recorder.start();
+    for (std::uint64_t slot = 0; slot < 20; ++slot) {
+      recorder.record(test::picture_frame(slot));
+    }
+    while (recorder.status().queued > 0) {
+      std::this_thread::sleep_for(1ms);
+    }
+    std::atomic<int> syncs{0};
+    test::decide_syncs([&](const std::string&) { return ++syncs < n; });
+    const RecorderStatus status = recorder.stop();
+    test::decide_syncs(nullptr);
+    if (syncs < n) {
+      EXPECT_EQ(status.state, RecorderState::Finished);
+      EXPECT_THAT(status.warning, IsEmpty());
+      break;
+    }
+    const bool failed = status.state == RecorderState::Failed;
+    EXPECT_THAT(failed ? status.reason : status.warning,
+                failed ? HasSubstr("cannot") : HasSubstr("not known to be on the disk"))
+        << "sync " << n;
+    told += failed ? 0 : 1;
+    // The next start closes it, and what was told to be there is there.
+    close_take(file);
+    TakeReader reader(file);
+    EXPECT_GE(reader.frame_count(), static_cast<std::int64_t>(status.frames)) << "sync " << n;
+  }
+  EXPECT_GT(told, 1) << "syncs of the log's end";
+}
+
+/// On a slow disk each may take seconds.
+TEST_F(Recorder, SyncsLittle) {
+  std::atomic<int> syncs{0};
+  test::hook_syncs([&](const std::string&) { ++syncs; });
+  TakeRecorder recorder(test::picture_config(file));
+  recorder.start();
+  EXPECT_LE(syncs.exchange(0), 2) << "the new file and the folder with its name";
+  while (recorder.status().frames == 0) {
+    recorder.record(test::picture_frame(0));
+    std::this_thread::sleep_for(2ms);
+  }
+  syncs = 0;
+  recorder.record(test::picture_frame(1));
+  EXPECT_EQ(recorder.stop().state, RecorderState::Finished);
+  EXPECT_LE(syncs, 6) << "pictures, log, log and file as it is folded in, file as the log is left";
+  test::hook_syncs(nullptr);
+}
+
+TEST_F(Recorder, WaitsForWhoHoldsTheLockForAMoment) {
+  for (const bool patient : {true, false}) {
+    TakeRecorderConfig config = test::recorder_config(folder.path() / (patient ? "p.take" : "i.take"));
+    config.lock_patience = patient ? 1h : 0ms;
+    TakeRecorder recorder(config);
+    recorder.start();
+    Database backup(config.file, Database::Mode::ReadWrite);
+    backup.execute("BEGIN IMMEDIATE");
+    recorder.record(test::take_frame(0, subject));
+    if (patient) {
+      std::this_thread::sleep_for(50ms);  // for the lock to be met; it does not matter where it is not
+      backup.execute("ROLLBACK");
+    } else {
+      while (recorder.status().state == RecorderState::Recording) {
+        std::this_thread::sleep_for(1ms);
+      }
+      backup.execute("ROLLBACK");
+    }
+    const RecorderStatus status = recorder.stop();
+    EXPECT_EQ(status.state, patient ? RecorderState::Finished : RecorderState::Failed);
+    EXPECT_THAT(status.reason, patient ? HasSubstr("") : HasSubstr("locked"));
+    EXPECT_EQ(status.frames, patient ? 1U : 0U);
+  }
+}
+
+TEST_F(Recorder, WithoutAThreadThereIsNoTake) {
+#ifdef FACET_SANITIZED
+  GTEST_SKIP() << "the sanitizer makes the threads";
+#endif
+  TakeRecorderConfig config = test::picture_config(file);
+  config.pack_threads = 3;
+  for (int n = 1; n <= 4; ++n) {
+    TakeRecorder recorder(config);
+    test::refuse_thread(n);
+    std::string error;
+    try {
+      recorder.start();
+    } catch (const Error& refused) {
+      error = refused.what();
+    }
+    test::refuse_thread(0);
+    EXPECT_THAT(error, AllOf(HasSubstr(file.string()), HasSubstr("no thread"))) << n;
+    EXPECT_FALSE(recorder.record(test::picture_frame(0)));
+    EXPECT_EQ(recorder.stop().state, RecorderState::Failed);
+    EXPECT_EQ(files_in(folder.path()), 0) << n;
+  }
+  EXPECT_EQ(test::record_pictures(config, 5).state, RecorderState::Finished);
+}
+
+TEST_F(Recorder, TheReasonOfTheEndIsInTheTake) {
+  TakeRecorder recorder(test::recorder_config(file));
+  recorder.start();
+  recorder.record(test::take_frame(0, subject));
+  recorder.request_stop("the source is at its end");
+  recorder.request_stop("somebody asked, later");
+  const RecorderStatus status = recorder.stop();
+  EXPECT_TRUE(recorder.ended());
+  EXPECT_EQ(status.state, RecorderState::Finished);
+  EXPECT_EQ(status.reason, "the source is at its end");
+  EXPECT_EQ(TakeReader(file).info().end_reason, status.reason);
+}
+
+TEST_F(Recorder, GoesOnWhereNoDescriptorIsLeft) {
+  const Child child([&] {
+    TakeRecorder recorder(test::picture_config(file, 1));  // a segment for each frame
+    recorder.start();
+    while (::dup(0) >= 0) {
+    }
+    for (std::uint64_t slot = 0; slot < 20; ++slot) {
+      recorder.record(test::picture_frame(slot));
+    }
+    const RecorderStatus status = recorder.stop();
+    ::_exit(status.state == RecorderState::Finished && status.frames == 20 && status.warning.empty() ? 0 : 2);
+  });
+  EXPECT_EQ(child.wait(), 0);
+  EXPECT_EQ(TakeReader(file).info().segments.size(), 20U);
 }
 
 }  // namespace

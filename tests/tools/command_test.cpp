@@ -68,10 +68,10 @@ class Command : public ::testing::Test {
   }
 
   /// A take of the source's frames 100 to 104; 102 has no face.
-  std::string take() const {
+  std::string take(const std::string& source = "elsewhere.mp4") const {
     const auto subject = test::patch_subject();
     take::TakeRecorder recorder({.file = file("some.take"),
-                                 .source = "elsewhere.mp4",
+                                 .source = source,
                                  .software = "test",
                                  .when_full = take::WhenFull::Wait,
                                  .disk_reserve_bytes = 0});
@@ -221,6 +221,14 @@ TEST_F(Command, ATakeThatIsNoneIsStatus3) {
     }
   }
   EXPECT_FALSE(std::filesystem::exists(file("out")));
+}
+
+TEST_F(Command, TextsOfATakeDoNotSteerTheTerminal) {
+  const std::string some = take("\x1b]0;owned\x07\x1b[2J\nstate good \xc2\x9b");
+  EXPECT_EQ(run({"summary", some}), 0) << output_;
+  EXPECT_THAT(output_, HasSubstr("source        \\x1b]0;owned\\x07\\x1b[2J\\x0astate good \\u{009b}\n"));
+  EXPECT_EQ(run({"summary", file("\x1b[2J.take")}), 3);
+  EXPECT_THAT(output_, AllOf(HasSubstr("\\x1b[2J.take"), Not(HasSubstr("\x1b"))));
 }
 
 TEST_F(Command, ExportNamesFramesByTheirNumberInTheSource) {

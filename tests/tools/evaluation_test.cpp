@@ -9,6 +9,7 @@
 #include <numbers>
 #include <random>
 
+#include "facet/error.hpp"
 #include "support/mesh_frames.hpp"
 #include "take_pictures.hpp"
 
@@ -281,6 +282,8 @@ TEST(MeasuredVertices, AreRefinableFacingAndSeen) {
   }
   std::fill(subject->regions.begin(), subject->regions.end(), std::uint8_t{0});
   EXPECT_TRUE(measured_vertices(*subject, geometry.coarse_mm, geometry.coarse_normals).empty());
+  subject->regions.clear();  // a take may do without them
+  EXPECT_THROW(measured_vertices(*subject, geometry.coarse_mm, geometry.coarse_normals), Error);
 }
 
 TEST(Photometric, ZeroWhereTheImageIsTheRendering) {

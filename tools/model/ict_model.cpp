@@ -7,14 +7,13 @@
 #include <array>
 #include <charconv>
 #include <cmath>
-#include <fstream>
-#include <iterator>
 #include <map>
 #include <numbers>
 #include <optional>
 #include <utility>
 
 #include "facet/error.hpp"
+#include "files/text_file.hpp"
 #include "model/appearance.hpp"
 #include "model/expression_shapes.hpp"
 #include "model/head_mesh.hpp"
@@ -68,12 +67,8 @@ std::optional<Number> number(std::string_view word) {
 }
 
 ObjMesh read_obj(const std::filesystem::path& file) {
-  std::ifstream in(file, std::ios::binary);
-  if (!in) {
-    fail(file, "can't open it");
-  }
-  const std::string text{std::istreambuf_iterator<char>(in), {}};
-  ObjMesh mesh = parse_obj(text, file);
+  constexpr std::size_t kMostBytes = 64U << 20;  // ICT-FaceKit's have 5 MB
+  ObjMesh mesh = parse_obj(files::read_text(file, kMostBytes, "mesh"), file);
   if (mesh.vertices.cols() != kIctVertices) {
     fail(file, fmt::format("{} vertices; ICT-FaceKit's meshes have {}", mesh.vertices.cols(), kIctVertices));
   }

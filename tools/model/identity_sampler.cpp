@@ -4,11 +4,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <fstream>
 #include <map>
 #include <nlohmann/json.hpp>
 
 #include "facet/error.hpp"
+#include "files/json_text.hpp"
+#include "files/text_file.hpp"
 
 namespace facet::model {
 namespace {
@@ -39,8 +40,9 @@ struct SliderName {
 };
 
 std::vector<SliderName> slider_names(const std::filesystem::path& file) {
-  std::ifstream in(file);
-  const json document = in ? json::parse(in, nullptr, false) : json();
+  constexpr files::JsonLimits kLimits{1U << 20, 100'000};
+  const json document = files::parse_json(files::read_text(file, kLimits.most_bytes, "list of sliders"),
+                                          kLimits, file.string());
   std::vector<SliderName> names;
   try {
     for (const json& group : document) {

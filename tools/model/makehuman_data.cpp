@@ -1,20 +1,16 @@
 #include "model/makehuman_data.hpp"
 
-#include <fcntl.h>
 #include <fmt/format.h>
-#include <sys/mman.h>
-#include <sys/stat.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <cctype>
 #include <climits>
-#include <fstream>
-#include <iterator>
 #include <nlohmann/json.hpp>
 #include <numeric>
 
 #include "facet/error.hpp"
+#include "files/json_text.hpp"
+#include "files/text_file.hpp"
 
 namespace facet::model {
 namespace {
@@ -23,6 +19,7 @@ using nlohmann::json;
 
 constexpr std::size_t kVertices = 19158;  // of the base mesh; the width of a row of targets.bin
 constexpr std::size_t kTargets = 1258;
+constexpr std::size_t kRowBytes = kVertices * 3 * sizeof(std::int16_t);
 constexpr double kTargetUnitDm = 1e-3;
 
 // The file has no header: the sum of one row's x coordinates and the rest shows that rows and names still
@@ -36,20 +33,15 @@ constexpr const char* kHint = "Run packaging/fetch-assets again.";
   throw Error(ErrorKind::UnreadableInput, fmt::format("{}: {}. {}", file.string(), what, kHint));
 }
 
-std::string read_text(const std::filesystem::path& file) {
-  std::ifstream in(file, std::ios::binary);
-  if (!in) {
-    fail(file, "can't open it");
-  }
-  return {std::istreambuf_iterator<char>(in), {}};
-}
+/// Of a mesh or a list of targets; the largest has 8 MB.
+constexpr files::JsonLimits kJsonLimits{64U << 20, 8'000'000};
 
-json parse_json(std::string_view text, const std::filesystem::path& file) {
-  json document = json::parse(text, nullptr, false);
-  if (document.is_discarded()) {
-    fail(file, "not valid JSON");
+std::string read_text(const std::filesystem::path& file) {
+  try {
+    return files::read_text(file, kJsonLimits.most_bytes, "file of MakeHuman's");
+  } catch (const Error& error) {
+    throw Error(ErrorKind::UnreadableInput, fmt::format("{}. {}", error.what(), kHint));
   }
-  return document;
 }
 
 /// A face's numbers are indices: whole, and none of them beyond an int.
@@ -74,7 +66,7 @@ MakeHumanMesh parse_makehuman_mesh(std::string_view text, const std::filesystem:
   constexpr std::size_t kFaceNumbers = 10;
   MakeHumanMesh mesh;
   try {
-    const json document = parse_json(text, file);
+    const json document = files::parse_json(text, kJsonLimits, file.string());
     const auto vertices = document.at("vertices").get<std::vector<double>>();
     const auto faces = indices(document.at("faces"), file);
     const auto uvs = document.at("uvs").at(0).get<std::vector<float>>();
@@ -122,7 +114,7 @@ MakeHumanRows parse_makehuman_target_list(std::string_view text, const std::file
                                           std::size_t target_count) {
   std::vector<std::string> names;
   try {
-    const json document = parse_json(text, file);
+    const json document = files::parse_json(text, kJsonLimits, file.string());
     for (const auto& [key, value] : document.at("targets").items()) {
       std::string name = key;
       std::transform(name.begin(), name.end(), name.begin(), [](unsigned char c) { return std::tolower(c); });
@@ -149,37 +141,23 @@ MakeHumanRows parse_makehuman_target_list(std::string_view text, const std::file
   return rows;
 }
 
-MakeHumanTargets::MakeHumanTargets(const std::filesystem::path& folder) {
+MakeHumanTargets::MakeHumanTargets(const std::filesystem::path& folder)
+    : file_(folder / "public/data/targets/targets.bin"), values_(file_, "file of MakeHuman's") {
   const auto list_file = folder / "src/json/targets/target-list.json";
   rows_ = parse_makehuman_target_list(read_text(list_file), list_file, kTargets);
-
-  const auto file = folder / "public/data/targets/targets.bin";
-  const int descriptor = ::open(file.c_str(), O_RDONLY | O_CLOEXEC);
-  struct stat facts {};
-  const std::size_t expected_bytes = kTargets * kVertices * 3 * sizeof(std::int16_t);
-  if (descriptor < 0 || ::fstat(descriptor, &facts) != 0 ||
-      static_cast<std::size_t>(facts.st_size) != expected_bytes) {
-    if (descriptor >= 0) {
-      ::close(descriptor);
-    }
-    fail(file, fmt::format("it can't be opened or does not hold {} bytes", expected_bytes));
+  if (values_.size() != kTargets * kRowBytes) {
+    fail(file_, fmt::format("it does not hold {} bytes", kTargets * kRowBytes));
   }
-  void* mapped = ::mmap(nullptr, expected_bytes, PROT_READ, MAP_PRIVATE, descriptor, 0);
-  ::close(descriptor);
-  if (mapped == MAP_FAILED) {
-    fail(file, "can't map it");
-  }
-  mapped_bytes_ = expected_bytes;
-  values_ = static_cast<const std::int16_t*>(mapped);
-  const std::int16_t* checked = values_ + kCheckedRow * kVertices * 3;
-  if (std::accumulate(checked, checked + kVertices * 3, 0L) != kCheckedRowSum) {
-    ::munmap(mapped, mapped_bytes_);
-    fail(file, "its rows are not in the expected order");
+  const std::vector<std::int16_t> checked = row(kCheckedRow);
+  if (std::accumulate(checked.begin(), checked.end(), 0L) != kCheckedRowSum) {
+    fail(file_, "its rows are not in the expected order");
   }
 }
 
-MakeHumanTargets::~MakeHumanTargets() {
-  ::munmap(const_cast<std::int16_t*>(values_), mapped_bytes_);
+std::vector<std::int16_t> MakeHumanTargets::row(std::size_t index) const {
+  std::vector<std::int16_t> values(kVertices * 3);
+  values_.read(index * kRowBytes, std::as_writable_bytes(std::span(values)));
+  return values;
 }
 
 std::vector<std::string> MakeHumanTargets::names(std::string_view prefix) const {
@@ -197,10 +175,10 @@ Eigen::Matrix3Xd MakeHumanTargets::displacements_dm(std::string_view name,
     throw Error(ErrorKind::UnreadableInput,
                 fmt::format("MakeHuman's data has no target '{}'. {}", name, kHint));
   }
-  const std::int16_t* row = values_ + found->second * kVertices * 3;
+  const std::vector<std::int16_t> values = row(found->second);
   Eigen::Matrix3Xd displacements(3, static_cast<Eigen::Index>(vertices.size()));
   for (std::size_t v = 0; v < vertices.size(); ++v) {
-    const std::int16_t* at = row + 3 * static_cast<std::size_t>(vertices[v]);
+    const std::int16_t* at = values.data() + 3 * static_cast<std::size_t>(vertices[v]);
     displacements.col(static_cast<Eigen::Index>(v)) = kTargetUnitDm * Eigen::Vector3d(at[0], at[1], at[2]);
   }
   return displacements;

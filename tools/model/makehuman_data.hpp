@@ -9,6 +9,7 @@
 #include <string_view>
 #include <vector>
 
+#include "files/text_file.hpp"
 #include "mesh/mesh.hpp"
 #include "render/renderer.hpp"
 
@@ -39,14 +40,11 @@ using MakeHumanRows = std::map<std::string, std::size_t, std::less<>>;
 MakeHumanRows parse_makehuman_target_list(std::string_view text, const std::filesystem::path& file,
                                           std::size_t target_count);
 
-/// The displacement targets of the package: 16-bit rows, one per target, mapped from the file. One thread.
+/// The displacement targets of the package: 16-bit rows, one per target, each read when it is asked for.
 class MakeHumanTargets {
  public:
   /// folder: the unpacked npm package. Throws Error(UnreadableInput) naming the file and what is wrong in it.
   explicit MakeHumanTargets(const std::filesystem::path& folder);
-  ~MakeHumanTargets();
-  MakeHumanTargets(const MakeHumanTargets&) = delete;
-  MakeHumanTargets& operator=(const MakeHumanTargets&) = delete;
 
   bool has(std::string_view name) const { return rows_.find(name) != rows_.end(); }
   /// Names that begin with the prefix, sorted.
@@ -56,9 +54,11 @@ class MakeHumanTargets {
   Eigen::Matrix3Xd displacements_dm(std::string_view name, const std::vector<int>& vertices) const;
 
  private:
+  std::vector<std::int16_t> row(std::size_t index) const;
+
+  std::filesystem::path file_;
+  files::InputFile values_;
   MakeHumanRows rows_;
-  const std::int16_t* values_ = nullptr;
-  std::size_t mapped_bytes_ = 0;
 };
 
 /// The photographed skins (young, middle-aged and old; african, asian and caucasian; female and male),

@@ -15,6 +15,12 @@ import { Subscribe } from '../generated/facet/stream/wire/subscribe';
 export const kProtocolVersion = 1;
 const kLeastWait_ms = 250;
 const kMostWait_ms = 3000;
+/** A daemon that has not answered for so long is asked no more; what waits for it is bounded. A take may be begun and ended
+    slower, on a slow disk. */
+const kAnswer_ms = 10_000;
+const kSlowAnswer_ms = 60_000;
+const kSlowMethods = ['record.start', 'record.stop'];
+const kMostWaiting = 64;
 
 export const kWrongToken = 4403;
 export const kTooManyTokens = 4429;
@@ -57,8 +63,12 @@ abstract class Connection {
     this.socket = null;
     window.clearTimeout(this.timer);
     old?.close();
+    this.lost();
     this.open();
   }
+
+  /** What was asked over the connection gets no answer any more. */
+  protected lost(): void {}
 
   protected protocols(): string[] {
     return ['facet'];
@@ -167,7 +177,7 @@ export class ControlError extends Error {
 export const kUnreachable = 0;
 export const kPermissionDenied = -32020;
 
-type Waiting = { resolve: (value: unknown) => void; reject: (error: Error) => void };
+type Waiting = { resolve: (value: unknown) => void; reject: (error: Error) => void; timer: number };
 
 export class ControlConnection extends Connection {
   private next = 1;
@@ -185,8 +195,16 @@ export class ControlConnection extends Connection {
         reject(new ControlError(kUnreachable, 'not connected'));
         return;
       }
+      if (this.waiting.size >= kMostWaiting) {
+        reject(new ControlError(kUnreachable, 'too much waits for an answer'));
+        return;
+      }
       const id = this.next++;
-      this.waiting.set(id, { resolve: resolve as (value: unknown) => void, reject });
+      const timer = window.setTimeout(() => {
+        this.waiting.delete(id);
+        reject(new ControlError(kUnreachable, 'no answer'));
+      }, kSlowMethods.includes(method) ? kSlowAnswer_ms : kAnswer_ms);
+      this.waiting.set(id, { resolve: resolve as (value: unknown) => void, reject, timer });
       this.socket.send(JSON.stringify({ jsonrpc: '2.0', id, method, params }));
     });
   }
@@ -206,6 +224,7 @@ export class ControlConnection extends Connection {
     const answer = JSON.parse(data) as { id: number; result?: unknown; error?: { code: number; message: string } };
     const waiting = this.waiting.get(answer.id);
     this.waiting.delete(answer.id);
+    window.clearTimeout(waiting?.timer);
     if (answer.error) {
       waiting?.reject(new ControlError(answer.error.code, answer.error.message));
     } else {
@@ -213,11 +232,16 @@ export class ControlConnection extends Connection {
     }
   }
 
-  protected closed(code: number): void {
+  protected override lost(): void {
     for (const waiting of this.waiting.values()) {
+      window.clearTimeout(waiting.timer);
       waiting.reject(new ControlError(kUnreachable, 'the connection was closed'));
     }
     this.waiting.clear();
+  }
+
+  protected closed(code: number): void {
+    this.lost();
     if (code === kWrongToken || code === kTooManyTokens) {
       this.token = '';
       this.tokenRefused(code);

@@ -120,8 +120,29 @@ function showFrame(frame: Frame): void {
   showState();
 }
 
-/** Asks the daemon how it does. */
+/** Asks the daemon how it does; for its takes where they are others than those that are known. One look at a time: who asks
+    meanwhile gets another one after it. */
 async function look(): Promise<void> {
+  if (looking) {
+    lookAgain = true;
+    return looking;
+  }
+  looking = lookOnce();
+  try {
+    await looking;
+  } finally {
+    looking = null;
+  }
+  if (lookAgain) {
+    lookAgain = false;
+    await look();
+  }
+}
+let looking: Promise<void> | null = null;
+let lookAgain = false;
+let takesList = -1; // Status.takes.list of `takes`
+
+async function lookOnce(): Promise<void> {
   try {
     status = await control.call<Status>('status');
     if (control.token !== '' && !unlocked) {
@@ -135,11 +156,21 @@ async function look(): Promise<void> {
     }
     stream.setImages(status.rig !== null);
     studio?.show(status.studio);
-    takes = await control.call<Takes>('takes.list');
   } catch {
     status = null;
+    takesList = -1;
   }
   showAll();
+  if (status !== null && status.takes.list !== takesList) {
+    try {
+      const list = status.takes.list;
+      takes = await control.call<Takes>('takes.list');
+      takesList = list;
+    } catch {
+      return; // asked again with the next look; the rest of the page does not wait for it
+    }
+    showAll();
+  }
 }
 
 interface Problem {
@@ -324,7 +355,9 @@ async function startRecording(): Promise<void> {
 async function stopRecording(): Promise<void> {
   const take = await command<Recording>('record.stop');
   if (take) {
-    tell(text('recorded', { name: baseName(take.file), frames: number(take.frames) }), take.reason);
+    const doubtful = take.state === 'failed' || take.warning !== '';
+    const title = text('recorded', { name: baseName(take.file), frames: number(take.frames) });
+    tell(doubtful ? text('record_doubtful', { name: baseName(take.file) }) : title, take.reason || take.warning);
   }
   await look();
 }
@@ -457,5 +490,9 @@ expressions.setNames([]);
 showAll();
 stream.open();
 control.open();
-window.setInterval(() => { void look(); }, kStatusPeriod_ms);
+window.setInterval(() => {
+  if (!looking) {
+    void look();
+  }
+}, kStatusPeriod_ms);
 window.setInterval(() => { showState(); showFigures(); showRecording(); }, 500);

@@ -20,6 +20,7 @@ export interface CameraPair {
 export interface Recording {
   state: string;
   reason: string;
+  warning: string;
   file: string;
   frames: number;
   bytes: number;
@@ -75,6 +76,7 @@ export interface Status {
   studio: StudioStatus | null;
   stream: { readers: { frames_dropped: number }[] };
   recording: Recording | null;
+  takes: { list: number };
 }
 export interface Take {
   name: string;

@@ -14,7 +14,7 @@ enum class ErrorKind : int {
   NoFace = 4,           ///< no face in the whole input
   NoDevice = 5,         ///< no usable Vulkan device
   Storage = 6,          ///< cannot write: disk full, no permission, path taken
-  Unavailable = 7,      ///< the daemon or a device does not answer
+  Unavailable = 7,      ///< what does not answer, or is short now: another try may help
 };
 
 /// Thrown at start-up and by command-line tools; never on the per-frame path. The message names the file,

@@ -104,6 +104,8 @@ def serves_as_its_user():
         rig.facet("record", "stop")
         owner = run("stat", "-c", "%U", f"/proc/{rig.pid()}").strip()
         check(owner == "facet", f"it runs as {owner}")
+        chips = {run("stat", "-c", "%a %U %G", chip).strip() for chip in Path("/dev").glob("gpiochip*")}
+        check(chips == {"660 root facet-gpio"}, f"GPIO chips: {chips}")
         check("permitted" not in run("journalctl", "-u", "facetd", "-o", "cat"), rig.said())
         rig.stop()
     check_take(take)

@@ -2,6 +2,7 @@
 
 #include <fcntl.h>
 #include <signal.h>
+#include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -17,7 +18,8 @@ namespace facet::test {
 /// How a child begins, beside its program and arguments.
 struct Birth {
   std::vector<std::string> environment;  ///< "NAME=VALUE", beside the parent's
-  int pending_signal = 0;  ///< blocked and pending when the program begins: it comes at the first look
+  int pending_signal = 0;       ///< blocked and pending when the program begins: it comes at the first look
+  rlim_t most_descriptors = 0;  ///< soft and hard limit; 0: the parent's
 };
 
 /// Listening sockets that a child gets as a service manager passes them.
@@ -50,6 +52,10 @@ class ChildProcess {
         sigaddset(&set, birth.pending_signal);
         ::sigprocmask(SIG_BLOCK, &set, nullptr);
         ::raise(birth.pending_signal);
+      }
+      if (birth.most_descriptors != 0) {
+        const rlimit limit{birth.most_descriptors, birth.most_descriptors};
+        ::setrlimit(RLIMIT_NOFILE, &limit);
       }
       if (!passed.sockets.empty()) {
         pass(passed);

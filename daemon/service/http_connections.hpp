@@ -1,0 +1,104 @@
+#pragma once
+
+#include <microhttpd.h>
+
+#include <chrono>
+#include <cstdint>
+#include <map>
+#include <mutex>
+#include <optional>
+#include <set>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "stream/places.hpp"
+
+namespace facet::service {
+
+/// What a request says of a header: the value where it is there once.
+struct HeaderValue {
+  std::string name;  ///< in lower case
+  std::optional<std::string> value;
+  int count = 0;
+};
+HeaderValue header(MHD_Connection* connection, std::string_view name);
+
+std::string lower_case(std::string_view text);
+
+/// The names by which a server may be asked for: this machine's own, the address that it listens on, and
+/// those of a configuration.
+std::set<std::string> own_hosts(const std::string& listen, const std::vector<std::string>& more);
+
+/// Empty where a request names one of these hosts, or the very address that it came to; else why not. A name
+/// that a stranger points at this machine is none of them (DNS rebinding).
+std::string foreign_host(MHD_Connection* connection, const std::set<std::string>& hosts);
+
+/// Ends those connections of a libmicrohttpd daemon that would keep others out: the library has one thread
+/// and so many places, and counts a connection's silence anew with every byte. Here a request has a time as a
+/// whole, an answer that nobody takes ends, and the longest idle connection gives way to a new one.
+///
+/// Give the daemon options(), and call asked() with every request. Any thread; the lock is never held across
+/// anything that waits.
+class HttpConnections {
+ public:
+  using Clock = std::chrono::steady_clock;
+
+  /// places: connections at a time, those that were handed over not counted.
+  explicit HttpConnections(std::size_t places, std::size_t downloads = 0);
+
+  /// With MHD_OPTION_END behind them; valid as long as this.
+  MHD_OptionItem* options() { return options_.data(); }
+
+  /// The head of a request has come whole.
+  void asked(MHD_Connection* connection);
+  /// Its answer is long. False where too many of them are under way.
+  bool begin_download(MHD_Connection* connection);
+  /// The connection is somebody else's now.
+  void handed_over(MHD_Connection* connection);
+
+  /// Ends what takes too long; to be called once a second at least. A new connection that finds no place does
+  /// it too.
+  void look_after(Clock::time_point now = Clock::now());
+
+  std::size_t size() const;
+  std::uint64_t broken_off() const;  ///< connections that were ended here, and that had no place
+
+  /// For the head of a request: a connection brings one.
+  static constexpr std::chrono::seconds kRequestTime{5};
+  /// An answer of which less is acknowledged in this time is ended.
+  static constexpr std::uint64_t kLeastBytes = 64U << 10;
+  static constexpr std::chrono::seconds kLeastBytesTime{10};
+  /// What the library may have open beyond the places: connections that were ended and that it has not closed
+  /// yet.
+  static constexpr unsigned kEnding = 16;
+
+ private:
+  struct Entry {
+    stream::Places::Id id = 0;
+    int fd = -1;
+    bool asked = false;  ///< it is being answered
+    bool download = false;
+    bool ended = false;       ///< shut down, the library is to close it
+    Clock::time_point since;  ///< it came, or acknowledged so much as it had before
+    std::uint64_t acknowledged = 0;
+    std::uint64_t acknowledged_before = 0;  ///< at `since`
+  };
+
+  static void on_connection(void* self, MHD_Connection* connection, void** /*context*/,
+                            MHD_ConnectionNotificationCode what);
+  void begin(MHD_Connection* connection);
+  void look_after_locked(Clock::time_point now);
+  void end_locked(Entry& entry);
+
+  std::vector<MHD_OptionItem> options_;
+  const std::size_t downloads_;
+  mutable std::mutex mutex_;
+  stream::Places places_;  // all below guarded by mutex_
+  std::map<MHD_Connection*, Entry>
+      entries_;  ///< an entry's descriptor is open: the library says before it closes
+  stream::Places::Id next_id_ = 1;
+  std::uint64_t broken_off_ = 0;
+};
+
+}  // namespace facet::service

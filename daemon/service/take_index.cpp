@@ -1,0 +1,275 @@
+#include "service/take_index.hpp"
+
+#include <fmt/format.h>
+#include <sys/stat.h>
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <map>
+#include <mutex>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <set>
+#include <string_view>
+#include <system_error>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include "facet/error.hpp"
+#include "take/closing.hpp"
+#include "take/reader.hpp"
+#include "take/recorder.hpp"
+
+namespace facet::service {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+using nlohmann::json;
+
+/// A list is good for this many times what making it took, and for at least kLeastAge.
+constexpr int kRestPerWork = 10;
+constexpr std::chrono::milliseconds kLeastAge{100};
+
+/// As a file was when it was read. Another inode under the name, a change of its contents or of its log
+/// beside it makes another state.
+struct FileState {
+  std::uint64_t device = 0;
+  std::uint64_t inode = 0;
+  std::int64_t bytes = 0;
+  std::int64_t changed_ns = 0;
+  std::int64_t log_bytes = -1;  ///< -1: there is none
+  std::int64_t log_changed_ns = 0;
+
+  bool operator==(const FileState&) const = default;
+};
+
+std::int64_t nanoseconds(const timespec& time) {
+  return std::int64_t{time.tv_sec} * 1'000'000'000 + time.tv_nsec;
+}
+
+/// Nothing where it is no regular file.
+std::optional<FileState> state_of(const std::filesystem::path& file) {
+  struct stat status {};
+  if (::stat(file.c_str(), &status) != 0 || !S_ISREG(status.st_mode)) {
+    return std::nullopt;
+  }
+  FileState state;
+  state.device = status.st_dev;
+  state.inode = status.st_ino;
+  state.bytes = status.st_size;
+  state.changed_ns = nanoseconds(status.st_mtim);
+  struct stat log {};
+  if (::stat((file.string() + "-wal").c_str(), &log) == 0) {
+    state.log_bytes = log.st_size;
+    state.log_changed_ns = nanoseconds(log.st_mtim);
+  }
+  return state;
+}
+
+}  // namespace
+
+struct TakeIndex::Impl {
+  struct Known {
+    FileState state;
+    std::optional<take::TakeInfo> info;  ///< none: `error` says why
+    std::string error;
+  };
+
+  Impl(std::filesystem::path takes, Thumbnails& drawer) : folder(std::move(takes)), thumbnails(drawer) {}
+
+  const std::filesystem::path folder;
+  Thumbnails& thumbnails;
+  std::atomic<std::uint64_t> number{0};
+  std::atomic<std::uint64_t> reads{0};
+
+  std::mutex listing;  ///< guards what follows; held while the folder is looked at
+  std::string text;    ///< the last list
+  Clock::time_point good_until;
+  std::atomic<bool> stale{true};
+  std::atomic<bool> asked{false};  ///< somebody wants to see the takes, with pictures
+
+  std::mutex mutex;                    ///< guards `known`; held for its look-ups alone
+  std::map<std::string, Known> known;  ///< by the file's path
+
+  Known read(const std::filesystem::path& file, const FileState& state);
+  json entry_of(const std::filesystem::path& file, const FileState& state);
+  std::vector<std::pair<std::filesystem::path, FileState>> files() const;
+  std::string make_list();
+};
+
+/// What is known of a file as it is, read where it is not known.
+TakeIndex::Impl::Known TakeIndex::Impl::read(const std::filesystem::path& file, const FileState& state) {
+  {
+    const std::lock_guard lock(mutex);
+    const auto found = known.find(file.native());
+    if (found != known.end() && found->second.state == state) {
+      return found->second;
+    }
+  }
+  Known fresh{state, std::nullopt, ""};
+  ++reads;
+  try {
+    fresh.info = take::listed_info(file);
+  } catch (const Error& unreadable) {
+    fresh.error = unreadable.what();
+  }
+  const std::lock_guard lock(mutex);
+  known.insert_or_assign(file.native(), fresh);
+  return fresh;
+}
+
+json TakeIndex::Impl::entry_of(const std::filesystem::path& file, const FileState& state) {
+  const std::string name = file.stem().string();
+  json entry = {{"name", name}, {"file", file.string()}};
+  try {
+    take::named_take(folder, name);  // what no method takes is not offered
+    const Known take = read(file, state);
+    if (!take.info) {
+      entry["error"] = take.error;
+      return entry;
+    }
+    const take::TakeInfo& info = *take.info;
+    entry["created_utc"] = info.created_utc;
+    entry["frames"] = info.frame_count;
+    entry["mesh_frames"] = info.mesh_frame_count;
+    entry["duration_s"] = static_cast<double>(info.last_timestamp_ns - info.first_timestamp_ns) * 1e-9;
+    entry["bytes"] = info.file_bytes;
+    entry["picture_bytes"] = info.picture_bytes;
+    entry["closed"] = info.closed;
+    entry["end_reason"] = info.end_reason;
+    if (asked && info.closed && info.mesh_frame_count > 0) {
+      if (const auto stamp = thumbnails.ask(name)) {
+        entry["thumbnail"] = *stamp;
+      }
+    }
+  } catch (const Error& unusable) {
+    entry["error"] = unusable.what();
+  }
+  return entry;
+}
+
+/// Of the folder, newest first.
+std::vector<std::pair<std::filesystem::path, FileState>> TakeIndex::Impl::files() const {
+  std::vector<std::pair<std::filesystem::path, FileState>> found;
+  std::error_code error;
+  for (std::filesystem::directory_iterator entry(folder, error), end; !error && entry != end;
+       entry.increment(error)) {
+    if (entry->path().extension() == ".take") {
+      if (const auto state = state_of(entry->path())) {
+        found.emplace_back(entry->path(), *state);
+      }
+    }
+  }
+  if (error) {
+    throw Error(ErrorKind::Storage, folder.string() + ": cannot list this folder: " + error.message());
+  }
+  std::sort(found.begin(), found.end(), [](const auto& a, const auto& b) {
+    return std::tie(b.second.changed_ns, a.first) < std::tie(a.second.changed_ns, b.first);
+  });
+  return found;
+}
+
+std::string TakeIndex::Impl::make_list() {
+  auto found = files();
+  const std::size_t count = found.size();
+  found.resize(std::min(count, kMostListed));
+  json takes = json::array();
+  for (const auto& [file, state] : found) {
+    takes.push_back(entry_of(file, state));
+  }
+  {
+    // Nothing is kept of takes that are no longer there, nor of those that are no longer listed.
+    std::set<std::string_view> listed;
+    for (const auto& [file, state] : found) {
+      listed.insert(file.native());
+    }
+    const std::lock_guard lock(mutex);
+    std::erase_if(known, [&](const auto& entry) { return listed.count(entry.first) == 0; });
+  }
+  const json list = {{"folder", folder.string()}, {"count", count}, {"takes", std::move(takes)}};
+  return list.dump(-1, ' ', false, json::error_handler_t::replace);
+}
+
+TakeIndex::TakeIndex(std::filesystem::path folder, Thumbnails& thumbnails)
+    : impl_(std::make_unique<Impl>(std::move(folder), thumbnails)) {}
+
+TakeIndex::~TakeIndex() = default;
+
+std::string TakeIndex::list() {
+  if (!impl_->asked.exchange(true)) {
+    changed();
+  }
+  look();
+  const std::lock_guard lock(impl_->listing);
+  return impl_->text;
+}
+
+void TakeIndex::look() {
+  const std::lock_guard lock(impl_->listing);
+  const Clock::time_point began = Clock::now();
+  if (impl_->stale.exchange(false) || began >= impl_->good_until) {
+    std::string text = impl_->make_list();
+    const Clock::time_point made = Clock::now();
+    impl_->good_until = made + std::max<Clock::duration>(kLeastAge, kRestPerWork * (made - began));
+    if (text != impl_->text) {
+      impl_->text = std::move(text);
+      ++impl_->number;
+    }
+  }
+}
+
+void TakeIndex::changed() {
+  impl_->stale = true;
+}
+
+bool TakeIndex::stale() const {
+  return impl_->stale;
+}
+
+std::uint64_t TakeIndex::number() const {
+  return impl_->number;
+}
+
+std::uint64_t TakeIndex::reads() const {
+  return impl_->reads;
+}
+
+void TakeIndex::close_broken_off(const Log& log, const std::function<bool()>& go_on) {
+  std::vector<std::pair<std::filesystem::path, FileState>> found;
+  try {
+    found = impl_->files();
+  } catch (const Error& error) {
+    log.warning(error.what());
+    return;
+  }
+  for (std::size_t i = 0; i < found.size() && go_on(); ++i) {
+    const auto& [file, state] = found[i];
+    const bool listed = i < kMostListed;
+    if (state.log_bytes < 0 && !listed) {
+      continue;
+    }
+    try {
+      if (state.log_bytes < 0) {
+        const Impl::Known take = impl_->read(file, state);
+        if (!take.info || take.info->closed) {
+          continue;
+        }
+      }
+      const take::ClosedTake take = take::close_take(file);
+      if (take.recovered) {
+        log.warning(fmt::format("take {} had been broken off: closed now with {} frames", file.string(),
+                                take.info.frame_count),
+                    {{"FACET_EVENT", "take-recovered"}, {"FACET_TAKE", take.info.file.string()}});
+      } else if (!take.left.empty()) {
+        log.warning(fmt::format("take {}: {}", file.string(), take.left));
+      }
+      changed();
+    } catch (const Error& unreadable) {
+      log.warning(unreadable.what());
+    }
+  }
+}
+
+}  // namespace facet::service
