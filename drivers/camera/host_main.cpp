@@ -36,13 +36,13 @@ std::vector<CameraListing> list_cameras() {
 #endif
 }
 
-/// libcamera's devices (a sensor behind a signal processor is a graph of several), memory that devices share,
-/// and settings of its algorithms that a person changed.
+/// Settings of libcamera's algorithms that a person changed, and devices: libcamera looks at each that comes
+/// while it runs, under a name that nobody knows before, and crashes where it may not. Which of /dev there
+/// are is for the file rights of the daemon's user, and under systemd for the unit's DeviceAllow.
 facet::camera::HostReach reach() {
   facet::camera::HostReach reach;
   reach.readable = {"/etc/libcamera"};
-  reach.devices = facet::camera::devices_in("/dev", {"video", "media", "v4l-subdev", "udmabuf"});
-  reach.devices.emplace_back("/dev/dma_heap");
+  reach.devices = {"/dev"};
   return reach;
 }
 

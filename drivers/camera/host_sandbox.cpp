@@ -241,23 +241,6 @@ void confine_calls() {
 
 }  // namespace
 
-std::vector<std::filesystem::path> devices_in(const std::filesystem::path& folder,
-                                              const std::vector<std::string>& beginnings) {
-  std::vector<std::filesystem::path> found;
-  std::error_code error;
-  for (std::filesystem::directory_iterator entry(folder, error), end; !error && entry != end;
-       entry.increment(error)) {
-    const std::string name = entry->path().filename().string();
-    std::error_code gone;
-    if (entry->is_character_file(gone) &&
-        std::any_of(beginnings.begin(), beginnings.end(),
-                    [&](const std::string& beginning) { return name.starts_with(beginning); })) {
-      found.push_back(entry->path());
-    }
-  }
-  return found;
-}
-
 std::string files_unguarded() {
   const int version = landlock_version();
   switch (version < 0 ? -version : 0) {

@@ -13,10 +13,6 @@ struct HostReach {
   std::vector<std::filesystem::path> devices;   ///< the same; opened for reading and writing
 };
 
-/// The device files of a folder whose names begin with one of `beginnings`: {"/dev", {"video"}}.
-std::vector<std::filesystem::path> devices_in(const std::filesystem::path& folder,
-                                              const std::vector<std::string>& beginnings);
-
 /// Why this kernel can't keep a process from files (Landlock, Linux 5.13); empty where it can. Not for a
 /// process that is confined, which can't ask.
 std::string files_unguarded();
