@@ -1,6 +1,5 @@
 #include "service/control_server.hpp"
 
-#include <fcntl.h>
 #include <fmt/format.h>
 #include <sys/epoll.h>
 #include <sys/eventfd.h>
@@ -29,10 +28,6 @@ constexpr std::uint64_t kWakeTag = 1;    // clients' ids follow
 /// What is left of the turns after so long has to wait for the next round.
 constexpr std::chrono::milliseconds kRoundBudget{20};
 
-stream::FileDescriptor open_spare() {
-  return stream::FileDescriptor(::open("/dev/null", O_RDONLY | O_CLOEXEC));
-}
-
 stream::Places places(std::size_t count) {
   stream::PlacesConfig config;
   config.total = count;
@@ -55,7 +50,6 @@ ControlServer::ControlServer(const ControlConfig& config, ControlMethods methods
     : methods_(std::move(methods)),
       listening_(config.socket, config.access, std::move(passed)),
       epoll_(::epoll_create1(EPOLL_CLOEXEC)),
-      spare_(open_spare()),
       local_places_(places(config.max_clients)),
       page_places_(places(config.max_clients)) {
   mailbox_->wake = stream::FileDescriptor(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
@@ -101,10 +95,16 @@ void ControlServer::serve() {
         client->gone = true;
       }
     } else if ((event.events & (EPOLLHUP | EPOLLERR)) != 0) {
-      // What has come of it is still done, though it hears no answer. Watched on, its end would wake the loop
-      // without end.
-      client->ended = true;
+      // What has come of it is still done, though it hears no answer: all of it is read now. Watched on, its
+      // end would wake the loop without end.
       ::epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, client->fd.get(), nullptr);
+      try {
+        while (!client->ended && receive(*client)) {
+        }
+      } catch (const std::bad_alloc&) {
+        client->gone = true;
+      }
+      client->ended = true;
     }
     if (!client->gone) {
       send_some(*client);
@@ -124,16 +124,8 @@ void ControlServer::serve() {
 
 void ControlServer::accept_clients() {
   for (int accepted = 0; accepted < stream::kAcceptsPerRound; ++accepted) {
-    stream::FileDescriptor connection(
-        ::accept4(listening_.fd(), nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK));
+    stream::FileDescriptor connection = listening_.accept();
     if (!connection) {
-      if (errno == EMFILE || errno == ENFILE) {
-        // Left in the backlog the connection would wake the loop without end.
-        spare_.reset();
-        stream::FileDescriptor refused(::accept4(listening_.fd(), nullptr, nullptr, SOCK_CLOEXEC));
-        refused.reset();
-        spare_ = open_spare();
-      }
       return;
     }
     Client client;
@@ -241,17 +233,19 @@ void ControlServer::watch(Client& client) {
   }
 }
 
-void ControlServer::receive(Client& client) {
+/// False where nothing has come.
+bool ControlServer::receive(Client& client) {
   std::array<char, 16384> piece{};
   const ssize_t count = ::recv(client.fd.get(), piece.data(), piece.size(), 0);
   if (count < 0 && (errno == EAGAIN || errno == EINTR)) {
-    return;
+    return false;
   }
-  // Who sends no more may still wait for answers.
+  // Who sends no more may still wait for answers; who broke off may have asked for something before.
   client.ended = count <= 0;
-  client.gone = count < 0;
+  client.gone = count < 0 && !client.caller.may_command;
   client.received.append(piece.data(), count > 0 ? static_cast<std::size_t>(count) : 0);
   client.whole = true;
+  return count > 0;
 }
 
 /// One request of each client at most, and of one that may only look no more than its share.

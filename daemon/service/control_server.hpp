@@ -107,7 +107,7 @@ class ControlServer {
   void accept_clients();
   void read_mailbox();
   void admit(Client& client, std::string peer);
-  void receive(Client& client);
+  bool receive(Client& client);
   void take_turns();
   void take_turn(Client& client);
   bool may_go_on(const Client& client, Clock::time_point now) const;
@@ -127,7 +127,6 @@ class ControlServer {
   ControlMethods methods_;
   stream::ListeningSocket listening_;
   stream::FileDescriptor epoll_;
-  stream::FileDescriptor spare_;  ///< given up for a moment to turn a client away when descriptors run out
   std::deque<Client> clients_;
   stream::Places local_places_;  ///< Unix clients
   stream::Places page_places_;

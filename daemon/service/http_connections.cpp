@@ -8,6 +8,7 @@
 
 #include <algorithm>
 #include <array>
+#include <new>
 
 #include "service/listen_address.hpp"
 #include "stream/web_socket.hpp"
@@ -113,7 +114,11 @@ void HttpConnections::on_connection(void* self, MHD_Connection* connection, void
                                     MHD_ConnectionNotificationCode what) {
   auto& all = *static_cast<HttpConnections*>(self);
   if (what == MHD_CONNECTION_NOTIFY_STARTED) {
-    all.begin(connection);
+    try {
+      all.begin(connection);
+    } catch (const std::bad_alloc&) {
+      ::shutdown(socket_of(connection), SHUT_RDWR);  // nothing may be thrown through the library
+    }
   } else {
     all.handed_over(connection);
   }
@@ -137,9 +142,15 @@ void HttpConnections::begin(MHD_Connection* connection) {
       end_locked(idle->second);
     }
   }
-  Entry& kept = entries_.insert_or_assign(connection, entry).first->second;
+  Entry* kept = nullptr;
+  try {
+    kept = &entries_.insert_or_assign(connection, entry).first->second;
+  } catch (const std::bad_alloc&) {
+    places_.leave(entry.id);
+    throw;
+  }
   if (outcome.answer != stream::Places::Answer::Admitted) {
-    end_locked(kept);
+    end_locked(*kept);
   }
 }
 

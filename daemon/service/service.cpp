@@ -154,7 +154,7 @@ struct Service::Impl {
   std::unique_ptr<pipeline::Pipeline> pipeline;
   std::string source_name;
   bool live = false;                     ///< the source goes on while nobody reads
-  std::optional<MetricsServer> metrics;  ///< once there is a pipeline; freed before it
+  std::optional<MetricsServer> metrics;  ///< once there is a pipeline; closed before it is freed
   mutable std::mutex web_mutex;          ///< guards `web`, held for a pointer's copy
   std::shared_ptr<WebServer> web;        ///< where it could be opened
   std::atomic<bool> web_opens{false};    ///< `looking` tries
@@ -173,6 +173,8 @@ struct Service::Impl {
   std::string end_reason;            ///< of the daemon, for the take that it cuts short
   bool end_seen = false;             ///< the pipeline's end was logged
   std::optional<int> exit_status;    ///< set: leave the loop
+  std::atomic<bool> servers_closed{false};
+  std::jthread closing;  ///< of the page's and the metrics' server
 
   ControlMethods methods();
   json status();
@@ -206,6 +208,7 @@ struct Service::Impl {
   void time_round(Clock::time_point began);
   void look_after_pipeline();
   void finish();
+  void close_servers();
   bool wait_for_threads();
 };
 
@@ -778,10 +781,10 @@ void Service::Impl::finish() {
   if (bridge) {
     bridge->request_stop();
   }
-  metrics.reset();
-  if (const auto page = opened_web()) {
-    const std::lock_guard lock(web_mutex);
-    web = nullptr;
+  try {
+    closing = std::jthread([this] { close_servers(); });
+  } catch (const std::system_error&) {
+    close_servers();  // there is no thread to be had
   }
   stream->stop();
   if (bridge) {
@@ -794,7 +797,9 @@ void Service::Impl::finish() {
   } catch (const std::exception&) {
     // Nobody hears it then.
   }
-  control.reset();
+  if (servers_closed) {
+    control.reset();  // which the page's server hands its clients to
+  }
   if (recording.finished()) {
     recording.finish();
   } else if (const auto take = recording.status()) {
@@ -818,6 +823,18 @@ void Service::Impl::finish() {
   log.info("stopped");
 }
 
+/// Waits for the requests that they answer, which may wait for a disk.
+void Service::Impl::close_servers() {
+  metrics.reset();
+  std::shared_ptr<WebServer> page;
+  {
+    const std::lock_guard lock(web_mutex);
+    page.swap(web);
+  }
+  page.reset();
+  servers_closed = true;
+}
+
 /// False where one does not end. A take that grows is waited for, and a stop that is asked for meanwhile
 /// heard.
 bool Service::Impl::wait_for_threads() {
@@ -839,7 +856,7 @@ bool Service::Impl::wait_for_threads() {
     }
     const bool recorded = recording.finished();
     const bool others = (!opener || opener->done()) && (!pipeline || pipeline->finished()) &&
-                        studio.finished() && thumbnails.finished() && looking.finished();
+                        studio.finished() && thumbnails.finished() && looking.finished() && servers_closed;
     if (recorded && others) {
       return true;
     }

@@ -173,10 +173,6 @@ PlacesConfig web_places(const StreamServerConfig& config) {
   return places;
 }
 
-FileDescriptor open_spare() {
-  return FileDescriptor(::open("/dev/null", O_RDONLY | O_CLOEXEC));
-}
-
 }  // namespace
 
 struct StreamServer::Impl {
@@ -186,7 +182,6 @@ struct StreamServer::Impl {
         socket_path(given.socket),
         wake(open_checked(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK), "eventfd")),
         epoll(open_checked(::epoll_create1(EPOLL_CLOEXEC), "epoll")),
-        spare(open_spare()),
         places(socket_places(given)),
         places_of_web(web_places(given)) {
     Hello hello_message;
@@ -213,7 +208,6 @@ struct StreamServer::Impl {
 
   // facet-stream only.
   FileDescriptor epoll;
-  FileDescriptor spare;  ///< given up for a moment to turn a connection away when descriptors run out
   Places places;         ///< of the socket's readers
   Places places_of_web;  ///< these don't take the place of those who sit at the machine, nor these theirs
   Encoder encoder;
@@ -323,24 +317,16 @@ void StreamServer::Impl::take_newest() {
 
 void StreamServer::Impl::accept_readers() {
   for (int accepted = 0; accepted < kAcceptsPerRound; ++accepted) {
-    FileDescriptor connection(::accept4(listening->fd(), nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK));
-    if (connection) {
-      admit(std::move(connection));
-      continue;
-    }
-    if (errno == EINTR || errno == ECONNABORTED) {
-      continue;
-    }
-    if (errno == EMFILE || errno == ENFILE) {
-      // Left in the backlog the connection would wake this thread without end.
-      spare.reset();
-      FileDescriptor refused(::accept4(listening->fd(), nullptr, nullptr, SOCK_CLOEXEC));
-      refused.reset();
-      spare = open_spare();
-      ++statistics.refused;
+    const std::uint64_t turned_away = listening->turned_away();
+    FileDescriptor connection = listening->accept();
+    if (listening->turned_away() != turned_away) {
+      statistics.refused += listening->turned_away() - turned_away;
       statistics.last_refusal = "no file descriptor left for a reader";
     }
-    return;
+    if (!connection) {
+      return;
+    }
+    admit(std::move(connection));
   }
 }
 

@@ -198,6 +198,10 @@ gid_t group_of(const std::filesystem::path& path) {
   return ::stat(path.c_str(), &status) == 0 ? status.st_gid : static_cast<gid_t>(-1);
 }
 
+FileDescriptor open_spare() {
+  return FileDescriptor(::open("/dev/null", O_RDONLY | O_CLOEXEC));
+}
+
 /// At least a millisecond: 0 would be without end.
 timeval time_until(Deadline deadline) {
   const auto left = std::max<std::chrono::microseconds>(
@@ -233,7 +237,7 @@ void FileDescriptor::reset(int fd) {
 
 ListeningSocket::ListeningSocket(const std::filesystem::path& path, const SocketAccess& access,
                                  FileDescriptor passed)
-    : path_(path) {
+    : path_(path), spare_(open_spare()) {
   if (passed) {
     check_passed(passed.get(), path);
     fd_ = std::move(passed);
@@ -269,6 +273,29 @@ ListeningSocket::~ListeningSocket() {
   if (owns_path_ && ::lstat(path_.c_str(), &status) == 0 && status.st_dev == device_ &&
       status.st_ino == inode_) {
     ::unlink(path_.c_str());
+  }
+}
+
+FileDescriptor ListeningSocket::accept() {
+  constexpr useconds_t kRestUs = 10'000;
+  for (;;) {
+    FileDescriptor connection(::accept4(fd_.get(), nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK));
+    if (connection || errno == EAGAIN) {
+      return connection;
+    }
+    if (errno == EINTR || errno == ECONNABORTED) {
+      continue;
+    }
+    spare_.reset();
+    const bool taken =
+        static_cast<bool>(FileDescriptor(::accept4(fd_.get(), nullptr, nullptr, SOCK_CLOEXEC)));
+    spare_ = open_spare();
+    if (!taken) {
+      ::usleep(kRestUs);
+      return {};
+    }
+    ++turned_away_;
+    return {};
   }
 }
 

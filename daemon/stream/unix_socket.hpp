@@ -70,6 +70,12 @@ class ListeningSocket {
   int fd() const { return fd_.get(); }
   const std::filesystem::path& path() const { return path_; }
 
+  /// The next connection that waits, non-blocking; none: nobody waits. One for which no descriptor is left is
+  /// closed, and `turned_away` counted; where the system has not even the memory to do that, this waits 10
+  /// ms, as fd() stays readable and would wake its loop without end.
+  FileDescriptor accept();
+  std::uint64_t turned_away() const { return turned_away_; }
+
   /// Root, our own user and members of the socket's group may command; nobody where the connection does not
   /// say who it is.
   UnixPeer peer(int connection) const;
@@ -81,6 +87,8 @@ class ListeningSocket {
   bool owns_path_ = false;
   std::uint64_t device_ = 0;
   std::uint64_t inode_ = 0;
+  FileDescriptor spare_;  ///< given up for a moment to turn a connection away
+  std::uint64_t turned_away_ = 0;
 };
 
 /// The end of a wait. Every call that waits for a peer has one, whatever it waits for in between.

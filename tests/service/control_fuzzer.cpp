@@ -18,6 +18,7 @@
 #include "facet/error.hpp"
 #include "service/control_protocol.hpp"
 #include "service/control_server.hpp"
+#include "service/errands.hpp"
 #include "service/studio.hpp"
 #include "service/studio_methods.hpp"
 #include "stream/unix_socket.hpp"
@@ -44,7 +45,8 @@ class OpenStudio {
     constexpr int kFrames = 14;
     test::record_actor(folder_.path(), 1, kFrames);
     studio_.start();
-    service::ControlMethods methods = service::studio_methods(studio_);
+    errands_.start();
+    service::ControlMethods methods = service::studio_methods(studio_, errands_);
     methods.erase("keys.export");  // a take an input would fill the disk
     methods_ = methods;
     server_ = std::make_unique<service::ControlServer>(
@@ -106,6 +108,7 @@ class OpenStudio {
  private:
   test::TemporaryFolder folder_;
   service::Studio studio_;
+  service::Errands errands_{"facet-look"};
   service::ControlMethods methods_;
   std::unique_ptr<service::ControlServer> server_;
 };

@@ -415,6 +415,22 @@ TEST_F(ControlRounds, WhoHangsUpIsStillObeyedAndOnlyHalfwayIsAnswered) {
   await([&] { return server_.client_count() == 0; });
 }
 
+TEST_F(ControlRounds, WhatWasAskedBeforeTheEndIsDoneThoughItComesWhileAnotherAnswerIsMade) {
+  {
+    const Peer hasty = connect();
+    rounds(2);
+    hasty.ask(request("slow"));
+    rounds(3);
+    hasty.ask(request("change") + request("change"));
+  }
+  rounds(3);
+  EXPECT_EQ(changes_, 0);
+  held_.unlock();
+  await([&] { return server_.client_count() == 0; });
+  held_.lock();
+  EXPECT_EQ(changes_, 2);
+}
+
 TEST_F(ControlRounds, NobodyIsAskedWhatNobodyHears) {
   Peer peer = connect();
   rounds(2);

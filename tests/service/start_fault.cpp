@@ -1,8 +1,12 @@
-// A library to be loaded before a program (LD_PRELOAD), for tests: what FACET_FAIL says fails once.
+// A library to be loaded before a program (LD_PRELOAD), for tests.
+// FACET_FAIL: what fails once; "start_fault: done" is then written to standard error.
 //   CALL N ERRNO [PART]   the N-th call of CALL (open, read, thread) gives ERRNO; of open and read those
 //   alone
 //                         whose file has PART in its path
-// It then writes "start_fault: done" to standard error.
+// FACET_STALL: what a disk does not do; "start_fault: waits" is written by each call that begins to wait.
+//   CALL GATE PART        each CALL (read, sync) of a file with PART in its path waits as long as the file
+//   GATE
+//                         exists
 
 #include <dlfcn.h>
 #include <fcntl.h>
@@ -36,6 +40,38 @@ struct Order {
   }
 };
 
+void say(const char* text) {
+  [[maybe_unused]] const ssize_t ignored = ::write(STDERR_FILENO, text, std::strlen(text));
+}
+
+/// Waits where this call is one that does.
+void stall(const char* call, const char* path) {
+  struct Gate {
+    std::array<char, 16> call{};
+    std::array<char, 256> file{};
+    std::array<char, 128> part{};
+
+    Gate() {
+      const char* text = std::getenv("FACET_STALL");
+      if (text != nullptr &&
+          std::sscanf(text, "%15s %255s %127s", call.data(), file.data(), part.data()) != 3) {
+        std::abort();
+      }
+    }
+    bool stands() const { return ::access(file.data(), F_OK) == 0; }
+  };
+  static const Gate gate;
+  constexpr useconds_t kLookUs = 2000;
+  if (std::strcmp(gate.call.data(), call) != 0 || std::strstr(path, gate.part.data()) == nullptr ||
+      !gate.stands()) {
+    return;
+  }
+  say("start_fault: waits\n");
+  while (gate.stands()) {
+    ::usleep(kLookUs);
+  }
+}
+
 /// Whether this call is the one; sets errno.
 bool fails(const char* call, const char* path) {
   static const Order order;
@@ -44,8 +80,7 @@ bool fails(const char* call, const char* path) {
       ++calls != order.number) {
     return false;
   }
-  constexpr char kDone[] = "start_fault: done\n";
-  [[maybe_unused]] const ssize_t ignored = ::write(STDERR_FILENO, kDone, sizeof kDone - 1);
+  say("start_fault: done\n");
   errno = order.error;
   return true;
 }
@@ -63,11 +98,17 @@ FILE* fopen_next(const char* name, const char* path, const char* mode) {
   return fails("open", path) ? nullptr : next<FILE* (*)(const char*, const char*)>(name)(path, mode);
 }
 
-bool read_fails(int descriptor) {
+std::string path_of(int descriptor) {
   std::array<char, 512> path{};
   const std::string link = "/proc/self/fd/" + std::to_string(descriptor);
   const ssize_t size = ::readlink(link.c_str(), path.data(), path.size() - 1);
-  return fails("read", size > 0 ? path.data() : "");
+  return size > 0 ? path.data() : "";
+}
+
+bool read_fails(int descriptor) {
+  const std::string path = path_of(descriptor);
+  stall("read", path.c_str());
+  return fails("read", path.c_str());
 }
 
 }  // namespace
@@ -111,6 +152,16 @@ ssize_t pread(int descriptor, void* out, size_t size, off_t at) {
   return read_fails(descriptor)
              ? -1
              : next<ssize_t (*)(int, void*, size_t, off_t)>("pread")(descriptor, out, size, at);
+}
+
+int fsync(int descriptor) {
+  stall("sync", path_of(descriptor).c_str());
+  return next<int (*)(int)>("fsync")(descriptor);
+}
+
+int fdatasync(int descriptor) {
+  stall("sync", path_of(descriptor).c_str());
+  return next<int (*)(int)>("fdatasync")(descriptor);
 }
 
 int pthread_create(pthread_t* thread, const pthread_attr_t* attributes, void* (*run)(void*), void* argument) {

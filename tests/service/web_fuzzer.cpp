@@ -42,7 +42,10 @@ class Site {
     web.listen = "127.0.0.1:0";
     web.page = folder_.path() / "page";
     web.token_file = folder_.path() / "token";
-    web_.emplace(web, folder_.path() / "takes", stream_, control_);
+    const std::filesystem::path takes = folder_.path() / "takes";
+    web_.emplace(
+        web, takes, [takes](const std::string& name) { return service::find_take(takes, name); }, stream_,
+        control_);
   }
 
   void visit(std::string_view bytes) {
@@ -68,7 +71,9 @@ class Site {
       }
       control_.serve();
       pollfd events[] = {{peer.get(), POLLIN, 0}, {control_.fd(), POLLIN, 0}};
-      ::poll(events, 2, 10);
+      if (::poll(events, 2, 10) == 0 && bytes.empty()) {
+        return;  // half a request: nobody waits until the server has had enough of it
+      }
       const ssize_t got = ::recv(peer.get(), piece, sizeof piece, MSG_DONTWAIT);
       if (got == 0 || (got < 0 && errno != EAGAIN)) {
         return;

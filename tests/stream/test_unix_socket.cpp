@@ -1,6 +1,9 @@
+#include <fcntl.h>
 #include <gmock/gmock.h>
 #include <grp.h>
 #include <gtest/gtest.h>
+#include <poll.h>
+#include <sys/resource.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <unistd.h>
@@ -55,6 +58,29 @@ TEST_F(UnixSocket, StaleSocketIsReplaced) {
   ASSERT_TRUE(std::filesystem::is_socket(kept));
   const ListeningSocket listening(kept, {});
   EXPECT_TRUE(connect_unix(kept));
+}
+
+/// With no descriptor left a connection is closed instead of waking the loop without end.
+TEST_F(UnixSocket, WhoCanNotBeAcceptedIsTurnedAway) {
+  ListeningSocket listening(path, {});
+  const FileDescriptor first = connect_unix(path);
+  const FileDescriptor second = connect_unix(path);
+  rlimit before{};
+  ASSERT_EQ(::getrlimit(RLIMIT_NOFILE, &before), 0);
+  const FileDescriptor highest(::fcntl(second.get(), F_DUPFD_CLOEXEC, 0));
+  const rlimit none{static_cast<rlim_t>(highest.get()) + 1, before.rlim_max};
+  ASSERT_EQ(::setrlimit(RLIMIT_NOFILE, &none), 0);
+  EXPECT_FALSE(listening.accept());
+  EXPECT_FALSE(listening.accept());
+  ASSERT_EQ(::setrlimit(RLIMIT_NOFILE, &before), 0);
+  EXPECT_EQ(listening.turned_away(), 2U);
+  char byte = 0;
+  EXPECT_EQ(::recv(first.get(), &byte, 1, 0), 0) << "it is told by its end";
+  pollfd waits{listening.fd(), POLLIN, 0};
+  EXPECT_EQ(::poll(&waits, 1, 0), 0) << "nobody is left in the backlog";
+  const FileDescriptor third = connect_unix(path);
+  EXPECT_TRUE(listening.accept());
+  EXPECT_EQ(listening.turned_away(), 2U);
 }
 
 TEST_F(UnixSocket, APassedSocketIsUsedAndItsPathLeftAlone) {
