@@ -219,12 +219,19 @@ void ControlExchange::answer(std::string response) {
     // What is left would only be more of it.
     next_ = requests_.size();
   }
-  text_ += text_.empty() ? "" : ",";
+  if (text_.empty() && !batch_) {
+    text_ = std::move(response);
+    return;
+  }
+  text_ += text_.empty() ? "[" : ",";
   text_ += response;
 }
 
 std::string ControlExchange::response() && {
-  return batch_ && !text_.empty() ? "[" + text_ + "]" : std::move(text_);
+  if (batch_ && !text_.empty()) {
+    text_ += ']';
+  }
+  return std::move(text_);
 }
 
 std::string error_response(int code, const std::string& message) {

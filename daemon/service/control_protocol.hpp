@@ -107,7 +107,7 @@ class ControlExchange {
   bool batch_ = false;
   std::vector<nlohmann::json> requests_;
   std::size_t next_ = 0;
-  std::string text_;  ///< the responses so far, commas between them
+  std::string text_;  ///< the responses so far; of a batch as its list begins
 };
 
 /// As JSON; text that is not UTF-8 (paths need not be) has its bytes replaced.

@@ -436,7 +436,7 @@ void ControlServer::refuse(Client& client, const std::string& why) {
   client.last_words = true;
 }
 
-void ControlServer::say(Client& client, const std::string& response) {
+void ControlServer::say(Client& client, std::string response) {
   if (response.empty()) {
     return;
   }
@@ -447,8 +447,14 @@ void ControlServer::say(Client& client, const std::string& response) {
     const stream::WebSocketHeader header(stream::WebSocketOpcode::Text, response.size());
     client.unsent.append(header.view().begin(), header.view().end());
     client.unsent += response;
+    return;
+  }
+  // An answer has megabytes at times, and nobody needs it twice.
+  response += '\n';
+  if (client.unsent.empty()) {
+    client.unsent = std::move(response);
   } else {
-    client.unsent += response + '\n';
+    client.unsent += response;
   }
 }
 

@@ -119,7 +119,7 @@ class ControlServer {
   void begin_message(Client& client);
   static void refuse(Client& client, const std::string& why);
   static void close_web(Client& client, stream::WebSocketClose code, std::string_view why);
-  static void say(Client& client, const std::string& response);
+  static void say(Client& client, std::string response);
   void send_some(Client& client);
   void drop_greediest();
   void watch(Client& client);
