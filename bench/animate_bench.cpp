@@ -21,15 +21,15 @@
 #include "animate/face_graph.hpp"
 #include "animate/face_ik.hpp"
 #include "animate/places.hpp"
+#include "exports/export.hpp"
 #include "facet/assets.hpp"
 #include "facet/error.hpp"
 #include "mesh/hierarchy.hpp"
 #include "progress.hpp"
+#include "report/take_pictures.hpp"
 #include "simulation/actor_take.hpp"
-#include "take/export.hpp"
 #include "take/reader.hpp"
 #include "take/recorder.hpp"
-#include "take_pictures.hpp"
 
 namespace facet {
 namespace {
@@ -289,13 +289,14 @@ constexpr int kCellWidth_px = 420;
 constexpr int kCellHeight_px = 500;
 
 render::Picture draw(const mesh::MeshFrame& frame) {
-  const tools::FrameGeometry geometry = tools::geometry_of(frame);
+  const report::FrameGeometry geometry = report::geometry_of(frame);
   const mesh::Triangles& triangles = frame.subject->hierarchy->finest().triangles;
-  const tools::Cell cell =
-      tools::cell_around(tools::face_vertices(frame), frame.camera, kCellWidth_px, kCellHeight_px);
+  const report::Cell cell =
+      report::cell_around(report::face_vertices(frame), frame.camera, kCellWidth_px, kCellHeight_px);
   const render::Raycaster caster(geometry.refined_mm, triangles);
-  return tools::render_colours(caster, triangles, tools::grey_shading(geometry.refined_normals), cell.camera,
-                               render::plain_picture(kCellWidth_px, kCellHeight_px, tools::kPaper));
+  return report::render_colours(caster, triangles, report::grey_shading(geometry.refined_normals),
+                                cell.camera,
+                                render::plain_picture(kCellWidth_px, kCellHeight_px, report::kPaper));
 }
 
 /// Cells in rows, each with a text.
@@ -303,12 +304,12 @@ class Sheet {
  public:
   Sheet(int columns, int rows)
       : picture_(render::plain_picture(columns * (kCellWidth_px + kGap_px), rows * (kCellHeight_px + kGap_px),
-                                       tools::kPaper)) {}
+                                       report::kPaper)) {}
   void put(int column, int row, const render::Picture& cell, const std::string& text) {
     const int x = column * (kCellWidth_px + kGap_px);
     const int y = row * (kCellHeight_px + kGap_px);
     render::paste(picture_, cell, x, y);
-    tools::label_cell(picture_, x, y + kCellHeight_px, text);
+    report::label_cell(picture_, x, y + kCellHeight_px, text);
   }
   void write(const std::filesystem::path& file) const { render::write_png(picture_, file); }
 
@@ -587,7 +588,7 @@ void run_sheet(const Options& options) {
   for (int cell = 0; cell < kColumns * kRows; ++cell) {
     const std::int64_t index = cell * (reader.frame_count() - 1) / (kColumns * kRows - 1);
     const auto frame = reader.frame(index);
-    if (take::has_mesh(*frame)) {
+    if (mesh::has_mesh(*frame)) {
       sheet.put(cell % kColumns, cell / kColumns, draw(*frame),
                 fmt::format("{:.2f} s", static_cast<double>(frame->media_time_ns) * 1e-9));
     }

@@ -12,10 +12,10 @@
 #include <string>
 #include <vector>
 
-#include "calibration/board_views.hpp"
 #include "calibration/calibrator.hpp"
 #include "facet/error.hpp"
 #include "render/renderer.hpp"
+#include "support/board_views.hpp"
 
 namespace {
 

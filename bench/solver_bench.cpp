@@ -17,8 +17,8 @@
 #include "ceres_solver.hpp"
 #include "facet/error.hpp"
 #include "gpu/context.hpp"
-#include "refine/displacement_solver.hpp"
 #include "solver_problem.hpp"
+#include "support/displacement_solver.hpp"
 #include "vector_solver.hpp"
 
 namespace {

@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "mesh/mesh.hpp"
-#include "refine/displacement_solver.hpp"
+#include "support/displacement_solver.hpp"
 
 namespace facet::bench {
 

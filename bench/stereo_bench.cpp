@@ -20,9 +20,9 @@
 #include "facet/error.hpp"
 #include "gpu/context.hpp"
 #include "render/renderer.hpp"
+#include "scan/structured_light.hpp"
 #include "simulation/booth.hpp"
 #include "stereo/stereo_matcher.hpp"
-#include "stereo/structured_light.hpp"
 #include "stereo_footage.hpp"
 #include "stereo_metrics.hpp"
 #include "stereo_others.hpp"
@@ -45,8 +45,8 @@ struct Options {
   int threads = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
   facet::stereo::StereoOptions stereo;
   std::string sequence = "phase:8x64,gray:6,gray-inverse:6";
-  facet::stereo::DecodeOptions decode;
-  facet::stereo::StructuredLightOptions structured;
+  facet::scan::DecodeOptions decode;
+  facet::scan::StructuredLightOptions structured;
 };
 
 void show_times(const facet::stereo::StereoTimes& times, std::size_t slots) {
@@ -289,13 +289,13 @@ void draw(const std::filesystem::path& folder, const std::string& name, const Re
   }
 }
 
-void show_view(const char* name, const facet::stereo::DecodedView& view) {
+void show_view(const char* name, const facet::scan::DecodedView& view) {
   fmt::print("  {}: residual {:.3f} of the modulation", name, view.residual);
-  for (std::size_t fault = 0; fault < facet::stereo::kPhaseFaults; ++fault) {
+  for (std::size_t fault = 0; fault < facet::scan::kPhaseFaults; ++fault) {
     fmt::print(", {} {}", view.faults[fault],
-               facet::stereo::to_string(static_cast<facet::stereo::PhaseFault>(fault)));
+               facet::scan::to_string(static_cast<facet::scan::PhaseFault>(fault)));
   }
-  const facet::stereo::PhaseField& columns = view.columns;
+  const facet::scan::PhaseField& columns = view.columns;
   fmt::print("\n    columns: {} cells a period, start {:.4f} rad, agreement {:.3f}{} {}\n",
              columns.cells_per_period, columns.start_rad, columns.agreement,
              columns.reversed ? ", reversed" : "", columns.why_no_phases);
@@ -318,7 +318,7 @@ double relative_error(const StereoFootage& footage, const facet::capture::DepthM
 
 void run_structured(const facet::simulation::Booth& booth, const std::string& scene, const Options& options,
                     Table& table) {
-  namespace stereo = facet::stereo;
+  namespace scan = facet::scan;
   facet::bench::SceneOptions scene_options = options.scene;
   scene_options.sequence = facet::capture::parse_sequence(options.sequence);
   const facet::bench::CodedFootage coded =
@@ -326,13 +326,12 @@ void run_structured(const facet::simulation::Booth& booth, const std::string& sc
   fmt::print("\n{} structured light, {} pictures:\n", scene, scene_options.sequence.pictures.size());
   show_view("left", coded.left);
   show_view("right", coded.right);
-  stereo::StructuredLightOptions match = options.structured;
+  scan::StructuredLightOptions match = options.structured;
   match.depths = coded.pair.depths;
   const facet::capture::Rig& rig = booth.rig();
-  const stereo::StructuredDepth pair =
-      stereo::match_phases(rig, coded.pair.pair, coded.left, coded.right, match);
-  const stereo::StructuredDepth single =
-      stereo::triangulate_phases(rig, coded.left_camera, coded.projector_index, coded.left, match);
+  const scan::StructuredDepth pair = scan::match_phases(rig, coded.pair.pair, coded.left, coded.right, match);
+  const scan::StructuredDepth single =
+      scan::triangulate_phases(rig, coded.left_camera, coded.projector_index, coded.left, match);
   fmt::print("  two cameras: {} ambiguous, {} disagreeing, epipolar {:.3f} px, error / sigma {:.2f}\n",
              pair.ambiguous, pair.disagreeing, pair.epipolar_px, relative_error(coded.pair, pair.map));
   fmt::print("  camera and projector: {} disagreeing, epipolar {:.3f} px, error / sigma {:.2f}\n",
@@ -497,7 +496,7 @@ void run(const Options& options) {
 
 int main(int argc, char** argv) {
   Options options;
-  options.decode.response = facet::stereo::Response::Srgb;  // the booth's cameras
+  options.decode.response = facet::scan::Response::Srgb;  // the booth's cameras
   CLI::App app("Depth maps of footage whose depth is known: error, fill, ridges and time");
   app.add_option("--scenes", options.scenes,
                  "actor, still, booth-plane, booth-sphere; plane, sphere, wave, step")

@@ -223,7 +223,7 @@ StereoFootage booth_footage(const simulation::Booth& booth, const std::string& n
 }
 
 CodedFootage coded_footage(const simulation::Booth& booth, const std::string& name, std::size_t pair,
-                           const SceneOptions& options, const stereo::DecodeOptions& decode) {
+                           const SceneOptions& options, const scan::DecodeOptions& decode) {
   CodedFootage out;
   out.pair = empty_footage(booth, name, pair);
   out.projector = out.pair;
@@ -235,13 +235,13 @@ CodedFootage coded_footage(const simulation::Booth& booth, const std::string& na
   config.width_px = light.width_px;
   config.height_px = light.height_px;
   const auto decoder_of = [&](std::size_t camera) {
-    return stereo::PhaseDecoder(options.sequence, rig.cameras[camera].lens.width_px,
-                                rig.cameras[camera].lens.height_px, decode);
+    return scan::PhaseDecoder(options.sequence, rig.cameras[camera].lens.width_px,
+                              rig.cameras[camera].lens.height_px, decode);
   };
-  stereo::PhaseDecoder left = decoder_of(out.pair.pair.left);
-  stereo::PhaseDecoder right = decoder_of(out.pair.pair.right);
+  scan::PhaseDecoder left = decoder_of(out.pair.pair.left);
+  scan::PhaseDecoder right = decoder_of(out.pair.pair.right);
   std::vector<float> grey;
-  const auto add = [&](stereo::PhaseDecoder& decoder, std::size_t picture, const Frame& frame) {
+  const auto add = [&](scan::PhaseDecoder& decoder, std::size_t picture, const Frame& frame) {
     grey.clear();
     for (int y = 0; y < frame.height_px; ++y) {
       for (int x = 0; x < frame.width_px; ++x) {

@@ -7,8 +7,8 @@
 #include "capture/code_sequence.hpp"
 #include "capture/rig.hpp"
 #include "face/face_model.hpp"
+#include "scan/phase_decoder.hpp"
 #include "simulation/booth.hpp"
-#include "stereo/phase_decoder.hpp"
 #include "stereo/rectification.hpp"
 #include "stereo/stereo_matcher.hpp"
 
@@ -61,7 +61,7 @@ StereoFootage booth_footage(const simulation::Booth& booth, const std::string& s
 
 /// A still scene in structured light from one projector, as a pair's cameras see it.
 struct CodedFootage {
-  stereo::DecodedView left, right;
+  scan::DecodedView left, right;
   /// One slot, with the same truth as the pair's slots: what both cameras see of the skin or target.
   StereoFootage pair;
   /// The same of the left camera's lens without distortion: what it sees and the projector lights.
@@ -70,6 +70,6 @@ struct CodedFootage {
   std::size_t projector_index = 0;
 };
 CodedFootage coded_footage(const simulation::Booth& booth, const std::string& scene, std::size_t pair,
-                           const SceneOptions& options, const stereo::DecodeOptions& decode);
+                           const SceneOptions& options, const scan::DecodeOptions& decode);
 
 }  // namespace facet::bench

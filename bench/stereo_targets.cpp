@@ -17,9 +17,9 @@
 #include "facet/error.hpp"
 #include "gpu/context.hpp"
 #include "render/renderer.hpp"
+#include "scan/structured_light.hpp"
 #include "simulation/booth.hpp"
 #include "stereo/stereo_matcher.hpp"
-#include "stereo/structured_light.hpp"
 #include "stereo_footage.hpp"
 
 namespace {
@@ -33,7 +33,7 @@ struct Options {
   std::string sequence = "phase:8x64,gray:6,gray-inverse:6";
   std::string device = "auto";
   std::filesystem::path pictures;
-  facet::stereo::DecodeOptions decode;
+  facet::scan::DecodeOptions decode;
 };
 
 /// A point of a map, rig frame, and the pixel it comes from.
@@ -221,13 +221,13 @@ class Bench {
     }
     const facet::bench::CodedFootage coded =
         facet::bench::coded_footage(booth, scene, options_.pair, scene_options, options_.decode);
-    facet::stereo::StructuredLightOptions match;
+    facet::scan::StructuredLightOptions match;
     match.depths = footage.depths;
     // Slot 61 of the program shows stripes B, with two pattern slots and a blank one within its window.
     return {maps[1],
-            facet::stereo::match_phases(booth.rig(), coded.pair.pair, coded.left, coded.right, match).map,
-            facet::stereo::triangulate_phases(booth.rig(), coded.left_camera, coded.projector_index,
-                                              coded.left, match)
+            facet::scan::match_phases(booth.rig(), coded.pair.pair, coded.left, coded.right, match).map,
+            facet::scan::triangulate_phases(booth.rig(), coded.left_camera, coded.projector_index, coded.left,
+                                            match)
                 .map};
   }
 
@@ -324,7 +324,7 @@ class Bench {
 
 int main(int argc, char** argv) {
   Options options;
-  options.decode.response = facet::stereo::Response::Srgb;  // the booth's cameras
+  options.decode.response = facet::scan::Response::Srgb;  // the booth's cameras
   CLI::App app("Plate and ball of the virtual booth, measured, in the terms of VDI/VDE 2634 part 2");
   app.add_option("--seeds", options.seeds)->delimiter(',');
   app.add_option("--pair", options.pair, "of the booth: 0 or 1");

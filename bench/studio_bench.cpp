@@ -15,9 +15,9 @@
 #include <vector>
 
 #include "facet/error.hpp"
-#include "service/studio.hpp"
 #include "stream/client.hpp"
 #include "stream/server.hpp"
+#include "studio/studio.hpp"
 
 namespace {
 
@@ -30,7 +30,7 @@ double processor_s() {
   return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
 }
 
-void await(service::Studio& studio, service::StudioState state) {
+void await(studio::Studio& studio, studio::StudioState state) {
   while (studio.status().state != state) {
     if (!studio.status().reason.empty()) {
       throw Error(ErrorKind::UnreadableInput, studio.status().reason);
@@ -68,14 +68,14 @@ int main(int argc, char** argv) {
     config.socket = std::filesystem::temp_directory_path() / "facet-studio-bench.sock";
     stream::StreamServer server(config);
     server.start();
-    service::Studio studio(
+    studio::Studio studio(
         file.parent_path(),
         [&](std::shared_ptr<const mesh::MeshFrame> frame) { server.publish(std::move(frame)); }, [](bool) {},
         "studio_bench");
     studio.start();
     studio.open(file.stem().string(), true);
-    await(studio, service::StudioState::Opening);
-    await(studio, service::StudioState::Ready);
+    await(studio, studio::StudioState::Opening);
+    await(studio, studio::StudioState::Ready);
     studio.set_controls(controls_at(0), false, false);  // influence maps are made once
 
     std::atomic<bool> done{false};
@@ -106,7 +106,7 @@ int main(int argc, char** argv) {
     while (received == 0 || studio.status().solved < 2) {
       std::this_thread::sleep_for(std::chrono::milliseconds(5));
     }
-    const service::StudioStatus before = studio.status();
+    const studio::StudioStatus before = studio.status();
     const int received_before = received;
     const double processor_before_s = processor_s();
     const Clock::time_point began = Clock::now();
@@ -118,7 +118,7 @@ int main(int argc, char** argv) {
             began + std::chrono::duration_cast<Clock::duration>(
                         std::chrono::duration<double>(static_cast<double>(event + 1) / rate_hz)));
       } else {
-        for (service::StudioStatus now = studio.status(); now.solved + now.superseded < asked;
+        for (studio::StudioStatus now = studio.status(); now.solved + now.superseded < asked;
              now = studio.status()) {
           std::this_thread::sleep_for(std::chrono::microseconds(50));
         }
@@ -127,7 +127,7 @@ int main(int argc, char** argv) {
     }
     const double wall_s = std::chrono::duration<double>(Clock::now() - began).count();
     std::this_thread::sleep_for(std::chrono::milliseconds(100));
-    const service::StudioStatus after = studio.status();
+    const studio::StudioStatus after = studio.status();
     const double used_s = processor_s() - processor_before_s;
     const int got = received - received_before;
     done = true;

@@ -18,6 +18,7 @@
 #include <numeric>
 #include <random>
 
+#include "booth/booth_shading.hpp"
 #include "capture/depth_map.hpp"
 #include "face/face_model.hpp"
 #include "facet/error.hpp"
@@ -25,7 +26,6 @@
 #include "fit/skin_tracker.hpp"
 #include "fit/template_mesh.hpp"
 #include "gpu/context.hpp"
-#include "pipeline/booth_shading.hpp"
 #include "render/renderer.hpp"
 #include "simulation/booth.hpp"
 #include "stereo/stereo_matcher.hpp"
@@ -394,7 +394,7 @@ int run(int argc, char** argv) {
   bool with_stereo = false;
   bool with_between = false;
   bool with_shading = false;
-  refine::RefinerConfig shading = pipeline::booth_refinement();
+  refine::RefinerConfig shading = booth::booth_refinement();
   std::uint64_t first_slot = 150;
   fit::SkinTrackerOptions tracking;
   fit::FitOptions& options = tracking.fit;
@@ -475,7 +475,7 @@ int run(int argc, char** argv) {
   SurfaceError template_error;
   SurfaceError fine_error;
   SurfaceError shaded_error;
-  std::unique_ptr<pipeline::BoothShading> shade;
+  std::unique_ptr<booth::BoothShading> shade;
   std::vector<float> shading_mm;
   std::vector<float> shaded_mm;
   int shading_turned = 0;
@@ -487,7 +487,7 @@ int run(int argc, char** argv) {
     fmt::print("fine surface: {} vertices, {} triangles\n", fine->hierarchy()->finest().vertex_count,
                fine->hierarchy()->finest().triangles.cols());
     if (with_shading) {
-      shade = std::make_unique<pipeline::BoothShading>("auto", rig, shading);
+      shade = std::make_unique<booth::BoothShading>("auto", rig, shading);
       shade->begin(*fine->hierarchy(), *surface, model);
     }
   }

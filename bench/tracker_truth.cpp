@@ -18,10 +18,10 @@
 
 #include "camera/factory.hpp"
 #include "capture/rig_file.hpp"
-#include "evaluation.hpp"
 #include "facet/assets.hpp"
 #include "facet/error.hpp"
 #include "mesh/mesh.hpp"
+#include "report/evaluation.hpp"
 #include "simulation/sensor.hpp"
 #include "simulation/sequence.hpp"
 #include "track/tracker.hpp"
@@ -382,7 +382,7 @@ class TruthRun {
       if (mesh.vertices_mm.cols() == 0) {
         continue;
       }
-      facet::tools::Reconstruction coarse;
+      facet::report::Reconstruction coarse;
       coarse.normals =
           mesh.camera_from_head.linear() * control_normals(model_.control.quads, mesh.vertices_mm);
       coarse.vertices_mm =
@@ -395,9 +395,9 @@ class TruthRun {
           coarse.measured.push_back(v);
         }
       }
-      const facet::tools::Truth truth(
+      const facet::report::Truth truth(
           facet::simulation::read_truth_ply(facet::simulation::truth_file(sequence_.folder, f)));
-      const auto comparison = facet::tools::compare(coarse, truth, facet::tools::Alignment::Similarity);
+      const auto comparison = facet::report::compare(coarse, truth, facet::report::Alignment::Similarity);
       for (std::size_t i = 0; i < coarse.measured.size(); ++i) {
         const std::int32_t v = coarse.measured[i];
         if (std::isfinite(comparison.signed_distance_mm[i])) {

@@ -8,8 +8,8 @@
 #include <utility>
 
 #include "camera/factory.hpp"
+#include "face/subject_builder.hpp"
 #include "facet/error.hpp"
-#include "pipeline/subject_builder.hpp"
 #include "simulation/sequence.hpp"
 #include "track/tracker.hpp"
 
@@ -59,7 +59,7 @@ void track(const face::FaceModel& model, const SequenceOptions& options, const s
       good.camera = result.camera;
       good.camera_from_head = result.camera_from_head;
       good.control_vertices_mm = result.vertices_mm;
-      sequence.subject = pipeline::build_subject(model, hierarchy, good, result.identity, result.subject);
+      sequence.subject = face::build_subject(model, hierarchy, good, result.identity, result.subject);
     }
     sequence.frames.push_back({frame, result.camera, result.camera_from_head, result.vertices_mm});
   }
@@ -102,14 +102,14 @@ void take_truth(const face::FaceModel& model, const SequenceOptions& options,
       good.camera = camera;
       good.camera_from_head = frame.camera_from_head;
       good.control_vertices_mm = frame.control_vertices_mm;
-      sequence.subject = pipeline::build_subject(model, hierarchy, good, identity, 1);
+      sequence.subject = face::build_subject(model, hierarchy, good, identity, 1);
     }
     sequence.frames.push_back(std::move(frame));
   }
 }
 
 /// The true albedo at the finest vertices, at the truth's points nearest to the aligned coarse mesh.
-std::shared_ptr<const mesh::Albedo> true_albedo(const tools::Reconstruction& coarse,
+std::shared_ptr<const mesh::Albedo> true_albedo(const report::Reconstruction& coarse,
                                                 const MeasuredFrame& frame) {
   auto out = std::make_shared<mesh::Albedo>();
   out->version = 1;
@@ -128,9 +128,9 @@ std::shared_ptr<const mesh::Albedo> true_albedo(const tools::Reconstruction& coa
 
 }  // namespace
 
-tools::Reconstruction reconstruct(const Sequence& sequence, const TrackedFrame& frame,
-                                  const std::vector<float>& displacements_mm) {
-  tools::Reconstruction out;
+report::Reconstruction reconstruct(const Sequence& sequence, const TrackedFrame& frame,
+                                   const std::vector<float>& displacements_mm) {
+  report::Reconstruction out;
   mesh::rebuild_finest(*sequence.subject->hierarchy, frame.control_vertices_mm, displacements_mm,
                        out.vertices_mm, out.normals);
   for (Eigen::Index v = 0; v < out.vertices_mm.cols(); ++v) {
@@ -140,13 +140,13 @@ tools::Reconstruction reconstruct(const Sequence& sequence, const TrackedFrame& 
   return out;
 }
 
-tools::Comparison compare_aligned(tools::Reconstruction mesh, const MeasuredFrame& measured) {
+report::Comparison compare_aligned(report::Reconstruction mesh, const MeasuredFrame& measured) {
   for (Eigen::Index v = 0; v < mesh.vertices_mm.cols(); ++v) {
     mesh.vertices_mm.col(v) = measured.truth_from_camera * Eigen::Vector3f(mesh.vertices_mm.col(v));
     mesh.normals.col(v) = measured.truth_from_camera.rotation * mesh.normals.col(v).eval();
   }
   mesh.measured = measured.vertices;
-  return tools::compare(mesh, *measured.truth, tools::Alignment::None);
+  return report::compare(mesh, *measured.truth, report::Alignment::None);
 }
 
 Sequence load_sequence(const face::FaceModel& model, const SequenceOptions& options,
@@ -163,19 +163,19 @@ Sequence load_sequence(const face::FaceModel& model, const SequenceOptions& opti
   } else {
     track(model, options, frames, sequence);
   }
-  tools::FigureSum sum;
+  report::FigureSum sum;
   for (std::size_t k = 0; k < sequence.frames.size(); k += static_cast<std::size_t>(options.measure_every)) {
     const TrackedFrame& frame = sequence.frames[k];
     MeasuredFrame measured;
-    measured.truth = std::make_unique<tools::Truth>(
+    measured.truth = std::make_unique<report::Truth>(
         simulation::read_truth_ply(simulation::truth_file(folder, frame.image.sequence)));
-    tools::Reconstruction coarse = reconstruct(sequence, frame, {});
-    measured.vertices = tools::measured_vertices(*sequence.subject, coarse.vertices_mm, coarse.normals);
+    report::Reconstruction coarse = reconstruct(sequence, frame, {});
+    measured.vertices = report::measured_vertices(*sequence.subject, coarse.vertices_mm, coarse.normals);
     coarse.measured = measured.vertices;
-    const auto comparison = tools::compare(coarse, *measured.truth, tools::Alignment::Similarity);
+    const auto comparison = report::compare(coarse, *measured.truth, report::Alignment::Similarity);
     measured.truth_from_camera = comparison.truth_from_reconstruction;
     measured.true_displacements_mm =
-        tools::true_displacements_mm(coarse, measured.truth_from_camera, *measured.truth);
+        report::true_displacements_mm(coarse, measured.truth_from_camera, *measured.truth);
     sum.add(static_cast<std::int64_t>(k), measured.vertices, comparison, 0);
     if (options.albedo == "truth" && !sequence.true_albedo) {
       sequence.true_albedo = true_albedo(coarse, measured);
@@ -198,8 +198,8 @@ Score refine_sequence(gpu::Context& context, const face::FaceModel& model, const
   refine::Refiner refiner(context, config);
   refiner.set_subject(
       {sequence.subject->hierarchy, model.mean_albedo, model.control.refinable, sequence.true_albedo});
-  tools::FigureSum sum;
-  tools::WrinkleSum wrinkles;
+  report::FigureSum sum;
+  report::WrinkleSum wrinkles;
   Score score;
   std::vector<float> previous;
   double squares = 0;
@@ -222,7 +222,7 @@ Score refine_sequence(gpu::Context& context, const face::FaceModel& model, const
           compare_aligned(reconstruct(sequence, frame, output.displacements_mm), measured->second);
       sum.add(static_cast<std::int64_t>(k), measured->second.vertices, comparison,
               static_cast<double>(output.photometric_rms));
-      tools::Reconstruction coarse = reconstruct(sequence, frame, {});
+      report::Reconstruction coarse = reconstruct(sequence, frame, {});
       coarse.measured = measured->second.vertices;
       wrinkles.add(sequence.subject->hierarchy->finest().one_rings, coarse,
                    measured->second.true_displacements_mm, output.displacements_mm);
@@ -231,7 +231,7 @@ Score refine_sequence(gpu::Context& context, const face::FaceModel& model, const
       }
     }
   }
-  const tools::Figures figures = sum.figures();
+  const report::Figures figures = sum.figures();
   const auto count = static_cast<double>(sequence.frames.size());
   score.mean_mm = figures.mean_mm;
   score.normal_deg = figures.normal_error_deg;

@@ -9,14 +9,14 @@
 #include <string>
 #include <vector>
 
-#include "evaluation.hpp"
 #include "face/face_model.hpp"
 #include "facet/assets.hpp"
 #include "facet/frame.hpp"
 #include "gpu/context.hpp"
 #include "mesh/mesh_frame.hpp"
 #include "refine/refiner.hpp"
-#include "simulation/alignment.hpp"
+#include "maths/alignment.hpp"
+#include "report/evaluation.hpp"
 
 namespace facet::bench {
 
@@ -32,10 +32,10 @@ struct SequenceOptions {
 
 /// A frame of which the truth is known.
 struct MeasuredFrame {
-  std::unique_ptr<tools::Truth> truth;
+  std::unique_ptr<report::Truth> truth;
   std::vector<std::int32_t> vertices;
   std::vector<float> true_displacements_mm;  ///< tools::true_displacements_mm of the coarse mesh
-  simulation::Similarity truth_from_camera;  ///< that fits the coarse mesh best
+  maths::Similarity truth_from_camera;      ///< that fits the coarse mesh best
 };
 
 struct TrackedFrame {
@@ -52,7 +52,7 @@ struct Sequence {
   std::shared_ptr<const mesh::Subject> subject;
   std::vector<TrackedFrame> frames;
   std::map<std::size_t, MeasuredFrame> measured;
-  tools::Figures coarse;
+  report::Figures coarse;
 };
 
 /// Reads and tracks a folder that facet synth wrote. Throws Error(UnreadableInput), Error(NoFace).
@@ -60,11 +60,11 @@ Sequence load_sequence(const face::FaceModel& model, const SequenceOptions& opti
                        const std::filesystem::path& folder);
 
 /// The finest mesh in the camera frame.
-tools::Reconstruction reconstruct(const Sequence& sequence, const TrackedFrame& frame,
-                                  const std::vector<float>& displacements_mm);
+report::Reconstruction reconstruct(const Sequence& sequence, const TrackedFrame& frame,
+                                   const std::vector<float>& displacements_mm);
 
 /// Compares with the truth under the coarse mesh's alignment, so that a setting can't gain by a better one.
-tools::Comparison compare_aligned(tools::Reconstruction mesh, const MeasuredFrame& measured);
+report::Comparison compare_aligned(report::Reconstruction mesh, const MeasuredFrame& measured);
 
 struct Score {
   double mean_mm = 0;

@@ -147,7 +147,7 @@ void print_reach(const std::vector<Sequence>& sequences) {
   for (const int rounds : {0, 10, 40, 160, 640}) {
     fmt::print("reach, smoothed {:<6}", rounds);
     for (const Sequence& sequence : sequences) {
-      facet::tools::FigureSum sum;
+      facet::report::FigureSum sum;
       for (const auto& [k, measured] : sequence.measured) {
         const TrackedFrame& frame = sequence.frames[k];
         const auto mesh =
@@ -155,7 +155,7 @@ void print_reach(const std::vector<Sequence>& sequences) {
         sum.add(static_cast<std::int64_t>(k), measured.vertices,
                 facet::bench::compare_aligned(mesh, measured), 0);
       }
-      const facet::tools::Figures figures = sum.figures();
+      const facet::report::Figures figures = sum.figures();
       fmt::print(" {:6.2f} {:+6.1f}% {:+6.1f}%", figures.normal_error_deg,
                  100 * (figures.normal_error_deg / sequence.coarse.normal_error_deg - 1),
                  100 * (figures.mean_mm / sequence.coarse.mean_mm - 1));

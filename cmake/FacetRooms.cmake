@@ -55,6 +55,15 @@ function(facet_precompiled target)
   endif()
 endfunction()
 
+# Lower rooms are added before those that include them: the order of the table in docs/architecture.md.
+function(facet_require name)
+  foreach(target ${ARGN})
+    if(NOT TARGET ${target})
+      message(FATAL_ERROR "${name} includes ${target}, which stands below it or is no room (CMakeLists.txt, docs/architecture.md)")
+    endif()
+  endforeach()
+endfunction()
+
 # facet_room(<name> SOURCES <files> [ROOMS <rooms it includes in its headers>] [LIBS <external, public>]
 #            [PRIVATE_ROOMS <rooms>] [PRIVATE_LIBS <external>])
 function(facet_room name)
@@ -64,6 +73,7 @@ function(facet_room name)
   file(CREATE_LINK "${CMAKE_CURRENT_SOURCE_DIR}" "${door}/${name}" SYMBOLIC)
   list(TRANSFORM ARG_ROOMS PREPEND "facet_")
   list(TRANSFORM ARG_PRIVATE_ROOMS PREPEND "facet_")
+  facet_require(facet_${name} ${ARG_ROOMS} ${ARG_PRIVATE_ROOMS})
   if(ARG_SOURCES)
     add_library(facet_${name} STATIC ${ARG_SOURCES})
     target_include_directories(facet_${name} PUBLIC "${door}")

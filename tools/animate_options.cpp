@@ -9,8 +9,8 @@
 
 #include "facet/error.hpp"
 #include "progress.hpp"
+#include "report/take_pictures.hpp"
 #include "stop_signals.hpp"
-#include "take_pictures.hpp"
 #include "tell.hpp"
 
 namespace facet::tools {
@@ -93,15 +93,15 @@ std::vector<float> parse_numbers(const std::string& option, const std::string& t
 
 render::Picture draw_face(const mesh::MeshFrame& frame, const CameraIntrinsics& camera,
                           const mesh::Vertices& tints) {
-  const FrameGeometry geometry = geometry_of(frame);
+  const report::FrameGeometry geometry = report::geometry_of(frame);
   const mesh::Triangles& triangles = frame.subject->hierarchy->finest().triangles;
-  mesh::Vertices colours = grey_shading(geometry.refined_normals);
+  mesh::Vertices colours = report::grey_shading(geometry.refined_normals);
   if (tints.cols() > 0) {
     colours = colours.cwiseProduct(tints).eval();
   }
   const render::Raycaster caster(geometry.refined_mm, triangles, render::Raycaster::Build::Quick);
-  return render_colours(caster, triangles, colours, camera,
-                        render::plain_picture(camera.width_px, camera.height_px, kPaper));
+  return report::render_colours(caster, triangles, colours, camera,
+                                render::plain_picture(camera.width_px, camera.height_px, report::kPaper));
 }
 
 }  // namespace facet::tools

@@ -118,8 +118,8 @@ std::unique_ptr<Team> join_nobody() {
   return std::make_unique<Team>();
 }
 
-SharedDepth::SharedDepth(std::unique_ptr<pipeline::DepthSource> own, Team& team,
-                         std::shared_ptr<DepthFolder> folder)
+SharedDepth::SharedDepth(std::unique_ptr<booth::DepthSource> own, Team& team,
+                         std::shared_ptr<report::DepthFolder> folder)
     : own_(std::move(own)), team_(team), folder_(std::move(folder)) {
   std::vector<std::uint64_t> kept;
   if (folder_ != nullptr) {
@@ -138,7 +138,7 @@ std::string SharedDepth::device() const {
                            : own_->device() + " and those of " + std::to_string(team_.size() - 1) + " others";
 }
 
-std::string SharedDepth::find(std::uint64_t first_slot, std::span<const pipeline::DepthSlot> slots,
+std::string SharedDepth::find(std::uint64_t first_slot, std::span<const booth::DepthSlot> slots,
                               std::vector<std::vector<capture::DepthMap>>& maps, const stereo::Alive& alive) {
   maps.clear();
   bool kept = true;

@@ -6,8 +6,8 @@
 #include <string>
 #include <vector>
 
-#include "depth_folder.hpp"
-#include "pipeline/booth_depth.hpp"
+#include "booth/booth_depth.hpp"
+#include "report/depth_folder.hpp"
 
 namespace facet::tools {
 
@@ -43,16 +43,17 @@ std::unique_ptr<Team> join_nobody();
 /// The runs of a take shared out: run n is found by member n modulo the team's size and sent to the leader,
 /// so that the depth maps are those of a single process, number for number. What the folder keeps is read by
 /// the leader, not found again.
-class SharedDepth final : public pipeline::DepthSource {
+class SharedDepth final : public booth::DepthSource {
  public:
   /// folder: null where none is kept, and for members other than the leader. All members make theirs at once;
   /// main thread.
-  SharedDepth(std::unique_ptr<pipeline::DepthSource> own, Team& team, std::shared_ptr<DepthFolder> folder);
+  SharedDepth(std::unique_ptr<booth::DepthSource> own, Team& team,
+              std::shared_ptr<report::DepthFolder> folder);
   ~SharedDepth() override;
 
   const stereo::DepthRange& depths() const override { return own_->depths(); }
   std::string device() const override;
-  std::string find(std::uint64_t first_slot, std::span<const pipeline::DepthSlot> slots,
+  std::string find(std::uint64_t first_slot, std::span<const booth::DepthSlot> slots,
                    std::vector<std::vector<capture::DepthMap>>& maps, const stereo::Alive& alive) override;
 
  private:
@@ -61,9 +62,9 @@ class SharedDepth final : public pipeline::DepthSource {
   void send(const std::vector<std::vector<capture::DepthMap>>& maps, const std::string& wrong,
             const stereo::Alive& alive);
 
-  std::unique_ptr<pipeline::DepthSource> own_;
+  std::unique_ptr<booth::DepthSource> own_;
   Team& team_;
-  std::shared_ptr<DepthFolder> folder_;
+  std::shared_ptr<report::DepthFolder> folder_;
   std::set<std::uint64_t> kept_;  ///< by the leader's folder
   int run_ = 0;                   ///< that are not kept, so far
 };

@@ -29,16 +29,16 @@ std::vector<std::int64_t> frames_in_range(take::TakeReader& take, const std::str
                           file, take.entry(0).sequence, take.entry(take.frame_count() - 1).sequence));
 }
 
-take::Timeline timeline_of(take::TakeReader& take, const std::vector<std::int64_t>& indices) {
+exports::Timeline timeline_of(take::TakeReader& take, const std::vector<std::int64_t>& indices) {
   std::vector<take::FrameEntry> entries;
   entries.reserve(indices.size());
   for (const std::int64_t index : indices) {
     entries.push_back(take.entry(index));
   }
-  return take::make_timeline(entries, take.info().file);
+  return exports::make_timeline(entries, take.info().file);
 }
 
-void warn_of_varying_rate(const take::Timeline& timeline, const std::string& output) {
+void warn_of_varying_rate(const exports::Timeline& timeline, const std::string& output) {
   if (!timeline.times_s.empty()) {
     tell(stderr,
          "facet: warning: the source's rate varies: '{}', played at its average of {:.6g} Hz, is up to "

@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "take/export.hpp"
+#include "exports/export.hpp"
 #include "take/reader.hpp"
 
 namespace facet::tools {
@@ -19,10 +19,10 @@ inline constexpr const char* kFramesHelp =
 std::vector<std::int64_t> frames_in_range(take::TakeReader& take, const std::string& text);
 
 /// take::make_timeline of the frames at these indices in the take, at least one.
-take::Timeline timeline_of(take::TakeReader& take, const std::vector<std::int64_t>& indices);
+exports::Timeline timeline_of(take::TakeReader& take, const std::vector<std::int64_t>& indices);
 
 /// Warns on standard error where the source's rate varies: for what holds a frame for each of the source's
 /// without its time. output: the file or folder that is written.
-void warn_of_varying_rate(const take::Timeline& timeline, const std::string& output);
+void warn_of_varying_rate(const exports::Timeline& timeline, const std::string& output);
 
 }  // namespace facet::tools

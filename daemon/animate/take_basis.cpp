@@ -17,7 +17,6 @@
 #include "face/face_model.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
-#include "take/export.hpp"
 #include "take/reader.hpp"
 
 namespace facet::animate {
@@ -154,7 +153,7 @@ class Builder {
       return nullptr;
     }
     auto frame = reader_.frame(index, take::Pictures::Described);
-    if (!take::has_mesh(*frame)) {
+    if (!mesh::has_mesh(*frame)) {
       return nullptr;
     }
     if (subject_ == nullptr) {
@@ -514,7 +513,7 @@ std::shared_ptr<const mesh::MeshFrame> sample_frame(const std::filesystem::path&
                 fmt::format("take '{}' has changed: it has fewer frames", take.string()));
   }
   auto frame = reader.frame(middle.index, take::Pictures::Described);
-  if (!take::has_mesh(*frame) || frame->subject->hierarchy->id != sections.header->hierarchy_id ||
+  if (!mesh::has_mesh(*frame) || frame->subject->hierarchy->id != sections.header->hierarchy_id ||
       frame->subject->hierarchy->control_vertex_count != sections.header->control_vertex_count ||
       frame->subject->hierarchy->finest().vertex_count != sections.header->finest_vertex_count ||
       static_cast<std::int32_t>(frame->subject->expression_names.size()) !=

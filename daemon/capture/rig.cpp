@@ -1,7 +1,11 @@
 #include "capture/rig.hpp"
 
+#include <fmt/format.h>
+
 #include <Eigen/LU>
 #include <cmath>
+
+#include "facet/error.hpp"
 
 namespace facet::capture {
 
@@ -49,6 +53,40 @@ std::optional<Eigen::Vector3d> Lens::direction(const Eigen::Vector2d& pixel) con
     at -= derivative.inverse() * miss;
   }
   return std::nullopt;
+}
+
+CameraIntrinsics pinhole_of(const Lens& lens) {
+  return {static_cast<float>(lens.fx_px),
+          static_cast<float>(lens.fy_px),
+          static_cast<float>(lens.cx_px),
+          static_cast<float>(lens.cy_px),
+          lens.width_px,
+          lens.height_px};
+}
+
+const RigCamera& camera_named(const Rig& rig, const std::filesystem::path& rig_file, const std::string& name,
+                              const std::string& advice) {
+  std::string known;
+  for (const RigCamera& camera : rig.cameras) {
+    if (camera.name == name) {
+      return camera;
+    }
+    known += (known.empty() ? "" : ", ") + camera.name;
+  }
+  throw Error(ErrorKind::Usage, fmt::format("the rig file '{}' has no camera '{}'; it has {}: {}",
+                                            rig_file.string(), name, known, advice));
+}
+
+void check_size(const CameraInfo& camera, const RigCamera& known, const std::filesystem::path& rig_file) {
+  const Lens& lens = known.lens;
+  if (camera.width_px != lens.width_px || camera.height_px != lens.height_px) {
+    throw Error(
+        ErrorKind::Usage,
+        fmt::format("camera '{}' gives pictures of {} x {} px, the rig file '{}' has it calibrated at {} x "
+                    "{}: give pictures of that size, or calibrate again",
+                    known.name, camera.width_px, camera.height_px, rig_file.string(), lens.width_px,
+                    lens.height_px));
+  }
 }
 
 }  // namespace facet::capture

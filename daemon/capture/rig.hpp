@@ -2,9 +2,12 @@
 
 #include <Eigen/Geometry>
 #include <cstddef>
+#include <filesystem>
 #include <optional>
 #include <string>
 #include <vector>
+
+#include "facet/camera.hpp"
 
 namespace facet::capture {
 
@@ -62,5 +65,17 @@ struct Rig {
   std::vector<StereoPair> pairs;
   std::vector<RigProjector> projectors;
 };
+
+/// The pinhole of a lens, its distortion left out.
+CameraIntrinsics pinhole_of(const Lens& lens);
+
+/// The camera of that name. Throws Error(Usage), which names the file, the cameras that there are and what to
+/// do (`advice`), where there is none.
+const RigCamera& camera_named(const Rig& rig, const std::filesystem::path& rig_file, const std::string& name,
+                              const std::string& advice);
+
+/// Throws Error(Usage) where a camera's pictures have another size than was calibrated. rig_file: for the
+/// message.
+void check_size(const CameraInfo& camera, const RigCamera& known, const std::filesystem::path& rig_file);
 
 }  // namespace facet::capture

@@ -29,6 +29,12 @@ const char* to_string(TrackingState state) {
   return "unknown";
 }
 
+bool has_mesh(const MeshFrame& frame) {
+  return frame.subject != nullptr && frame.subject->hierarchy != nullptr &&
+         !frame.subject->hierarchy->levels.empty() && frame.control_vertices_mm.cols() > 0 &&
+         frame.control_vertices_mm.cols() == frame.subject->hierarchy->control_vertex_count;
+}
+
 std::uint64_t subject_id(const Subject& subject, std::uint32_t count) {
   std::uint64_t id = fnv1a(subject.hierarchy->id, std::as_bytes(std::span(subject.identity)));
   id = fnv1a(id, std::as_bytes(std::span(&count, 1)));

@@ -90,4 +90,7 @@ struct MeshFrame {
   StageTimes stage_ms;
 };
 
+/// True where the frame has a mesh: a subject with levels, and a vertex for each of its control vertices.
+bool has_mesh(const MeshFrame& frame);
+
 }  // namespace facet::mesh

@@ -26,7 +26,7 @@ using FramePointer = std::shared_ptr<const mesh::MeshFrame>;
 enum Worker : std::size_t { kDepth, kPerform };
 
 /// A gap of more slots ends a run.
-constexpr std::uint64_t kMostGap = 2 * kDepthReach;
+constexpr std::uint64_t kMostGap = 2 * booth::kDepthReach;
 
 /// So many periods without a blank slot that is whole, and slots with stripes wait no longer for one.
 constexpr std::size_t kMostPeriods = 4;
@@ -101,17 +101,18 @@ BoothStages open_booth(const BoothConfig& config, int blanks_per_run) {
   stages.every_slot = config.every_slot;
   stages.blanks_per_run = blanks_per_run;
   const auto model = std::make_shared<const face::FaceModel>(face::FaceModel::load(config.model_file));
-  std::optional<FacePoints> points;
+  std::optional<booth::FacePoints> points;
   if (!config.points_file.empty()) {
-    points = read_face_points(config.points_file);
+    points = booth::read_face_points(config.points_file);
   }
-  auto shading = config.shading ? std::make_unique<BoothShading>(config.gpu_device, *stages.rig) : nullptr;
-  stages.tracker = std::make_unique<PerformanceTracker>(model, config.landmark_assets, stages.rig,
-                                                        config.skin, std::move(points), std::move(shading));
-  const std::size_t most_slots = reach_of_run(stages) + 1 + 2 * kDepthReach;
-  stages.depth = std::make_unique<BoothDepth>(config.gpu_device, stages.rig, config.depths,
-                                              static_cast<int>(most_slots));
-  stages.check = std::make_unique<RigCheck>(stages.rig, stages.depth->depths());
+  auto shading =
+      config.shading ? std::make_unique<booth::BoothShading>(config.gpu_device, *stages.rig) : nullptr;
+  stages.tracker = std::make_unique<booth::PerformanceTracker>(
+      model, config.landmark_assets, stages.rig, config.skin, std::move(points), std::move(shading));
+  const std::size_t most_slots = reach_of_run(stages) + 1 + 2 * booth::kDepthReach;
+  stages.depth = std::make_unique<booth::BoothDepth>(config.gpu_device, stages.rig, config.depths,
+                                                     static_cast<int>(most_slots));
+  stages.check = std::make_unique<booth::RigCheck>(stages.rig, stages.depth->depths());
   return stages;
 }
 
@@ -221,15 +222,15 @@ void BoothMeshes::Impl::hand_on(bool at_end) {
   std::size_t ready = 0;
   std::size_t last = first;  // the last ready one
   for (std::size_t i = first; i < window.size() && i <= first + reach; ++i) {
-    if (window[i].wanted && (at_end || i + kDepthReach < window.size())) {
+    if (window[i].wanted && (at_end || i + booth::kDepthReach < window.size())) {
       ++ready;
       last = i;
     }
   }
-  const bool whole = first + reach + kDepthReach < window.size();
+  const bool whole = first + reach + booth::kDepthReach < window.size();
   if (ready > 0 && (at_end || whole)) {
-    const std::size_t begin = first - std::min(first, kDepthReach);
-    const std::size_t end = std::min(window.size(), last + kDepthReach + 1);
+    const std::size_t begin = first - std::min(first, booth::kDepthReach);
+    const std::size_t end = std::min(window.size(), last + booth::kDepthReach + 1);
     Run run;
     run.complete = Clock::now();
     run.first_slot = first_slot + begin;
@@ -249,10 +250,10 @@ void BoothMeshes::Impl::hand_on(bool at_end) {
     }
   }
   // A slot to come, or one that waits, looks back this far.
-  std::size_t keep = kDepthReach;
+  std::size_t keep = booth::kDepthReach;
   for (std::size_t i = 0; i < window.size() && wanted > 0; ++i) {
     if (window[i].wanted) {
-      keep = window.size() - i + kDepthReach;
+      keep = window.size() - i + booth::kDepthReach;
       break;
     }
   }
@@ -326,7 +327,7 @@ void BoothMeshes::Impl::check_size(const FrameSet& set) const {
 
 void BoothMeshes::Impl::find_depth(Run& run) {
   std::vector<std::shared_ptr<const FrameSet>> sets;
-  std::vector<DepthSlot> slots;
+  std::vector<booth::DepthSlot> slots;
   for (const RunSlot& slot : run.slots) {
     sets.push_back(slot.frame != nullptr ? in_rig_order(*slot.frame->images) : nullptr);
     slots.push_back({sets.back().get(), slot.stripes, slot.wanted});

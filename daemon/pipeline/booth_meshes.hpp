@@ -7,13 +7,13 @@
 #include <span>
 #include <vector>
 
+#include "booth/booth_depth.hpp"
+#include "booth/performance_tracker.hpp"
+#include "booth/rig_check.hpp"
+#include "facet/messages.hpp"
 #include "pipeline/booth_config.hpp"
-#include "pipeline/booth_depth.hpp"
 #include "pipeline/mesh_sink.hpp"
-#include "pipeline/messages.hpp"
-#include "pipeline/performance_tracker.hpp"
 #include "pipeline/progress.hpp"
-#include "pipeline/rig_check.hpp"
 #include "pipeline/status.hpp"
 
 namespace facet::pipeline {
@@ -23,9 +23,9 @@ struct BoothStages {
   std::shared_ptr<const capture::Rig> rig;
   std::vector<std::uint8_t> stripes;  ///< BoothConfig::stripes
   bool every_slot = false;            ///< BoothConfig::every_slot
-  std::unique_ptr<DepthSource> depth;
-  std::unique_ptr<PerformanceTracker> tracker;  ///< null: depth alone, and nothing is handed out
-  std::unique_ptr<RigCheck> check;
+  std::unique_ptr<booth::DepthSource> depth;
+  std::unique_ptr<booth::PerformanceTracker> tracker;  ///< null: depth alone, and nothing is handed out
+  std::unique_ptr<booth::RigCheck> check;
   int blanks_per_run = 1;
 };
 

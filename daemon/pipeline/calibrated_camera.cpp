@@ -5,8 +5,8 @@
 #include <optional>
 #include <utility>
 
+#include "capture/undistortion.hpp"
 #include "facet/error.hpp"
-#include "pipeline/undistortion.hpp"
 
 namespace facet::pipeline {
 namespace {
@@ -18,7 +18,7 @@ bool is_distorted(const capture::LensDistortion& lens) {
 class CalibratedCamera final : public Camera {
  public:
   CalibratedCamera(std::unique_ptr<Camera> camera, const capture::Lens& lens)
-      : camera_(std::move(camera)), pinhole_(pinhole_of(lens)) {
+      : camera_(std::move(camera)), pinhole_(capture::pinhole_of(lens)) {
     if (is_distorted(lens.distortion)) {
       undistortion_.emplace(lens);
     }
@@ -51,49 +51,14 @@ class CalibratedCamera final : public Camera {
  private:
   std::unique_ptr<Camera> camera_;
   CameraIntrinsics pinhole_;
-  std::optional<Undistortion> undistortion_;
+  std::optional<capture::Undistortion> undistortion_;
 };
 
 }  // namespace
 
-CameraIntrinsics pinhole_of(const capture::Lens& lens) {
-  return {static_cast<float>(lens.fx_px),
-          static_cast<float>(lens.fy_px),
-          static_cast<float>(lens.cx_px),
-          static_cast<float>(lens.cy_px),
-          lens.width_px,
-          lens.height_px};
-}
-
-const capture::RigCamera& camera_named(const capture::Rig& rig, const std::filesystem::path& rig_file,
-                                       const std::string& name, const std::string& advice) {
-  std::string known;
-  for (const capture::RigCamera& camera : rig.cameras) {
-    if (camera.name == name) {
-      return camera;
-    }
-    known += (known.empty() ? "" : ", ") + camera.name;
-  }
-  throw Error(ErrorKind::Usage, fmt::format("the rig file '{}' has no camera '{}'; it has {}: {}",
-                                            rig_file.string(), name, known, advice));
-}
-
-void check_size(const CameraInfo& camera, const capture::RigCamera& known,
-                const std::filesystem::path& rig_file) {
-  const capture::Lens& lens = known.lens;
-  if (camera.width_px != lens.width_px || camera.height_px != lens.height_px) {
-    throw Error(
-        ErrorKind::Usage,
-        fmt::format("camera '{}' gives pictures of {} x {} px, the rig file '{}' has it calibrated at {} x "
-                    "{}: give pictures of that size, or calibrate again",
-                    known.name, camera.width_px, camera.height_px, rig_file.string(), lens.width_px,
-                    lens.height_px));
-  }
-}
-
 std::unique_ptr<Camera> calibrated(std::unique_ptr<Camera> camera, const capture::RigCamera& known,
                                    const std::filesystem::path& rig_file) {
-  check_size(camera->info(), known, rig_file);
+  capture::check_size(camera->info(), known, rig_file);
   return std::make_unique<CalibratedCamera>(std::move(camera), known.lens);
 }
 

@@ -19,7 +19,7 @@
 #include "pipeline/figures.hpp"
 #include "pipeline/frame_pool.hpp"
 #include "pipeline/workers.hpp"
-#include "simulation/simulated_rig.hpp"
+#include "simulated/simulated_rig.hpp"
 #include "take/reader.hpp"
 #include "trigger/edge_log.hpp"
 #include "trigger/program.hpp"
@@ -81,11 +81,11 @@ capture::CaptureConfig capture_config(const RigConfig& config, double free_rate_
 }
 
 /// Whole periods of a take of pictures; null where none is configured.
-std::shared_ptr<const simulation::Footage> read_footage(const RigConfig& config) {
+std::shared_ptr<const simulated::Footage> read_footage(const RigConfig& config) {
   if (config.footage.empty()) {
     return nullptr;
   }
-  auto footage = std::make_shared<simulation::Footage>();
+  auto footage = std::make_shared<simulated::Footage>();
   footage->patterns = config.program.patterns;
   footage->slots_per_second = config.program.slots_per_second;
   take::TakeReader take(config.footage);
@@ -216,9 +216,9 @@ Rig open_rig(const RigConfig& config) {
   rig.config = config;
   const TriggerProgram& program = config.program;
   const bool triggered = config.trigger != TriggerKind::None;
-  const auto room = std::make_shared<simulation::SimulatedRig>(
-      trigger::lines_of(program, LineRole::Camera), trigger::lines_of(program, LineRole::Projector),
-      read_footage(config));
+  const auto room = std::make_shared<simulated::SimulatedRig>(trigger::lines_of(program, LineRole::Camera),
+                                                              trigger::lines_of(program, LineRole::Projector),
+                                                              read_footage(config));
   for (const RigCamera& camera : config.cameras) {
     if (camera.source.kind == kSimulatedCamera) {
       const camera::LiveConfig& size = camera.source.live;

@@ -47,8 +47,8 @@ std::vector<capture::RigCamera> calibration_of(const RigConfig& devices,
   const capture::Rig rig = capture::read_rig(rig_file);
   std::vector<capture::RigCamera> known;
   for (const RigCamera& device : devices.cameras) {
-    known.push_back(camera_named(rig, rig_file, device.name,
-                                 "name the configuration's [[camera]]s as they are named there"));
+    known.push_back(capture::camera_named(rig, rig_file, device.name,
+                                          "name the configuration's [[camera]]s as they are named there"));
   }
   return known;
 }

@@ -10,10 +10,10 @@
 #include <utility>
 #include <vector>
 
+#include "face/subject_builder.hpp"
 #include "pipeline/bounded_queue.hpp"
 #include "pipeline/figures.hpp"
 #include "pipeline/frame_pool.hpp"
-#include "pipeline/subject_builder.hpp"
 #include "pipeline/workers.hpp"
 
 namespace facet::pipeline {
@@ -114,7 +114,7 @@ struct MonocularPipeline::Impl {
   std::shared_ptr<const std::vector<float>> identity;
 
   // facet-refine only.
-  RecoveringRefiner refiner;
+  refine::RecoveringRefiner refiner;
   refine::RefineOutput refined;
   std::vector<refine::RefineView> further_views;
   std::shared_ptr<const mesh::Subject> provisional_subject;  ///< of everybody who is not known yet
@@ -398,13 +398,14 @@ void MonocularPipeline::Impl::add_provisional_subject(mesh::MeshFrame& mesh) {
     mesh::HierarchyOptions control_alone = options.hierarchy;
     control_alone.max_levels = 1;
     const std::vector<float> unknown(static_cast<std::size_t>(stages.model->identity_count()));
-    provisional_subject = build_subject(*stages.model, control_alone, mesh, unknown, 0);
+    provisional_subject = face::build_subject(*stages.model, control_alone, mesh, unknown, 0);
   }
   mesh.subject = provisional_subject;
 }
 
 void MonocularPipeline::Impl::follow_subject(const Tracked& item) {
-  subject = build_subject(*stages.model, options.hierarchy, *item.mesh, *item.identity, item.subject_count);
+  subject =
+      face::build_subject(*stages.model, options.hierarchy, *item.mesh, *item.identity, item.subject_count);
   subject_count = item.subject_count;
   const mesh::Hierarchy& hierarchy = *subject->hierarchy;
   {

@@ -6,8 +6,8 @@
 
 #include "pipeline/mesh_sink.hpp"
 #include "pipeline/pipeline.hpp"
-#include "pipeline/recovering_refiner.hpp"
 #include "pipeline/stages.hpp"
+#include "refine/recovering_refiner.hpp"
 
 namespace facet::pipeline {
 
@@ -17,7 +17,8 @@ namespace facet::pipeline {
 /// Threads, what each does and what it may block on:
 /// * `facet-capture`: Camera::start, next, stop. The source; where it is recorded also room in a queue.
 /// * `facet-track`: CoarseStage. An empty queue, and until refine takes a frame.
-/// * `facet-refine`: the hierarchy of a new subject, RefineStage, MeshSink::deliver. An empty queue, the GPU,
+/// * `facet-refine`: the hierarchy of a new subject, refine::RefineStage, MeshSink::deliver. An empty queue,
+/// the GPU,
 ///   a sink.
 /// * `facet-regpu`: RecoveringRefiner, after a device loss. The driver. longest_silence does not look at it.
 ///
@@ -31,7 +32,7 @@ class MonocularPipeline final : public Pipeline {
   struct Options {
     mesh::HierarchyOptions hierarchy;
     FrameRange frames;
-    RecoveringRefiner::Pauses pauses;
+    refine::RecoveringRefiner::Pauses pauses;
   };
 
   MonocularPipeline(Stages stages, const Options& options, std::vector<MeshSink*> sinks);

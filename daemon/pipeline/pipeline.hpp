@@ -3,7 +3,7 @@
 #include <optional>
 #include <vector>
 
-#include "pipeline/messages.hpp"
+#include "facet/messages.hpp"
 #include "pipeline/progress.hpp"
 #include "pipeline/status.hpp"
 

@@ -8,7 +8,6 @@
 #include <vector>
 
 #include "facet/error.hpp"
-#include "gpu/context.hpp"
 #include "pipeline/calibrated_camera.hpp"
 
 namespace facet::pipeline {
@@ -54,7 +53,7 @@ Cameras in_step(std::vector<CalibratedView> views) {
     }
     const capture::Lens& lens = view.camera.lens;
     cameras.further.push_back(
-        {std::move(camera), {pinhole_of(lens), lens.camera_from_rig * rig_from_reference}});
+        {std::move(camera), {capture::pinhole_of(lens), lens.camera_from_rig * rig_from_reference}});
   }
   return cameras;
 }
@@ -124,30 +123,6 @@ class TrackerStage final : public CoarseStage {
   std::unique_ptr<track::Tracker> tracker_;
 };
 
-class GpuStage final : public RefineStage {
- public:
-  GpuStage(const std::string& device, const refine::RefinerConfig& config)
-      : context_(context_options(device)), refiner_(context_, config) {}
-
-  std::string device() const override { return context_.info().name; }
-  void set_subject(const refine::SubjectSetup& subject) override { refiner_.set_subject(subject); }
-  void restart() override { refiner_.restart(); }
-  refine::RefineOutcome refine(const refine::RefineInput& input, refine::RefineOutput& output) override {
-    refiner_.submit(input);
-    return refiner_.collect(output);
-  }
-
- private:
-  static gpu::ContextOptions context_options(const std::string& device) {
-    gpu::ContextOptions options;
-    options.device = device;
-    return options;
-  }
-
-  gpu::Context context_;
-  refine::Refiner refiner_;
-};
-
 std::shared_ptr<const face::FaceModel> load_model(const MonocularConfig& config) {
   auto model = std::make_shared<const face::FaceModel>(face::FaceModel::load(config.model_file));
   // A control mesh that can't be subdivided must be found now, not with the first face.
@@ -191,7 +166,7 @@ Stages open_with(const MonocularConfig& given, const OpenCameras& open) {
   const bool recorded = !stages.camera->info().live && !config.source.loop;
   stages.coarse = std::make_unique<TrackerStage>(stages.model, config, recorded ? open : OpenCameras());
   if (config.gpu_device != kNoDevice) {
-    stages.open_refiner = refiner_opener(config.gpu_device, config.refiner);
+    stages.open_refiner = refine::refiner_opener(config.gpu_device, config.refiner);
     stages.refiner = stages.open_refiner();
   }
   return stages;
@@ -237,10 +212,6 @@ bool read_in_step(std::span<FurtherCamera> cameras, std::uint64_t sequence, std:
     }
   }
   return true;
-}
-
-OpenRefiner refiner_opener(const std::string& gpu_device, const refine::RefinerConfig& config) {
-  return [gpu_device, config] { return std::make_unique<GpuStage>(gpu_device, config); };
 }
 
 Stages open_stages(const MonocularConfig& config) {

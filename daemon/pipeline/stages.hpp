@@ -9,7 +9,7 @@
 #include "face/face_model.hpp"
 #include "facet/camera.hpp"
 #include "pipeline/monocular_config.hpp"
-#include "refine/refiner.hpp"
+#include "refine/refine_stage.hpp"
 #include "track/tracker.hpp"
 
 namespace facet::pipeline {
@@ -31,30 +31,6 @@ class CoarseStage {
   /// As track::Tracker::reset_identity.
   virtual void reset_identity() = 0;
 };
-
-/// The GPU refinement as the pipeline uses it: a context and a refiner on it; tests script one. One thread at
-/// a time.
-class RefineStage {
- public:
-  RefineStage() = default;
-  RefineStage(const RefineStage&) = delete;
-  RefineStage& operator=(const RefineStage&) = delete;
-  virtual ~RefineStage() = default;
-
-  virtual std::string device() const = 0;  ///< for people
-  /// As refine::Refiner::set_subject. May throw gpu::DeviceLostError.
-  virtual void set_subject(const refine::SubjectSetup& subject) = 0;
-  /// As refine::Refiner::restart.
-  virtual void restart() = 0;
-  /// Submits a frame and waits for it.
-  virtual refine::RefineOutcome refine(const refine::RefineInput& input, refine::RefineOutput& output) = 0;
-};
-
-/// Opens the device and compiles the kernels. Throws Error(NoDevice).
-using OpenRefiner = std::function<std::unique_ptr<RefineStage>()>;
-
-/// Opens a context on the device and a refiner on it, each time anew.
-OpenRefiner refiner_opener(const std::string& gpu_device, const refine::RefinerConfig& config);
 
 /// A camera beside the first one, in step with it.
 struct FurtherCamera {
@@ -89,8 +65,8 @@ struct Stages {
   std::vector<FurtherCamera> further_cameras;
   std::shared_ptr<const face::FaceModel> model;
   std::unique_ptr<CoarseStage> coarse;
-  OpenRefiner open_refiner;              ///< empty: refinement is off
-  std::unique_ptr<RefineStage> refiner;  ///< the first one; null where refinement is off
+  refine::OpenRefiner open_refiner;              ///< empty: refinement is off
+  std::unique_ptr<refine::RefineStage> refiner;  ///< the first one; null where refinement is off
 };
 
 /// The tracker's configuration for a source: where the configuration gives no intrinsics, those that the

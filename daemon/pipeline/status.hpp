@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "booth/rig_check.hpp"
 #include "capture/frame_set.hpp"
 #include "facet/camera.hpp"
 #include "facet/error.hpp"
@@ -80,36 +81,17 @@ struct RigStatus {
   capture::CaptureStatistics sets;
 };
 
-/// What is known of how two cameras stand to each other, against their calibration.
-struct RigPairStatus {
-  /// Parts of the left camera's picture, as many across and down.
-  static constexpr int kColumns = 8;
-  static constexpr int kRows = 6;
-
-  std::string left;  ///< the cameras' names
-  std::string right;
-  std::size_t matches = 0;  ///< points that the last judgement is from; 0: none yet
-  double median_px = 0;     ///< of their epipolar errors (capture::epipolar_error_px), absolute
-  double p95_px = 0;
-  std::string wrong;  ///< for people; empty where all is well or nothing is known
-  /// Mean absolute error where the left camera saw points, without those that miss by far while the pair
-  /// is fine (wrong matches), px; below 0: none were seen there. Row by row, from the top left.
-  std::array<float, std::size_t{kColumns} * kRows> error_px;
-
-  RigPairStatus() { error_px.fill(-1); }
-};
-
 /// What the pipeline has done and how it does now. A snapshot.
 struct PipelineStatus {
   PipelineState state = PipelineState::Idle;
   std::string reason;  ///< for people: why it Failed, or what the source said when it Ended early
   ErrorKind failure_kind = ErrorKind::Internal;  ///< where Failed; UnreadableInput: it was the source
   CameraInfo source;
-  CameraStatus camera;               ///< how the source does now
-  std::optional<RigStatus> rig;      ///< in place of source and camera where there are several
-  std::vector<RigPairStatus> pairs;  ///< of a booth: whether its cameras stand as they were calibrated
-  std::string device;                ///< of the refinement, for people; empty while there is none
-  std::uint64_t captured = 0;        ///< frames that the source produced, within the range asked for
+  CameraStatus camera;                      ///< how the source does now
+  std::optional<RigStatus> rig;             ///< in place of source and camera where there are several
+  std::vector<booth::RigPairStatus> pairs;  ///< of a booth: whether its cameras stand as they were calibrated
+  std::string device;                       ///< of the refinement, for people; empty while there is none
+  std::uint64_t captured = 0;               ///< frames that the source produced, within the range asked for
   std::uint64_t dropped =
       0;  ///< of these, frames that no stage saw: the stages are slower than a live source
   std::uint64_t processed = 0;       ///< frames handed out

@@ -38,12 +38,12 @@
 #include "service/service_manager.hpp"
 #include "service/stage_opener.hpp"
 #include "service/status_report.hpp"
-#include "service/studio.hpp"
 #include "service/studio_methods.hpp"
 #include "service/take_index.hpp"
 #include "service/thumbnails.hpp"
 #include "service/web_server.hpp"
 #include "stream/server.hpp"
+#include "studio/studio.hpp"
 
 namespace facet::service {
 namespace {
@@ -142,7 +142,7 @@ struct Service::Impl {
   std::optional<ControlServer> control;
   std::unique_ptr<avatar::Bridge> bridge;  ///< null where no target is configured
   pipeline::StreamSink stream_sink;
-  Studio studio;
+  studio::Studio studio;
   Thumbnails thumbnails;
   pipeline::BridgeSink bridge_sink;
   pipeline::TakeSink takes;
@@ -262,7 +262,7 @@ ControlMethods Service::Impl::methods() {
           if (!(seconds >= 0.1 && seconds <= 60)) {
             throw Error(ErrorKind::Usage, "seconds must be from 0.1 to 60");
           }
-          if (studio.status().state != StudioState::Closed) {
+          if (studio.status().state != studio::StudioState::Closed) {
             throw Error(ErrorKind::Usage,
                         "the studio shows a take: the neutral pose is the live face's (studio.close)");
           }
@@ -319,9 +319,10 @@ json Service::Impl::status() {
     answer["web"]["url"] = page->url();
   }
   answer["bridges"] = bridge ? to_json(bridge->status()) : json(nullptr);
-  const StudioStatus on_show = studio.status();
-  answer["studio"] =
-      on_show.state == StudioState::Closed && on_show.reason.empty() ? json(nullptr) : to_json(on_show);
+  const studio::StudioStatus on_show = studio.status();
+  answer["studio"] = on_show.state == studio::StudioState::Closed && on_show.reason.empty()
+                         ? json(nullptr)
+                         : to_json(on_show);
   const auto take = recording.status();
   answer["recording"] = take ? to_json(*take) : json(nullptr);
   answer["takes"] = {{"folder", config.takes.folder.string()}, {"list", index.number()}};
@@ -661,7 +662,7 @@ void Service::Impl::time_round(Clock::time_point began) {
 }
 
 void Service::Impl::look_after_pipeline() {
-  for (const pipeline::Messages::Message& message : pipeline->take_messages()) {
+  for (const Messages::Message& message : pipeline->take_messages()) {
     const Log::Fields fields = {{"FACET_EVENT", "pipeline"}, {"FACET_SOURCE", source_name}};
     if (message.warning) {
       log.warning(message.text, fields);

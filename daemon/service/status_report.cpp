@@ -66,7 +66,7 @@ json to_json(const TriggerStatus& trigger) {
           {"events_lost", trigger.events_lost}};
 }
 
-json to_json(const pipeline::RigStatus& rig, const std::vector<pipeline::RigPairStatus>& known) {
+json to_json(const pipeline::RigStatus& rig, const std::vector<booth::RigPairStatus>& known) {
   json cameras = json::array();
   for (std::size_t i = 0; i < rig.cameras.size(); ++i) {
     json camera = to_json(rig.cameras[i].status);
@@ -80,14 +80,14 @@ json to_json(const pipeline::RigStatus& rig, const std::vector<pipeline::RigPair
     trigger["opened"] = rig.triggers_opened;
   }
   json pairs = json::array();
-  for (const pipeline::RigPairStatus& pair : known) {
+  for (const booth::RigPairStatus& pair : known) {
     pairs.push_back({{"left", pair.left},
                      {"right", pair.right},
                      {"matches", pair.matches},
                      {"median_px", pair.median_px},
                      {"p95_px", pair.p95_px},
                      {"problem", pair.wrong},
-                     {"columns", pipeline::RigPairStatus::kColumns},
+                     {"columns", booth::RigPairStatus::kColumns},
                      {"error_px", pair.error_px}});
   }
   return {{"cameras", std::move(cameras)},

@@ -40,12 +40,12 @@ double time_of(const json& params, const char* name, double otherwise) {
   return time_s;
 }
 
-Shown shown_of(const json& params) {
+studio::Shown shown_of(const json& params) {
   const std::string what = params.value("what", "take");
   if (what != "take" && what != "keys") {
     throw Error(ErrorKind::Usage, "what must be \"take\" or \"keys\"");
   }
-  return what == "take" ? Shown::Take : Shown::Keys;
+  return what == "take" ? studio::Shown::Take : studio::Shown::Keys;
 }
 
 std::string vertex_of(const json& vertex) {
@@ -62,7 +62,7 @@ std::string keys_text(std::string text) {
   return R"({"keys":)" + (text.empty() ? "null" : text) + "}";
 }
 
-json times_json(const StudioTimes& times) {
+json times_json(const studio::StudioTimes& times) {
   return {{"mean", times.mean}, {"p95", times.p95}, {"most", times.most}};
 }
 
@@ -87,7 +87,7 @@ std::string problem_of(const animate::ControlTarget& target, const animate::Cont
   return "";
 }
 
-json controls_json(const StudioStatus& status) {
+json controls_json(const studio::StudioStatus& status) {
   json controls = json::array();
   for (std::size_t i = 0; i < status.targets.size(); ++i) {
     const animate::ControlTarget& target = status.targets[i];
@@ -112,7 +112,7 @@ json controls_json(const StudioStatus& status) {
 
 }  // namespace
 
-json to_json(const StudioStatus& status) {
+json to_json(const studio::StudioStatus& status) {
   json places = json::object();
   for (const auto& [name, vertex] : status.places) {
     places[name] = vertex;
@@ -138,7 +138,7 @@ json to_json(const StudioStatus& status) {
           {"exported", status.exported.string()}};
 }
 
-ControlMethods studio_methods(Studio& studio, Errands& errands) {
+ControlMethods studio_methods(studio::Studio& studio, Errands& errands) {
   using Type = ControlParam::Type;
   return {
       {"studio.open",
@@ -212,7 +212,7 @@ ControlMethods studio_methods(Studio& studio, Errands& errands) {
         {},
         [&studio, &errands](const json&) {
           return ControlAnswer(errands, [&studio] {
-            const RegionColours regions = studio.regions();
+            const studio::RegionColours regions = studio.regions();
             return to_text({{"vertices", regions.vertices},
                             {"colours", regions.colours},
                             {"rgb", stream::base64(regions.rgb)}});

@@ -11,7 +11,7 @@
 
 #include "facet/error.hpp"
 #include "render/renderer.hpp"
-#include "simulation/alignment.hpp"
+#include "maths/alignment.hpp"
 #include "simulation/random.hpp"
 #include "simulation/wrinkles.hpp"
 
@@ -331,7 +331,7 @@ void VirtualActor::shape(std::span<const float> expression, const Gaze& gaze, Ac
     before.col(k) = basis_.neutral_mm.col(jaw_[static_cast<std::size_t>(k)]);
     after.col(k) = control_mm.col(jaw_[static_cast<std::size_t>(k)]);
   }
-  shape.lower_teeth_mm = best_similarity(before, after, false).apply(lower_teeth_.vertices_mm);
+  shape.lower_teeth_mm = maths::best_similarity(before, after, false).apply(lower_teeth_.vertices_mm);
   shape.gaze = gaze;
 }
 

@@ -2,7 +2,7 @@
 
 #include <cmath>
 
-#include "track/low_pass.hpp"
+#include "landmark/low_pass.hpp"
 
 namespace facet::track {
 namespace {
@@ -21,11 +21,11 @@ double DepthFilter::apply(double depth_mm, double seconds) {
     velocity_mm_s_ = 0;
     return depth_mm;
   }
-  velocity_mm_s_ +=
-      new_share(velocity_cutoff_hz, seconds) * ((depth_mm - measured_mm_) / seconds - velocity_mm_s_);
+  velocity_mm_s_ += landmark::new_share(velocity_cutoff_hz, seconds) *
+                    ((depth_mm - measured_mm_) / seconds - velocity_mm_s_);
   measured_mm_ = depth_mm;
   const double cutoff_hz = resting_cutoff_hz + cutoff_hz_per_mm_s * std::abs(velocity_mm_s_);
-  filtered_mm_ += new_share(cutoff_hz, seconds) * (depth_mm - filtered_mm_);
+  filtered_mm_ += landmark::new_share(cutoff_hz, seconds) * (depth_mm - filtered_mm_);
   return filtered_mm_;
 }
 

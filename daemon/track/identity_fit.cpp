@@ -40,8 +40,8 @@ IdentityFit::IdentityFit(const LandmarkModel& model, const ExpressionPrior& prio
   trial_shape_ = shape_;
 }
 
-IdentityFit::BatchFrame::BatchFrame(std::span<const FaceLandmarks* const> landmarks, const FrameState& start,
-                                    int own_count, int shared_count)
+IdentityFit::BatchFrame::BatchFrame(std::span<const landmark::FaceLandmarks* const> landmarks,
+                                    const FrameState& start, int own_count, int shared_count)
     : faces(landmarks.size()),
       observations(landmarks.size()),
       state(start),
@@ -58,7 +58,7 @@ IdentityFit::BatchFrame::BatchFrame(std::span<const FaceLandmarks* const> landma
   }
 }
 
-void IdentityFit::add_frame(std::span<const FaceLandmarks* const> faces, const FrameState& start) {
+void IdentityFit::add_frame(std::span<const landmark::FaceLandmarks* const> faces, const FrameState& start) {
   observe_views(frames_.emplace_back(faces, start, own_count(), shared_count()));
 }
 
@@ -267,7 +267,8 @@ Eigen::VectorXd IdentityFit::landmark_bias_mm() {
       const double mm_per_px = (camera.view_from_reference * frame.state.pose.translation_mm).z() /
                                (camera.focal_ratio * shape_.focal_px);
       for (Eigen::Index l = 0; l < model_->count(); ++l) {
-        const double weight = confidence_of(frame.faces[v], model_->landmarks()[static_cast<std::size_t>(l)]);
+        const double weight =
+            landmark::confidence_of(frame.faces[v], model_->landmarks()[static_cast<std::size_t>(l)]);
         const Eigen::Vector3d measured_minus_model(-mm_per_px * residuals_px(0, l),
                                                    -mm_per_px * residuals_px(1, l), 0.0);
         sum.segment<3>(3 * l) += weight * rotation.transpose() * measured_minus_model;

@@ -48,7 +48,7 @@ class IdentityFit {
 
   /// Takes a frame into the batch. faces: of each view, null where it shows none that counts; at least one is
   /// there. `start` is the frame's pose and expression so far.
-  void add_frame(std::span<const FaceLandmarks* const> faces, const FrameState& start);
+  void add_frame(std::span<const landmark::FaceLandmarks* const> faces, const FrameState& start);
 
   /// What something else says of the identity, from now on part of the energy; replaces what was said before.
   void set_evidence(const IdentityEvidence& evidence) { evidence_ = evidence; }
@@ -75,11 +75,11 @@ class IdentityFit {
 
  private:
   struct BatchFrame {
-    BatchFrame(std::span<const FaceLandmarks* const> landmarks, const FrameState& start, int own_count,
-               int shared_count);
+    BatchFrame(std::span<const landmark::FaceLandmarks* const> landmarks, const FrameState& start,
+               int own_count, int shared_count);
 
-    std::vector<FaceLandmarks> faces;       ///< [view]
-    std::vector<Observation> observations;  ///< [view]
+    std::vector<landmark::FaceLandmarks> faces;  ///< [view]
+    std::vector<Observation> observations;       ///< [view]
     FrameState state;
     FrameState trial;
     NormalEquations equations;

@@ -142,7 +142,7 @@ IdentityShading::IdentityShading(const face::FaceModel& model) : model_(&model) 
   albedo_ = mean_albedo_;
 }
 
-void IdentityShading::add_frame(const Frame& image, const FaceLandmarks* face) {
+void IdentityShading::add_frame(const Frame& image, const landmark::FaceLandmarks* face) {
   static const std::array<float, 256> kLinear = linear_values();
   LookedAt& frame = frames_.emplace_back();
   if (face == nullptr || image.empty()) {

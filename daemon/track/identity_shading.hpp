@@ -10,8 +10,8 @@
 
 #include "face/face_model.hpp"
 #include "facet/frame.hpp"
+#include "landmark/landmarker.hpp"
 #include "track/identity_fit.hpp"
-#include "track/landmarker.hpp"
 #include "track/subject.hpp"
 
 namespace facet::track {
@@ -30,7 +30,7 @@ class IdentityShading {
 
   /// Keeps the face's part of a picture, linear light, at most 128 px wide and high. face: null where it
   /// shows none; the frame is then counted and not looked at.
-  void add_frame(const Frame& image, const FaceLandmarks* face);
+  void add_frame(const Frame& image, const landmark::FaceLandmarks* face);
   int frame_count() const { return static_cast<int>(frames_.size()); }
 
   /// shape and states: the fit so far; states [frame_count]. At most kFramesUsed frames are looked at,

@@ -19,8 +19,8 @@ constexpr std::size_t kFewestLandmarks = 40;
 
 std::vector<int> anchored_landmarks(const face::FaceModel& model) {
   std::vector<int> anchored;
-  for (std::size_t index = 0; index < model.landmarks.size() && static_cast<int>(index) < landmark_count;
-       ++index) {
+  for (std::size_t index = 0;
+       index < model.landmarks.size() && static_cast<int>(index) < landmark::landmark_count; ++index) {
     const auto& weights = model.landmarks[index].weights;
     if (weights[0] != 0.0F || weights[1] != 0.0F || weights[2] != 0.0F) {
       anchored.push_back(static_cast<int>(index));
@@ -82,7 +82,7 @@ face::LandmarkAnchor pupil(const face::FaceModel& model, const std::string& asid
 
 LandmarkModel::LandmarkModel(const face::FaceModel& model)
     : landmarks_(anchored_landmarks(model)),
-      position_of_(std::size_t{kLeftIris} + 1, -1),
+      position_of_(std::size_t{landmark::kLeftIris} + 1, -1),
       identity_count_(model.identity_count()),
       expression_count_(model.expression_count()) {
   if (landmarks_.size() < kFewestLandmarks) {
@@ -105,8 +105,8 @@ LandmarkModel::LandmarkModel(const face::FaceModel& model)
   const face::LandmarkAnchor pupils[] = {pupil(model, "eyeLookOutRight"), pupil(model, "eyeLookOutLeft")};
   if (pupils[0].weights[0] + pupils[0].weights[1] > 0 && pupils[1].weights[0] + pupils[1].weights[1] > 0) {
     for (int side = 0; side < 2; ++side) {
-      position_of_[static_cast<std::size_t>(kRightIris + side)] = count();
-      landmarks_.push_back(kRightIris + side);
+      position_of_[static_cast<std::size_t>(landmark::kRightIris + side)] = count();
+      landmarks_.push_back(landmark::kRightIris + side);
       for (int i = 0; i <= identity_count_; ++i) {
         for (int axis = 0; axis < 3; ++axis) {
           for (int e = 0; e <= expression_count_; ++e) {
@@ -120,14 +120,14 @@ LandmarkModel::LandmarkModel(const face::FaceModel& model)
       }
     }
   }
-  const int right = position_of(kRightEyeOuterCorner);
-  const int left = position_of(kLeftEyeOuterCorner);
+  const int right = position_of(landmark::kRightEyeOuterCorner);
+  const int left = position_of(landmark::kLeftEyeOuterCorner);
   if (right < 0 || left < 0) {
     throw Error(
         ErrorKind::UnreadableInput,
         fmt::format("the face model '{}' has no place for the outer eye corners (landmarks {} and {}): build "
                     "it again with `facet model build`",
-                    model.name, kRightEyeOuterCorner, kLeftEyeOuterCorner));
+                    model.name, landmark::kRightEyeOuterCorner, landmark::kLeftEyeOuterCorner));
   }
   const auto neutral = [&](int l) {
     return Eigen::Vector3f(core_rows[static_cast<std::size_t>(l)].block<3, 1>(0, 0));

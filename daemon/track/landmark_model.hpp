@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "face/face_model.hpp"
-#include "track/landmark_layout.hpp"
+#include "landmark/landmark_layout.hpp"
 
 namespace facet::track {
 
@@ -37,7 +37,9 @@ class LandmarkModel {
   /// Position of a face mesh index or an iris in landmarks(), or -1. 0 <= landmark <= kLeftIris.
   int position_of(int landmark) const { return position_of_[static_cast<std::size_t>(landmark)]; }
   /// Whether the irises are among the landmarks, so that the gaze can be measured.
-  bool sees_gaze() const { return position_of(kRightIris) >= 0 && position_of(kLeftIris) >= 0; }
+  bool sees_gaze() const {
+    return position_of(landmark::kRightIris) >= 0 && position_of(landmark::kLeftIris) >= 0;
+  }
   /// Distance of the outer eye corners on the mean face, mm.
   double interocular_mm() const { return interocular_mm_; }
 

@@ -30,7 +30,7 @@ void apply_step(const FrameState& from, const Eigen::VectorXd& step, FrameState&
   }
 }
 
-void observe(const LandmarkModel& model, const LandmarkTrust& trust, const FaceLandmarks& face,
+void observe(const LandmarkModel& model, const LandmarkTrust& trust, const landmark::FaceLandmarks& face,
              const Eigen::Vector3d& place_mm, double focal_px, const ViewCamera& camera, Observation& out) {
   const auto count = static_cast<std::size_t>(model.count());
   out.points_px.resize(2, model.count());
@@ -38,10 +38,10 @@ void observe(const LandmarkModel& model, const LandmarkTrust& trust, const FaceL
   out.camera = camera;
   out.seen = true;
 
-  std::array<int, kLandmarkGroupCount> members{};
-  const auto& groups = landmark_groups();
+  std::array<int, landmark::kLandmarkGroupCount> members{};
+  const auto& groups = landmark::landmark_groups();
   for (const int landmark : model.landmarks()) {
-    if (landmark < landmark_count) {
+    if (landmark < landmark::landmark_count) {
       ++members[static_cast<std::size_t>(groups[static_cast<std::size_t>(landmark)])];
     }
   }
@@ -51,13 +51,14 @@ void observe(const LandmarkModel& model, const LandmarkTrust& trust, const FaceL
   const double per_sigma = 1.0 / (trust.sigma_mm * px_per_mm);
   for (std::size_t l = 0; l < count; ++l) {
     const int landmark = model.landmarks()[l];
-    const double confidence = confidence_of(face, landmark);
-    if (landmark >= landmark_count) {
+    const double confidence = landmark::confidence_of(face, landmark);
+    if (landmark >= landmark::landmark_count) {
       // An iris that is not seen says nothing at all; its place may not even be there.
       constexpr int kIrises = 2;
       out.points_px.col(static_cast<Eigen::Index>(l)) = camera.centre_px;
       if (face.irises_px.cols() == kIrises) {
-        out.points_px.col(static_cast<Eigen::Index>(l)) = place_of(face, landmark).head<2>().cast<double>();
+        out.points_px.col(static_cast<Eigen::Index>(l)) =
+            landmark::place_of(face, landmark).head<2>().cast<double>();
       }
       out.whitening[l] =
           Eigen::Matrix2d::Identity() * (std::sqrt(confidence * trust.iris_strength / kIrises) * per_sigma);
@@ -70,7 +71,7 @@ void observe(const LandmarkModel& model, const LandmarkTrust& trust, const FaceL
     out.whitening[l] = Eigen::Matrix2d::Identity() * (std::sqrt(weight) * per_sigma);
   }
 
-  const auto contour = contour_landmarks();
+  const auto contour = landmark::contour_landmarks();
   for (std::size_t k = 0; k < contour.size(); ++k) {
     const int l = model.position_of(contour[k]);
     if (l < 0) {

@@ -5,9 +5,9 @@
 #include <span>
 #include <vector>
 
+#include "landmark/landmarker.hpp"
 #include "track/camera_pose.hpp"
 #include "track/landmark_model.hpp"
-#include "track/landmarker.hpp"
 #include "track/normal_equations.hpp"
 #include "track/view.hpp"
 
@@ -20,7 +20,7 @@ struct LandmarkTrust {
   /// How many independent measurements all landmarks of a group are worth together, in the order of
   /// LandmarkGroup: the net's errors are strongly correlated, so four hundred points are not four hundred
   /// facts.
-  std::array<double, kLandmarkGroupCount> group_strength = {16, 6, 8, 48, 24, 12};
+  std::array<double, landmark::kLandmarkGroupCount> group_strength = {16, 6, 8, 48, 24, 12};
   /// The same for both irises together. Next to them only the gaze is free to answer.
   double iris_strength = 32;
   /// Contour points count this much along the outline, as a fraction of their weight across it.
@@ -58,7 +58,7 @@ struct Observation {
 /// Takes the model's landmarks out of a whole face mesh and sets their whitening for a head at `place_mm` of
 /// the reference camera's frame: sigma in pixels, group strength, confidence, contour anisotropy. focal_px:
 /// of the reference camera; camera: the one that measured. Resizes `out` at its first use only.
-void observe(const LandmarkModel& model, const LandmarkTrust& trust, const FaceLandmarks& face,
+void observe(const LandmarkModel& model, const LandmarkTrust& trust, const landmark::FaceLandmarks& face,
              const Eigen::Vector3d& place_mm, double focal_px, const ViewCamera& camera, Observation& out);
 
 /// Gives the seen views of a frame equal weights that sum to 1. The net errs on one face much alike from

@@ -102,16 +102,18 @@ SubjectTracker::SubjectTracker(const LandmarkModel& model, const ExpressionPrior
   frame_.view_used.resize(views_.size());
   residuals_px_.resize(2, model.count());
   sorted_.reserve(static_cast<std::size_t>(model.count()));
-  const auto& groups = landmark_groups();
+  const auto& groups = landmark::landmark_groups();
   for (int l = 0; l < model.count(); ++l) {
     const int landmark = model.landmarks()[static_cast<std::size_t>(l)];
     // Outline points slide along the head as it turns; lips and lids move with the expression.
-    if (landmark >= landmark_count) {
+    if (landmark >= landmark::landmark_count) {
       start_weights_[l] = 0.0;
       continue;
     }
-    const LandmarkGroup group = groups[static_cast<std::size_t>(landmark)];
-    start_weights_[l] = group == LandmarkGroup::Contour ? 0.0 : group == LandmarkGroup::Lips ? 0.25 : 1.0;
+    const landmark::LandmarkGroup group = groups[static_cast<std::size_t>(landmark)];
+    start_weights_[l] = group == landmark::LandmarkGroup::Contour ? 0.0
+                        : group == landmark::LandmarkGroup::Lips  ? 0.25
+                                                                  : 1.0;
   }
   reset_identity();
 }
@@ -203,9 +205,10 @@ void SubjectTracker::set_image_size(int width_px, int height_px) {
   reset_identity();
 }
 
-bool SubjectTracker::usable(const FaceLandmarks& face, float longer_side_px) const {
-  if (face.points_px.cols() != landmark_count || face.confidence.size() != landmark_count ||
-      !face.points_px.allFinite() || !face.confidence.allFinite() || !face.irises_px.allFinite() ||
+bool SubjectTracker::usable(const landmark::FaceLandmarks& face, float longer_side_px) const {
+  if (face.points_px.cols() != landmark::landmark_count ||
+      face.confidence.size() != landmark::landmark_count || !face.points_px.allFinite() ||
+      !face.confidence.allFinite() || !face.irises_px.allFinite() ||
       !(face.interocular_px >= kSmallestInterocularPx)) {
     return false;
   }
@@ -222,13 +225,13 @@ bool SubjectTracker::start_pose() {
       best = v;
     }
   }
-  const FaceLandmarks& face = *views_[best].face;
+  const landmark::FaceLandmarks& face = *views_[best].face;
   const ViewCamera& camera = views_[best].camera;
   for (Eigen::Index l = 0; l < model_->count(); ++l) {
     start_head_mm_.col(l) = basis_.neutral_mm.segment<3>(3 * l);
     const int landmark = model_->landmarks()[static_cast<std::size_t>(l)];
     // The irises have no weight in the start pose.
-    start_px_.col(l) = face.points_px.col(landmark < landmark_count ? landmark : 0).cast<double>();
+    start_px_.col(l) = face.points_px.col(landmark < landmark::landmark_count ? landmark : 0).cast<double>();
   }
   const auto pose = pose_from_similarity(start_head_mm_, start_px_, start_weights_,
                                          camera.focal_ratio * subject_.shape.focal_px, camera.centre_px);
@@ -248,14 +251,14 @@ void SubjectTracker::observe_view(std::size_t view) {
 }
 
 std::optional<double> SubjectTracker::median_residual_px(std::size_t view, bool with_bias) {
-  const FaceLandmarks& face = *views_[view].face;
+  const landmark::FaceLandmarks& face = *views_[view].face;
   if (!coarse_fit_.landmark_term().residuals_px(basis_, observations_[view], subject_.shape.focal_px,
                                                 candidate_, with_bias, residuals_px_)) {
     return std::nullopt;
   }
   sorted_.clear();
   for (Eigen::Index l = 0; l < model_->count(); ++l) {
-    if (confidence_of(face, model_->landmarks()[static_cast<std::size_t>(l)]) >= kSeen) {
+    if (landmark::confidence_of(face, model_->landmarks()[static_cast<std::size_t>(l)]) >= kSeen) {
       sorted_.push_back(residuals_px_.col(l).norm());
     }
   }
@@ -454,7 +457,7 @@ void SubjectTracker::keep_agreeing_views(bool warm, double elapsed_s) {
   }
 }
 
-const SubjectFrame& SubjectTracker::process(const FaceLandmarks* face, bool acquired, int width_px,
+const SubjectFrame& SubjectTracker::process(const landmark::FaceLandmarks* face, bool acquired, int width_px,
                                             int height_px, std::int64_t timestamp_ns) {
   const ViewLandmarks view{face, acquired};
   return process({&view, 1}, width_px, height_px, timestamp_ns);

@@ -29,8 +29,8 @@ struct SubjectTrackerConfig {
 
 /// What one view shows in a frame.
 struct ViewLandmarks {
-  const FaceLandmarks* face = nullptr;  ///< null where none was found
-  bool acquired = false;                ///< it was found afresh and may be another one than in the last frame
+  const landmark::FaceLandmarks* face = nullptr;  ///< null where none was found
+  bool acquired = false;  ///< it was found afresh and may be another one than in the last frame
 };
 
 /// The fit of one frame.
@@ -80,7 +80,7 @@ class SubjectTracker {
   /// another one than in the last frame. timestamp_ns: on the source's own clock (Frame::media_time_ns),
   /// never decreasing, so that a result does not depend on how fast frames are worked off. Valid until the
   /// next call.
-  const SubjectFrame& process(const FaceLandmarks* face, bool acquired, int width_px, int height_px,
+  const SubjectFrame& process(const landmark::FaceLandmarks* face, bool acquired, int width_px, int height_px,
                               std::int64_t timestamp_ns);
 
   /// The same for every view, the reference camera first; views that are left out at the end show nothing.
@@ -113,12 +113,12 @@ class SubjectTracker {
   struct ViewState {
     ViewCamera camera;
     float longer_side_px = 0;
-    const FaceLandmarks* face = nullptr;  ///< null where it shows none that is usable
-    double reprojection_px = 0;           ///< of the mesh, at candidate_
-    double residual = 0;                  ///< of the fit, as a fraction of the interocular distance
+    const landmark::FaceLandmarks* face = nullptr;  ///< null where it shows none that is usable
+    double reprojection_px = 0;                     ///< of the mesh, at candidate_
+    double residual = 0;                            ///< of the fit, as a fraction of the interocular distance
   };
 
-  bool usable(const FaceLandmarks& face, float longer_side_px) const;
+  bool usable(const landmark::FaceLandmarks& face, float longer_side_px) const;
   void set_image_size(int width_px, int height_px);
   void place_cameras();
   void set_shape();
@@ -161,10 +161,10 @@ class SubjectTracker {
   int height_px_ = 0;
 
   SubjectFrame frame_;
-  std::vector<ViewState> views_;                   ///< the reference camera first
-  std::vector<Observation> observations_;          ///< [view]; seen: it is used for this frame
-  std::vector<std::uint8_t> agreeing_;             ///< [view] scratch
-  std::vector<const FaceLandmarks*> batch_faces_;  ///< [view] scratch
+  std::vector<ViewState> views_;                             ///< the reference camera first
+  std::vector<Observation> observations_;                    ///< [view]; seen: it is used for this frame
+  std::vector<std::uint8_t> agreeing_;                       ///< [view] scratch
+  std::vector<const landmark::FaceLandmarks*> batch_faces_;  ///< [view] scratch
   FrameState candidate_;
   double candidate_reprojection_px_ = 0;
   double candidate_residual_ = 0;

@@ -5,10 +5,10 @@
 #include <utility>
 
 #include "facet/error.hpp"
+#include "landmark/landmarker.hpp"
 #include "track/depth_filter.hpp"
 #include "track/expression_prior.hpp"
 #include "track/landmark_model.hpp"
-#include "track/landmarker.hpp"
 #include "track/subject_tracker.hpp"
 
 namespace facet::track {
@@ -83,7 +83,7 @@ struct Tracker::Impl {
     result.identity.resize(static_cast<std::size_t>(face_model.identity_count()));
     result.expression.resize(static_cast<std::size_t>(face_model.expression_count()));
     result.vertices_mm.setZero(3, face_model.vertex_count());
-    result.landmarks_px.reserve(landmark_count);
+    result.landmarks_px.reserve(landmark::landmark_count);
     for (std::size_t v = 0; v < lenses.size(); ++v) {
       landmarkers.emplace_back(config.landmark_assets);
     }
@@ -91,10 +91,10 @@ struct Tracker::Impl {
 
   /// Looks at all views and fits what they show; face: becomes the reference camera's, null where it has
   /// none.
-  const SubjectFrame& follow(std::span<const Frame> views, const FaceLandmarks*& face) {
+  const SubjectFrame& follow(std::span<const Frame> views, const landmark::FaceLandmarks*& face) {
     for (std::size_t v = 0; v < lenses.size(); ++v) {
       const bool fits = v < views.size() && (lenses.size() == 1 || has_size_of(views[v], lenses[v]));
-      const LandmarkResult& landmarks = landmarkers[v].process(fits ? views[v] : Frame{});
+      const landmark::LandmarkResult& landmarks = landmarkers[v].process(fits ? views[v] : Frame{});
       view_landmarks[v] = {landmarks.found ? &landmarks.face : nullptr, landmarks.acquired};
       result.detect_ms += landmarks.detect_ms;
       result.landmarks_ms += landmarks.landmarks_ms;
@@ -145,8 +145,8 @@ struct Tracker::Impl {
   std::uint64_t shape_version = 0;
   DepthFilter depth_filter;
   std::int64_t filtered_ns = 0;
-  std::vector<CameraIntrinsics> lenses;  ///< [view] calibrated; of one camera alone all 0
-  std::vector<Landmarker> landmarkers;   ///< [view]
+  std::vector<CameraIntrinsics> lenses;           ///< [view] calibrated; of one camera alone all 0
+  std::vector<landmark::Landmarker> landmarkers;  ///< [view]
   std::vector<ViewLandmarks> view_landmarks;
   LandmarkModel landmark_model;
   ExpressionPrior prior;
@@ -168,7 +168,7 @@ const TrackResult& Tracker::process(std::span<const Frame> views) {
   result.landmarks_ms = 0;
   result.fit_ms = 0;
   const bool was_good = result.has_mesh;
-  const FaceLandmarks* face = nullptr;
+  const landmark::FaceLandmarks* face = nullptr;
   const SubjectFrame* subject = &impl_->follow(views, face);
   for (std::size_t v = 0; v < impl_->landmarkers.size(); ++v) {
     if (subject->view_rejected[v] != 0) {

@@ -7,8 +7,8 @@
 #include <map>
 #include <string>
 
-#include "calibration/board_views.hpp"
 #include "facet/error.hpp"
+#include "support/board_views.hpp"
 
 namespace facet::calibration {
 namespace {

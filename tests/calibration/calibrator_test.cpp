@@ -6,9 +6,9 @@
 #include <cmath>
 #include <opencv2/calib3d.hpp>
 
-#include "calibration/board_views.hpp"
 #include "capture/epipolar.hpp"
 #include "facet/error.hpp"
+#include "support/board_views.hpp"
 
 namespace facet::calibration {
 namespace {

@@ -6,8 +6,8 @@
 #include <fstream>
 #include <opencv2/core.hpp>
 
-#include "calibration/board_views.hpp"
 #include "facet/error.hpp"
+#include "support/board_views.hpp"
 #include "support/paths.hpp"
 
 namespace facet::calibration {

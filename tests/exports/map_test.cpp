@@ -8,9 +8,9 @@
 #include <opencv2/core.hpp>
 #include <opencv2/imgcodecs.hpp>
 
+#include "exports/export.hpp"
 #include "support/mesh_frames.hpp"
 #include "support/paths.hpp"
-#include "take/export.hpp"
 
 namespace facet::take {
 namespace {
@@ -39,19 +39,19 @@ class Maps : public ::testing::Test {
       frame.displacements_mm[static_cast<std::size_t>(i)] = value(uv(0, i), uv(1, i));
     }
   }
-  static Eigen::Vector3f pixel(const MapPicture& picture, int x, int y) {
+  static Eigen::Vector3f pixel(const exports::MapPicture& picture, int x, int y) {
     return Eigen::Map<const Eigen::Vector3f>(&picture.values[static_cast<std::size_t>(3 * (y * kSize + x))]);
   }
 
   std::shared_ptr<const mesh::Subject> subject = test::patch_subject();
   mesh::MeshFrame frame = test::patch_frame(1, subject, test::patch_albedo(*subject));
-  MapBaker baker{kSize};
+  exports::MapBaker baker{kSize};
   test::TemporaryFolder folder;
 };
 
 TEST_F(Maps, DisplacementIsThatOfThePlace) {
   displace([](float u, float v) { return 3 * u - 2 * v; });
-  const MapPicture& picture = baker.bake(frame, MapKind::Displacement);
+  const exports::MapPicture& picture = baker.bake(frame, exports::MapKind::Displacement);
   ASSERT_EQ(picture.channels, 1);
   for (int y = 0; y < kSize; ++y) {
     for (int x = 0; x < kSize; ++x) {
@@ -65,9 +65,9 @@ TEST_F(Maps, DisplacementIsThatOfThePlace) {
 TEST_F(Maps, ASlopeTiltsTheNormalAgainstItsRise) {
   displace([](float u, float v) { return 6 * u + 3 * v; });
   const Eigen::Vector3f expected = Eigen::Vector3f(-6.0F / 150, -3.0F / 150, 1).normalized();
-  for (const MapKind kind :
-       {MapKind::TangentNormal, MapKind::ObjectNormal}) {  // the patch lies as the head does
-    const MapPicture& picture = baker.bake(frame, kind);
+  for (const exports::MapKind kind : {exports::MapKind::TangentNormal,
+                                      exports::MapKind::ObjectNormal}) {  // the patch lies as the head does
+    const exports::MapPicture& picture = baker.bake(frame, kind);
     for (int y = 5; y < kSize - 5; ++y) {  // the rims stay where they are
       for (int x = 5; x < kSize - 5; ++x) {
         ASSERT_LT((pixel(picture, x, y) - expected).norm(), 2e-3F) << x << " " << y;
@@ -79,7 +79,7 @@ TEST_F(Maps, ASlopeTiltsTheNormalAgainstItsRise) {
 TEST_F(Maps, ASmoothSurfaceHasStraightTangentNormals) {
   frame = test::patch_frame(2, subject, nullptr);  // bent and rough, but without displacements
   frame.displacements_mm.clear();
-  const MapPicture& picture = baker.bake(frame, MapKind::TangentNormal);
+  const exports::MapPicture& picture = baker.bake(frame, exports::MapKind::TangentNormal);
   for (int y = 0; y < kSize; ++y) {
     for (int x = 0; x < kSize; ++x) {
       ASSERT_LT((pixel(picture, x, y) - Eigen::Vector3f(0, 0, 1)).norm(), 1e-4F);
@@ -94,7 +94,7 @@ TEST_F(Maps, ChartsAreCarriedOnAndTheRestIsZero) {
   moved->hierarchy = hierarchy;
   frame.subject = moved;
   std::fill(frame.displacements_mm.begin(), frame.displacements_mm.end(), 1.5F);
-  const MapPicture& picture = baker.bake(frame, MapKind::Displacement);
+  const exports::MapPicture& picture = baker.bake(frame, exports::MapKind::Displacement);
   const auto value = [&](int x, int y) { return picture.values[static_cast<std::size_t>(y * kSize + x)]; };
   EXPECT_FLOAT_EQ(value(0, kSize - 1), 1.5F);
   EXPECT_FLOAT_EQ(value(kSize / 2 + 8, kSize - 1), 1.5F) << "8 pixels beyond the edge";
@@ -105,9 +105,10 @@ TEST_F(Maps, ChartsAreCarriedOnAndTheRestIsZero) {
 TEST_F(Maps, ExrHoldsTheValues) {
   displace([](float u, float v) { return 3 * u - 2 * v; });
   const std::string file = (folder.path() / "map.exr").string();
-  for (const MapKind kind : {MapKind::Displacement, MapKind::ObjectNormal, MapKind::Albedo}) {
-    const MapPicture picture = baker.bake(frame, kind);
-    write_map(picture, kind, PictureFormat::Exr, file);
+  for (const exports::MapKind kind :
+       {exports::MapKind::Displacement, exports::MapKind::ObjectNormal, exports::MapKind::Albedo}) {
+    const exports::MapPicture picture = baker.bake(frame, kind);
+    exports::write_map(picture, kind, exports::PictureFormat::Exr, file);
     Imf::InputFile reader(file.c_str());
     std::vector<float> values(picture.values.size());
     const std::vector<const char*> names =
@@ -127,21 +128,21 @@ TEST_F(Maps, ExrHoldsTheValues) {
 TEST_F(Maps, PngHasSixteenBits) {
   displace([](float u, float v) { return 30 * u - 2 * v; });  // beyond the range at the right
   const std::string file = (folder.path() / "map.png").string();
-  MapPicture picture = baker.bake(frame, MapKind::Displacement);
-  write_map(picture, MapKind::Displacement, PictureFormat::Png, file);
+  exports::MapPicture picture = baker.bake(frame, exports::MapKind::Displacement);
+  exports::write_map(picture, exports::MapKind::Displacement, exports::PictureFormat::Png, file);
   const cv::Mat grey = cv::imread(file, cv::IMREAD_UNCHANGED);
   ASSERT_EQ(grey.type(), CV_16UC1);
   for (int y = 0; y < kSize; ++y) {
     for (int x = 0; x < kSize; ++x) {
       const float mm =
-          std::min(picture.values[static_cast<std::size_t>(y * kSize + x)], kDisplacementRange_mm);
-      ASSERT_NEAR(
-          (static_cast<float>(grey.at<std::uint16_t>(y, x)) / 65535 - 0.5F) * 2 * kDisplacementRange_mm, mm,
-          2e-4F);
+          std::min(picture.values[static_cast<std::size_t>(y * kSize + x)], exports::kDisplacementRange_mm);
+      ASSERT_NEAR((static_cast<float>(grey.at<std::uint16_t>(y, x)) / 65535 - 0.5F) * 2 *
+                      exports::kDisplacementRange_mm,
+                  mm, 2e-4F);
     }
   }
-  picture = baker.bake(frame, MapKind::Albedo);
-  write_map(picture, MapKind::Albedo, PictureFormat::Png, file);
+  picture = baker.bake(frame, exports::MapKind::Albedo);
+  exports::write_map(picture, exports::MapKind::Albedo, exports::PictureFormat::Png, file);
   const cv::Mat colour = cv::imread(file, cv::IMREAD_UNCHANGED);
   ASSERT_EQ(colour.type(), CV_16UC3);
   const Eigen::Vector3f linear = pixel(picture, 30, 20);

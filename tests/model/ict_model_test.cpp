@@ -9,11 +9,11 @@
 #include <string>
 
 #include "facet/error.hpp"
+#include "landmark/landmarker.hpp"
 #include "mesh/mesh.hpp"
 #include "model/landmark_map.hpp"
 #include "model/portrait.hpp"
 #include "support/paths.hpp"
-#include "track/landmarker.hpp"
 
 namespace facet::model {
 namespace {
@@ -125,14 +125,14 @@ TEST_F(IctModel, TheNetFindsItsLandmarks) {
   }
   IctReport report;
   FaceModel model = import(report);
-  track::Landmarker landmarker(assets);
+  landmark::Landmarker landmarker(assets);
   const auto quiet = [](int, int) {};
   model.landmarks = find_landmarks(model, landmarker, quiet);
   for (const LandmarkAgreement& agreement : check_landmarks(model, landmarker, quiet)) {
     ASSERT_TRUE(agreement.found) << agreement.pose;
     if (agreement.pose == "neutral") {
       for (const auto group :
-           {track::LandmarkGroup::Skin, track::LandmarkGroup::Eye, track::LandmarkGroup::Nose}) {
+           {landmark::LandmarkGroup::Skin, landmark::LandmarkGroup::Eye, landmark::LandmarkGroup::Nose}) {
         EXPECT_LT(agreement.mean_mm.at(static_cast<std::size_t>(group)), 1.5F) << static_cast<int>(group);
       }
     }

@@ -28,11 +28,11 @@ class LandmarkMap : public ::testing::Test {
                    << " (facet model build)";
     }
     model_ = face::FaceModel::load(test::default_model());
-    landmarker_ = std::make_unique<track::Landmarker>(net_file());
+    landmarker_ = std::make_unique<landmark::Landmarker>(net_file());
     model_.landmarks = find_landmarks(model_, *landmarker_, [](int, int) {});
   }
   face::FaceModel model_;
-  std::unique_ptr<track::Landmarker> landmarker_;
+  std::unique_ptr<landmark::Landmarker> landmarker_;
 };
 
 TEST_F(LandmarkMap, PutsEveryLandmarkOnTheSkinWhereItBelongs) {
@@ -92,15 +92,15 @@ TEST_F(LandmarkMap, AgreesWithWhatTheNetSees) {
   }
   // The neutral view is one of those that placed the anchors; contours, which slide with the view, are
   // looser.
-  const auto group = [&](track::LandmarkGroup g) {
+  const auto group = [&](landmark::LandmarkGroup g) {
     return agreements[0].mean_mm[static_cast<std::size_t>(g)];
   };
   EXPECT_EQ(agreements[0].pose, "neutral");
-  EXPECT_LT(group(track::LandmarkGroup::Eye), 1.2F);
-  EXPECT_LT(group(track::LandmarkGroup::Lips), 1.5F);
-  EXPECT_LT(group(track::LandmarkGroup::Nose), 1.2F);
-  EXPECT_LT(group(track::LandmarkGroup::Skin), 1.5F);
-  EXPECT_LT(group(track::LandmarkGroup::Contour), 3.5F);
+  EXPECT_LT(group(landmark::LandmarkGroup::Eye), 1.2F);
+  EXPECT_LT(group(landmark::LandmarkGroup::Lips), 1.5F);
+  EXPECT_LT(group(landmark::LandmarkGroup::Nose), 1.2F);
+  EXPECT_LT(group(landmark::LandmarkGroup::Skin), 1.5F);
+  EXPECT_LT(group(landmark::LandmarkGroup::Contour), 3.5F);
 }
 
 TEST(LandmarkMapOfNoFace, IsAnErrorThatNamesThePicture) {
@@ -109,7 +109,7 @@ TEST(LandmarkMapOfNoFace, IsAnErrorThatNamesThePicture) {
   }
   face::FaceModel flat = test::synthetic_model(13);
   flat.core_row(0, 0) *= 0.05F;  // a speck in the picture
-  track::Landmarker landmarker(net_file());
+  landmark::Landmarker landmarker(net_file());
   try {
     find_landmarks(flat, landmarker, [](int, int) {});
     FAIL() << "a face was found";

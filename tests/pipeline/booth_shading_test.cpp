@@ -1,7 +1,7 @@
 // Shading on top of a booth's fine levels, with refinements that are scripted: whose it is, and what becomes
 // of it when a device or a person goes.
 
-#include "pipeline/booth_shading.hpp"
+#include "booth/booth_shading.hpp"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -75,7 +75,7 @@ class BoothShadingTest : public ::testing::Test {
   capture::Rig rig_;
   std::shared_ptr<const fit::TemplateMesh> surface_;
   std::optional<fit::FineSurface> fine_;
-  std::optional<BoothShading> shading_;
+  std::optional<booth::BoothShading> shading_;
   std::size_t count_ = 0;
   std::vector<float> added_mm_;
 };

@@ -14,13 +14,13 @@
 #include <optional>
 #include <thread>
 
+#include "booth/face_in_space.hpp"
+#include "booth/rig_check.hpp"
+#include "booth/template_subject.hpp"
+#include "booth/vertex_texture.hpp"
 #include "capture/epipolar.hpp"
 #include "capture/rig_file.hpp"
 #include "facet/error.hpp"
-#include "pipeline/face_in_space.hpp"
-#include "pipeline/rig_check.hpp"
-#include "pipeline/subject_builder.hpp"
-#include "pipeline/vertex_texture.hpp"
 #include "render/renderer.hpp"
 #include "scripted_stages.hpp"
 #include "simulation/booth.hpp"
@@ -58,7 +58,7 @@ TEST(DepthRange, LiesAroundThePointThatThePairsLookAt) {
     rig.cameras.push_back(camera);
   }
   rig.pairs = {{0, 1}};
-  const stereo::DepthRange range = depth_range(rig);
+  const stereo::DepthRange range = booth::depth_range(rig);
   const double distance = std::hypot(100, 700);
   EXPECT_NEAR(range.nearest_mm, distance - 150, 0.1);
   EXPECT_NEAR(range.farthest_mm, distance + 250, 0.1);
@@ -67,7 +67,7 @@ TEST(DepthRange, LiesAroundThePointThatThePairsLookAt) {
     camera.lens.camera_from_rig.linear().setIdentity();
   }
   try {
-    depth_range(rig);
+    booth::depth_range(rig);
     FAIL() << "parallel cameras look at no point";
   } catch (const Error& error) {
     EXPECT_EQ(error.kind(), ErrorKind::Usage);
@@ -92,13 +92,13 @@ class Landmarks : public ::testing::Test {
       anchors_[static_cast<std::size_t>(i)].vertices[0] = i;
     }
   }
-  static track::FaceLandmarks none() {
-    track::FaceLandmarks face;
+  static landmark::FaceLandmarks none() {
+    landmark::FaceLandmarks face;
     face.points_px = Eigen::Matrix3Xf::Zero(3, 468);
     face.confidence = Eigen::VectorXf::Zero(468);
     return face;
   }
-  static void see(track::FaceLandmarks& face, int landmark, const capture::Lens& lens,
+  static void see(landmark::FaceLandmarks& face, int landmark, const capture::Lens& lens,
                   const Eigen::Vector3d& at) {
     face.points_px.col(landmark).head<2>() = lens.project(at).value().cast<float>();
     face.confidence[landmark] = 1;
@@ -111,14 +111,14 @@ TEST_F(Landmarks, MeetTheSurfaceOfTheDepthMaps) {
   capture::Lens side = plain_lens();
   side.camera_from_rig = looking_along({60, 10, 0}, -0.12);
   side.distortion.k1 = -0.1;
-  track::FaceLandmarks face = none();
+  landmark::FaceLandmarks face = none();
   const Eigen::Vector3d left(-40, 20, 500);
   const Eigen::Vector3d middle(5, -30, 500);
   see(face, 0, side, left);
   see(face, 1, side, middle);
   see(face, 2, side, {110, 0, 500});  // in the hole
-  const SeenLandmarks view{&side, &face};
-  const auto found = landmarks_in_space(std::span(&view, 1), std::span(&map_, 1), anchors_);
+  const booth::SeenLandmarks view{&side, &face};
+  const auto found = booth::landmarks_in_space(std::span(&view, 1), std::span(&map_, 1), anchors_);
   ASSERT_EQ(found.size(), 2U);
   EXPECT_EQ(found[0].anchor.vertices[0], 0);
   EXPECT_NEAR((found[0].target_mm - left).norm(), 0, 0.01);
@@ -129,16 +129,16 @@ TEST_F(Landmarks, OfSeveralCamerasAreJoinedWhereTheyAgree) {
   capture::Lens first = plain_lens();
   capture::Lens second = plain_lens();
   second.camera_from_rig = looking_along({-50, 0, 0}, 0.1);
-  track::FaceLandmarks one = none();
-  track::FaceLandmarks other = none();
+  landmark::FaceLandmarks one = none();
+  landmark::FaceLandmarks other = none();
   see(one, 0, first, {0, 0, 500});
   see(other, 0, second, {4, 0, 500});  // within reach: the mean
   see(one, 1, first, {-60, 0, 500});
   see(other, 1, second, {-20, 0, 500});  // far: the surer one
   one.confidence[1] = 0.6F;
   other.confidence[1] = 0.9F;
-  const std::array views{SeenLandmarks{&first, &one}, SeenLandmarks{&second, &other}};
-  const auto found = landmarks_in_space(views, std::span(&map_, 1), anchors_);
+  const std::array views{booth::SeenLandmarks{&first, &one}, booth::SeenLandmarks{&second, &other}};
+  const auto found = booth::landmarks_in_space(views, std::span(&map_, 1), anchors_);
   ASSERT_EQ(found.size(), 2U);
   EXPECT_NEAR(found[0].target_mm.x(), 2, 0.02);
   EXPECT_NEAR(found[1].target_mm.x(), -20, 0.02);
@@ -147,10 +147,10 @@ TEST_F(Landmarks, OfSeveralCamerasAreJoinedWhereTheyAgree) {
 TEST_F(Landmarks, WithoutAnyDepthThereAreNone) {
   std::fill(map_.depth_mm.begin(), map_.depth_mm.end(), 0.0F);
   const capture::Lens lens = plain_lens();
-  track::FaceLandmarks face = none();
+  landmark::FaceLandmarks face = none();
   see(face, 0, lens, {0, 0, 500});
-  const SeenLandmarks view{&lens, &face};
-  EXPECT_TRUE(landmarks_in_space(std::span(&view, 1), std::span(&map_, 1), anchors_).empty());
+  const booth::SeenLandmarks view{&lens, &face};
+  EXPECT_TRUE(booth::landmarks_in_space(std::span(&view, 1), std::span(&map_, 1), anchors_).empty());
 }
 
 /// Two triangles before the camera, turned to it; the camera sees red on the left and blue on the right.
@@ -182,7 +182,7 @@ class Texture : public ::testing::Test {
 };
 
 TEST_F(Texture, IsTheMeanOfWhatIsSeen) {
-  VertexTexture texture;
+  booth::VertexTexture texture;
   texture.begin(4);
   EXPECT_EQ(texture.latest(), nullptr);
   // The mesh's rim is left out by the visibility test, so the vertices are looked at from the middle of a
@@ -240,10 +240,10 @@ TEST(TemplateSubject, CarriesTheTemplateAsItIs) {
   const face::FaceModel model = test::synthetic_model(17);
   const fit::TemplateMesh surface = fit::make_template(model, 3000);
   const auto hierarchy = mesh::build_hierarchy_below(model.control, surface.vertex_count(), 1);
-  const auto subject = build_template_subject(surface, hierarchy, model, 1);
+  const auto subject = booth::build_template_subject(surface, hierarchy, model, 1);
   EXPECT_EQ(subject->hierarchy->control_vertex_count, surface.vertex_count());
   EXPECT_EQ(subject->regions.size(), static_cast<std::size_t>(surface.vertex_count()));
-  EXPECT_NE(subject->id, build_template_subject(surface, hierarchy, model, 2)->id);
+  EXPECT_NE(subject->id, booth::build_template_subject(surface, hierarchy, model, 2)->id);
   std::vector<mesh::Vertices> levels;
   mesh::push_positions(*subject->hierarchy, surface.neutral_mm, levels);
   EXPECT_EQ(levels.front(), surface.neutral_mm);
@@ -662,7 +662,7 @@ TEST_F(Booth, WithFrozenProjectorsNoSurfaceIsInvented) {
 
 TEST_F(Booth, AFaceOutOfTheVolumeIsNotFoundElsewhere) {
   write_half_a_rig();
-  const stereo::DepthRange around = depth_range(footage_->booth.rig());
+  const stereo::DepthRange around = booth::depth_range(footage_->booth.rig());
   config_.depths = {around.farthest_mm + 50, around.farthest_mm + 400};
   run({footage_->sets.begin(), footage_->sets.begin() + 5});
   ASSERT_EQ(frames_.size(), 1U) << status_.reason;
@@ -739,15 +739,15 @@ TEST_F(Booth, WithoutAFaceThereIsNoMesh) {
 
 TEST_F(Booth, ACameraThatWasBumpedIsNoticed) {
   const FrameSet& blank = footage_->sets[2];
-  const stereo::DepthRange depths = depth_range(footage_->booth.rig());
+  const stereo::DepthRange depths = booth::depth_range(footage_->booth.rig());
   const auto look = [&](const capture::Rig& rig) {
-    RigCheck check(std::make_shared<const capture::Rig>(rig), depths);
+    booth::RigCheck check(std::make_shared<const capture::Rig>(rig), depths);
     std::string wrong;
     for (int i = 0; i < 30; ++i) {
       wrong = check.look(blank);
     }
     // What it knows of the pairs is what it says.
-    for (const RigPairStatus& pair : check.pairs()) {
+    for (const booth::RigPairStatus& pair : check.pairs()) {
       EXPECT_GE(pair.matches, 30U);
       EXPECT_GE(pair.p95_px, pair.median_px);
       if (pair.wrong.empty()) {
@@ -765,8 +765,8 @@ TEST_F(Booth, ACameraThatWasBumpedIsNoticed) {
   const capture::Rig good = footage_->booth.rig();
   EXPECT_EQ(look(good), "");
   for (const capture::StereoPair& pair : good.pairs) {
-    const auto matches = match_corners(good.cameras[pair.left].lens, good.cameras[pair.right].lens,
-                                       blank.frames[pair.left], blank.frames[pair.right], depths);
+    const auto matches = booth::match_corners(good.cameras[pair.left].lens, good.cameras[pair.right].lens,
+                                              blank.frames[pair.left], blank.frames[pair.right], depths);
     const capture::PairCheck check =
         capture::check_pair(good.cameras[pair.left], good.cameras[pair.right], matches, {10, 0.7});
     EXPECT_GE(check.matches, 20U);

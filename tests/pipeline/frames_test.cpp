@@ -11,7 +11,7 @@
 
 #include "facet/error.hpp"
 #include "scripted_stages.hpp"
-#include "simulation/simulated_rig.hpp"
+#include "simulated/simulated_rig.hpp"
 #include "support/paths.hpp"
 #include "support/videos.hpp"
 #include "trigger/edge_log.hpp"
@@ -20,8 +20,8 @@ namespace facet::pipeline {
 namespace {
 
 using namespace std::chrono_literals;
-using simulation::Marker;
-using simulation::read_marker;
+using simulated::Marker;
+using simulated::read_marker;
 using testing::AllOf;
 using testing::HasSubstr;
 
@@ -310,7 +310,7 @@ TEST(FramesPipeline, ASilentCameraOfATriggerThatFiresIsStalled) {
   const RigConfig config = simulated_rig(2, 100);
   Rig rig = open_rig(config);
   // The second camera hangs on no line of this rig.
-  simulation::SimulatedRig elsewhere(1, 0);
+  simulated::SimulatedRig elsewhere(1, 0);
   rig.cameras[1] = std::make_unique<WatchfulCamera>(elsewhere.camera({"cam1", 128, 64, 100}, true), stalls);
   FramesPipeline pipeline(std::move(rig), {});
   pipeline.start();

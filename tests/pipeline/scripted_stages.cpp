@@ -115,7 +115,7 @@ class ScriptedTracker final : public pipeline::CoarseStage {
   track::TrackResult result_;
 };
 
-class ScriptedRefiner final : public pipeline::RefineStage {
+class ScriptedRefiner final : public refine::RefineStage {
  public:
   explicit ScriptedRefiner(Script& script) : script_(script) { ++script_.refiners_alive; }
   ~ScriptedRefiner() override { --script_.refiners_alive; }

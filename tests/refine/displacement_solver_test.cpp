@@ -1,4 +1,4 @@
-#include "refine/displacement_solver.hpp"
+#include "support/displacement_solver.hpp"
 
 #include <limits>
 

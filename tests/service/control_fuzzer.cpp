@@ -19,9 +19,9 @@
 #include "service/control_protocol.hpp"
 #include "service/control_server.hpp"
 #include "service/errands.hpp"
-#include "service/studio.hpp"
 #include "service/studio_methods.hpp"
 #include "stream/unix_socket.hpp"
+#include "studio/studio.hpp"
 #include "support/take_actor.hpp"
 
 namespace {
@@ -56,13 +56,13 @@ class OpenStudio {
   /// Opens the take where an input has closed it.
   void make_ready() {
     for (;;) {
-      const service::StudioStatus status = studio_.status();
+      const studio::StudioStatus status = studio_.status();
       const bool is_open =
-          status.state != service::StudioState::Closed && status.state != service::StudioState::Opening;
+          status.state != studio::StudioState::Closed && status.state != studio::StudioState::Opening;
       if (is_open && status.posing) {
         return;
       }
-      if (status.state != service::StudioState::Opening) {
+      if (status.state != studio::StudioState::Opening) {
         studio_.open("actor1", true);
       }
       std::this_thread::sleep_for(std::chrono::milliseconds(1));
@@ -107,7 +107,7 @@ class OpenStudio {
 
  private:
   test::TemporaryFolder folder_;
-  service::Studio studio_;
+  studio::Studio studio_;
   service::Errands errands_{"facet-look"};
   service::ControlMethods methods_;
   std::unique_ptr<service::ControlServer> server_;

@@ -14,8 +14,8 @@
 #include "facet/error.hpp"
 #include "gpu/context.hpp"
 #include "service/default_paths.hpp"
+#include "simulated/simulated_rig.hpp"
 #include "simulation/sequence.hpp"
-#include "simulation/simulated_rig.hpp"
 #include "stream/client.hpp"
 #include "support/small_disk.hpp"
 #include "support/take_actor.hpp"
@@ -98,7 +98,7 @@ TEST_F(Daemon, ModeFramesHandsOutAndRecordsFrameSets) {
       if (!picture.empty()) {
         // Lines: cameras, stripes.a, stripes.b; patterns: a, b, blank.
         constexpr std::array<std::uint64_t, 3> kLit = {0b010, 0b100, 0};
-        EXPECT_EQ(simulation::read_marker(picture, simulation::Marker::Lines), kLit.at(set->slot % 3));
+        EXPECT_EQ(simulated::read_marker(picture, simulated::Marker::Lines), kLit.at(set->slot % 3));
       }
     }
   }

@@ -1,7 +1,7 @@
 // A take in the live face's place: what a controller asks for is on the stream, and nothing it can ask for
 // harms the stream.
 
-#include "service/studio.hpp"
+#include "studio/studio.hpp"
 
 #include <fmt/format.h>
 #include <gmock/gmock.h>
@@ -119,7 +119,7 @@ class StudioTest : public ::testing::Test {
   std::filesystem::path take_;
   std::optional<stream::StreamServer> server_;
   std::atomic<bool> held_{false};
-  std::optional<Studio> studio_;
+  std::optional<studio::Studio> studio_;
   Errands errands_{"not-started"};  // answer_request does the work itself
   ControlMethods methods_;
   std::optional<stream::StreamClient> reader_;

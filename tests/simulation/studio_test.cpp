@@ -11,10 +11,10 @@
 
 #include "camera/factory.hpp"
 #include "facet/error.hpp"
+#include "landmark/landmarker.hpp"
 #include "simulation/sequence.hpp"
 #include "support/paths.hpp"
 #include "support/synthetic_model.hpp"
-#include "track/landmarker.hpp"
 
 namespace facet::simulation {
 namespace {
@@ -256,7 +256,7 @@ TEST(BuiltActor, LooksLikeAFaceToTheLandmarkNet) {
     config.height_px = 480;
     config.light = light;
     const Studio studio(built, config);
-    track::Landmarker landmarker(nets);
+    landmark::Landmarker landmarker(nets);
     for (const int index : {0, 20, 45}) {
       const SyntheticFrame frame = studio.render(index, nullptr);
       const auto& found = landmarker.process(render::to_frame(frame.picture));

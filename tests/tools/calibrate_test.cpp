@@ -9,11 +9,11 @@
 #include <memory>
 #include <thread>
 
-#include "calibration/board_views.hpp"
 #include "capture/rig_file.hpp"
 #include "facet/error.hpp"
 #include "render/renderer.hpp"
 #include "stream/server.hpp"
+#include "support/board_views.hpp"
 #include "support/child_process.hpp"
 #include "support/paths.hpp"
 #include "take/recorder.hpp"

@@ -24,7 +24,7 @@ class CoarseFitTest : public testing::Test {
         prior(face_model.expression_names, face_model.expression_sigma, {}, model.sees_gaze()),
         fit(model, prior, trust, {}) {}
 
-  Observation observation_of(const test::SyntheticView& view, const FaceLandmarks& face) const {
+  Observation observation_of(const test::SyntheticView& view, const landmark::FaceLandmarks& face) const {
     Observation observation;
     observe(model, trust, face, view.pose.translation_mm, view.focal_px, {.centre_px = view.centre_px()},
             observation);
@@ -231,7 +231,7 @@ TEST_F(CoarseFitTest, EndsInAMinimumWithinTheBounds) {
 TEST_F(CoarseFitTest, WildLandmarksAreOutvoted) {
   const auto view = test::random_view(model, test::random_identity(model, random), random);
   auto face = test::synthetic_landmarks(model, view, 0.3, random);
-  for (int i = 0; i < landmark_count; i += 10) {
+  for (int i = 0; i < landmark::landmark_count; i += 10) {
     face.points_px.col(i) += Eigen::Vector3f(45, -30, 0);
   }
   const Observation observation = observation_of(view, face);

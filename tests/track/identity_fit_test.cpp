@@ -28,14 +28,14 @@ class IdentityFitTest : public testing::Test {
       auto view = test::random_view(model, identity, random, 0.5);
       view.focal_px = 1000;
       const auto face = test::synthetic_landmarks(model, view, noise_px, random);
-      const FaceLandmarks* const faces = &face;
+      const landmark::FaceLandmarks* const faces = &face;
       fit.add_frame({&faces, 1}, {view.pose, Eigen::VectorXd::Zero(model.expression_count())});
     }
     return fit;
   }
 
-  static void add(IdentityFit& fit, const FaceLandmarks& face, const FrameState& start) {
-    const FaceLandmarks* const shown = &face;
+  static void add(IdentityFit& fit, const landmark::FaceLandmarks& face, const FrameState& start) {
+    const landmark::FaceLandmarks* const shown = &face;
     fit.add_frame({&shown, 1}, start);
   }
 
@@ -154,7 +154,7 @@ TEST_F(IdentityFitTest, TwoViewsAreOneEnergy) {
     const auto view = test::random_view(model, identity, random, 0.3);
     const auto front = test::synthetic_landmarks(model, view, 0.5, random);
     const auto aside = test::synthetic_landmarks(model, test::seen_by(side, view), 0.5, random);
-    const std::array<const FaceLandmarks*, 2> both = {&front, f == 1 ? nullptr : &aside};
+    const std::array<const landmark::FaceLandmarks*, 2> both = {&front, f == 1 ? nullptr : &aside};
     fit.add_frame(both, {view.pose, Eigen::VectorXd::Constant(model.expression_count(), 0.4)});
   }
   std::normal_distribution<double> normal;

@@ -5,9 +5,9 @@
 #include <Eigen/Geometry>
 #include <cmath>
 
-#include "frames.hpp"
 #include "render/renderer.hpp"
 #include "simulation/studio.hpp"
+#include "support/frames.hpp"
 #include "support/paths.hpp"
 #include "track/tracker.hpp"
 
@@ -96,9 +96,9 @@ TEST_F(IdentityShadingTest, SaysNothingWhereNothingIsSeen) {
   black.height_px = 240;
   black.stride_bytes = 320 * 4;
   black.pixels = std::make_shared<std::uint8_t[]>(black.stride_bytes * 240);
-  FaceLandmarks face;
-  face.points_px.setZero(3, landmark_count);
-  for (Eigen::Index l = 0; l < landmark_count; ++l) {
+  landmark::FaceLandmarks face;
+  face.points_px.setZero(3, landmark::landmark_count);
+  for (Eigen::Index l = 0; l < landmark::landmark_count; ++l) {
     face.points_px.col(l) << 110 + static_cast<float>(l % 20) * 5, 70 + static_cast<float>(l / 20) * 4, 0;
   }
   shading.add_frame(black, &face);

@@ -42,7 +42,7 @@ class SubjectTrackerTest : public testing::Test {
     return view;
   }
 
-  const SubjectFrame& show(const FaceLandmarks* face, bool acquired = false) {
+  const SubjectFrame& show(const landmark::FaceLandmarks* face, bool acquired = false) {
     now_ns += kFrameNs;
     const SubjectFrame& result = tracker.process(face, acquired, width_px, height_px, now_ns);
     if (result.fitted) {
@@ -248,7 +248,7 @@ TEST_F(SubjectTrackerTest, AnotherImageSizeStartsAnew) {
 /// What a broken landmark net might say: every case in every state, and the tracker must recover from it.
 struct Garbage {
   const char* name;
-  std::function<void(FaceLandmarks&, std::mt19937&)> spoil;
+  std::function<void(landmark::FaceLandmarks&, std::mt19937&)> spoil;
 };
 
 class SubjectTrackerGarbageTest : public SubjectTrackerTest, public testing::WithParamInterface<Garbage> {};
@@ -276,44 +276,45 @@ TEST_P(SubjectTrackerGarbageTest, GivesNoMeshOrAPlausibleOneAndRecovers) {
 INSTANTIATE_TEST_SUITE_P(
     Cases, SubjectTrackerGarbageTest,
     testing::Values(
-        Garbage{"all_equal", [](FaceLandmarks& face,
+        Garbage{"all_equal", [](landmark::FaceLandmarks& face,
                                 std::mt19937&) { face.points_px.colwise() = Eigen::Vector3f(300, 200, 0); }},
         Garbage{"on_a_line",
-                [](FaceLandmarks& face, std::mt19937&) {
-                  face.points_px =
-                      Eigen::Vector3f(1, 1, 1) * Eigen::RowVectorXf::LinSpaced(landmark_count, 0, 500);
+                [](landmark::FaceLandmarks& face, std::mt19937&) {
+                  face.points_px = Eigen::Vector3f(1, 1, 1) *
+                                   Eigen::RowVectorXf::LinSpaced(landmark::landmark_count, 0, 500);
                 }},
         Garbage{"mirrored",
-                [](FaceLandmarks& face, std::mt19937&) {
+                [](landmark::FaceLandmarks& face, std::mt19937&) {
                   face.points_px.row(0) = 1279 - face.points_px.row(0).array();
                 }},
         Garbage{"upside_down",
-                [](FaceLandmarks& face, std::mt19937&) {
+                [](landmark::FaceLandmarks& face, std::mt19937&) {
                   face.points_px.row(1) = 719 - face.points_px.row(1).array();
                 }},
-        Garbage{"huge", [](FaceLandmarks& face, std::mt19937&) { face.points_px *= 1e9F; }},
+        Garbage{"huge", [](landmark::FaceLandmarks& face, std::mt19937&) { face.points_px *= 1e9F; }},
         Garbage{"tiny",
-                [](FaceLandmarks& face, std::mt19937&) {
+                [](landmark::FaceLandmarks& face, std::mt19937&) {
                   face.points_px = face.points_px * 1e-3F;
                   face.interocular_px *= 1e-3F;
                 }},
         Garbage{"not_a_number",
-                [](FaceLandmarks& face, std::mt19937&) {
+                [](landmark::FaceLandmarks& face, std::mt19937&) {
                   face.points_px(1, 100) = std::numeric_limits<float>::quiet_NaN();
                 }},
         Garbage{"infinite",
-                [](FaceLandmarks& face, std::mt19937&) {
+                [](landmark::FaceLandmarks& face, std::mt19937&) {
                   face.points_px(0, 5) = std::numeric_limits<float>::infinity();
                 }},
         Garbage{"random",
-                [](FaceLandmarks& face, std::mt19937& random) {
+                [](landmark::FaceLandmarks& face, std::mt19937& random) {
                   std::uniform_real_distribution<float> anywhere(0, 700);
-                  face.points_px =
-                      Eigen::Matrix3Xf::NullaryExpr(3, landmark_count, [&] { return anywhere(random); });
+                  face.points_px = Eigen::Matrix3Xf::NullaryExpr(3, landmark::landmark_count,
+                                                                 [&] { return anywhere(random); });
                 }},
-        Garbage{"wrong_size",
-                [](FaceLandmarks& face, std::mt19937&) { face.points_px.conservativeResize(3, 100); }},
-        Garbage{"stretched", [](FaceLandmarks& face, std::mt19937&) { face.points_px.row(0) *= 2.5F; }}),
+        Garbage{"wrong_size", [](landmark::FaceLandmarks& face,
+                                 std::mt19937&) { face.points_px.conservativeResize(3, 100); }},
+        Garbage{"stretched",
+                [](landmark::FaceLandmarks& face, std::mt19937&) { face.points_px.row(0) *= 2.5F; }}),
     [](const testing::TestParamInfo<Garbage>& tested) { return tested.param.name; });
 
 TEST_F(SubjectTrackerTest, TrackingAllocatesNothing) {
@@ -322,13 +323,13 @@ TEST_F(SubjectTrackerTest, TrackingAllocatesNothing) {
   }
   const Eigen::VectorXd identity = test::random_identity(model, random);
   acquire(identity);
-  std::vector<FaceLandmarks> faces;
+  std::vector<landmark::FaceLandmarks> faces;
   for (int f = 0; f < 30; ++f) {
     faces.push_back(test::synthetic_landmarks(model, acting(identity, time++), 0.8, random));
   }
   const std::size_t before = test::allocation_count();
   ASSERT_GT(before, 0U) << "the counter does not count";
-  for (const FaceLandmarks& face : faces) {
+  for (const landmark::FaceLandmarks& face : faces) {
     now_ns += kFrameNs;
     tracker.process(&face, false, width_px, height_px, now_ns);
   }
@@ -364,8 +365,8 @@ class TwoViewsTest : public SubjectTrackerTest {
       moved.pose.translation_mm.x() += off_mm.value_or(0);
       return test::synthetic_landmarks(model, moved, noise_px, random);
     };
-    const FaceLandmarks in_front = seen(view, front_off_mm);
-    const FaceLandmarks aside = seen(test::seen_by(side, view), side_off_mm);
+    const landmark::FaceLandmarks in_front = seen(view, front_off_mm);
+    const landmark::FaceLandmarks aside = seen(test::seen_by(side, view), side_off_mm);
     const std::array<ViewLandmarks, 2> views = {ViewLandmarks{front_off_mm ? &in_front : nullptr, false},
                                                 ViewLandmarks{side_off_mm ? &aside : nullptr, false}};
     return both.process(views, width_px, height_px, now_ns);
@@ -481,7 +482,7 @@ TEST_F(TwoViewsTest, TrackingThemAllocatesNothing) {
   other.pose.translation_mm.x() += 220;
   const auto wrong = test::synthetic_landmarks(model, other, 0.8, random);
   const std::size_t before = test::allocation_count();
-  for (const FaceLandmarks* shown : {&front, &wrong, &front}) {
+  for (const landmark::FaceLandmarks* shown : {&front, &wrong, &front}) {
     now_ns += kFrameNs;
     const std::array<ViewLandmarks, 2> views = {ViewLandmarks{shown, false}, ViewLandmarks{&aside, false}};
     ASSERT_EQ(both.process(views, width_px, height_px, now_ns).state, TrackingState::Tracking);

@@ -4,9 +4,9 @@
 #include <random>
 
 #include "face/face_model.hpp"
+#include "landmark/landmarker.hpp"
 #include "track/camera_pose.hpp"
 #include "track/landmark_model.hpp"
-#include "track/landmarker.hpp"
 #include "track/view.hpp"
 
 namespace facet::test {
@@ -51,16 +51,17 @@ inline Eigen::VectorXd random_identity(const track::LandmarkModel& model, std::m
 
 /// What a landmark net would measure of the view: projections, depth relative to the head, all seen.
 /// noise_px: standard deviation of x and y. Landmarks without a place on the model are put at the centre.
-inline track::FaceLandmarks synthetic_landmarks(const track::LandmarkModel& model, const SyntheticView& view,
-                                                double noise_px, std::mt19937& random) {
+inline landmark::FaceLandmarks synthetic_landmarks(const track::LandmarkModel& model,
+                                                   const SyntheticView& view, double noise_px,
+                                                   std::mt19937& random) {
   track::LandmarkBasis basis;
   model.contract_identity(view.identity, basis);
   const Eigen::VectorXd head_mm = basis.neutral_mm + basis.deltas_mm * view.expression;
-  track::FaceLandmarks face;
-  face.points_px.setZero(3, track::landmark_count);
+  landmark::FaceLandmarks face;
+  face.points_px.setZero(3, landmark::landmark_count);
   face.points_px.row(0).setConstant(static_cast<float>(view.centre_px().x()));
   face.points_px.row(1).setConstant(static_cast<float>(view.centre_px().y()));
-  face.confidence.setOnes(track::landmark_count);
+  face.confidence.setOnes(landmark::landmark_count);
   face.presence = 1;
   std::normal_distribution<double> noise(0.0, 1.0);
   for (int l = 0; l < model.count(); ++l) {
@@ -73,11 +74,11 @@ inline track::FaceLandmarks synthetic_landmarks(const track::LandmarkModel& mode
         Eigen::Vector3d(px.x() + noise_px * noise(random), px.y() + noise_px * noise(random), depth_px)
             .cast<float>();
     const int landmark = model.landmarks()[static_cast<std::size_t>(l)];
-    if (landmark < track::landmark_count) {
+    if (landmark < landmark::landmark_count) {
       face.points_px.col(landmark) = measured;
     } else {
       face.irises_px.conservativeResize(3, 2);
-      face.irises_px.col(landmark - track::landmark_count) = measured;
+      face.irises_px.col(landmark - landmark::landmark_count) = measured;
       face.iris_confidence = {1, 1};
     }
   }

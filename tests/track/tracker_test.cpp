@@ -6,7 +6,7 @@
 
 #include "camera/factory.hpp"
 #include "facet/error.hpp"
-#include "frames.hpp"
+#include "support/frames.hpp"
 #include "support/paths.hpp"
 #include "support/synthetic_model.hpp"
 

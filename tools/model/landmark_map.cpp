@@ -212,8 +212,8 @@ std::optional<LandmarkAnchor> nearest_to_ray(const render::Raycaster& caster,
   return make_anchor(triangles, closest.triangle, closest.barycentric);
 }
 
-track::FaceLandmarks detect(track::Landmarker& landmarker, const render::Picture& picture,
-                            const std::string& pose) {
+landmark::FaceLandmarks detect(landmark::Landmarker& landmarker, const render::Picture& picture,
+                               const std::string& pose) {
   auto faces = landmarker.find_all(render::to_frame(picture));
   if (faces.empty()) {
     throw Error(ErrorKind::NoFace,
@@ -225,7 +225,7 @@ track::FaceLandmarks detect(track::Landmarker& landmarker, const render::Picture
 }
 
 /// The landmark on the other side of the face, by MediaPipe's canonical face.
-std::vector<int> landmark_mirror(const track::CanonicalFace& canonical) {
+std::vector<int> landmark_mirror(const landmark::CanonicalFace& canonical) {
   std::vector<int> mirror;
   for (int i = 0; i < FaceModel::kLandmarkCount; ++i) {
     const Eigen::Vector3f wanted = canonical.vertices_cm.col(i).cwiseProduct(Eigen::Vector3f(-1, 1, 1));
@@ -244,12 +244,12 @@ Eigen::Vector2f project(const CameraIntrinsics& camera, const Eigen::Vector3f& p
 /// Adds what one pose tells about the landmarks: positions on the mean face, weighted by how squarely they
 /// are seen.
 void place_from_pose(const FaceModel& model, const PortraitRenderer& renderer, const SkinSurfaces& surfaces,
-                     track::Landmarker& landmarker, const Pose& pose, mesh::Vertices& sums_mm,
+                     landmark::Landmarker& landmarker, const Pose& pose, mesh::Vertices& sums_mm,
                      Eigen::VectorXf& weights) {
   const View view = pose_view(model, pose, kPictureSize);
   const CameraIntrinsics camera = view.camera();
   const mesh::Vertices vertices_mm = pose_vertices_mm(model, pose);
-  const track::FaceLandmarks found =
+  const landmark::FaceLandmarks found =
       detect(landmarker, renderer.render(vertices_mm, view, Style::Lifelike), pose.name);
   const Eigen::Isometry3f camera_from_head = view.camera_from_head();
   const mesh::Vertices camera_mm =
@@ -290,7 +290,7 @@ void place_from_pose(const FaceModel& model, const PortraitRenderer& renderer, c
 
 }  // namespace
 
-std::vector<LandmarkAnchor> find_landmarks(const FaceModel& model, track::Landmarker& landmarker,
+std::vector<LandmarkAnchor> find_landmarks(const FaceModel& model, landmark::Landmarker& landmarker,
                                            const LandmarkProgress& progress) {
   const PortraitRenderer renderer(model);
   const SkinSurfaces surfaces(model);
@@ -328,7 +328,7 @@ std::vector<LandmarkAnchor> find_landmarks(const FaceModel& model, track::Landma
   return anchors;
 }
 
-std::vector<LandmarkAgreement> check_landmarks(const FaceModel& model, track::Landmarker& landmarker,
+std::vector<LandmarkAgreement> check_landmarks(const FaceModel& model, landmark::Landmarker& landmarker,
                                                const LandmarkProgress& progress) {
   const PortraitRenderer renderer(model);
   std::vector<LandmarkAgreement> agreements;
@@ -345,14 +345,14 @@ std::vector<LandmarkAgreement> check_landmarks(const FaceModel& model, track::La
     }
     agreement.found = true;
     const Eigen::Isometry3f camera_from_head = view.camera_from_head();
-    std::array<int, track::kLandmarkGroupCount> count{};
+    std::array<int, landmark::kLandmarkGroupCount> count{};
     for (int i = 0; i < FaceModel::kLandmarkCount; ++i) {
       const Eigen::Vector3f anchor_mm =
           camera_from_head *
           FaceModel::anchor_point(model.landmarks[static_cast<std::size_t>(i)], vertices_mm);
       const float distance_px =
           (project(view.camera(), anchor_mm) - faces.front().points_px.col(i).head<2>()).norm();
-      const auto group = static_cast<std::size_t>(track::landmark_groups()[static_cast<std::size_t>(i)]);
+      const auto group = static_cast<std::size_t>(landmark::landmark_groups()[static_cast<std::size_t>(i)]);
       agreement.mean_mm[group] += distance_px * anchor_mm.z() / view.camera().fx;
       ++count[group];
     }
@@ -363,7 +363,7 @@ std::vector<LandmarkAgreement> check_landmarks(const FaceModel& model, track::La
   return agreements;
 }
 
-render::Picture landmark_sheet(const FaceModel& model, track::Landmarker& landmarker, int tile_px) {
+render::Picture landmark_sheet(const FaceModel& model, landmark::Landmarker& landmarker, int tile_px) {
   constexpr std::array<std::uint8_t, 3> kAnchorColour = {40, 255, 90};
   constexpr std::array<std::uint8_t, 3> kNetColour = {255, 50, 40};
   constexpr int kColumns = 4;

@@ -1,0 +1,70 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "capture/epipolar.hpp"
+#include "capture/rig.hpp"
+#include "facet/frame_set.hpp"
+#include "stereo/rectification.hpp"
+
+namespace facet::booth {
+
+/// Points that both cameras of a pair see, found without relying on the calibration to more than a few
+/// degrees: corners of the left picture (Shi & Tomasi 1994) looked for in the right one around where their
+/// lines of sight lie (normalised correlation, the peak's parabola). For blank slots: stripes look alike
+/// along themselves. Empty where a picture is. 0.1 s; any thread.
+std::vector<capture::PointMatch> match_corners(const capture::Lens& left, const capture::Lens& right,
+                                               const Frame& left_picture, const Frame& right_picture,
+                                               const stereo::DepthRange& depths);
+
+/// What is known of how two cameras stand to each other, against their calibration.
+struct RigPairStatus {
+  /// Parts of the left camera's picture, as many across and down.
+  static constexpr int kColumns = 8;
+  static constexpr int kRows = 6;
+
+  std::string left;  ///< the cameras' names
+  std::string right;
+  std::size_t matches = 0;  ///< points that the last judgement is from; 0: none yet
+  double median_px = 0;     ///< of their epipolar errors (capture::epipolar_error_px), absolute
+  double p95_px = 0;
+  std::string wrong;  ///< for people; empty where all is well or nothing is known
+  /// Mean absolute error where the left camera saw points, without those that miss by far while the pair
+  /// is fine (wrong matches), px; below 0: none were seen there. Row by row, from the top left.
+  std::array<float, std::size_t{kColumns} * kRows> error_px;
+
+  RigPairStatus() { error_px.fill(-1); }
+};
+
+/// Looks while a booth runs whether its cameras still stand as they were calibrated. One thread.
+class RigCheck {
+ public:
+  RigCheck(std::shared_ptr<const capture::Rig> rig, const stereo::DepthRange& depths);
+
+  /// A blank slot, frames in the rig's order. Looks at one pair a call, in turn, and judges it once enough
+  /// points were gathered; most slots it has been told of before count for nothing. Returns what is wrong
+  /// with a pair, for people, as long as it is; empty where all is well or nothing is known yet.
+  std::string look(const FrameSet& set);
+  /// [pair_count] as the rig has them.
+  const std::vector<RigPairStatus>& pairs() const { return known_; }
+
+ private:
+  struct Pair {
+    std::vector<capture::PointMatch> matches;
+    int slots = 0;  ///< that they come from
+  };
+
+  void judge(Pair& pair, RigPairStatus& known) const;
+
+  std::shared_ptr<const capture::Rig> rig_;
+  stereo::DepthRange depths_;
+  std::vector<Pair> pairs_;
+  std::vector<RigPairStatus> known_;
+  std::size_t next_ = 0;
+};
+
+}  // namespace facet::booth

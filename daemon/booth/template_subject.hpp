@@ -1,0 +1,21 @@
+#pragma once
+
+#include <cstdint>
+#include <memory>
+
+#include "face/face_model.hpp"
+#include "fit/template_mesh.hpp"
+#include "mesh/hierarchy.hpp"
+#include "mesh/mesh_frame.hpp"
+
+namespace facet::booth {
+
+/// What does not change of a person whom the template was fitted to (face::build_subject): control vertices
+/// are the template's. No identity coefficients.
+/// hierarchy  of the template (fit::FineSurface)
+std::shared_ptr<const mesh::Subject> build_template_subject(const fit::TemplateMesh& surface,
+                                                            std::shared_ptr<const mesh::Hierarchy> hierarchy,
+                                                            const face::FaceModel& model,
+                                                            std::uint32_t count);
+
+}  // namespace facet::booth

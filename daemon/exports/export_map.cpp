@@ -1,0 +1,90 @@
+#include <ImfChannelList.h>
+#include <ImfFrameBuffer.h>
+#include <ImfHeader.h>
+#include <ImfOutputFile.h>
+#include <ImfStandardAttributes.h>
+#include <ImfStdIO.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <opencv2/core.hpp>
+#include <opencv2/imgcodecs.hpp>
+#include <string>
+
+#include "exports/export.hpp"
+#include "facet/error.hpp"
+#include "files/output_file.hpp"
+
+namespace facet::exports {
+namespace {
+
+/// What a PNG's 16 bits stand for, 0 to 1.
+float coded(float value, MapKind kind) {
+  switch (kind) {
+    case MapKind::Displacement:
+      return 0.5F + value / (2.0F * kDisplacementRange_mm);
+    case MapKind::ObjectNormal:
+    case MapKind::TangentNormal:
+      return 0.5F + 0.5F * value;
+    case MapKind::Albedo:  // sRGB transfer (IEC 61966-2-1)
+      return value <= 0.0031308F ? 12.92F * value
+                                 : 1.055F * std::pow(std::min(value, 1.0F), 1.0F / 2.4F) - 0.055F;
+  }
+  return 0;
+}
+
+void write_png(const MapPicture& picture, MapKind kind, const std::filesystem::path& file) {
+  cv::Mat pixels(picture.size_px, picture.size_px, CV_16UC(picture.channels));
+  const auto channels = static_cast<std::size_t>(picture.channels);
+  auto* out = pixels.ptr<std::uint16_t>();
+  for (std::size_t i = 0; i < picture.values.size(); ++i) {
+    const float value = std::clamp(coded(picture.values[i], kind), 0.0F, 1.0F);
+    // OpenCV has blue first.
+    const std::size_t channel = channels - 1 - i % channels;
+    out[i / channels * channels + channel] = static_cast<std::uint16_t>(std::lrint(value * 65535.0F));
+  }
+  std::vector<std::uint8_t> bytes;
+  cv::imencode(".png", pixels, bytes);
+  files::OutputFile output(file);
+  output.write(std::as_bytes(std::span(bytes)));
+  output.commit();
+}
+
+void write_exr(const MapPicture& picture, MapKind kind, const std::filesystem::path& file) {
+  static constexpr std::array kNames = {"R", "G", "B"};
+  Imf::Header header(picture.size_px, picture.size_px);
+  header.compression() = Imf::ZIP_COMPRESSION;
+  Imf::addComments(header,
+                   kind == MapKind::Displacement ? "Facet: displacement, mm along the smooth surface's normal"
+                   : kind == MapKind::ObjectNormal  ? "Facet: unit normal, head frame"
+                   : kind == MapKind::TangentNormal ? "Facet: unit normal, x along u, y along v, z outwards"
+                                                    : "Facet: albedo, linear RGB");
+  Imf::FrameBuffer pixels;
+  const std::size_t step = sizeof(float) * static_cast<std::size_t>(picture.channels);
+  for (int channel = 0; channel < picture.channels; ++channel) {
+    const char* name = picture.channels == 1 ? "Y" : kNames.at(static_cast<std::size_t>(channel));
+    header.channels().insert(name, Imf::Channel(Imf::FLOAT));
+    // The library reads alone through this pointer.
+    auto* base = reinterpret_cast<char*>(const_cast<float*>(picture.values.data() + channel));
+    pixels.insert(name, Imf::Slice(Imf::FLOAT, base, step, step * static_cast<std::size_t>(picture.size_px)));
+  }
+  Imf::StdOSStream stream;
+  {
+    Imf::OutputFile encoder(stream, header);
+    encoder.setFrameBuffer(pixels);
+    encoder.writePixels(picture.size_px);
+  }
+  files::OutputFile output(file);
+  output.write(stream.str());
+  output.commit();
+}
+
+}  // namespace
+
+void write_map(const MapPicture& picture, MapKind kind, PictureFormat format,
+               const std::filesystem::path& file) {
+  format == PictureFormat::Png ? write_png(picture, kind, file) : write_exr(picture, kind, file);
+}
+
+}  // namespace facet::exports

@@ -1,0 +1,74 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <span>
+#include <vector>
+
+#include "exports/export.hpp"
+#include "files/output_file.hpp"
+
+namespace facet::exports {
+
+inline constexpr float kMetresPerMillimetre = 0.001F;
+
+/// Makes normals unit length; those of vertices that no triangle holds, which no format allows to be 0, point
+/// along -z.
+void mend_normals(Eigen::Matrix3Xf& normals);
+
+/// Throws Error(Usage) naming file and frame where a frame's mesh has other vertices or triangles than the
+/// first's.
+void require_same_mesh(const mesh::Triangles& triangles, const SequenceFrame& frame,
+                       const std::filesystem::path& file);
+
+/// x right, y up, z towards the viewer, metres, from the head frame in mm: rotation as it is, translation in
+/// metres.
+Eigen::Isometry3f metres_from_head(const SequenceFrame& frame);
+
+/// What PC2 and MDD have in common: a mesh to put the cache on, written as OBJ beside it, and one sample for
+/// every number of the source from first to last. Frames without a mesh are held from the one before.
+class VertexCache {
+ public:
+  /// Writes nothing yet.
+  VertexCache(const SequenceOptions& options, const SequenceFrame& first);
+
+  std::int32_t point_count() const { return static_cast<std::int32_t>(base_.vertices_mm.cols()); }
+  /// first to last of the timeline. Throws Error(Usage) beyond 2^31 samples.
+  std::int32_t sample_count() const { return sample_count_; }
+
+  /// Calls write(points) for every sample that is due now that the frame has come: [3][point_count] metres, y
+  /// up.
+  template <typename Write>
+  void add(const SequenceFrame& frame, const Write& write) {
+    require_same_mesh(base_.triangles, frame, options_.file);
+    for (; points_.cols() > 0 && next_ < frame.sequence; ++next_) {
+      write(points_);
+    }
+    place(frame);
+    write(points_);
+    next_ = frame.sequence + 1;
+  }
+  /// Puts the mesh and then the cache in their places.
+  void commit(files::OutputFile& cache) const;
+
+  const Timeline& timeline() const { return options_.timeline; }
+
+ private:
+  void place(const SequenceFrame& frame);
+
+  SequenceOptions options_;
+  ExportMesh base_;
+  mesh::Vertices points_;
+  std::uint64_t next_ = 0;
+  std::int32_t sample_count_ = 0;
+};
+
+// Factories, one for each format; listed in open_sequence.
+std::unique_ptr<SequenceWriter> open_pc2(const SequenceOptions& options, const SequenceFrame& first);
+std::unique_ptr<SequenceWriter> open_mdd(const SequenceOptions& options, const SequenceFrame& first);
+std::unique_ptr<SequenceWriter> open_usda(const SequenceOptions& options, const SequenceFrame& first);
+std::unique_ptr<SequenceWriter> open_glb_frames(const SequenceOptions& options, const SequenceFrame& first);
+std::unique_ptr<SequenceWriter> open_glb_expressions(const SequenceOptions& options,
+                                                     const SequenceFrame& first);
+
+}  // namespace facet::exports

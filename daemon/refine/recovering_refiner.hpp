@@ -1,0 +1,74 @@
+#pragma once
+
+#include <chrono>
+#include <condition_variable>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <thread>
+
+#include "facet/messages.hpp"
+#include "refine/refine_stage.hpp"
+
+namespace facet::refine {
+
+/// A refine stage that survives the loss of its device: the lost one is thrown away and the helper thread
+/// `facet-regpu` opens another and gives it the subject, again and again with pauses, while refine() says
+/// that there is none. Belongs to the thread that calls refine; stop may be called from any thread.
+class RecoveringRefiner {
+ public:
+  /// How long the helper waits after a failed attempt; doubled each time up to the longest.
+  struct Pauses {
+    std::chrono::milliseconds first{500};
+    std::chrono::milliseconds longest{30'000};
+  };
+
+  /// open empty: refinement is off. `messages` outlives this object.
+  RecoveringRefiner(std::unique_ptr<RefineStage> first, OpenRefiner open, Messages& messages, Pauses pauses);
+  ~RecoveringRefiner();
+  RecoveringRefiner(const RecoveringRefiner&) = delete;
+  RecoveringRefiner& operator=(const RecoveringRefiner&) = delete;
+
+  /// Sets the subject now and on every device that comes after a loss. Blocks for the upload.
+  void set_subject(const SubjectSetup& subject);
+
+  /// The next frame does not follow the one before: a face came back.
+  void restart();
+
+  /// Refines one frame. Returns an empty text where output holds a result, else why there is none, for
+  /// MeshFrame::degraded_reason (valid until the next call).
+  const std::string& refine(const RefineInput& input, RefineOutput& output);
+
+  /// For people; empty while there is no device.
+  const std::string& device() const { return device_; }
+
+  /// The helper makes no further attempt; one that is under way can't be broken off.
+  void request_stop();
+
+ private:
+  void refuse(const std::string& reason);
+  void lose(const std::string& reason);
+  void begin_reopening();
+  void adopt_reopened();
+  void reopen(const SubjectSetup& subject);
+  std::unique_ptr<RefineStage> try_open(const SubjectSetup& subject);
+
+  OpenRefiner open_;
+  Messages& messages_;
+  Pauses pauses_;
+  std::unique_ptr<RefineStage> stage_;
+  std::string device_;
+  std::string reason_;
+  SubjectSetup subject_;
+  bool has_subject_ = false;
+  bool helped_ = true;  ///< the helper of the last loss was made
+
+  std::mutex mutex_;
+  std::condition_variable stop_changed_;
+  bool stop_ = false;                              ///< guarded by mutex_
+  std::unique_ptr<RefineStage> reopened_;          ///< guarded by mutex_
+  const mesh::Hierarchy* reopened_for_ = nullptr;  ///< guarded by mutex_: whose subject reopened_ has
+  std::jthread helper_;
+};
+
+}  // namespace facet::refine

@@ -1,0 +1,160 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "maths/alignment.hpp"
+#include "mesh/mesh_frame.hpp"
+#include "render/renderer.hpp"
+#include "simulation/truth_mesh.hpp"
+
+namespace facet::report {
+
+/// What may be taken out before a reconstruction is measured. One camera cannot know the scale, so
+/// Similarity is the usual choice of the field; it is found for every frame and mesh by itself.
+enum class Alignment { None, Rigid, Similarity };
+
+/// A reconstructed mesh of one frame in the camera frame. All arrays per finest vertex.
+struct Reconstruction {
+  mesh::Vertices vertices_mm;          ///< [3][vertex_count]
+  Eigen::Matrix3Xf normals;            ///< [3][vertex_count] unit
+  std::vector<std::int32_t> measured;  ///< the vertices to be measured, ascending
+};
+
+/// How each measured vertex of one mesh compares with the truth.
+struct Comparison {
+  maths::Similarity truth_from_reconstruction;
+  std::vector<float>
+      signed_distance_mm;  ///< [measured] to the nearest truth, positive outside of it; NaN: none near
+  std::vector<float> normal_error_deg;  ///< [measured] NaN where the distance is
+};
+
+/// The truth of one frame, ready for queries.
+class Truth {
+ public:
+  explicit Truth(simulation::TruthMesh mesh);
+
+  const simulation::TruthMesh& mesh() const { return mesh_; }
+  const render::Raycaster& caster() const { return caster_; }
+
+ private:
+  simulation::TruthMesh mesh_;
+  render::Raycaster caster_;
+};
+
+/// Measures a mesh: aligns it (start: the truth point at the same pixel; then iterated closest points with
+/// point-to-plane steps on up to 2,500 vertices, Chen & Medioni 1992), then takes each vertex's distance to
+/// the nearest point of the truth surface and the angle to its normal there.
+Comparison compare(const Reconstruction& reconstruction, const Truth& truth, Alignment alignment);
+
+/// Vertices to measure, the same for coarse and refined meshes: refinable face skin (every control vertex
+/// that a finest vertex depends on is marked Refinable, not on the open edge), turned to the camera by at
+/// most 75 degrees, and not hidden behind another part of the coarse mesh.
+///
+/// subject        with hierarchy and regions
+/// coarse_mm      [3][finest vertex_count] camera frame, without displacements
+/// coarse_normals [3][finest vertex_count]
+/// Throws Error(UnreadableInput) where the subject, of a take from elsewhere, has no regions.
+std::vector<std::int32_t> measured_vertices(const mesh::Subject& subject, const mesh::Vertices& coarse_mm,
+                                            const Eigen::Matrix3Xf& coarse_normals);
+
+/// Of one frame's points; those that are nowhere near the truth count as in Figures.
+struct FrameMeans {
+  double mm = 0;
+  double normal_deg = 0;
+};
+
+/// Figures of one kind of mesh over a sequence.
+struct Figures {
+  double mean_mm = 0;
+  double std_mm = 0;
+  double median_mm = 0;
+  double p95_mm = 0;
+  double normal_error_deg = 0;
+  double flicker_mm = 0;
+  double photometric_rms = 0;  ///< NaN where no frame had one
+};
+
+/// Gathers comparisons of consecutive frames into figures. One thread.
+class FigureSum {
+ public:
+  /// Adds the next frame. vertices: the measured ones, as in the Reconstruction. Frames come in order of
+  /// `index`; a gap starts the flicker anew. photometric_rms: NaN where unknown.
+  /// Returns the frame's own; NaN where nothing was measured.
+  FrameMeans add(std::int64_t index, const std::vector<std::int32_t>& vertices, const Comparison& comparison,
+                 double photometric_rms);
+
+  /// Mean, standard deviation, median and 95th percentile of unsigned distances; mean normal error; flicker:
+  /// rms of (e[t-1] - 2 e[t] + e[t+1]) / sqrt(6) over all vertices measured in three frames running, e =
+  /// signed distance: the mesh's trembling against the truth's motion; white noise of sigma gives sigma.
+  Figures figures() const;
+  std::uint64_t point_count() const { return count_; }
+
+ private:
+  static constexpr double kBin_mm = 0.002;
+  std::vector<std::uint64_t> histogram_;
+  std::uint64_t count_ = 0;
+  double sum_mm_ = 0;
+  double sum_squares_mm2_ = 0;
+  double sum_normal_deg_ = 0;
+  double sum_flicker_mm2_ = 0;
+  std::uint64_t flicker_count_ = 0;
+  double sum_photometric2_ = 0;
+  std::uint64_t photometric_count_ = 0;
+  std::int64_t last_index_ = -2;
+  std::vector<float> last_;  ///< [vertex] signed distance of the last frame, NaN where not measured
+  std::vector<float> last_but_one_;
+};
+
+/// How far along its normals each measured vertex of an aligned mesh stands from the truth: the displacement
+/// that the refinement should have found there.
+///
+/// mesh               without displacements, as measured
+/// truth_from_mesh    of its Comparison
+/// returns            [vertex_count] mm at the mesh's scale; NaN where not measured or not within 6 mm
+std::vector<float> true_displacements_mm(const Reconstruction& mesh, const maths::Similarity& truth_from_mesh,
+                                         const Truth& truth);
+
+/// Compares recovered with true displacements at the width of wrinkles, where the truth has some. One thread.
+///
+/// Band: of a field x over the mesh, B(x) = G_0.6 x - G_4 x, with G_s the half-ring average repeated until it
+/// is as wide as a Gaussian of s mm at the mesh's mean spacing, over measured vertices alone. What is wider
+/// (the coarse mesh's own error) and narrower (noise) drops out; creases of 2 to 6 mm stay.
+/// Folds: vertices where sqrt(G_4 B(truth)^2) is above 0.08 mm: a crease and its banks.
+class WrinkleSum {
+ public:
+  /// Adds a frame.
+  ///
+  /// rings            of the finest level
+  /// mesh             without displacements, as measured
+  /// true_mm          [vertex_count] true_displacements_mm
+  /// recovered_mm     [vertex_count] the refinement's
+  void add(const mesh::OneRings& rings, const Reconstruction& mesh, std::vector<float> true_mm,
+           std::span<const float> recovered_mm);
+
+  /// Pearson's correlation of B(recovered) with B(truth) over all folds of all frames. NaN without folds.
+  double correlation() const;
+  /// Of the regression of B(recovered) on B(truth): 1 where folds come out as deep as they are.
+  double depth() const;
+  std::uint64_t point_count() const { return count_; }
+
+ private:
+  std::uint64_t count_ = 0;
+  std::array<double, 5> sums_{};  ///< of t, r, t t, r r, t r
+};
+
+/// |I - R| of eq. 2 (Ma & Deng 2019) at every finest vertex: rms over the channels, linear 0 to 1; NaN
+/// outside the image or where the vertex faces away.
+std::vector<float> vertex_errors(const mesh::Vertices& vertices_mm, const Eigen::Matrix3Xf& normals,
+                                 const std::vector<float>& albedo, const std::array<float, 9>& lighting,
+                                 const CameraIntrinsics& camera, const Frame& image);
+
+/// rms of those errors over some vertices; NaN where none of them has one.
+double photometric_rms(const std::vector<float>& vertex_errors, const std::vector<std::int32_t>& vertices);
+
+}  // namespace facet::report

@@ -1,0 +1,40 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <vector>
+
+#include "render/renderer.hpp"
+#include "report/evaluation.hpp"
+#include "take/reader.hpp"
+
+namespace facet::report {
+
+/// How one frame's meshes compare with the truth.
+struct FrameEvaluation {
+  std::int64_t index = 0;  ///< in the take
+  FrameMeans coarse;
+  FrameMeans refined;
+};
+
+struct TakeEvaluation {
+  std::vector<FrameEvaluation> frames;  ///< those with a mesh and a truth
+  int without_mesh = 0;                 ///< frames with a truth alone
+  std::uint64_t points = 0;
+  double mean_scale = 1;  ///< of the refined meshes' alignment
+  Figures coarse;
+  Figures refined;
+  WrinkleSum wrinkles;
+  render::Picture heat_map;  ///< of four frames
+};
+
+/// A take of a synthetic sequence against its truth (docs/evaluation.md).
+///
+/// folder     that `facet synth` wrote; the photometric error needs its video.mkv
+/// progress   is told how many of how many frames are done
+/// Throws Error(UnreadableInput) where no frame has both a mesh and a truth, and for damaged files.
+TakeEvaluation evaluate_take(take::TakeReader& take, const std::filesystem::path& folder, Alignment alignment,
+                             const std::function<void(std::uint64_t done, std::uint64_t total)>& progress);
+
+}  // namespace facet::report

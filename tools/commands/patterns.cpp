@@ -1,0 +1,256 @@
+// `facet patterns`: what the projectors of a booth show.
+
+#include "capture/patterns.hpp"
+
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <filesystem>
+#include <memory>
+#include <optional>
+#include <string>
+#include <system_error>
+#include <vector>
+
+#include "capture/code_sequence.hpp"
+#include "capture/rig_file.hpp"
+#include "commands.hpp"
+#include "facet/error.hpp"
+#include "picture_size.hpp"
+#include "progress.hpp"
+#include "render/renderer.hpp"
+#include "tell.hpp"
+
+namespace facet::tools {
+namespace {
+
+struct PatternsOptions {
+  capture::PatternConfig patterns;
+  std::string size;
+  std::string rig;
+  std::string sequence;
+  std::uint64_t periods = 60;
+  std::string folder;
+};
+
+/// Who shows the patterns: a folder inside the one given ("" for the folder itself), a size.
+struct Screen {
+  std::filesystem::path folder;
+  int width_px = 0;
+  int height_px = 0;
+};
+
+std::vector<Screen> screens_of(const PatternsOptions& options) {
+  if (options.rig.empty()) {
+    const PictureSize size = parse_picture_size("--size", options.size);
+    return {{options.folder, size.width_px, size.height_px}};
+  }
+  std::vector<Screen> screens;
+  for (const capture::RigProjector& projector : capture::read_rig(options.rig).projectors) {
+    if (projector.name.find('/') != std::string::npos || projector.name.starts_with('.')) {
+      throw Error(ErrorKind::Usage, fmt::format("{}: the projector's name '{}' can't be a folder's",
+                                                options.rig, projector.name));
+    }
+    screens.push_back({std::filesystem::path(options.folder) / projector.name, projector.lens.width_px,
+                       projector.lens.height_px});
+  }
+  if (screens.empty()) {
+    throw Error(
+        ErrorKind::Usage,
+        fmt::format("{}: the rig has no projector; give its [[projector]] sections or --size", options.rig));
+  }
+  return screens;
+}
+
+render::Picture to_picture(const capture::GreyImage& image) {
+  render::Picture picture = render::plain_picture(image.width_px, image.height_px, {0, 0, 0});
+  for (std::size_t k = 0; k < picture.rgb.size(); ++k) {
+    picture.rgb[k] = image.values[k / 3];
+  }
+  return picture;
+}
+
+void make_folder(const std::filesystem::path& folder) {
+  std::error_code failure;
+  std::filesystem::create_directories(folder, failure);
+  if (failure) {
+    throw Error(ErrorKind::Storage,
+                fmt::format("{}: cannot make the folder ({})", folder.string(), failure.message()));
+  }
+}
+
+void run_write(const PatternsOptions& options) {
+  const std::vector<Screen> screens = screens_of(options);
+  std::optional<capture::CodeSequence> sequence;
+  if (!options.sequence.empty()) {
+    sequence = capture::parse_sequence(options.sequence);
+  }
+  const std::uint64_t slots =
+      sequence ? sequence->pictures.size() : options.periods * capture::kSlotsPerPeriod;
+  Progress progress("Drawing", slots * screens.size(), "pictures");
+  for (std::size_t k = 0; k < screens.size(); ++k) {
+    const Screen& screen = screens[k];
+    make_folder(screen.folder);
+    capture::PatternConfig config = options.patterns;
+    config.width_px = screen.width_px;
+    config.height_px = screen.height_px;
+    for (std::uint64_t slot = 0; slot < slots; ++slot) {
+      const capture::GreyImage image = sequence
+                                           ? capture::draw_coded(config, *sequence, slot)
+                                           : capture::draw_pattern(config, capture::shown_in_slot(slot), k);
+      const std::string name = sequence ? fmt::format("{:03}-{}.png", slot, capture::name_of(*sequence, slot))
+                                        : fmt::format("slot_{:06}.png", slot);
+      render::write_png(to_picture(image), screen.folder / name);
+      progress.advance();
+    }
+  }
+  progress.finish();
+  const std::string projectors =
+      fmt::format("{} projector{}", screens.size(), screens.size() == 1 ? "" : "s");
+  if (sequence) {
+    tell(
+        "{}: {} pictures for {}, to be shown by one projector at a time. Folders of the cameras' pictures, "
+        "named "
+        "in the same order, go to `facet scan --sequence {}`\n",
+        options.folder, slots, projectors, options.sequence);
+  } else {
+    tell("{}: {} slots (stripes A, stripes B, blank, and again) for {}\n", options.folder, slots, projectors);
+  }
+}
+
+struct ShowOptions {
+  std::string folder;
+  double rate_hz = 0;
+  int screen = -1;
+  bool console = false;
+  std::string connector;
+  std::vector<std::string> player;
+};
+
+/// Becomes the player: its keys, its signals and its exit status are the command's.
+void run_show(const ShowOptions& options) {
+  std::vector<std::string> pictures;
+  try {
+    for (const auto& entry : std::filesystem::directory_iterator(options.folder)) {
+      if (entry.path().extension() == ".png") {
+        pictures.push_back(std::filesystem::absolute(entry.path()).string());
+      }
+    }
+  } catch (const std::filesystem::filesystem_error& error) {
+    throw Error(ErrorKind::UnreadableInput, fmt::format("{}: {}", options.folder, error.code().message()));
+  }
+  if (pictures.empty()) {
+    throw Error(
+        ErrorKind::UnreadableInput,
+        fmt::format("{}: no PNG pictures there; `facet patterns write` makes them, a folder of its own for "
+                    "each projector of a rig",
+                    options.folder));
+  }
+  std::sort(pictures.begin(), pictures.end());
+  std::vector<std::string> words = {"mpv",
+                                    "--no-config",
+                                    "--fullscreen",
+                                    "--no-audio",
+                                    "--no-osc",
+                                    "--msg-level=all=warn",
+                                    "--osd-level=0",
+                                    "--cursor-autohide=always",
+                                    "--background=#000000",
+                                    "--video-unscaled=yes",
+                                    "--stop-screensaver=yes",
+                                    "--loop-playlist=inf"};
+  words.push_back(options.rate_hz > 0 ? fmt::format("--image-display-duration={:.9f}", 1 / options.rate_hz)
+                                      : "--image-display-duration=inf");
+  words.emplace_back("--prefetch-playlist=yes");
+  if (options.screen >= 0) {
+    words.push_back(fmt::format("--fs-screen={}", options.screen));
+  }
+  if (options.console) {
+    words.emplace_back("--vo=drm");
+    if (!options.connector.empty()) {
+      words.push_back("--drm-connector=" + options.connector);
+    }
+  }
+  words.insert(words.end(), options.player.begin(), options.player.end());
+  words.emplace_back("--");
+  words.insert(words.end(), pictures.begin(), pictures.end());
+  std::vector<char*> arguments;
+  arguments.reserve(words.size() + 1);
+  for (std::string& word : words) {
+    arguments.push_back(word.data());
+  }
+  arguments.push_back(nullptr);
+  ::execvp(arguments[0], arguments.data());
+  throw Error(ErrorKind::Usage,
+              fmt::format("the player mpv can't be started ({}): apt install mpv", std::strerror(errno)));
+}
+
+void add_show_command(CLI::App& command) {
+  auto options = std::make_shared<ShowOptions>();
+  CLI::App* show = command.add_subcommand(
+      "show",
+      "Show a folder's pictures on a projector's screen: full-screen, pixel by pixel, again and again");
+  show->add_option("folder", options->folder, "Of one projector, as `facet patterns write` made it")
+      ->required();
+  show->add_option(
+          "--rate", options->rate_hz,
+          "Pictures a second; without it each stays until the key > (or <, back) is pressed. A desktop's "
+          "player keeps no exact time: projectors that the trigger steps play the pictures themselves")
+      ->check(CLI::Range(0.01, 1000.0));
+  show->add_option("--screen", options->screen, "Number of the screen, from 0")->check(CLI::Range(0, 31));
+  auto* console = show->add_flag("--console", options->console,
+                                 "Without a desktop, on the kernel's own display (DRM/KMS)");
+  show->add_option("--connector", options->connector,
+                   "Of the projector, such as HDMI-A-1: see /sys/class/drm")
+      ->needs(console);
+  show->add_option("--player", options->player, "More options of the player, mpv");
+  show->footer("Key q ends it. Needs the program mpv.");
+  show->callback([options] { run_show(*options); });
+}
+
+}  // namespace
+
+void add_patterns_command(CLI::App& app) {
+  auto options = std::make_shared<PatternsOptions>();
+  CLI::App* command = app.add_subcommand(
+      "patterns", "Patterns for the projectors of a booth: random stripes, structured light");
+  command->require_subcommand(1);
+  CLI::App* write = command->add_subcommand(
+      "write", "Write what the projectors show, slot by slot, as PNG pictures for their player");
+  write->add_option("folder", options->folder, "Folder to write the numbered PNG pictures into")->required();
+  auto* rig = write->add_option("--rig", options->rig,
+                                "Rig file: sizes of its projectors, a folder of its name for each");
+  auto* size = write->add_option("--size", options->size, "WIDTHxHEIGHT of one projector in pixels");
+  rig->excludes(size);
+  auto* sequence = write->add_option(
+      "--sequence", options->sequence,
+      "Structured light for something still instead of stripes, such as phase:8x64,gray:6,gray-inverse:6: "
+      "8 shifts of a sine of 64 periods over the picture, Gray bits that count them, and their inverses; "
+      "`facet scan --help` has all groups");
+  write
+      ->add_option("--periods", options->periods,
+                   "Periods of three slots; a player that begins again repeats the stripes")
+      ->capture_default_str()
+      ->check(CLI::Range(1, 100'000))
+      ->excludes(sequence);
+  write->add_option("--seed", options->patterns.seed, "All stripes follow from it")->capture_default_str();
+  write
+      ->add_option("--stripe", options->patterns.stripe_px,
+                   "Mean width of a stripe in the projector's pixels; 3 pixels of the cameras at least")
+      ->capture_default_str();
+  write->add_option("--gamma", options->patterns.gamma, "Of the projector: light = (value / 255)^gamma")
+      ->capture_default_str();
+  write->callback([options] {
+    if (options->rig.empty() && options->size.empty()) {
+      throw Error(ErrorKind::Usage, "give --rig FILE or --size WIDTHxHEIGHT");
+    }
+    run_write(*options);
+  });
+  add_show_command(*command);
+}
+
+}  // namespace facet::tools

@@ -1,0 +1,161 @@
+// `facet view`: a contact sheet of a take.
+
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <charconv>
+#include <cstdint>
+#include <filesystem>
+#include <iterator>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "capture/rig_file.hpp"
+#include "commands.hpp"
+#include "facet/error.hpp"
+#include "progress.hpp"
+#include "report/booth_sheet.hpp"
+#include "report/sheet.hpp"
+#include "take_frames.hpp"
+#include "tell.hpp"
+
+namespace facet::tools {
+namespace {
+
+constexpr std::size_t kDefaultRows = 5;
+constexpr std::size_t kMostRows = 40;  // PNG pictures of more are no longer fit to be looked at
+
+struct ViewOptions {
+  std::string take;
+  std::string sheet;
+  std::string frames;
+  std::string video;
+  std::string rig;
+  std::string pictures;
+  std::string depth;
+  std::string truth;
+};
+
+/// The frames asked for: "A,B,C" (each one), "A:B" or nothing (spread evenly over those with a mesh), by
+/// Frame::sequence. returns indices in the take.
+std::vector<std::int64_t> chosen_frames(take::TakeReader& take, const std::string& text) {
+  const bool is_list =
+      text.find(',') != std::string::npos || (!text.empty() && text.find(':') == std::string::npos);
+  std::vector<std::int64_t> chosen;
+  if (is_list) {
+    for (std::size_t at = 0; at <= text.size();) {
+      const std::size_t end = std::min(text.find(',', at), text.size());
+      std::uint64_t sequence = 0;
+      const auto [stop, error] = std::from_chars(text.data() + at, text.data() + end, sequence);
+      if (error != std::errc() || stop != text.data() + end) {
+        throw Error(
+            ErrorKind::Usage,
+            fmt::format("--frames {}: give frame numbers as in 0,50,100, or a range as in 100:200", text));
+      }
+      for (std::int64_t index = 0; index < take.frame_count(); ++index) {
+        if (take.entry(index).sequence == sequence) {
+          chosen.push_back(index);
+        }
+      }
+      at = end + 1;
+    }
+  } else {
+    const std::vector<std::int64_t> any = frames_in_range(take, text);
+    std::vector<std::int64_t> with_mesh;
+    std::copy_if(any.begin(), any.end(), std::back_inserter(with_mesh),
+                 [&](std::int64_t index) { return take.entry(index).has_mesh; });
+    chosen = report::spread_evenly(with_mesh.empty() ? any : with_mesh, kDefaultRows);
+  }
+  if (chosen.empty() || chosen.size() > kMostRows) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("--frames {}: {} of the take's {} frames are chosen; a sheet holds 1 to {}", text,
+                            chosen.size(), take.frame_count(), kMostRows));
+  }
+  return chosen;
+}
+
+/// The take that a booth's meshes were made of: the one given, or the one that the take names.
+std::optional<take::TakeReader> open_pictures(const take::TakeReader& take, const std::string& given) {
+  std::error_code ignored;
+  const std::string source = given.empty() ? take.info().source : given;
+  if (!given.empty() || std::filesystem::is_regular_file(source, ignored)) {
+    return take::TakeReader(source);
+  }
+  tell(stderr, "facet view: the take's source '{}' is not here; give it with --pictures\n", source);
+  return std::nullopt;
+}
+
+void view_booth(const ViewOptions& options, take::TakeReader& take, const std::vector<std::int64_t>& frames) {
+  std::optional<take::TakeReader> pictures = open_pictures(take, options.pictures);
+  report::BoothSheetSources sources;
+  sources.meshes = &take;
+  sources.pictures = pictures ? &*pictures : nullptr;
+  sources.rig = capture::read_rig(options.rig);
+  sources.depth_folder = options.depth;
+  sources.truth_folder = options.truth;
+  std::vector<report::BoothError> errors;
+  Progress progress("Drawing", frames.size(), "rows");
+  const render::Picture sheet = report::make_booth_sheet(
+      sources, frames, [&](int rows) { progress.set(static_cast<std::uint64_t>(rows)); }, errors);
+  progress.finish();
+  render::write_png(sheet, options.sheet);
+  for (const report::BoothError& error : errors) {
+    tell("slot {}: {:.3f} mm from the truth (mean; 95 %: {:.3f} mm), normals {:.1f} degrees off\n",
+         error.slot, error.mean_mm, error.p95_mm, error.normal_deg);
+  }
+  tell("{}: {} frames of {}\n", options.sheet, frames.size(), options.take);
+}
+
+void run_view(const ViewOptions& options) {
+  take::TakeReader take(options.take);
+  const auto frames = chosen_frames(take, options.frames);
+  if (!options.rig.empty()) {
+    view_booth(options, take, frames);
+    return;
+  }
+  const auto images = report::open_source_images(take.info(), options.video);
+  if (!images) {
+    tell(stderr, "facet view: the take's source '{}' is not a video file here; give it with --video\n",
+         take.info().source);
+  }
+  Progress progress("Drawing", frames.size(), "rows");
+  const render::Picture sheet = report::make_sheet(
+      take, frames, images.get(), [&](int rows) { progress.set(static_cast<std::uint64_t>(rows)); });
+  progress.finish();
+  render::write_png(sheet, options.sheet);
+  tell("{}: {} frames of {}\n", options.sheet, frames.size(), options.take);
+}
+
+}  // namespace
+
+void add_view_command(CLI::App& app) {
+  auto options = std::make_shared<ViewOptions>();
+  CLI::App* command = app.add_subcommand(
+      "view", "Draw a sheet of a take: input, coarse mesh, normals, shaded mesh, albedo, photometric error");
+  command->add_option("take", options->take, "Take file")->required();
+  command->add_option("-o,--output", options->sheet, "PNG to write")->required();
+  command->add_option(
+      "--frames", options->frames,
+      "Frames of the source by number as in 0,50,100, or a range A:B without B, of which five "
+      "are drawn; default: the whole take");
+  command->add_option("--video", options->video, "The video that the take was made from, where it has moved");
+  CLI::Option* rig = command->add_option(
+      "--rig", options->rig,
+      "A booth's rig file, for a take that `facet process --rig` made: draws stripes, depth, mesh over the "
+      "picture, shaded mesh, texture, error");
+  command
+      ->add_option("--pictures", options->pictures,
+                   "The take that the meshes were made of, where it has moved")
+      ->needs(rig);
+  command->add_option("--depth", options->depth, "The folder that `facet process --depth` wrote")->needs(rig);
+  command
+      ->add_option("--truth", options->truth,
+                   "The folder that `facet synth-booth` wrote, where the pictures are of the virtual booth")
+      ->needs(rig);
+  command->callback([options] { run_view(*options); });
+}
+
+}  // namespace facet::tools
