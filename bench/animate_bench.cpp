@@ -21,7 +21,6 @@
 #include "animate/face_graph.hpp"
 #include "animate/face_ik.hpp"
 #include "animate/places.hpp"
-#include "exports/export.hpp"
 #include "facet/assets.hpp"
 #include "facet/error.hpp"
 #include "mesh/hierarchy.hpp"

@@ -13,9 +13,9 @@
 #include "facet/assets.hpp"
 #include "facet/frame.hpp"
 #include "gpu/context.hpp"
+#include "maths/alignment.hpp"
 #include "mesh/mesh_frame.hpp"
 #include "refine/refiner.hpp"
-#include "maths/alignment.hpp"
 #include "report/evaluation.hpp"
 
 namespace facet::bench {
@@ -34,8 +34,8 @@ struct SequenceOptions {
 struct MeasuredFrame {
   std::unique_ptr<report::Truth> truth;
   std::vector<std::int32_t> vertices;
-  std::vector<float> true_displacements_mm;  ///< tools::true_displacements_mm of the coarse mesh
-  maths::Similarity truth_from_camera;      ///< that fits the coarse mesh best
+  std::vector<float> true_displacements_mm;  ///< report::true_displacements_mm of the coarse mesh
+  maths::Similarity truth_from_camera;       ///< that fits the coarse mesh best
 };
 
 struct TrackedFrame {
@@ -70,7 +70,7 @@ struct Score {
   double mean_mm = 0;
   double normal_deg = 0;
   double photometric_rms = 0;
-  double wrinkle_correlation = 0;  ///< tools::WrinkleSum
+  double wrinkle_correlation = 0;  ///< report::WrinkleSum
   double wrinkle_depth = 0;
   double trembling_mm = 0;  ///< rms change of the displacements from frame to frame
   double device_ms = 0;

@@ -18,7 +18,7 @@ inline constexpr const char* kFramesHelp =
 /// order; an empty text is all. Throws Error(Usage) where the text is no range or the take has no such frame.
 std::vector<std::int64_t> frames_in_range(take::TakeReader& take, const std::string& text);
 
-/// take::make_timeline of the frames at these indices in the take, at least one.
+/// exports::make_timeline of the frames at these indices in the take, at least one.
 exports::Timeline timeline_of(take::TakeReader& take, const std::vector<std::int64_t>& indices);
 
 /// Warns on standard error where the source's rate varies: for what holds a frame for each of the source's

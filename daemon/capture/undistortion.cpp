@@ -5,12 +5,12 @@
 namespace facet::capture {
 
 struct Undistortion::Impl {
-  capture::Lens lens;  ///< without distortion
-  cv::Mat source_px;   ///< where each pixel is taken from, in remap's whole numbers ...
-  cv::Mat fractions;   ///< ... and the rest
+  Lens lens;          ///< without distortion
+  cv::Mat source_px;  ///< where each pixel is taken from, in remap's whole numbers ...
+  cv::Mat fractions;  ///< ... and the rest
 };
 
-Undistortion::Undistortion(const capture::Lens& lens) : impl_(std::make_unique<Impl>()) {
+Undistortion::Undistortion(const Lens& lens) : impl_(std::make_unique<Impl>()) {
   impl_->lens = lens;
   impl_->lens.distortion = {};
   const Eigen::Isometry3d rig_from_camera = lens.camera_from_rig.inverse();
@@ -29,12 +29,12 @@ Undistortion::Undistortion(const capture::Lens& lens) : impl_(std::make_unique<I
 Undistortion::~Undistortion() = default;
 Undistortion::Undistortion(Undistortion&&) noexcept = default;
 
-const capture::Lens& Undistortion::lens() const {
+const Lens& Undistortion::lens() const {
   return impl_->lens;
 }
 
 Frame Undistortion::apply(const Frame& frame) const {
-  const capture::Lens& lens = impl_->lens;
+  const Lens& lens = impl_->lens;
   if (frame.empty() || frame.width_px != lens.width_px || frame.height_px != lens.height_px) {
     return {};
   }

@@ -11,12 +11,12 @@ namespace facet::capture {
 /// not see. Any thread, one at a time.
 class Undistortion {
  public:
-  explicit Undistortion(const capture::Lens& lens);
+  explicit Undistortion(const Lens& lens);
   ~Undistortion();
   Undistortion(Undistortion&&) noexcept;
 
   /// The same lens without distortion.
-  const capture::Lens& lens() const;
+  const Lens& lens() const;
 
   /// frame: of the lens's size, else the result is empty. Number and times are kept.
   Frame apply(const Frame& frame) const;

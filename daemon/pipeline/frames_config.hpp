@@ -12,7 +12,7 @@
 
 namespace facet::pipeline {
 
-/// Kind of a camera that FramesPipeline makes itself (simulation::SimulatedRig); others are
+/// Kind of a camera that FramesPipeline makes itself (simulated::SimulatedRig); others are
 /// camera::open_camera's.
 inline constexpr const char* kSimulatedCamera = "simulated";
 

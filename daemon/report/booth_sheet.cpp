@@ -11,7 +11,6 @@
 
 #include "capture/rig_file.hpp"
 #include "capture/undistortion.hpp"
-#include "exports/export.hpp"
 #include "facet/error.hpp"
 #include "files/pfm.hpp"
 #include "report/depth_folder.hpp"

@@ -35,7 +35,8 @@ Vector3f normal_at(const simulation::TruthMesh& mesh, std::int32_t triangle,
 
 /// Pairs a vertex with the truth that the camera sees through it, which is near whatever the depth and scale
 /// are.
-maths::Similarity start_of_alignment(const std::vector<Vector3f>& points, const Truth& truth, bool with_scale) {
+maths::Similarity start_of_alignment(const std::vector<Vector3f>& points, const Truth& truth,
+                                     bool with_scale) {
   std::vector<Vector3f> from;
   std::vector<Vector3f> to;
   for (const Vector3f& point : points) {

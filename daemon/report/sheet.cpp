@@ -8,8 +8,6 @@
 #include <limits>
 #include <string>
 
-#include "exports/export.hpp"
-#include "face/face_model.hpp"
 #include "report/evaluation.hpp"
 
 namespace facet::report {

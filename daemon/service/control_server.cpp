@@ -67,6 +67,10 @@ ControlServer::ControlServer(const ControlConfig& config, ControlMethods methods
 
 ControlServer::~ControlServer() = default;
 
+void ControlServer::close_door() {
+  listening_.close();
+}
+
 void ControlServer::serve() {
   std::array<epoll_event, 64> events{};
   const int count = ::epoll_wait(epoll_.get(), events.data(), static_cast<int>(events.size()), 0);
@@ -208,7 +212,11 @@ void ControlServer::read_mailbox() {
     if (client != clients_.end()) {
       client->at_work = false;
       client->gone = response.empty() && !client->notified;
-      client->exchange->answer(std::move(response));
+      try {
+        client->exchange->answer(std::move(response));
+      } catch (const std::bad_alloc&) {
+        client->gone = true;
+      }
     }
   }
 }
@@ -236,8 +244,11 @@ void ControlServer::watch(Client& client) {
 /// False where nothing has come.
 bool ControlServer::receive(Client& client) {
   std::array<char, 16384> piece{};
-  const ssize_t count = ::recv(client.fd.get(), piece.data(), piece.size(), 0);
-  if (count < 0 && (errno == EAGAIN || errno == EINTR)) {
+  ssize_t count = 0;
+  do {
+    count = ::recv(client.fd.get(), piece.data(), piece.size(), 0);
+  } while (count < 0 && errno == EINTR);
+  if (count < 0 && errno == EAGAIN) {
     return false;
   }
   // Who sends no more may still wait for answers; who broke off may have asked for something before.
@@ -437,7 +448,7 @@ void ControlServer::refuse(Client& client, const std::string& why) {
 }
 
 void ControlServer::say(Client& client, std::string response) {
-  if (response.empty()) {
+  if (response.empty() || client.deaf) {
     return;
   }
   if (client.unsent.empty()) {
@@ -467,9 +478,10 @@ void ControlServer::send_some(Client& client) {
     }
     if (count < 0) {
       if (errno != EAGAIN && errno != EWOULDBLOCK) {
-        // It hears no more; what else it asked is still done, if it may change something.
+        // It hears no more; what else it asked, and has sent by now, is still done, if it may change
+        // something.
         client.sent = client.unsent.size();
-        client.ended = true;
+        client.deaf = true;
         client.gone = !client.caller.may_command;
       }
       break;

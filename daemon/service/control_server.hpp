@@ -51,6 +51,9 @@ class ControlServer {
   void adopt(stream::FileDescriptor connection, const Caller& caller, std::string peer,
              std::vector<std::uint8_t> early);
 
+  /// Nobody can connect any more, and the socket's path is free.
+  void close_door();
+
   std::size_t client_count() const { return clients_.size(); }
 
   /// A client that takes nothing of its answers for so long is dropped.
@@ -73,6 +76,7 @@ class ControlServer {
     std::string received;                           ///< what is not yet an exchange
     bool whole = true;                              ///< `received` may hold a whole request
     bool ended = false;                             ///< sends no more
+    bool deaf = false;                              ///< takes no more
     std::optional<ControlExchange> exchange;        ///< what it asked, while it is answered
     bool at_work = false;                           ///< an errands' thread makes an answer
     bool notified = false;                          ///< what is at work wants no answer

@@ -783,8 +783,11 @@ void Service::Impl::finish() {
     bridge->request_stop();
   }
   try {
-    closing = std::jthread([this] { close_servers(); });
-  } catch (const std::system_error&) {
+    closing = std::jthread([this] {
+      ::pthread_setname_np(::pthread_self(), "facet-close");
+      close_servers();
+    });
+  } catch (const std::exception&) {
     close_servers();  // there is no thread to be had
   }
   stream->stop();
@@ -799,7 +802,9 @@ void Service::Impl::finish() {
     // Nobody hears it then.
   }
   if (servers_closed) {
-    control.reset();  // which the page's server hands its clients to
+    control.reset();
+  } else {
+    control->close_door();  // the page's server may still hand it a client
   }
   if (recording.finished()) {
     recording.finish();
@@ -824,15 +829,16 @@ void Service::Impl::finish() {
   log.info("stopped");
 }
 
-/// Waits for the requests that they answer, which may wait for a disk.
+/// On `facet-close`, or where there is no such thread: waits for the requests that the servers answer, which
+/// may wait for a disk.
 void Service::Impl::close_servers() {
-  metrics.reset();
   std::shared_ptr<WebServer> page;
   {
     const std::lock_guard lock(web_mutex);
     page.swap(web);
   }
   page.reset();
+  metrics.reset();
   servers_closed = true;
 }
 

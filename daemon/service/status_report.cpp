@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "booth/rig_check.hpp"
 #include "facet/error.hpp"
 #include "take/reader.hpp"
 

@@ -10,8 +10,8 @@
 #include <numeric>
 
 #include "facet/error.hpp"
-#include "render/renderer.hpp"
 #include "maths/alignment.hpp"
+#include "render/renderer.hpp"
 #include "simulation/random.hpp"
 #include "simulation/wrinkles.hpp"
 

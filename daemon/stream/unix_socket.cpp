@@ -13,6 +13,7 @@
 #include <cerrno>
 #include <cstring>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "facet/error.hpp"
@@ -269,8 +270,13 @@ ListeningSocket::ListeningSocket(const std::filesystem::path& path, const Socket
 }
 
 ListeningSocket::~ListeningSocket() {
+  close();
+}
+
+void ListeningSocket::close() {
+  fd_.reset();
   struct stat status {};
-  if (owns_path_ && ::lstat(path_.c_str(), &status) == 0 && status.st_dev == device_ &&
+  if (std::exchange(owns_path_, false) && ::lstat(path_.c_str(), &status) == 0 && status.st_dev == device_ &&
       status.st_ino == inode_) {
     ::unlink(path_.c_str());
   }

@@ -67,6 +67,9 @@ class ListeningSocket {
   ListeningSocket(const ListeningSocket&) = delete;
   ListeningSocket& operator=(const ListeningSocket&) = delete;
 
+  /// Nobody can connect any more; a path that is ours is removed. Idempotent.
+  void close();
+
   int fd() const { return fd_.get(); }
   const std::filesystem::path& path() const { return path_; }
 

@@ -7,8 +7,8 @@
 
 /// Any text is face points with finite places, or an Error of kind Usage.
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
-  namespace pipeline = facet::pipeline;
-  if (size > pipeline::kMaxFacePointsFileBytes) {
+  namespace booth = facet::booth;
+  if (size > booth::kMaxFacePointsFileBytes) {
     return 0;
   }
   try {

@@ -32,7 +32,7 @@ Frame ramp(int width_px, int height_px) {
 }
 
 TEST(Undistortion, TakesEveryPixelFromWhereTheLensSawIt) {
-  capture::Lens lens;
+  Lens lens;
   lens.width_px = 200;
   lens.height_px = 160;
   lens.fx_px = 250;
@@ -66,7 +66,7 @@ TEST(Undistortion, TakesEveryPixelFromWhereTheLensSawIt) {
 }
 
 TEST(Undistortion, AnotherLensesPictureIsNone) {
-  capture::Lens lens;
+  Lens lens;
   lens.width_px = 40;
   lens.height_px = 30;
   lens.fx_px = lens.fy_px = 50;

@@ -33,7 +33,7 @@ T take_value(const std::string& bytes, std::size_t& at) {
   return value;
 }
 
-class Export : public testing::Test {
+class Exporter : public testing::Test {
  protected:
   test::TemporaryFolder folder;
   std::shared_ptr<const mesh::Subject> subject = test::patch_subject();
@@ -46,7 +46,7 @@ class Export : public testing::Test {
   }
 };
 
-TEST_F(Export, FinestMeshIsTheRebuiltOneInTheCameraFrame) {
+TEST_F(Exporter, FinestMeshIsTheRebuiltOneInTheCameraFrame) {
   const ExportMesh mesh = mesh_of(MeshLevel::Finest);
   mesh::Vertices head_mm;
   Eigen::Matrix3Xf head_normals;
@@ -64,7 +64,7 @@ TEST_F(Export, FinestMeshIsTheRebuiltOneInTheCameraFrame) {
   EXPECT_EQ(mesh.albedo.cols(), mesh.vertices_mm.cols());
 }
 
-TEST_F(Export, CoarseMeshIsLevelZeroWithoutDisplacements) {
+TEST_F(Exporter, CoarseMeshIsLevelZeroWithoutDisplacements) {
   const ExportMesh mesh = mesh_of(MeshLevel::Coarse);
   const mesh::Level& level = subject->hierarchy->levels.front();
   EXPECT_EQ(mesh.vertices_mm.cols(), level.vertex_count);
@@ -77,12 +77,12 @@ TEST_F(Export, CoarseMeshIsLevelZeroWithoutDisplacements) {
   EXPECT_EQ(mesh.albedo, finest.albedo.leftCols(level.vertex_count));
 }
 
-TEST_F(Export, FrameWithoutMeshHasNone) {
+TEST_F(Exporter, FrameWithoutMeshHasNone) {
   EXPECT_FALSE(mesh::has_mesh(test::searching_frame(0)));
   EXPECT_TRUE(mesh::has_mesh(frame));
 }
 
-TEST_F(Export, PlyReadsBack) {
+TEST_F(Exporter, PlyReadsBack) {
   const ExportMesh mesh = mesh_of(MeshLevel::Finest);
   write_ply(mesh, folder.path() / "a.ply");
   const std::string bytes = read_file(folder.path() / "a.ply");
@@ -136,7 +136,7 @@ TEST_F(Export, PlyReadsBack) {
   }
 }
 
-TEST_F(Export, PlyBeforeTheAlbedoIsGrey) {
+TEST_F(Exporter, PlyBeforeTheAlbedoIsGrey) {
   frame.albedo = nullptr;
   frame.displacements_mm.clear();
   frame.confidence.clear();
@@ -147,7 +147,7 @@ TEST_F(Export, PlyBeforeTheAlbedoIsGrey) {
   EXPECT_THAT(read_file(folder.path() / "a.ply"), HasSubstr("not learned yet"));
 }
 
-TEST_F(Export, ObjReadsBack) {
+TEST_F(Exporter, ObjReadsBack) {
   const ExportMesh mesh = mesh_of(MeshLevel::Coarse);
   write_obj(mesh, folder.path() / "a.obj");
   std::map<std::string, Eigen::Index> counts;
@@ -179,7 +179,7 @@ TEST_F(Export, ObjReadsBack) {
   EXPECT_EQ(counts["f"], mesh.triangles.cols());
 }
 
-TEST_F(Export, GlbHasSoundStructureAndMetresWithYUp) {
+TEST_F(Exporter, GlbHasSoundStructureAndMetresWithYUp) {
   const ExportMesh mesh = mesh_of(MeshLevel::Finest);
   write_glb(mesh, folder.path() / "a.glb");
   const std::string bytes = read_file(folder.path() / "a.glb");
@@ -247,7 +247,7 @@ TEST_F(Export, GlbHasSoundStructureAndMetresWithYUp) {
   }
 }
 
-TEST_F(Export, FailedWriteLeavesTheEarlierFile) {
+TEST_F(Exporter, FailedWriteLeavesTheEarlierFile) {
   const std::filesystem::path file = folder.path() / "a.ply";
   const ExportMesh mesh = mesh_of(MeshLevel::Coarse);
   write_ply(mesh, file);
@@ -267,7 +267,7 @@ TEST_F(Export, FailedWriteLeavesTheEarlierFile) {
   EXPECT_EQ(files, 1) << "temporary files were left behind";
 }
 
-TEST_F(Export, JsonHasEveryPromisedField) {
+TEST_F(Exporter, JsonHasEveryPromisedField) {
   const auto json = nlohmann::json::parse(frame_json(frame, 12));
   EXPECT_EQ(json["index"], 12);
   EXPECT_EQ(json["sequence"], 3);
@@ -287,7 +287,7 @@ TEST_F(Export, JsonHasEveryPromisedField) {
   EXPECT_FLOAT_EQ(json["stage_ms"]["landmarks"], 3.5F);
 }
 
-TEST_F(Export, JsonOfAFrameWithoutFace) {
+TEST_F(Exporter, JsonOfAFrameWithoutFace) {
   mesh::MeshFrame searching = test::searching_frame(1);
   searching.degraded_reason = "bad \xFF byte";
   const auto json = nlohmann::json::parse(frame_json(searching, 0));

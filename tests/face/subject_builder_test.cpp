@@ -25,7 +25,7 @@ class SubjectBuilder : public ::testing::Test {
     frame_.camera_from_head = frontal(600);
     model_.evaluate({}, {}, frame_.control_vertices_mm);
   }
-  face::FaceModel model_ = test::synthetic_model(17);
+  FaceModel model_ = test::synthetic_model(17);
   mesh::MeshFrame frame_;
   std::vector<float> identity_ = std::vector<float>(static_cast<std::size_t>(model_.identity_count()), 0.0F);
 };

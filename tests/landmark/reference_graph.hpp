@@ -8,7 +8,7 @@
 namespace facet::test {
 
 /// Runs a graph operator by operator with plain loops on [batch][rows][columns][channels]: the obvious
-/// counterpart of track::Network.
+/// counterpart of landmark::Network.
 ///
 /// image    the input in the graph's layout
 /// returns  the outputs in the graph's order, flat

@@ -431,6 +431,21 @@ TEST_F(ControlRounds, WhatWasAskedBeforeTheEndIsDoneThoughItComesWhileAnotherAns
   EXPECT_EQ(changes_, 2);
 }
 
+TEST_F(ControlRounds, ManyRequestsOfOneWhoHungUpAreAllDone) {
+  constexpr int kRequests = 1000;
+  {
+    const Peer hasty = connect();
+    rounds(2);
+    std::string all;
+    for (int i = 0; i < kRequests; ++i) {
+      all += request("change");
+    }
+    hasty.ask(all);
+  }
+  await([&] { return server_.client_count() == 0; });
+  EXPECT_EQ(changes_, kRequests);
+}
+
 TEST_F(ControlRounds, NobodyIsAskedWhatNobodyHears) {
   Peer peer = connect();
   rounds(2);

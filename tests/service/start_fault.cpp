@@ -1,12 +1,10 @@
 // A library to be loaded before a program (LD_PRELOAD), for tests.
 // FACET_FAIL: what fails once; "start_fault: done" is then written to standard error.
-//   CALL N ERRNO [PART]   the N-th call of CALL (open, read, thread) gives ERRNO; of open and read those
-//   alone
-//                         whose file has PART in its path
-// FACET_STALL: what a disk does not do; "start_fault: waits" is written by each call that begins to wait.
-//   CALL GATE PART        each CALL (read, sync) of a file with PART in its path waits as long as the file
-//   GATE
-//                         exists
+//   CALL N ERRNO [PART]   the N-th call of CALL (open, read, thread) gives ERRNO;
+//                         of open and read those alone whose file has PART in its path
+// FACET_STALL: what a disk does not do; each call that begins to wait writes "start_fault: waits".
+//   CALL GATE PART        each CALL (read, sync) of a file with PART in its path waits
+//                         as long as the file GATE exists
 
 #include <dlfcn.h>
 #include <fcntl.h>

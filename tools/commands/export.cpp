@@ -1,7 +1,5 @@
 // `facet export`: meshes and signals of a take in formats that other programs read.
 
-#include "exports/export.hpp"
-
 #include <fmt/format.h>
 
 #include <CLI/CLI.hpp>
@@ -16,6 +14,7 @@
 #include <vector>
 
 #include "commands.hpp"
+#include "exports/export.hpp"
 #include "face/face_model.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"

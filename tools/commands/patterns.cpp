@@ -1,7 +1,5 @@
 // `facet patterns`: what the projectors of a booth show.
 
-#include "capture/patterns.hpp"
-
 #include <fmt/format.h>
 #include <unistd.h>
 
@@ -17,6 +15,7 @@
 #include <vector>
 
 #include "capture/code_sequence.hpp"
+#include "capture/patterns.hpp"
 #include "capture/rig_file.hpp"
 #include "commands.hpp"
 #include "facet/error.hpp"

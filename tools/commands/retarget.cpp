@@ -1,7 +1,5 @@
 // `facet retarget`: a take's performance on somebody else's avatar.
 
-#include "avatar/retarget.hpp"
-
 #include <fmt/format.h>
 
 #include <CLI/CLI.hpp>
@@ -14,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include "avatar/retarget.hpp"
 #include "avatar/skin.hpp"
 #include "commands.hpp"
 #include "exports/export.hpp"

@@ -70,8 +70,7 @@ std::vector<std::filesystem::path> pictures_in(const std::filesystem::path& fold
   return files;
 }
 
-std::size_t camera_named(const capture::Rig& rig, const std::string& name,
-                                  const std::string& rig_file) {
+std::size_t camera_named(const capture::Rig& rig, const std::string& name, const std::string& rig_file) {
   const auto found = std::find_if(rig.cameras.begin(), rig.cameras.end(),
                                   [&](const capture::RigCamera& camera) { return camera.name == name; });
   if (found == rig.cameras.end()) {

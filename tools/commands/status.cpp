@@ -1,7 +1,5 @@
 // `facet status`: what the daemon does and how fast.
 
-#include "pipeline/status.hpp"
-
 #include <fmt/format.h>
 
 #include <CLI/CLI.hpp>
@@ -12,6 +10,7 @@
 
 #include "commands.hpp"
 #include "daemon_options.hpp"
+#include "pipeline/status.hpp"
 #include "tell.hpp"
 
 namespace facet::tools {

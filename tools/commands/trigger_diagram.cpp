@@ -1,7 +1,5 @@
 // `facet trigger-diagram LOG -o PNG`: what a trigger's lines did, as a timing diagram.
 
-#include "report/trigger_diagram.hpp"
-
 #include <fmt/format.h>
 
 #include <CLI/CLI.hpp>
@@ -15,6 +13,7 @@
 #include "files/output_file.hpp"
 #include "files/text_file.hpp"
 #include "render/renderer.hpp"
+#include "report/trigger_diagram.hpp"
 #include "tell.hpp"
 #include "trigger/edge_log.hpp"
 #include "trigger/virtual_trigger.hpp"

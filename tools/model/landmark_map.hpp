@@ -15,7 +15,7 @@ namespace facet::model {
 /// How well the landmarks that the net finds on renders of a model agree with the model's own anchors.
 struct LandmarkAgreement {
   std::string pose;  ///< "neutral", "jawOpen" ...
-  /// Mean distance in the image plane, mm at the face's depth, per track::LandmarkGroup.
+  /// Mean distance in the image plane, mm at the face's depth, per landmark::LandmarkGroup.
   std::array<float, landmark::kLandmarkGroupCount> mean_mm{};
   bool found = false;  ///< false: the net sees no face there
 };

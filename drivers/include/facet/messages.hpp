@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <mutex>
 #include <string>
 #include <utility>
@@ -7,7 +8,7 @@
 
 namespace facet {
 
-/// What the pipeline's threads have to say to people, for whoever owns the pipeline to log. Said on rare
+/// What threads have to say to people, for whoever owns them to log. Said on rare
 /// events only (a device is lost, a subject is new), never per frame. Any thread.
 class Messages {
  public:
