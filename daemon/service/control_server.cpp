@@ -99,16 +99,9 @@ void ControlServer::serve() {
         client->gone = true;
       }
     } else if ((event.events & (EPOLLHUP | EPOLLERR)) != 0) {
-      // What has come of it is still done, though it hears no answer: all of it is read now. Watched on, its
-      // end would wake the loop without end.
+      // Watched on, its end would wake the loop without end.
       ::epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, client->fd.get(), nullptr);
-      try {
-        while (!client->ended && receive(*client)) {
-        }
-      } catch (const std::bad_alloc&) {
-        client->gone = true;
-      }
-      client->ended = true;
+      hear_out(*client);
     }
     if (!client->gone) {
       send_some(*client);
@@ -257,6 +250,19 @@ bool ControlServer::receive(Client& client) {
   client.received.append(piece.data(), count > 0 ? static_cast<std::size_t>(count) : 0);
   client.whole = true;
   return count > 0;
+}
+
+/// What has come of a client that hears no answers any more is still done, if it may change something: it is
+/// read now, and nothing after it.
+void ControlServer::hear_out(Client& client) {
+  client.gone = !client.caller.may_command;
+  try {
+    while (!client.gone && !client.ended && client.received.size() <= kMaxRequestBytes && receive(client)) {
+    }
+  } catch (const std::bad_alloc&) {
+    client.gone = true;
+  }
+  client.ended = true;
 }
 
 /// One request of each client at most, and of one that may only look no more than its share.
@@ -478,11 +484,9 @@ void ControlServer::send_some(Client& client) {
     }
     if (count < 0) {
       if (errno != EAGAIN && errno != EWOULDBLOCK) {
-        // It hears no more; what else it asked, and has sent by now, is still done, if it may change
-        // something.
         client.sent = client.unsent.size();
         client.deaf = true;
-        client.gone = !client.caller.may_command;
+        hear_out(client);
       }
       break;
     }

@@ -112,6 +112,7 @@ class ControlServer {
   void read_mailbox();
   void admit(Client& client, std::string peer);
   bool receive(Client& client);
+  void hear_out(Client& client);
   void take_turns();
   void take_turn(Client& client);
   bool may_go_on(const Client& client, Clock::time_point now) const;
