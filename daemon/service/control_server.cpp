@@ -54,6 +54,7 @@ ControlServer::ControlServer(const ControlConfig& config, ControlMethods methods
       page_places_(places(config.max_clients)) {
   mailbox_->wake = stream::FileDescriptor(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
   mailbox_->answers.reserve(2 * config.max_clients + 64);
+  taken_answers_.reserve(mailbox_->answers.capacity());
   for (const auto& [fd, tag] :
        {std::pair(listening_.fd(), kListenTag), std::pair(mailbox_->wake.get(), kWakeTag)}) {
     epoll_event event{};
@@ -77,7 +78,11 @@ void ControlServer::serve() {
   for (int e = 0; e < count; ++e) {
     const epoll_event& event = events.at(static_cast<std::size_t>(e));
     if (event.data.u64 == kListenTag) {
-      accept_clients();
+      try {
+        accept_clients();
+      } catch (const std::bad_alloc&) {
+        // Who was being accepted is closed; the others wait for the next round.
+      }
       continue;
     }
     if (event.data.u64 == kWakeTag) {
@@ -164,7 +169,11 @@ void ControlServer::admit(Client& client, std::string peer) {
     places.leave(client.id);
     return;
   }
-  clients_.push_back(std::move(client));
+  try {
+    clients_.push_back(std::move(client));
+  } catch (const std::bad_alloc&) {
+    places.leave(client.id);
+  }
 }
 
 void ControlServer::adopt(stream::FileDescriptor connection, const Caller& caller, std::string peer,
@@ -183,23 +192,25 @@ void ControlServer::read_mailbox() {
   std::uint64_t wakes = 0;
   [[maybe_unused]] const ssize_t ignored = ::read(mailbox_->wake.get(), &wakes, sizeof(wakes));
   std::vector<Adopted> adopted;
-  std::vector<std::pair<std::uint64_t, std::string>> answers;
+  taken_answers_.clear();
   {
     const std::lock_guard lock(mailbox_->mutex);
     adopted.swap(mailbox_->adopted);
-    answers.assign(std::make_move_iterator(mailbox_->answers.begin()),
-                   std::make_move_iterator(mailbox_->answers.end()));
-    mailbox_->answers.clear();  // its room stays: there is one answer of a client at most
+    taken_answers_.swap(mailbox_->answers);  // both have room for one answer of every client
   }
   for (Adopted& entry : adopted) {
-    Client client;
-    client.fd = std::move(entry.connection);
-    client.caller = entry.caller;
-    client.web.emplace(request_limit(client));
-    client.received.assign(entry.early.begin(), entry.early.end());
-    admit(client, std::move(entry.peer));
+    try {
+      Client client;
+      client.fd = std::move(entry.connection);
+      client.caller = entry.caller;
+      client.web.emplace(request_limit(client));
+      client.received.assign(entry.early.begin(), entry.early.end());
+      admit(client, std::move(entry.peer));
+    } catch (const std::bad_alloc&) {
+      // It is closed: nobody has been promised anything.
+    }
   }
-  for (auto& [id, response] : answers) {
+  for (auto& [id, response] : taken_answers_) {
     const auto client = std::find_if(clients_.begin(), clients_.end(),
                                      [wanted = id](const Client& entry) { return entry.id == wanted; });
     if (client != clients_.end()) {

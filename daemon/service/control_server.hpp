@@ -138,6 +138,7 @@ class ControlServer {
   std::uint64_t next_id_ = 2;
 
   std::uint64_t turn_ = 0;  ///< id of the client whose turn was last
+  std::vector<std::pair<std::uint64_t, std::string>> taken_answers_;  ///< of read_mailbox(): its room stays
   std::shared_ptr<Mailbox> mailbox_ = std::make_shared<Mailbox>();
 };
 

@@ -160,6 +160,8 @@ struct Service::Impl {
   std::atomic<bool> web_opens{false};    ///< `looking` tries
   std::string web_fault;                 ///< why it could not, as told
   Clock::time_point web_tried;
+  std::string metrics_fault;      ///< why there are none, as told
+  Clock::time_point metrics_due;  ///< next attempt
   std::uint64_t wrong_tokens_told = 0;
   Clock::time_point status_asked;        ///< last
   Clock::time_point index_looked;        ///< that `looking` was asked to look at the takes
@@ -179,7 +181,7 @@ struct Service::Impl {
   ControlMethods methods();
   json status();
   std::string state(const pipeline::PipelineStatus& now) const;
-  void open_metrics();
+  void look_after_metrics();
   void open_web();
   std::shared_ptr<WebServer> opened_web() const;
   void look_after_web();
@@ -408,17 +410,23 @@ void Service::Impl::look_after_web() {
   }
 }
 
-void Service::Impl::open_metrics() {
-  if (config.metrics.listen.empty()) {
+/// Tried again while another has the port.
+void Service::Impl::look_after_metrics() {
+  const auto now = Clock::now();
+  if (config.metrics.listen.empty() || !pipeline || metrics || now < metrics_due) {
     return;
   }
+  metrics_due = now + kWebPeriod;
   try {
     metrics.emplace(
         config.metrics, [this] { return metrics_snapshot(); }, config.web.hosts);
     log.info(fmt::format("metrics on http://{}:{}/metrics",
                          config.metrics.listen.substr(0, config.metrics.listen.rfind(':')), metrics->port()));
   } catch (const Error& error) {
-    log.warning(error.what());
+    if (metrics_fault != error.what()) {
+      log.warning(error.what());
+    }
+    metrics_fault = error.what();
   }
 }
 
@@ -599,7 +607,6 @@ void Service::Impl::begin_pipeline() {
   std::visit([this](auto&& opened) { make_pipeline(std::forward<decltype(opened)>(opened)); },
              opener->take());
   opener.reset();
-  open_metrics();
   if (!config.takes.record_at_start.empty()) {
     begin_first_take();
   }
@@ -758,6 +765,7 @@ void Service::Impl::look_after() {
     look_after_pipeline();
   }
   look_after_web();
+  look_after_metrics();
   tell_manager();
   manager.look_after(running ? pipeline->longest_silence() : std::nullopt);
   if (stopping && !exit_status) {

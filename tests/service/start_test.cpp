@@ -1,16 +1,22 @@
 // How the daemon's start ends when something is short, when it is missing, and when a signal comes.
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
 
 #include <cerrno>
 #include <csignal>
 #include <filesystem>
 #include <fstream>
+#include <optional>
+#include <sstream>
 #include <string>
 
 #include "daemon_fixture.hpp"
 #include "facet/system_error.hpp"
+#include "stream/unix_socket.hpp"
 
 namespace facet::service {
 namespace {
@@ -110,6 +116,32 @@ TEST_F(ShortOfSomething, ThePageIsTriedAgain) {
   const json status = await(*daemon, [](const json& now) { return !now["web"].is_null(); });
   EXPECT_THAT(daemon->output(), AllOf(HasSubstr("start_fault: done"), HasSubstr("web.token_file")));
   EXPECT_TRUE(std::filesystem::exists(token()));
+  daemon->send(SIGTERM);
+  expect_end(*daemon);
+}
+
+TEST_F(DaemonWithAssets, MetricsComeOnceTheirPortIsFree) {
+  std::optional<stream::FileDescriptor> other{::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)};
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  socklen_t length = sizeof(address);
+  auto* bound = reinterpret_cast<sockaddr*>(&address);
+  ASSERT_EQ(::bind(other->get(), bound, length), 0);
+  ASSERT_EQ(::listen(other->get(), 1), 0);
+  ASSERT_EQ(::getsockname(other->get(), bound, &length), 0);
+  const std::string config = configure(looped(), "", "none");
+  std::string text = (std::ostringstream() << std::ifstream(config).rdbuf()).str();
+  const std::string none = "[metrics]\nlisten = \"\"";
+  ASSERT_NE(text.find(none), std::string::npos);
+  text.replace(text.find(none), none.size(),
+               fmt::format("[metrics]\nlisten = \"127.0.0.1:{}\"", ntohs(address.sin_port)));
+  std::ofstream(config) << text;
+  const auto daemon = start(config);
+  await(*daemon, [&](const json&) { return daemon->output().find("metrics.listen") != std::string::npos; });
+  EXPECT_THAT(daemon->output(), Not(HasSubstr("metrics on http")));
+  other.reset();
+  await(*daemon, [&](const json&) { return daemon->output().find("metrics on http") != std::string::npos; });
   daemon->send(SIGTERM);
   expect_end(*daemon);
 }
