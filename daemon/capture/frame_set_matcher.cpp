@@ -6,6 +6,7 @@
 #include <cmath>
 #include <utility>
 
+#include "facet/assert.hpp"
 #include "facet/error.hpp"
 
 namespace facet::capture {
@@ -84,6 +85,8 @@ void FrameSetMatcher::open(std::uint64_t slot, std::int64_t fired_ns) {
     first_open_ = (first_open_ + 1) % open_.size();
     --open_count_;
   }
+  FACET_ASSERT(open_count_ < open_.size(), open_count_, open_.size());
+  FACET_ASSERT(open_count_ == 0 || open_set(open_count_ - 1).firing + 1 == firings_, open_count_, firings_);
   history_[firings_ % kHistory] = {slot, fired_ns};
   OpenSet& opened = open_set(open_count_++);
   opened.firing = firings_++;
@@ -107,6 +110,7 @@ void FrameSetMatcher::follow_reference(std::int64_t time_ns) {
   }
   const auto slots = static_cast<std::uint64_t>(
       std::max(std::int64_t{1}, (passed_ns + config_.period_ns / 2) / config_.period_ns));
+  FACET_ASSERT(slots >= 1 && passed_ns > 0, slots, passed_ns);
   // A longer gap leaves no frame that could still wait for its slots.
   const std::uint64_t first = slots <= open_.size() ? 1 : slots;
   for (std::uint64_t i = first; i <= slots; ++i) {
@@ -146,6 +150,7 @@ void FrameSetMatcher::misplaced(std::size_t camera, Refusal cause) {
 
 void FrameSetMatcher::pop_pending(std::size_t camera) {
   CameraState& state = cameras_[camera];
+  FACET_ASSERT(state.pending_count > 0 && state.pending_count <= kPending, camera, state.pending_count);
   std::move(state.pending.begin() + 1,
             state.pending.begin() + static_cast<std::ptrdiff_t>(state.pending_count), state.pending.begin());
   state.pending[--state.pending_count].frame = {};
@@ -238,7 +243,11 @@ std::optional<Refusal> FrameSetMatcher::judge_sequence(std::size_t camera, const
       return Refusal::SequenceDisagrees;
     }
   }
-  match.lost += agrees ? firing_number - state.trusted->firing - 1 - state.refused_since_trusted : 0;
+  if (agrees) {
+    // Of two frames at one firing both were refused: more than there were firings between.
+    const std::uint64_t between = firing_number - state.trusted->firing - 1;
+    match.lost += between - std::min(between, state.refused_since_trusted);
+  }
   state.refused_since_trusted = 0;
   match.in_step = true;
   state.trusted = step;
@@ -264,13 +273,17 @@ void FrameSetMatcher::judge(std::size_t camera, Pending& pending, std::uint64_t 
     return;
   }
   const std::uint64_t bit = std::uint64_t{1} << camera;
-  FrameSet& set = open_set(firing_number - open_set(0).firing).set;
+  const std::uint64_t place = firing_number - open_set(0).firing;
+  FACET_ASSERT(place < open_count_, camera, firing_number, firings_, open_count_);
+  FrameSet& set = open_set(place).set;
+  FACET_ASSERT(set.slot == firing(firing_number).slot, set.slot, firing(firing_number).slot, firing_number);
   if ((set.missing & bit) == 0) {
     refuse(camera, Refusal::Duplicate);
     return;
   }
   learn(camera, pending, firing_number);
   ++statistics_.cameras[camera].in_sets;
+  FACET_ASSERT(set.frames[camera].empty() && !pending.frame.empty(), camera, set.slot);
   set.missing &= ~bit;
   set.frames[camera] = std::move(pending.frame);
 }
@@ -357,6 +370,7 @@ void FrameSetMatcher::finish(FrameSet& set) {
       ++match.missing;
       continue;
     }
+    FACET_ASSERT(!set.frames[camera].empty(), camera, set.slot, set.missing);
     const double own_ns = time_ns(camera) - (triggered() ? match.offset_ns : 0);
     least_ns = std::min(least_ns, own_ns);
     most_ns = std::max(most_ns, own_ns);
@@ -381,6 +395,8 @@ bool FrameSetMatcher::take(FrameSet& out, std::int64_t now_ns) {
   if (open_count_ == 0 || !ready(open_set(0), now_ns)) {
     return false;
   }
+  FACET_ASSERT(open_set(0).set.frames.size() == cameras_.size(), open_set(0).set.frames.size(),
+               cameras_.size());
   std::swap(out, open_set(0).set);
   first_open_ = (first_open_ + 1) % open_.size();
   --open_count_;

@@ -4,6 +4,8 @@
 #include <iterator>
 #include <tuple>
 
+#include "facet/assert.hpp"
+
 namespace facet::stream {
 
 Places::Places(const PlacesConfig& config) : config_(config) {}
@@ -81,6 +83,7 @@ Places::Outcome Places::enter(Id id, const Visitor& visitor, Clock::time_point n
     outcome.gives_way = found->first;
     holders_.erase(found);
   }
+  FACET_ASSERT(!holders_.contains(id) && holders_.size() < config_.total, id, holders_.size(), config_.total);
   holders_.insert_or_assign(id, Holder{visitor, false, now});
   return outcome;
 }

@@ -12,6 +12,7 @@
 #include <string>
 #include <utility>
 
+#include "facet/assert.hpp"
 #include "facet/error.hpp"
 
 namespace facet::stream {
@@ -123,6 +124,9 @@ RingWriter::RingWriter(Profile profile, std::uint32_t slot_count, std::size_t sl
 // Boehm 2012, "Can seqlocks get along with programming language memory models?": a store of the odd sequence,
 // a release fence, relaxed stores of the data, a release store of the even sequence.
 void RingWriter::write(std::uint64_t number, const RingFrame& frame) {
+  FACET_ASSERT(ring_slot_bytes(frame) <= slot_bytes_, ring_slot_bytes(frame), slot_bytes_);
+  FACET_ASSERT(FACET_RING_PAGE_BYTES + slot_count_ * slot_bytes_ <= mapping_.bytes().size(), slot_count_,
+               slot_bytes_, mapping_.bytes().size());
   const std::uint64_t publication = published_ + 1;
   std::uint8_t* slot =
       mapping_.bytes().data() + FACET_RING_PAGE_BYTES + (publication - 1) % slot_count_ * slot_bytes_;
@@ -142,6 +146,7 @@ void RingWriter::write(std::uint64_t number, const RingFrame& frame) {
       offset += aligned(array.size());
     }
   }
+  FACET_ASSERT(offset <= slot_bytes_, offset, slot_bytes_);
   store_words(slot + sizeof(header), frame.head);
   const auto words = std::bit_cast<std::array<std::uint8_t, sizeof(header)>>(header);
   store_words(slot + kWordBytes, std::span(words).subspan(kWordBytes));
@@ -194,6 +199,7 @@ std::size_t RingReader::check(const facet_ring_page& page) {
 }
 
 const std::uint8_t* RingReader::slot_of(std::uint64_t publication) const {
+  FACET_ASSERT(publication > 0 && slot_count_ > 0, publication, slot_count_);
   return memory_.data() + FACET_RING_PAGE_BYTES + (publication - 1) % slot_count_ * slot_bytes_;
 }
 

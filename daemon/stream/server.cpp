@@ -22,6 +22,7 @@
 #include <thread>
 #include <utility>
 
+#include "facet/assert.hpp"
 #include "facet/error.hpp"
 #include "stream/decoder.hpp"
 #include "stream/encoder.hpp"
@@ -119,6 +120,7 @@ FileDescriptor open_checked(int fd, const char* what) {
 /// What of head and body lies behind their first `sent` bytes.
 std::array<iovec, 2> rest_of(std::span<const std::uint8_t> head, std::span<const std::uint8_t> body,
                              std::size_t sent) {
+  FACET_ASSERT(sent < head.size() + body.size(), sent, head.size(), body.size());
   const std::size_t of_head = std::min(sent, head.size());
   head = head.subspan(of_head);
   body = body.subspan(sent - of_head);
@@ -130,6 +132,7 @@ std::array<iovec, 2> rest_of(std::span<const std::uint8_t> head, std::span<const
 /// send() that passes descriptors on with the first byte; it never blocks.
 ssize_t send_some(int fd, std::span<iovec> parts, const std::vector<FileDescriptor>& passed) {
   constexpr std::size_t kMaxPassed = 2;
+  FACET_ASSERT(passed.size() <= kMaxPassed, passed.size());
   msghdr message{};
   message.msg_iov = parts.data();
   message.msg_iovlen = parts.size();
@@ -293,6 +296,7 @@ void StreamServer::Impl::take_newest() {
   if (frame == nullptr) {
     return;
   }
+  FACET_ASSERT(number > current_number, number, current_number);
   statistics.skipped += number - current_number - 1;
   statistics.published = number;
   current_number = number;
@@ -405,6 +409,7 @@ bool StreamServer::Impl::find_place(Reader& reader, const Visitor& visitor) {
 
 /// The reader in its place, or null where it was refused.
 Reader* StreamServer::Impl::admit(std::unique_ptr<Reader> reader, const Visitor& visitor) {
+  FACET_ASSERT(next_reader_id >= kFirstReaderId, next_reader_id);  // others are epoll tags
   reader->statistics.id = next_reader_id++;
   ++statistics.connections;
   if (!find_place(*reader, visitor)) {
@@ -601,6 +606,7 @@ void StreamServer::Impl::close_web(Reader& reader, WebSocketClose code, const st
 }
 
 std::shared_ptr<const Packet> StreamServer::Impl::frame_packet(const Subscription& subscription) {
+  FACET_ASSERT(current != nullptr, current_number);
   const bool with_pixels = subscription.want_images && current->images != nullptr;
   auto& cached = frame_packets.at(with_pixels ? 1 : 0).at(static_cast<std::size_t>(subscription.profile));
   if (cached == nullptr) {
@@ -617,6 +623,7 @@ bool StreamServer::Impl::fill_ring(Profile profile) {
   if (ring.number == current_number) {
     return true;
   }
+  FACET_ASSERT(current != nullptr && ring.number < current_number, ring.number, current_number);
   const RingFrame frame = encoder.ring_frame(*current, profile);
   const std::size_t bytes = ring_slot_bytes(frame);
   if (!ring.writer || ring.writer->slot_bytes() < bytes) {
@@ -629,6 +636,7 @@ bool StreamServer::Impl::fill_ring(Profile profile) {
       return false;
     }
   }
+  FACET_ASSERT(bytes <= ring.writer->slot_bytes(), bytes, ring.writer->slot_bytes());
   ring.writer->write(current_number, frame);
   ring.number = current_number;
   statistics.encoded_bytes += bytes;
@@ -670,6 +678,7 @@ void StreamServer::Impl::announce_to_all() {
 /// The offer of a ring that the reader does not have yet; else null.
 std::shared_ptr<const Packet> StreamServer::Impl::ring_packet(Reader& reader) {
   const Ring& ring = rings.at(static_cast<std::size_t>(reader.subscription.profile));
+  FACET_ASSERT(ring.writer && ring.number == current_number, ring.number, current_number);
   if (reader.ring_generation == ring.generation) {
     announce(reader);
     return nullptr;
@@ -733,6 +742,7 @@ std::shared_ptr<const Packet> StreamServer::Impl::next_packet(Reader& reader) {
   if (reader.last_number >= current_number) {
     return nullptr;
   }
+  FACET_ASSERT(current != nullptr && reader.last_number < current_number, reader.last_number, current_number);
   const std::uint64_t missed = current_number - reader.last_number - 1;
   reader.last_number = current_number - 1;
   reader.dropped_since_frame += missed;
@@ -751,6 +761,7 @@ std::shared_ptr<const Packet> StreamServer::Impl::next_packet(Reader& reader) {
 bool StreamServer::Impl::send_outgoing(Reader& reader) {
   std::span<const std::uint8_t> body = reader.outgoing->bytes;
   std::span<const std::uint8_t> head;
+  FACET_ASSERT(body.size() >= kHeaderBytes || (reader.web && reader.web->answer_goes_out), body.size());
   if (reader.web && !reader.web->answer_goes_out) {
     head = reader.web->header.view();
     body = body.subspan(kHeaderBytes);

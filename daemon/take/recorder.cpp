@@ -24,6 +24,7 @@
 #include <utility>
 #include <vector>
 
+#include "facet/assert.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
 #include "stream/decoder.hpp"
@@ -320,6 +321,7 @@ void TakeWriter::write(const PackedFrame& frame) {
   insert_data_.bind(2, std::span(frame.message));
   insert_data_.run();
   if (!frame.records.empty()) {
+    FACET_ASSERT(segments_.has_value(), frame.number, frame.records.size());
     const Extent extent = segments_->append(frame.records);
     insert_pictures_.bind(1, frame.number);
     insert_pictures_.bind(2, extent.segment);
@@ -474,8 +476,10 @@ void TakeRecorder::Impl::pack_until_stopped() {
     if (packing >= taken) {
       return;
     }
+    FACET_ASSERT(written <= packing && taken - written <= ring.size(), written, packing, taken, ring.size());
     const std::uint64_t number = packing++;
     std::shared_ptr<const mesh::MeshFrame> frame = std::exchange(ring[number % ring.size()].frame, nullptr);
+    FACET_ASSERT(frame != nullptr, number, written, taken);
     std::unique_ptr<PackedFrame> packed;
     if (!spare.empty()) {
       packed = std::move(spare.back());
@@ -492,6 +496,7 @@ void TakeRecorder::Impl::pack_until_stopped() {
     }
     frame = nullptr;  // the pictures go back to their cameras
     lock.lock();
+    FACET_ASSERT(ring[number % ring.size()].packed == nullptr, number, written, taken);
     ring[number % ring.size()].packed = std::move(packed);
     if (number == written) {
       work.notify_one();
@@ -521,6 +526,7 @@ std::unique_ptr<PackedFrame> TakeRecorder::Impl::wait_for_frame(bool& at_end) {
   }
   std::unique_ptr<PackedFrame> frame = std::move(ring[written % ring.size()].packed);
   if (frame != nullptr) {
+    FACET_ASSERT(std::cmp_equal(frame->number, written), frame->number, written, packing, taken);
     ++written;
     room.notify_one();
   }
@@ -544,12 +550,16 @@ void TakeRecorder::Impl::check_disk() const {
 void TakeRecorder::Impl::show_committed() {
   commit_due.reset();
   const std::lock_guard lock(mutex);
+  FACET_ASSERT(counted.frames >= shown.frames && counted.mesh_frames <= counted.frames, counted.frames,
+               shown.frames, counted.mesh_frames);
+  FACET_ASSERT(counted.frames <= written, counted.frames, written);
   shown.frames = counted.frames;
   shown.mesh_frames = counted.mesh_frames;
   shown.bytes = counted.bytes;
 }
 
 void TakeRecorder::Impl::write(const PackedFrame& frame) {
+  FACET_ASSERT(std::cmp_equal(frame.number, counted.frames), frame.number, counted.frames);
   if (!commit_due) {
     writer->begin();
     commit_due = Clock::now() + kCommitPeriod;
@@ -589,6 +599,7 @@ void TakeRecorder::Impl::fail(std::string reason) {
   }
   shown.state = RecorderState::Failed;
   shown.reason = std::move(reason);
+  FACET_ASSERT(shown.frames <= taken, shown.frames, taken);
   shown.dropped += taken - shown.frames;
   for (Place& place : ring) {
     place.frame = nullptr;
@@ -741,6 +752,8 @@ bool TakeRecorder::record(std::shared_ptr<const mesh::MeshFrame> frame) {
     impl.shown.dropped += ended_on_request ? 0 : 1;
     return false;
   }
+  const Impl::Place& place = impl.ring[impl.taken % impl.ring.size()];
+  FACET_ASSERT(place.frame == nullptr && place.packed == nullptr, impl.taken, impl.written, impl.ring.size());
   impl.ring[impl.taken++ % impl.ring.size()].frame = std::move(frame);
   lock.unlock();
   impl.to_pack.notify_one();

@@ -14,6 +14,7 @@
 #include <system_error>
 #include <utility>
 
+#include "facet/assert.hpp"
 #include "facet/error.hpp"
 #include "take/checksum.hpp"
 #include "take/picture_records.hpp"
@@ -239,6 +240,7 @@ void SegmentWriter::Impl::begin_next() {
       file = File();  // its descriptor may be the only one to be had for the next
     }
   }
+  FACET_ASSERT(synced == size, number, synced, size);
   const std::filesystem::path path = segment_file(take, number + 1);
   file = open_next(path);
   ++number;
@@ -262,6 +264,10 @@ Extent SegmentWriter::append(std::span<const std::uint8_t> records) {
   const Extent extent{impl.number, static_cast<std::int64_t>(impl.size),
                       static_cast<std::int64_t>(records.size())};
   impl.write(records);
+  FACET_ASSERT(std::cmp_equal(impl.size, extent.position + extent.bytes), impl.size, extent.position,
+               extent.bytes);
+  FACET_ASSERT(impl.synced <= impl.size && impl.written_back <= impl.size, impl.synced, impl.written_back,
+               impl.size);
   if (impl.size - impl.written_back >= kWriteBackBytes) {
     // Only a hint: what does not come of it, the sync does.
     ::sync_file_range(impl.file.get(), static_cast<off_t>(impl.written_back),
@@ -437,6 +443,8 @@ std::span<const std::uint8_t> SegmentReader::read(const Extent& extent) {
   if (impl.buffer.size() < bytes) {
     impl.buffer.resize(bytes);
   }
+  FACET_ASSERT(impl.number == extent.segment && impl.buffer.size() >= bytes, impl.number, extent.segment,
+               bytes);
   const std::span<std::uint8_t> out = std::span(impl.buffer).first(bytes);
   impl.read(extent.segment, position, out);
   return out;

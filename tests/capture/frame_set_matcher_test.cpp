@@ -119,6 +119,20 @@ TEST_F(TwoCameras, ACountedLossIsMissingAtOnce) {
   EXPECT_EQ(matcher_.statistics().cameras[1].missing, kFirst + 1);
 }
 
+TEST_F(TwoCameras, MoreRefusedThanFiredIsNoNegativeLoss) {
+  settle();
+  fire(10);
+  fire(11);
+  for (const std::uint64_t wrong : {15, 16, 17}) {
+    frame(0, 11, wrong);
+  }
+  fire(12);
+  frame(0, 12, 12);
+  EXPECT_EQ(refused(matcher_, 0, Refusal::SequenceDisagrees), kFirst + 3);
+  EXPECT_TRUE(matcher_.statistics().cameras[0].in_step);
+  EXPECT_EQ(matcher_.statistics().cameras[0].lost, 0U);
+}
+
 TEST_F(TwoCameras, FramesMayComeBeforeTheirFiringIsTold) {
   settle();
   frame(0, 10, 10);
