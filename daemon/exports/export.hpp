@@ -18,10 +18,6 @@
 namespace facet::exports {
 
 enum class MeshLevel { Coarse, Finest };
-enum class MeshFormat { Ply, Obj, Glb };
-
-/// Lower-case file name extension without dot.
-const char* extension(MeshFormat format);
 
 /// Frame of reference of an ExportMesh.
 enum class MeshSpace {
@@ -56,10 +52,6 @@ void write_obj(const ExportMesh& mesh, const std::filesystem::path& file,
 /// GLB (glTF 2.0): the same frame turned y up (x, -y, -z), metres; NORMAL, TEXCOORD_0, COLOR_0 (linear
 /// albedo), _DISPLACEMENT_MM, _CONFIDENCE.
 void write_glb(const ExportMesh& mesh, const std::filesystem::path& file);
-void write_mesh(MeshFormat format, const ExportMesh& mesh, const std::filesystem::path& file);
-
-/// Formats that hold many frames in one file.
-enum class SequenceFormat { Pc2, Mdd, Usda, GlbFrames, GlbExpressions };
 
 /// When the frames of a sequence are. At a constant rate the frames' numbers in the source are its clock:
 /// number n is at (n - sequences.front()) / rate_hz seconds. At a varying one each frame has its own time.
@@ -127,11 +119,15 @@ class SequenceWriter {
   virtual void commit() = 0;
 };
 
-/// The writer of a format; `first` is the first frame that will be added. Vertices and triangles are in the
-/// order of ExportMesh in every format. Frame and unit: metres, y up (docs/exports.md).
-std::unique_ptr<SequenceWriter> open_sequence(SequenceFormat format, const SequenceOptions& options,
-                                              const SequenceFrame& first);
-const char* extension(SequenceFormat format);
+/// The writers of the formats that hold many frames in one file; `first` is the first frame that will be
+/// added. Vertices and triangles are in the order of ExportMesh in every format. Frame and unit: metres, y up
+/// (docs/exports.md).
+std::unique_ptr<SequenceWriter> open_pc2(const SequenceOptions& options, const SequenceFrame& first);
+std::unique_ptr<SequenceWriter> open_mdd(const SequenceOptions& options, const SequenceFrame& first);
+std::unique_ptr<SequenceWriter> open_usda(const SequenceOptions& options, const SequenceFrame& first);
+std::unique_ptr<SequenceWriter> open_glb_frames(const SequenceOptions& options, const SequenceFrame& first);
+std::unique_ptr<SequenceWriter> open_glb_expressions(const SequenceOptions& options,
+                                                     const SequenceFrame& first);
 
 /// Curves in the columns of Live Link Face's recordings: Timecode, BlendShapeCount (61), 52 values, angles in
 /// radians (mesh::live_link_rotations). Frames without a mesh have a line of zeros.

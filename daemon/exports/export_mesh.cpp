@@ -24,18 +24,6 @@ void mend_normals(Eigen::Matrix3Xf& normals) {
   }
 }
 
-const char* extension(MeshFormat format) {
-  switch (format) {
-    case MeshFormat::Ply:
-      return "ply";
-    case MeshFormat::Obj:
-      return "obj";
-    case MeshFormat::Glb:
-      return "glb";
-  }
-  return "";
-}
-
 void build_export_mesh(const mesh::MeshFrame& frame, MeshLevel level, MeshSpace space, ExportMesh& out) {
   if (!mesh::has_mesh(frame)) {
     throw Error(ErrorKind::Internal, "export: the frame has no mesh");
@@ -68,17 +56,6 @@ void build_export_mesh(const mesh::MeshFrame& frame, MeshLevel level, MeshSpace 
   out.albedo.resize(3, 0);
   if (frame.albedo != nullptr && frame.albedo->linear_rgb.size() >= 3 * count) {
     out.albedo = Eigen::Map<const mesh::Vertices>(frame.albedo->linear_rgb.data(), 3, source.vertex_count);
-  }
-}
-
-void write_mesh(MeshFormat format, const ExportMesh& mesh, const std::filesystem::path& file) {
-  switch (format) {
-    case MeshFormat::Ply:
-      return write_ply(mesh, file);
-    case MeshFormat::Obj:
-      return write_obj(mesh, file);
-    case MeshFormat::Glb:
-      return write_glb(mesh, file);
   }
 }
 

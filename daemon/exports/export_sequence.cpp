@@ -131,36 +131,4 @@ void VertexCache::commit(files::OutputFile& cache) const {
   cache.commit();
 }
 
-const char* extension(SequenceFormat format) {
-  switch (format) {
-    case SequenceFormat::Pc2:
-      return "pc2";
-    case SequenceFormat::Mdd:
-      return "mdd";
-    case SequenceFormat::Usda:
-      return "usda";
-    case SequenceFormat::GlbFrames:
-    case SequenceFormat::GlbExpressions:
-      return "glb";
-  }
-  return "";
-}
-
-std::unique_ptr<SequenceWriter> open_sequence(SequenceFormat format, const SequenceOptions& options,
-                                              const SequenceFrame& first) {
-  switch (format) {
-    case SequenceFormat::Pc2:
-      return open_pc2(options, first);
-    case SequenceFormat::Mdd:
-      return open_mdd(options, first);
-    case SequenceFormat::Usda:
-      return open_usda(options, first);
-    case SequenceFormat::GlbFrames:
-      return open_glb_frames(options, first);
-    case SequenceFormat::GlbExpressions:
-      return open_glb_expressions(options, first);
-  }
-  throw Error(ErrorKind::Internal, "export: no such format");
-}
-
 }  // namespace facet::exports

@@ -63,12 +63,4 @@ class VertexCache {
   std::int32_t sample_count_ = 0;
 };
 
-// Factories, one for each format; listed in open_sequence.
-std::unique_ptr<SequenceWriter> open_pc2(const SequenceOptions& options, const SequenceFrame& first);
-std::unique_ptr<SequenceWriter> open_mdd(const SequenceOptions& options, const SequenceFrame& first);
-std::unique_ptr<SequenceWriter> open_usda(const SequenceOptions& options, const SequenceFrame& first);
-std::unique_ptr<SequenceWriter> open_glb_frames(const SequenceOptions& options, const SequenceFrame& first);
-std::unique_ptr<SequenceWriter> open_glb_expressions(const SequenceOptions& options,
-                                                     const SequenceFrame& first);
-
 }  // namespace facet::exports

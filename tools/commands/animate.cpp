@@ -181,7 +181,7 @@ bool write_glb(Frames& frames, const AnimateOptions& options, double rate_hz, co
     next.expression = frame->expression;
     exports::build_export_mesh(*frame, exports::MeshLevel::Finest, exports::MeshSpace::Head, next.mesh);
     if (writer == nullptr) {
-      writer = exports::open_sequence(exports::SequenceFormat::GlbFrames, sequence, next);
+      writer = exports::open_glb_frames(sequence, next);
     }
     writer->add(next);
   });

@@ -4,7 +4,6 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
-#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <memory>
@@ -14,7 +13,7 @@
 #include <vector>
 
 #include "commands.hpp"
-#include "exports/export.hpp"
+#include "exports/formats.hpp"
 #include "face/face_model.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
@@ -42,57 +41,50 @@ struct ExportOptions {
   std::string output;
 };
 
-/// A format and what writes it; the order is that of the help.
-struct Format {
-  const char* name;
-  const char* help;
-  std::variant<std::monostate, exports::MeshFormat, exports::SequenceFormat, exports::MapKind> writer;
-};
-const std::array kFormats = {
-    Format{"ply", "a mesh for each frame, camera frame, mm, x right, y down, z forward",
-           exports::MeshFormat::Ply},
-    Format{"obj", "the same as text", exports::MeshFormat::Obj},
-    Format{"glb", "the same as glTF 2.0, metres, y up", exports::MeshFormat::Glb},
-    Format{"glb-frames", "one animated GLB: every frame a morph target, the head's pose on the node",
-           exports::SequenceFormat::GlbFrames},
-    Format{"glb-expressions",
-           "one animated GLB: the coarse mesh, the expressions as morph targets, the head's pose",
-           exports::SequenceFormat::GlbExpressions},
-    Format{"usda", "one mesh with time samples, the head's pose as its transform, metres, y up",
-           exports::SequenceFormat::Usda},
-    Format{"pc2", "a vertex cache and the OBJ that it is for, metres, y up", exports::SequenceFormat::Pc2},
-    Format{"mdd", "the same for programs that read MDD", exports::SequenceFormat::Mdd},
-    Format{"displacement", "a map for each frame: mm along the smooth surface's normal",
-           exports::MapKind::Displacement},
-    Format{"normal", "a map for each frame: normals in the head frame", exports::MapKind::ObjectNormal},
-    Format{"tangent-normal", "a map for each frame: normals against the smooth surface",
-           exports::MapKind::TangentNormal},
-    Format{"albedo", "a map whenever the albedo changed", exports::MapKind::Albedo},
-    Format{"csv", "ARKit's 52 curves and angles in the columns of Live Link Face", {}},
-    Format{"jsonl", "one object per frame", {}},
-    Format{"png", "the cameras' pictures, where they were recorded", {}},
-};
+using exports::ExportFormat;
 
-const Format& format_of(const ExportOptions& options) {
-  return *std::find_if(kFormats.begin(), kFormats.end(),
-                       [&](const Format& format) { return options.format == format.name; });
+const ExportFormat& format_of(const ExportOptions& options) {
+  const auto formats = exports::export_formats();
+  return *std::find_if(formats.begin(), formats.end(),
+                       [&](const ExportFormat& format) { return options.format == format.name; });
 }
 
 std::string formats_help() {
   std::string text;
-  for (const Format& format : kFormats) {
+  for (const ExportFormat& format : exports::export_formats()) {
     text += fmt::format("{}{}: {}", text.empty() ? "" : "; ", format.name, format.help);
   }
   return text;
 }
 
-std::vector<std::string> format_names() {
+/// The names of the formats that `wanted` holds for.
+template <typename Wanted>
+std::vector<std::string> names_of(Wanted wanted) {
   std::vector<std::string> names;
-  names.reserve(std::size(kFormats));
-  for (const Format& format : kFormats) {
-    names.emplace_back(format.name);
+  for (const ExportFormat& format : exports::export_formats()) {
+    if (wanted(format)) {
+      names.emplace_back(format.name);
+    }
   }
   return names;
+}
+
+bool is_any(const ExportFormat& /*format*/) {
+  return true;
+}
+bool is_one_file(const ExportFormat& format) {
+  return format.is_one_file();
+}
+bool is_text(const ExportFormat& format) {
+  return std::holds_alternative<exports::Lines>(format.writes);
+}
+bool compresses(const ExportFormat& format) {
+  const auto* animation = std::get_if<exports::Animation>(&format.writes);
+  return animation != nullptr && animation->compresses;
+}
+bool has_no_node(const ExportFormat& format) {
+  const auto* animation = std::get_if<exports::Animation>(&format.writes);
+  return animation != nullptr && animation->has_no_node;
 }
 
 /// Indices in the take.
@@ -129,14 +121,13 @@ void tell_left_out(const std::vector<std::uint64_t>& without_mesh, std::size_t s
 }
 
 /// An output path that ends like a mesh file is one, anything else is a folder.
-bool names_a_file(const std::filesystem::path& output, exports::MeshFormat format) {
-  return output.extension() == fmt::format(".{}", exports::extension(format)) &&
-         !std::filesystem::is_directory(output);
+bool names_a_file(const std::filesystem::path& output, const ExportFormat& format) {
+  return output.extension() == fmt::format(".{}", format.extension) && !std::filesystem::is_directory(output);
 }
 
 /// Returns the signal that broke it off, or 0.
 int export_meshes(take::TakeReader& reader, const Selection& selection, const ExportOptions& options,
-                  exports::MeshFormat format, const StopSignals& signals) {
+                  const ExportFormat& format, const StopSignals& signals) {
   const exports::MeshLevel level = level_of(options);
   const std::filesystem::path output = options.output;
   const bool one_file = names_a_file(output, format);
@@ -163,8 +154,8 @@ int export_meshes(take::TakeReader& reader, const Selection& selection, const Ex
     const auto frame = reader.frame(index, take::Pictures::Described);
     if (mesh::has_mesh(*frame)) {
       exports::build_export_mesh(*frame, level, exports::MeshSpace::Camera, mesh);
-      const std::string name = fmt::format("frame_{:06}.{}", frame->sequence, exports::extension(format));
-      exports::write_mesh(format, mesh, one_file ? output : output / name);
+      const std::string name = fmt::format("frame_{:06}.{}", frame->sequence, format.extension);
+      std::get<exports::FrameFiles>(format.writes).write(mesh, one_file ? output : output / name);
     } else {
       without_mesh.push_back(frame->sequence);
     }
@@ -220,9 +211,10 @@ exports::ExpressionShapes expression_shapes(const mesh::MeshFrame& frame, const 
 
 /// One file of many frames. Returns the signal that broke it off, or 0.
 int export_sequence(take::TakeReader& reader, const Selection& selection, const ExportOptions& options,
-                    exports::SequenceFormat format, const StopSignals& signals) {
+                    const ExportFormat& format, const StopSignals& signals) {
+  const auto& animation = std::get<exports::Animation>(format.writes);
   const Selection meshes = with_mesh(reader, selection);
-  const bool expressions = format == exports::SequenceFormat::GlbExpressions;
+  const bool expressions = animation.in_expressions;
   const exports::MeshLevel level = expressions ? exports::MeshLevel::Coarse : level_of(options);
   exports::SequenceOptions sequence;
   sequence.file = options.output;
@@ -230,9 +222,9 @@ int export_sequence(take::TakeReader& reader, const Selection& selection, const 
   sequence.compression =
       options.compress == "meshopt" ? exports::GlbCompression::Meshopt : exports::GlbCompression::None;
   sequence.space = options.space == "head" ? exports::MeshSpace::Head : exports::MeshSpace::Camera;
-  if (sequence.file.extension() != fmt::format(".{}", exports::extension(format))) {
+  if (sequence.file.extension() != fmt::format(".{}", format.extension)) {
     throw Error(ErrorKind::Usage, fmt::format("--format {} writes one file: name it with -o NAME.{}",
-                                              options.format, exports::extension(format)));
+                                              options.format, format.extension));
   }
   files::make_folder(std::filesystem::absolute(sequence.file).parent_path());
 
@@ -253,14 +245,14 @@ int export_sequence(take::TakeReader& reader, const Selection& selection, const 
       if (expressions) {
         sequence.shapes = expression_shapes(*frame, options);
       }
-      writer = exports::open_sequence(format, sequence, next);
+      writer = animation.open(sequence, next);
     }
     writer->add(next);
     progress.advance();
   }
   writer->commit();
   progress.finish();
-  if (format == exports::SequenceFormat::Pc2 || format == exports::SequenceFormat::Mdd) {
+  if (animation.has_no_node) {
     warn_of_varying_rate(sequence.timeline, options.output);
   }
   tell("{}: {} frames, {} to {} of the source at {}{:.6g} Hz, {} vertices\n", options.output, meshes.size(),
@@ -308,15 +300,14 @@ int export_maps(take::TakeReader& reader, const Selection& selection, const Expo
 }
 
 /// Lines of text, one for each frame. Returns the signal that broke it off, or 0.
-int export_signals(take::TakeReader& reader, const Selection& selection, const ExportOptions& options,
-                   const StopSignals& signals) {
+int export_lines(take::TakeReader& reader, const Selection& selection, const ExportOptions& options,
+                 const exports::Lines& lines, const StopSignals& signals) {
   const bool to_standard_output = options.output == "-";
   std::unique_ptr<files::OutputFile> file;
   if (!to_standard_output) {
     file = std::make_unique<files::OutputFile>(options.output);
   }
-  const bool curves = options.format == "csv";
-  const exports::Timeline timeline = curves ? timeline_of(reader, selection) : exports::Timeline();
+  const exports::Timeline timeline = lines.in_time ? timeline_of(reader, selection) : exports::Timeline();
   const auto write = [&](const std::string& text) {
     if (to_standard_output) {
       std::fwrite(text.data(), 1, text.size(), stdout);
@@ -324,9 +315,7 @@ int export_signals(take::TakeReader& reader, const Selection& selection, const E
       file->write(text);
     }
   };
-  if (curves) {
-    write(exports::live_link_header());
-  }
+  write(lines.header());
   Progress progress("Exporting", selection.size());
   for (const std::int64_t index : selection) {
     if (const int signal = signals.pending(); signal != 0) {
@@ -336,7 +325,7 @@ int export_signals(take::TakeReader& reader, const Selection& selection, const E
       return signal;
     }
     const auto frame = reader.frame(index, take::Pictures::Described);
-    write(curves ? exports::live_link_line(*frame, timeline) : exports::frame_json(*frame, index) + "\n");
+    write(lines.line(*frame, index, timeline));
     progress.advance();
   }
   progress.finish();
@@ -386,9 +375,10 @@ int export_pictures(take::TakeReader& reader, const Selection& selection, const 
 }
 
 void run_export(const ExportOptions& options) {
-  if (options.compress != "none" && options.format != "glb-frames" && options.format != "glb-expressions") {
-    throw Error(ErrorKind::Usage,
-                fmt::format("--compress is for glb-frames and glb-expressions, not for {}", options.format));
+  const ExportFormat& format = format_of(options);
+  if (options.compress != "none" && !compresses(format)) {
+    throw Error(ErrorKind::Usage, fmt::format("--compress is for {}, not for {}",
+                                              fmt::join(names_of(compresses), " and "), options.format));
   }
   take::TakeReader reader(options.take);
   const take::TakeInfo& info = reader.info();
@@ -398,21 +388,20 @@ void run_export(const ExportOptions& options) {
   }
   const Selection selection = frames_in_range(reader, options.frames);
   const StopSignals signals;
-  const auto& writer = format_of(options).writer;
   int broken_off_by = 0;
-  if (options.format == "png" || std::holds_alternative<exports::MeshFormat>(writer) ||
-      std::holds_alternative<exports::MapKind>(writer)) {
+  if (!format.is_one_file()) {
     warn_of_numbers(reader, selection, options.output);
   }
-  if (const auto* mesh = std::get_if<exports::MeshFormat>(&writer)) {
-    broken_off_by = export_meshes(reader, selection, options, *mesh, signals);
-  } else if (const auto* sequence = std::get_if<exports::SequenceFormat>(&writer)) {
-    broken_off_by = export_sequence(reader, selection, options, *sequence, signals);
-  } else if (const auto* map = std::get_if<exports::MapKind>(&writer)) {
-    broken_off_by = export_maps(reader, selection, options, *map, signals);
+  if (std::holds_alternative<exports::FrameFiles>(format.writes)) {
+    broken_off_by = export_meshes(reader, selection, options, format, signals);
+  } else if (std::holds_alternative<exports::Animation>(format.writes)) {
+    broken_off_by = export_sequence(reader, selection, options, format, signals);
+  } else if (const auto* maps = std::get_if<exports::Maps>(&format.writes)) {
+    broken_off_by = export_maps(reader, selection, options, maps->kind, signals);
+  } else if (const auto* lines = std::get_if<exports::Lines>(&format.writes)) {
+    broken_off_by = export_lines(reader, selection, options, *lines, signals);
   } else {
-    broken_off_by = options.format == "png" ? export_pictures(reader, selection, options, signals)
-                                            : export_signals(reader, selection, options, signals);
+    broken_off_by = export_pictures(reader, selection, options, signals);
   }
   if (broken_off_by != 0) {
     signals.die_of(broken_off_by);
@@ -428,22 +417,25 @@ void add_export_command(CLI::App& app) {
   command->add_option("TAKE", options->take, "Take file")->required();
   command->add_option("--format", options->format, formats_help())
       ->required()
-      ->check(CLI::IsMember(format_names()));
+      ->check(CLI::IsMember(names_of(is_any)));
   command->add_option("--frames", options->frames, kFramesHelp);
   command->add_option("--level", options->level, "coarse: the tracked mesh; finest: the refined one")
       ->capture_default_str()
       ->check(CLI::IsMember({"coarse", "finest"}));
   command
       ->add_option("--space", options->space,
-                   "pc2, mdd: camera has the head's movement in the vertices, head is held still")
+                   fmt::format("{}: camera has the head's movement in the vertices, head is held still",
+                               fmt::join(names_of(has_no_node), ", ")))
       ->capture_default_str()
       ->check(CLI::IsMember({"camera", "head"}));
   command
       ->add_option(
           "--compress", options->compress,
-          "glb-frames, glb-expressions: meshopt makes a file a third of the size, which needs a reader of "
-          "EXT_meshopt_compression (three.js, Babylon.js, Unity's glTFast; not Blender); vertices are "
-          "rounded to 0.002 mm")
+          fmt::format(
+              "{}: meshopt makes a file a third of the size, which needs a reader of "
+              "EXT_meshopt_compression (three.js, Babylon.js, Unity's glTFast; not Blender); vertices are "
+              "rounded to 0.002 mm",
+              fmt::join(names_of(compresses), ", ")))
       ->capture_default_str()
       ->check(CLI::IsMember({"none", "meshopt"}));
   command
@@ -459,9 +451,10 @@ void add_export_command(CLI::App& app) {
   command
       ->add_option(
           "-o,--output", options->output,
-          "What is one file for all frames (glb-frames, glb-expressions, usda, pc2, mdd, csv, jsonl): the "
-          "file; csv and jsonl: - is standard output. Else the folder for frame_%06d files (the number of "
-          "the source's frame), or one file for one frame's mesh")
+          fmt::format(
+              "What is one file for all frames ({}): the file; {}: - is standard output. Else the folder for "
+              "frame_%06d files (the number of the source's frame), or one file for one frame's mesh",
+              fmt::join(names_of(is_one_file), ", "), fmt::join(names_of(is_text), " and ")))
       ->required();
   command->callback([options] { run_export(*options); });
 }

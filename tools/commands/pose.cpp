@@ -13,7 +13,7 @@
 #include "animate/places.hpp"
 #include "animate_options.hpp"
 #include "commands.hpp"
-#include "exports/export.hpp"
+#include "exports/formats.hpp"
 #include "facet/error.hpp"
 #include "mesh/hierarchy.hpp"
 #include "report/take_pictures.hpp"
@@ -185,10 +185,7 @@ void run_pose(const PoseOptions& options) {
   } else {
     exports::ExportMesh mesh;
     exports::build_export_mesh(frame, exports::MeshLevel::Finest, exports::MeshSpace::Camera, mesh);
-    exports::write_mesh(extension == ".glb"   ? exports::MeshFormat::Glb
-                        : extension == ".obj" ? exports::MeshFormat::Obj
-                                              : exports::MeshFormat::Ply,
-                        mesh, options.output);
+    exports::mesh_writer_for(options.output)(mesh, options.output);
   }
   tell("{}\n", options.output);
 }

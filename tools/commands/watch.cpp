@@ -11,12 +11,11 @@
 #include <deque>
 #include <filesystem>
 #include <memory>
-#include <optional>
 #include <string>
 #include <thread>
 
 #include "commands.hpp"
-#include "exports/export.hpp"
+#include "exports/formats.hpp"
 #include "facet/error.hpp"
 #include "report/set_pictures.hpp"
 #include "stream/client.hpp"
@@ -129,16 +128,6 @@ class LiveLine {
   Clock::time_point next_;
 };
 
-std::optional<exports::MeshFormat> format_of(const std::filesystem::path& file) {
-  for (const exports::MeshFormat format :
-       {exports::MeshFormat::Ply, exports::MeshFormat::Obj, exports::MeshFormat::Glb}) {
-    if (file.extension() == fmt::format(".{}", exports::extension(format))) {
-      return format;
-    }
-  }
-  return std::nullopt;
-}
-
 /// Tries again while the daemon is starting.
 std::unique_ptr<stream::StreamClient> connect(const WatchOptions& options,
                                               const stream::Subscription& subscription) {
@@ -172,12 +161,12 @@ void save_mesh(const std::shared_ptr<const mesh::MeshFrame>& frame, const std::f
   }
   exports::ExportMesh mesh;
   exports::build_export_mesh(*frame, exports::MeshLevel::Finest, exports::MeshSpace::Camera, mesh);
-  exports::write_mesh(*format_of(file), mesh, file);
+  exports::mesh_writer_for(file)(mesh, file);
   tell(stderr, "{}: frame {}, {} vertices\n", file.string(), frame->sequence, mesh.vertices_mm.cols());
 }
 
 void run_watch(const WatchOptions& options) {
-  if (!options.save_last.empty() && !format_of(options.save_last)) {
+  if (!options.save_last.empty() && exports::mesh_writer_for(options.save_last) == nullptr) {
     throw Error(ErrorKind::Usage,
                 fmt::format("--save-last {}: the name must end in .ply, .obj or .glb", options.save_last));
   }

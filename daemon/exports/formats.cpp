@@ -1,0 +1,68 @@
+#include "exports/formats.hpp"
+
+#include <array>
+
+#include "exports/export_sequence.hpp"
+
+namespace facet::exports {
+namespace {
+
+void write_plain_obj(const ExportMesh& mesh, const std::filesystem::path& file) {
+  write_obj(mesh, file);
+}
+
+std::string curves_line(const mesh::MeshFrame& frame, std::int64_t /*index*/, const Timeline& timeline) {
+  return live_link_line(frame, timeline);
+}
+
+std::string json_line(const mesh::MeshFrame& frame, std::int64_t index, const Timeline& /*timeline*/) {
+  return frame_json(frame, index) + "\n";
+}
+
+const std::array kFormats = {
+    ExportFormat{"ply", "a mesh for each frame, camera frame, mm, x right, y down, z forward", "ply",
+                 FrameFiles{write_ply}},
+    ExportFormat{"obj", "the same as text", "obj", FrameFiles{write_plain_obj}},
+    ExportFormat{"glb", "the same as glTF 2.0, metres, y up", "glb", FrameFiles{write_glb}},
+    ExportFormat{"glb-frames", "one animated GLB: every frame a morph target, the head's pose on the node",
+                 "glb", Animation{.open = open_glb_frames, .compresses = true}},
+    ExportFormat{"glb-expressions",
+                 "one animated GLB: the coarse mesh, the expressions as morph targets, the head's pose",
+                 "glb", Animation{.open = open_glb_expressions, .in_expressions = true, .compresses = true}},
+    ExportFormat{"usda", "one mesh with time samples, the head's pose as its transform, metres, y up", "usda",
+                 Animation{.open = open_usda}},
+    ExportFormat{"pc2", "a vertex cache and the OBJ that it is for, metres, y up", "pc2",
+                 Animation{.open = open_pc2, .has_no_node = true}},
+    ExportFormat{"mdd", "the same for programs that read MDD", "mdd",
+                 Animation{.open = open_mdd, .has_no_node = true}},
+    ExportFormat{"displacement", "a map for each frame: mm along the smooth surface's normal", "",
+                 Maps{MapKind::Displacement}},
+    ExportFormat{"normal", "a map for each frame: normals in the head frame", "",
+                 Maps{MapKind::ObjectNormal}},
+    ExportFormat{"tangent-normal", "a map for each frame: normals against the smooth surface", "",
+                 Maps{MapKind::TangentNormal}},
+    ExportFormat{"albedo", "a map whenever the albedo changed", "", Maps{MapKind::Albedo}},
+    ExportFormat{"csv", "ARKit's 52 curves and angles in the columns of Live Link Face", "csv",
+                 Lines{.header = live_link_header, .line = curves_line, .in_time = true}},
+    ExportFormat{"jsonl", "one object per frame", "jsonl",
+                 Lines{.header = [] { return std::string(); }, .line = json_line}},
+    ExportFormat{"png", "the cameras' pictures, where they were recorded", "", CameraPictures{}},
+};
+
+}  // namespace
+
+std::span<const ExportFormat> export_formats() {
+  return kFormats;
+}
+
+decltype(FrameFiles::write) mesh_writer_for(const std::filesystem::path& file) {
+  for (const ExportFormat& format : kFormats) {
+    const auto* files = std::get_if<FrameFiles>(&format.writes);
+    if (files != nullptr && file.extension() == std::string(".") + format.extension) {
+      return files->write;
+    }
+  }
+  return nullptr;
+}
+
+}  // namespace facet::exports
