@@ -10,6 +10,7 @@
 #include <random>
 
 #include "facet/error.hpp"
+#include "maths/statistics.hpp"
 
 namespace facet::animate {
 namespace {
@@ -41,10 +42,8 @@ FaceGraph::FaceGraph(const TakeBasis& basis, const RegionMetric& metric, GraphOp
     }
   }
   if (!steps.empty()) {
-    const auto large =
-        steps.begin() + static_cast<std::ptrdiff_t>(kLargeStep * static_cast<double>(steps.size() - 1));
-    std::nth_element(steps.begin(), large, steps.end());
-    blink_weight_mm_ = kBlinkSteps * *large;
+    const auto large = static_cast<std::size_t>(kLargeStep * static_cast<double>(steps.size() - 1));
+    blink_weight_mm_ = kBlinkSteps * maths::nth_of(steps, large);
   }
   edges_.resize(static_cast<std::size_t>(count) * static_cast<std::size_t>(options_.neighbours + 1));
   counts_.assign(static_cast<std::size_t>(count), 0);

@@ -17,6 +17,7 @@
 #include "face/face_model.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
+#include "maths/statistics.hpp"
 #include "take/reader.hpp"
 
 namespace facet::animate {
@@ -386,10 +387,7 @@ class Builder {
       periods_s.push_back(static_cast<double>(frames_[f].media_time_ns - frames_[f - 1].media_time_ns) *
                           1e-9);
     }
-    std::vector<double> sorted = periods_s;
-    std::nth_element(sorted.begin(), sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2),
-                     sorted.end());
-    const double median_s = sorted[sorted.size() / 2];
+    const double median_s = maths::median_of(std::vector(periods_s));
     header_.frame_period_s = median_s > 1e-4 && median_s < 10 ? median_s : 1.0 / 30;
     for (std::size_t f = 1; f < frames_.size(); ++f) {
       frames_[f].follows =

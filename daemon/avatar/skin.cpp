@@ -11,6 +11,7 @@
 #include <stdexcept>
 
 #include "facet/error.hpp"
+#include "maths/statistics.hpp"
 #include "render/renderer.hpp"
 
 namespace facet::avatar {
@@ -298,12 +299,6 @@ void fit(const Pairs& pairs, Placement& out) {
   out.translation_mm = (to_mean - scale * (turn * from_mean)).cast<float>();
 }
 
-float median(std::vector<float> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
-
 /// By the similarity alone.
 Eigen::Vector3f moved_mm(const Placement& placement, const Eigen::Vector3f& point) {
   return placement.mm_per_unit * (placement.head_from_skin * point) + placement.translation_mm;
@@ -320,7 +315,7 @@ std::vector<float> distances_mm(const Pairs& pairs, const Placement& placement) 
 /// Weights of Cauchy's loss.
 void reweigh(Pairs& pairs, const Placement& placement) {
   const std::vector<float> distances = distances_mm(pairs, placement);
-  const float scale = std::max(1.0F, median(distances));
+  const float scale = std::max(1.0F, maths::median_of(std::vector(distances)));
   for (std::size_t i = 0; i < distances.size(); ++i) {
     pairs.weights[i] = 1.0F / (1.0F + (distances[i] / scale) * (distances[i] / scale));
   }
@@ -497,7 +492,7 @@ Placement place_skin(const Skin& skin, const PersonShapes& person) {
   if (!sound(placement)) {
     throw Error(ErrorKind::Usage, "it can't be placed");
   }
-  placement.shape_distance_mm = median(distances_mm(shapes, placement));
+  placement.shape_distance_mm = maths::median_of(distances_mm(shapes, placement));
   const std::vector<float> surface =
       distances_mm(nearest_pairs(skin, placement, face, person.triangles, normals), placement);
   float squares = 0;

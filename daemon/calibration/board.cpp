@@ -18,6 +18,7 @@
 #include <utility>
 
 #include "facet/error.hpp"
+#include "maths/statistics.hpp"
 
 namespace facet::calibration {
 namespace {
@@ -127,12 +128,7 @@ double edge_width_px(const cv::Mat& grey, const Board& board, const BoardView& v
       }
     }
   }
-  if (widths.empty()) {
-    return 0;
-  }
-  const auto middle = widths.begin() + static_cast<std::ptrdiff_t>(widths.size() / 2);
-  std::nth_element(widths.begin(), middle, widths.end());
-  return *middle;
+  return widths.empty() ? 0 : maths::median_of(widths);
 }
 
 /// The print as a picture sees it: about its resolution, blurred.

@@ -14,6 +14,7 @@
 
 #include "capture/epipolar.hpp"
 #include "facet/error.hpp"
+#include "maths/statistics.hpp"
 
 namespace facet::calibration {
 namespace {
@@ -24,12 +25,6 @@ constexpr double kMostFocalSigma = 0.01;
 
 [[noreturn]] void fail(const std::string& what) {
   throw Error(ErrorKind::UnreadableInput, what);
-}
-
-double median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 double angle_between(const Eigen::Vector3d& a, const Eigen::Vector3d& b) {
@@ -279,12 +274,13 @@ class Calibrator {
       if (known.empty()) {
         continue;
       }
-      const double limit = std::max(options_.most_error_px, options_.most_error_factor * median(known));
+      const double limit =
+          std::max(options_.most_error_px, options_.most_error_factor * maths::median_of(known));
       for (std::size_t view = 0; view < views_.size(); ++view) {
         if (errors[i][view] > limit) {
           reject(cameras[i], view,
                  fmt::format("does not fit: reprojection error {:.2f} px, the others have {:.2f} px",
-                             errors[i][view], median(known)));
+                             errors[i][view], maths::median_of(known)));
           any = true;
         }
       }
@@ -452,12 +448,12 @@ class Calibrator {
       std::copy_if(errors[camera].begin(), errors[camera].end(), std::back_inserter(known),
                    [](double error) { return !std::isnan(error); });
       const double limit = std::max(2 * options_.most_error_px, 4 * alone_px_[camera]);
-      if (!known.empty() && median(known) > limit) {
+      if (!known.empty() && maths::median_of(known) > limit) {
         fail(fmt::format(
             "camera '{}' and the others do not agree where the board was: the reprojection error is "
             "{:.2f} px for it alone and {:.2f} px together. Its pictures were not taken at the same "
             "moments (files of one name belong together), or the board moved",
-            cameras_[camera].name, alone_px_[camera], median(known)));
+            cameras_[camera].name, alone_px_[camera], maths::median_of(known)));
       }
     }
   }

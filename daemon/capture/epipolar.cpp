@@ -6,16 +6,13 @@
 #include <algorithm>
 #include <cmath>
 
+#include "maths/statistics.hpp"
+
 namespace facet::capture {
 namespace {
 
-double quantile(std::vector<double> values, double part) {
-  if (values.empty()) {
-    return 0;
-  }
-  const auto at = values.begin() + static_cast<std::ptrdiff_t>(part * static_cast<double>(values.size() - 1));
-  std::nth_element(values.begin(), at, values.end());
-  return *at;
+double quantile(std::vector<double>& values, double part) {
+  return values.empty() ? 0 : maths::quantile_of(values, part);
 }
 
 struct Agreement {

@@ -15,6 +15,7 @@
 #include "exports/export.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
+#include "maths/srgb.hpp"
 
 namespace facet::exports {
 namespace {
@@ -27,9 +28,8 @@ float coded(float value, MapKind kind) {
     case MapKind::ObjectNormal:
     case MapKind::TangentNormal:
       return 0.5F + 0.5F * value;
-    case MapKind::Albedo:  // sRGB transfer (IEC 61966-2-1)
-      return value <= 0.0031308F ? 12.92F * value
-                                 : 1.055F * std::pow(std::min(value, 1.0F), 1.0F / 2.4F) - 0.055F;
+    case MapKind::Albedo:
+      return maths::encode_srgb(std::min(value, 1.0F));
   }
   return 0;
 }

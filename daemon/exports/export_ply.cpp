@@ -8,6 +8,7 @@
 
 #include "exports/export.hpp"
 #include "files/output_file.hpp"
+#include "maths/srgb.hpp"
 
 namespace facet::exports {
 namespace {
@@ -36,11 +37,9 @@ static_assert(sizeof(PlyFace) == 1 + 3 * 4);
 /// Colour of a mesh whose albedo is not learned yet, sRGB.
 constexpr std::uint8_t kUnknownColour = 200;
 
-/// sRGB transfer of a linear value, 0 to 255 (IEC 61966-2-1); values outside 0 to 1 are clamped.
+/// sRGB of a linear value, 0 to 255; values outside 0 to 1 are clamped.
 std::uint8_t srgb_from_linear(float linear) {
-  const float value = std::clamp(linear, 0.0F, 1.0F);
-  const float encoded = value <= 0.0031308F ? 12.92F * value : 1.055F * std::pow(value, 1.0F / 2.4F) - 0.055F;
-  return static_cast<std::uint8_t>(std::lrint(encoded * 255.0F));
+  return static_cast<std::uint8_t>(std::lrint(maths::encode_srgb(std::clamp(linear, 0.0F, 1.0F)) * 255.0F));
 }
 
 /// sRGB colour of one vertex.

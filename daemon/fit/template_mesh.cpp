@@ -8,6 +8,7 @@
 #include <numeric>
 
 #include "facet/error.hpp"
+#include "maths/statistics.hpp"
 #include "mesh/hierarchy.hpp"
 
 namespace facet::fit {
@@ -53,12 +54,6 @@ mesh::SparseRows product(const mesh::SparseRows& outer, const mesh::SparseRows& 
     result.row_offsets.push_back(static_cast<std::int32_t>(result.columns.size()));
   }
   return result;
-}
-
-double median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 /// The affine map [A | t] that brings `from` to `to`, A drawn towards `prior`.
@@ -197,9 +192,9 @@ Placement place(const TemplateMesh& surface, const mesh::Vertices& control_mm,
       weights = distance.cwiseMax(1.0).cwiseInverse();
       continue;
     }
-    const double limit =
-        std::max(kOutlierLeastMm,
-                 kOutlierFactor * median(std::vector<double>(distance.data(), distance.data() + count)));
+    const double limit = std::max(
+        kOutlierLeastMm,
+        kOutlierFactor * maths::median_of(std::vector<double>(distance.data(), distance.data() + count)));
     for (Eigen::Index i = 0; i < count; ++i) {
       placed.agrees[static_cast<std::size_t>(i)] = distance[i] <= limit ? 1 : 0;
       weights[i] = distance[i] <= limit ? 1 : 0;

@@ -6,6 +6,7 @@
 #include <optional>
 #include <utility>
 
+#include "facet/assert.hpp"
 #include "facet/error.hpp"
 #include "mesh/adaptive_surface.hpp"
 
@@ -64,6 +65,10 @@ Level make_level(const AdaptiveSurface& surface, const AdaptiveSurface::Stencils
   level.triangles = surface.triangles();
   level.from_coarser = to_rows(stencils);
   level.one_rings = build_one_rings(level.triangles, level.vertex_count);
+  FACET_ASSERT(level.from_coarser.row_offsets.size() == static_cast<std::size_t>(level.vertex_count) + 1,
+               level.from_coarser.row_offsets.size(), level.vertex_count);
+  FACET_ASSERT(level.triangles.maxCoeff() < level.vertex_count, level.triangles.maxCoeff(),
+               level.vertex_count);
   return level;
 }
 
@@ -74,6 +79,8 @@ std::optional<AdaptiveSurface::Stencils> sweep(AdaptiveSurface& surface, const H
   if (next.vertex_count() == surface.vertex_count() || next.vertex_count() > options.max_vertices) {
     return std::nullopt;
   }
+  FACET_ASSERT(stencils.rows() == next.vertex_count() && stencils.cols() == surface.vertex_count(),
+               stencils.rows(), stencils.cols(), next.vertex_count(), surface.vertex_count());
   surface = std::move(next);
   return stencils;
 }
@@ -86,6 +93,8 @@ void complete(Hierarchy& hierarchy) {
     apply(level.from_coarser, texture_coordinates, finer);
     texture_coordinates = std::move(finer);
   }
+  FACET_ASSERT(texture_coordinates.cols() == hierarchy.finest().vertex_count, texture_coordinates.cols(),
+               hierarchy.finest().vertex_count);
   hierarchy.texture_coordinates = texture_coordinates;
   hierarchy.id = topology_id(hierarchy);
 }
@@ -208,6 +217,8 @@ std::shared_ptr<const Hierarchy> build_hierarchy_below(const ControlMesh& contro
 }
 
 void push_positions(const Hierarchy& hierarchy, const Vertices& control, std::vector<Vertices>& out) {
+  FACET_ASSERT(control.cols() == hierarchy.control_vertex_count, control.cols(),
+               hierarchy.control_vertex_count);
   out.resize(hierarchy.levels.size());
   const Vertices* coarser = &control;
   for (std::size_t l = 0; l < hierarchy.levels.size(); ++l) {
@@ -219,6 +230,11 @@ void push_positions(const Hierarchy& hierarchy, const Vertices& control, std::ve
 void rebuild_finest(const Hierarchy& hierarchy, const Vertices& control_mm,
                     const std::vector<float>& displacements_mm, Vertices& vertices_mm,
                     Eigen::Matrix3Xf& normals) {
+  FACET_ASSERT(control_mm.cols() == hierarchy.control_vertex_count, control_mm.cols(),
+               hierarchy.control_vertex_count);
+  FACET_ASSERT(
+      displacements_mm.empty() || std::cmp_equal(displacements_mm.size(), hierarchy.finest().vertex_count),
+      displacements_mm.size(), hierarchy.finest().vertex_count);
   Vertices coarser = control_mm;
   for (const Level& level : hierarchy.levels) {
     apply(level.from_coarser, coarser, vertices_mm);

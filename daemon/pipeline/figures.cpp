@@ -4,6 +4,8 @@
 #include <cmath>
 #include <numeric>
 
+#include "maths/statistics.hpp"
+
 namespace facet::pipeline {
 
 const char* to_string(PipelineState state) {
@@ -42,10 +44,7 @@ float Window::quantile(float p) const {
     return 0;
   }
   std::array<float, kLength> sorted = values_;
-  const auto end = sorted.begin() + static_cast<std::ptrdiff_t>(count_);
-  const auto at = sorted.begin() + std::lround(p * static_cast<float>(count_ - 1));
-  std::nth_element(sorted.begin(), at, end);
-  return *at;
+  return maths::quantile_of(std::span(sorted).first(count_), static_cast<double>(p));
 }
 
 void Figures::add(const mesh::MeshFrame& frame, std::chrono::steady_clock::time_point handed_out) {

@@ -1,6 +1,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "maths/harmonics.hpp"
+#include "maths/srgb.hpp"
 #include "render/renderer.hpp"
 
 namespace facet::render {
@@ -10,26 +12,10 @@ std::uint8_t to_byte(float value) {
   return static_cast<std::uint8_t>(std::lround(255.0F * std::clamp(value, 0.0F, 1.0F)));
 }
 
-/// IEC 61966-2-1.
-float decode_srgb(float encoded) {
-  return encoded <= 0.04045F ? encoded / 12.92F : std::pow((encoded + 0.055F) / 1.055F, 2.4F);
-}
-
-float encode_srgb(float linear) {
-  return linear <= 0.0031308F ? 12.92F * linear : 1.055F * std::pow(linear, 1.0F / 2.4F) - 0.055F;
-}
-
 }  // namespace
 
-std::array<float, 9> sh_basis(const Eigen::Vector3f& normal) {
-  const float x = normal.x();
-  const float y = normal.y();
-  const float z = normal.z();
-  return {1.0F, x, y, z, x * y, x * z, y * z, x * x - y * y, 3 * z * z - 1};
-}
-
 float irradiance(const std::array<float, 9>& lighting, const Eigen::Vector3f& normal_camera) {
-  const auto basis = sh_basis({normal_camera.x(), -normal_camera.y(), -normal_camera.z()});
+  const auto basis = maths::harmonics(normal_camera.x(), -normal_camera.y(), -normal_camera.z());
   float sum = 0;
   for (std::size_t k = 0; k < basis.size(); ++k) {
     sum += lighting[k] * basis[k];
@@ -38,14 +24,14 @@ float irradiance(const std::array<float, 9>& lighting, const Eigen::Vector3f& no
 }
 
 std::uint8_t linear_to_srgb8(float linear) {
-  return to_byte(encode_srgb(std::clamp(linear, 0.0F, 1.0F)));
+  return to_byte(maths::encode_srgb(std::clamp(linear, 0.0F, 1.0F)));
 }
 
 float srgb8_to_linear(std::uint8_t srgb) {
   static const std::array<float, 256> table = [] {
     std::array<float, 256> made{};
     for (std::size_t k = 0; k < made.size(); ++k) {
-      made[k] = decode_srgb(static_cast<float>(k) / 255.0F);
+      made[k] = maths::decode_srgb(static_cast<float>(k) / 255.0F);
     }
     return made;
   }();

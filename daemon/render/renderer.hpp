@@ -111,10 +111,6 @@ Picture render_surface(const Raycaster& surface, const CameraIntrinsics& camera,
 /// A picture of one colour.
 Picture plain_picture(int width_px, int height_px, std::array<std::uint8_t, 3> rgb);
 
-/// 9 SH basis values of eq. 1 (Ma & Deng 2019): (1, nx, ny, nz, nx ny, nx nz, ny nz, nx^2 - ny^2, 3 nz^2 -
-/// 1). normal: unit, in the lighting's frame (camera frame with y up and z towards the camera).
-std::array<float, 9> sh_basis(const Eigen::Vector3f& normal);
-
 /// l . SH(n), the irradiance of eq. 1 (Ma & Deng 2019). normal_camera: unit, in the camera frame (x right, y
 /// down, z forward); it is turned into the lighting's frame (y up, z towards the camera).
 float irradiance(const std::array<float, 9>& lighting, const Eigen::Vector3f& normal_camera);

@@ -12,6 +12,8 @@
 #include <optional>
 
 #include "facet/error.hpp"
+#include "maths/srgb.hpp"
+#include "maths/statistics.hpp"
 
 namespace facet::scan {
 namespace {
@@ -39,7 +41,7 @@ float linear_of(float coded, Response response) {
   if (response == Response::Linear) {
     return coded;
   }
-  return coded <= 0.04045F ? coded / 12.92F : std::pow((coded + 0.055F) / 1.055F, 2.4F);
+  return maths::decode_srgb(coded);
 }
 
 /// Sums over the shifts of a fringe set, from which its sine follows.
@@ -480,12 +482,11 @@ void PhaseDecoder::Impl::unwrap_by_sets(std::size_t axis, PhaseField& field,
         for (std::size_t k = 0; k < lit.size(); k += step) {
           costs.push_back(choose(lit[k], tried_sign, quarter * kTurn / 4).cost);
         }
-        const auto middle = costs.begin() + static_cast<std::ptrdiff_t>(costs.size() / 2);
-        std::nth_element(costs.begin(), middle, costs.end());
-        most = std::max(most, *middle);
+        const double middle = maths::median_of(costs);
+        most = std::max(most, middle);
         constexpr double kFarBetter = 0.25;
-        if (*middle < kFarBetter * least) {
-          least = *middle;
+        if (middle < kFarBetter * least) {
+          least = middle;
           sign = tried_sign;
           start = wrapped(quarter * kTurn / 4);
         }
@@ -544,11 +545,10 @@ std::vector<float> PhaseDecoder::Impl::grey_noise(const std::vector<Sine>& sines
   const auto dof = static_cast<double>(shifts - 3);
   const double share = std::pow(1 - 2 / (9 * dof), 3);
   const auto deviation = [&](std::vector<float>& variances) {
-    const auto middle = variances.begin() + static_cast<std::ptrdiff_t>(variances.size() / 2);
-    std::nth_element(variances.begin(), middle, variances.end());
+    const auto middle = static_cast<double>(maths::median_of(variances));
     // 8 bits round by 1/12 of a level's square: no camera is better.
     constexpr double kRounding = 1.0 / 12 / 255 / 255;
-    return static_cast<float>(std::sqrt(std::max(static_cast<double>(*middle) / share, kRounding)));
+    return static_cast<float>(std::sqrt(std::max(middle / share, kRounding)));
   };
   if (all.size() < kEnough) {
     return noise;
@@ -676,9 +676,7 @@ void PhaseDecoder::Impl::decode_axis(std::size_t axis, PhaseField& field, Decode
   drop_lonely(field, fault);
   smooth(field);
   if (!residuals.empty()) {
-    const auto middle = residuals.begin() + static_cast<std::ptrdiff_t>(residuals.size() / 2);
-    std::nth_element(residuals.begin(), middle, residuals.end());
-    view.residual = std::max(view.residual, *middle);
+    view.residual = std::max(view.residual, maths::median_of(residuals));
   }
   const bool first = view.light.empty();
   if (first) {

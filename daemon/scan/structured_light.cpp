@@ -12,6 +12,7 @@
 #include <optional>
 
 #include "facet/error.hpp"
+#include "maths/statistics.hpp"
 #include "stereo/islands.hpp"
 
 namespace facet::scan {
@@ -112,12 +113,7 @@ bool in_range(double depth, const stereo::DepthRange& depths) {
 }
 
 float median_of(std::vector<float>& values) {
-  if (values.empty()) {
-    return 0;
-  }
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
+  return values.empty() ? 0 : maths::median_of(values);
 }
 
 /// At an edge, a pixel or two see both surfaces and lie between them: no runs of so few pixels stay.

@@ -11,6 +11,8 @@
 #include <utility>
 
 #include "facet/error.hpp"
+#include "maths/harmonics.hpp"
+#include "maths/statistics.hpp"
 #include "render/renderer.hpp"
 #include "simulation/booth_rig.hpp"
 #include "simulation/light.hpp"
@@ -431,7 +433,8 @@ struct Booth::Impl {
   /// projector that sees it, Lambert's cosine.
   float irradiance(const Moment& moment, const std::vector<ProjectorLight>& lights, const Vector3f& at_mm,
                    const Vector3f& normal, float open) const {
-    const auto basis = render::sh_basis(normal);  // the rig's axes are the lighting's
+    const auto basis =
+        maths::harmonics(normal.x(), normal.y(), normal.z());  // the rig's axes are the lighting's
     float ambient = 0;
     for (std::size_t k = 0; k < room.size(); ++k) {
       ambient += room[k] * basis[k];
@@ -482,10 +485,9 @@ struct Booth::Impl {
             ErrorKind::UnreadableInput,
             fmt::format("the face model marks no refinable skin that camera '{}' could see", camera.name));
       }
-      const auto brightest =
-          values.begin() + static_cast<std::ptrdiff_t>(0.97 * static_cast<double>(values.size()));
-      std::nth_element(values.begin(), brightest, values.end());
-      gains.push_back(random.uniform(0.96F, 1.04F) * kBrightSkin / *brightest);
+      const float brightest =
+          maths::nth_of(values, static_cast<std::size_t>(0.97 * static_cast<double>(values.size())));
+      gains.push_back(random.uniform(0.96F, 1.04F) * kBrightSkin / brightest);
     }
     return gains;
   }

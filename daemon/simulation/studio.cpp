@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "facet/error.hpp"
+#include "maths/statistics.hpp"
 #include "simulation/random.hpp"
 #include "simulation/sensor.hpp"
 #include "simulation/stage.hpp"
@@ -173,10 +174,9 @@ struct Studio::Impl {
       throw Error(ErrorKind::UnreadableInput,
                   "the face model marks no refinable skin that the camera could see");
     }
-    const auto brightest =
-        values.begin() + static_cast<std::ptrdiff_t>(0.97 * static_cast<double>(values.size()));
-    std::nth_element(values.begin(), brightest, values.end());
-    const float exposure = kSkinExposure / *brightest;
+    const float brightest =
+        maths::nth_of(values, static_cast<std::size_t>(0.97 * static_cast<double>(values.size())));
+    const float exposure = kSkinExposure / brightest;
     for (float& coefficient : lighting.spherical_harmonics) {
       coefficient *= exposure;
     }

@@ -6,6 +6,9 @@
 #include <cmath>
 #include <iterator>
 
+#include "maths/harmonics.hpp"
+#include "maths/srgb.hpp"
+
 namespace facet::track {
 namespace {
 
@@ -36,17 +39,13 @@ constexpr double kSmallestWeight = 0.002;
 std::array<float, 256> linear_values() {
   std::array<float, 256> out{};
   for (std::size_t i = 0; i < out.size(); ++i) {
-    const double s = static_cast<double>(i) / 255;
-    out[i] = static_cast<float>(s <= 0.04045 ? s / 12.92 : std::pow((s + 0.055) / 1.055, 2.4));
+    out[i] = static_cast<float>(maths::decode_srgb(static_cast<double>(i) / 255));
   }
   return out;
 }
 
 Eigen::Matrix<double, 9, 1> harmonics(const Eigen::Vector3d& n) {
-  Eigen::Matrix<double, 9, 1> out;
-  out << 1, n.x(), n.y(), n.z(), n.x() * n.y(), n.x() * n.z(), n.y() * n.z(), n.x() * n.x() - n.y() * n.y(),
-      3 * n.z() * n.z() - 1;
-  return out;
+  return Eigen::Matrix<double, 9, 1>(maths::harmonics(n.x(), n.y(), n.z()).data());
 }
 
 /// d (l . SH(n)) / d n.

@@ -6,6 +6,8 @@
 #include <limits>
 #include <utility>
 
+#include "maths/statistics.hpp"
+
 namespace facet::track {
 namespace {
 
@@ -265,9 +267,7 @@ std::optional<double> SubjectTracker::median_residual_px(std::size_t view, bool 
   if (sorted_.empty()) {
     return std::nullopt;
   }
-  const auto middle = sorted_.begin() + static_cast<std::ptrdiff_t>(sorted_.size() / 2);
-  std::nth_element(sorted_.begin(), middle, sorted_.end());
-  return *middle;
+  return maths::median_of(sorted_);
 }
 
 Pose SubjectTracker::pose_in(const ViewCamera& camera) const {

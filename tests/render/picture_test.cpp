@@ -5,6 +5,7 @@
 #include <random>
 
 #include "facet/error.hpp"
+#include "maths/harmonics.hpp"
 #include "render/renderer.hpp"
 #include "support/paths.hpp"
 
@@ -31,7 +32,7 @@ TEST(Colour, SrgbRoundTripsEveryValue) {
 
 TEST(Colour, ShBasisIsEquationOne) {
   const Eigen::Vector3f n = Eigen::Vector3f(1, -2, 2) / 3;
-  const auto basis = sh_basis(n);
+  const auto basis = maths::harmonics(n.x(), n.y(), n.z());
   const std::array<float, 9> expected{1,        1.0F / 3,  -2.0F / 3, 2.0F / 3, -2.0F / 9,
                                       2.0F / 9, -4.0F / 9, -3.0F / 9, 1.0F / 3};
   for (std::size_t k = 0; k < 9; ++k) {

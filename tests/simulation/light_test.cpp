@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "maths/harmonics.hpp"
 #include "render/renderer.hpp"
 #include "simulation/random.hpp"
 
@@ -12,7 +13,7 @@ namespace facet::simulation {
 namespace {
 
 float value(const std::array<float, 9>& lighting, const Eigen::Vector3f& normal) {
-  const auto basis = render::sh_basis(normal);
+  const auto basis = maths::harmonics(normal.x(), normal.y(), normal.z());
   float sum = 0;
   for (std::size_t k = 0; k < 9; ++k) {
     sum += lighting[k] * basis[k];

@@ -20,6 +20,7 @@
 #include "commands.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
+#include "maths/statistics.hpp"
 #include "progress.hpp"
 #include "render/renderer.hpp"
 #include "report/html_plot.hpp"
@@ -128,10 +129,7 @@ float quantile(std::vector<float> values, double share) {
   if (values.empty()) {
     return kNone;
   }
-  const auto at = values.begin() +
-                  static_cast<std::ptrdiff_t>(std::lround(share * static_cast<double>(values.size() - 1)));
-  std::nth_element(values.begin(), at, values.end());
-  return *at;
+  return maths::quantile_of(values, share);
 }
 
 std::string picture_html(const render::Picture& picture, const std::string& caption) {

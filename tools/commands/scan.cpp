@@ -18,6 +18,7 @@
 #include "commands.hpp"
 #include "facet/error.hpp"
 #include "files/pfm.hpp"
+#include "maths/statistics.hpp"
 #include "natural_order.hpp"
 #include "progress.hpp"
 #include "render/renderer.hpp"
@@ -241,10 +242,8 @@ void write(const scan::StructuredDepth& depth, const capture::Lens& camera, cons
                     "right are not exchanged, and --depths",
                     options.match.depths.nearest_mm, options.match.depths.farthest_mm));
   }
-  std::nth_element(sigmas.begin(), sigmas.begin() + static_cast<std::ptrdiff_t>(sigmas.size() / 2),
-                   sigmas.end());
   tell("{}: {} points, standard deviation {:.3f} mm (median)", options.output, points,
-       sigmas[sigmas.size() / 2]);
+       maths::median_of(sigmas));
   if (depth.ambiguous > 0) {
     tell("; {} px left out with more than one match", depth.ambiguous);
   }

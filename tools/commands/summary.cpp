@@ -13,6 +13,7 @@
 
 #include "commands.hpp"
 #include "facet/error.hpp"
+#include "maths/statistics.hpp"
 #include "progress.hpp"
 #include "take/closing.hpp"
 #include "take/reader.hpp"
@@ -62,13 +63,7 @@ struct PictureFigures {
 
 /// The p-quantile (0 to 1) of unsorted values; 0 for none.
 float quantile(std::vector<float> values, double p) {
-  if (values.empty()) {
-    return 0;
-  }
-  const auto at =
-      values.begin() + static_cast<std::ptrdiff_t>(std::lround(p * static_cast<double>(values.size() - 1)));
-  std::nth_element(values.begin(), at, values.end());
-  return *at;
+  return values.empty() ? 0 : maths::quantile_of(values, p);
 }
 
 float mean(const std::vector<float>& values) {
