@@ -17,6 +17,7 @@
 #include <thread>
 #include <vector>
 
+#include "facet/assets.hpp"
 #include "facet/error.hpp"
 #include "gpu/context.hpp"
 #include "render/renderer.hpp"
@@ -35,7 +36,7 @@ using facet::bench::StereoFootage;
 
 struct Options {
   std::vector<std::string> scenes{"actor", "wave", "step", "booth-plane", "booth-sphere"};
-  std::filesystem::path model = std::filesystem::path(FACET_ASSETS_FOLDER) / "default.facemodel";
+  std::filesystem::path model = facet::default_model_file();
   std::size_t pair = 0;
   std::vector<std::string> methods{"global", "local", "frame", "windows", "sgbm"};
   facet::bench::SceneOptions scene;

@@ -14,6 +14,8 @@
 #include <string>
 #include <vector>
 
+#include "support/source_folder.hpp"
+
 namespace facet {
 namespace {
 

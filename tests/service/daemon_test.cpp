@@ -18,6 +18,7 @@
 #include "simulation/sequence.hpp"
 #include "stream/client.hpp"
 #include "support/small_disk.hpp"
+#include "support/source_folder.hpp"
 #include "support/take_actor.hpp"
 #include "support/videos.hpp"
 #include "take/reader.hpp"

@@ -16,6 +16,7 @@
 #include "stream/client.hpp"
 #include "stream/ring_layout.h"
 #include "support/eventually.hpp"
+#include "support/source_folder.hpp"
 
 namespace facet::service {
 namespace {

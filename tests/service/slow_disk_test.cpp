@@ -12,6 +12,7 @@
 #include <string>
 
 #include "daemon_fixture.hpp"
+#include "support/source_folder.hpp"
 #include "take/reader.hpp"
 
 namespace facet::service {

@@ -22,6 +22,7 @@
 #include "stream/encoder.hpp"
 #include "stream/ring.hpp"
 #include "support/mesh_frames.hpp"
+#include "support/source_folder.hpp"
 
 namespace facet::stream {
 namespace {

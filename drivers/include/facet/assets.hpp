@@ -3,6 +3,8 @@
 #include <cstdlib>
 #include <filesystem>
 
+#include "facet/assets_folder.hpp"
+
 namespace facet {
 
 /// The folder of what Facet needs beside its programs: $FACET_ASSETS, else the folder set when it was built

@@ -4,6 +4,8 @@
 #include <filesystem>
 #include <string>
 
+#include "support/source_folder.hpp"
+
 namespace facet::test {
 
 /// The folder of downloaded and built assets: $FACET_ASSETS, else assets/ in the source tree.
