@@ -215,14 +215,14 @@ void measure(const facet::face::FaceModel& model, Detector& detector, const Opti
     width_px = frame.width_px;
     height_px = frame.height_px;
     first.process(frame);
-    return !first.subject().has_value();
+    return !first.person().has_value();
   });
   first.settle_subject();
-  if (!first.subject()) {
+  if (!first.person()) {
     throw facet::Error(facet::ErrorKind::NoFace, input.string() + ": the tracker found no face");
   }
   facet::track::Tracker tracker(model, config);
-  tracker.adopt(*first.subject(), width_px, height_px);
+  tracker.adopt(*first.person(), width_px, height_px);
 
   std::vector<std::optional<Points>> seen;
   std::vector<Surface> tracked, truth;

@@ -25,7 +25,7 @@
 #include "facet/assets.hpp"
 #include "facet/error.hpp"
 #include "picture_codecs.hpp"
-#include "simulation/booth.hpp"
+#include "simulation/virtual_booth.hpp"
 #include "take/reader.hpp"
 #include "take/recorder.hpp"
 
@@ -131,9 +131,9 @@ Footage load_footage(const Options& options) {
   Footage footage;
   if (options.footage.empty()) {
     const face::FaceModel model = face::FaceModel::load(default_model_file());
-    simulation::BoothConfig config;
+    simulation::VirtualBoothConfig config;
     config.seed = options.seed;
-    const simulation::Booth booth(&model, config);
+    const simulation::VirtualBooth booth(&model, config);
     constexpr std::uint64_t kFirstSlot = 150;  // the head moves as it does later
     for (std::uint64_t k = 0; k < options.slots; ++k) {
       footage.sets.push_back(booth.slot(kFirstSlot + k).frame_set());

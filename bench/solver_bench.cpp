@@ -59,7 +59,7 @@ Row measure_gpu(facet::gpu::Context& context, const SolverProblem& problem, cons
   Row row{fmt::format("Facet, {}", context.info().name), std::numeric_limits<double>::max(), 0, 0};
   for (int repeat = 0; repeat < options.repeats; ++repeat) {
     const facet::refine::DisplacementResult result = solver.solve();
-    if (result.outcome != facet::refine::SolveOutcome::Converged) {
+    if (result.outcome != facet::refine::DisplacementOutcome::Converged) {
       throw facet::Error(facet::ErrorKind::Internal, result.failure);
     }
     row.step_ms = std::min(row.step_ms, static_cast<double>(result.solve_ms) / options.steps);

@@ -22,7 +22,7 @@
 #include "gpu/context.hpp"
 #include "render/renderer.hpp"
 #include "scan/structured_light.hpp"
-#include "simulation/booth.hpp"
+#include "simulation/virtual_booth.hpp"
 #include "stereo/stereo_matcher.hpp"
 #include "stereo_footage.hpp"
 #include "stereo_metrics.hpp"
@@ -154,7 +154,7 @@ std::vector<std::vector<float>> spacetime(facet::gpu::Context& context, const St
   }
   facet::stereo::StereoMatcher matcher(context, footage.rig, footage.pair, stereo);
   std::vector<facet::capture::DepthMap> maps;
-  if (matcher.match(footage.slots, maps) != facet::stereo::SolveOutcome::Done) {
+  if (matcher.match(footage.slots, maps) != facet::stereo::StereoOutcome::Done) {
     throw facet::Error(facet::ErrorKind::Internal, matcher.failure());
   }
   fmt::print("\n{} {}:", footage.name, method);
@@ -317,8 +317,8 @@ double relative_error(const StereoFootage& footage, const facet::capture::DepthM
   return std::sqrt(square / std::max(n, 1.0));
 }
 
-void run_structured(const facet::simulation::Booth& booth, const std::string& scene, const Options& options,
-                    Table& table) {
+void run_structured(const facet::simulation::VirtualBooth& booth, const std::string& scene,
+                    const Options& options, Table& table) {
   namespace scan = facet::scan;
   facet::bench::SceneOptions scene_options = options.scene;
   scene_options.sequence = facet::capture::parse_sequence(options.sequence);
@@ -349,7 +349,8 @@ void run_structured(const facet::simulation::Booth& booth, const std::string& sc
 
 /// What of the actor's skin has a depth: by the angle at which the camera that sees it flattest does, for
 /// each pair and for both together. Counted are the skin's vertices; a depth within 2 mm of one is its.
-void run_skin(facet::gpu::Context& context, const facet::simulation::Booth& booth, const Options& options) {
+void run_skin(facet::gpu::Context& context, const facet::simulation::VirtualBooth& booth,
+              const Options& options) {
   namespace stereo = facet::stereo;
   constexpr std::array<double, 6> kAngles_deg = {0, 60, 70, 75, 80, 90};
   constexpr double kBelongs_mm = 2;
@@ -449,9 +450,9 @@ void run(const Options& options) {
   Table table;
   std::optional<facet::face::FaceModel> model;
   for (const std::string& scene : options.scenes) {
-    std::optional<facet::simulation::Booth> booth;
+    std::optional<facet::simulation::VirtualBooth> booth;
     if (scene == "actor" || scene == "still" || scene.rfind("booth-", 0) == 0) {
-      const facet::simulation::BoothConfig config = facet::bench::booth_config(scene, options.scene);
+      const facet::simulation::VirtualBoothConfig config = facet::bench::booth_config(scene, options.scene);
       if (config.scene == facet::simulation::BoothScene::Actor && !model) {
         model = facet::face::FaceModel::load(options.model);
       }

@@ -7,7 +7,7 @@
 
 #include "facet/error.hpp"
 #include "render/renderer.hpp"
-#include "simulation/booth.hpp"
+#include "simulation/virtual_booth.hpp"
 #include "support/stereo_scene.hpp"
 
 namespace facet::bench {
@@ -113,7 +113,7 @@ namespace {
 
 /// Adds a slot's truth as footage.lens sees it. camera: whose picture the lens is, with its distortion;
 /// other: what must see a point too for it to be judged.
-void add_truth(const simulation::Booth& booth, const simulation::BoothSlot& shot, std::size_t camera,
+void add_truth(const simulation::VirtualBooth& booth, const simulation::BoothSlot& shot, std::size_t camera,
                const capture::Lens& other, StereoFootage& footage) {
   const capture::Lens& lens = footage.lens;
   const CameraIntrinsics intrinsics{static_cast<float>(lens.fx_px),
@@ -174,7 +174,8 @@ void add_truth(const simulation::Booth& booth, const simulation::BoothSlot& shot
   footage.seen.emplace_back(seen.begin(), seen.end());
 }
 
-StereoFootage empty_footage(const simulation::Booth& booth, const std::string& name, std::size_t pair) {
+StereoFootage empty_footage(const simulation::VirtualBooth& booth, const std::string& name,
+                            std::size_t pair) {
   StereoFootage out;
   out.name = name;
   out.rig = booth.rig();
@@ -188,8 +189,8 @@ StereoFootage empty_footage(const simulation::Booth& booth, const std::string& n
 
 }  // namespace
 
-simulation::BoothConfig booth_config(const std::string& name, const SceneOptions& options) {
-  simulation::BoothConfig config;
+simulation::VirtualBoothConfig booth_config(const std::string& name, const SceneOptions& options) {
+  simulation::VirtualBoothConfig config;
   config.seed = options.seed;
   if (name == "actor") {
     config.scene = simulation::BoothScene::Actor;
@@ -206,7 +207,7 @@ simulation::BoothConfig booth_config(const std::string& name, const SceneOptions
   return config;
 }
 
-StereoFootage booth_footage(const simulation::Booth& booth, const std::string& name, std::size_t pair,
+StereoFootage booth_footage(const simulation::VirtualBooth& booth, const std::string& name, std::size_t pair,
                             const SceneOptions& options) {
   StereoFootage out = empty_footage(booth, name, pair);
   const stereo::Rectification rectification = out.rectification();
@@ -222,7 +223,7 @@ StereoFootage booth_footage(const simulation::Booth& booth, const std::string& n
   return out;
 }
 
-CodedFootage coded_footage(const simulation::Booth& booth, const std::string& name, std::size_t pair,
+CodedFootage coded_footage(const simulation::VirtualBooth& booth, const std::string& name, std::size_t pair,
                            const SceneOptions& options, const scan::DecodeOptions& decode) {
   CodedFootage out;
   out.pair = empty_footage(booth, name, pair);

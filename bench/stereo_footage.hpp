@@ -8,7 +8,7 @@
 #include "capture/rig.hpp"
 #include "face/face_model.hpp"
 #include "scan/phase_decoder.hpp"
-#include "simulation/booth.hpp"
+#include "simulation/virtual_booth.hpp"
 #include "stereo/rectification.hpp"
 #include "stereo/stereo_matcher.hpp"
 
@@ -53,10 +53,10 @@ StereoFootage scene_footage(const std::string& scene, const SceneOptions& option
 
 /// The virtual booth, whose pictures are 640 x 480: scene "actor", "still" (the actor holds the pose of the
 /// first slot), "booth-plane" or "booth-sphere". model: of the actor. Throws Error(Usage) for another scene.
-simulation::BoothConfig booth_config(const std::string& scene, const SceneOptions& options);
+simulation::VirtualBoothConfig booth_config(const std::string& scene, const SceneOptions& options);
 
 /// What a pair of the booth sees, slot by slot.
-StereoFootage booth_footage(const simulation::Booth& booth, const std::string& scene, std::size_t pair,
+StereoFootage booth_footage(const simulation::VirtualBooth& booth, const std::string& scene, std::size_t pair,
                             const SceneOptions& options);
 
 /// A still scene in structured light from one projector, as a pair's cameras see it.
@@ -69,7 +69,7 @@ struct CodedFootage {
   std::size_t left_camera = 0;
   std::size_t projector_index = 0;
 };
-CodedFootage coded_footage(const simulation::Booth& booth, const std::string& scene, std::size_t pair,
+CodedFootage coded_footage(const simulation::VirtualBooth& booth, const std::string& scene, std::size_t pair,
                            const SceneOptions& options, const scan::DecodeOptions& decode);
 
 }  // namespace facet::bench

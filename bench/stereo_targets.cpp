@@ -18,7 +18,7 @@
 #include "gpu/context.hpp"
 #include "render/renderer.hpp"
 #include "scan/structured_light.hpp"
-#include "simulation/booth.hpp"
+#include "simulation/virtual_booth.hpp"
 #include "stereo/stereo_matcher.hpp"
 #include "stereo_footage.hpp"
 
@@ -205,9 +205,9 @@ class Bench {
     scene_options.seed = seed;
     scene_options.slots = 5;
     scene_options.sequence = facet::capture::parse_sequence(options_.sequence);
-    facet::simulation::BoothConfig config = facet::bench::booth_config(scene, scene_options);
+    facet::simulation::VirtualBoothConfig config = facet::bench::booth_config(scene, scene_options);
     config.target_shift_mm = shift_mm;
-    const facet::simulation::Booth booth(nullptr, config);
+    const facet::simulation::VirtualBooth booth(nullptr, config);
     target = *booth.target();
     const facet::bench::StereoFootage footage =
         facet::bench::booth_footage(booth, scene, options_.pair, scene_options);
@@ -216,7 +216,7 @@ class Bench {
     stereo.most_slots = scene_options.slots;
     facet::stereo::StereoMatcher matcher(context_, footage.rig, footage.pair, stereo);
     std::vector<facet::capture::DepthMap> maps;
-    if (matcher.match(footage.slots, maps) != facet::stereo::SolveOutcome::Done) {
+    if (matcher.match(footage.slots, maps) != facet::stereo::StereoOutcome::Done) {
       throw facet::Error(facet::ErrorKind::Internal, matcher.failure());
     }
     const facet::bench::CodedFootage coded =

@@ -27,7 +27,7 @@
 #include "fit/template_mesh.hpp"
 #include "gpu/context.hpp"
 #include "render/renderer.hpp"
-#include "simulation/booth.hpp"
+#include "simulation/virtual_booth.hpp"
 #include "stereo/stereo_matcher.hpp"
 
 namespace {
@@ -90,7 +90,7 @@ capture::DepthMap depth_of(const simulation::TruthMesh& truth, capture::Lens len
 /// What stereo makes of a blank slot with two slots on either side.
 class StereoDepth {
  public:
-  StereoDepth(gpu::Context& context, const simulation::Booth& booth) : booth_(booth) {
+  StereoDepth(gpu::Context& context, const simulation::VirtualBooth& booth) : booth_(booth) {
     stereo::StereoOptions options;
     options.depths = {850, 1250};
     options.most_slots = kSlots;
@@ -112,7 +112,7 @@ class StereoDepth {
       }
     }
     for (std::size_t p = 0; p < matchers_.size(); ++p) {
-      if (matchers_[p]->match(slots[p], maps_) != stereo::SolveOutcome::Done) {
+      if (matchers_[p]->match(slots[p], maps_) != stereo::StereoOutcome::Done) {
         throw Error(ErrorKind::Internal, matchers_[p]->failure());
       }
       result.push_back(std::move(maps_[kSlots / 2]));
@@ -122,7 +122,7 @@ class StereoDepth {
 
  private:
   static constexpr int kSlots = 5;
-  const simulation::Booth& booth_;
+  const simulation::VirtualBooth& booth_;
   std::vector<std::unique_ptr<stereo::StereoMatcher>> matchers_;
   std::vector<capture::DepthMap> maps_;
 };
@@ -130,10 +130,10 @@ class StereoDepth {
 /// The booth's slots, kept in a folder where one is given: rendering takes longer than all that is measured.
 class Footage {
  public:
-  Footage(const simulation::Booth& booth, std::filesystem::path folder)
+  Footage(const simulation::VirtualBooth& booth, std::filesystem::path folder)
       : booth_(booth), folder_(std::move(folder)), triangles_(booth.slot(0).surface().triangles) {
     if (!folder_.empty()) {
-      const simulation::BoothConfig& config = booth.config();
+      const simulation::VirtualBoothConfig& config = booth.config();
       folder_ /= fmt::format("{}-{}-{}{}", config.seed, config.samples, config.head_motion,
                              config.actor_seed ? fmt::format("-{}", *config.actor_seed) : "");
       std::filesystem::create_directories(folder_);
@@ -241,7 +241,7 @@ class Footage {
     return bytes;
   }
 
-  const simulation::Booth& booth_;
+  const simulation::VirtualBooth& booth_;
   std::filesystem::path folder_;
   mesh::Triangles triangles_;
   mutable std::vector<capture::DepthMap> maps_;
@@ -382,7 +382,7 @@ int run(int argc, char** argv) {
   std::vector<int> sheet_at;
   fit::FineOptions fine_options;
   fine_options.sweeps = 0;
-  simulation::BoothConfig config;
+  simulation::VirtualBoothConfig config;
   config.seed = 5;
   int meshes = 30;
   double noise_mm = 0.1;
@@ -447,7 +447,7 @@ int run(int argc, char** argv) {
   CLI11_PARSE(app, argc, argv);
 
   const face::FaceModel model = face::FaceModel::load(model_file);
-  const simulation::Booth booth(&model, config);
+  const simulation::VirtualBooth booth(&model, config);
   const capture::Rig& rig = booth.rig();
   const auto surface = std::make_shared<const fit::TemplateMesh>(fit::make_template(model, vertices));
   fmt::print("template: {} vertices, {} triangles\n", surface->vertex_count(), surface->triangles.cols());
@@ -549,7 +549,7 @@ int run(int argc, char** argv) {
       }
     }
     const render::Raycaster caster(truth.vertices_mm, truth.triangles);
-    fit::FitReport report;
+    fit::TemplateFitReport report;
     // Landmarks as a detector finds them: 1 mm of noise.
     const auto placed_by_landmarks = [&](const simulation::TruthMesh& face) {
       std::vector<fit::Correspondence> correspondences;
@@ -591,9 +591,9 @@ int run(int argc, char** argv) {
         fmt::print("mesh {:3d}: after the gap, from where it was: {}\n", m,
                    report.lost ? "lost, " + report.lost_because : "not noticed");
         if (stranger != 0) {
-          simulation::BoothConfig other_config = config;
+          simulation::VirtualBoothConfig other_config = config;
           other_config.actor_seed = stranger;
-          const simulation::Booth other(&model, other_config);
+          const simulation::VirtualBooth other(&model, other_config);
           const Footage other_footage(other, cache);
           const simulation::TruthMesh other_truth = other_footage.truth(slot);
           std::vector<capture::DepthMap> other_maps;
@@ -604,7 +604,7 @@ int run(int argc, char** argv) {
           for (const std::size_t camera : colour) {
             other_pictures.push_back(other_footage.picture(slot, camera));
           }
-          const fit::FitReport judged =
+          const fit::TemplateFitReport judged =
               tracker.find_again(placed_by_landmarks(other_truth), other_maps, other_pictures);
           fmt::print("mesh {:3d}: somebody else: {}, shape {:.2f} mm, rms {:.2f} mm, flow trust {:.2f}\n", m,
                      judged.lost ? "lost, " + judged.lost_because : "not noticed", judged.shape_rms_mm,

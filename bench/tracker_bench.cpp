@@ -174,7 +174,7 @@ class ClipRun {
       : model_(model), options_(options), clip_(clip) {}
 
   /// The subject of the clip from a first pass; nothing when none was acquired.
-  std::optional<facet::track::Subject> first_pass() {
+  std::optional<facet::track::Person> first_pass() {
     Tracker tracker(model_, {.landmark_assets = options_.assets, .intrinsics = {}});
     auto camera = facet::camera::open_camera({.kind = "file", .path = clip_});
     camera->start();
@@ -184,13 +184,13 @@ class ClipRun {
       if (tracker.process(frame).state == facet::mesh::TrackingState::Tracking) {
         width_px_ = frame.width_px;
         height_px_ = frame.height_px;
-        return tracker.subject();
+        return tracker.person();
       }
     }
     return std::nullopt;
   }
 
-  ClipFigures measure(const std::optional<facet::track::Subject>& subject) {
+  ClipFigures measure(const std::optional<facet::track::Person>& subject) {
     Tracker tracker(model_, {.landmark_assets = options_.assets, .intrinsics = {}});
     if (subject) {
       tracker.adopt(*subject, width_px_, height_px_);
@@ -370,7 +370,7 @@ int run(const Options& options) {
              "detect", "landm", "fit", "cpu", "p95 ms");
   for (const auto& clip : options.clips) {
     ClipRun run(model, options, clip);
-    std::optional<facet::track::Subject> subject;
+    std::optional<facet::track::Person> subject;
     if (!options.single_pass) {
       subject = run.first_pass();
     }

@@ -256,16 +256,16 @@ class TruthRun {
     Tracker first(model_, config_);
     for (const std::vector<Frame>& views : sequence_.views) {
       first.process(views);
-      if (first.subject()) {
+      if (first.person()) {
         break;
       }
     }
     first.settle_subject();
-    if (!first.subject()) {
+    if (!first.person()) {
       throw facet::Error(facet::ErrorKind::NoFace,
                          fmt::format("{}: the tracker found no face", sequence_.name));
     }
-    tracker.adopt(*first.subject(), sequence_.frames.front().width_px, sequence_.frames.front().height_px);
+    tracker.adopt(*first.person(), sequence_.frames.front().width_px, sequence_.frames.front().height_px);
   }
 
   /// Curves of all frames with a mesh: the true and the measured one of a combination of weights.

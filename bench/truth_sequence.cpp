@@ -35,16 +35,16 @@ void track(const face::FaceModel& model, const SequenceOptions& options, const s
   track::Tracker first_pass(model, config);
   for (const Frame& frame : frames) {
     first_pass.process(frame);
-    if (first_pass.subject()) {
+    if (first_pass.person()) {
       break;
     }
   }
   first_pass.settle_subject();
-  if (!first_pass.subject()) {
+  if (!first_pass.person()) {
     throw Error(ErrorKind::NoFace, fmt::format("{}: the tracker found no face", sequence.name));
   }
   track::Tracker tracker(model, config);
-  tracker.adopt(*first_pass.subject(), frames.front().width_px, frames.front().height_px);
+  tracker.adopt(*first_pass.person(), frames.front().width_px, frames.front().height_px);
   mesh::HierarchyOptions hierarchy;
   hierarchy.min_edge_px = options.min_edge_px;
   for (const Frame& frame : frames) {
@@ -231,7 +231,7 @@ Score refine_sequence(gpu::Context& context, const face::FaceModel& model, const
       }
     }
   }
-  const report::Figures figures = sum.figures();
+  const report::AccuracyFigures figures = sum.figures();
   const auto count = static_cast<double>(sequence.frames.size());
   score.mean_mm = figures.mean_mm;
   score.normal_deg = figures.normal_error_deg;

@@ -52,7 +52,7 @@ struct Sequence {
   std::shared_ptr<const mesh::Subject> subject;
   std::vector<TrackedFrame> frames;
   std::map<std::size_t, MeasuredFrame> measured;
-  report::Figures coarse;
+  report::AccuracyFigures coarse;
 };
 
 /// Reads and tracks a folder that facet synth wrote. Throws Error(UnreadableInput), Error(NoFace).

@@ -155,7 +155,7 @@ void print_reach(const std::vector<Sequence>& sequences) {
         sum.add(static_cast<std::int64_t>(k), measured.vertices,
                 facet::bench::compare_aligned(mesh, measured), 0);
       }
-      const facet::report::Figures figures = sum.figures();
+      const facet::report::AccuracyFigures figures = sum.figures();
       fmt::print(" {:6.2f} {:+6.1f}% {:+6.1f}%", figures.normal_error_deg,
                  100 * (figures.normal_error_deg / sequence.coarse.normal_error_deg - 1),
                  100 * (figures.mean_mm / sequence.coarse.mean_mm - 1));

@@ -110,14 +110,14 @@ struct BoothDepth::Impl {
 
   /// What is wrong, for people.
   std::string match(std::size_t pair, const stereo::Alive& alive) {
-    const stereo::SolveOutcome outcome = matchers[pair]->match(slots, pair_maps, alive);
-    if (outcome == stereo::SolveOutcome::Done) {
+    const stereo::StereoOutcome outcome = matchers[pair]->match(slots, pair_maps, alive);
+    if (outcome == stereo::StereoOutcome::Done) {
       return {};
     }
     const capture::StereoPair& cameras = rig->pairs[pair];
     std::string wrong = fmt::format("no depth from cameras {} and {}: {}", rig->cameras[cameras.left].name,
                                     rig->cameras[cameras.right].name, matchers[pair]->failure());
-    if (outcome == stereo::SolveOutcome::DeviceLost) {
+    if (outcome == stereo::StereoOutcome::DeviceLost) {
       close();
     }
     return wrong;

@@ -202,7 +202,7 @@ std::string PerformanceTracker::Impl::place(std::uint64_t slot, std::span<const 
     return error.what();
   }
   if (subject != nullptr) {
-    const fit::FitReport report = skin.find_again(placed, maps, pictures);
+    const fit::TemplateFitReport report = skin.find_again(placed, maps, pictures);
     if (!report.lost) {
       return {};
     }
@@ -210,7 +210,7 @@ std::string PerformanceTracker::Impl::place(std::uint64_t slot, std::span<const 
       return fmt::format("a face is seen that is not the one of before: {}", report.lost_because);
     }
   }
-  const fit::FitReport report = skin.start(placed, maps, pictures);
+  const fit::TemplateFitReport report = skin.start(placed, maps, pictures);
   if (report.lost) {
     return fmt::format(
         "the template does not fit the depth maps: {}; are the projectors on, and is nothing before the "
@@ -237,7 +237,7 @@ void PerformanceTracker::Impl::begin_subject() {
 
 /// Returns why there is no mesh in this slot; empty where there is one.
 std::string PerformanceTracker::Impl::follow(std::span<const capture::DepthMap> maps) {
-  const fit::FitReport report = skin.follow(maps, pictures);
+  const fit::TemplateFitReport report = skin.follow(maps, pictures);
   return report.lost ? "the face is lost: " + report.lost_because : std::string();
 }
 
@@ -368,7 +368,8 @@ void PerformanceTracker::process_between(double fraction, std::span<const captur
     return;
   }
   const Clock::time_point begun = Clock::now();
-  const fit::FitReport report = impl.skin.between(fraction, maps, impl.between_mm, impl.expression_between);
+  const fit::TemplateFitReport report =
+      impl.skin.between(fraction, maps, impl.between_mm, impl.expression_between);
   out.stage_ms.fit_ms = ms_since(begun);
   if (report.lost) {
     impl.leave_out(report.lost_because, out);

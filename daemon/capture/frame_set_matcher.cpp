@@ -149,7 +149,7 @@ void FrameSetMatcher::misplaced(std::size_t camera, Refusal cause) {
 }
 
 void FrameSetMatcher::pop_pending(std::size_t camera) {
-  CameraState& state = cameras_[camera];
+  CameraTrack& state = cameras_[camera];
   FACET_ASSERT(state.pending_count > 0 && state.pending_count <= kPending, camera, state.pending_count);
   std::move(state.pending.begin() + 1,
             state.pending.begin() + static_cast<std::ptrdiff_t>(state.pending_count), state.pending.begin());
@@ -157,7 +157,7 @@ void FrameSetMatcher::pop_pending(std::size_t camera) {
 }
 
 void FrameSetMatcher::push(std::size_t camera, Frame frame, std::int64_t now_ns) {
-  CameraState& state = cameras_.at(camera);
+  CameraTrack& state = cameras_.at(camera);
   if (frame.timestamp_ns > now_ns + tolerance_ns_) {
     misplaced(camera, Refusal::TimeDisagrees);
     return;
@@ -181,7 +181,7 @@ void FrameSetMatcher::push(std::size_t camera, Frame frame, std::int64_t now_ns)
 
 /// Judges the frames whose firing is known.
 void FrameSetMatcher::settle(std::size_t camera) {
-  CameraState& state = cameras_[camera];
+  CameraTrack& state = cameras_[camera];
   while (state.pending_count > 0) {
     const Place place = place_of(camera, state.pending[0].frame.timestamp_ns);
     switch (place.kind) {
@@ -203,7 +203,7 @@ void FrameSetMatcher::settle(std::size_t camera) {
 
 std::optional<Refusal> FrameSetMatcher::judge_sequence(std::size_t camera, const Pending& pending,
                                                        std::uint64_t firing_number) {
-  CameraState& state = cameras_[camera];
+  CameraTrack& state = cameras_[camera];
   CameraMatch& match = statistics_.cameras[camera];
   const Step step = {pending.frame.sequence, firing_number};
   const auto follows = [&](const std::optional<Step>& before) {
@@ -261,7 +261,7 @@ void FrameSetMatcher::judge(std::size_t camera, Pending& pending, std::uint64_t 
     refuse(camera, *refusal);
     return;
   }
-  CameraState& state = cameras_[camera];
+  CameraTrack& state = cameras_[camera];
   const bool new_firing = !state.newest_firing || firing_number > *state.newest_firing;
   state.newest_firing = new_firing ? firing_number : *state.newest_firing;
   if (pending.frame.corrupt) {
@@ -289,7 +289,7 @@ void FrameSetMatcher::judge(std::size_t camera, Pending& pending, std::uint64_t 
 }
 
 void FrameSetMatcher::learn(std::size_t camera, const Pending& pending, std::uint64_t firing_number) {
-  CameraState& state = cameras_[camera];
+  CameraTrack& state = cameras_[camera];
   CameraMatch& match = statistics_.cameras[camera];
   const auto offset_ns = static_cast<double>(pending.frame.timestamp_ns - firing(firing_number).fired_ns);
   const double residual_ns = offset_ns - match.offset_ns;
@@ -307,7 +307,7 @@ void FrameSetMatcher::learn(std::size_t camera, const Pending& pending, std::uin
 }
 
 void FrameSetMatcher::set_streaming(std::size_t camera, bool streaming) {
-  CameraState& state = cameras_.at(camera);
+  CameraTrack& state = cameras_.at(camera);
   if (streaming && !state.streaming) {
     // Another run of the device has other numbers; its frames still take their usual way.
     state.trusted.reset();
@@ -321,7 +321,7 @@ void FrameSetMatcher::set_streaming(std::size_t camera, bool streaming) {
 
 void FrameSetMatcher::advance(std::int64_t now_ns) {
   for (std::size_t camera = 0; camera < cameras_.size(); ++camera) {
-    CameraState& state = cameras_[camera];
+    CameraTrack& state = cameras_[camera];
     // Free-running: where the reference is silent, the first camera that waits for it takes its place.
     if (!triggered() && state.pending_count > 0 && camera != reference_ &&
         now_ns - state.pending[0].arrival_ns >= config_.deadline_ns / 2) {
@@ -346,7 +346,7 @@ bool FrameSetMatcher::ready(const OpenSet& set, std::int64_t now_ns) const {
     return true;
   }
   for (std::size_t camera = 0; camera < cameras_.size(); ++camera) {
-    const CameraState& state = cameras_[camera];
+    const CameraTrack& state = cameras_[camera];
     const bool moved_on = state.newest_firing && *state.newest_firing >= set.firing;
     if ((set.set.missing >> camera & 1) != 0 && state.streaming && !moved_on) {
       return false;
@@ -411,7 +411,7 @@ std::optional<std::int64_t> FrameSetMatcher::next_deadline_ns() const {
   if (open_count_ > 0) {
     consider(open_[first_open_].set.trigger_ns + config_.deadline_ns);
   }
-  for (const CameraState& state : cameras_) {
+  for (const CameraTrack& state : cameras_) {
     if (state.pending_count > 0) {
       const bool may_lead = !triggered() && &state != &cameras_[reference_];
       consider(state.pending[0].arrival_ns + (may_lead ? config_.deadline_ns / 2 : config_.deadline_ns));

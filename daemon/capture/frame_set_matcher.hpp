@@ -65,7 +65,7 @@ class FrameSetMatcher {
     std::uint64_t sequence = 0;
     std::uint64_t firing = 0;
   };
-  struct CameraState {
+  struct CameraTrack {
     std::int64_t nominal_offset_ns = 0;
     bool streaming = true;
     std::array<Pending, kPending> pending;  ///< oldest first
@@ -106,7 +106,7 @@ class FrameSetMatcher {
 
   CaptureConfig config_;
   std::int64_t tolerance_ns_;
-  std::vector<CameraState> cameras_;
+  std::vector<CameraTrack> cameras_;
   std::array<Firing, kHistory> history_{};
   std::uint64_t firings_ = 0;  ///< so far; the newest is firings_ - 1
   std::vector<OpenSet> open_;  ///< a ring

@@ -64,8 +64,8 @@ struct FineSurface::Impl {
   int unfold(std::span<const float> kept_mm, std::span<float> moved_mm, std::span<float> confidence);
   int add(const mesh::Vertices& template_mm, std::span<const float> displacements_mm,
           std::span<const float> added_mm, std::vector<float>& sum_mm);
-  FitReport fit(std::span<const capture::DepthMap> maps, const mesh::Vertices& template_mm,
-                std::vector<float>& displacements_mm, std::vector<float>& confidence);
+  TemplateFitReport fit(std::span<const capture::DepthMap> maps, const mesh::Vertices& template_mm,
+                        std::vector<float>& displacements_mm, std::vector<float>& confidence);
 
   std::shared_ptr<const TemplateMesh> surface;
   FineOptions options;
@@ -247,8 +247,10 @@ int FineSurface::Impl::add(const mesh::Vertices& template_mm, std::span<const fl
   return turned;
 }
 
-FitReport FineSurface::Impl::fit(std::span<const capture::DepthMap> maps, const mesh::Vertices& template_mm,
-                                 std::vector<float>& displacements_mm, std::vector<float>& confidence) {
+TemplateFitReport FineSurface::Impl::fit(std::span<const capture::DepthMap> maps,
+                                         const mesh::Vertices& template_mm,
+                                         std::vector<float>& displacements_mm,
+                                         std::vector<float>& confidence) {
   const mesh::Level& fine = hierarchy->finest();
   const auto count = static_cast<std::size_t>(fine.vertex_count);
   if (template_mm.cols() != surface->vertex_count() ||
@@ -268,8 +270,8 @@ FitReport FineSurface::Impl::fit(std::span<const capture::DepthMap> maps, const 
   for (const capture::DepthMap& map : maps) {
     cameras.emplace_back(map.lens);
   }
-  FitReport report;
-  const auto fail = [&](FitOutcome outcome, std::string failure) {
+  TemplateFitReport report;
+  const auto fail = [&](TemplateFitOutcome outcome, std::string failure) {
     displacement.setZero();
     confidence.assign(count, 0.0F);
     report.outcome = outcome;
@@ -312,13 +314,13 @@ FitReport FineSurface::Impl::fit(std::span<const capture::DepthMap> maps, const 
     report.seen = seen / std::max(skin, 1.0);
     report.surface_rms_mm = weights > 0 ? std::sqrt(squares / weights) : 0;
     if (report.seen < kLeastSeen) {
-      return fail(FitOutcome::NoData,
+      return fail(TemplateFitOutcome::NoData,
                   fmt::format("only {:.1f} % of the fine skin lies on a depth map", 100 * report.seen));
     }
     conjugate_gradients();
     ++report.steps;
     if (!step.allFinite()) {
-      return fail(FitOutcome::NumericalFailure,
+      return fail(TemplateFitOutcome::NumericalFailure,
                   fmt::format("step {} of the fine surface is not finite", report.steps));
     }
     displacement += step;
@@ -328,8 +330,8 @@ FitReport FineSurface::Impl::fit(std::span<const capture::DepthMap> maps, const 
     }
   }
   unfold({}, displacements_mm, confidence);
-  report.outcome = report.last_move_mm < static_cast<double>(kSettledMm) ? FitOutcome::Converged
-                                                                         : FitOutcome::NotConverged;
+  report.outcome = report.last_move_mm < static_cast<double>(kSettledMm) ? TemplateFitOutcome::Converged
+                                                                         : TemplateFitOutcome::NotConverged;
   return report;
 }
 
@@ -342,8 +344,8 @@ const std::shared_ptr<const mesh::Hierarchy>& FineSurface::hierarchy() const {
   return impl_->hierarchy;
 }
 
-FitReport FineSurface::fit(std::span<const capture::DepthMap> maps, const mesh::Vertices& template_mm,
-                           std::vector<float>& displacements_mm, std::vector<float>& confidence) {
+TemplateFitReport FineSurface::fit(std::span<const capture::DepthMap> maps, const mesh::Vertices& template_mm,
+                                   std::vector<float>& displacements_mm, std::vector<float>& confidence) {
   return impl_->fit(maps, template_mm, displacements_mm, confidence);
 }
 

@@ -46,8 +46,8 @@ class FineSurface {
   /// returns           as TemplateFitter::fit; `seen` is the share of the fine skin's vertices. After NoData
   /// and
   ///                   NumericalFailure displacements and confidence are all 0.
-  FitReport fit(std::span<const capture::DepthMap> maps, const mesh::Vertices& template_mm,
-                std::vector<float>& displacements_mm, std::vector<float>& confidence);
+  TemplateFitReport fit(std::span<const capture::DepthMap> maps, const mesh::Vertices& template_mm,
+                        std::vector<float>& displacements_mm, std::vector<float>& confidence);
 
   /// What something else (shading) adds to displacements that `fit` found: where it would turn a triangle
   /// over it is taken back by halves, as `fit` does with its own.

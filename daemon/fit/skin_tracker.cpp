@@ -90,8 +90,8 @@ struct SkinTracker::Impl {
                  const mesh::Vertices& vertices_mm, Flow& found);
   void add(const View& view, const Flow& flow, const mesh::Vertices* from_mm, bool from_reference,
            std::vector<FlowView>& flows) const;
-  FitReport conclude(const FitReport& report, const TemplateFitter& by, mesh::Vertices&& found_mm,
-                     std::span<const Frame> pictures);
+  TemplateFitReport conclude(const TemplateFitReport& report, const TemplateFitter& by,
+                             mesh::Vertices&& found_mm, std::span<const Frame> pictures);
 };
 
 /// The part of a picture that a mesh covers, and some more.
@@ -140,8 +140,8 @@ void SkinTracker::Impl::add(const View& view, const Flow& flow, const mesh::Vert
 }
 
 /// Takes over what was found, unless it is lost.
-FitReport SkinTracker::Impl::conclude(const FitReport& report, const TemplateFitter& by,
-                                      mesh::Vertices&& found_mm, std::span<const Frame> pictures) {
+TemplateFitReport SkinTracker::Impl::conclude(const TemplateFitReport& report, const TemplateFitter& by,
+                                              mesh::Vertices&& found_mm, std::span<const Frame> pictures) {
   depth_weight = by.depth_weight();
   before_mm.resize(3, 0);
   if (report.lost) {
@@ -178,8 +178,8 @@ SkinTracker::SkinTracker(std::shared_ptr<const TemplateMesh> surface, std::vecto
 
 SkinTracker::~SkinTracker() = default;
 
-FitReport SkinTracker::start(const Placement& placed, std::span<const capture::DepthMap> maps,
-                             std::span<const Frame> pictures) {
+TemplateFitReport SkinTracker::start(const Placement& placed, std::span<const capture::DepthMap> maps,
+                                     std::span<const Frame> pictures) {
   Impl& impl = *impl_;
   impl.check(pictures, false);
   FitOptions options = impl.options.fit;
@@ -188,7 +188,7 @@ FitReport SkinTracker::start(const Placement& placed, std::span<const capture::D
   TemplateFitter first(impl.surface, options);
   first.set_rest(placed.rest);
   mesh::Vertices found_mm = placed.rest.vertices_mm;
-  FitReport report = first.fit(maps, found_mm);
+  TemplateFitReport report = first.fit(maps, found_mm);
   if (report.lost) {
     return report;
   }
@@ -199,7 +199,8 @@ FitReport SkinTracker::start(const Placement& placed, std::span<const capture::D
   return impl.conclude(report, first, std::move(found_mm), pictures);
 }
 
-FitReport SkinTracker::follow(std::span<const capture::DepthMap> maps, std::span<const Frame> pictures) {
+TemplateFitReport SkinTracker::follow(std::span<const capture::DepthMap> maps,
+                                      std::span<const Frame> pictures) {
   Impl& impl = *impl_;
   impl.check(pictures, true);
   std::vector<FlowView> flows;
@@ -212,7 +213,7 @@ FitReport SkinTracker::follow(std::span<const capture::DepthMap> maps, std::span
     }
   }
   mesh::Vertices found_mm = impl.now_mm;
-  FitReport report = impl.fitter.track(maps, flows, impl.now_mm, found_mm);
+  TemplateFitReport report = impl.fitter.track(maps, flows, impl.now_mm, found_mm);
   // The way that is left is short: once more from the skin drawn where it was found.
   const mesh::Vertices drawn_mm = found_mm;
   std::vector<FlowView> again;
@@ -253,8 +254,8 @@ bool SkinTracker::follows() const {
   return impl_->before_mm.cols() > 0;
 }
 
-FitReport SkinTracker::between(double fraction, std::span<const capture::DepthMap> maps,
-                               mesh::Vertices& vertices_mm, Eigen::VectorXd& expression) {
+TemplateFitReport SkinTracker::between(double fraction, std::span<const capture::DepthMap> maps,
+                                       mesh::Vertices& vertices_mm, Eigen::VectorXd& expression) {
   Impl& impl = *impl_;
   if (!follows()) {
     throw Error(ErrorKind::Usage, "the skin tracker's last slot did not follow on the one before");
@@ -264,13 +265,13 @@ FitReport SkinTracker::between(double fraction, std::span<const capture::DepthMa
   return impl.fitter.settle(maps, impl.expected_mm, vertices_mm);
 }
 
-FitReport SkinTracker::find_again(const Placement& placed, std::span<const capture::DepthMap> maps,
-                                  std::span<const Frame> pictures) {
+TemplateFitReport SkinTracker::find_again(const Placement& placed, std::span<const capture::DepthMap> maps,
+                                          std::span<const Frame> pictures) {
   Impl& impl = *impl_;
   impl.check(pictures, true);
   impl.fitter.forget();
   mesh::Vertices found_mm = impl.fitter.shape_like(placed.rest.vertices_mm);
-  FitReport report = impl.fitter.fit(maps, found_mm);
+  TemplateFitReport report = impl.fitter.fit(maps, found_mm);
   for (int pass = 0; pass < kPasses && impl.options.uses_reference && !report.lost; ++pass) {
     const mesh::Vertices drawn_mm = found_mm;
     mesh::vertex_normals(drawn_mm, impl.surface->triangles, impl.normals);

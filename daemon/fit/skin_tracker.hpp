@@ -37,14 +37,14 @@ class SkinTracker {
 
   /// A new person: fits the template as it was placed; the result is the shape at rest from now on, the
   /// pictures are what its skin looks like.
-  FitReport start(const Placement& placed, std::span<const capture::DepthMap> maps,
-                  std::span<const Frame> pictures);
+  TemplateFitReport start(const Placement& placed, std::span<const capture::DepthMap> maps,
+                          std::span<const Frame> pictures);
   /// The slot after. Needs a start.
-  FitReport follow(std::span<const capture::DepthMap> maps, std::span<const Frame> pictures);
+  TemplateFitReport follow(std::span<const capture::DepthMap> maps, std::span<const Frame> pictures);
   /// The person of before, after a gap: begins with its own shape where the template was placed anew, and
   /// draws every vertex to its skin. Needs a start.
-  FitReport find_again(const Placement& placed, std::span<const capture::DepthMap> maps,
-                       std::span<const Frame> pictures);
+  TemplateFitReport find_again(const Placement& placed, std::span<const capture::DepthMap> maps,
+                               std::span<const Frame> pictures);
 
   /// Whether `between` has two slots to go between: the last call followed the one before it.
   bool follows() const;
@@ -53,8 +53,8 @@ class SkinTracker {
   /// fraction     of the time from the one to the other, 0 to 1
   /// vertices_mm  out, [3][vertex_count] rig frame
   /// expression   out, [expression_count]
-  FitReport between(double fraction, std::span<const capture::DepthMap> maps, mesh::Vertices& vertices_mm,
-                    Eigen::VectorXd& expression);
+  TemplateFitReport between(double fraction, std::span<const capture::DepthMap> maps,
+                            mesh::Vertices& vertices_mm, Eigen::VectorXd& expression);
 
   /// [3][vertex_count] of the last slot that was not lost, rig frame.
   const mesh::Vertices& vertices_mm() const;

@@ -228,20 +228,21 @@ struct TemplateFitter::Impl {
     edge_weights.resize(neighbours.size());
   }
 
-  FitReport solve(std::span<const DepthMap> maps, std::span<const FlowView> flows,
-                  const mesh::Vertices* before_mm, mesh::Vertices& vertices_mm);
-  FitReport settle(std::span<const DepthMap> maps, const mesh::Vertices& expected_mm,
-                   mesh::Vertices& vertices_mm);
-  bool take_step(mesh::Vertices& vertices_mm, FitReport& report);
+  TemplateFitReport solve(std::span<const DepthMap> maps, std::span<const FlowView> flows,
+                          const mesh::Vertices* before_mm, mesh::Vertices& vertices_mm);
+  TemplateFitReport settle(std::span<const DepthMap> maps, const mesh::Vertices& expected_mm,
+                           mesh::Vertices& vertices_mm);
+  bool take_step(mesh::Vertices& vertices_mm, TemplateFitReport& report);
   void set_rest(RestShape shape);
   void hang_together();
   void bring_along(const mesh::Vertices& vertices_mm);
   void add_expectation(const mesh::Vertices& vertices_mm);
   void add_ties(const mesh::Vertices& vertices_mm);
-  void judge(FitReport& report, bool with_flow) const;
+  void judge(TemplateFitReport& report, bool with_flow) const;
   void remember(const mesh::Vertices& vertices_mm);
   bool add_data(std::span<const DepthMap> maps, std::span<const FlowView> flows,
-                const mesh::Vertices* before_mm, const mesh::Vertices& vertices_mm, FitReport& report);
+                const mesh::Vertices* before_mm, const mesh::Vertices& vertices_mm,
+                TemplateFitReport& report);
   double model_step(mesh::Vertices& vertices_mm);
   void weigh_edges();
   Eigen::Isometry3f pose_of(const mesh::Vertices& shape, const mesh::Vertices& vertices_mm) const;
@@ -532,7 +533,7 @@ void TemplateFitter::Impl::remember(const mesh::Vertices& vertices_mm) {
 
 /// Thresholds lie well off what a followed face shows: seen 0.73 to 0.85, rejected below 0.23 (what others
 /// hide lies behind them), rms below 0.9 mm, trust above 0.74.
-void TemplateFitter::Impl::judge(FitReport& report, bool with_flow) const {
+void TemplateFitter::Impl::judge(TemplateFitReport& report, bool with_flow) const {
   if (report.seen < kLostSeen) {
     report.lost_because = fmt::format("only {:.0f} % of the skin lies on a depth map", 100 * report.seen);
   } else if (report.rejected > kLostRejected) {
@@ -598,9 +599,9 @@ void TemplateFitter::Impl::conjugate_gradients() {
   }
 }
 
-FitReport TemplateFitter::Impl::solve(std::span<const DepthMap> maps, std::span<const FlowView> flows,
-                                      const mesh::Vertices* before_mm, mesh::Vertices& vertices_mm) {
-  FitReport report;
+TemplateFitReport TemplateFitter::Impl::solve(std::span<const DepthMap> maps, std::span<const FlowView> flows,
+                                              const mesh::Vertices* before_mm, mesh::Vertices& vertices_mm) {
+  TemplateFitReport report;
   if (placed.vertices_mm.cols() != vertices_mm.cols()) {
     throw Error(ErrorKind::Usage, "the template fit has no rest shape yet, or other vertices");
   }
@@ -618,7 +619,7 @@ FitReport TemplateFitter::Impl::solve(std::span<const DepthMap> maps, std::span<
     }
   }
   const mesh::Vertices given = vertices_mm;
-  const auto give_up = [&](FitOutcome outcome, std::string failure) {
+  const auto give_up = [&](TemplateFitOutcome outcome, std::string failure) {
     vertices_mm = given;
     report.outcome = outcome;
     report.lost = true;
@@ -627,8 +628,9 @@ FitReport TemplateFitter::Impl::solve(std::span<const DepthMap> maps, std::span<
     return report;
   };
   const auto no_data = [&] {
-    return give_up(FitOutcome::NoData, fmt::format("only {:.1f} % of the template's skin lies on a depth map",
-                                                   100 * report.seen));
+    return give_up(
+        TemplateFitOutcome::NoData,
+        fmt::format("only {:.1f} % of the template's skin lies on a depth map", 100 * report.seen));
   };
   bring_along(vertices_mm);
   for (int i = 0; i < (options.turns_with_the_head ? options.model_steps : 0); ++i) {
@@ -637,14 +639,15 @@ FitReport TemplateFitter::Impl::solve(std::span<const DepthMap> maps, std::span<
     }
     const double moved = model_step(vertices_mm);
     if (!std::isfinite(moved)) {
-      return give_up(FitOutcome::NumericalFailure, "the model's step of the template fit is not finite");
+      return give_up(TemplateFitOutcome::NumericalFailure,
+                     "the model's step of the template fit is not finite");
     }
     if (moved < kModelSettledMm) {
       break;
     }
   }
-  report.outcome = FitOutcome::NotConverged;
-  while (report.steps < options.steps && report.outcome != FitOutcome::Converged) {
+  report.outcome = TemplateFitOutcome::NotConverged;
+  while (report.steps < options.steps && report.outcome != TemplateFitOutcome::Converged) {
     bring_along(vertices_mm);
     if (!add_data(maps, flows, before_mm, vertices_mm, report)) {
       return no_data();
@@ -652,7 +655,7 @@ FitReport TemplateFitter::Impl::solve(std::span<const DepthMap> maps, std::span<
     add_expectation(vertices_mm);
     add_smoothness(vertices_mm);
     if (!take_step(vertices_mm, report)) {
-      return give_up(FitOutcome::NumericalFailure,
+      return give_up(TemplateFitOutcome::NumericalFailure,
                      fmt::format("step {} of the template fit is not finite", report.steps));
     }
   }
@@ -677,7 +680,7 @@ FitReport TemplateFitter::Impl::solve(std::span<const DepthMap> maps, std::span<
 }
 
 /// The Gauss-Newton step of the normal equations as they stand; false where it is not finite.
-bool TemplateFitter::Impl::take_step(mesh::Vertices& vertices_mm, FitReport& report) {
+bool TemplateFitter::Impl::take_step(mesh::Vertices& vertices_mm, TemplateFitReport& report) {
   conjugate_gradients();
   ++report.steps;
   if (!step.allFinite()) {
@@ -686,26 +689,27 @@ bool TemplateFitter::Impl::take_step(mesh::Vertices& vertices_mm, FitReport& rep
   vertices_mm += step;
   report.last_move_mm = static_cast<double>(step.colwise().norm().maxCoeff());
   if (report.last_move_mm < static_cast<double>(kSettledMm)) {
-    report.outcome = FitOutcome::Converged;
+    report.outcome = TemplateFitOutcome::Converged;
   }
   return true;
 }
 
-FitReport TemplateFitter::Impl::settle(std::span<const DepthMap> maps, const mesh::Vertices& expected_mm,
-                                       mesh::Vertices& vertices_mm) {
+TemplateFitReport TemplateFitter::Impl::settle(std::span<const DepthMap> maps,
+                                               const mesh::Vertices& expected_mm,
+                                               mesh::Vertices& vertices_mm) {
   if (placed.vertices_mm.cols() != expected_mm.cols()) {
     throw Error(ErrorKind::Usage, "the template fit has no rest shape yet, or other vertices");
   }
-  FitReport report;
+  TemplateFitReport report;
   rest = expected_mm;
   vertices_mm = expected_mm;
-  while (report.steps < options.steps && report.outcome != FitOutcome::Converged) {
+  while (report.steps < options.steps && report.outcome != TemplateFitOutcome::Converged) {
     const bool seen = add_data(maps, {}, nullptr, vertices_mm, report);
     add_ties(vertices_mm);
     add_smoothness(vertices_mm);
     if (!seen || !take_step(vertices_mm, report)) {
       vertices_mm = expected_mm;
-      report.outcome = seen ? FitOutcome::NumericalFailure : FitOutcome::NoData;
+      report.outcome = seen ? TemplateFitOutcome::NumericalFailure : TemplateFitOutcome::NoData;
       report.lost = true;
       report.failure =
           seen ? fmt::format("step {} of the template fit is not finite", report.steps)
@@ -735,7 +739,7 @@ void TemplateFitter::Impl::add_ties(const mesh::Vertices& vertices_mm) {
 /// anything.
 bool TemplateFitter::Impl::add_data(std::span<const DepthMap> maps, std::span<const FlowView> flows,
                                     const mesh::Vertices* before_mm, const mesh::Vertices& vertices_mm,
-                                    FitReport& report) {
+                                    TemplateFitReport& report) {
   mesh::vertex_normals(vertices_mm, surface->triangles, normals);
   std::fill(blocks.begin(), blocks.end(), Matrix3f::Zero());
   gradient.setZero();
@@ -911,17 +915,17 @@ void TemplateFitter::set_rest(RestShape rest) {
   impl_->set_rest(std::move(rest));
 }
 
-FitReport TemplateFitter::fit(std::span<const DepthMap> maps, mesh::Vertices& vertices_mm) {
+TemplateFitReport TemplateFitter::fit(std::span<const DepthMap> maps, mesh::Vertices& vertices_mm) {
   return impl_->solve(maps, {}, nullptr, vertices_mm);
 }
 
-FitReport TemplateFitter::track(std::span<const DepthMap> maps, std::span<const FlowView> flows,
-                                const mesh::Vertices& before_mm, mesh::Vertices& vertices_mm) {
+TemplateFitReport TemplateFitter::track(std::span<const DepthMap> maps, std::span<const FlowView> flows,
+                                        const mesh::Vertices& before_mm, mesh::Vertices& vertices_mm) {
   return impl_->solve(maps, flows, &before_mm, vertices_mm);
 }
 
-FitReport TemplateFitter::settle(std::span<const DepthMap> maps, const mesh::Vertices& expected_mm,
-                                 mesh::Vertices& vertices_mm) {
+TemplateFitReport TemplateFitter::settle(std::span<const DepthMap> maps, const mesh::Vertices& expected_mm,
+                                         mesh::Vertices& vertices_mm) {
   return impl_->settle(maps, expected_mm, vertices_mm);
 }
 

@@ -60,20 +60,20 @@ struct FitOptions {
   double expression_sigma = 0.5;
 };
 
-enum class FitOutcome {
+enum class TemplateFitOutcome {
   Converged,         ///< no vertex moves by more than 0.005 mm any more
   NotConverged,      ///< the steps are used up
   NoData,            ///< too few vertices see a depth: fewer than a twentieth
   NumericalFailure,  ///< a number is not finite; the vertices are those given
 };
 
-constexpr const char* to_string(FitOutcome outcome) {
+constexpr const char* to_string(TemplateFitOutcome outcome) {
   constexpr std::array kNames = {"converged", "not converged", "no data", "numerical failure"};
   return kNames.at(static_cast<std::size_t>(outcome));
 }
 
-struct FitReport {
-  FitOutcome outcome = FitOutcome::NotConverged;
+struct TemplateFitReport {
+  TemplateFitOutcome outcome = TemplateFitOutcome::NotConverged;
   std::string failure;  ///< for people; empty where all is well
   int steps = 0;
   double last_move_mm = 0;    ///< largest of the last step
@@ -105,22 +105,22 @@ class TemplateFitter {
 
   /// Eq. 10-12: deforms the template onto the depth maps.
   /// vertices_mm  [3][vertex_count] rig frame; in: where to begin, out: the result
-  FitReport fit(std::span<const capture::DepthMap> maps, mesh::Vertices& vertices_mm);
+  TemplateFitReport fit(std::span<const capture::DepthMap> maps, mesh::Vertices& vertices_mm);
 
   /// Eq. 13-14. The same, and every vertex goes where the flow says that its skin went.
   /// flows        of the cameras that see texture
   /// before_mm    [3][vertex_count] the result for the earlier picture
   /// vertices_mm  as above
-  FitReport track(std::span<const capture::DepthMap> maps, std::span<const FlowView> flows,
-                  const mesh::Vertices& before_mm, mesh::Vertices& vertices_mm);
+  TemplateFitReport track(std::span<const capture::DepthMap> maps, std::span<const FlowView> flows,
+                          const mesh::Vertices& before_mm, mesh::Vertices& vertices_mm);
 
   /// Past the paper, whose meshes are of blank slots alone: a slot without a picture of the texture, between
   /// two that have one. Depth maps (eq. 10) pull the skin along the surface's normals; along the surface it
   /// stays where it is expected, and what E_r (eq. 11) compares with is the mesh that is expected.
   /// expected_mm  [3][vertex_count] rig frame, such as a mean of the meshes before and after
   /// vertices_mm  out
-  FitReport settle(std::span<const capture::DepthMap> maps, const mesh::Vertices& expected_mm,
-                   mesh::Vertices& vertices_mm);
+  TemplateFitReport settle(std::span<const capture::DepthMap> maps, const mesh::Vertices& expected_mm,
+                           mesh::Vertices& vertices_mm);
 
   /// The result for a slot, once it is final: the next slot's vertices are expected to go on as they went.
   /// [3] [vertex_count], rig frame. Throws Error(Usage) where it has other vertices than the template.

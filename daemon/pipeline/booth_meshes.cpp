@@ -148,7 +148,7 @@ struct BoothMeshes::Impl {
   BoundedQueue<Seen> seen;
   mutable std::mutex mutex;
   PipelineStatus shown;  ///< guarded by mutex, as all below
-  Figures figures;
+  MovingFigures figures;
 
   // The delivering thread only.
   std::deque<RunSlot> window;    ///< the last slots, consecutive

@@ -47,7 +47,7 @@ float Window::quantile(float p) const {
   return maths::quantile_of(std::span(sorted).first(count_), static_cast<double>(p));
 }
 
-void Figures::add(const mesh::MeshFrame& frame, std::chrono::steady_clock::time_point handed_out) {
+void MovingFigures::add(const mesh::MeshFrame& frame, std::chrono::steady_clock::time_point handed_out) {
   for (std::size_t s = 0; s < kStages.size(); ++s) {
     if (const float time_ms = frame.stage_ms.*(kStages[s].time_ms); time_ms > 0) {
       stages_[s].add(time_ms);
@@ -63,7 +63,7 @@ void Figures::add(const mesh::MeshFrame& frame, std::chrono::steady_clock::time_
   last_ = handed_out;
 }
 
-void Figures::fill(PipelineStatus& status) const {
+void MovingFigures::fill(PipelineStatus& status) const {
   for (std::size_t s = 0; s < kStages.size(); ++s) {
     status.stages[s] = {stages_[s].mean(), stages_[s].quantile(0.95F)};
   }

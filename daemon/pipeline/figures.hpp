@@ -24,7 +24,7 @@ class Window {
 };
 
 /// Moving figures over the last frames. Not thread-safe: the owner locks.
-class Figures {
+class MovingFigures {
  public:
   void add(const mesh::MeshFrame& frame, std::chrono::steady_clock::time_point handed_out);
   /// Fills frames_per_second, stages, histograms and photometric_rms.

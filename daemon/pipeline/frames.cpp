@@ -276,7 +276,7 @@ struct FramesPipeline::Impl {
   mutable std::mutex mutex;
   std::condition_variable stop_asked;  ///< for the pause between two attempts
   PipelineStatus shown;                ///< guarded by mutex, as all below
-  Figures figures;
+  MovingFigures figures;
   std::shared_ptr<Trigger> trigger;  ///< null while it can't be opened
   std::string trigger_reason;        ///< why
   std::uint64_t triggers_opened = 0;
@@ -450,7 +450,7 @@ bool FramesPipeline::Impl::fire_until_failed(Trigger& lines) {
     if (lines.next(event, kPatience)) {
       take_event(event);
     } else {
-      failed = lines.status().state == TriggerState::Failed;
+      failed = lines.status().state == TriggerState::Failing;
     }
     if (Clock::now() >= next_flush) {
       edge_log.flush();
@@ -645,7 +645,7 @@ PipelineStatus FramesPipeline::status() const {
     rig.triggers_opened = impl.triggers_opened;
     if (impl.rig.open_trigger) {
       rig.trigger.emplace();
-      rig.trigger->state = impl.trigger_reason.empty() ? TriggerState::Idle : TriggerState::Failed;
+      rig.trigger->state = impl.trigger_reason.empty() ? TriggerState::Idle : TriggerState::Failing;
       rig.trigger->reason = impl.trigger_reason;
     }
   }

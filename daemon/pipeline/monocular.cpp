@@ -101,8 +101,8 @@ struct MonocularPipeline::Impl {
   BoundedQueue<Tracked> tracked;
   FramePool pool;
   mutable std::mutex shown_mutex;
-  PipelineStatus shown;  ///< guarded by shown_mutex
-  Figures figures;       ///< guarded by shown_mutex
+  PipelineStatus shown;   ///< guarded by shown_mutex
+  MovingFigures figures;  ///< guarded by shown_mutex
 
   // facet-capture only.
   CameraState camera_state = CameraState::Idle;

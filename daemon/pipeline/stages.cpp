@@ -83,7 +83,7 @@ class TrackerStage final : public CoarseStage {
     Frame frame;
     std::vector<Frame> views;
     std::string error;
-    for (std::uint64_t seen = 0; seen < kMostFramesAhead && !ahead->subject() && go_on();) {
+    for (std::uint64_t seen = 0; seen < kMostFramesAhead && !ahead->person() && go_on();) {
       const CaptureOutcome outcome = cameras.first->next(frame, std::chrono::milliseconds(100));
       if (outcome == CaptureOutcome::Timeout) {
         continue;
@@ -102,7 +102,7 @@ class TrackerStage final : public CoarseStage {
       return;  // the work of a second, for nobody
     }
     ahead->settle_subject();
-    if (const std::optional<track::Subject> subject = ahead->subject()) {
+    if (const std::optional<track::Person> subject = ahead->person()) {
       tracker_->adopt(*subject, frame.width_px, frame.height_px);
     }
   }

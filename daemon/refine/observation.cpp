@@ -137,7 +137,7 @@ FaceRegion set_frame_parameters(const ImagePyramid& pyramid, const CameraIntrins
   low = low.max(0).min(last);
   high = high.min(last).max(low + 1);
   const float depth_scale =
-      static_cast<float>(DepthMap::size_px - 2) / std::max(high.x() - low.x(), high.y() - low.y());
+      static_cast<float>(OcclusionMap::size_px - 2) / std::max(high.x() - low.x(), high.y() - low.y());
   out.depth_from_px = {depth_scale, depth_scale, 1 - depth_scale * low.x(), 1 - depth_scale * low.y()};
 
   FaceRegion region;
@@ -148,7 +148,7 @@ FaceRegion set_frame_parameters(const ImagePyramid& pyramid, const CameraIntrins
   return region;
 }
 
-DepthMap::DepthMap(gpu::Context& context, const mesh::Triangles& corners)
+OcclusionMap::OcclusionMap(gpu::Context& context, const mesh::Triangles& corners)
     : triangle_count(static_cast<std::uint32_t>(corners.cols())),
       workgroup_count(
           std::min(context.info().workgroup_count, gpu::groups_for(triangle_count, kTriangleGroup))),
@@ -213,11 +213,11 @@ void ObservationKernels::record_prolong(gpu::Batch& batch, const LevelTopology& 
                  {topology.workgroup_count}, push);
 }
 
-void ObservationKernels::record_depth(gpu::Batch& batch, const LevelState& coarsest, const DepthMap& map,
+void ObservationKernels::record_depth(gpu::Batch& batch, const LevelState& coarsest, const OcclusionMap& map,
                                       const gpu::Buffer& frame) const {
   constexpr std::uint32_t kInfinityBits = 0x7f800000;
   batch.fill(map.depth_bits, kInfinityBits);
-  const shaders::refine::DepthPush push{map.triangle_count, DepthMap::size_px};
+  const shaders::refine::DepthPush push{map.triangle_count, OcclusionMap::size_px};
   batch.dispatch(rasterise_depth_,
                  {{"frame", frame},
                   {"positions", coarsest.positions.view},
@@ -228,9 +228,9 @@ void ObservationKernels::record_depth(gpu::Batch& batch, const LevelState& coars
 
 void ObservationKernels::record_observe(gpu::Batch& batch, const LevelTopology& topology,
                                         const LevelState& state, const gpu::Buffer& colours,
-                                        const ImagePyramid& pyramid, const DepthMap& map,
+                                        const ImagePyramid& pyramid, const OcclusionMap& map,
                                         const gpu::Buffer& frame) const {
-  const shaders::refine::ObservePush push{topology.vertex_count, DepthMap::size_px};
+  const shaders::refine::ObservePush push{topology.vertex_count, OcclusionMap::size_px};
   batch.dispatch(observe_,
                  {{"frame", frame},
                   {"vertex_rings", topology.vertex_rings.view},

@@ -54,9 +54,9 @@ void to_shading_frame(const mesh::Vertices& head_vertices_mm, std::span<const fl
                       const Eigen::Isometry3f& camera_from_head, std::span<shaders::vec4> out);
 
 /// The coarse mesh's depth map, over the face's region.
-struct DepthMap {
+struct OcclusionMap {
   /// triangles: of M0
-  DepthMap(gpu::Context& context, const mesh::Triangles& triangles);
+  OcclusionMap(gpu::Context& context, const mesh::Triangles& triangles);
 
   /// Side, px: two pixels to an edge of a mesh of 5 K vertices that fills the region.
   static constexpr std::uint32_t size_px = 256;
@@ -74,7 +74,7 @@ struct FurtherView {
 
   ImagePyramid pyramid;
   gpu::Buffer frame;  ///< FrameParameters: those that record_image, record_depth and record_observe read
-  DepthMap depth;
+  OcclusionMap depth;
   gpu::Buffer gain;  ///< ViewGain
 };
 
@@ -101,12 +101,12 @@ class ObservationKernels {
                       bool refine, Prior prior) const;
 
   /// Records the depth map from the positions of M0.
-  void record_depth(gpu::Batch& batch, const LevelState& coarsest, const DepthMap& map,
+  void record_depth(gpu::Batch& batch, const LevelState& coarsest, const OcclusionMap& map,
                     const gpu::Buffer& frame) const;
 
   /// Records coarse normals, spacings and colours of a level as one camera sees it.
   void record_observe(gpu::Batch& batch, const LevelTopology& topology, const LevelState& state,
-                      const ImagePyramid& pyramid, const DepthMap& map, const gpu::Buffer& frame) const {
+                      const ImagePyramid& pyramid, const OcclusionMap& map, const gpu::Buffer& frame) const {
     record_observe(batch, topology, state, state.colours.buffer, pyramid, map, frame);
   }
 
@@ -119,7 +119,7 @@ class ObservationKernels {
 
  private:
   void record_observe(gpu::Batch& batch, const LevelTopology& topology, const LevelState& state,
-                      const gpu::Buffer& colours, const ImagePyramid& pyramid, const DepthMap& map,
+                      const gpu::Buffer& colours, const ImagePyramid& pyramid, const OcclusionMap& map,
                       const gpu::Buffer& frame) const;
 
   gpu::Kernel linear_image_;

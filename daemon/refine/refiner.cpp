@@ -189,7 +189,7 @@ struct SubjectBuffers {
   DeviceArray control;  ///< [control_vertex_count] shading frame, mm; the host writes it every frame
   gpu::Buffer frame;    ///< FrameParameters
   SolverScratch scratch;
-  DepthMap depth;
+  OcclusionMap depth;
   LightingState lighting;
   AlbedoState albedo;
   gpu::Buffer displacements_out;

@@ -239,7 +239,7 @@ FrameMeans FigureSum::add(std::int64_t index, const std::vector<std::int32_t>& v
   return {frame.mm / points, frame.normal_deg / points};
 }
 
-Figures FigureSum::figures() const {
+AccuracyFigures FigureSum::figures() const {
   constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
   if (count_ == 0) {
     return {kNone, kNone, kNone, kNone, kNone, kNone, kNone};
@@ -257,7 +257,7 @@ Figures FigureSum::figures() const {
     }
     return static_cast<double>(kReach_mm);
   };
-  Figures figures;
+  AccuracyFigures figures;
   figures.mean_mm = sum_mm_ / count;
   figures.std_mm = std::sqrt(std::max(0.0, sum_squares_mm2_ / count - figures.mean_mm * figures.mean_mm));
   figures.median_mm = percentile(0.5);

@@ -63,14 +63,14 @@ Comparison compare(const Reconstruction& reconstruction, const Truth& truth, Ali
 std::vector<std::int32_t> measured_vertices(const mesh::Subject& subject, const mesh::Vertices& coarse_mm,
                                             const Eigen::Matrix3Xf& coarse_normals);
 
-/// Of one frame's points; those that are nowhere near the truth count as in Figures.
+/// Of one frame's points; those that are nowhere near the truth count as in AccuracyFigures.
 struct FrameMeans {
   double mm = 0;
   double normal_deg = 0;
 };
 
 /// Figures of one kind of mesh over a sequence.
-struct Figures {
+struct AccuracyFigures {
   double mean_mm = 0;
   double std_mm = 0;
   double median_mm = 0;
@@ -92,7 +92,7 @@ class FigureSum {
   /// Mean, standard deviation, median and 95th percentile of unsigned distances; mean normal error; flicker:
   /// rms of (e[t-1] - 2 e[t] + e[t+1]) / sqrt(6) over all vertices measured in three frames running, e =
   /// signed distance: the mesh's trembling against the truth's motion; white noise of sigma gives sigma.
-  Figures figures() const;
+  AccuracyFigures figures() const;
   std::uint64_t point_count() const { return count_; }
 
  private:

@@ -23,8 +23,8 @@ struct TakeEvaluation {
   int without_mesh = 0;                 ///< frames with a truth alone
   std::uint64_t points = 0;
   double mean_scale = 1;  ///< of the refined meshes' alignment
-  Figures coarse;
-  Figures refined;
+  AccuracyFigures coarse;
+  AccuracyFigures refined;
   WrinkleSum wrinkles;
   render::Picture heat_map;  ///< of four frames
 };

@@ -55,7 +55,7 @@ std::filesystem::path truth_file(const std::filesystem::path& folder, std::uint6
   return folder / "truth" / fmt::format("frame_{:06}.ply", index);
 }
 
-void write_sequence(const Studio& studio, const std::filesystem::path& folder,
+void write_sequence(const ActorSequence& sequence, const std::filesystem::path& folder,
                     const std::function<void(int)>& done) {
   std::error_code failure;
   std::filesystem::create_directories(folder / "truth", failure);
@@ -63,8 +63,8 @@ void write_sequence(const Studio& studio, const std::filesystem::path& folder,
     throw Error(ErrorKind::Storage, fmt::format("{}: cannot make the folder ({})",
                                                 (folder / "truth").string(), failure.message()));
   }
-  const StudioConfig& config = studio.config();
-  const CameraIntrinsics& camera = studio.camera();
+  const ActorSequenceConfig& config = sequence.config();
+  const CameraIntrinsics& camera = sequence.camera();
   json document = {{"fx", camera.fx},
                    {"fy", camera.fy},
                    {"cx", camera.cx},
@@ -73,33 +73,33 @@ void write_sequence(const Studio& studio, const std::filesystem::path& folder,
                    {"height", camera.height_px},
                    {"fps", config.rate_hz},
                    {"seed", config.seed},
-                   {"light", light_json(studio.lighting())},
+                   {"light", light_json(sequence.lighting())},
                    {"highlights", config.highlights},
                    {"glasses", config.glasses},
-                   {"identity", studio.identity()},
-                   {"outside_span_rms_mm", studio.outside_span_rms_mm()},
+                   {"identity", sequence.identity()},
+                   {"outside_span_rms_mm", sequence.outside_span_rms_mm()},
                    {"frames", json::array()}};
   std::vector<std::unique_ptr<LosslessVideo>> videos;
-  for (const capture::RigCamera& one : studio.rig().cameras) {
+  for (const capture::RigCamera& one : sequence.rig().cameras) {
     videos.push_back(std::make_unique<LosslessVideo>(folder / (one.name + ".mkv"), one.lens.width_px,
                                                      one.lens.height_px, config.rate_hz));
   }
   TruthMesh truth;
   for (int index = 0; index < config.frame_count; ++index) {
-    const SyntheticFrame frame = studio.render(index, &truth);
+    const SyntheticFrame frame = sequence.render(index, &truth);
     videos.front()->append(frame.picture);
     for (std::size_t k = 1; k < videos.size(); ++k) {
       videos[k]->append(frame.further_pictures[k - 1]);
     }
     write_truth_ply(truth, truth_file(folder, static_cast<std::uint64_t>(index)));
-    document["frames"].push_back(frame_json(index, frame, studio.expression_names()));
+    document["frames"].push_back(frame_json(index, frame, sequence.expression_names()));
     done(index + 1);
   }
   for (const std::unique_ptr<LosslessVideo>& video : videos) {
     video->finish();
   }
   if (videos.size() > 1) {
-    capture::write_rig(studio.rig(), folder / "rig.toml");
+    capture::write_rig(sequence.rig(), folder / "rig.toml");
   }
   files::OutputFile output(folder / "camera.json");
   output.write(document.dump(1) + "\n");

@@ -358,7 +358,7 @@ void SpacetimeSolver::solve(std::span<const float> start_px, DisparityField& out
     boxes[2 * block + 1] = {box.extent[0], box.extent[1], box.extent[2], 0};
   }
   out.failure.clear();
-  out.outcome = SolveOutcome::Done;
+  out.outcome = StereoOutcome::Done;
   out.disparity_px.resize(count);
   out.sigma_px.resize(count);
   out.correlation.resize(count);
@@ -371,7 +371,7 @@ void SpacetimeSolver::solve(std::span<const float> start_px, DisparityField& out
     } while (outcome == gpu::Outcome::TimedOut && std::chrono::steady_clock::now() < end);
   }
   if (outcome != gpu::Outcome::Done) {
-    out.outcome = SolveOutcome::DeviceLost;
+    out.outcome = StereoOutcome::DeviceLost;
     out.failure = "the GPU was lost during the stereo solve";
     return;
   }
@@ -394,7 +394,7 @@ void SpacetimeSolver::solve(std::span<const float> start_px, DisparityField& out
     finite = finite && std::isfinite(out.energies[step]);
   }
   if (!finite) {
-    out.outcome = SolveOutcome::NumericalFailure;
+    out.outcome = StereoOutcome::NumericalFailure;
     out.failure =
         fmt::format("the stereo solve left finite numbers; energy {} at its start, {} before its last step",
                     out.energies.front(), out.energies.back());

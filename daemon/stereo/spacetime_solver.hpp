@@ -39,11 +39,11 @@ struct SpacetimeOptions {
 /// Told that a long call gets on.
 using Alive = std::function<void()>;
 
-enum class SolveOutcome { Done, NumericalFailure, DeviceLost };
+enum class StereoOutcome { Done, NumericalFailure, DeviceLost };
 
 /// Disparities of a volume.
 struct DisparityField {
-  SolveOutcome outcome = SolveOutcome::Done;
+  StereoOutcome outcome = StereoOutcome::Done;
   std::string failure;              ///< for people, empty where all is well
   std::vector<float> disparity_px;  ///< [slots][height][width]; the start value where not solved
   std::vector<float> sigma_px;      ///< [slots][height][width] standard deviation; 0 where nothing is known

@@ -274,8 +274,8 @@ const DisparityField& StereoMatcher::field() const {
   return impl_->field;
 }
 
-SolveOutcome StereoMatcher::match(std::span<const StereoSlot> slots, std::vector<capture::DepthMap>& maps,
-                                  const Alive& alive) {
+StereoOutcome StereoMatcher::match(std::span<const StereoSlot> slots, std::vector<capture::DepthMap>& maps,
+                                   const Alive& alive) {
   Impl& impl = *impl_;
   const VolumeSize& size = impl.solver.size();
   if (slots.empty() || slots.size() > static_cast<std::size_t>(size.slots)) {
@@ -301,7 +301,7 @@ SolveOutcome StereoMatcher::match(std::span<const StereoSlot> slots, std::vector
   auto clock = std::chrono::steady_clock::now();
   if (impl.rectify(slots) != gpu::Outcome::Done) {
     impl.failure = "the GPU was lost during rectification";
-    return SolveOutcome::DeviceLost;
+    return StereoOutcome::DeviceLost;
   }
   impl.times.rectify_ms = ms_since(clock);
   clock = std::chrono::steady_clock::now();
@@ -310,7 +310,7 @@ SolveOutcome StereoMatcher::match(std::span<const StereoSlot> slots, std::vector
   clock = std::chrono::steady_clock::now();
   impl.solver.solve(impl.start_px, impl.field, alive);
   impl.times.solve_ms = ms_since(clock);
-  if (impl.field.outcome != SolveOutcome::Done) {
+  if (impl.field.outcome != StereoOutcome::Done) {
     impl.failure = impl.field.failure;
     return impl.field.outcome;
   }
@@ -320,7 +320,7 @@ SolveOutcome StereoMatcher::match(std::span<const StereoSlot> slots, std::vector
     impl.finish(slot, maps[slot]);
   }
   impl.times.finish_ms = ms_since(clock);
-  return SolveOutcome::Done;
+  return StereoOutcome::Done;
 }
 
 }  // namespace facet::stereo

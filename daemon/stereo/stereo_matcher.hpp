@@ -64,7 +64,7 @@ class StereoMatcher {
   /// another size than its lens's counts as missing returns DeviceLost and NumericalFailure leave the maps
   /// empty of depths; failure() says more
   /// alive   called between pieces of work and while it waits for the device
-  SolveOutcome match(
+  StereoOutcome match(
       std::span<const StereoSlot> slots, std::vector<capture::DepthMap>& maps, const Alive& alive = [] {});
 
   const std::string& failure() const;

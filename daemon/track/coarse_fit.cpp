@@ -132,9 +132,10 @@ double CoarseFit::linearise(const LandmarkBasis& basis, std::span<const Observat
   return sum;
 }
 
-FitReport CoarseFit::solve(const LandmarkBasis& basis, std::span<const Observation> views, double focal_px,
-                           const TemporalPrior* previous, int max_iterations, FrameState& state) {
-  FitReport report;
+CoarseFitReport CoarseFit::solve(const LandmarkBasis& basis, std::span<const Observation> views,
+                                 double focal_px, const TemporalPrior* previous, int max_iterations,
+                                 FrameState& state) {
+  CoarseFitReport report;
   double damping = kFirstDamping;
   for (int iteration = 0; iteration < max_iterations; ++iteration) {
     const double before = linearise(basis, views, focal_px, previous, state, equations_);
@@ -144,7 +145,7 @@ FitReport CoarseFit::solve(const LandmarkBasis& basis, std::span<const Observati
     if (iteration == 0) {
       report.initial_energy = before;
       report.final_energy = before;
-      report.outcome = FitOutcome::NotConverged;
+      report.outcome = CoarseFitOutcome::NotConverged;
     }
     hold_bounded(state.expression, equations_.gradient, kExpressionAt, scratch_.held);
     bool improved = false;
@@ -165,7 +166,7 @@ FitReport CoarseFit::solve(const LandmarkBasis& basis, std::span<const Observati
     report.iterations = iteration + 1;
     // No downhill step left, or a negligible one: the state is a minimum as far as double precision shows.
     if (!improved || before - report.final_energy <= kConverged * before) {
-      report.outcome = FitOutcome::Converged;
+      report.outcome = CoarseFitOutcome::Converged;
       break;
     }
   }

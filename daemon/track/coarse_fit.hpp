@@ -12,14 +12,14 @@
 namespace facet::track {
 
 /// How a solver ended.
-enum class FitOutcome {
+enum class CoarseFitOutcome {
   Converged,
   NotConverged,      ///< the iterations ran out; the state is the best one found
   NumericalFailure,  ///< no usable step or a point behind the camera; the state is as it came in
 };
 
-struct FitReport {
-  FitOutcome outcome = FitOutcome::NumericalFailure;
+struct CoarseFitReport {
+  CoarseFitOutcome outcome = CoarseFitOutcome::NumericalFailure;
   int iterations = 0;
   double initial_energy = std::numeric_limits<double>::infinity();
   double final_energy = std::numeric_limits<double>::infinity();
@@ -54,8 +54,8 @@ class CoarseFit {
 
   /// Improves `state`, of the reference camera. views: what each camera measured in this frame. focal_px: of
   /// the reference camera. previous may be null: no temporal prior then.
-  FitReport solve(const LandmarkBasis& basis, std::span<const Observation> views, double focal_px,
-                  const TemporalPrior* previous, int max_iterations, FrameState& state);
+  CoarseFitReport solve(const LandmarkBasis& basis, std::span<const Observation> views, double focal_px,
+                        const TemporalPrior* previous, int max_iterations, FrameState& state);
 
   /// The whole energy at a state; infinite where a landmark lies behind the camera.
   double energy(const LandmarkBasis& basis, std::span<const Observation> views, double focal_px,

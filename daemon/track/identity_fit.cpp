@@ -201,8 +201,8 @@ void IdentityFit::apply_shared(const Eigen::VectorXd& step, SubjectShape& to) co
                                     log_focal_prior_ + limit));
 }
 
-FitReport IdentityFit::improve(int max_iterations) {
-  FitReport report;
+CoarseFitReport IdentityFit::improve(int max_iterations) {
+  CoarseFitReport report;
   if (frames_.empty()) {
     return report;
   }
@@ -218,7 +218,7 @@ FitReport IdentityFit::improve(int max_iterations) {
     if (iteration == 0) {
       report.initial_energy = before;
       report.final_energy = before;
-      report.outcome = FitOutcome::NotConverged;
+      report.outcome = CoarseFitOutcome::NotConverged;
     }
     bool improved = false;
     for (int trial = 0; trial < kTrials && damping_ <= kLargestDamping; ++trial) {
@@ -243,7 +243,7 @@ FitReport IdentityFit::improve(int max_iterations) {
     }
     report.iterations = iteration + 1;
     if (!improved || before - report.final_energy <= kConverged * before) {
-      report.outcome = FitOutcome::Converged;
+      report.outcome = CoarseFitOutcome::Converged;
       break;
     }
   }

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "track/coarse_fit.hpp"
-#include "track/subject.hpp"
+#include "track/person.hpp"
 
 namespace facet::track {
 
@@ -58,7 +58,7 @@ class IdentityFit {
   const SubjectShape& shape() const { return shape_; }
 
   /// At most `max_iterations` Levenberg-Marquardt steps over the whole batch, from where the last call ended.
-  FitReport improve(int max_iterations);
+  CoarseFitReport improve(int max_iterations);
 
   /// The part of the landmark residuals that stays with the head from frame to frame: the net's habit on this
   /// face and what the model's identities can't express, [count][3] head frame, mm, measured minus model. It

@@ -12,7 +12,7 @@
 #include "facet/frame.hpp"
 #include "landmark/landmarker.hpp"
 #include "track/identity_fit.hpp"
-#include "track/subject.hpp"
+#include "track/person.hpp"
 
 namespace facet::track {
 

@@ -151,7 +151,7 @@ void SubjectTracker::place_cameras() {
 
 CameraIntrinsics SubjectTracker::camera() const {
   const Eigen::Vector2d centre = centre_px();
-  const auto focal = static_cast<float>(subject_.shape.focal_px);
+  const auto focal = static_cast<float>(person_.shape.focal_px);
   return {.fx = focal,
           .fy = focal,
           .cx = static_cast<float>(centre.x()),
@@ -161,8 +161,8 @@ CameraIntrinsics SubjectTracker::camera() const {
 }
 
 void SubjectTracker::set_shape() {
-  model_->contract_identity(subject_.shape.identity, basis_);
-  basis_.bias_mm = subject_.landmark_bias_mm;
+  model_->contract_identity(person_.shape.identity, basis_);
+  basis_.bias_mm = person_.landmark_bias_mm;
   ++frame_.shape_version;
 }
 
@@ -172,29 +172,28 @@ void SubjectTracker::reset_identity() {
   has_subject_ = false;
   has_previous_ = false;
   const double known = fixed_focal_px();
-  subject_.shape.focal_px =
-      known > 0 ? known : config_.identity.focal_ratio * std::max(width_px_, height_px_);
-  subject_.shape.identity = Eigen::VectorXd::Zero(model_->identity_count());
-  subject_.landmark_bias_mm = Eigen::VectorXd::Zero(Eigen::Index{3} * model_->count());
-  subject_.usual_residual = 0;
+  person_.shape.focal_px = known > 0 ? known : config_.identity.focal_ratio * std::max(width_px_, height_px_);
+  person_.shape.identity = Eigen::VectorXd::Zero(model_->identity_count());
+  person_.landmark_bias_mm = Eigen::VectorXd::Zero(Eigen::Index{3} * model_->count());
+  person_.usual_residual = 0;
   residual_frames_ = 0;
   verified_frames_ = kVerifyFrames;
   set_shape();
   frame_.state = mesh::TrackingState::Searching;
 }
 
-bool SubjectTracker::adopt(const Subject& subject, int width_px, int height_px) {
-  if (subject.shape.identity.size() != model_->identity_count() ||
-      subject.landmark_bias_mm.size() != Eigen::Index{3} * model_->count() ||
-      !subject.shape.identity.allFinite() || !subject.landmark_bias_mm.allFinite() ||
-      !(subject.shape.focal_px > 0) || !std::isfinite(subject.shape.focal_px) || width_px <= 0 ||
+bool SubjectTracker::adopt(const Person& person, int width_px, int height_px) {
+  if (person.shape.identity.size() != model_->identity_count() ||
+      person.landmark_bias_mm.size() != Eigen::Index{3} * model_->count() ||
+      !person.shape.identity.allFinite() || !person.landmark_bias_mm.allFinite() ||
+      !(person.shape.focal_px > 0) || !std::isfinite(person.shape.focal_px) || width_px <= 0 ||
       height_px <= 0) {
     return false;
   }
   set_image_size(width_px, height_px);
-  subject_ = subject;
+  person_ = person;
   has_subject_ = true;
-  residual_frames_ = subject.usual_residual > 0 ? kResidualFrames : 0;
+  residual_frames_ = person.usual_residual > 0 ? kResidualFrames : 0;
   set_shape();
   ++frame_.subject;
   return true;
@@ -236,7 +235,7 @@ bool SubjectTracker::start_pose() {
     start_px_.col(l) = face.points_px.col(landmark < landmark::landmark_count ? landmark : 0).cast<double>();
   }
   const auto pose = pose_from_similarity(start_head_mm_, start_px_, start_weights_,
-                                         camera.focal_ratio * subject_.shape.focal_px, camera.centre_px);
+                                         camera.focal_ratio * person_.shape.focal_px, camera.centre_px);
   if (!pose) {
     return false;
   }
@@ -248,13 +247,13 @@ bool SubjectTracker::start_pose() {
 }
 
 void SubjectTracker::observe_view(std::size_t view) {
-  observe(*model_, config_.trust, *views_[view].face, candidate_.pose.translation_mm, subject_.shape.focal_px,
+  observe(*model_, config_.trust, *views_[view].face, candidate_.pose.translation_mm, person_.shape.focal_px,
           views_[view].camera, observations_[view]);
 }
 
 std::optional<double> SubjectTracker::median_residual_px(std::size_t view, bool with_bias) {
   const landmark::FaceLandmarks& face = *views_[view].face;
-  if (!coarse_fit_.landmark_term().residuals_px(basis_, observations_[view], subject_.shape.focal_px,
+  if (!coarse_fit_.landmark_term().residuals_px(basis_, observations_[view], person_.shape.focal_px,
                                                 candidate_, with_bias, residuals_px_)) {
     return std::nullopt;
   }
@@ -283,8 +282,8 @@ bool SubjectTracker::measure_view(std::size_t view) {
   if (!of_fit_px || !of_mesh_px) {
     return false;
   }
-  const double interocular_px = state.camera.focal_ratio * subject_.shape.focal_px *
-                                model_->interocular_mm() / pose_in(state.camera).translation_mm.z();
+  const double interocular_px = state.camera.focal_ratio * person_.shape.focal_px * model_->interocular_mm() /
+                                pose_in(state.camera).translation_mm.z();
   state.reprojection_px = *of_mesh_px;
   state.residual = *of_fit_px / interocular_px;
   return true;
@@ -376,9 +375,9 @@ bool SubjectTracker::fit_used(bool warm, double elapsed_s) {
   }
   weigh_views(observations_);
   candidate_report_ =
-      coarse_fit_.solve(basis_, observations_, subject_.shape.focal_px, warm ? &previous_ : nullptr,
+      coarse_fit_.solve(basis_, observations_, person_.shape.focal_px, warm ? &previous_ : nullptr,
                         warm ? kWarmIterations : kColdIterations, candidate_);
-  return candidate_report_.outcome != FitOutcome::NumericalFailure && measure_residual() &&
+  return candidate_report_.outcome != CoarseFitOutcome::NumericalFailure && measure_residual() &&
          plausible(has_subject_ ? kLargestResidual : kLargestFirstResidual);
 }
 
@@ -572,11 +571,11 @@ bool SubjectTracker::still_the_same_person() {
     verified_residual_sum_ += candidate_residual_;
     const double mean = verified_residual_sum_ / verified_frames_;
     return verified_frames_ < kVerifyFrames ||
-           mean <= std::max(kOtherPersonFactor * subject_.usual_residual,
-                            subject_.usual_residual + kOtherPersonDifference);
+           mean <= std::max(kOtherPersonFactor * person_.usual_residual,
+                            person_.usual_residual + kOtherPersonDifference);
   }
   residual_frames_ = std::min(residual_frames_ + 1, kResidualFrames);
-  subject_.usual_residual += (candidate_residual_ - subject_.usual_residual) / residual_frames_;
+  person_.usual_residual += (candidate_residual_ - person_.usual_residual) / residual_frames_;
   return true;
 }
 
@@ -624,7 +623,7 @@ bool SubjectTracker::acquire() {
       const int count = identity_fit_->frame_count();
       if (std::find(kProvisionalAt.begin(), kProvisionalAt.end(), count) != kProvisionalAt.end()) {
         identity_fit_->improve(kProvisionalIterations);
-        subject_.shape = identity_fit_->shape();
+        person_.shape = identity_fit_->shape();
         candidate_ = identity_fit_->frame(count - 1);
         set_shape();
         return measure_residual();
@@ -634,8 +633,8 @@ bool SubjectTracker::acquire() {
   }
   if (shading_steps_ == 0) {
     ++settling_frames_;
-    const FitReport report = identity_fit_->improve(kSettlingIterations);
-    if (report.outcome == FitOutcome::NotConverged && settling_frames_ < kMostSettlingFrames) {
+    const CoarseFitReport report = identity_fit_->improve(kSettlingIterations);
+    if (report.outcome == CoarseFitOutcome::NotConverged && settling_frames_ < kMostSettlingFrames) {
       return true;
     }
   }
@@ -679,8 +678,8 @@ bool SubjectTracker::shade() {
 }
 
 void SubjectTracker::take_identity() {
-  subject_.shape = identity_fit_->shape();
-  subject_.landmark_bias_mm = identity_fit_->landmark_bias_mm();
+  person_.shape = identity_fit_->shape();
+  person_.landmark_bias_mm = identity_fit_->landmark_bias_mm();
   identity_fit_.reset();
   shading_.reset();
   has_subject_ = true;

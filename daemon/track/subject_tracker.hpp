@@ -11,7 +11,7 @@
 #include "track/coarse_fit.hpp"
 #include "track/identity_fit.hpp"
 #include "track/identity_shading.hpp"
-#include "track/subject.hpp"
+#include "track/person.hpp"
 
 namespace facet::track {
 
@@ -54,7 +54,7 @@ struct SubjectFrame {
   /// Median landmark residual of the fit as a fraction of the interocular distance, foreshortening undone and
   /// the subject's landmark bias taken out.
   double relative_residual = 0;
-  FitReport fit;
+  CoarseFitReport fit;
 };
 
 /// Turns the landmarks of successive frames into one subject's pose and expression: the tracking states, the
@@ -97,14 +97,14 @@ class SubjectTracker {
   void reset_identity();
 
   /// Identity and focal length in use; the mean face before the first estimate.
-  const SubjectShape& shape() const { return subject_.shape; }
-  const Subject& subject() const { return subject_; }
-  bool has_subject() const { return has_subject_; }
+  const SubjectShape& shape() const { return person_.shape; }
+  const Person& person() const { return person_; }
+  bool has_person() const { return has_subject_; }
 
   /// Takes over a subject estimated earlier, for example in a first pass over the same recording: tracking
   /// starts with the next plausible face. False, and nothing changed, where the sizes don't fit the model or
   /// a value is not finite.
-  bool adopt(const Subject& subject, int width_px, int height_px);
+  bool adopt(const Person& person, int width_px, int height_px);
 
   CameraIntrinsics camera() const;
 
@@ -154,9 +154,9 @@ class SubjectTracker {
   std::optional<IdentityShading> shading_;  ///< of identity_fit_'s frames
   int shading_steps_ = 0;
   const Frame* image_ = nullptr;  ///< of the call of `process` that runs
-  Subject subject_;
+  Person person_;
   bool has_subject_ = false;
-  LandmarkBasis basis_;  ///< of subject_, with its landmark bias
+  LandmarkBasis basis_;  ///< of person_, with its landmark bias
   int width_px_ = 0;
   int height_px_ = 0;
 
@@ -168,7 +168,7 @@ class SubjectTracker {
   FrameState candidate_;
   double candidate_reprojection_px_ = 0;
   double candidate_residual_ = 0;
-  FitReport candidate_report_;
+  CoarseFitReport candidate_report_;
   TemporalPrior previous_;     ///< the last good frame, where has_previous_
   bool followed_ = false;      ///< no frame since the last good one lacked the face
   bool has_previous_ = false;  ///< false also after the shape changed: the old pose belongs to the old shape
@@ -177,7 +177,7 @@ class SubjectTracker {
   int settling_frames_ = 0;  ///< good frames since the batch is full
   int verified_frames_ = 0;  ///< good frames since the subject came back; kVerifyFrames: it is the same one
   double verified_residual_sum_ = 0;
-  int residual_frames_ = 0;  ///< good frames that went into subject_.usual_residual
+  int residual_frames_ = 0;  ///< good frames that went into person_.usual_residual
   Eigen::Matrix3Xd start_head_mm_;
   Eigen::Matrix3Xd start_px_;
   Eigen::VectorXd start_weights_;

@@ -205,17 +205,17 @@ void Tracker::reset_identity() {
   impl_->subject_tracker.reset_identity();
 }
 
-std::optional<Subject> Tracker::subject() const {
+std::optional<Person> Tracker::person() const {
   const SubjectTracker& tracker = impl_->subject_tracker;
-  return tracker.has_subject() ? std::optional<Subject>(tracker.subject()) : std::nullopt;
+  return tracker.has_person() ? std::optional<Person>(tracker.person()) : std::nullopt;
 }
 
 bool Tracker::settle_subject() {
   return impl_->subject_tracker.settle();
 }
 
-void Tracker::adopt(const Subject& subject, int width_px, int height_px) {
-  if (!impl_->subject_tracker.adopt(subject, width_px, height_px)) {
+void Tracker::adopt(const Person& person, int width_px, int height_px) {
+  if (!impl_->subject_tracker.adopt(person, width_px, height_px)) {
     throw Error(
         ErrorKind::Usage,
         "the subject to be tracked was estimated with another face model: let the tracker estimate it anew");

@@ -11,7 +11,7 @@
 #include "face/face_model.hpp"
 #include "facet/frame.hpp"
 #include "mesh/mesh_frame.hpp"
-#include "track/subject.hpp"
+#include "track/person.hpp"
 #include "track/view.hpp"
 
 namespace facet::track {
@@ -70,7 +70,7 @@ class Tracker {
   const TrackResult& process(std::span<const Frame> views);
 
   /// The person being tracked; nothing before the first identity estimate. Same thread as process.
-  std::optional<Subject> subject() const;
+  std::optional<Person> person() const;
 
   /// Estimates the person from the frames seen so far, however few: for a recording that is shorter than the
   /// acquisition. False where no face was seen well enough. Same thread as process.
@@ -78,9 +78,9 @@ class Tracker {
 
   /// Takes over a subject estimated earlier, for frames of `width_px` x `height_px`: tracking starts with the
   /// first plausible face, without acquisition. A recording can so be tracked from its first frame on: once
-  /// until subject() is there, then again from the start with a tracker that adopted it. Throws Error(Usage)
+  /// until person() is there, then again from the start with a tracker that adopted it. Throws Error(Usage)
   /// where the subject does not fit the model. Same thread as process.
-  void adopt(const Subject& subject, int width_px, int height_px);
+  void adopt(const Person& person, int width_px, int height_px);
 
   /// Forgets identity and focal length; the next good frames estimate them anew. Same thread as process.
   void reset_identity();

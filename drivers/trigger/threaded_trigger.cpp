@@ -114,7 +114,7 @@ class ThreadedTrigger final : public Trigger {
     try {
       run_program(first_slot);
     } catch (const std::exception& error) {
-      set_state(TriggerState::Failed, error.what());
+      set_state(TriggerState::Failing, error.what());
     }
   }
 
@@ -132,7 +132,7 @@ class ThreadedTrigger final : public Trigger {
     if (runner_.run(first_slot, stop_requested_)) {
       set_state(TriggerState::Idle, "");
     } else {
-      set_state(TriggerState::Failed, lines_->last_error());
+      set_state(TriggerState::Failing, lines_->last_error());
     }
   }
 

@@ -161,7 +161,7 @@ TEST(FineSurface, FindsWrinklesThatTheTemplateLacks) {
   mesh::rebuild_finest(hierarchy, template_mm, true_mm, truth_mm, normals);
   std::vector<float> found_mm;
   std::vector<float> confidence;
-  const FitReport report =
+  const TemplateFitReport report =
       fine.fit(depths_of(truth_mm, hierarchy.finest().triangles, 0.1), template_mm, found_mm, confidence);
   EXPECT_TRUE(report.failure.empty()) << report.failure;
   EXPECT_GT(report.seen, 0.8);
@@ -230,8 +230,8 @@ TEST(FineSurface, WithoutDepthItSaysSo) {
   FineSurface fine = fine_surface();
   std::vector<float> found_mm;
   std::vector<float> confidence;
-  const FitReport report = fine.fit({}, scene().surface->neutral_mm, found_mm, confidence);
-  EXPECT_EQ(report.outcome, FitOutcome::NoData);
+  const TemplateFitReport report = fine.fit({}, scene().surface->neutral_mm, found_mm, confidence);
+  EXPECT_EQ(report.outcome, TemplateFitOutcome::NoData);
   EXPECT_THAT(report.failure, ::testing::HasSubstr("of the fine skin lies on a depth map"));
   EXPECT_THAT(found_mm, ::testing::Each(0.0F));
   EXPECT_THAT(confidence, ::testing::Each(0.0F));
@@ -248,7 +248,7 @@ TEST(FineSurface, NumbersThatAreNoneDoNoHarm) {
   std::vector<float> found_mm;
   std::vector<float> confidence;
   EXPECT_NE(fine.fit(maps, scene().surface->neutral_mm, found_mm, confidence).outcome,
-            FitOutcome::NumericalFailure);
+            TemplateFitOutcome::NumericalFailure);
   EXPECT_THAT(found_mm, ::testing::Each(::testing::Truly([](float one) { return std::isfinite(one); })));
 }
 

@@ -113,8 +113,8 @@ TEST(SkinTracker, FollowsTheSkinWithoutDrift) {
     for (int slot = 0; slot < 8; ++slot) {
       const mesh::Vertices truth_mm = performance(slot);
       const auto pictures = with_pictures ? pictures_of(truth_mm, skin(1)) : std::vector<Frame>(2);
-      const FitReport report = slot == 0 ? tracker.start(placed_well(), depths_of(truth_mm), pictures)
-                                         : tracker.follow(depths_of(truth_mm), pictures);
+      const TemplateFitReport report = slot == 0 ? tracker.start(placed_well(), depths_of(truth_mm), pictures)
+                                                 : tracker.follow(depths_of(truth_mm), pictures);
       EXPECT_FALSE(report.lost) << report.lost_because;
     }
     return drift_mm(tracker, performance(7));
@@ -128,12 +128,12 @@ TEST(SkinTracker, FindsThePersonAgainAfterAGap) {
   SkinTracker tracker(surface(), colour_lenses(), {});
   const mesh::Vertices first_mm = performance(0);
   ASSERT_FALSE(tracker.start(placed_well(), depths_of(first_mm), pictures_of(first_mm, skin(1))).lost);
-  const FitReport gone = tracker.follow({}, std::vector<Frame>(2));
+  const TemplateFitReport gone = tracker.follow({}, std::vector<Frame>(2));
   EXPECT_TRUE(gone.lost);
   EXPECT_LT(drift_mm(tracker, first_mm), 0.2) << "stays what it was";
 
   const mesh::Vertices back_mm = performance(6).colwise() + Vector3f(15, -8, 12);
-  const FitReport found =
+  const TemplateFitReport found =
       tracker.find_again(placed_at(back_mm), depths_of(back_mm), pictures_of(back_mm, skin(1)));
   EXPECT_FALSE(found.lost) << found.lost_because;
   EXPECT_LT(drift_mm(tracker, back_mm), 0.3);
@@ -148,7 +148,7 @@ TEST(SkinTracker, SomebodyElseIsNotThePerson) {
   ASSERT_FALSE(tracker.start(placed_well(), depths_of(first_mm), pictures_of(first_mm, skin(1))).lost);
   const mesh::Vertices other_mm = Eigen::Vector3f(1.1F, 0.93F, 1).asDiagonal() * swollen();
   const auto pictures = pictures_of(other_mm, skin(7));
-  const FitReport report = tracker.find_again(placed_at(other_mm), depths_of(other_mm), pictures);
+  const TemplateFitReport report = tracker.find_again(placed_at(other_mm), depths_of(other_mm), pictures);
   EXPECT_TRUE(report.lost);
   EXPECT_THAT(report.lost_because, ::testing::HasSubstr("differs"));
   EXPECT_EQ(tracker.vertices_mm().cols(), first_mm.cols());
@@ -172,8 +172,8 @@ TEST(SkinTracker, GoesOnWithThePicturesThatThereAre) {
     if (slot == 5) {
       pictures.assign(2, Frame());
     }
-    const FitReport report = slot == 0 ? tracker.start(placed_well(), depths_of(truth_mm), pictures)
-                                       : tracker.follow(depths_of(truth_mm), pictures);
+    const TemplateFitReport report = slot == 0 ? tracker.start(placed_well(), depths_of(truth_mm), pictures)
+                                               : tracker.follow(depths_of(truth_mm), pictures);
     EXPECT_FALSE(report.lost) << slot << ": " << report.lost_because;
   }
   EXPECT_LT(drift_mm(tracker, performance(7)), 1);
@@ -198,7 +198,7 @@ TEST(SkinTracker, GoesBetweenTwoSlotsOnDepthAlone) {
   tracker.follow(depths_of(after_mm), pictures_of(after_mm, skin(1)));
   ASSERT_TRUE(tracker.follows());
   const mesh::Vertices now_mm = tracker.vertices_mm();
-  const FitReport report = tracker.between(0.5, depths_of(truth_mm), settled_mm, expression);
+  const TemplateFitReport report = tracker.between(0.5, depths_of(truth_mm), settled_mm, expression);
   EXPECT_FALSE(report.lost) << report.lost_because;
   EXPECT_EQ(expression.size(), tracker.expression().size());
   EXPECT_EQ(tracker.vertices_mm(), now_mm) << "the slots around it stay as they were";

@@ -39,7 +39,7 @@ TEST(TemplateFitter, ComesToLieOnTheDepthMaps) {
   TemplateFitter fitter(surface(), options);
   fitter.set_rest(rest());
   mesh::Vertices vertices_mm = surface()->neutral_mm;
-  const FitReport report = fitter.fit(depths_of(truth_mm), vertices_mm);
+  const TemplateFitReport report = fitter.fit(depths_of(truth_mm), vertices_mm);
   EXPECT_LT(report.last_move_mm, 0.05) << to_string(report.outcome);
   EXPECT_GT(report.seen, 0.8);
   EXPECT_LT(report.surface_rms_mm, 0.2);
@@ -119,8 +119,8 @@ TEST(TemplateFitter, FollowsTheSkinAlongTheSurface) {
   TemplateFitter fitter(surface(), options);
   fitter.set_rest(rest());
   mesh::Vertices followed_mm = before_mm;
-  const FitReport report = fitter.track(maps, flows, before_mm, followed_mm);
-  EXPECT_EQ(report.outcome, FitOutcome::Converged);
+  const TemplateFitReport report = fitter.track(maps, flows, before_mm, followed_mm);
+  EXPECT_EQ(report.outcome, TemplateFitOutcome::Converged);
   EXPECT_GT(report.followed, 0.5);
   EXPECT_LT(report.motion_rms_px, 0.3);
   mesh::Vertices alone_mm = before_mm;
@@ -293,7 +293,7 @@ TEST(TemplateFitter, AFlowMayLeadAwayFromAnotherMesh) {
   fitter.set_rest(rest());
   mesh::Vertices back_mm = slid_mm;
   const mesh::Vertices elsewhere_mm = slid_mm.colwise() + Vector3f(7, 0, 0);
-  const FitReport report = fitter.track(maps, flows, elsewhere_mm, back_mm);
+  const TemplateFitReport report = fitter.track(maps, flows, elsewhere_mm, back_mm);
   EXPECT_GT(report.followed, 0.5);
   double before = 0;
   double after = 0;
@@ -314,7 +314,7 @@ TEST(TemplateFitter, KnowsWhenItIsLost) {
   TemplateFitter fitter(surface(), {});
   fitter.set_rest(rest());
   mesh::Vertices vertices_mm = surface()->neutral_mm;
-  FitReport report = fitter.fit(depths_of(swollen()), vertices_mm);
+  TemplateFitReport report = fitter.fit(depths_of(swollen()), vertices_mm);
   EXPECT_FALSE(report.lost) << report.lost_because;
   EXPECT_LT(report.rejected, 0.02);
   // The face is 12 mm nearer than where it was left.
@@ -410,12 +410,12 @@ TEST(TemplateFitter, WithoutDepthItStaysWhereItIsAndSaysSo) {
   fitter.set_rest(rest());
   mesh::Vertices vertices_mm = swollen();
   const mesh::Vertices given = vertices_mm;
-  EXPECT_EQ(fitter.fit({}, vertices_mm).outcome, FitOutcome::NoData);
+  EXPECT_EQ(fitter.fit({}, vertices_mm).outcome, TemplateFitOutcome::NoData);
   EXPECT_EQ(vertices_mm, given);
   // A face that has left the volume: the maps see something else.
   const std::vector<DepthMap> maps = depths_of(surface()->neutral_mm.colwise() + Vector3f(0, 0, 300));
-  const FitReport report = fitter.fit(maps, vertices_mm);
-  EXPECT_EQ(report.outcome, FitOutcome::NoData);
+  const TemplateFitReport report = fitter.fit(maps, vertices_mm);
+  EXPECT_EQ(report.outcome, TemplateFitOutcome::NoData);
   EXPECT_THAT(report.failure, ::testing::HasSubstr("of the template's skin lies on a depth map"));
   EXPECT_EQ(vertices_mm, given);
 }
@@ -429,8 +429,8 @@ TEST(TemplateFitter, NumbersThatAreNoneDoNoHarm) {
         i % 2 == 0 ? std::numeric_limits<float>::quiet_NaN() : std::numeric_limits<float>::infinity();
   }
   mesh::Vertices vertices_mm = surface()->neutral_mm;
-  const FitReport report = fitter.fit(maps, vertices_mm);
-  EXPECT_NE(report.outcome, FitOutcome::NumericalFailure);
+  const TemplateFitReport report = fitter.fit(maps, vertices_mm);
+  EXPECT_NE(report.outcome, TemplateFitOutcome::NumericalFailure);
   EXPECT_TRUE(vertices_mm.allFinite());
 }
 

@@ -258,7 +258,7 @@ class ClosedLoop {
                  {"edges_missing", trigger.edges_missing},
                  {"edges_stray", trigger.edges_stray},
                  {"real_time", trigger.real_time},
-                 {"trigger", trigger.state == TriggerState::Failed ? trigger.reason : "works"},
+                 {"trigger", trigger.state == TriggerState::Failing ? trigger.reason : "works"},
                  {"sets_complete", sets.complete},
                  {"sets_incomplete", sets.incomplete},
                  {"sets_dropped", sets.dropped}};

@@ -23,7 +23,7 @@
 #include "facet/error.hpp"
 #include "render/renderer.hpp"
 #include "scripted_stages.hpp"
-#include "simulation/booth.hpp"
+#include "simulation/virtual_booth.hpp"
 #include "support/paths.hpp"
 #include "support/synthetic_model.hpp"
 #include "take/recorder.hpp"
@@ -288,15 +288,15 @@ class Booth : public ::testing::Test {
         sets.push_back(booth.slot(slot).frame_set());
       }
     }
-    static simulation::BoothConfig config() {
-      simulation::BoothConfig booth;
+    static simulation::VirtualBoothConfig config() {
+      simulation::VirtualBoothConfig booth;
       booth.seed = 5;
       booth.samples = 1;
       booth.resolution = 0.625;  // a third of the time
       return booth;
     }
     face::FaceModel model;
-    simulation::Booth booth;
+    simulation::VirtualBooth booth;
     std::vector<FrameSet> sets;
   };
 
@@ -573,9 +573,9 @@ TEST_F(Booth, GoesOnWithoutOnePairsCameraAndWithoutASlot) {
 }
 
 TEST_F(Booth, SomebodyElseBecomesANewSubject) {
-  simulation::BoothConfig other_config = Footage::config();
+  simulation::VirtualBoothConfig other_config = Footage::config();
   other_config.actor_seed = 11;
-  const simulation::Booth other(&footage_->model, other_config);
+  const simulation::VirtualBooth other(&footage_->model, other_config);
   std::vector<FrameSet> sets(footage_->sets.begin(), footage_->sets.begin() + 6);
   for (std::uint64_t slot = kFirst + 6; slot < kFirst + 15; ++slot) {
     sets.push_back(other.slot(slot).frame_set());
@@ -721,9 +721,9 @@ TEST_F(Booth, PicturesOfSwappedCamerasGiveNoMesh) {
 }
 
 TEST_F(Booth, WithoutAFaceThereIsNoMesh) {
-  simulation::BoothConfig plate = Footage::config();
+  simulation::VirtualBoothConfig plate = Footage::config();
   plate.scene = simulation::BoothScene::Plane;
-  const simulation::Booth booth(nullptr, plate);
+  const simulation::VirtualBooth booth(nullptr, plate);
   capture::Rig rig = booth.rig();
   rig.pairs.resize(1);
   write_rig(rig);

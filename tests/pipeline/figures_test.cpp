@@ -22,8 +22,8 @@ TEST(Window, MeanAndQuantileOfTheLastValues) {
   EXPECT_FLOAT_EQ(window.quantile(1), 128);
 }
 
-TEST(Figures, RateAndStages) {
-  Figures figures;
+TEST(MovingFigures, RateAndStages) {
+  MovingFigures figures;
   mesh::MeshFrame frame;
   frame.stage_ms.fit_ms = 4;
   auto time = std::chrono::steady_clock::time_point(std::chrono::seconds(1));

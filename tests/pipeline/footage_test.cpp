@@ -8,7 +8,7 @@
 #include <optional>
 
 #include "film.hpp"
-#include "simulation/studio.hpp"
+#include "simulation/actor_sequence.hpp"
 
 namespace facet::pipeline {
 namespace {
@@ -338,14 +338,14 @@ TEST_F(Footage, AWrongFocalLength) {
 TEST_F(Footage, AHeadThatTurnsBySeventyDegreesAndBack) {
   constexpr int kTurnFrames = 40;
   const auto model = face::FaceModel::load(config_.model_file);
-  simulation::StudioConfig studio_config;
+  simulation::ActorSequenceConfig studio_config;
   studio_config.seed = 5;
   studio_config.width_px = 400;
   studio_config.height_px = 300;
   studio_config.frame_count = kTurnFrames;
   studio_config.rays_per_pixel = 1;
   studio_config.turn_deg = 70;
-  const simulation::Studio studio(model, studio_config);
+  const simulation::ActorSequence studio(model, studio_config);
   std::vector<Eigen::Isometry3f> true_pose;
   film(400, kTurnFrames, [&](Picture& onto, int f) {
     simulation::SyntheticFrame frame = studio.render(f, nullptr);

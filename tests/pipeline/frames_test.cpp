@@ -272,7 +272,7 @@ TEST(FramesPipeline, ATriggerThatCannotBeOpenedIsAStateUntilItCan) {
   FramesPipeline pipeline(std::move(rig), {&sink});
   pipeline.start();
   ASSERT_TRUE(eventually([&] { return !pipeline.status().rig->trigger->reason.empty(); }));
-  EXPECT_EQ(pipeline.status().rig->trigger->state, TriggerState::Failed);
+  EXPECT_EQ(pipeline.status().rig->trigger->state, TriggerState::Failing);
   EXPECT_NE(pipeline.status().state, PipelineState::Failed);
   EXPECT_THAT(pipeline.status().rig->trigger->reason, HasSubstr("held by 'gpioset'"));
   ASSERT_TRUE(eventually([&] { return pipeline.status().rig->sets.complete >= 20; }));

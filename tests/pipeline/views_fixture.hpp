@@ -37,14 +37,14 @@ class Views : public ::testing::Test {
         GTEST_SKIP() << needed << " is not there: packaging/prepare makes it";
       }
     }
-    simulation::StudioConfig studio;
+    simulation::ActorSequenceConfig studio;
     studio.seed = 3;
     studio.width_px = 480;
     studio.height_px = 360;
     studio.frame_count = frames_;
     studio.rays_per_pixel = 1;
     studio.camera_count = cameras_;
-    simulation::write_sequence(simulation::Studio(face::FaceModel::load(config_.model_file), studio),
+    simulation::write_sequence(simulation::ActorSequence(face::FaceModel::load(config_.model_file), studio),
                                folder_.path(), [](int) {});
     rig_ = capture::read_rig(rig_file());
     for (const capture::RigCamera& camera : rig_.cameras) {

@@ -62,7 +62,7 @@ TEST_F(DisplacementSolverTest, OneStepAgreesWithTheReference) {
     DisplacementSolver solver(context());
     solver.load(to_gpu(small), options_of(small.problem, 1, 7));
     const DisplacementResult result = solver.solve();
-    ASSERT_EQ(result.outcome, SolveOutcome::Converged) << result.failure;
+    ASSERT_EQ(result.outcome, DisplacementOutcome::Converged) << result.failure;
     const double energy = reference::energy(small.problem, small.start_mm);
     // Single precision sums of a few hundred terms.
     EXPECT_NEAR(result.energies[0], energy, 1e-5 * energy);
@@ -131,7 +131,7 @@ TEST_F(DisplacementSolverTest, SaysWhenTheNumbersAreGone) {
   DisplacementSolver solver(context());
   solver.load(problem, options_of(small.problem, 1, 3));
   const DisplacementResult result = solver.solve();
-  EXPECT_EQ(result.outcome, SolveOutcome::NumericalFailure);
+  EXPECT_EQ(result.outcome, DisplacementOutcome::NumericalFailure);
   EXPECT_FALSE(result.failure.empty());
 }
 

@@ -180,7 +180,7 @@ TEST_F(RefineObservation, FrameParametersCoverTheFace) {
   const float map_x = 270 * out.depth_from_px.x + out.depth_from_px.z;
   const float map_end = 370 * out.depth_from_px.x + out.depth_from_px.z;
   EXPECT_NEAR(map_x, 1, 1e-3);
-  EXPECT_NEAR(map_end, DepthMap::size_px - 1, 1e-3);
+  EXPECT_NEAR(map_end, OcclusionMap::size_px - 1, 1e-3);
 }
 
 struct TwoTriangles {
@@ -199,13 +199,13 @@ TEST_F(RefineObservation, DepthMapAgreesWithAScalarRasteriser) {
   const gpu::Buffer uniform = upload_parameters(context(), parameters);
   const LevelState state(context(), 6);
   gpu::upload(context(), state.positions.buffer, std::as_bytes(std::span(scene.positions)));
-  const DepthMap map(context(), scene.triangles);
+  const OcclusionMap map(context(), scene.triangles);
   const ObservationKernels kernels(context());
   gpu::run_now(context(), "depth",
                [&](gpu::Batch& batch) { kernels.record_depth(batch, state, map, uniform); });
   const auto found = test::read<std::uint32_t>(context(), map.depth_bits);
 
-  const auto size = static_cast<int>(DepthMap::size_px);
+  const auto size = static_cast<int>(OcclusionMap::size_px);
   int differing = 0;
   int covered = 0;
   for (int y = 0; y < size; ++y) {
@@ -355,7 +355,7 @@ TEST_F(RefineObservation, ObserveAgreesWithTheScalarOne) {
   set_frame_parameters(scene.pyramid, scene.camera, std::span(positions).first(level.topology.vertex_count),
                        parameters);
   const gpu::Buffer uniform = upload_parameters(context(), parameters);
-  const DepthMap map(context(), scene.small.hierarchy->levels[1].triangles);
+  const OcclusionMap map(context(), scene.small.hierarchy->levels[1].triangles);
   const ObservationKernels kernels(context());
   gpu::run_now(context(), "observe", [&](gpu::Batch& batch) {
     kernels.record_depth(batch, level.state, map, uniform);
@@ -413,7 +413,7 @@ TEST_F(RefineObservation, ViewsAreMergedAsByTheScalarSums) {
   set_frame_parameters(scene.pyramid, scene.camera, vertices, parameters);
   const gpu::Buffer uniform = upload_parameters(context(), parameters);
   const mesh::Triangles& triangles = scene.small.hierarchy->levels[1].triangles;
-  const DepthMap map(context(), triangles);
+  const OcclusionMap map(context(), triangles);
   FurtherView view(context(), 301, 357, triangles);
   scene.upload_image(context(), view.pyramid);
   // A camera to the right, turned back towards the face.
@@ -489,7 +489,7 @@ TEST_F(RefineObservation, HiddenVerticesAndOutlinesCarryNoWeight) {
   set_frame_parameters(scene.pyramid, scene.camera, std::span(positions).first(level.topology.vertex_count),
                        parameters);
   const gpu::Buffer uniform = upload_parameters(context(), parameters);
-  const DepthMap map(context(), scene.small.hierarchy->levels[1].triangles);
+  const OcclusionMap map(context(), scene.small.hierarchy->levels[1].triangles);
   const ObservationKernels kernels(context());
   gpu::run_now(context(), "depth",
                [&](gpu::Batch& batch) { kernels.record_depth(batch, level.state, map, uniform); });
@@ -497,7 +497,7 @@ TEST_F(RefineObservation, HiddenVerticesAndOutlinesCarryNoWeight) {
   constexpr std::size_t kHiddenColumns = 48;
   auto bits = test::read<std::uint32_t>(context(), map.depth_bits);
   for (std::size_t i = 0; i < bits.size(); ++i) {
-    if (i % DepthMap::size_px < kHiddenColumns) {
+    if (i % OcclusionMap::size_px < kHiddenColumns) {
       bits[i] = std::bit_cast<std::uint32_t>(440.0F);
     }
   }

@@ -60,7 +60,7 @@ Patch bumpy_patch() {
   return patch;
 }
 
-Figures figures_of(const Reconstruction& reconstruction, const Truth& truth, Alignment alignment) {
+AccuracyFigures figures_of(const Reconstruction& reconstruction, const Truth& truth, Alignment alignment) {
   FigureSum sum;
   sum.add(0, reconstruction.measured, compare(reconstruction, truth, alignment), NAN);
   return sum.figures();
@@ -74,7 +74,7 @@ class Evaluation : public testing::Test {
 
 TEST_F(Evaluation, PerfectInputGivesNothing) {
   for (const Alignment alignment : {Alignment::None, Alignment::Rigid, Alignment::Similarity}) {
-    const Figures figures = figures_of(patch.reconstruction, truth, alignment);
+    const AccuracyFigures figures = figures_of(patch.reconstruction, truth, alignment);
     EXPECT_LT(figures.mean_mm, 0.005);
     EXPECT_LT(figures.p95_mm, 0.01);
     EXPECT_LT(figures.normal_error_deg, 0.1);
@@ -87,7 +87,7 @@ TEST_F(Evaluation, AnOffsetOfOneMillimetreIsOneMillimetreUntilAligned) {
   // Along the normals, so that the nearest point is one millimetre away everywhere that is not sharply bent.
   Reconstruction inflated = patch.reconstruction;
   inflated.vertices_mm += inflated.normals;
-  const Figures figures = figures_of(inflated, truth, Alignment::None);
+  const AccuracyFigures figures = figures_of(inflated, truth, Alignment::None);
   EXPECT_NEAR(figures.mean_mm, 1, 0.01);
   EXPECT_NEAR(figures.median_mm, 1, 0.005);
   EXPECT_LT(figures.std_mm, 0.05);
@@ -146,7 +146,7 @@ TEST_F(Evaluation, NormalErrorIsTheAngle) {
 TEST_F(Evaluation, FarAwayCountsAsFarAway) {
   Reconstruction lost = patch.reconstruction;
   lost.vertices_mm.colwise() += Vector3f(0, 0, 500);
-  const Figures figures = figures_of(lost, truth, Alignment::None);
+  const AccuracyFigures figures = figures_of(lost, truth, Alignment::None);
   EXPECT_EQ(figures.mean_mm, 50);
   EXPECT_EQ(figures.normal_error_deg, 180);
 }
@@ -255,7 +255,7 @@ TEST(FigureSum, PercentilesAndMomentsOfKnownValues) {
     comparison.normal_error_deg.push_back(4);
   }
   sum.add(0, vertices, comparison, NAN);
-  const Figures figures = sum.figures();
+  const AccuracyFigures figures = sum.figures();
   EXPECT_NEAR(figures.mean_mm, 5, 1e-4);
   EXPECT_NEAR(figures.std_mm, 10 / std::sqrt(12.0), 1e-3);
   EXPECT_NEAR(figures.median_mm, 5, 0.01);

@@ -107,14 +107,14 @@ TEST_F(Daemon, ModeFramesHandsOutAndRecordsFrameSets) {
 
 /// Several calibrated cameras: one stream of meshes, recorded; a camera that is gone is missing in them.
 TEST_F(DaemonWithAssets, SeveralCamerasMakeOneMesh) {
-  simulation::StudioConfig studio;
+  simulation::ActorSequenceConfig studio;
   studio.seed = 3;
   studio.width_px = 480;
   studio.height_px = 360;
   studio.frame_count = 8;
   studio.rays_per_pixel = 1;
   studio.camera_count = 3;
-  simulation::write_sequence(simulation::Studio(face::FaceModel::load(test::default_model()), studio),
+  simulation::write_sequence(simulation::ActorSequence(face::FaceModel::load(test::default_model()), studio),
                              folder_.path(), [](int) {});
   const auto cameras = [](const std::string& third) {
     std::string text;

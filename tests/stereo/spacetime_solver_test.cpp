@@ -94,7 +94,7 @@ TEST_F(SpacetimeSolverTest, OneStepAgreesWithTheReference) {
     options.cg_iterations = 150;  // to the end
     options.most_move_px = 100;
     const DisparityField found = solve(context(), volume, options);
-    ASSERT_EQ(found.outcome, SolveOutcome::Done) << found.failure;
+    ASSERT_EQ(found.outcome, StereoOutcome::Done) << found.failure;
     const Eigen::VectorXd start = field_of(volume.start_px);
     const Eigen::VectorXd expected = reference::step(volume, start, options);
     const Eigen::VectorXd moved = field_of(found.disparity_px) - start;
@@ -153,7 +153,7 @@ TEST_F(SpacetimeSolverTest, WhereFewAreUnknownTheStepAgreesWithTheReference) {
   }
   const std::vector<float> none(few.size.voxels(), kNan);
   solver.solve(none, found[0]);
-  EXPECT_EQ(found[0].outcome, SolveOutcome::Done);
+  EXPECT_EQ(found[0].outcome, StereoOutcome::Done);
   EXPECT_EQ(found[0].energies, std::vector<double>(static_cast<std::size_t>(options.steps), 0.0));
 }
 
@@ -279,7 +279,7 @@ TEST_F(SpacetimeSolverTest, SaysWhenTheNumbersAreGone) {
   Volume volume = make_volume({31, 15, 3}, 97, 0.3, false);
   volume.start_px[volume.size.voxel(15, 7, 1)] = std::numeric_limits<float>::infinity();
   const DisparityField found = solve(context(), volume, {});
-  EXPECT_EQ(found.outcome, SolveOutcome::NumericalFailure);
+  EXPECT_EQ(found.outcome, StereoOutcome::NumericalFailure);
   EXPECT_FALSE(found.failure.empty());
 }
 
@@ -287,7 +287,7 @@ TEST_F(SpacetimeSolverTest, PicturesWithoutNumbersAreNothing) {
   Volume volume = make_volume({31, 15, 3}, 101, 0.3, false);
   volume.left[volume.size.voxel(15, 7, 1)] = std::numeric_limits<float>::infinity();
   volume.right[volume.size.voxel(11, 9, 2)] = kNan;
-  EXPECT_EQ(solve(context(), volume, {}).outcome, SolveOutcome::Done);
+  EXPECT_EQ(solve(context(), volume, {}).outcome, StereoOutcome::Done);
 }
 
 TEST_F(SpacetimeSolverTest, RefusesWhatMakesNoSense) {

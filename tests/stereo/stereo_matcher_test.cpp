@@ -82,7 +82,7 @@ TEST_F(StereoMatcherTest, MovingWavesArePreciseInPatternAndBlankSlots) {
   const std::vector<StereoSlot> slots = slots_of(scene, 6);
   StereoMatcher matcher(context(), scene.rig, {0, 1}, options_for(6));
   std::vector<capture::DepthMap> maps;
-  ASSERT_EQ(matcher.match(slots, maps), SolveOutcome::Done) << matcher.failure();
+  ASSERT_EQ(matcher.match(slots, maps), StereoOutcome::Done) << matcher.failure();
   for (const int slot : {2, 3}) {
     SCOPED_TRACE(slot);
     const Figures figures = judge(scene, maps[static_cast<std::size_t>(slot)], slot);
@@ -97,7 +97,7 @@ TEST_F(StereoMatcherTest, PlaneIsPreciseAndSigmaTellsTheError) {
   const std::vector<StereoSlot> slots = slots_of(scene, 4);
   StereoMatcher matcher(context(), scene.rig, {0, 1}, options_for(4));
   std::vector<capture::DepthMap> maps;
-  ASSERT_EQ(matcher.match(slots, maps), SolveOutcome::Done);
+  ASSERT_EQ(matcher.match(slots, maps), StereoOutcome::Done);
   const Figures figures = judge(scene, maps[1], 1);
   EXPECT_LT(figures.median_mm, 0.15);
   EXPECT_GT(figures.fill, 0.98);
@@ -127,7 +127,7 @@ TEST_F(StereoMatcherTest, AroundABallThereIsNothing) {
   const std::vector<StereoSlot> slots = slots_of(scene, 4);
   StereoMatcher matcher(context(), scene.rig, {0, 1}, options_for(4));
   std::vector<capture::DepthMap> maps;
-  ASSERT_EQ(matcher.match(slots, maps), SolveOutcome::Done);
+  ASSERT_EQ(matcher.match(slots, maps), StereoOutcome::Done);
   for (const int slot : {1, 2}) {
     const Figures figures = judge(scene, maps[static_cast<std::size_t>(slot)], slot);
     EXPECT_LT(figures.median_mm, 0.25);
@@ -141,7 +141,7 @@ TEST_F(StereoMatcherTest, WhatTheRightCameraDoesNotSeeIsAHole) {
   const std::vector<StereoSlot> slots = slots_of(scene, 3);
   StereoMatcher matcher(context(), scene.rig, {0, 1}, options_for(3));
   std::vector<capture::DepthMap> maps;
-  ASSERT_EQ(matcher.match(slots, maps), SolveOutcome::Done);
+  ASSERT_EQ(matcher.match(slots, maps), StereoOutcome::Done);
   // The far plate is to the left; its last 5 px (40 mm of depth) lie behind the near one for the right
   // camera.
   const std::vector<double> truth = scene.depth_mm(maps[1].lens, 1);
@@ -182,7 +182,7 @@ TEST_F(StereoMatcherTest, WithoutPatternFrameOrSynchronyThereIsNoSurface) {
   const auto depths = [](const capture::DepthMap& map) {
     return std::ranges::count_if(map.depth_mm, [](float d) { return d > 0; });
   };
-  ASSERT_EQ(matcher.match(dark, maps), SolveOutcome::Done);
+  ASSERT_EQ(matcher.match(dark, maps), StereoOutcome::Done);
   for (const capture::DepthMap& map : maps) {
     EXPECT_LT(depths(map), kWidth * kHeight / 100);
   }
@@ -191,19 +191,19 @@ TEST_F(StereoMatcherTest, WithoutPatternFrameOrSynchronyThereIsNoSurface) {
   for (int slot : {0, 1, 3}) {
     late[static_cast<std::size_t>(slot)].right = scene.picture(1, slot + 3);
   }
-  ASSERT_EQ(matcher.match(late, maps), SolveOutcome::Done);
+  ASSERT_EQ(matcher.match(late, maps), StereoOutcome::Done);
   for (const capture::DepthMap& map : maps) {
     EXPECT_LT(depths(map), kWidth * kHeight / 50);
   }
   std::vector<StereoSlot> missing = slots_of(scene, 2);
   missing[0].right = {};
   missing[1].left.corrupt = true;
-  ASSERT_EQ(matcher.match(missing, maps), SolveOutcome::Done);
+  ASSERT_EQ(matcher.match(missing, maps), StereoOutcome::Done);
   EXPECT_EQ(depths(maps[0]) + depths(maps[1]), 0);
   // One missing picture is bridged by the slots beside it.
   std::vector<StereoSlot> bridged = slots_of(scene, 4);
   bridged[1].right = {};
-  ASSERT_EQ(matcher.match(bridged, maps), SolveOutcome::Done);
+  ASSERT_EQ(matcher.match(bridged, maps), StereoOutcome::Done);
   EXPECT_GT(depths(maps[1]), kWidth * kHeight * 7 / 10);
 }
 
@@ -227,7 +227,7 @@ TEST_F(StereoMatcherTest, MaskedPixelsAndSaturatedOnesAreHoles) {
   }
   StereoMatcher matcher(context(), scene.rig, {0, 1}, options_for(2));
   std::vector<capture::DepthMap> maps;
-  ASSERT_EQ(matcher.match(slots, maps), SolveOutcome::Done);
+  ASSERT_EQ(matcher.match(slots, maps), StereoOutcome::Done);
   int masked = 0;
   int saturated = 0;
   int kept = 0;
@@ -253,7 +253,7 @@ TEST_F(StereoMatcherTest, ALostDeviceIsAnOutcome) {
   StereoMatcher matcher(context(), scene.rig, {0, 1}, options_for(1));
   context().simulate_loss();
   std::vector<capture::DepthMap> maps;
-  EXPECT_EQ(matcher.match(slots, maps), SolveOutcome::DeviceLost);
+  EXPECT_EQ(matcher.match(slots, maps), StereoOutcome::DeviceLost);
   EXPECT_FALSE(matcher.failure().empty());
   EXPECT_EQ(std::ranges::count_if(maps[0].depth_mm, [](float d) { return d > 0; }), 0);
 }

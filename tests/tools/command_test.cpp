@@ -24,8 +24,8 @@
 #include "files/pfm.hpp"
 #include "gpu/context.hpp"
 #include "render/renderer.hpp"
-#include "simulation/booth.hpp"
 #include "simulation/lossless_video.hpp"
+#include "simulation/virtual_booth.hpp"
 #include "stream/client.hpp"
 #include "stream/ring_layout.h"
 #include "stream/server.hpp"
@@ -474,10 +474,10 @@ TEST_F(Command, SynthBoothWritesTakeRigAndTruth) {
                                             "2",           "--first-slot", "7",          "--samples",
                                             "1",           "-o",           file("booth")};
   ASSERT_EQ(run(command), 0) << output_;
-  simulation::BoothConfig config;
+  simulation::VirtualBoothConfig config;
   config.scene = simulation::BoothScene::Plane;
   config.samples = 1;
-  const simulation::Booth booth(nullptr, config);
+  const simulation::VirtualBooth booth(nullptr, config);
   const capture::Rig rig = capture::read_rig(file("booth/rig.toml"));
   ASSERT_EQ(rig.cameras.size(), booth.rig().cameras.size());
   EXPECT_EQ(rig.cameras[2].lens.camera_from_rig.matrix(),
@@ -536,9 +536,9 @@ TEST_F(CommandWithAssets, VideosOfCamerasThatTheRigDoesNotHaveAreRefused) {
 }
 
 TEST_F(CommandWithAssets, ABoothsInputThatIsNoneIsTold) {
-  simulation::BoothConfig config;
+  simulation::VirtualBoothConfig config;
   config.scene = simulation::BoothScene::Plane;
-  capture::write_rig(simulation::Booth(nullptr, config).rig(), file("rig.toml"));
+  capture::write_rig(simulation::VirtualBooth(nullptr, config).rig(), file("rig.toml"));
   const auto process = [&](const std::string& rig, const std::string& input,
                            const std::vector<std::string>& more = {}) {
     std::vector<std::string> arguments = {"process", "--rig", rig, input, "-o", file("new.take")};
@@ -768,11 +768,11 @@ TEST_F(BoothDemo, ATeamFindsTheSameAndGoesOnAfterAMemberWasKilled) {
 TEST_F(Command, ScanMakesASurfaceOfStructuredLightPictures) {
   const std::string code = "phase:4x64,gray-pairs:6";
   const capture::CodeSequence sequence = capture::parse_sequence(code);
-  simulation::BoothConfig config;
+  simulation::VirtualBoothConfig config;
   config.scene = simulation::BoothScene::Plane;
   config.samples = 1;
   config.sensor_noise = false;
-  const simulation::Booth booth(nullptr, config);
+  const simulation::VirtualBooth booth(nullptr, config);
   capture::write_rig(booth.rig(), file("rig.toml"));
   const capture::StereoPair pair = booth.rig().pairs.front();
   capture::PatternConfig screen;

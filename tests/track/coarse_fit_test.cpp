@@ -186,8 +186,8 @@ TEST_F(CoarseFitTest, FindsPoseAndExpressionFromAfar) {
     LandmarkBasis basis;
     model.contract_identity(view.identity, basis);
     FrameState state = disturbed(view);
-    const FitReport report = exact.solve(basis, {&observation, 1}, view.focal_px, nullptr, 40, state);
-    EXPECT_EQ(report.outcome, FitOutcome::Converged);
+    const CoarseFitReport report = exact.solve(basis, {&observation, 1}, view.focal_px, nullptr, 40, state);
+    EXPECT_EQ(report.outcome, CoarseFitOutcome::Converged);
     EXPECT_LT(vector_from_rotation(state.pose.rotation * view.pose.rotation.transpose()).norm(), 1e-3);
     EXPECT_LT((state.pose.translation_mm - view.pose.translation_mm).norm(), 0.5);
     EXPECT_LT((state.expression - view.expression).cwiseAbs().maxCoeff(), 0.01);
@@ -293,7 +293,7 @@ TEST_F(CoarseFitTest, FacesBehindTheCameraAreRefused) {
   state.pose.translation_mm.z() = -300;
   const FrameState before = state;
   EXPECT_EQ(fit.solve(basis, {&observation, 1}, view.focal_px, nullptr, 20, state).outcome,
-            FitOutcome::NumericalFailure);
+            CoarseFitOutcome::NumericalFailure);
   EXPECT_EQ(state.pose.translation_mm, before.pose.translation_mm);
 }
 

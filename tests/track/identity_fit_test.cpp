@@ -107,8 +107,8 @@ TEST_F(IdentityFitTest, FindsIdentityAndFocalLengthTogether) {
   IdentityFit fit = batch(identity, 10, 0.0, 0, weak);
   double before = std::numeric_limits<double>::infinity();
   for (int call = 0; call < 20; ++call) {
-    const FitReport report = fit.improve(5);
-    ASSERT_NE(report.outcome, FitOutcome::NumericalFailure);
+    const CoarseFitReport report = fit.improve(5);
+    ASSERT_NE(report.outcome, CoarseFitOutcome::NumericalFailure);
     ASSERT_LE(report.final_energy, report.initial_energy);
     before = report.final_energy;
   }
@@ -173,7 +173,7 @@ TEST_F(IdentityFitTest, TwoViewsAreOneEnergy) {
 TEST_F(IdentityFitTest, AnEmptyBatchIsAFailureNotACrash) {
   test::SyntheticView any;
   IdentityFit fit(model, prior, {}, {}, any.width_px, 0, {{.centre_px = any.centre_px()}});
-  EXPECT_EQ(fit.improve(3).outcome, FitOutcome::NumericalFailure);
+  EXPECT_EQ(fit.improve(3).outcome, CoarseFitOutcome::NumericalFailure);
 }
 
 }  // namespace

@@ -6,7 +6,7 @@
 #include <cmath>
 
 #include "render/renderer.hpp"
-#include "simulation/studio.hpp"
+#include "simulation/actor_sequence.hpp"
 #include "support/frames.hpp"
 #include "support/paths.hpp"
 #include "track/tracker.hpp"
@@ -53,19 +53,19 @@ TEST_F(IdentityShadingTest, FindsThePersonNearerThanLandmarksAlone) {
   double by_landmarks_mm = 0;
   double with_shading_mm = 0;
   for (const std::uint64_t seed : {88U, 110U}) {
-    simulation::StudioConfig config;
+    simulation::ActorSequenceConfig config;
     config.seed = seed;
     config.width_px = 400;
     config.height_px = 300;
     config.frame_count = 60;
     config.rays_per_pixel = 1;
-    const simulation::Studio studio(*model, config);
+    const simulation::ActorSequence sequence(*model, config);
     TrackerConfig tracking{.landmark_assets = test::landmark_assets(), .intrinsics = {}};
     Tracker shaded(*model, tracking);
     tracking.identity_shading = false;
     Tracker plain(*model, tracking);
     for (int index = 0; index < config.frame_count; index += 6) {
-      Frame frame = render::to_frame(studio.render(index, nullptr).picture);
+      Frame frame = render::to_frame(sequence.render(index, nullptr).picture);
       frame.media_time_ns = index * std::int64_t{33'333'333};
       shaded.process(frame);
       plain.process(frame);
@@ -73,8 +73,8 @@ TEST_F(IdentityShadingTest, FindsThePersonNearerThanLandmarksAlone) {
     ASSERT_TRUE(shaded.settle_subject());
     ASSERT_TRUE(plain.settle_subject());
     const auto error_mm = [&](const Tracker& tracker) {
-      const Eigen::VectorXf identity = tracker.subject()->shape.identity.cast<float>();
-      return distance_mm({identity.begin(), identity.end()}, studio.identity());
+      const Eigen::VectorXf identity = tracker.person()->shape.identity.cast<float>();
+      return distance_mm({identity.begin(), identity.end()}, sequence.identity());
     };
     by_landmarks_mm += error_mm(plain);
     with_shading_mm += error_mm(shaded);

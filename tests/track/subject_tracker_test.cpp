@@ -70,7 +70,7 @@ class SubjectTrackerTest : public testing::Test {
 
   void acquire(const Eigen::VectorXd& identity) {
     for (int f = 0; f < 150; ++f) {
-      if (act(identity, 1, f == 0 && !tracker.has_subject()).state == TrackingState::Tracking) {
+      if (act(identity, 1, f == 0 && !tracker.has_person()).state == TrackingState::Tracking) {
         act(identity, 40);
         return;
       }
@@ -201,7 +201,7 @@ TEST_F(SubjectTrackerTest, ResetIdentityAcquiresAnew) {
   const Eigen::VectorXd identity = test::random_identity(model, random);
   acquire(identity);
   tracker.reset_identity();
-  EXPECT_FALSE(tracker.has_subject());
+  EXPECT_FALSE(tracker.has_person());
   EXPECT_EQ(act(identity, 1).state, TrackingState::Acquiring);
   acquire(identity);
   EXPECT_EQ(act(identity, 1).subject, 2U);
@@ -211,16 +211,16 @@ TEST_F(SubjectTrackerTest, AnAdoptedSubjectIsTrackedFromTheFirstFrame) {
   const Eigen::VectorXd identity = test::random_identity(model, random);
   acquire(identity);
   SubjectTracker second(model, prior, {});
-  ASSERT_TRUE(second.adopt(tracker.subject(), width_px, height_px));
+  ASSERT_TRUE(second.adopt(tracker.person(), width_px, height_px));
   const auto face = test::synthetic_landmarks(model, acting(identity, 0), 0.8, random);
   const SubjectFrame& result = second.process(&face, true, width_px, height_px, 5);
   EXPECT_EQ(result.state, TrackingState::Tracking);
   EXPECT_EQ(second.shape().identity, tracker.shape().identity);
 
-  Subject damaged = tracker.subject();
+  Person damaged = tracker.person();
   damaged.shape.identity[0] = std::nan("");
   EXPECT_FALSE(second.adopt(damaged, width_px, height_px));
-  damaged = tracker.subject();
+  damaged = tracker.person();
   damaged.shape.identity.conservativeResize(2);
   EXPECT_FALSE(second.adopt(damaged, width_px, height_px));
 }
@@ -242,7 +242,7 @@ TEST_F(SubjectTrackerTest, AnotherImageSizeStartsAnew) {
   width_px = 640;
   height_px = 480;
   EXPECT_EQ(show(nullptr).state, TrackingState::Searching);
-  EXPECT_FALSE(tracker.has_subject());
+  EXPECT_FALSE(tracker.has_person());
 }
 
 /// What a broken landmark net might say: every case in every state, and the tracker must recover from it.
@@ -450,7 +450,7 @@ TEST_F(TwoViewsTest, EitherViewAloneIsEnoughToGoOn) {
     ASSERT_LT(error_mm(show_both(identity, 0, 0)), 4.0);
   }
   EXPECT_EQ(show_both(identity, std::nullopt, std::nullopt).state, TrackingState::Lost);
-  EXPECT_EQ(both.subject().shape.identity.size(), model.identity_count());
+  EXPECT_EQ(both.person().shape.identity.size(), model.identity_count());
 }
 
 TEST_F(TwoViewsTest, AViewThatContradictsIsLeftOut) {

@@ -54,18 +54,18 @@ TEST_F(TrackerTest, FollowsARealFaceCloselyFromTheFirstFrameOnOnceAdopted) {
   };
   auto camera = open();
   int frames = 0;
-  while (!tracker->subject() && ++frames <= 150) {
+  while (!tracker->person() && ++frames <= 150) {
     ASSERT_EQ(camera->next(frame, std::chrono::seconds(10)), CaptureOutcome::Delivered);
     const TrackResult& result = tracker->process(frame);
     EXPECT_TRUE(result.state == TrackingState::Acquiring || result.state == TrackingState::Tracking);
     EXPECT_TRUE(result.has_mesh) << "a provisional mesh from the first frame on";
   }
-  ASSERT_TRUE(tracker->subject().has_value()) << "not acquired within 150 frames";
+  ASSERT_TRUE(tracker->person().has_value()) << "not acquired within 150 frames";
 
   Tracker second(*model, {.landmark_assets = test::landmark_assets(), .intrinsics = {}});
-  second.adopt(*tracker->subject(), frame.width_px, frame.height_px);
+  second.adopt(*tracker->person(), frame.width_px, frame.height_px);
   Tracker slow(*model, {.landmark_assets = test::landmark_assets(), .intrinsics = {}});
-  slow.adopt(*tracker->subject(), frame.width_px, frame.height_px);
+  slow.adopt(*tracker->person(), frame.width_px, frame.height_px);
   camera = open();
   for (int f = 0; f < 60; ++f) {
     ASSERT_EQ(camera->next(frame, std::chrono::seconds(10)), CaptureOutcome::Delivered);
@@ -130,8 +130,8 @@ TEST(TrackerStart, ErrorsSayWhatToDo) {
     EXPECT_NE(std::string(error.what()).find("facet model build"), std::string::npos) << error.what();
   }
   Tracker tracker(model, {.landmark_assets = test::landmark_assets(), .intrinsics = {}});
-  EXPECT_FALSE(tracker.subject().has_value());
-  EXPECT_THROW(tracker.adopt(Subject{}, 640, 480), Error);
+  EXPECT_FALSE(tracker.person().has_value());
+  EXPECT_THROW(tracker.adopt(Person{}, 640, 480), Error);
 }
 
 }  // namespace

@@ -133,7 +133,7 @@ TEST(ThreadedTrigger, LinesThatFailAreAStateWithItsReason) {
   while (trigger->status().state == TriggerState::Running) {
     trigger->next(event, 1ms);
   }
-  EXPECT_EQ(trigger->status().state, TriggerState::Failed);
+  EXPECT_EQ(trigger->status().state, TriggerState::Failing);
   EXPECT_EQ(trigger->status().reason, "cut");
 }
 

@@ -41,7 +41,7 @@ ordered_json number(double value) {
   return std::isnan(value) ? ordered_json(nullptr) : ordered_json(value);
 }
 
-ordered_json figures_json(const report::Figures& figures) {
+ordered_json figures_json(const report::AccuracyFigures& figures) {
   return {{"mean_mm", number(figures.mean_mm)},
           {"std_mm", number(figures.std_mm)},
           {"median_mm", number(figures.median_mm)},
@@ -62,8 +62,8 @@ void run_eval(const EvalOptions& options) {
         progress->set(done);
       });
   progress.reset();
-  const report::Figures& coarse = evaluation.coarse;
-  const report::Figures& refined = evaluation.refined;
+  const report::AccuracyFigures& coarse = evaluation.coarse;
+  const report::AccuracyFigures& refined = evaluation.refined;
   const ordered_json document = {
       {"take", options.take},
       {"truth", options.truth},

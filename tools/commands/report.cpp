@@ -304,7 +304,7 @@ std::string truth_html(const report::TakeEvaluation& evaluation, const Series& s
       "<h2>Against the truth</h2>\n<table><thead><tr><th></th><th>mean mm</th><th>standard deviation</th>"
       "<th>median</th><th>95 %</th><th>normals, degrees</th><th>flicker mm</th></tr></thead><tbody>\n";
   for (const auto& [name, figures] :
-       {std::pair<const char*, const report::Figures&>("coarse", evaluation.coarse),
+       {std::pair<const char*, const report::AccuracyFigures&>("coarse", evaluation.coarse),
         {"refined", evaluation.refined}}) {
     html += fmt::format(
         "<tr><td>{}</td><td>{:.3f}</td><td>{:.3f}</td><td>{:.3f}</td><td>{:.3f}</td><td>{:.2f}</td>"

@@ -21,7 +21,7 @@ namespace facet::tools {
 namespace {
 
 struct SynthOptions {
-  simulation::StudioConfig studio;
+  simulation::ActorSequenceConfig studio;
   std::string size = "1280x720";
   std::string light = "sh";
   std::string model = default_model_file().string();
@@ -65,7 +65,7 @@ void run_synth(SynthOptions options) {
   options.studio.light =
       options.light == "area" ? simulation::LightKind::Area : simulation::LightKind::SphericalHarmonics;
   const face::FaceModel model = face::FaceModel::load(options.model);
-  const simulation::Studio studio(model, options.studio);
+  const simulation::ActorSequence studio(model, options.studio);
   Progress progress("Rendering", static_cast<std::uint64_t>(options.studio.frame_count));
   simulation::write_sequence(studio, options.folder,
                              [&](int done) { progress.set(static_cast<std::uint64_t>(done)); });

@@ -20,7 +20,7 @@
 #include "files/pfm.hpp"
 #include "progress.hpp"
 #include "render/renderer.hpp"
-#include "simulation/booth.hpp"
+#include "simulation/virtual_booth.hpp"
 #include "take/recorder.hpp"
 #include "tell.hpp"
 
@@ -28,14 +28,14 @@ namespace facet::tools {
 namespace {
 
 using nlohmann::json;
-using simulation::Booth;
 using simulation::BoothScene;
 using simulation::BoothSlot;
+using simulation::VirtualBooth;
 
 constexpr std::array kScenes = {"actor", "plane", "sphere"};  // order of BoothScene
 
 struct SynthBoothOptions {
-  simulation::BoothConfig booth;
+  simulation::VirtualBoothConfig booth;
   std::string scene = kScenes[0];
   std::uint64_t first_slot = 150;
   std::uint64_t slots = 90;
@@ -55,7 +55,7 @@ render::Picture mask_of(const simulation::DepthTruth& truth) {
   return mask;
 }
 
-void write_truth(const Booth& booth, const BoothSlot& slot, const std::filesystem::path& folder,
+void write_truth(const VirtualBooth& booth, const BoothSlot& slot, const std::filesystem::path& folder,
                  bool with_mesh) {
   const std::string name = fmt::format("slot_{:06}", slot.number());
   for (const capture::StereoPair& pair : booth.rig().pairs) {
@@ -83,8 +83,8 @@ json vector_json(const Eigen::Vector3d& vector) {
   return {vector.x(), vector.y(), vector.z()};
 }
 
-void write_description(const SynthBoothOptions& options, const Booth& booth) {
-  const simulation::BoothConfig& config = booth.config();
+void write_description(const SynthBoothOptions& options, const VirtualBooth& booth) {
+  const simulation::VirtualBoothConfig& config = booth.config();
   json document = {{"seed", config.seed},
                    {"scene", options.scene},
                    {"first_slot", options.first_slot},
@@ -118,7 +118,7 @@ void run_synth_booth(SynthBoothOptions options) {
   if (options.booth.scene == BoothScene::Actor) {
     model = face::FaceModel::load(options.model);
   }
-  const Booth booth(model ? &*model : nullptr, options.booth);
+  const VirtualBooth booth(model ? &*model : nullptr, options.booth);
   const std::filesystem::path folder = options.folder;
   for (const capture::StereoPair& pair : booth.rig().pairs) {
     files::make_folder(folder / "truth" / booth.rig().cameras[pair.left].name);

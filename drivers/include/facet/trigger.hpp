@@ -63,7 +63,7 @@ struct TriggerEvent {
 enum class TriggerState {
   Idle,     ///< not started, or stopped; lines at their safe level
   Running,  ///< slots are fired
-  Failed,   ///< the lines can't be set any more; TriggerStatus::reason says why
+  Failing,  ///< the lines can't be set any more; TriggerStatus::reason says why
 };
 
 constexpr const char* to_string(TriggerState state) {
@@ -73,7 +73,7 @@ constexpr const char* to_string(TriggerState state) {
 
 struct TriggerStatus {
   TriggerState state = TriggerState::Idle;
-  std::string reason;      ///< of Failed
+  std::string reason;      ///< of Failing
   bool real_time = false;  ///< SCHED_FIFO and locked memory, both
   std::string scheduling;  ///< for people: what the edge thread got, and what right is missing
   std::uint64_t slots_fired = 0;

@@ -149,7 +149,7 @@ DisplacementResult DisplacementSolver::solve() {
   }
   LoadedProblem& loaded = *impl_->loaded;
   if (loaded.batch.submit() != gpu::Outcome::Done || loaded.batch.wait() != gpu::Outcome::Done) {
-    out.outcome = SolveOutcome::DeviceLost;
+    out.outcome = DisplacementOutcome::DeviceLost;
     out.failure = "the GPU was lost during the solve";
     return out;
   }
@@ -165,7 +165,7 @@ DisplacementResult DisplacementSolver::solve() {
     finite = finite && std::isfinite(position.w);
   }
   if (!finite) {
-    out.outcome = SolveOutcome::NumericalFailure;
+    out.outcome = DisplacementOutcome::NumericalFailure;
     out.failure = fmt::format("the solve left finite numbers; energy {} at its start, {} at its end",
                               out.energies.front(), out.energies.back());
   }

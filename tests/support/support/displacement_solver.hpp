@@ -30,10 +30,10 @@ struct DisplacementProblem {
   std::vector<float> start_mm;      ///< [vertex_count]
 };
 
-enum class SolveOutcome { Converged, NumericalFailure, DeviceLost };
+enum class DisplacementOutcome { Converged, NumericalFailure, DeviceLost };
 
 struct DisplacementResult {
-  SolveOutcome outcome = SolveOutcome::Converged;
+  DisplacementOutcome outcome = DisplacementOutcome::Converged;
   std::string failure;                  ///< for people, empty where all is well
   std::vector<float> displacements_mm;  ///< [vertex_count]
   std::vector<double> energies;         ///< [gauss_newton_steps + 1] E before each step and after the last

@@ -1,4 +1,4 @@
-#include "simulation/booth.hpp"
+#include "simulation/virtual_booth.hpp"
 
 #include <fmt/format.h>
 
@@ -16,10 +16,10 @@
 #include "render/renderer.hpp"
 #include "simulation/booth_rig.hpp"
 #include "simulation/light.hpp"
+#include "simulation/placed_actor.hpp"
 #include "simulation/random.hpp"
 #include "simulation/sensor.hpp"
 #include "simulation/shading.hpp"
-#include "simulation/stage.hpp"
 
 namespace facet::simulation {
 namespace {
@@ -57,7 +57,7 @@ float openness_of(Material material) {
   return 1;
 }
 
-void check(const face::FaceModel* model, const BoothConfig& config) {
+void check(const face::FaceModel* model, const VirtualBoothConfig& config) {
   const auto refuse = [](const std::string& what) {
     throw Error(ErrorKind::Usage, "virtual booth: " + what);
   };
@@ -346,17 +346,17 @@ struct Moment {
 
 }  // namespace
 
-struct Booth::Impl {
-  BoothConfig config;
+struct VirtualBooth::Impl {
+  VirtualBoothConfig config;
   capture::Rig rig;
-  std::unique_ptr<Stage> stage;  ///< the actor's
+  std::unique_ptr<PlacedActor> placed;  ///< the actor's
   std::optional<BoothTarget> target;
   std::shared_ptr<const Moment> still;  ///< of a target or an actor that holds its pose
   Eigen::VectorXf skin;
   std::array<float, 9> room{};  ///< light of the room in the basis of eq. 1 (Ma & Deng 2019), rig frame
   std::vector<CameraView> cameras;
 
-  Impl(const face::FaceModel* model, const BoothConfig& given) : config(given) {
+  Impl(const face::FaceModel* model, const VirtualBoothConfig& given) : config(given) {
     check(model, config);
     rig = make_booth_rig(config.seed, config.resolution);
     for (std::size_t k = 0; k < room.size(); ++k) {
@@ -365,9 +365,10 @@ struct Booth::Impl {
                 (0.8F * distant_light_sh(Vector3f(0, 0.6F, 0.8F))[k] + (k == 0 ? 0.4F : 0));
     }
     if (config.scene == BoothScene::Actor) {
-      stage = std::make_unique<Stage>(*model, config.actor_seed.value_or(config.seed), false, kPerformance_s);
-      stage->put(Eigen::Matrix3f::Identity(), Vector3f::Zero(), static_cast<float>(config.head_motion));
-      skin = stage->actor().face_skin();
+      placed = std::make_unique<PlacedActor>(*model, config.actor_seed.value_or(config.seed), false,
+                                             kPerformance_s);
+      placed->put(Eigen::Matrix3f::Identity(), Vector3f::Zero(), static_cast<float>(config.head_motion));
+      skin = placed->actor().face_skin();
     } else {
       Target made = config.scene == BoothScene::Plane ? make_plate(config.seed, config.target_shift_mm)
                                                       : make_ball(config.seed, config.target_shift_mm);
@@ -379,7 +380,7 @@ struct Booth::Impl {
     for (std::size_t camera = 0; camera < rig.cameras.size(); ++camera) {
       cameras.emplace_back(rig.cameras[camera], gains[camera]);
     }
-    if (stage && config.pose_s) {
+    if (placed && config.pose_s) {
       still = moment(*config.pose_s);
     }
   }
@@ -397,7 +398,7 @@ struct Booth::Impl {
       return still;
     }
     Scene scene;
-    stage->build_scene(time_s, scene);
+    placed->build_scene(time_s, scene);
     return std::make_shared<const Moment>(std::move(scene));
   }
 
@@ -502,7 +503,7 @@ struct Booth::Impl {
 };
 
 struct BoothSlot::Impl {
-  std::shared_ptr<const Booth::Impl> booth;
+  std::shared_ptr<const VirtualBooth::Impl> booth;
   std::uint64_t number = 0;
   capture::Shown shown;
   std::vector<capture::GreyImage> pictures;  ///< that are shown in place of patterns
@@ -712,36 +713,36 @@ DepthTruth BoothSlot::depth(std::size_t camera, std::optional<std::size_t> other
 
 TruthMesh BoothSlot::surface() const {
   const Scene& scene = impl_->middle().scene;
-  if (impl_->booth->stage) {
-    return impl_->booth->stage->head_of(scene);
+  if (impl_->booth->placed) {
+    return impl_->booth->placed->head_of(scene);
   }
   return {scene.vertices_mm, scene.normals, scene.albedo, scene.triangles};
 }
 
-Booth::Booth(const face::FaceModel* model, const BoothConfig& config)
+VirtualBooth::VirtualBooth(const face::FaceModel* model, const VirtualBoothConfig& config)
     : impl_(std::make_shared<const Impl>(model, config)) {}
 
-const BoothConfig& Booth::config() const {
+const VirtualBoothConfig& VirtualBooth::config() const {
   return impl_->config;
 }
 
-const capture::Rig& Booth::rig() const {
+const capture::Rig& VirtualBooth::rig() const {
   return impl_->rig;
 }
 
-const Eigen::VectorXf& Booth::skin() const {
+const Eigen::VectorXf& VirtualBooth::skin() const {
   return impl_->skin;
 }
 
-std::optional<BoothTarget> Booth::target() const {
+std::optional<BoothTarget> VirtualBooth::target() const {
   return impl_->target;
 }
 
-BoothSlot Booth::slot(std::uint64_t number) const {
+BoothSlot VirtualBooth::slot(std::uint64_t number) const {
   return slot(number, capture::shown_in_slot(number));
 }
 
-BoothSlot Booth::slot(std::uint64_t number, const capture::Shown& shown) const {
+BoothSlot VirtualBooth::slot(std::uint64_t number, const capture::Shown& shown) const {
   auto made = std::make_unique<BoothSlot::Impl>();
   made->booth = impl_;
   made->number = number;
@@ -749,7 +750,7 @@ BoothSlot Booth::slot(std::uint64_t number, const capture::Shown& shown) const {
   return BoothSlot(std::move(made));
 }
 
-BoothSlot Booth::slot(std::uint64_t number, std::vector<capture::GreyImage> pictures) const {
+BoothSlot VirtualBooth::slot(std::uint64_t number, std::vector<capture::GreyImage> pictures) const {
   const std::vector<capture::RigProjector>& projectors = impl_->rig.projectors;
   if (pictures.size() != projectors.size()) {
     throw Error(ErrorKind::Usage, fmt::format("virtual booth: {} pictures for {} projectors", pictures.size(),

@@ -1,4 +1,4 @@
-#include "simulation/stage.hpp"
+#include "simulation/placed_actor.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -19,29 +19,29 @@ Eigen::Matrix3f turn(const HeadMotion& motion) {
 
 }  // namespace
 
-Stage::Stage(const face::FaceModel& model, std::uint64_t seed, bool glasses, double duration_s)
+PlacedActor::PlacedActor(const face::FaceModel& model, std::uint64_t seed, bool glasses, double duration_s)
     : actor_(model, seed, glasses), performance_(seed, duration_s) {
   const Anatomy& face = actor_.anatomy();
   middle_mm_ = 0.5F * (face.forehead + face.chin);
   pivot_mm_ = Vector3f(0, face.chin.y() + 25, face.nasion.z() - 95);
 }
 
-void Stage::put(const Eigen::Matrix3f& axes, const Eigen::Vector3f& middle_mm, float head_motion) {
+void PlacedActor::put(const Eigen::Matrix3f& axes, const Eigen::Vector3f& middle_mm, float head_motion) {
   axes_ = axes;
   resting_pivot_mm_ = middle_mm + axes * (pivot_mm_ - middle_mm_);
   head_motion_ = head_motion;
 }
 
-void Stage::turn_once(float yaw_rad, double duration_s) {
+void PlacedActor::turn_once(float yaw_rad, double duration_s) {
   turn_rad_ = yaw_rad;
   turn_duration_s_ = std::max(duration_s, 1e-3);
 }
 
-std::vector<float> Stage::expression(double time_s) const {
+std::vector<float> PlacedActor::expression(double time_s) const {
   return performance_.expression(time_s, actor_.expression_names());
 }
 
-HeadMotion Stage::head_motion(double time_s) const {
+HeadMotion PlacedActor::head_motion(double time_s) const {
   HeadMotion motion = performance_.head(time_s);
   motion.yaw_rad *= head_motion_;
   motion.pitch_rad *= head_motion_;
@@ -52,7 +52,7 @@ HeadMotion Stage::head_motion(double time_s) const {
   return motion;
 }
 
-Isometry3f Stage::pose(const HeadMotion& motion) const {
+Isometry3f PlacedActor::pose(const HeadMotion& motion) const {
   // The performance shifts the head along the axes of a camera that it looks at: x right, y down, z forward.
   const Eigen::Matrix3f place_from_camera_axes = axes_ * Vector3f(1, -1, -1).asDiagonal();
   Isometry3f pose = Isometry3f::Identity();
@@ -62,11 +62,11 @@ Isometry3f Stage::pose(const HeadMotion& motion) const {
   return pose;
 }
 
-Isometry3f Stage::place_from_head(double time_s) const {
+Isometry3f PlacedActor::place_from_head(double time_s) const {
   return pose(head_motion(time_s));
 }
 
-void Stage::build_scene(double time_s, Scene& scene) const {
+void PlacedActor::build_scene(double time_s, Scene& scene) const {
   ActorShape shape;
   actor_.shape(expression(time_s), performance_.gaze(time_s), shape);
   const Isometry3f head = place_from_head(time_s);
@@ -106,7 +106,7 @@ void Stage::build_scene(double time_s, Scene& scene) const {
   }
 }
 
-TruthMesh Stage::head_of(const Scene& scene) const {
+TruthMesh PlacedActor::head_of(const Scene& scene) const {
   const Eigen::Index count = actor_.head_albedo().cols();
   return {scene.vertices_mm.leftCols(count), scene.normals.leftCols(count), actor_.head_albedo(),
           actor_.head_triangles()};

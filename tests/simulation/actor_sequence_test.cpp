@@ -1,4 +1,4 @@
-#include "simulation/studio.hpp"
+#include "simulation/actor_sequence.hpp"
 
 #include <gtest/gtest.h>
 
@@ -24,8 +24,8 @@ const face::FaceModel& model() {
   return made;
 }
 
-StudioConfig small() {
-  StudioConfig config;
+ActorSequenceConfig small() {
+  ActorSequenceConfig config;
   config.seed = 5;
   config.width_px = 321;
   config.height_px = 241;
@@ -39,12 +39,12 @@ Eigen::Vector2f project(const CameraIntrinsics& camera, const Eigen::Vector3f& a
   return {camera.fx * at_mm.x() / at_mm.z() + camera.cx, camera.fy * at_mm.y() / at_mm.z() + camera.cy};
 }
 
-TEST(Studio, PictureIsTheTruthUnderTheShadingModel) {
-  const Studio studio(model(), small());
+TEST(ActorSequence, PictureIsTheTruthUnderTheShadingModel) {
+  const ActorSequence sequence(model(), small());
   TruthMesh truth;
-  const SyntheticFrame frame = studio.render(2, &truth);
+  const SyntheticFrame frame = sequence.render(2, &truth);
   const render::Raycaster caster(truth.vertices_mm, truth.triangles);
-  const render::HitImage hits = caster.cast(studio.camera());
+  const render::HitImage hits = caster.cast(sequence.camera());
   std::vector<float> errors;
   for (std::size_t pixel = 0; pixel < hits.triangle.size(); ++pixel) {
     if (hits.triangle[pixel] < 0) {
@@ -58,7 +58,7 @@ TEST(Studio, PictureIsTheTruthUnderTheShadingModel) {
       continue;
     }
     const Eigen::Vector3f expected =
-        render::irradiance(studio.lighting().spherical_harmonics, normal) * at(truth.albedo);
+        render::irradiance(sequence.lighting().spherical_harmonics, normal) * at(truth.albedo);
     for (std::size_t channel = 0; channel < 3; ++channel) {
       errors.push_back(std::abs(render::srgb8_to_linear(frame.picture.rgb[3 * pixel + channel]) -
                                 expected[static_cast<Eigen::Index>(channel)]));
@@ -70,19 +70,19 @@ TEST(Studio, PictureIsTheTruthUnderTheShadingModel) {
   EXPECT_LT(errors[errors.size() * 9 / 10], 0.04F);
 }
 
-TEST(Studio, FurtherCamerasSeeTheSameFaceFromTheirCalibratedPlaces) {
-  StudioConfig config = small();
-  const auto alone = Studio(model(), config).render(2, nullptr).picture.rgb;
+TEST(ActorSequence, FurtherCamerasSeeTheSameFaceFromTheirCalibratedPlaces) {
+  ActorSequenceConfig config = small();
+  const auto alone = ActorSequence(model(), config).render(2, nullptr).picture.rgb;
   config.camera_count = 3;
-  const Studio studio(model(), config);
+  const ActorSequence sequence(model(), config);
   TruthMesh truth;
-  const SyntheticFrame frame = studio.render(2, &truth);
+  const SyntheticFrame frame = sequence.render(2, &truth);
   EXPECT_EQ(frame.picture.rgb, alone);
   ASSERT_EQ(frame.further_pictures.size(), 2U);
-  ASSERT_EQ(studio.rig().cameras.size(), 3U);
-  EXPECT_TRUE(studio.rig().cameras.front().lens.camera_from_rig.matrix().isIdentity(0));
+  ASSERT_EQ(sequence.rig().cameras.size(), 3U);
+  EXPECT_TRUE(sequence.rig().cameras.front().lens.camera_from_rig.matrix().isIdentity(0));
   for (std::size_t k = 1; k < 3; ++k) {
-    const capture::Lens& lens = studio.rig().cameras[k].lens;
+    const capture::Lens& lens = sequence.rig().cameras[k].lens;
     const Eigen::Isometry3f view = lens.camera_from_rig.cast<float>();
     const float turn_deg = Eigen::AngleAxisf(view.linear()).angle() * 180 / std::numbers::pi_v<float>;
     EXPECT_NEAR(turn_deg, 25, 3);
@@ -105,7 +105,7 @@ TEST(Studio, FurtherCamerasSeeTheSameFaceFromTheirCalibratedPlaces) {
       };
       const Eigen::Vector3f normal = at(truth.normals).normalized();
       const Eigen::Vector3f expected =
-          render::irradiance(studio.lighting().spherical_harmonics, normal) * at(truth.albedo);
+          render::irradiance(sequence.lighting().spherical_harmonics, normal) * at(truth.albedo);
       if (-(view.linear() * normal).z() < 0.5F || expected.minCoeff() < 0.1F) {
         continue;
       }
@@ -126,20 +126,20 @@ TEST(Studio, FurtherCamerasSeeTheSameFaceFromTheirCalibratedPlaces) {
   }
 }
 
-TEST(Studio, FaceIsInThePictureAtTheRightSizeAndDistance) {
+TEST(ActorSequence, FaceIsInThePictureAtTheRightSizeAndDistance) {
   for (std::uint64_t seed = 1; seed <= 4; ++seed) {
-    StudioConfig config = small();
+    ActorSequenceConfig config = small();
     config.seed = seed;
-    const Studio studio(model(), config);
-    const SyntheticFrame frame = studio.render(0, nullptr);
+    const ActorSequence sequence(model(), config);
+    const SyntheticFrame frame = sequence.render(0, nullptr);
     const float distance_mm = frame.camera_from_head.translation().z();
     EXPECT_GT(distance_mm, 430);
     EXPECT_LT(distance_mm, 800);
     const auto landmark = [&](std::size_t index) {
       mesh::Vertices vertices_mm;
-      model().evaluate(studio.identity(), frame.expression, vertices_mm);
-      return project(studio.camera(), frame.camera_from_head * face::FaceModel::anchor_point(
-                                                                   model().landmarks[index], vertices_mm));
+      model().evaluate(sequence.identity(), frame.expression, vertices_mm);
+      return project(sequence.camera(), frame.camera_from_head * face::FaceModel::anchor_point(
+                                                                     model().landmarks[index], vertices_mm));
     };
     const float height_px = (landmark(10) - landmark(152)).norm();
     EXPECT_GT(height_px, 0.3F * 241);
@@ -150,21 +150,21 @@ TEST(Studio, FaceIsInThePictureAtTheRightSizeAndDistance) {
   }
 }
 
-TEST(Studio, FramesDoNotDependOnOrder) {
-  StudioConfig config = small();
+TEST(ActorSequence, FramesDoNotDependOnOrder) {
+  ActorSequenceConfig config = small();
   config.sensor_noise = true;
-  const Studio studio(model(), config);
-  const auto second = studio.render(1, nullptr).picture.rgb;
-  studio.render(0, nullptr);
-  EXPECT_EQ(studio.render(1, nullptr).picture.rgb, second);
-  EXPECT_NE(studio.render(2, nullptr).picture.rgb, second);
+  const ActorSequence sequence(model(), config);
+  const auto second = sequence.render(1, nullptr).picture.rgb;
+  sequence.render(0, nullptr);
+  EXPECT_EQ(sequence.render(1, nullptr).picture.rgb, second);
+  EXPECT_NE(sequence.render(2, nullptr).picture.rgb, second);
 }
 
-TEST(Studio, SensorNoiseIsThatOfASmallCamera) {
-  StudioConfig config = small();
-  const auto clean = Studio(model(), config).render(1, nullptr).picture.rgb;
+TEST(ActorSequence, SensorNoiseIsThatOfASmallCamera) {
+  ActorSequenceConfig config = small();
+  const auto clean = ActorSequence(model(), config).render(1, nullptr).picture.rgb;
   config.sensor_noise = true;
-  const auto noisy = Studio(model(), config).render(1, nullptr).picture.rgb;
+  const auto noisy = ActorSequence(model(), config).render(1, nullptr).picture.rgb;
   double squares = 0;
   for (std::size_t k = 0; k < clean.size(); ++k) {
     const double difference = static_cast<double>(noisy[k]) - clean[k];
@@ -175,12 +175,12 @@ TEST(Studio, SensorNoiseIsThatOfASmallCamera) {
   EXPECT_LT(rms, 6);
 }
 
-TEST(Studio, AreaLightShadesAndHighlightsShine) {
-  StudioConfig config = small();
+TEST(ActorSequence, AreaLightShadesAndHighlightsShine) {
+  ActorSequenceConfig config = small();
   config.light = LightKind::Area;
-  const auto matt = Studio(model(), config).render(0, nullptr).picture.rgb;
+  const auto matt = ActorSequence(model(), config).render(0, nullptr).picture.rgb;
   config.highlights = true;
-  const auto shiny = Studio(model(), config).render(0, nullptr).picture.rgb;
+  const auto shiny = ActorSequence(model(), config).render(0, nullptr).picture.rgb;
   std::size_t brighter = 0;
   std::size_t darker = 0;
   for (std::size_t k = 0; k < matt.size(); ++k) {
@@ -189,19 +189,19 @@ TEST(Studio, AreaLightShadesAndHighlightsShine) {
   }
   EXPECT_GT(brighter, 300U);
   EXPECT_EQ(darker, 0U);
-  EXPECT_NE(matt, Studio(model(), small()).render(0, nullptr).picture.rgb);
+  EXPECT_NE(matt, ActorSequence(model(), small()).render(0, nullptr).picture.rgb);
 }
 
-TEST(Studio, RefusesConfigurationsWithoutSense) {
-  for (const auto& change : std::initializer_list<void (*)(StudioConfig&)>{
-           [](StudioConfig& config) { config.width_px = 0; },
-           [](StudioConfig& config) { config.height_px = 100'000; },
-           [](StudioConfig& config) { config.frame_count = 0; },
-           [](StudioConfig& config) { config.rate_hz = 0; }}) {
-    StudioConfig config = small();
+TEST(ActorSequence, RefusesConfigurationsWithoutSense) {
+  for (const auto& change : std::initializer_list<void (*)(ActorSequenceConfig&)>{
+           [](ActorSequenceConfig& config) { config.width_px = 0; },
+           [](ActorSequenceConfig& config) { config.height_px = 100'000; },
+           [](ActorSequenceConfig& config) { config.frame_count = 0; },
+           [](ActorSequenceConfig& config) { config.rate_hz = 0; }}) {
+    ActorSequenceConfig config = small();
     change(config);
     try {
-      const Studio studio(model(), config);
+      const ActorSequence sequence(model(), config);
       FAIL() << "accepted";
     } catch (const Error& error) {
       EXPECT_EQ(error.kind(), ErrorKind::Usage);
@@ -211,14 +211,14 @@ TEST(Studio, RefusesConfigurationsWithoutSense) {
 
 TEST(Sequence, WritesVideoTruthAndCamera) {
   const test::TemporaryFolder folder;
-  StudioConfig config = small();
+  ActorSequenceConfig config = small();
   config.frame_count = 2;
-  const Studio studio(model(), config);
+  const ActorSequence sequence(model(), config);
   int last = 0;
-  write_sequence(studio, folder.path() / "out", [&](int done) { last = done; });
+  write_sequence(sequence, folder.path() / "out", [&](int done) { last = done; });
   EXPECT_EQ(last, 2);
   TruthMesh truth;
-  const SyntheticFrame expected = studio.render(1, &truth);
+  const SyntheticFrame expected = sequence.render(1, &truth);
   EXPECT_EQ(read_truth_ply(truth_file(folder.path() / "out", 1)).vertices_mm, truth.vertices_mm);
 
   const auto camera = camera::open_camera({.kind = "file", .path = folder.path() / "out" / "video.mkv"});
@@ -234,11 +234,11 @@ TEST(Sequence, WritesVideoTruthAndCamera) {
   EXPECT_EQ(document["width"], 321);
   EXPECT_EQ(document["fps"], 30);
   EXPECT_EQ(document["seed"], 5);
-  EXPECT_FLOAT_EQ(document["fx"].get<float>(), studio.camera().fx);
+  EXPECT_FLOAT_EQ(document["fx"].get<float>(), sequence.camera().fx);
   ASSERT_EQ(document["frames"].size(), 2U);
   EXPECT_FLOAT_EQ(document["frames"][1]["camera_from_head"][2][3].get<float>(),
                   expected.camera_from_head(2, 3));
-  EXPECT_EQ(document["frames"][1]["expression"].size(), studio.expression_names().size());
+  EXPECT_EQ(document["frames"][1]["expression"].size(), sequence.expression_names().size());
   EXPECT_EQ(document["light"]["spherical_harmonics"].size(), 9U);
 }
 
@@ -250,26 +250,26 @@ TEST(BuiltActor, LooksLikeAFaceToTheLandmarkNet) {
   }
   const face::FaceModel built = face::FaceModel::load(test::default_model());
   for (const auto& [seed, light] : {std::pair{1, LightKind::SphericalHarmonics}, {2, LightKind::Area}}) {
-    StudioConfig config;
+    ActorSequenceConfig config;
     config.seed = static_cast<std::uint64_t>(seed);
     config.width_px = 640;
     config.height_px = 480;
     config.light = light;
-    const Studio studio(built, config);
+    const ActorSequence sequence(built, config);
     landmark::Landmarker landmarker(nets);
     for (const int index : {0, 20, 45}) {
-      const SyntheticFrame frame = studio.render(index, nullptr);
+      const SyntheticFrame frame = sequence.render(index, nullptr);
       const auto& found = landmarker.process(render::to_frame(frame.picture));
       ASSERT_TRUE(found.found) << seed << ' ' << index;
       mesh::Vertices vertices_mm;
-      built.evaluate(studio.identity(), frame.expression, vertices_mm);
+      built.evaluate(sequence.identity(), frame.expression, vertices_mm);
       std::vector<float> errors;
       for (std::size_t k = 0; k < built.landmarks.size(); ++k) {
         if (built.landmarks[k].weights[0] + built.landmarks[k].weights[1] + built.landmarks[k].weights[2] >
             0) {
           const Eigen::Vector3f at =
               frame.camera_from_head * face::FaceModel::anchor_point(built.landmarks[k], vertices_mm);
-          errors.push_back((project(studio.camera(), at) -
+          errors.push_back((project(sequence.camera(), at) -
                             found.face.points_px.col(static_cast<Eigen::Index>(k)).head<2>())
                                .norm());
         }

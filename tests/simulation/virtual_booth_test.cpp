@@ -1,4 +1,4 @@
-#include "simulation/booth.hpp"
+#include "simulation/virtual_booth.hpp"
 
 #include <gtest/gtest.h>
 
@@ -29,8 +29,8 @@ const face::FaceModel& model() {
 }
 
 /// Without what can't be computed again in a few lines: noise, blur, room light, motion.
-BoothConfig plain(BoothScene scene) {
-  BoothConfig config;
+VirtualBoothConfig plain(BoothScene scene) {
+  VirtualBoothConfig config;
   config.seed = 3;
   config.scene = scene;
   config.exposure_ms = 0;
@@ -41,8 +41,8 @@ BoothConfig plain(BoothScene scene) {
   return config;
 }
 
-const Booth& actor_booth() {
-  static const Booth booth(&model(), plain(BoothScene::Actor));
+const VirtualBooth& actor_booth() {
+  static const VirtualBooth booth(&model(), plain(BoothScene::Actor));
   return booth;
 }
 
@@ -107,9 +107,9 @@ TEST(BoothRig, IsLaidOutAsPlanned) {
   }
 }
 
-TEST(Booth, PictureIsThePatternAtTheProjectedPoint) {
-  const BoothConfig config = plain(BoothScene::Plane);
-  const Booth booth(nullptr, config);
+TEST(VirtualBooth, PictureIsThePatternAtTheProjectedPoint) {
+  const VirtualBoothConfig config = plain(BoothScene::Plane);
+  const VirtualBooth booth(nullptr, config);
   const BoothTarget plate = *booth.target();
   const capture::Rig& rig = booth.rig();
   const BoothSlot slot = booth.slot(4);
@@ -187,9 +187,9 @@ TEST(Booth, PictureIsThePatternAtTheProjectedPoint) {
   }
 }
 
-TEST(Booth, DepthOfPlateAndBallIsTheirs) {
-  const Booth plane(nullptr, plain(BoothScene::Plane));
-  const Booth sphere(nullptr, plain(BoothScene::Sphere));
+TEST(VirtualBooth, DepthOfPlateAndBallIsTheirs) {
+  const VirtualBooth plane(nullptr, plain(BoothScene::Plane));
+  const VirtualBooth sphere(nullptr, plain(BoothScene::Sphere));
   const DepthTruth flat = plane.slot(0).depth(2, 3);
   const DepthTruth round = sphere.slot(0).depth(2, 3);
   int on_plate = 0;
@@ -222,7 +222,7 @@ TEST(Booth, DepthOfPlateAndBallIsTheirs) {
   EXPECT_NEAR(shared / static_cast<double>(on_ball), 0.98, 0.015);
 }
 
-TEST(Booth, DepthReprojectsOntoTheSurface) {
+TEST(VirtualBooth, DepthReprojectsOntoTheSurface) {
   const BoothSlot slot = actor_booth().slot(200);
   const TruthMesh surface = slot.surface();
   const render::Raycaster caster(surface.vertices_mm, surface.triangles);
@@ -249,14 +249,14 @@ TEST(Booth, DepthReprojectsOntoTheSurface) {
   }
 }
 
-TEST(Booth, SkinIsLitByTheProjectorsThatReachIt) {
+TEST(VirtualBooth, SkinIsLitByTheProjectorsThatReachIt) {
   if (!std::filesystem::exists(test::default_model())) {
     GTEST_SKIP() << test::default_model() << " is missing; the test model's face is too flat for shadows";
   }
   const face::FaceModel real = face::FaceModel::load(test::default_model());
-  BoothConfig config = plain(BoothScene::Actor);
+  VirtualBoothConfig config = plain(BoothScene::Actor);
   config.head_motion = 1;
-  const Booth booth(&real, config);
+  const VirtualBooth booth(&real, config);
   const BoothSlot slot = booth.slot(280, {Shown::Kind::Blank, 0});
   const capture::Rig& rig = booth.rig();
   const TruthMesh surface = slot.surface();
@@ -341,7 +341,7 @@ TEST(Booth, SkinIsLitByTheProjectorsThatReachIt) {
   EXPECT_LT(part_off(gains_in_light), 0.02);
 }
 
-TEST(Booth, WhatNothingLightsIsBlack) {
+TEST(VirtualBooth, WhatNothingLightsIsBlack) {
   const Frame frame = actor_booth().slot(150, capture::Shown{}).frame(0);
   for (int y = 0; y < 480; ++y) {
     for (int x = 0; x < 640; ++x) {
@@ -350,13 +350,13 @@ TEST(Booth, WhatNothingLightsIsBlack) {
   }
 }
 
-TEST(Booth, SlotsComeOutTheSameInAnyOrder) {
-  BoothConfig config = plain(BoothScene::Actor);
+TEST(VirtualBooth, SlotsComeOutTheSameInAnyOrder) {
+  VirtualBoothConfig config = plain(BoothScene::Actor);
   config.exposure_ms = 5;
   config.samples = 2;
   config.sensor_noise = true;
-  const Booth one(&model(), config);
-  const Booth other(&model(), config);
+  const VirtualBooth one(&model(), config);
+  const VirtualBooth other(&model(), config);
   const auto bytes = [](const Frame& frame) {
     return std::vector<std::uint8_t>(frame.row(0), frame.row(0) + 4 * 640 * 480);
   };
@@ -370,12 +370,12 @@ TEST(Booth, SlotsComeOutTheSameInAnyOrder) {
   EXPECT_EQ(one.slot(9).trigger_ns(), 150'000'000);
 }
 
-TEST(Booth, VertexDifferencesAreTheFlowOfTheSkin) {
+TEST(VirtualBooth, VertexDifferencesAreTheFlowOfTheSkin) {
   // Room light alone: soft, so that a point keeps its colour while it moves.
-  BoothConfig config = plain(BoothScene::Actor);
+  VirtualBoothConfig config = plain(BoothScene::Actor);
   config.ambient = 1;
   config.head_motion = 1;
-  const Booth booth(&model(), config);
+  const VirtualBooth booth(&model(), config);
   constexpr std::size_t kCamera = 4;
   const BoothSlot before = booth.slot(200, capture::Shown{});
   const BoothSlot after = booth.slot(209, capture::Shown{});
@@ -449,16 +449,16 @@ TEST(Booth, VertexDifferencesAreTheFlowOfTheSkin) {
   EXPECT_LT(first_unmoved / std::sqrt(first_first * unmoved_unmoved), 0.5);
 }
 
-TEST(Booth, ExposureGathersWhatMoves) {
-  BoothConfig config = plain(BoothScene::Actor);
+TEST(VirtualBooth, ExposureGathersWhatMoves) {
+  VirtualBoothConfig config = plain(BoothScene::Actor);
   config.head_motion = 1;
   config.samples = 4;
   config.slots_per_second = 100;
   config.exposure_ms = 8;
-  const Booth blurred(&model(), config);
+  const VirtualBooth blurred(&model(), config);
   config.slots_per_second = 1000;  // a slot each millisecond, of which each is a moment
   config.exposure_ms = 0;
-  const Booth sharp(&model(), config);
+  const VirtualBooth sharp(&model(), config);
   const Shown stripes{Shown::Kind::Stripes, 7};
   const Frame picture = blurred.slot(310, stripes).frame(0);
   std::vector<Frame> moments;
@@ -480,11 +480,11 @@ TEST(Booth, ExposureGathersWhatMoves) {
   EXPECT_LT(against_mean, 0.25 * against_one);
 }
 
-TEST(Booth, NoiseIsThatOfTheSensor) {
-  BoothConfig config = plain(BoothScene::Plane);
-  const Frame clean = Booth(nullptr, config).slot(2).frame(0);
+TEST(VirtualBooth, NoiseIsThatOfTheSensor) {
+  VirtualBoothConfig config = plain(BoothScene::Plane);
+  const Frame clean = VirtualBooth(nullptr, config).slot(2).frame(0);
   config.sensor_noise = true;
-  const Booth noisy(nullptr, config);
+  const VirtualBooth noisy(nullptr, config);
   const Frame one = noisy.slot(2).frame(0);
   const Frame other = noisy.slot(5).frame(0);  // blank too, and still
   double square = 0;
@@ -506,25 +506,25 @@ TEST(Booth, NoiseIsThatOfTheSensor) {
   EXPECT_LT(std::abs(product), 0.1 * square);
 }
 
-TEST(Booth, WhatMakesNoSenseIsRefused) {
-  BoothConfig config = plain(BoothScene::Actor);
-  EXPECT_THROW(Booth(nullptr, config), Error);
+TEST(VirtualBooth, WhatMakesNoSenseIsRefused) {
+  VirtualBoothConfig config = plain(BoothScene::Actor);
+  EXPECT_THROW(VirtualBooth(nullptr, config), Error);
   config.scene = BoothScene::Plane;
   config.exposure_ms = 17;
-  EXPECT_THROW(Booth(nullptr, config), Error);
+  EXPECT_THROW(VirtualBooth(nullptr, config), Error);
   config.exposure_ms = 0;
   config.samples = 0;
-  EXPECT_THROW(Booth(nullptr, config), Error);
+  EXPECT_THROW(VirtualBooth(nullptr, config), Error);
   config.samples = 1;
-  const Booth booth(nullptr, config);
+  const VirtualBooth booth(nullptr, config);
   EXPECT_THROW(booth.slot(0).frame(6), Error);
   EXPECT_THROW(booth.slot(0).depth(0, 6), Error);
 }
 
-TEST(Booth, ProjectorsShowGivenPictures) {
-  BoothConfig config = plain(BoothScene::Plane);
+TEST(VirtualBooth, ProjectorsShowGivenPictures) {
+  VirtualBoothConfig config = plain(BoothScene::Plane);
   config.sensor_noise = true;
-  const Booth booth(nullptr, config);
+  const VirtualBooth booth(nullptr, config);
   const auto drawn = [&](std::size_t projector) {
     capture::PatternConfig patterns = config.patterns;
     patterns.width_px = booth.rig().projectors[projector].lens.width_px;
@@ -556,28 +556,28 @@ TEST(Booth, ProjectorsShowGivenPictures) {
   EXPECT_THROW(booth.slot(4, {drawn(0), small}), Error);
 }
 
-TEST(Booth, AnActorHoldsThePoseOfAMoment) {
-  BoothConfig config = plain(BoothScene::Actor);
+TEST(VirtualBooth, AnActorHoldsThePoseOfAMoment) {
+  VirtualBoothConfig config = plain(BoothScene::Actor);
   config.pose_s = 20 / config.slots_per_second;
-  const Booth still(&model(), config);
+  const VirtualBooth still(&model(), config);
   const std::vector<float> held = still.slot(3).depth(0).depth_mm;
   EXPECT_EQ(still.slot(200).depth(0).depth_mm, held);
   EXPECT_EQ(actor_booth().slot(20).depth(0).depth_mm, held);
   EXPECT_NE(actor_booth().slot(200).depth(0).depth_mm, held);
   config.pose_s = -1;
-  EXPECT_THROW(Booth(&model(), config), Error);
+  EXPECT_THROW(VirtualBooth(&model(), config), Error);
 }
 
-TEST(Booth, TargetsStandWhereTheyAreMoved) {
-  BoothConfig config = plain(BoothScene::Sphere);
-  const Vector3d before = Booth(nullptr, config).target()->centre_mm;
+TEST(VirtualBooth, TargetsStandWhereTheyAreMoved) {
+  VirtualBoothConfig config = plain(BoothScene::Sphere);
+  const Vector3d before = VirtualBooth(nullptr, config).target()->centre_mm;
   config.target_shift_mm = {30, -20, 10};
-  const Booth moved(nullptr, config);
+  const VirtualBooth moved(nullptr, config);
   EXPECT_LT((moved.target()->centre_mm - before - config.target_shift_mm).norm(), 1e-9);
   const Vector3f mean = moved.slot(0).surface().vertices_mm.rowwise().mean();
   EXPECT_LT((mean.cast<double>() - moved.target()->centre_mm).norm(), 1);
   config.target_shift_mm = {300, 0, 0};
-  EXPECT_THROW(Booth(nullptr, config), Error);
+  EXPECT_THROW(VirtualBooth(nullptr, config), Error);
 }
 
 }  // namespace

@@ -1,4 +1,4 @@
-#include "simulation/studio.hpp"
+#include "simulation/actor_sequence.hpp"
 
 #include <fmt/format.h>
 
@@ -9,9 +9,9 @@
 
 #include "facet/error.hpp"
 #include "maths/statistics.hpp"
+#include "simulation/placed_actor.hpp"
 #include "simulation/random.hpp"
 #include "simulation/sensor.hpp"
-#include "simulation/stage.hpp"
 
 namespace facet::simulation {
 namespace {
@@ -29,7 +29,7 @@ Eigen::Matrix3f camera_from_head_axes() {
 }
 
 /// A room out of focus: soft shapes over a gradient, linear RGB, [3][pixel_count].
-Eigen::Matrix3Xf make_background(const StudioConfig& config) {
+Eigen::Matrix3Xf make_background(const ActorSequenceConfig& config) {
   Random random(config.seed, 81);
   const Noise shapes(config.seed, 82);
   const Vector3f wall =
@@ -69,9 +69,9 @@ Eigen::Matrix3Xf make_background(const StudioConfig& config) {
 
 }  // namespace
 
-struct Studio::Impl {
-  StudioConfig config;
-  Stage stage;
+struct ActorSequence::Impl {
+  ActorSequenceConfig config;
+  PlacedActor placed;
   CameraIntrinsics camera;
   Lighting lighting;
   /// Of each camera, the first one included.
@@ -84,9 +84,10 @@ struct Studio::Impl {
   std::vector<View> views;
   capture::Rig rig;
 
-  Impl(const face::FaceModel& model, const StudioConfig& given)
+  Impl(const face::FaceModel& model, const ActorSequenceConfig& given)
       : config(given),
-        stage(model, given.seed, given.glasses, static_cast<double>(given.frame_count) / given.rate_hz + 1) {}
+        placed(model, given.seed, given.glasses, static_cast<double>(given.frame_count) / given.rate_hz + 1) {
+  }
 
   double time_s(int index) const { return static_cast<double>(index) / config.rate_hz; }
 
@@ -97,7 +98,7 @@ struct Studio::Impl {
     const auto height = static_cast<float>(config.height_px);
     const float focal_px = 0.5F * std::max(width, height) / std::tan(0.5F * field_rad);
     camera = {focal_px, focal_px, 0.5F * (width - 1), 0.5F * (height - 1), config.width_px, config.height_px};
-    const Anatomy& face = stage.actor().anatomy();
+    const Anatomy& face = placed.actor().anatomy();
     const float face_mm = (face.forehead - face.chin).norm();
     const float part = random.uniform(0.38F, 0.48F);  // of the picture's height that the face fills
     constexpr float kNearest_mm = 450;
@@ -105,15 +106,15 @@ struct Studio::Impl {
     const float distance_mm =
         std::clamp(focal_px * face_mm / (part * std::min(height, width)), kNearest_mm, kFarthest_mm);
     const Vector3f middle_mm(random.uniform(-25, 25), random.uniform(-10, 20), distance_mm);
-    stage.put(camera_from_head_axes(), middle_mm);
-    stage.turn_once(static_cast<float>(config.turn_deg) * kDegree, time_s(config.frame_count - 1));
+    placed.put(camera_from_head_axes(), middle_mm);
+    placed.turn_once(static_cast<float>(config.turn_deg) * kDegree, time_s(config.frame_count - 1));
   }
 
   /// Further cameras, by turns to the first one's right and left, at its distance from the head.
   void place_further_cameras() {
     views.push_back({camera, Eigen::Isometry3f::Identity(), Vector3f(1, 1, 1), make_background(config)});
     Random random(config.seed, 84);
-    const Vector3f middle_mm = stage.resting_pivot_mm() + Vector3f(0, -60, -60);  // about between the cheeks
+    const Vector3f middle_mm = placed.resting_pivot_mm() + Vector3f(0, -60, -60);  // about between the cheeks
     for (int k = 1; k < config.camera_count; ++k) {
       const float side = k % 2 == 1 ? 1.0F : -1.0F;
       const auto steps = static_cast<float>((k + 1) / 2);
@@ -133,7 +134,7 @@ struct Studio::Impl {
       view.view_from_first.translation() = aim_mm - turned * middle_mm;
       const float exposure = random.uniform(0.75F, 1.05F);
       view.gain = exposure * Vector3f(random.uniform(0.94F, 1.06F), 1, random.uniform(0.94F, 1.06F));
-      StudioConfig elsewhere = config;
+      ActorSequenceConfig elsewhere = config;
       elsewhere.seed = mix(config.seed + static_cast<std::uint64_t>(k));
       view.background = make_background(elsewhere);
       views.push_back(std::move(view));
@@ -160,10 +161,10 @@ struct Studio::Impl {
   /// Sets the light so that the face's brightest skin comes out as kSkinExposure in the first frame.
   void expose() {
     Scene scene;
-    stage.build_scene(0, scene);
+    placed.build_scene(0, scene);
     const render::Raycaster caster(scene.vertices_mm, scene.triangles);
     const Eigen::Matrix3Xf colours = shade_vertices(scene, caster, lighting, false);
-    const Eigen::VectorXf& skin = stage.actor().face_skin();
+    const Eigen::VectorXf& skin = placed.actor().face_skin();
     std::vector<float> values;
     for (Eigen::Index v = 0; v < skin.size(); ++v) {
       if (skin[v] > 0.9F && colours.col(v).maxCoeff() > 0) {
@@ -241,7 +242,7 @@ struct Studio::Impl {
   }
 };
 
-Studio::Studio(const face::FaceModel& model, const StudioConfig& config) {
+ActorSequence::ActorSequence(const face::FaceModel& model, const ActorSequenceConfig& config) {
   constexpr int kMaxSide_px = 8192;
   constexpr int kMaxCameras = 8;
   if (config.width_px < 16 || config.height_px < 16 || config.width_px > kMaxSide_px ||
@@ -256,46 +257,46 @@ Studio::Studio(const face::FaceModel& model, const StudioConfig& config) {
   }
   impl_ = std::make_unique<Impl>(model, config);
   impl_->place_camera();
-  impl_->lighting = make_lighting(config.light, config.seed, impl_->stage.resting_pivot_mm());
+  impl_->lighting = make_lighting(config.light, config.seed, impl_->placed.resting_pivot_mm());
   impl_->place_further_cameras();
   impl_->expose();
 }
 
-Studio::~Studio() = default;
+ActorSequence::~ActorSequence() = default;
 
-const StudioConfig& Studio::config() const {
+const ActorSequenceConfig& ActorSequence::config() const {
   return impl_->config;
 }
-const CameraIntrinsics& Studio::camera() const {
+const CameraIntrinsics& ActorSequence::camera() const {
   return impl_->camera;
 }
-const capture::Rig& Studio::rig() const {
+const capture::Rig& ActorSequence::rig() const {
   return impl_->rig;
 }
-const std::vector<std::string>& Studio::expression_names() const {
-  return impl_->stage.actor().expression_names();
+const std::vector<std::string>& ActorSequence::expression_names() const {
+  return impl_->placed.actor().expression_names();
 }
-const std::vector<float>& Studio::identity() const {
-  return impl_->stage.actor().identity();
+const std::vector<float>& ActorSequence::identity() const {
+  return impl_->placed.actor().identity();
 }
-float Studio::outside_span_rms_mm() const {
-  return impl_->stage.actor().outside_span_rms_mm();
+float ActorSequence::outside_span_rms_mm() const {
+  return impl_->placed.actor().outside_span_rms_mm();
 }
-const Lighting& Studio::lighting() const {
+const Lighting& ActorSequence::lighting() const {
   return impl_->lighting;
 }
 
-SyntheticFrame Studio::render(int index, TruthMesh* truth) const {
+SyntheticFrame ActorSequence::render(int index, TruthMesh* truth) const {
   const double time_s = impl_->time_s(index);
   SyntheticFrame frame;
-  frame.expression = impl_->stage.expression(time_s);
-  frame.camera_from_head = impl_->stage.place_from_head(time_s);
+  frame.expression = impl_->placed.expression(time_s);
+  frame.camera_from_head = impl_->placed.place_from_head(time_s);
   Scene scene;
-  impl_->stage.build_scene(time_s, scene);
+  impl_->placed.build_scene(time_s, scene);
   if (truth != nullptr) {
-    *truth = impl_->stage.head_of(scene);
+    *truth = impl_->placed.head_of(scene);
   }
-  const StudioConfig& config = impl_->config;
+  const ActorSequenceConfig& config = impl_->config;
   const render::Raycaster caster(scene.vertices_mm, scene.triangles);
   Sensor webcam;  // a small one
   webcam.noise = config.sensor_noise;

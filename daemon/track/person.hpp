@@ -11,7 +11,7 @@ struct SubjectShape {
 };
 
 /// What one subject keeps from frame to frame.
-struct Subject {
+struct Person {
   SubjectShape shape;
   Eigen::VectorXd landmark_bias_mm;  ///< [LandmarkModel::count()][3] head frame, see IdentityFit
   /// Usual median residual of this subject's landmarks, as a fraction of the interocular distance; 0 before

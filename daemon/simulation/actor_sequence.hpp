@@ -15,7 +15,7 @@
 
 namespace facet::simulation {
 
-struct StudioConfig {
+struct ActorSequenceConfig {
   std::uint64_t seed = 1;
   int width_px = 1280;
   int height_px = 720;
@@ -41,16 +41,16 @@ struct SyntheticFrame {
   std::vector<float> expression;  ///< [expression_count]
 };
 
-/// A virtual studio: one actor, a camera or several, a light and a performance, all from one seed. Frames may
-/// be rendered in any order and come out the same. One thread (it uses two inside).
-class Studio {
+/// A virtual sequence: one actor, a camera or several, a light and a performance, all from one seed. Frames
+/// may be rendered in any order and come out the same. One thread (it uses two inside).
+class ActorSequence {
  public:
   /// Throws Error(Usage) where the configuration makes no sense, Error(UnreadableInput) where the model has
   /// no landmark map. The model is not needed afterwards.
-  Studio(const face::FaceModel& model, const StudioConfig& config);
-  ~Studio();
+  ActorSequence(const face::FaceModel& model, const ActorSequenceConfig& config);
+  ~ActorSequence();
 
-  const StudioConfig& config() const;
+  const ActorSequenceConfig& config() const;
   const CameraIntrinsics& camera() const;
   /// All cameras as calibrated, in the first one's frame: "video", "view-2", "view-3", ...
   const capture::Rig& rig() const;

@@ -14,10 +14,10 @@ namespace facet::simulation {
 
 /// The virtual actor performing in a place (a camera's frame, a booth's): poses of head and body, and all
 /// that can be seen of it, at any time. Everything follows from seed, place and time. Any thread once placed.
-class Stage {
+class PlacedActor {
  public:
   /// duration_s: after it the face rests. Throws Error(UnreadableInput) where the model has no landmark map.
-  Stage(const face::FaceModel& model, std::uint64_t seed, bool glasses, double duration_s);
+  PlacedActor(const face::FaceModel& model, std::uint64_t seed, bool glasses, double duration_s);
 
   /// Where and how the head rests, and how much of the performance's head motion it makes.
   /// axes             turns head axes to the place's for a head that looks straight ahead

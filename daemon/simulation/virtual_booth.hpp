@@ -21,7 +21,7 @@ enum class BoothScene : std::uint8_t {
   Sphere,  ///< a matt ball of 120 mm diameter; still
 };
 
-struct BoothConfig {
+struct VirtualBoothConfig {
   std::uint64_t seed = 1;                   ///< of rig, actor, performance, targets, noise
   std::optional<std::uint64_t> actor_seed;  ///< of somebody else, and another performance, in the same booth
   BoothScene scene = BoothScene::Actor;
@@ -87,7 +87,7 @@ class BoothSlot {
   TruthMesh surface() const;
 
  private:
-  friend class Booth;
+  friend class VirtualBooth;
   struct Impl;
   explicit BoothSlot(std::unique_ptr<Impl> impl);
   std::unique_ptr<Impl> impl_;
@@ -96,14 +96,14 @@ class BoothSlot {
 /// The virtual booth: six cameras and two projectors (make_booth_rig) around an actor or a target, rendered
 /// by ray casting. Light goes one way: projector or room, skin (matt), camera; no highlights, nothing is lit
 /// by skin. Slots may be asked for in any order and come out the same. Any thread once built.
-class Booth {
+class VirtualBooth {
  public:
   /// model: of the actor, not needed afterwards; null for targets. Throws Error(Usage) where the
   /// configuration is out of range or an actor has no model, Error(UnreadableInput) where the model has no
   /// landmark map.
-  Booth(const face::FaceModel* model, const BoothConfig& config);
+  VirtualBooth(const face::FaceModel* model, const VirtualBoothConfig& config);
 
-  const BoothConfig& config() const;
+  const VirtualBoothConfig& config() const;
   const capture::Rig& rig() const;
   /// Of the surface: 1 on face skin, 0 elsewhere, soft between; [vertex_count].
   const Eigen::VectorXf& skin() const;
