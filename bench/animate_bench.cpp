@@ -407,7 +407,7 @@ void run_folds(const Options& options) {
   sheet.write(std::filesystem::path(options.folder) / "animate-folds.png");
 }
 
-/// Maximum likelihood under PCA of one fixed region (Zhang et al. 2004, figure 6): of a Gaussian, the mean
+/// Maximum likelihood under PCA of one fixed region ([SF04 fig. 6]): of a Gaussian, the mean
 /// face given the points, on the region; outside it the mean.
 class RegionPca {
  public:

@@ -1,4 +1,4 @@
-// What a frame's budget buys: the energy that the displacement solve ends with (eq. 6 of Ma & Deng 2019) and
+// What a frame's budget buys: the energy that the displacement solve ends with [MD19 eq. 6] and
 // the time it takes, over sequences of facet synth, against the paper's ten Gauss-Newton steps on every
 // level.
 

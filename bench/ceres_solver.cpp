@@ -12,7 +12,7 @@ namespace {
 using Lighting = Eigen::Matrix<double, 9, 1>;
 
 /// The three data residuals of an inner vertex, sqrt(weight) (I - R), over the displacements of its ring.
-/// They do not depend on its own: the ring's vector area, which is n* of eq. 5, does not.
+/// They do not depend on its own: the ring's vector area, which is n* of [MD19 eq. 5], does not.
 class DataCost : public ceres::CostFunction {
  public:
   DataCost(const SolverProblem& problem, std::size_t vertex)

@@ -13,8 +13,8 @@ struct CeresResult {
   double step_ms = 0;                   ///< mean of a step: residuals, Jacobian and linear solve
 };
 
-/// Minimises eq. 6 with Ceres' CGNR and Jacobi preconditioner: one residual block for each data term (three
-/// residuals, analytic Jacobian over the ring), each smoothness and each prior term.
+/// Minimises [MD19 eq. 6] with Ceres' CGNR and Jacobi preconditioner: one residual block for each data term
+/// (three residuals, analytic Jacobian over the ring), each smoothness and each prior term.
 ///
 /// steps           at most
 /// pcg_iterations  of each step exactly; 0: as many as Ceres wants, and steps until it calls itself converged

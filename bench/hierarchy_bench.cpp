@@ -1,4 +1,4 @@
-// What the hierarchy is for (figure 6 of Ma & Deng 2019) and how the solver converges (figure 8), on
+// What the hierarchy is for [MD19 fig. 6] and how the solver converges [MD19 fig. 8], on
 // sequences with known geometry: numbers, and a picture of each.
 
 #include <fmt/format.h>

@@ -1,4 +1,4 @@
-// The Gauss-Newton displacement step (eq. 5 to 8 of Ma & Deng 2019) through the product's GPU path, through a
+// The Gauss-Newton displacement step [MD19 eq. 5-8] through the product's GPU path, through a
 // version written by hand for this CPU's vector units, and through Ceres, on the same problem and energy in
 // the same run. Prints markdown; exits 1 where the three energies differ by more than one percent or the
 // product is not four times as fast as Ceres at the size that the bar names.

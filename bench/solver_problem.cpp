@@ -60,7 +60,7 @@ Ring ring_of(const mesh::OneRings& rings, std::size_t vertex) {
   return {rings.neighbours.data() + rings.offsets[vertex], rings.offsets[vertex + 1] - rings.offsets[vertex]};
 }
 
-/// n*_i of eq. 5 for an inner vertex, not normalised.
+/// n*_i of [MD19 eq. 5] for an inner vertex, not normalised.
 Eigen::Vector3d displaced_normal(const SolverProblem& problem, const std::vector<float>& displacements_mm,
                                  std::size_t vertex) {
   const auto displaced = [&](std::int32_t index) -> Eigen::Vector3d {
@@ -79,7 +79,7 @@ Eigen::Vector3d displaced_normal(const SolverProblem& problem, const std::vector
   return sum;
 }
 
-/// l . SH(n) (eq. 1).
+/// l . SH(n) [MD19 eq. 1].
 double shade(const std::array<float, 9>& lighting, const Eigen::Vector3d& n) {
   const std::array<double, 9> basis{1,
                                     n.x(),

@@ -8,7 +8,7 @@
 
 namespace facet::bench {
 
-/// A displacement problem (eq. 6 of Ma & Deng 2019) with known truth: a curved sheet of 160 mm with 4-8
+/// A displacement problem [MD19 eq. 6] with known truth: a curved sheet of 160 mm with 4-8
 /// connectivity, wrinkles and bumps of up to half a millimetre, spherical-harmonics light, known albedo and
 /// image noise of 0.4 percent of full scale. The coarse level's displacements are the truth's bumps without
 /// its wrinkles.
@@ -25,7 +25,7 @@ struct SolverProblem {
 /// About vertex_count vertices (a square grid), the same for the same seed. The result points into itself.
 void make_problem(std::size_t vertex_count, std::uint32_t seed, SolverProblem& out);
 
-/// E(d) of eq. 6 in double precision. displacements_mm [vertex_count]
+/// E(d) of [MD19 eq. 6] in double precision. displacements_mm [vertex_count]
 double energy(const SolverProblem& problem, const std::vector<float>& displacements_mm);
 
 /// Root mean square of the difference to the truth over inner vertices, mm.

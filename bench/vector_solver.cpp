@@ -275,7 +275,7 @@ void VectorSolver::load_vertices(const SolverProblem& problem) {
   }
 }
 
-/// Residuals (eq. 7) and data Jacobian (eq. 8) at d_.
+/// Residuals [MD19 eq. 7] and data Jacobian [MD19 eq. 8] at d_.
 void VectorSolver::linearise(Chunks chunks) {
   const std::array<float, 9>& l = lighting_;
   const auto displaced = [&](const Indices& indices, std::size_t at, Vector3& normal) {
@@ -291,7 +291,7 @@ void VectorSolver::linearise(Chunks chunks) {
     const Vector own = load(d_, at);
     const Vector3 centre{load(x_, at) + own * load(nx_, at), load(y_, at) + own * load(ny_, at),
                          load(z_, at) + own * load(nz_, at)};
-    // The vector area of the ring, n* of eq. 5, and the sum of d for the Laplacian.
+    // The vector area of the ring, n* of [MD19 eq. 5], and the sum of d for the Laplacian.
     Vector3 star{};
     Vector ring_sum{};
     Vector3 normal{};

@@ -14,10 +14,10 @@ struct VectorResult {
   double step_ms = 0;                   ///< mean of a Gauss-Newton step
 };
 
-/// The Gauss-Newton step of eq. 7 and 8 written for a CPU's vector units, as the yardstick of the GPU path:
-/// eight vertices at a time in chunks of like valence (sliced ELL), float, all three channels folded into one
-/// residual (they follow the normal through l . SH(n) alone), a transposed copy of J for J^T y, one thread
-/// for each core.
+/// The Gauss-Newton step of [MD19 eq. 7, 8] written for a CPU's vector units, as the yardstick of the GPU
+/// path: eight vertices at a time in chunks of like valence (sliced ELL), float, all three channels folded
+/// into one residual (they follow the normal through l . SH(n) alone), a transposed copy of J for J^T y, one
+/// thread for each core.
 class VectorSolver {
  public:
   VectorSolver(const SolverProblem& problem, int threads);

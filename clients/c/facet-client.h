@@ -159,7 +159,7 @@ FACET_API const facet_subject* facet_client_subject(const facet_client* client);
 FACET_API const facet_albedo* facet_client_albedo(const facet_client* client);
 
 /* The finest mesh of the frame: rebuilt (coarse mesh through the levels' stencils, vertex + displacement *
- * unit normal; Ma & Deng 2019, section 4.3) or scaled. The memory is the client's.
+ * unit normal; [MD19 sec. 4.3]) or scaled. The memory is the client's.
  *
  * returns  FACET_OK, FACET_NO_MESH, FACET_OVERWRITTEN, FACET_OUT_OF_MEMORY; `mesh` is set with FACET_OK alone
  */

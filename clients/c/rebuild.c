@@ -66,7 +66,7 @@ static void apply(const struct wire_level* level, const float* in, float* out) {
   }
 }
 
-/* Area-weighted unit normals (eq. 5 of Ma & Deng 2019 at d = 0); 0 where a vertex has no area. Operation by
+/* Area-weighted unit normals ([MD19 eq. 5] at d = 0); 0 where a vertex has no area. Operation by
  * operation as mesh::vertex_normals: the same bits. */
 static void vertex_normals(const float* vertices, const facet_subject* subject, float* normals) {
   memset(normals, 0, (size_t)subject->vertex_count * 3 * sizeof(float));
@@ -110,7 +110,7 @@ static void displace(const float* displacements_mm, const float* normals, size_t
   }
 }
 
-/* Level by level, then along the normals of the finest one (Ma & Deng 2019, section 4.3). */
+/* Level by level, then along the normals of the finest one [MD19 sec. 4.3]. */
 static int rebuild(const facet_frame* frame, const struct wire_subject* subject, struct mesh_memory* memory,
                    facet_mesh* out) {
   size_t room = subject->shown.vertex_count;

@@ -1,5 +1,5 @@
 # Profile Displacements: the finest mesh rebuilt from control vertices and displacements (docs/stream-protocol.md,
-# "Rebuilding"; Ma & Deng 2019, section 4.3), number by number in the script. For links on which bytes count, and for what
+# "Rebuilding"; [MD19 sec. 4.3]), number by number in the script. For links on which bytes count, and for what
 # needs the numbers; `profile Vertices` needs none of it.
 extends Reference
 

@@ -430,7 +430,7 @@ namespace Facet
         }
     }
 
-    /// The finest mesh of a frame (docs/stream-protocol.md, "Rebuilding"; Ma & Deng 2019, section 4.3).
+    /// The finest mesh of a frame (docs/stream-protocol.md, "Rebuilding"; [MD19 sec. 4.3]).
     public static class Mesh
     {
         /// Head frame, mm; normals of unit length. Both [subject.VertexCount][3]. False where the frame has no mesh.

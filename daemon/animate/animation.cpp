@@ -236,7 +236,7 @@ Eigen::VectorXf Track::sample(const TakeBasis& basis, const Run& run, double tim
   if (part == 0) {
     coefficients = faces.col(at(0));
   } else {
-    // Cubic spline through the faces (Catmull and Rom 1974).
+    // Cubic spline through the faces [CR74].
     const float square = part * part;
     const float cube = square * part;
     coefficients = (-0.5F * cube + square - 0.5F * part) * faces.col(at(-1)) +

@@ -90,7 +90,7 @@ struct WalkOptions {
 /// A face over time. Immutable; any thread.
 class Animation {
  public:
-  /// Data-driven key frames (Zhang et al. 2004, section 5.3): each key's pose is solved by FaceIk, each
+  /// Data-driven key frames [SF04 sec. 5.3]: each key's pose is solved by FaceIk, each
   /// region goes from the captured face nearest to one key to that of the next on a path of its face graph,
   /// and what keys differ from captured faces is added, fading from one key to the next: keys are met
   /// exactly, control points too. Takes long: go_on breaks it off. Control points may differ from key to key:
@@ -99,8 +99,8 @@ class Animation {
   static Animation of_keys(const std::shared_ptr<const TakeBasis>& basis, const KeyList& keys,
                            AnimationReport& report, const GoOn& go_on = {});
 
-  /// A random walk (section 5.2), with regions one of its own in each. Throws Error(Usage) where options make
-  /// no sense.
+  /// A random walk [SF04 sec. 5.2], with regions one of its own in each. Throws Error(Usage) where options
+  /// make no sense.
   static Animation of_walk(const std::shared_ptr<const TakeBasis>& basis, const WalkOptions& options,
                            AnimationReport& report, const GoOn& go_on = {});
 

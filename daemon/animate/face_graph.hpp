@@ -12,7 +12,7 @@
 namespace facet::animate {
 
 struct GraphOptions {
-  float lambda = 0.3F;  ///< of eq. 23: what a large step costs, whether or not the take makes it
+  float lambda = 0.3F;  ///< of [SF04 eq. 23]: what a large step costs, whether or not the take makes it
   int neighbours = 12;  ///< jumps kept per face, the cheapest
 };
 
@@ -20,9 +20,9 @@ struct GraphOptions {
 /// Error(Unavailable).
 using GoOn = std::function<bool()>;
 
-/// The captured faces of one region as a graph (Zhang et al. 2004, section 5.1). The cost of going from face
-/// i to face j is w(i, j) = dist(M_i+1, M_j) + lambda dist(M_i, M_j) (eq. 23), dist the region's metric; a
-/// face that the take does not go on from counts as its own successor. A jump while lids are down costs
+/// The captured faces of one region as a graph [SF04 sec. 5.1]. The cost of going from face
+/// i to face j is w(i, j) = dist(M_i+1, M_j) + lambda dist(M_i, M_j) [SF04 eq. 23], dist the region's metric;
+/// a face that the take does not go on from counts as its own successor. A jump while lids are down costs
 /// extra, where the take knows of blinks. Kept per face: the step to its successor and the cheapest jumps,
 /// each the cheapest of its neighbourhood in time. Faces are numbered as TakeBasis::frames. Immutable; any
 /// thread.
@@ -56,7 +56,7 @@ class FaceGraph {
     std::int32_t worst_from = 0;      ///< where that edge begins
     int jumps = 0;
   };
-  /// The cheapest path (Dijkstra 1959), never dearer than the direct edge; passing a blink costs extra where
+  /// The cheapest path [Dij59], never dearer than the direct edge; passing a blink costs extra where
   /// neither end is one.
   Path shortest(std::int32_t from, std::int32_t to) const;
   /// The cheapest path of exactly `steps` edges, steps >= 1: one that takes a given time at the captured

@@ -82,8 +82,8 @@ struct FaceIk::Site {
 /// Control points that are solved together, and their region's solution.
 struct FaceIk::Group {
   std::vector<std::size_t> sites;
-  std::optional<FaceSums>
-      faces;  ///< s_f of eq. 15, of its control points one below the other; on screen p(s_f)
+  std::optional<FaceSums> faces;  ///< s_f of [SF04 eq. 15], of its control points one below the other; on
+                                  ///< screen p(s_f) [SF04 eq. 20]
   bool solved = false;
   Eigen::VectorXd solved_for;
   Eigen::VectorXd mean;       ///< m
@@ -321,7 +321,7 @@ void FaceIk::rebuild(std::span<const ControlTarget> targets) {
     }
   }
 
-  // chat = B^-1 c (eq. 22): B made of what each control vertex really gets, through the stencils. Where
+  // chat = B^-1 c [SF04 eq. 22]: B made of what each control vertex really gets, through the stencils. Where
   // control points all but coincide B is singular; damped around the regions' mean its rows still sum to 1.
   const auto count = static_cast<Eigen::Index>(groups_.size());
   Eigen::MatrixXd influences = Eigen::MatrixXd::Ones(count, count);
@@ -504,7 +504,7 @@ Eigen::MatrixXd FaceIk::jacobian(Eigen::Index size) const {
   return out;
 }
 
-/// Steps of Levenberg and Marquardt (1963) on the groups' offsets. Where control points crowd, some of their
+/// Steps of Levenberg and Marquardt [Mar63] on the groups' offsets. Where control points crowd, some of their
 /// directions are all but dependent: a fixed damping then creeps. It falls with every step that helps and
 /// grows with every one that does not.
 void FaceIk::correct(Pose& pose) {

@@ -25,8 +25,8 @@ struct ControlTarget {
 };
 
 struct IkOptions {
-  /// false: every control point has a soft region of its own (eq. 22); true: all act on the whole face at
-  /// once (eq. 15 to 17 alone), which keeps its correlations and can't decouple what was never apart.
+  /// false: every control point has a soft region of its own [SF04 eq. 22]; true: all act on the whole face
+  /// at once ([SF04 eq. 15-17] alone), which keeps its correlations and can't decouple what was never apart.
   bool whole = false;
   /// Control points beyond what was captured are pulled back to its edge.
   bool clamp = false;
@@ -52,17 +52,17 @@ inline constexpr float kMetScreen_px = 0.5F;
 /// A control point beyond this much outside the captured range is worth a warning.
 inline constexpr float kOutsideTolerance = 0.5F;
 
-/// Poses a face by control points (FaceIK, Zhang et al. 2004, section 4).
+/// Poses a face by control points (FaceIK [SF04 sec. 4]).
 ///
 /// Each control point's weights over all captured faces minimise sum phi_f c_f^2, phi_f = 1 + |s_f - p|, with
-/// sum c_f s_f = p and sum c_f = 1 (eq. 15, 16; eq. 18 to 20 on screen). Their closed form (eq. 17) is used
-/// with the row of ones eliminated: with w_f = 1 / phi_f normalised, m and V the weighted mean and covariance
-/// of s_f,
+/// sum c_f s_f = p and sum c_f = 1 [SF04 eq. 15, 16]; on screen p(s_f) [SF04 eq. 18-20]. Their closed form
+/// [SF04 eq. 17, 21] is used with the row of ones eliminated: with w_f = 1 / phi_f normalised, m and V the
+/// weighted mean and covariance of s_f,
 ///   c_f = w_f (1 + (s_f - m)^T V^-1 (p - m)),
 /// a weighted linear regression of faces on control points. The sum is 1 whatever V is, so that a singular V
 /// (vertices that never move, fewer faces than numbers) can be regularised. Regions are blended by influence
-/// maps (eq. 22). What the reduced basis, the displacements along turning normals and regularisation leave
-/// of a miss, a few Gauss-Newton steps on p take away.
+/// maps [SF04 eq. 22]. What the reduced basis, the displacements along turning normals and regularisation
+/// leave of a miss, a few Gauss-Newton steps on p take away.
 ///
 /// One thread. solve() with control points of the same vertices as before allocates little and takes
 /// milliseconds; with others it computes their influence maps and metrics first (tenths of a second).
@@ -87,8 +87,8 @@ class FaceIk {
   /// the take changed on disk (looked at when the vertices change).
   const std::vector<ControlOutcome>& solve(std::span<const ControlTarget> targets, Pose& pose);
 
-  /// Each region's weights of the last solve over the captured faces, chat of eq. 22: sums of columns are 1.
-  /// For tests and pictures. [frame_count][region_count]
+  /// Each region's weights of the last solve over the captured faces, chat of [SF04 eq. 22]: sums of columns
+  /// are 1. For tests and pictures. [frame_count][region_count]
   Eigen::MatrixXd region_weights() const;
 
   const TakeBasis& basis() const { return *basis_; }
@@ -132,7 +132,7 @@ class FaceIk {
 };
 
 /// Frames spread over all faces so that each is near one of them: all where there are no more than `most`,
-/// else farthest-point sampling (Gonzalez 1985). coordinates [any][frame_count]
+/// else farthest-point sampling [Gon85]. coordinates [any][frame_count]
 std::vector<Eigen::Index> spread_frames(const Eigen::MatrixXf& coordinates, Eigen::Index most);
 
 }  // namespace facet::animate

@@ -6,8 +6,8 @@
 
 namespace facet::animate {
 
-/// The weighted sums over all captured faces that a control point's solution is made of (eq. 17 of Zhang et
-/// al. 2004 with the row of ones eliminated): w_f = (1 / (1 + |s_f - p|)) / their sum.
+/// The weighted sums over all captured faces that a control point's solution is made of, [SF04 eq. 17] and on
+/// screen [SF04 eq. 21], with the row of ones eliminated: w_f = (1 / (1 + |s_f - p|)) / their sum.
 ///
 /// A weight depends on nothing of a face but where it has the control point, so that in a long take faces
 /// which have it in all but the same place can be summed beforehand. Above kMostFaces faces (and for at most
@@ -15,7 +15,7 @@ namespace facet::animate {
 /// on the corners N_j of its cell, and the proximity is interpolated linearly between nodes:
 ///   1 / (1 + |s_f - p|)  ~  sum_j N_j(s_f) / (1 + |x_j - p|).
 /// These are weights as good as the others, positive and with the sum 1, used the same way in every sum: what
-/// eq. 17 promises of control points and sums holds of them as well. They differ where proximity bends
+/// [SF04 eq. 17] promises of control points and sums holds of them as well. They differ where proximity bends
 /// within a cell, that is next to p; docs/animation.md says by how much the faces do.
 ///
 /// Immutable; any thread.

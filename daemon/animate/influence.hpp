@@ -23,7 +23,7 @@ struct RegionWeights {
   Eigen::VectorXf region(int index) const;
 };
 
-/// Soft regions around control points: the normalised radial basis functions of eq. 22 (Zhang et al. 2004),
+/// Soft regions around control points: the normalised radial basis functions of [SF04 eq. 22],
 /// B(s_n; s_l) = exp(-|s_n - s_l|^2 / r_l^2) / sum over l' of the same, r_l the distance to the nearest other
 /// control point. Distances are taken on the take's mean face, so that regions depend on which control points
 /// there are and not on where they are dragged: an animation keeps its regions. Evaluated at the control

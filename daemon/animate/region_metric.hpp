@@ -7,8 +7,8 @@
 namespace facet::animate {
 
 /// The distance between two faces of a take over one soft region, through the reduced basis: the root mean
-/// square over the region's vertices of how far they are apart, mm (dist of eq. 23, Zhang et al. 2004, with
-/// the weights of its section 5.2.1, per vertex instead of summed). Measured on the control vertices, the
+/// square over the region's vertices of how far they are apart, mm (dist of [SF04 eq. 23] with
+/// the weights of [SF04 sec. 5.2.1], per vertex instead of summed). Measured on the control vertices, the
 /// displacements and the eyeballs; it neglects that normals turn. Immutable; any thread.
 class RegionMetric {
  public:

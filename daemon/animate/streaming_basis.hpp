@@ -5,7 +5,7 @@
 namespace facet::animate {
 
 /// The strongest directions of vectors that come in blocks: an incremental singular value decomposition
-/// (Brand 2002; Ross, Lim, Lin and Yang 2008, without their moving mean: the caller subtracts a reference).
+/// [Bra02; RLLY08] (without their moving mean: the caller subtracts a reference).
 /// Memory is that of max_rank vectors and two blocks, however many come. One thread.
 class StreamingBasis {
  public:

@@ -90,7 +90,7 @@ std::vector<std::uint8_t> find_eyeballs(const mesh::Subject& subject, int& eye_c
 }
 
 /// The rotation vector and the shift of the middle that carry one eyeball's resting vertices closest to where
-/// they are (Kabsch 1976).
+/// they are [Kab76].
 Eigen::Matrix<float, 6, 1> rigid_motion(const mesh::Vertices& resting, const mesh::Vertices& moved) {
   const Eigen::Vector3f from = resting.rowwise().mean();
   const Eigen::Vector3f to = moved.rowwise().mean();

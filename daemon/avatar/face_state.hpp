@@ -53,7 +53,7 @@ class NeutralRecorder {
   int frames_ = 0;
   mesh::ArkitValues sums_{};
   Eigen::Vector3f translations_ = Eigen::Vector3f::Zero();
-  Eigen::Matrix4f turns_ = Eigen::Matrix4f::Zero();  ///< sum of q q^T (Markley et al. 2007)
+  Eigen::Matrix4f turns_ = Eigen::Matrix4f::Zero();  ///< sum of q q^T [MCCO07]
 };
 
 /// A neutral pose as a JSON file: "facet_neutral": 1, "values" {name: value}, "rotation" [x, y, z, w],

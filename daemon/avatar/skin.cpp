@@ -269,7 +269,7 @@ struct Pairs {
   }
 };
 
-/// The similarity with the least weighted square distance (Umeyama 1991).
+/// The similarity with the least weighted square distance [Ume91].
 void fit(const Pairs& pairs, Placement& out) {
   Eigen::Vector3d from_mean = Eigen::Vector3d::Zero();
   Eigen::Vector3d to_mean = Eigen::Vector3d::Zero();
@@ -347,7 +347,7 @@ Pairs nearest_pairs(const Skin& skin, const Placement& placement, const render::
 constexpr double kCentreDoubt_mm = 3;
 
 /// The warp's shifts from the centres' distances that the similarity leaves: a polyharmonic spline, smoothed
-/// (Wahba 1990).
+/// [Wah90].
 void find_warp(const Pairs& shapes, Placement& out) {
   const auto count = static_cast<Eigen::Index>(shapes.from.size());
   out.centres_mm.resize(3, count);

@@ -14,7 +14,7 @@
 namespace facet::booth {
 
 /// Points that both cameras of a pair see, found without relying on the calibration to more than a few
-/// degrees: corners of the left picture (Shi & Tomasi 1994) looked for in the right one around where their
+/// degrees: corners of the left picture [ST94] looked for in the right one around where their
 /// lines of sight lie (normalised correlation, the peak's parabola). For blank slots: stripes look alike
 /// along themselves. Empty where a picture is. 0.1 s; any thread.
 std::vector<capture::PointMatch> match_corners(const capture::Lens& left, const capture::Lens& right,

@@ -170,7 +170,7 @@ Print print_of(const Board& board, double px_per_mm) {
 }
 
 /// Where a corner is seen: the shift of the print, with a gain and an offset of its brightness, for which the
-/// picture around the corner is most like it (Lucas & Kanade 1981; Gauss-Newton). board_from_px: from the
+/// picture around the corner is most like it ([LK81], Gauss-Newton). board_from_px: from the
 /// picture to the board's mm near the corner, apart from a shift. Nothing where it does not settle within 3
 /// px.
 std::optional<Eigen::Vector2d> matched_corner(const cv::Mat& grey, const Print& print, const Board& board,

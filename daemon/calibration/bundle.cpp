@@ -21,7 +21,7 @@ Eigen::Matrix3d cross_matrix(const Eigen::Vector3d& v) {
   return matrix;
 }
 
-/// Huber's function of the squared error, and the weight that makes it a least-squares problem (Huber 1964).
+/// Huber's function of the squared error, and the weight that makes it a least-squares problem [Hub64].
 double huber(double squared, double limit) {
   return squared <= limit * limit ? squared : 2 * limit * std::sqrt(squared) - limit * limit;
 }

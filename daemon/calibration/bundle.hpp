@@ -56,8 +56,8 @@ Eigen::Vector2d residual_px(const BundleProblem& problem, const CornerObservatio
                             Eigen::Matrix<double, 2, 6>* by_camera, Eigen::Matrix<double, 2, 6>* by_board);
 
 /// Minimises the sum of Huber's function of the reprojection errors over intrinsics, camera poses and board
-/// poses: Levenberg (1944) and Marquardt (1963), the board poses eliminated (Schur complement; Triggs et al.
-/// 2000, section 6). Changes the problem's lenses and poses.
+/// poses: Levenberg [Lev44] and Marquardt [Mar63], the board poses eliminated (Schur complement
+/// [TMHF00 sec. 6]). Changes the problem's lenses and poses.
 BundleResult adjust(BundleProblem& problem, const BundleOptions& options);
 
 /// What adjust() takes for a small turn (radians, axis times angle) and shift, as it applies it.

@@ -584,7 +584,7 @@ Eigen::Isometry3d mean_camera(const std::vector<capture::Lens>& lenses) {
     centre += lens.centre_mm();
   }
   const auto count = static_cast<double>(lenses.size());
-  // The rotation nearest to the sum: the chordal mean (Hartley et al. 2013, section 5.3).
+  // The rotation nearest to the sum: the chordal mean [HTDL13 sec. 5.3].
   const Eigen::JacobiSVD<Eigen::Matrix3d> svd(sum / count, Eigen::ComputeFullU | Eigen::ComputeFullV);
   Eigen::Matrix3d turn = svd.matrixU() * svd.matrixV().transpose();
   if (turn.determinant() < 0) {

@@ -77,7 +77,7 @@ std::string name_of(const CodeSequence& sequence, std::size_t picture);
 /// A picture of a sequence for a projector. Over x px of a width of W with F periods,
 ///   light = 1/2 + 1/2 cos(2 pi F (x + 1/2) / W - 2 pi shift / shifts),
 /// so that periods begin on the edge of a pixel; a Gray code's cell is a period, or half of one where there
-/// are bits enough for half periods (Zhang et al. 2012, complementary Gray code). Encoded for the projector's
+/// are bits enough for half periods (complementary Gray code [ZSXS12]). Encoded for the projector's
 /// gamma as stripes are. config: width, height and gamma are used. Throws Error(Usage) where the
 /// configuration is out of range, periods are not given, the bits can't count them or are more than
 /// half periods need, or a period is shorter than 3 px.

@@ -46,7 +46,7 @@ std::optional<double> epipolar_error_px(const Lens& left, const Lens& right, con
   if (!a || !b) {
     return std::nullopt;
   }
-  // b^T E a = 0 with E = [t]x R (Longuet-Higgins 1981).
+  // b^T E a = 0 with E = [t]x R [LH81].
   const Eigen::Isometry3d right_from_left = right.camera_from_rig * left.camera_from_rig.inverse();
   const Eigen::Vector3d t = right_from_left.translation();
   const Eigen::Vector3d line_in_right = t.cross(right_from_left.linear() * *a);

@@ -16,7 +16,7 @@ struct PointMatch {
   Eigen::Vector2d right_px;
 };
 
-/// How far a match misses the epipolar geometry of two lenses: Sampson's distance (Sampson 1982) on
+/// How far a match misses the epipolar geometry of two lenses: Sampson's distance [Sam82] on
 /// directions with the distortion undone, times the mean focal length, so about px in each picture; signed.
 /// Nothing where the distortion can't be undone. 0 for two cameras in one place, where any two points may
 /// match.

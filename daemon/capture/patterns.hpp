@@ -55,7 +55,7 @@ class ProjectorEncoder {
   std::vector<std::uint8_t> values_;  ///< of evenly spaced light: the power is too slow for every pixel
 };
 
-/// Random stripes as in Zhang et al. 2004, upright but for a slant of up to 8 degrees, so that no two rows
+/// Random stripes as in [SF04], upright but for a slant of up to 8 degrees, so that no two rows
 /// are the same. Each has its own width (0.6 to 1.4 of the mean) and light (0 to 1, a quarter at least from
 /// its neighbour's); edges are soft (Gaussian, sigma 0.8 px), so that nothing is finer than the projector can
 /// show. Blank is half of white's light. Everything follows from seed, number and projector (which counts

@@ -11,7 +11,7 @@
 
 namespace facet::capture {
 
-/// Radial and tangential distortion of a lens (Brown 1971), in OpenCV's order and on normalised coordinates.
+/// Radial and tangential distortion of a lens [Bro71], in OpenCV's order and on normalised coordinates.
 struct LensDistortion {
   double k1 = 0;
   double k2 = 0;

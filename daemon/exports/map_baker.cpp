@@ -103,7 +103,7 @@ void pad(std::vector<Texel>& texels, int size_px) {
 }
 
 /// Unit tangents of the smooth surface along u and v: the sums of the triangles' dP/du and dP/dv at each
-/// vertex, made orthogonal to its normal (Lengyel 2001).
+/// vertex, made orthogonal to its normal [Len01].
 struct Tangents {
   Eigen::Matrix3Xf along_u;
   Eigen::Matrix3Xf along_v;

@@ -47,7 +47,7 @@ struct ExpressionBasis {
   void evaluate(std::span<const float> expression, mesh::Vertices& vertices_mm) const;
 };
 
-/// A bilinear face model V = C x2 w_id x3 w_exp (Ma & Deng 2019, section 3.1; Cao et al. 2014):
+/// A bilinear face model V = C x2 w_id x3 w_exp [MD19 sec. 3; CWZTZ14]:
 /// w_id = (1, identity coefficients in standard deviations), w_exp = (1, expression weights 0 to 1). Head
 /// frame, mm. Immutable after loading; any thread.
 class FaceModel {

@@ -11,7 +11,7 @@
 namespace facet::face {
 
 /// What does not change from frame to frame of a subject: the adaptive hierarchy for the pose and camera of
-/// its first good frame (Ma & Deng 2019, section 3), names, identity. The id is a hash of hierarchy, identity
+/// its first good frame [MD19 sec. 3], names, identity. The id is a hash of hierarchy, identity
 /// and the count. 0.1 to 0.4 s; allocates. Throws Error(UnreadableInput) where the model's mesh can't be
 /// subdivided.
 ///

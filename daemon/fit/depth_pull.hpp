@@ -23,7 +23,7 @@ struct Pinhole {
   float fx, fy, cx, cy;         ///< px
 };
 
-/// How a depth map pulls on a point of the template (one term of eq. 10).
+/// How a depth map pulls on a point of the template (one term of [SF04 eq. 10]).
 struct DepthPull {
   float difference_mm = 0;  ///< along the map's z axis: the point's less the map's
   float facing = 0;         ///< cosine between the map's normal and the way to the camera, at least 0

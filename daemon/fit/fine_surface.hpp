@@ -35,7 +35,7 @@ class FineSurface {
   /// Its control vertices and its level 0 are the template's; its finest level is the fine mesh.
   const std::shared_ptr<const mesh::Hierarchy>& hierarchy() const;
 
-  /// Minimises  sum over maps j, vertices i of A_i w_ij rho([p_i + d_i n_i - h_ij]_z, sigma)  (as eq. 10)
+  /// Minimises  sum over maps j, vertices i of A_i w_ij rho([p_i + d_i n_i - h_ij]_z, sigma)  [SF04 eq. 10]
   ///            + smoothness sum over i of A_i (Laplacian d)_i^2 + what draws d to 0 where no map sees it
   /// over the displacements d. p and n: the template subdivided, and its unit normals; A: a vertex's area.
   ///

@@ -26,7 +26,7 @@ struct Flow {
   std::vector<float> confidence;
 };
 
-/// Dense optical flow between consecutive pictures of one camera, there and back (DIS: Kroeger et al. 2016;
+/// Dense optical flow between consecutive pictures of one camera, there and back (DIS [KTDG16];
 /// docs/template-fit.md says why). One thread at a time.
 class OpticalFlow {
  public:

@@ -22,7 +22,7 @@ struct SkinTrackerOptions {
 };
 
 /// Follows one person's skin from slot to slot: the template on the depth maps, every vertex on the point of
-/// the skin that it lay on in the first slot (Zhang et al. 2004, section 5; docs/template-fit.md). One thread
+/// the skin that it lay on in the first slot ([SF04 sec. 3.2]; docs/template-fit.md). One thread
 /// at a time.
 ///
 /// maps: of one slot. pictures: [cameras] of the same slot in the order of `lenses`, RGBA; empty or corrupt

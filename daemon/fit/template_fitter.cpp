@@ -341,8 +341,8 @@ void TemplateFitter::Impl::hang_together() {
   }
 }
 
-/// Eq. 11: 1 / ||s_n1 - s_n2||^2 of every edge, times alpha; and the normal equations of the expressions.
-/// Of E_r, by the lengths that the edges have in the placed shape.
+/// [SF04 eq. 11]: 1 / ||s_n1 - s_n2||^2 of every edge, times alpha; and the normal equations of the
+/// expressions. Of E_r, by the lengths that the edges have in the placed shape.
 void TemplateFitter::Impl::weigh_edges() {
   edge_sums.assign(static_cast<std::size_t>(surface->vertex_count()), 0);
   for (std::int32_t v = 0; v < surface->vertex_count(); ++v) {
@@ -444,7 +444,7 @@ void TemplateFitter::Impl::add_smoothness(const mesh::Vertices& vertices_mm) {
   }
 }
 
-/// Eq. 10 of one depth map: the residual along its z axis, w = confidence x max(0, normal . template normal).
+/// [SF04 eq. 10] of one depth map: the residual along its z axis, w = confidence x max(0, n . template n).
 void TemplateFitter::Impl::add_depth(const DepthMap& map, const mesh::Vertices& vertices_mm) {
   const Pinhole camera(map.lens);
   const auto sigma = static_cast<float>(options.sigma_s_mm);
@@ -471,7 +471,7 @@ void TemplateFitter::Impl::add_depth(const DepthMap& map, const mesh::Vertices& 
   }
 }
 
-/// beta times eq. 13 of one camera: where the vertex is seen to go against where the flow goes.
+/// beta times [SF04 eq. 13] of one camera: where the vertex is seen to go against where the flow goes.
 void TemplateFitter::Impl::add_motion(const FlowView& flow, const mesh::Vertices& before_mm,
                                       std::span<const std::uint8_t> seen, const mesh::Vertices& vertices_mm) {
   const auto sigma = flow.sigma_px > 0 ? flow.sigma_px : static_cast<float>(options.sigma_m_px);

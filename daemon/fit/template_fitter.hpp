@@ -35,12 +35,12 @@ struct FlowView {
 constexpr float kReferenceWeight = 0.15F;
 constexpr float kReferenceSigmaPx = 4;
 
-/// Zhang et al. 2004, section 4, and its constants.
+/// What [SF04 sec. 3] minimises, and its constants.
 struct FitOptions {
-  double alpha = 2.0;      ///< of E_r, eq. 12
-  double beta = 0.5;       ///< of E_m, eq. 14
-  double sigma_s_mm = 20;  ///< Tukey's, of depth, eq. 10
-  double sigma_m_px = 20;  ///< Tukey's, of motion, eq. 13
+  double alpha = 2.0;      ///< of E_r [SF04 eq. 12]
+  double beta = 0.5;       ///< of E_m [SF04 eq. 14]
+  double sigma_s_mm = 20;  ///< Tukey's, of depth [SF04 eq. 10]
+  double sigma_m_px = 20;  ///< Tukey's, of motion [SF04 eq. 13]
   /// Of what ties a vertex to where its last velocity leads (past the paper), and Tukey's sigma of that: a
   /// vertex that does otherwise by more is not held. Needs TemplateFitter::remember.
   double gamma = 0.2;
@@ -103,11 +103,11 @@ class TemplateFitter {
   /// Needed before the first fit. Throws Error(Usage) where it has other vertices than the template.
   void set_rest(RestShape rest);
 
-  /// Eq. 10-12: deforms the template onto the depth maps.
+  /// [SF04 eq. 10-12]: deforms the template onto the depth maps.
   /// vertices_mm  [3][vertex_count] rig frame; in: where to begin, out: the result
   TemplateFitReport fit(std::span<const capture::DepthMap> maps, mesh::Vertices& vertices_mm);
 
-  /// Eq. 13-14. The same, and every vertex goes where the flow says that its skin went.
+  /// [SF04 eq. 13, 14]. The same, and every vertex goes where the flow says that its skin went.
   /// flows        of the cameras that see texture
   /// before_mm    [3][vertex_count] the result for the earlier picture
   /// vertices_mm  as above
@@ -115,8 +115,8 @@ class TemplateFitter {
                           const mesh::Vertices& before_mm, mesh::Vertices& vertices_mm);
 
   /// Past the paper, whose meshes are of blank slots alone: a slot without a picture of the texture, between
-  /// two that have one. Depth maps (eq. 10) pull the skin along the surface's normals; along the surface it
-  /// stays where it is expected, and what E_r (eq. 11) compares with is the mesh that is expected.
+  /// two that have one. Depth maps [SF04 eq. 10] pull the skin along the surface's normals; along the
+  /// surface it stays where it is expected, and what E_r [SF04 eq. 11] compares with is the mesh expected.
   /// expected_mm  [3][vertex_count] rig frame, such as a mean of the meshes before and after
   /// vertices_mm  out
   TemplateFitReport settle(std::span<const capture::DepthMap> maps, const mesh::Vertices& expected_mm,

@@ -10,8 +10,8 @@
 
 namespace facet::fit {
 
-/// The mesh that is fitted to depth maps and keeps its topology through a take (Zhang et al. 2004, section
-/// 4): the face model's, refined. Immutable once built; any thread.
+/// The mesh that is fitted to depth maps and keeps its topology through a take
+/// [SF04 sec. 3]: the face model's, refined. Immutable once built; any thread.
 struct TemplateMesh {
   mesh::Vertices neutral_mm;  ///< [3][vertex_count] the model's mean neutral face, head frame
   mesh::Triangles triangles;
@@ -51,7 +51,7 @@ struct Placement {
   std::vector<std::uint8_t> agrees;  ///< [correspondence_count] 0: counted as wrong and left out
 };
 
-/// Places the template by correspondences (section 4.1): a similarity, then an affine map that is drawn
+/// Places the template by correspondences [SF04 sec. 3.1]: a similarity, then an affine map that is drawn
 /// towards it, then what is left spread by normalised radial basis functions. Correspondences that lie far
 /// off what most agree on (more than 4 times the median distance, and 10 mm) are left out.
 ///
@@ -61,7 +61,7 @@ Placement place(const TemplateMesh& surface, const mesh::Vertices& control_mm,
                 std::span<const Correspondence> correspondences);
 
 /// The rotation and translation that bring `from` to `to`, both [3][count], least squares with weights
-/// [count] (Horn 1987). scale: null for a rigid motion, else it is estimated, too.
+/// [count] [Hor87]. scale: null for a rigid motion, else it is estimated, too.
 Eigen::Isometry3d align_rigidly(const Eigen::Ref<const Eigen::Matrix3Xd>& from,
                                 const Eigen::Ref<const Eigen::Matrix3Xd>& to,
                                 const Eigen::Ref<const Eigen::VectorXd>& weights, double* scale = nullptr);

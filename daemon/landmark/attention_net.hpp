@@ -14,7 +14,7 @@
 
 namespace facet::landmark {
 
-/// MediaPipe's face mesh net with attention (Grishchenko et al. 2020): 468 points in a window of 192 x 192
+/// MediaPipe's face mesh net with attention [GAKRG20]: 468 points in a window of 192 x 192
 /// pixels. Those of the lips and round the eyes come from a second look at the part of the features that the
 /// first look's points enclose, and so do the irises. The graph names operators of its own for that; here the
 /// graph is cut at them, and the crops are taken between its pieces.

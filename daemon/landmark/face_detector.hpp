@@ -31,7 +31,7 @@ struct Detection {
   Region second_look() const;
 };
 
-/// MediaPipe's short-range face detector (BlazeFace: Bazarevsky et al. 2019): 896 anchors on 128 x 128
+/// MediaPipe's short-range face detector (BlazeFace [BKVRG19]): 896 anchors on 128 x 128
 /// pixels. Finds faces from about a tenth of the window to all of it, upright within about 45 degrees.
 class FaceDetector {
  public:

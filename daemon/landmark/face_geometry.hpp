@@ -19,7 +19,7 @@ bool usable(const Region& window);
 float wrapped(float angle_rad);
 
 /// Fills in rotation, interocular distance and shape error: the similarity that carries the canonical face to
-/// the landmarks with the least squares (Umeyama 1991, eq. 38 to 43), and what remains.
+/// the landmarks with the least squares [Ume91 eq. 38-43], and what remains.
 void measure_shape(const CanonicalFace& canonical, FaceLandmarks& face);
 
 /// Fills in the confidence: each landmark's place round the head against the line of sight, and whether it is

@@ -4,8 +4,8 @@
 
 namespace facet::landmark {
 
-/// Low-pass filter of landmarks whose cut-off rises with each point's speed (the One Euro filter: Casiez et
-/// al. 2012), so that resting points stand still and moving ones do not lag. One thread; allocates at the
+/// Low-pass filter of landmarks whose cut-off rises with each point's speed (the One Euro filter [CRV12]),
+/// so that resting points stand still and moving ones do not lag. One thread; allocates at the
 /// first frame only.
 ///
 /// Its constants were chosen on five real clips (jitter: third differences of slow points, scaled to white

@@ -12,7 +12,7 @@
 
 namespace facet::landmark {
 
-/// MediaPipe's face mesh net (Kartynnik et al. 2019): 468 points in a window of 192 x 192 pixels.
+/// MediaPipe's face mesh net [KAGG19]: 468 points in a window of 192 x 192 pixels.
 class LandmarkNet {
  public:
   /// Throws Error(UnreadableInput) where the bytes are not this net.

@@ -4,7 +4,7 @@
 
 namespace facet::landmark {
 
-/// The share of the new value in a first-order low-pass (Casiez et al. 2012, eq. 3 and 4).
+/// The share of the new value in a first-order low-pass [CRV12 eq. 3, 4].
 template <typename Scalar>
 Scalar new_share(Scalar cutoff_hz, Scalar seconds) {
   const Scalar period = 1 / (2 * std::numbers::pi_v<Scalar> * cutoff_hz);

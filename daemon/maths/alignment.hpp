@@ -19,7 +19,7 @@ struct Similarity {
 };
 
 /// The similarity (with_scale) or rigid motion that brings pairs of points together in the least squares
-/// sense (Umeyama 1991). from_mm, to_mm [3][point_count], the same count, 3 or more that do not lie on a
+/// sense [Ume91]. from_mm, to_mm [3][point_count], the same count, 3 or more that do not lie on a
 /// line; fewer give the identity.
 Similarity best_similarity(const Eigen::Matrix3Xf& from_mm, const Eigen::Matrix3Xf& to_mm, bool with_scale);
 

@@ -4,8 +4,8 @@
 
 namespace facet::maths {
 
-/// SH(n), the basis of shading: spherical harmonics up to the second order without their constants (Ma & Deng
-/// 2019, eq. 1). n = (x, y, z), unit; the axes are those of the light's coefficients.
+/// SH(n), the basis of shading: spherical harmonics up to the second order without their constants
+/// [MD19 eq. 1]. n = (x, y, z), unit; the axes are those of the light's coefficients.
 /// shaders/refine/shading.glsl has the same.
 template <typename T>
 std::array<T, 9> harmonics(T x, T y, T z) {

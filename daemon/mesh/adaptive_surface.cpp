@@ -123,9 +123,9 @@ void AdaptiveSurface::close_marks(std::vector<std::uint8_t>& marked) const {
       put(static_cast<std::int32_t>(f));
     }
   }
-  // adaptVertex: before a face is bisected, no face at its interior edge's ends may be of a coarser level;
-  // that includes its mate. One bisection is enough: the ends are corners of the bisected parent block, whose
-  // own ends had this property one level up.
+  // adaptVertex [MD19 alg. 1]: before a face is bisected, no face at its interior edge's ends may be of a
+  // coarser level; that includes its mate. One bisection is enough: the ends are corners of the bisected
+  // parent block, whose own ends had this property one level up.
   for (std::size_t level = marked_of_level.size(); level-- > 0;) {
     for (std::size_t m = 0; m < marked_of_level[level].size(); ++m) {
       const Face& face = faces_[at(marked_of_level[level][m])];

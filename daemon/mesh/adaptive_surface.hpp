@@ -17,7 +17,7 @@ struct Face {
   std::int32_t level = 0;  ///< bisections since the control mesh
 };
 
-/// A 4-8 mesh under construction: Algorithm 1 of Ma & Deng 2019 in sweeps. It holds topology and the few
+/// A 4-8 mesh under construction: [MD19 alg. 1] in sweeps. It holds topology and the few
 /// values per vertex that steer it; positions live outside and follow through the stencils that each sweep
 /// returns. Start-up only (allocates); one thread.
 class AdaptiveSurface {
@@ -34,7 +34,7 @@ class AdaptiveSurface {
   Stencils bisect_all();
 
   /// Bisects every face whose three vertices may be refined and whose interior edge projects to more than
-  /// min_edge_px (Algorithm 1, line 4), after whatever conformity demands (lines 5 to 9). Every face is
+  /// min_edge_px ([MD19 alg. 1], line 4), after whatever conformity demands (lines 5 to 9). Every face is
   /// processed at most once. The result has as many rows as columns where nothing was left to bisect.
   Stencils bisect_larger_than(float min_edge_px);
 
@@ -44,7 +44,7 @@ class AdaptiveSurface {
 
  private:
   bool wants_bisection(const Face& face, float min_edge_px) const;
-  /// Marks every coarser face that must be bisected before the marked ones (Algorithm 1, lines 5 to 9).
+  /// Marks every coarser face that must be bisected before the marked ones ([MD19 alg. 1], lines 5 to 9).
   void close_marks(std::vector<std::uint8_t>& marked) const;
   Stencils bisect_marked(std::vector<std::uint8_t> marked);
   /// Bisects the marked faces of one level and takes their marks away.

@@ -9,7 +9,7 @@
 
 namespace facet::mesh {
 
-/// One level of the 4-8 hierarchy (Ma & Deng 2019, section 3; Velho & Zorin 2001).
+/// One level of the 4-8 hierarchy [MD19 sec. 3; VZ01].
 struct Level {
   std::int32_t vertex_count = 0;
   /// Columns are (apex, start, end): rows 1 and 2 are the interior edge, the one that a bisection would
@@ -43,7 +43,7 @@ bool same_topology(const Hierarchy& a, const Hierarchy& b);
 
 struct HierarchyOptions {
   float min_edge_px =
-      2.0F;  ///< epsilon of Algorithm 1: a block whose interior edge projects to fewer pixels stays whole
+      2.0F;  ///< epsilon of [MD19 alg. 1]: a block whose interior edge projects to fewer px stays whole
   int max_levels = 6;                   ///< level 0 counted
   std::int32_t max_vertices = 200'000;  ///< of the finest level; the sweep that would pass it is not made
 };
@@ -56,7 +56,7 @@ struct ControlMesh {
   std::vector<std::uint8_t> refinable;  ///< [vertex_count] 0: never subdivided beyond what conformity needs
 };
 
-/// Builds the adaptive 4-8 hierarchy of Algorithm 1. Level 0 is one bisection sweep of every quad (made
+/// Builds the adaptive 4-8 hierarchy of [MD19 alg. 1]. Level 0 is one bisection sweep of every quad (made
 /// whatever the bounds say); each further level is two adaptive sweeps, the last one possibly a single sweep,
 /// until no block passes the test or an option's bound is met. Sweeps that add less than a tenth of the
 /// vertices are folded into the level below (above level 0), so that every level is worth its solve.
@@ -64,8 +64,8 @@ struct ControlMesh {
 /// Masks, the same for positions, displacements, albedo and texture coordinates:
 /// * face mask: the vertex that splits an interior edge is 1/4 of each of the block's four corners;
 /// * vertex mask: each corner of a bisected block becomes 1/2 of itself and 1/8 of each of the four vertices
-///   that the blocks' edges join it to, once per subdivision level. (Algorithm 1 spells this out for the ends
-///   of the interior edge; the box spline that Velho & Zorin 2001 generalise moves the other two as well.)
+///   that the blocks' edges join it to, once per subdivision level. ([MD19 alg. 1] spells this out for the
+///   ends of the interior edge; the box spline that [VZ01] generalises moves the other two as well.)
 /// * irregular inner vertices, where n blocks meet: 1/2 of itself and 1/(2 n) of each of those n vertices;
 /// * boundary: its vertices stay, and an edge of it is split at its mid-point, so the open edges keep their
 ///   curve exactly.
@@ -101,8 +101,8 @@ std::shared_ptr<const Hierarchy> build_hierarchy_below(const ControlMesh& contro
 /// Allocates on the first call only; any thread.
 void push_positions(const Hierarchy& hierarchy, const Vertices& control, std::vector<Vertices>& out);
 
-/// The refined mesh at the finest level: vertex + displacement * unit coarse normal (Ma & Deng 2019,
-/// section 4.3), and its unit normals. For consumers of the stream and of takes; allocates scratch. The same
+/// The refined mesh at the finest level: vertex + displacement * unit coarse normal [MD19 sec. 4.3],
+/// and its unit normals. For consumers of the stream and of takes; allocates scratch. The same
 /// bits whatever the compiler, and the same as libfacet-client's (clients/c/rebuild.c): change both together.
 ///
 /// control_mm        [3][control_vertex_count]

@@ -42,7 +42,7 @@ struct OneRings {
 /// inner vertices start at an arbitrary but reproducible neighbour. Any thread; allocates.
 OneRings build_one_rings(const Triangles& triangles, std::int32_t vertex_count);
 
-/// Area-weighted unit vertex normals (the sum of eq. 5 at d = 0, Ma & Deng 2019); a vertex without area gets
+/// Area-weighted unit vertex normals (the sum of [MD19 eq. 5] at d = 0); a vertex without area gets
 /// (0, 0, 0). vertices [3][vertex_count]; triangles [3][triangle_count]; normals is resized to
 /// [3][vertex_count].
 void vertex_normals(const Vertices& vertices, const Triangles& triangles, Eigen::Matrix3Xf& normals);

@@ -30,9 +30,9 @@ struct StageTimes {
   float landmarks_ms = 0;     ///< landmark net
   float fit_ms = 0;           ///< coarse fit
   float upload_ms = 0;        ///< image and coarse mesh to the GPU, mips
-  float lighting_ms = 0;      ///< eq. 3
-  float albedo_ms = 0;        ///< eq. 4
-  float displacement_ms = 0;  ///< eq. 6, all levels
+  float lighting_ms = 0;      ///< [MD19 eq. 3]
+  float albedo_ms = 0;        ///< [MD19 eq. 4]
+  float displacement_ms = 0;  ///< [MD19 eq. 6], all levels
   float readback_ms = 0;
   float latency_ms = 0;  ///< from the frame's delivery to the mesh's hand-out
   float depth_ms = 0;    ///< a booth's depth maps
@@ -84,7 +84,7 @@ struct MeshFrame {
       displacements_mm;           ///< [finest vertex_count] along the coarse normals; empty where not refined
   std::vector<float> confidence;  ///< [finest vertex_count] 0 to 1; empty where not refined
   std::array<float, 9>
-      lighting{};  ///< SH coefficients of eq. 1, camera frame with y up and z towards the camera
+      lighting{};  ///< SH coefficients of [MD19 eq. 1], camera frame with y up and z towards the camera
   std::shared_ptr<const Albedo> albedo;  ///< null until learned
   float photometric_rms = 0;             ///< rms of I - R over the visible refined vertices, linear 0 to 1
   StageTimes stage_ms;

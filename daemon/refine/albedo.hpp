@@ -38,7 +38,7 @@ struct AlbedoState {
   DeviceArray scalars;
 };
 
-/// Learns the albedo of one level over several frames (eq. 4 of Ma & Deng 2019): every vertex adds up what
+/// Learns the albedo of one level over several frames [MD19 eq. 4]: every vertex adds up what
 /// its frames say, so the least-squares problem over all of them is solved at the cost of one. Light and
 /// albedo are only known as a product; the mean luminance of what was seen is kept equal to the face model's.
 class AlbedoKernels {

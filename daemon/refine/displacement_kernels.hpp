@@ -7,7 +7,7 @@
 
 namespace facet::refine {
 
-/// How the displacements of one level are solved (eq. 6 to 8 of Ma & Deng 2019).
+/// How the displacements of one level are solved [MD19 eq. 6-8].
 ///
 /// Residuals are relative to the face's rms brightness, so the weights hold for any exposure. The smoothness
 /// and hierarchy terms are slopes: L d and pd - d divided by the vertex spacing, both in mm, so they hold for

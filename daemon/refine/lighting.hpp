@@ -27,7 +27,7 @@ struct LightingState {
   gpu::Buffer sums;      ///< normal equations of each workgroup
 };
 
-/// Estimates the light of the frame on M0 (eq. 3 of Ma & Deng 2019): once with plain squares, then again
+/// Estimates the light of the frame on M0 [MD19 eq. 3]: once with plain squares, then again
 /// without what that light cannot explain (highlights, shadows, hair).
 class LightingKernels {
  public:

@@ -16,14 +16,14 @@
 
 namespace facet::refine {
 
-/// Weights of the energies (Ma & Deng 2019), chosen by bench/weights (see bench/README.md). Data residuals
+/// Weights of the energies [MD19 sec. 4], chosen by bench/weights (see bench/README.md). Data residuals
 /// are relative to the face's rms brightness, so that one set holds for every exposure, skin and image size.
 struct Weights {
-  float lighting_temporal = 0.05F;      ///< w1, eq. 3, in units of what all visible vertices weigh together
-  float albedo_smooth = 600.0F;         ///< w2, eq. 4, against a vertex of mean brightness
-  float displacement_smooth = 10.0F;    ///< w3, eq. 6, of the squared slope (L d) / spacing
-  float displacement_hierarchy = 1.0F;  ///< w4, eq. 6, of the squared slope (pd - d) / spacing
-  float displacement_coarse = 0.004F;   ///< w5, eq. 6, of d^2 in mm^2
+  float lighting_temporal = 0.05F;  ///< w1 [MD19 eq. 3], in units of what all visible vertices weigh together
+  float albedo_smooth = 600.0F;     ///< w2 [MD19 eq. 4], against a vertex of mean brightness
+  float displacement_smooth = 10.0F;    ///< w3 [MD19 eq. 6], of the squared slope (L d) / spacing
+  float displacement_hierarchy = 1.0F;  ///< w4 [MD19 eq. 6], of the squared slope (pd - d) / spacing
+  float displacement_coarse = 0.004F;   ///< w5 [MD19 eq. 6], of d^2 in mm^2
 };
 
 struct RefinerConfig {
@@ -108,14 +108,16 @@ struct RefineOutput {
   float displacement_ms = 0;
   float readback_ms = 0;
   std::string failure;  ///< for people, empty where Refined
-  /// Only with record_energies: [level][step] E(d) of eq. 6 before each Gauss-Newton step and after the last.
+  /// Only with record_energies: [level][step] E(d) [MD19 eq. 6] before each Gauss-Newton step and after the
+  /// last.
   std::vector<std::vector<double>> energies;
 };
 
-/// Hierarchical shading refinement on the GPU (Ma & Deng 2019, section 4). One thread. submit hands a frame
+/// Hierarchical shading refinement on the GPU [MD19 sec. 4]. One thread. submit hands a frame
 /// to the GPU and returns; collect waits for it. One frame may be in flight. A whole frame is one submission:
-///   image -> linear pyramid; coarse mesh -> positions, depth map, colours of M0; light (eq. 3); while it
-///   learns, albedo (eq. 4); then level by level positions, colours, displacements (eq. 5 to 8).
+///   image -> linear pyramid; coarse mesh -> positions, depth map, colours of M0; light [MD19 eq. 3];
+///   while it learns, albedo [MD19 eq. 4]; then level by level positions, colours, displacements
+///   [MD19 eq. 5-8].
 /// Further cameras' images take the same way up to the colours; a vertex then has the mean of what all see.
 /// Nothing is allocated per frame but for the first frame, a change of the images' sizes or number, and a new
 /// albedo to hand out (every frame while it is learned, rarely afterwards); a plan of steps not met before

@@ -111,7 +111,7 @@ Picture render_surface(const Raycaster& surface, const CameraIntrinsics& camera,
 /// A picture of one colour.
 Picture plain_picture(int width_px, int height_px, std::array<std::uint8_t, 3> rgb);
 
-/// l . SH(n), the irradiance of eq. 1 (Ma & Deng 2019). normal_camera: unit, in the camera frame (x right, y
+/// l . SH(n), the irradiance of [MD19 eq. 1]. normal_camera: unit, in the camera frame (x right, y
 /// down, z forward); it is turned into the lighting's frame (y up, z towards the camera).
 float irradiance(const std::array<float, 9>& lighting, const Eigen::Vector3f& normal_camera);
 

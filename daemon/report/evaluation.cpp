@@ -56,7 +56,7 @@ maths::Similarity start_of_alignment(const std::vector<Vector3f>& points, const 
   return maths::best_similarity(from_mm, to_mm, with_scale);
 }
 
-/// One point-to-plane step (Chen & Medioni 1992): small rotation, shift and scale about the points' centre
+/// One point-to-plane step [CM92]: small rotation, shift and scale about the points' centre
 /// that minimise the distances to the tangent planes at the closest points. False where nothing is near.
 bool point_to_plane_step(const std::vector<Vector3f>& points, const Truth& truth, bool with_scale,
                          maths::Similarity& transform, float& moved_mm) {

@@ -48,7 +48,7 @@ class Truth {
 };
 
 /// Measures a mesh: aligns it (start: the truth point at the same pixel; then iterated closest points with
-/// point-to-plane steps on up to 2,500 vertices, Chen & Medioni 1992), then takes each vertex's distance to
+/// point-to-plane steps on up to 2,500 vertices [CM92]), then takes each vertex's distance to
 /// the nearest point of the truth surface and the angle to its normal there.
 Comparison compare(const Reconstruction& reconstruction, const Truth& truth, Alignment alignment);
 
@@ -148,7 +148,7 @@ class WrinkleSum {
   std::array<double, 5> sums_{};  ///< of t, r, t t, r r, t r
 };
 
-/// |I - R| of eq. 2 (Ma & Deng 2019) at every finest vertex: rms over the channels, linear 0 to 1; NaN
+/// |I - R| of [MD19 eq. 2] at every finest vertex: rms over the channels, linear 0 to 1; NaN
 /// outside the image or where the vertex faces away.
 std::vector<float> vertex_errors(const mesh::Vertices& vertices_mm, const Eigen::Matrix3Xf& normals,
                                  const std::vector<float>& albedo, const std::array<float, 9>& lighting,

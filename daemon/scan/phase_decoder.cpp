@@ -522,7 +522,7 @@ void PhaseDecoder::Impl::unwrap_by_sets(std::size_t axis, PhaseField& field,
 }
 
 /// Standard deviation of grey over grey (0 to 1, [kBins]), from what is no sine: the median of its variance,
-/// by which n - 3 degrees of freedom are (1 - 2 / (9 dof))^3 of the mean (Wilson & Hilferty 1931).
+/// by which n - 3 degrees of freedom are (1 - 2 / (9 dof))^3 of the mean [WH31].
 std::vector<float> PhaseDecoder::Impl::grey_noise(const std::vector<Sine>& sines, int shifts,
                                                   const std::vector<PhaseFault>& fault) const {
   constexpr std::size_t kBins = 16;

@@ -6,7 +6,7 @@
 
 namespace facet::simulation {
 
-/// The rig of the virtual booth, laid out as in figure 1 of Zhang et al. 2004: on either side of the face a
+/// The rig of the virtual booth, laid out as in [SF04 fig. 1]: on either side of the face a
 /// stereo pair of monochrome cameras ("left-l", "left-r", "right-l", "right-r"; sides as the cameras see
 /// them), a colour camera ("colour-l", "colour-r") and a projector ("projector-l", "projector-r"). Cameras
 /// have 640x480 px, a focal length of about 1600 px and stand 1 m from the face, the two of a pair 280 mm

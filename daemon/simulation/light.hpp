@@ -8,7 +8,7 @@
 namespace facet::simulation {
 
 enum class LightKind {
-  SphericalHarmonics,  ///< distant, one for all channels: exactly the model of eq. 1 (Ma & Deng 2019), no
+  SphericalHarmonics,  ///< distant, one for all channels: exactly the model of [MD19 eq. 1], no
                        ///< shadows
   Area,                ///< rectangles near the head with soft shadows, a little tinted, over an ambient
 };
@@ -27,7 +27,8 @@ struct AreaLight {
 /// The light of one sequence.
 struct Lighting {
   LightKind kind = LightKind::SphericalHarmonics;
-  /// Coefficients of eq. 1, camera frame with y up and z towards the camera. Area light: the ambient part.
+  /// Coefficients of [MD19 eq. 1], camera frame with y up and z towards the camera. Area light: the ambient
+  /// part.
   std::array<float, 9> spherical_harmonics{};
   std::vector<AreaLight> area_lights;  ///< empty for SphericalHarmonics
   /// Unit directions from the head to the main lights, camera frame; what highlights reflect.
@@ -35,8 +36,8 @@ struct Lighting {
   std::vector<float> main_strengths;  ///< [main_directions.size()] irradiance
 };
 
-/// The second-order SH form of max(0, n . w), the irradiance of a distant light (Ramamoorthi & Hanrahan
-/// 2001), in the basis of eq. 1 (Ma & Deng 2019): max(0, c) is about 1/4 + c/2 + 5/32 (3 c^2 - 1).
+/// The second-order SH form of max(0, n . w), the irradiance of a distant light [RH01],
+/// in the basis of [MD19 eq. 1]: max(0, c) is about 1/4 + c/2 + 5/32 (3 c^2 - 1).
 /// direction: unit, lighting frame (y up, z towards the camera).
 std::array<float, 9> distant_light_sh(const Eigen::Vector3f& direction);
 

@@ -26,7 +26,7 @@ class Random {
   float uniform(float low, float high) { return low + (high - low) * uniform(); }
   /// 0 <= value < count.
   int below(int count) { return static_cast<int>(uniform() * static_cast<float>(count)); }
-  /// Standard normal (Box & Muller 1958).
+  /// Standard normal [BM58].
   float normal() {
     const float radius = std::sqrt(-2 * std::log(1 - uniform()));
     return radius * std::cos(2 * std::numbers::pi_v<float> * uniform());
@@ -36,7 +36,7 @@ class Random {
   std::uint64_t state_;
 };
 
-/// Smooth noise in space, about -1 to 1 with mean 0 and period about 1 (gradient noise, Perlin 2002). Any
+/// Smooth noise in space, about -1 to 1 with mean 0 and period about 1 (gradient noise [Per02]). Any
 /// thread.
 class Noise {
  public:

@@ -37,8 +37,8 @@ Gloss gloss_of(Material material, bool highlights) {
 }
 
 /// The mirrored part of a light of unit irradiance: Torrance-Sparrow with the GGX distribution, Smith's
-/// masking and Schlick's reflectance, times cosine and pi (the convention of eq. 1: a white surface facing a
-/// light of irradiance 1 shows 1).
+/// masking and Schlick's reflectance, times cosine and pi (the convention of [MD19 eq. 1]: a white surface
+/// facing a light of irradiance 1 shows 1).
 float mirrored(const Vector3f& normal, const Vector3f& to_light, const Vector3f& to_eye, const Gloss& gloss) {
   const float cos_light = normal.dot(to_light);
   const float cos_eye = std::max(normal.dot(to_eye), 0.05F);

@@ -26,8 +26,8 @@ struct Scene {
   void clear();
 };
 
-/// Linear colour of every vertex that may be seen: eq. 1 (Ma & Deng 2019) for the ambient or SH light, area
-/// lights with shadow rays, highlights (GGX; Walter et al. 2007) where asked for and always on eyes; 0 where
+/// Linear colour of every vertex that may be seen: [MD19 eq. 1] for the ambient or SH light, area
+/// lights with shadow rays, highlights (GGX [WMLT07]) where asked for and always on eyes; 0 where
 /// a vertex faces away. Face skin under SH light without highlights is exactly albedo * (l . SH(n)).
 /// eye_mm: the camera that looks, in the frame of the scene
 /// returns [3][vertex_count]

@@ -353,7 +353,7 @@ struct VirtualBooth::Impl {
   std::optional<BoothTarget> target;
   std::shared_ptr<const Moment> still;  ///< of a target or an actor that holds its pose
   Eigen::VectorXf skin;
-  std::array<float, 9> room{};  ///< light of the room in the basis of eq. 1 (Ma & Deng 2019), rig frame
+  std::array<float, 9> room{};  ///< light of the room in the basis of [MD19 eq. 1], rig frame
   std::vector<CameraView> cameras;
 
   Impl(const face::FaceModel* model, const VirtualBoothConfig& given) : config(given) {
@@ -430,7 +430,7 @@ struct VirtualBooth::Impl {
     return lights;
   }
 
-  /// Light that a point gets, the same for all colours: the room's, eq. 1 (Ma & Deng 2019), and of each
+  /// Light that a point gets, the same for all colours: the room's [MD19 eq. 1], and of each
   /// projector that sees it, Lambert's cosine.
   float irradiance(const Moment& moment, const std::vector<ProjectorLight>& lights, const Vector3f& at_mm,
                    const Vector3f& normal, float open) const {

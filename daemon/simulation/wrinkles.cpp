@@ -89,7 +89,7 @@ class Carver {
   }
 
  private:
-  /// The course with points 1.5 mm apart, through its corners smoothly (Catmull & Rom 1974).
+  /// The course with points 1.5 mm apart, through its corners smoothly [CR74].
   static std::vector<Vector2f> resampled(const std::vector<Vector2f>& course) {
     constexpr float kStep_mm = 1.5F;
     std::vector<Vector2f> points;

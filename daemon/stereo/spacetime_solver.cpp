@@ -27,7 +27,7 @@ struct Block {
   std::array<int, 3> extent;
 };
 
-/// The blocks in the order in which they are solved: those with odd t first (method of the paper, section 4).
+/// The blocks in the order in which they are solved: those with odd t first [SF04 sec. 2.3.1].
 std::vector<Block> blocks_of(const VolumeSize& size, const SpacetimeOptions& options) {
   const std::array<int, 3> whole{size.width_px, size.height_px, size.slots};
   const std::array<int, 3> step{options.block_x, options.block_y, options.block_t};

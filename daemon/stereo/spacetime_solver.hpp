@@ -13,8 +13,8 @@
 namespace facet::stereo {
 
 enum class SpacetimeMethod {
-  Global,  ///< eq. 5-9 of Zhang et al. 2004: one disparity field; the windows' slopes are its differences
-  Local,   ///< eq. 4: every pixel on its own with d, dx, dy, dt free; for comparison
+  Global,  ///< [SF04 eq. 5-9]: one disparity field; the windows' slopes are its differences
+  Local,   ///< [SF04 eq. 4]: every pixel on its own with d, dx, dy, dt free; for comparison
 };
 
 /// How the disparities of a volume are found (docs/stereo.md has the equations).

@@ -118,7 +118,7 @@ void StartValue::normalise(std::span<const float> grey, const std::vector<std::u
   }
 }
 
-/// Costs of one row: absolute differences over 1 x 3 pixels and the slots.
+/// Costs of one row: absolute differences over 1 x 3 pixels and the slots [SF04 eq. 2].
 void StartValue::row_costs(int row, std::size_t slot_count) {
   const auto width = static_cast<std::size_t>(width_);
   std::fill(row_sums_.begin(), row_sums_.end(), std::uint16_t{0});
@@ -328,7 +328,7 @@ void StartValue::choose(int row, std::span<float> line_px) {
   }
 }
 
-/// The cheapest way through each row (Cox et al. 1996): a match, a left pixel alone (d grows), a right pixel
+/// The cheapest way through each row [CHRM96]: a match, a left pixel alone (d grows), a right pixel
 /// alone (d shrinks); the order of points along the row is kept.
 void StartValue::scan_lines(std::span<float> start_px) {
   enum Step : std::uint8_t { kMatch, kLeftAlone, kRightAlone };

@@ -9,8 +9,8 @@
 namespace facet::stereo {
 
 enum class StartMethod {
-  ScanLines,   ///< dynamic programming along each scan line with occlusion and ordering (Cox et al. 1996)
-  SemiGlobal,  ///< costs gathered along paths of several directions (Hirschmueller 2008)
+  ScanLines,   ///< dynamic programming along each scan line with occlusion and ordering [CHRM96]
+  SemiGlobal,  ///< costs gathered along paths of several directions [Hir08]
 };
 
 /// Costs of a match are 0 (alike) to 255.

@@ -121,7 +121,7 @@ RingWriter::RingWriter(Profile profile, std::uint32_t slot_count, std::size_t sl
   }
 }
 
-// Boehm 2012, "Can seqlocks get along with programming language memory models?": a store of the odd sequence,
+// [Boe12]: a store of the odd sequence,
 // a release fence, relaxed stores of the data, a release store of the even sequence.
 void RingWriter::write(std::uint64_t number, const RingFrame& frame) {
   FACET_ASSERT(ring_slot_bytes(frame) <= slot_bytes_, ring_slot_bytes(frame), slot_bytes_);

@@ -66,7 +66,7 @@ struct StudioStatus {
   std::filesystem::path exported;     ///< the last take that was written
 };
 
-/// The soft regions of the pose's control points (eq. 22 of Zhang et al. 2004) in colours.
+/// The soft regions of the pose's control points [SF04 eq. 22] in colours.
 struct RegionColours {
   std::vector<std::int32_t> vertices;                ///< of the control points; one region each
   std::vector<std::array<std::uint8_t, 3>> colours;  ///< [vertices] sRGB

@@ -42,7 +42,7 @@ bool project(const Eigen::Vector3d& point_camera_mm, double focal_px, const Eige
              Projection& out);
 
 /// Pose from points whose depth is known up to scale (weak perspective): the similarity that carries
-/// points_head_mm to points_px in the least-squares sense (Umeyama 1991), its scale read as focal / distance.
+/// points_head_mm to points_px in the least-squares sense [Ume91], its scale read as focal / distance.
 ///
 /// points_head_mm  [3][n] head frame
 /// points_px       [3][n] image x, image y, and depth in the same unit, growing away from the camera

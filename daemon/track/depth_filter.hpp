@@ -3,7 +3,7 @@
 namespace facet::track {
 
 /// Low-pass filter of a head's distance from the camera whose cut-off rises with its speed (the One Euro
-/// filter: Casiez et al. 2012). Landmarks tell the distance by the size of the face alone: a hundredth of a
+/// filter [CRV12]). Landmarks tell the distance by the size of the face alone: a hundredth of a
 /// pixel of noise moves a head at 600 mm by some hundredths of a millimetre, which is nearly all that a still
 /// face trembles. One thread.
 class DepthFilter {

@@ -34,7 +34,7 @@ struct IdentityEvidence {
 };
 
 /// Estimates identity and focal length jointly over a batch of frames, each with its own pose and expression
-/// (Ma & Deng 2019, section 3.1; Wang et al. 2016):
+/// [MD19 sec. 3; WSXC16]:
 ///   E = sum_f (sum_views E_data + E_expression) + n (identity/2 |w_id|^2 + 1/2 ((ln f - ln f_0) / sigma)^2)
 /// by Levenberg-Marquardt; the frames' unknowns are eliminated by their Schur complement. Allocates with
 /// every frame added, and not in `improve`. One thread.

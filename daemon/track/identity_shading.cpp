@@ -267,7 +267,7 @@ void IdentityShading::observe(const LookedAt& frame, const SubjectShape& shape,
   }
 }
 
-/// Eq. 3 without memory: nine unknowns over hundreds of vertices.
+/// [MD19 eq. 3] without memory: nine unknowns over hundreds of vertices.
 void IdentityShading::solve_light(LookedAt& frame, const Observed& seen) const {
   Eigen::Matrix<double, 9, 9> normal = Eigen::Matrix<double, 9, 9>::Zero();
   Light right = Light::Zero();
@@ -283,7 +283,7 @@ void IdentityShading::solve_light(LookedAt& frame, const Observed& seen) const {
   frame.light = normal.selfadjointView<Eigen::Lower>().llt().solve(right);
 }
 
-/// Eq. 4 over all frames, the mean albedo in the pictures' tone. False where it cannot be solved.
+/// [MD19 eq. 4] over all frames, the mean albedo in the pictures' tone. False where it cannot be solved.
 bool IdentityShading::solve_albedo(std::span<const Observed> seen, std::span<LookedAt* const> frames) {
   const Eigen::Index count = albedo_.cols();
   Eigen::Matrix3Xd products = Eigen::Matrix3Xd::Zero(3, count);

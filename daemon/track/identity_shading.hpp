@@ -18,11 +18,11 @@ namespace facet::track {
 
 /// What the shading of the face tells of who it is. Landmarks say little of cheeks, forehead and chin, and
 /// their nets err by 1 to 2 mm, towards the mean face; pictures of the same frames show the normals there:
-///   E = sum_frames sum_vertices weight |I - (l_f . SH(n)) rho|^2    (Ma & Deng 2019, eq. 1 and 2)
+///   E = sum_frames sum_vertices weight |I - (l_f . SH(n)) rho|^2    [MD19 eq. 1, 2]
 /// over the control vertices of the face skin, with a light l_f for every frame and one albedo rho that may
-/// leave the model's mean albedo slowly over the face (eq. 4). Light, albedo and Tukey's weights are solved
-/// in turns, then the energy is linearised by the identity, with poses and expressions held: Gauss-Newton,
-/// one step for every call of `evidence`. One thread; `add_frame` and `evidence` allocate.
+/// leave the model's mean albedo slowly over the face [MD19 eq. 4]. Light, albedo and Tukey's weights are
+/// solved in turns, then the energy is linearised by the identity, with poses and expressions held:
+/// Gauss-Newton, one step for every call of `evidence`. One thread; `add_frame` and `evidence` allocate.
 class IdentityShading {
  public:
   /// The model must outlive this.

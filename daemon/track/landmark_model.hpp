@@ -19,8 +19,8 @@ struct LandmarkBasis {
   Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> deltas_mm;
 };
 
-/// The bilinear core at the landmarks that have a place on the model: V_l = C_l x2 w_id x3 w_exp (Ma & Deng
-/// 2019, section 3.1). Immutable; any thread.
+/// The bilinear core at the landmarks that have a place on the model: V_l = C_l x2 w_id x3 w_exp
+/// [MD19 sec. 3]. Immutable; any thread.
 class LandmarkModel {
  public:
   /// Takes the core of `model` at its anchored landmarks. Throws Error(UnreadableInput) where the model has

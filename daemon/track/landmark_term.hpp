@@ -27,7 +27,7 @@ struct LandmarkTrust {
   double along_contour = 0.1;
   /// Fraction of its weight left to a landmark that is not seen (FaceLandmarks::confidence 0).
   double unseen = 0.05;
-  /// From this many standard deviations on, a residual counts linearly (Huber 1964).
+  /// From this many standard deviations on, a residual counts linearly [Hub64].
   double huber_sigmas = 2.5;
 };
 

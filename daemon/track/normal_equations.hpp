@@ -52,8 +52,8 @@ struct BoundedStepScratch {
   std::vector<char> held;  ///< [unknown_count] 1: the unknown rests on its bound in this step
 };
 
-/// One Levenberg-Marquardt step (H + damping * diag H) step = -g over the unknowns that are free (Marquardt
-/// 1963, with the active set of Bertsekas 1982): an unknown for which scratch.held is 1 gets step 0. damping
+/// One Levenberg-Marquardt step (H + damping * diag H) step = -g over the unknowns that are free ([Mar63],
+/// with the active set of [Ber82]): an unknown for which scratch.held is 1 gets step 0. damping
 /// >= 0. Returns false where the damped matrix is not positive definite or the step is not finite.
 bool solve_bounded_step(const Eigen::MatrixXd& hessian, const Eigen::VectorXd& gradient, double damping,
                         BoundedStepScratch& scratch, Eigen::VectorXd& step);

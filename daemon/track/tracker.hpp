@@ -51,7 +51,7 @@ struct TrackResult {
 };
 
 /// Finds one face and follows it: landmarks (MediaPipe nets), then pose and expression by
-/// Levenberg-Marquardt; identity and focal length over the first good frames (Ma & Deng 2019, section 3.1).
+/// Levenberg-Marquardt; identity and focal length over the first good frames [MD19 sec. 3].
 /// One thread; no allocation after the first tracked frame.
 class Tracker {
  public:

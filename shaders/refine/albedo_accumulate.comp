@@ -5,7 +5,7 @@
 #include "topology.glsl"
 #include "shading.glsl"
 
-// Adds the frame to the sums that eq. 4 over several frames needs: w (l . SH) I and w (l . SH)^2 of every
+// Adds the frame to the sums that [MD19 eq. 4] over several frames needs: w (l . SH) I and w (l . SH)^2 of every
 // vertex. A vertex learns until it has been seen in frame_quota frames, whenever those come.
 
 layout(push_constant) uniform Push {

@@ -4,8 +4,8 @@
 #include "common/workgroup.glsl"
 #include "topology.glsl"
 
-// L rho - L rho_mean of eq. 4 with rho = tint rho_mean + deviation, and the mean of sum w (l . SH)^2 over the vertices seen: the unit in which the
-// data count.
+// L rho - L rho_mean of [MD19 eq. 4] with rho = tint rho_mean + deviation, and the mean of sum w (l . SH)^2 over the
+// vertices seen: the unit in which the data count.
 
 layout(push_constant) uniform Push {
   AlbedoPush push;

@@ -5,7 +5,7 @@
 #include "topology.glsl"
 #include "common/pcg.glsl"
 
-// First half of a PCG iteration for the albedo: p = z + beta p, L p and p . A p.
+// First half of a PCG iteration for the albedo [MD19 eq. 4]: p = z + beta p, L p and p . A p.
 
 layout(push_constant) uniform Push {
   AlbedoPush push;

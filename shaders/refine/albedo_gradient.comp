@@ -4,7 +4,7 @@
 #include "common/workgroup.glsl"
 #include "topology.glsl"
 
-// Start of the PCG solve of eq. 4's normal equations, the three channels as one system. What no frame has
+// Start of the PCG solve of [MD19 eq. 4]'s normal equations, the three channels as one system. What no frame has
 // shown is held near the mean albedo, tinted as a whole to what the frames have shown: Jacobi's preconditioner
 // would take hundreds of iterations to carry one colour over the face.
 

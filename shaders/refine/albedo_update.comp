@@ -5,7 +5,7 @@
 #include "topology.glsl"
 #include "common/pcg.glsl"
 
-// Second half of a PCG iteration for the albedo.
+// Second half of a PCG iteration for the albedo [MD19 eq. 4].
 
 layout(push_constant) uniform Push {
   AlbedoPush push;

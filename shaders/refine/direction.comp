@@ -5,7 +5,7 @@
 #include "topology.glsl"
 #include "common/pcg.glsl"
 
-// First half of a PCG iteration: p = z + beta p, J p and L p, and p . A p = |J p|^2 + the other terms'
+// First half of a PCG iteration [MD19 sec. 4.4] for [MD19 eq. 8]: p = z + beta p, J p and L p, and p . A p = |J p|^2 + the other terms'
 // squares, so that J^T J p need not be known yet. Products follow p: J p = J z + beta (J p of the iteration
 // before), so the rings are read for one number a vertex, z.
 

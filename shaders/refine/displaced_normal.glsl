@@ -1,6 +1,6 @@
 // Needs: positions, normals, ring_indices, topology.glsl.
 
-// n*_i of eq. 5 for a vertex with a closed ring, not normalised.
+// n*_i of [MD19 eq. 5] for a vertex with a closed ring, not normalised.
 vec3 displaced_normal(ivec2 ring, vec3 centre) {
   int size = ring_size(ring);
   int first = 4 * ring.x;

@@ -4,7 +4,7 @@
 #include "common/workgroup.glsl"
 #include "topology.glsl"
 
-// The data term's Jacobian, by rows for J p and by columns for J^T q, and the start of the PCG solve of eq. 8:
+// The data term's Jacobian, by rows for J p and by columns for J^T q, and the start of the PCG solve of [MD19 eq. 8]:
 // r = J^T (y - f), its Jacobi preconditioner, z and the first r . z.
 //
 // n*_i of a closed ring does not depend on d_i, and d n*_i / d d_j = n_j x (a_next - a_previous), where a are

@@ -43,7 +43,7 @@ FACET_LAYOUT_SIZE(Light, 80)
 FACET_LAYOUT_OFFSET(Light, metric_diagonal, 48)
 FACET_LAYOUT_OFFSET(Light, last, 32)
 
-// Weights and bounds of the displacement solve (eq. 6).
+// Weights and bounds of the displacement solve [MD19 eq. 6].
 struct SolvePush {
   uint vertex_count;
   uint iteration;          // of the PCG solve

@@ -4,7 +4,7 @@
 #include "common/workgroup.glsl"
 #include "lighting.glsl"
 
-// Solves eq. 3 by Cholesky. One workgroup. The temporal weight counts in units of what the vertices weigh
+// Solves [MD19 eq. 3] by Cholesky. One workgroup. The temporal weight counts in units of what the vertices weigh
 // together, so it holds for any mesh and image size. Without a previous frame, the prior is the constant light
 // that fits best, with little weight: it keeps directions dark that no vertex faces.
 

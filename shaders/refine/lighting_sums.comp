@@ -5,7 +5,7 @@
 #include "topology.glsl"
 #include "shading.glsl"
 
-// Normal equations of the lighting (eq. 3) summed over each workgroup's vertices of M0, displaced as in the
+// Normal equations of the lighting [MD19 eq. 3] summed over each workgroup's vertices of M0, displaced as in the
 // previous frame. The 9 x 9 matrix stands in blocks of the basis parts (1, x, y, z), (xy, xz, yz, xx - yy) and
 // (3zz - 1).
 

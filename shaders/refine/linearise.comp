@@ -5,7 +5,8 @@
 #include "topology.glsl"
 #include "shading.glsl"
 
-// Residuals of one Gauss-Newton step (eq. 7) and what their derivatives need.
+// E(d) [MD19 eq. 6] with E_data [MD19 eq. 2], the residuals of one Gauss-Newton step [MD19 eq. 7], and what their
+// derivatives need.
 //
 // All three channels of R = (l . SH(n)) rho follow the normal through the one number l . SH(n), so the three
 // data residuals of a vertex turned into the frame of rho are one residual that depends on the displacements
@@ -46,6 +47,7 @@ void main() {
     vec4 own_normal = texelFetch(normals, int(i));
     vec3 centre = own.xyz + own.w * own_normal.xyz;
 
+    // n*_i [MD19 eq. 5] as in displaced_normal.glsl, and the sum of d_j in the same round.
     int j = texelFetch(ring_indices, first).x;
     vec4 neighbour = texelFetch(positions, j);
     vec3 to_first = neighbour.xyz + neighbour.w * texelFetch(normals, j).xyz - centre;

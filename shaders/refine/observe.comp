@@ -4,9 +4,9 @@
 #include "common/workgroup.glsl"
 #include "topology.glsl"
 
-// Coarse normals (eq. 5 at d = 0), vertex spacing, and what one camera sees at every vertex: the image
-// sampled where M_d projects to, from the mip level whose pixels are half as wide as the vertices lie apart (wider ones wash the shading out), and
-// how far that colour can be trusted.
+// Coarse normals ([MD19 eq. 5] at d = 0), vertex spacing, and what one camera sees at every vertex: I of [MD19 eq. 2],
+// the image sampled where M_d projects to, from the mip level whose pixels are half as wide as the vertices lie
+// apart (wider ones wash the shading out), and how far that colour can be trusted.
 
 layout(push_constant) uniform Push {
   ObservePush push;

@@ -5,7 +5,7 @@
 #include "topology.glsl"
 
 // Pushes positions and displacements through the stencils to this level. The prolonged displacement is the
-// prior pd (eq. 6); the start value adds what this level held beyond its prior in the previous frame.
+// prior pd [MD19 eq. 6]; the start value adds what this level held beyond its prior in the previous frame.
 
 layout(push_constant) uniform Push {
   LevelPush push;

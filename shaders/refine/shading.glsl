@@ -1,4 +1,4 @@
-// Eq. 1 of Ma & Deng 2019: R = (l . SH(n)) rho with
+// [MD19 eq. 1]: R = (l . SH(n)) rho with
 // SH(n) = (1, nx, ny, nz, nx ny, nx nz, ny nz, nx^2 - ny^2, 3 nz^2 - 1).
 
 float shade(Light l, vec3 n) {

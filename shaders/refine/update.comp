@@ -5,7 +5,7 @@
 #include "topology.glsl"
 #include "common/pcg.glsl"
 
-// Second half of a PCG iteration: x += alpha p, r -= alpha A p with A p = J^T (J p) + the other terms, z, and
+// Second half of a PCG iteration [MD19 sec. 4.4] for [MD19 eq. 8]: x += alpha p, r -= alpha A p with A p = J^T (J p) + the other terms, z, and
 // r . z. The last iteration moves the displacements.
 
 layout(push_constant) uniform Push {

@@ -5,8 +5,8 @@
 #include "common/pcg.glsl"
 #include "volume.glsl"
 
-// First half of a CG iteration: s = z + beta s, q = J [I; Gx; Gy; Gt] s at every window, and s . A s as the sum of
-// [I; G] s . q over the windows.
+// First half of a CG iteration of [SF04 eq. 9]: s = z + beta s, q = J [I; Gx; Gy; Gt] s at every window, where
+// [Gx; Gy; Gt] s are differences [SF04 eq. 8], and s . A s as the sum of [I; G] s . q over the windows.
 
 uniform samplerBuffer hessians;
 uniform usamplerBuffer links;

@@ -5,7 +5,7 @@
 #include "volume.glsl"
 #include "adjoint.glsl"
 
-// Start of the CG solve of eq. 9: r = -[I; Gx; Gy; Gt]^T b, its Jacobi preconditioner, z and the first r . z.
+// Start of the CG solve of [SF04 eq. 9]: r = -[I; Gx; Gy; Gt]^T b, its Jacobi preconditioner, z and the first r . z.
 // Outside the box the search is 0: neighbours are boundary values.
 
 uniform samplerBuffer hessians;

@@ -5,7 +5,7 @@
 #include "volume.glsl"
 #include "inverse4.glsl"
 
-// A Gauss-Newton step of local spacetime stereo (eq. 4): every voxel on its own, d, dx, dy and dt free.
+// A Gauss-Newton step of local spacetime stereo [SF04 eq. 4]: every voxel on its own, d, dx, dy and dt free.
 
 uniform samplerBuffer hessians;
 uniform samplerBuffer gradients;

@@ -5,7 +5,7 @@
 #include "volume.glsl"
 #include "windows.glsl"
 
-// J and b of every window of a block (eq. 6): the sums along t, then gain and bias taken out.
+// J and b of every window of a block [SF04 eq. 5, 7]: the sums along t, then gain and bias taken out.
 
 uniform samplerBuffer sums_xy;      // [7][t][y][x]
 uniform samplerBuffer disparities;  // [t][y][x] px

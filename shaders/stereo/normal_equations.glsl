@@ -1,4 +1,5 @@
-// The normal equations of one window after its best gain and bias were taken out (docs/stereo.md, eq. S5 to S9):
+// The normal equations of one window after its best gain and bias were taken out (docs/stereo.md, S4 to S8),
+// with disparities that are linear within it [SF04 eq. 3]:
 // E(p + q) = E(p) + 2 b . q + q . J q for the parameters (d, dx, dy, dt). Included with sums_xy, disparities and
 // links declared.
 
@@ -92,7 +93,7 @@ Window window_of(int at_window, int voxel, int slot) {
                 slope_of(voxel, push.volume.x, axis_bits(word, 1)),
                 slope_of(voxel, push.volume.x * push.volume.y, axis_bits(word, 2)));
 
-  // How far the field strays from the window's plane, before J is projected (eq. S9).
+  // How far the field strays from the window's plane, before J is projected; bend is kappa (docs/stereo.md, S8).
   vec4 mp = vec4(dot(m_first, p), dot(vec4(m_first.y, m_second.xyz), p),
                  dot(vec4(m_first.z, m_second.yw, m_third.x), p), dot(vec4(m_first.w, m_second.z, m_third), p));
   float stray = max(dot(p, mp) - 2 * dot(p, hhd) + hhdd, 0) / max(m_first.x, 1e-12);

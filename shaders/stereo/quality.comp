@@ -7,7 +7,7 @@
 #include "inverse4.glsl"
 
 // How well each disparity is known: its standard deviation from the window's Hessian, the match's residual and what
-// the window smooths away (docs/stereo.md, eq. S10), and the correlation of the pictures over the window.
+// the window smooths away (docs/stereo.md, S10), and the correlation of the pictures over the window.
 
 uniform samplerBuffer sums_xy;
 uniform samplerBuffer disparities;

@@ -6,7 +6,7 @@
 #include "volume.glsl"
 #include "adjoint.glsl"
 
-// Second half of a CG iteration: x += alpha s, r -= alpha A s with A s = [I; Gx; Gy; Gt]^T q, z and r . z. The last
+// Second half of a CG iteration of [SF04 eq. 9]: x += alpha s, r -= alpha A s with A s = [I; Gx; Gy; Gt]^T q, z and r . z. The last
 // iteration moves the disparities.
 
 uniform samplerBuffer products;  // [t][y][x] of the windows

@@ -53,7 +53,7 @@ int voxel_of(ivec3 at) { return (at.z * push.volume.y + at.y) * push.volume.x + 
 uint axis_bits(uint word, int axis) { return (word >> (1 + 4 * axis)) & 15u; }
 
 // What a difference quotient divides by: central where both neighbours are there, one-sided where one is, 0
-// where none is (eq. 7).
+// where none is [SF04 eq. 6].
 float quotient(uint bits) {
   uint both = bits & 3u;
   return both == 3u ? 0.5 : both == 0u ? 0.0 : 1.0;

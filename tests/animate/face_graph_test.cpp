@@ -1,4 +1,4 @@
-// Face graphs: eq. 23 through the reduced basis, paths, walks.
+// Face graphs: [SF04 eq. 23] through the reduced basis, paths, walks.
 
 #include "animate/face_graph.hpp"
 
@@ -107,7 +107,7 @@ TEST_F(FaceGraphTest, PathsAreTheCheapestAndNeverDearerThanLinearInterpolation) 
 }
 
 TEST_F(FaceGraphTest, ShortestPathsAgreeWithRelaxingEveryEdge) {
-  // No blinks in this take: costs are those of the edges alone (Bellman 1958).
+  // No blinks in this take: costs are those of the edges alone [Bel58].
   const simulation::ActorTake actor = test::small_actor(6, 80);
   test::record_frames(folder_.path() / "open.take", 80, [&](int index) {
     auto frame = std::make_shared<mesh::MeshFrame>(*actor.frame(index));

@@ -45,7 +45,7 @@ Eigen::Vector2f project(const TakeBasis& basis, const Eigen::Vector3f& head_mm) 
 }
 
 /// Column sums of weights over captured faces, and row sums of the influence maps, are 1: so every vertex's
-/// blending coefficients are (the appendix of Zhang et al. 2004).
+/// blending coefficients are (the appendix of [SF04]).
 void expect_sums_of_one(const FaceIk& ik, const Pose& pose, const std::string& what) {
   const Eigen::MatrixXd weights = ik.region_weights();
   ASSERT_TRUE(weights.allFinite()) << what;
@@ -132,7 +132,7 @@ TEST_F(FaceIkTest, ControlPointsOnScreenAreMet) {
 }
 
 TEST_F(FaceIkTest, WeightsAreThoseOfTheClosedForm) {
-  // Eq. 17 as it stands, from the captured meshes themselves.
+  // [SF04 eq. 17] as it stands, from the captured meshes themselves.
   const auto basis = open(2);
   const std::int32_t vertex = 33 * 7 + 21;  // beside a corner of the mouth
   Eigen::Matrix<double, 4, Eigen::Dynamic> rows(4, basis->frame_count());
@@ -155,7 +155,8 @@ TEST_F(FaceIkTest, WeightsAreThoseOfTheClosedForm) {
   ASSERT_TRUE(ik.solve(targets, pose).front().met);
   const Eigen::VectorXd weights = ik.region_weights().col(0);
   EXPECT_NEAR(expected.sum(), 1, 1e-9);
-  // Ours may miss the constraint by what is allowed, and be no dearer in eq. 16 than what meets it exactly.
+  // Ours may miss the constraint by what is allowed, and be no dearer in [SF04 eq. 16] than what meets it
+  // exactly.
   EXPECT_LT((rows.topRows<3>() * weights - target.head<3>()).norm(), 0.06);
   const auto objective = [&](const Eigen::VectorXd& c) {
     return (c.array().square() / inverse_phi.array()).sum();

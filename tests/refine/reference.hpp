@@ -8,24 +8,24 @@
 
 #include "mesh/mesh.hpp"
 
-/// The energies of Ma & Deng 2019, section 4, and their solvers in slow, obvious double precision. The GPU is
+/// The energies of [MD19 sec. 4] and their solvers in slow, obvious double precision. The GPU is
 /// checked against this. Vectors stand in the shading frame: x right, y up, z towards the camera.
 namespace facet::refine::reference {
 
 using Lighting = Eigen::Matrix<double, 9, 1>;
 using Matrix39d = Eigen::Matrix<double, 3, 9>;
 
-/// 9 spherical-harmonics values of a unit normal (eq. 1).
+/// 9 spherical-harmonics values of a unit normal [MD19 eq. 1].
 Lighting sh_basis(const Eigen::Vector3d& normal);
 
 /// d SH / d n of the 9 values, [3][9], n taken as three free numbers.
 Matrix39d sh_gradient(const Eigen::Vector3d& normal);
 
-/// R = (l . SH(n)) rho (eq. 1).
+/// R = (l . SH(n)) rho [MD19 eq. 1].
 Eigen::Vector3d reflected(const Lighting& lighting, const Eigen::Vector3d& normal,
                           const Eigen::Vector3d& albedo);
 
-/// The displacement problem of one level (eq. 6). Columns are vertices.
+/// The displacement problem of one level [MD19 eq. 6]. Columns are vertices.
 struct Problem {
   const mesh::OneRings* rings = nullptr;
   Eigen::Matrix3Xd vertices_mm;     ///< coarse mesh of this level
@@ -49,10 +49,10 @@ struct Problem {
 /// Mean distance of every vertex to its ring, mm.
 Eigen::VectorXd ring_spacing(const mesh::OneRings& rings, const Eigen::Matrix3Xd& vertices_mm);
 
-/// Area-weighted unit normals: eq. 5 at d = 0, normalised.
+/// Area-weighted unit normals: [MD19 eq. 5] at d = 0, normalised.
 Eigen::Matrix3Xd coarse_normals(const mesh::OneRings& rings, const Eigen::Matrix3Xd& vertices_mm);
 
-/// n*_i of eq. 5, not normalised.
+/// n*_i of [MD19 eq. 5], not normalised.
 Eigen::Vector3d displaced_normal(const Problem& problem, const Eigen::VectorXd& displacements_mm,
                                  Eigen::Index vertex);
 
@@ -77,15 +77,15 @@ double fold_loss(double bend, double slope);
 /// the smoothness rows, w3 times the fold weight at d.
 Eigen::VectorXd step_weights(const Problem& problem, const Eigen::VectorXd& displacements_mm);
 
-/// E(d) of eq. 6.
+/// E(d) of [MD19 eq. 6].
 double energy(const Problem& problem, const Eigen::VectorXd& displacements_mm);
 
-/// The 6K residuals y - f of eq. 7 in the order: data [3 * vertex + channel], smoothness, hierarchy, coarse,
-/// each times the root of its weight.
+/// The 6K residuals y - f of [MD19 eq. 7] in the order: data [3 * vertex + channel], smoothness, hierarchy,
+/// coarse, each times the root of its weight.
 Eigen::VectorXd residuals(const Problem& problem, const Eigen::VectorXd& displacements_mm,
                           const Eigen::VectorXd& weights);
 
-/// d f / d d (eq. 8), [6K][K]; columns of fixed vertices are empty.
+/// d f / d d [MD19 eq. 8], [6K][K]; columns of fixed vertices are empty.
 Eigen::SparseMatrix<double> jacobian(const Problem& problem, const Eigen::VectorXd& displacements_mm,
                                      const Eigen::VectorXd& weights);
 
@@ -103,16 +103,16 @@ DerivativeCheck check_jacobian(const Problem& problem, const Eigen::VectorXd& di
 Eigen::VectorXd pcg(const Eigen::SparseMatrix<double>& jacobian, const Eigen::VectorXd& residuals,
                     int iterations);
 
-/// One step of eq. 8; pcg_iterations 0: solved exactly.
+/// One step of [MD19 eq. 8]; pcg_iterations 0: solved exactly.
 Eigen::VectorXd gauss_newton_step(const Problem& problem, const Eigen::VectorXd& displacements_mm,
                                   int pcg_iterations);
 
-/// min over l of eq. 3: sum of weight_i |I_i - R_i|^2 + temporal_weight |l - previous|^2.
+/// min over l of [MD19 eq. 3]: sum of weight_i |I_i - R_i|^2 + temporal_weight |l - previous|^2.
 Lighting estimate_lighting(const Eigen::Matrix3Xd& normals, const Eigen::Matrix3Xd& albedo,
                            const Eigen::Matrix3Xd& colours, const Eigen::VectorXd& weights,
                            double temporal_weight, const Lighting& previous);
 
-/// min over rho of eq. 4 over several frames: sum of shade_squared_i rho_i^2 - 2 shade_colour_i rho_i
+/// min over rho of [MD19 eq. 4] over several frames: sum of shade_squared_i rho_i^2 - 2 shade_colour_i rho_i
 /// + smooth_weight |L rho - L mean|^2, solved exactly.
 /// shade_squared [K] sums over frames of w (l . SH)^2; shade_colour [3][K] sums of w (l . SH) I.
 Eigen::Matrix3Xd estimate_albedo(const mesh::OneRings& rings, const Eigen::VectorXd& shade_squared,

@@ -117,7 +117,7 @@ synthetic::Scene small_scene() {
   return scene;
 }
 
-/// Weights for a clean scene: a known albedo, no more than what eq. 1 describes.
+/// Weights for a clean scene: a known albedo, no more than what [MD19 eq. 1] describes.
 RefinerConfig clean_config() {
   RefinerConfig config;
   config.weights.displacement_smooth = 0.05F;

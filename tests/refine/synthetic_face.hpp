@@ -66,7 +66,7 @@ Eigen::Vector2f project(const CameraIntrinsics& camera, const Eigen::Vector3f& p
 /// The true surface seen by the camera, drawn by a scalar z-buffer from 0.5 mm triangles; black elsewhere.
 Frame render(const Scene& scene);
 
-/// (l . SH(n)) of eq. 1 with the normal in the shading frame.
+/// (l . SH(n)) of [MD19 eq. 1] with the normal in the shading frame.
 float shade(const std::array<float, 9>& lighting, const Eigen::Vector3f& normal);
 
 /// Sum of normal angles between the vertices of a refined mesh and the truth, over vertices at least

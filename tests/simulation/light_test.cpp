@@ -34,7 +34,7 @@ TEST(DistantLight, IsTheSecondOrderFormOfTheClampedCosine) {
     const auto lighting = distant_light_sh(direction);
     EXPECT_NEAR(value(lighting, normal), 0.25F + 0.5F * cosine + 5.0F / 32 * (3 * cosine * cosine - 1),
                 1e-5F);
-    // Ramamoorthi & Hanrahan 2001: the second order is within a few per cent of the true irradiance.
+    // [RH01]: the second order is within a few per cent of the true irradiance.
     EXPECT_NEAR(value(lighting, normal), std::max(0.0F, cosine), 0.1F);
   }
 }

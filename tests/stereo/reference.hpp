@@ -6,7 +6,7 @@
 
 #include "stereo/spacetime_solver.hpp"
 
-/// Spacetime stereo (eq. 5-9 of Zhang et al. 2004) in slow, obvious double precision: every window visits
+/// Spacetime stereo [SF04 eq. 5-9] in slow, obvious double precision: every window visits
 /// every one of its samples, gain and bias are columns of a least squares problem, the field's slopes are a
 /// dense matrix. The GPU is checked against it.
 namespace facet::stereo::reference {

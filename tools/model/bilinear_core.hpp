@@ -38,7 +38,7 @@ struct BilinearCore {
 };
 
 /// The higher-order SVD of the identities x expressions x coordinates tensor, truncated in its identity mode
-/// alone (De Lathauwer 2000; Vlasic et al. 2005): expressions keep their names. Every slice counts together
+/// alone [LMV00; VBPP05]: expressions keep their names. Every slice counts together
 /// with its mirror image, so the mean is symmetric and every mode is symmetric or antisymmetric.
 ///
 /// slices    consumed: freed as the rows are made

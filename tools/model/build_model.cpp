@@ -51,7 +51,7 @@ std::vector<std::uint8_t> fixed_vertices(const HeadMesh& head, const ExpressionS
   return fixed;
 }
 
-/// Rigid motion that brings `points` closest to `onto` (weighted least squares; Horn 1987 / Kabsch 1976).
+/// Rigid motion that brings `points` closest to `onto` (weighted least squares [Hor87; Kab76]).
 Eigen::Isometry3d rigid_alignment(const Eigen::Matrix3Xd& points, const Eigen::Matrix3Xd& onto,
                                   const Eigen::VectorXd& weights) {
   const Eigen::Vector3d from = points * weights / weights.sum();

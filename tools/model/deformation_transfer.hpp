@@ -8,10 +8,10 @@
 
 namespace facet::model {
 
-/// Deformation transfer (Sumner & Popovic 2004) between meshes of one topology: what each triangle of the
-/// source goes through, the same triangle of the target goes through. Solved as Botsch, Sumner, Pauly & Gross
-/// 2006 show it to be: a Poisson equation over the target with its cotangent Laplacian, factorised once per
-/// target.
+/// Deformation transfer [SP04] between meshes of one topology: what each triangle of the
+/// source goes through, the same triangle of the target goes through. Solved as
+/// [BSPG06] show it to be: a Poisson equation over the target with its cotangent Laplacian, factorised once
+/// per target.
 class DeformationTransfer {
  public:
   /// source, target    [3][vertex_count] rest shapes
@@ -33,7 +33,7 @@ class DeformationTransfer {
   std::unique_ptr<Impl> impl_;
 };
 
-/// The affine map that takes one triangle and its normal to another (Sumner & Popovic 2004, eq. 4: the fourth
+/// The affine map that takes one triangle and its normal to another ([SP04 eq. 4]: the fourth
 /// vertex stands on the first, along the normal scaled by the root of twice the area). Columns a, b, c are
 /// corners.
 Eigen::Matrix3d deformation_gradient(const Eigen::Matrix3d& rest_corners,

@@ -198,7 +198,7 @@ std::vector<int> find_mirror(const HeadMesh& head, const Eigen::Matrix3Xd& posit
 }
 
 /// Texture coordinates of the inner mouth and the sockets: the solution of uniform Laplace equations inside
-/// the holes that lips and lids leave in the skin's chart (Tutte 1963), so that one chart covers them all.
+/// the holes that lips and lids leave in the skin's chart [Tut63], so that one chart covers them all.
 void fill_holes(HeadMesh& head) {
   const auto inside = [&](int v) {
     const Part part = head.part[static_cast<std::size_t>(v)];

@@ -35,7 +35,7 @@ struct IctReport {
   std::vector<std::string> missing;      ///< ARKit names that the folder has no shape for
 };
 
-/// Makes a model of ICT-FaceKit's files (Li et al. 2020, light): generic_neutral_mesh.obj, identityNNN.obj
+/// Makes a model of ICT-FaceKit's files ([LBZ20], light): generic_neutral_mesh.obj, identityNNN.obj
 /// and one file an expression, all of one topology in centimetres. The head is cut to face, inner mouth,
 /// sockets and the eyeballs' outer layer; shapes are the files' differences to the neutral mesh, identity
 /// modes count in standard deviations, and identity does not change expressions (zero rows, as ICT's own

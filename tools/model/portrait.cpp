@@ -25,7 +25,7 @@ const Eigen::Vector3f kClay(0.55F, 0.47F, 0.42F);
 const Eigen::Vector3f kClayLips(0.50F, 0.33F, 0.30F);
 const Eigen::Vector3f kMouthInterior(0.16F, 0.035F, 0.03F);
 
-// Light in the camera frame (y up, z towards the camera), eq. 1 of Ma & Deng 2019: soft, from above and in
+// Light in the camera frame (y up, z towards the camera), [MD19 eq. 1]: soft, from above and in
 // front.
 constexpr std::array<float, 9> kSoftLight = {0.70F, 0.05F, 0.16F, 0.28F, 0, 0, 0, 0, 0.02F};
 constexpr std::array<float, 9> kModellingLight = {0.38F, 0.20F, 0.30F, 0.34F, 0, 0, 0, 0, 0};

@@ -1,7 +1,7 @@
 // Fewer triangles over the same vertices, for machines that draw without a GPU.
 
 /** The triangles whose corners lie in three different cells of a grid, each corner replaced by the first vertex of its cell
- * (vertex clustering, Rossignac & Borrel 1993). What looks up and what looks down is never merged: lips that are closed now will
+ * (vertex clustering [RB93]). What looks up and what looks down is never merged: lips that are closed now will
  * open. vertices, normals: [count][3]; cells: across the longest side. */
 export function coarserTriangles(triangles: Uint32Array, vertices: ArrayLike<number>, normals: ArrayLike<number>, cells: number): Uint32Array {
   const least = [Infinity, Infinity, Infinity];

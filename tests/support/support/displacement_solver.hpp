@@ -13,7 +13,7 @@
 
 namespace facet::refine {
 
-/// The displacement problem of one level, eq. 6 of Ma & Deng 2019, as numbers on the host. Vectors stand in
+/// The displacement problem of one level, [MD19 eq. 6], as numbers on the host. Vectors stand in
 /// the shading frame: x right, y up, z towards the camera.
 struct DisplacementProblem {
   const mesh::OneRings* one_rings = nullptr;
