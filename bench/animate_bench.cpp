@@ -1,5 +1,5 @@
 // Posing and animating takes: how long it takes, and how it looks beside other ways. Commands and results
-// stand in README.md.
+// stand in results/animation.md.
 
 #include <fmt/format.h>
 #include <sys/resource.h>

@@ -1,5 +1,5 @@
 // Puppeteering: how fast the studio puts poses on the stream, and how long one takes from the command to a
-// reader's hands. Commands and results stand in README.md.
+// reader's hands. Commands and results stand in results/animation.md.
 
 #include <fmt/format.h>
 

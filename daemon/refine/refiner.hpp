@@ -16,7 +16,7 @@
 
 namespace facet::refine {
 
-/// Weights of the energies [MD19 sec. 4], chosen by bench/weights (see bench/README.md). Data residuals
+/// Weights of the energies [MD19 sec. 4], chosen by bench/weights (docs/decisions). Data residuals
 /// are relative to the face's rms brightness, so that one set holds for every exposure, skin and image size.
 struct Weights {
   float lighting_temporal = 0.05F;  ///< w1 [MD19 eq. 3], in units of what all visible vertices weigh together

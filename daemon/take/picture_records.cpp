@@ -22,7 +22,8 @@ static_assert(std::endian::native == std::endian::little, "records are little-en
 constexpr std::size_t kCrcEnd = offsetof(PictureRecord, frame_number);
 constexpr std::size_t kPadding = 8;
 // Noise has no repetitions worth a search: what zstd gains, its entropy coder does. The smallest table of
-// matches that still finds plain areas makes it faster than level 1 and no worse (bench/README.md).
+// matches that still finds plain areas makes it faster than level 1 and no worse
+// (docs/decisions/take-codec.md).
 constexpr int kLevel = 1;
 constexpr int kHashLog = 8;
 constexpr int kShortestMatch = 7;

@@ -9,7 +9,7 @@
 
 namespace facet::track {
 
-/// Strengths of the expression prior's parts. Found by experiment: bench/README.md, "coarse fit".
+/// Strengths of the expression prior's parts. Found by experiment: docs/decisions/tracking-weights.md.
 struct ExpressionPriorStrength {
   double size = 1.0;       ///< of (e / sigma)^2
   double sparsity = 1.5;   ///< of |e| / sigma: few shapes rather than many small ones

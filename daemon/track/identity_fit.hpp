@@ -9,8 +9,8 @@
 
 namespace facet::track {
 
-/// Strengths of the priors on what a subject's frames share. Found by experiment: bench/README.md, "coarse
-/// fit".
+/// Strengths of the priors on what a subject's frames share. Found by experiment:
+/// docs/decisions/tracking-weights.md.
 struct IdentityPriorStrength {
   /// Of |identity|^2 / 2 per frame. It grows with the number of frames because the landmark net's error on
   /// one face is much the same in every frame: more frames do not make the shape more certain.

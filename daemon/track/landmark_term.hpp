@@ -13,7 +13,7 @@
 
 namespace facet::track {
 
-/// How far landmarks are trusted. Found by experiment: bench/README.md, "coarse fit".
+/// How far landmarks are trusted. Found by experiment: docs/decisions/tracking-weights.md.
 struct LandmarkTrust {
   /// Standard deviation of one landmark on the face, mm.
   double sigma_mm = 1.2;

@@ -34,8 +34,8 @@ constexpr double kFarthestTurn = -0.26;
 
 /// On a head that is turned by more than this (25 degrees) the nets contradict each other where they no
 /// longer see how far: a frame in which they do so more than the first limit has no mesh, nor have those
-/// after it until they do so less than the second (FaceLandmarks::contradiction). bench/README.md, "A head
-/// that turns away".
+/// after it until they do so less than the second (FaceLandmarks::contradiction).
+/// docs/decisions/turned-heads.md.
 constexpr double kTurned = 0.906;
 constexpr float kContradicted = 0.047F;
 constexpr float kAgreed = 0.04F;
