@@ -12,11 +12,11 @@ namespace facet::service {
 /// Threads, and what they may block on:
 /// * main: signals, control socket, log, watchdog; begins and ends all others. Poll alone.
 /// * `facet-open` opens source, model, tracker and GPU. Files, the driver.
-/// * `facet-record` begins and ends takes, `facet-look` does what looking methods and the studio's files
-/// take,
-///   `facet-studio` and `facet-pictures` see their classes. The disk.
+/// * `facet-record` begins and ends takes. The disk.
+/// * `facet-look` does what looking methods and the studio's files take. The disk.
+/// * `facet-studio`, `facet-pictures`: see their classes. The disk.
 /// * `facet-stream`, `facet-bridge`, `facet-take`, `facet-pack-N`, `facet-capture`, `facet-track`,
-///   `facet-refine` see their rooms.
+///   `facet-refine`: see their rooms.
 ///
 /// SIGTERM, SIGINT and the control method "shutdown" end it within a second: takes are closed and sockets
 /// removed; a frame that the GPU or a driver still holds then is abandoned with the process, and so is what a
