@@ -9,6 +9,7 @@
 #include <cstdio>
 #include <utility>
 
+#include "facet/clock.hpp"
 #include "tell.hpp"
 
 namespace facet::tools {
@@ -37,7 +38,7 @@ Progress::Progress(std::string what, std::uint64_t total, std::string unit)
       unit_(std::move(unit)),
       total_(total),
       terminal_(isatty(STDERR_FILENO) != 0),
-      start_(std::chrono::steady_clock::now()),
+      start_(Clock::now()),
       next_draw_(start_ + (terminal_ ? 0s : kLogPeriod)) {}
 
 Progress::~Progress() {
@@ -51,7 +52,7 @@ void Progress::advance(std::uint64_t by) {
 void Progress::set(std::uint64_t done, const std::string& note) {
   done_ = done;
   note_ = note;
-  if (!finished_ && std::chrono::steady_clock::now() >= next_draw_) {
+  if (!finished_ && Clock::now() >= next_draw_) {
     draw(false);
   }
 }
@@ -64,9 +65,8 @@ void Progress::finish() {
 }
 
 void Progress::draw(bool last) {
-  const auto now = std::chrono::steady_clock::now();
-  next_draw_ = now + (terminal_ ? std::chrono::steady_clock::duration(kTerminalPeriod)
-                                : std::chrono::steady_clock::duration(kLogPeriod));
+  const auto now = Clock::now();
+  next_draw_ = now + (terminal_ ? Clock::duration(kTerminalPeriod) : Clock::duration(kLogPeriod));
   const double elapsed_s = std::chrono::duration<double>(now - start_).count();
   const double rate_hz = elapsed_s > 0 ? static_cast<double>(done_) / elapsed_s : 0;
 

@@ -4,6 +4,8 @@
 #include <cstdint>
 #include <string>
 
+#include "facet/clock.hpp"
+
 namespace facet::tools {
 
 /// A progress line on standard error: bar, count, rate and time left. On a terminal it redraws in place ten
@@ -33,8 +35,8 @@ class Progress {
   std::uint64_t done_ = 0;
   bool terminal_;
   bool finished_ = false;
-  std::chrono::steady_clock::time_point start_;
-  std::chrono::steady_clock::time_point next_draw_;
+  Clock::time_point start_;
+  Clock::time_point next_draw_;
 };
 
 }  // namespace facet::tools

@@ -19,13 +19,12 @@
 #include <utility>
 
 #include "avatar/protocols.hpp"
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
 
 namespace facet::avatar {
 namespace {
-
-using Clock = std::chrono::steady_clock;
 
 /// After so many that went well, what failed before is told no more.
 constexpr int kSoundFrames = 30;
@@ -64,7 +63,7 @@ std::string random_uuid() {
 }
 
 double time_of_day_s() {
-  const auto now = std::chrono::system_clock::now();
+  const auto now = Clock::utc();
   return std::chrono::duration<double>(now - std::chrono::floor<std::chrono::days>(now)).count();
 }
 
@@ -219,7 +218,7 @@ void Bridge::Impl::work_once(std::unique_lock<std::mutex>& lock, Clock::time_poi
   if (newest == nullptr || now < next_send) {
     // A recording ends without a frame too.
     const auto until = newest != nullptr ? next_send : now + std::chrono::milliseconds(100);
-    changed.wait_until(lock, until);
+    changed.wait_until(lock, Clock::wake(until));
     return;
   }
   // A frame that comes a little early is in time all the same: a camera at rate_hz loses none.

@@ -9,13 +9,12 @@
 #include <optional>
 #include <utility>
 
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "stereo/stereo_matcher.hpp"
 
 namespace facet::booth {
 namespace {
-
-using Clock = std::chrono::steady_clock;
 
 constexpr double kBefore_mm = 150;
 constexpr double kBehind_mm = 250;

@@ -14,6 +14,7 @@
 #include "booth/face_in_space.hpp"
 #include "booth/template_subject.hpp"
 #include "booth/vertex_texture.hpp"
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "fit/fine_surface.hpp"
 #include "fit/skin_tracker.hpp"
@@ -22,16 +23,10 @@
 namespace facet::booth {
 namespace {
 
-using Clock = std::chrono::steady_clock;
-
 constexpr std::size_t kLeastLandmarks = 60;
 constexpr std::size_t kLeastPoints = 8;  ///< that a person pointed at
 /// Slots in a row in which a face is seen, placed and not found to be the person of before: another one.
 constexpr int kStrangerSlots = 3;
-
-float ms_since(Clock::time_point start) {
-  return std::chrono::duration<float, std::milli>(Clock::now() - start).count();
-}
 
 /// A camera that sees texture.
 struct View {

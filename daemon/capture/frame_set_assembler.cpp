@@ -3,14 +3,9 @@
 #include <algorithm>
 #include <utility>
 
+#include "facet/clock.hpp"
+
 namespace facet::capture {
-
-std::int64_t monotonic_now_ns() {
-  return std::chrono::steady_clock::now().time_since_epoch().count();
-}
-
-FrameSetAssembler::FrameSetAssembler(const CaptureConfig& config, std::function<std::int64_t()> now_ns)
-    : now_ns_(std::move(now_ns)), matcher_(config) {}
 
 void FrameSetAssembler::fired(std::uint64_t slot, std::int64_t fired_ns) {
   const std::lock_guard lock(mutex_);
@@ -20,7 +15,7 @@ void FrameSetAssembler::fired(std::uint64_t slot, std::int64_t fired_ns) {
 
 void FrameSetAssembler::push(std::size_t camera, Frame frame) {
   const std::lock_guard lock(mutex_);
-  matcher_.push(camera, std::move(frame), now_ns_());
+  matcher_.push(camera, std::move(frame), Clock::now_ns());
   changed_.notify_one();
 }
 
@@ -32,23 +27,22 @@ void FrameSetAssembler::set_streaming(std::size_t camera, bool streaming) {
 
 FrameSetAssembler::Outcome FrameSetAssembler::next(FrameSet& out, std::chrono::milliseconds timeout) {
   std::fill(out.frames.begin(), out.frames.end(), Frame{});
-  const auto give_up = std::chrono::steady_clock::now() + timeout;
+  const auto give_up = Clock::now() + timeout;
   std::unique_lock lock(mutex_);
   while (!closed_) {
-    const std::int64_t now_ns = now_ns_();
+    const std::int64_t now_ns = Clock::now_ns();
     matcher_.advance(now_ns);
     if (matcher_.take(out, now_ns)) {
       return Outcome::Delivered;
     }
-    const auto now = std::chrono::steady_clock::now();
-    if (now >= give_up) {
+    if (Clock::at(now_ns) >= give_up) {
       return Outcome::Timeout;
     }
     auto wake = give_up;
     if (const auto deadline_ns = matcher_.next_deadline_ns()) {
-      wake = std::min(wake, now + std::chrono::nanoseconds(*deadline_ns - now_ns));
+      wake = std::min(wake, Clock::at(*deadline_ns));
     }
-    changed_.wait_until(lock, wake);
+    changed_.wait_until(lock, Clock::wake(wake));
   }
   return Outcome::Closed;
 }

@@ -3,15 +3,11 @@
 #include <chrono>
 #include <condition_variable>
 #include <cstdint>
-#include <functional>
 #include <mutex>
 
 #include "capture/frame_set_matcher.hpp"
 
 namespace facet::capture {
-
-/// CLOCK_MONOTONIC, ns.
-std::int64_t monotonic_now_ns();
 
 /// FrameSetMatcher for many threads: the trigger's reader tells what was fired, each camera's thread pushes
 /// its frames, one consumer takes the sets. Nobody but the consumer waits: the lock is held for the matching,
@@ -19,9 +15,8 @@ std::int64_t monotonic_now_ns();
 /// open_sets + 8 frames of every camera, which its buffer pool must have beside the consumer's.
 class FrameSetAssembler {
  public:
-  /// Throws Error(Usage) for a configuration that can't be. `now_ns` is any thread's.
-  explicit FrameSetAssembler(const CaptureConfig& config,
-                             std::function<std::int64_t()> now_ns = monotonic_now_ns);
+  /// Throws Error(Usage) for a configuration that can't be.
+  explicit FrameSetAssembler(const CaptureConfig& config) : matcher_(config) {}
 
   /// From TriggerEvent::Kind::Fired: slot and actual time.
   void fired(std::uint64_t slot, std::int64_t fired_ns);
@@ -40,7 +35,6 @@ class FrameSetAssembler {
   CaptureStatistics statistics() const;  ///< any thread
 
  private:
-  std::function<std::int64_t()> now_ns_;
   mutable std::mutex mutex_;
   std::condition_variable changed_;
   FrameSetMatcher matcher_;  ///< guarded by mutex_, as all below

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <opencv2/core/utility.hpp>
 
+#include "facet/clock.hpp"
 #include "landmark/appearance.hpp"
 #include "landmark/attention_net.hpp"
 #include "landmark/face_detector.hpp"
@@ -30,10 +31,6 @@ constexpr float average_rate = 0.05F;
 
 /// How long a lost face is waited for: after that anyone may be the one.
 constexpr int memory_frames = 25;
-
-float milliseconds_since(std::chrono::steady_clock::time_point start) {
-  return std::chrono::duration<float, std::milli>(std::chrono::steady_clock::now() - start).count();
-}
 
 /// The part of a difference that exceeds the play.
 float beyond(float difference, float play) {
@@ -224,7 +221,7 @@ struct Landmarker::Impl {
       return false;
     }
     frames_since_check = 0;
-    const auto start = std::chrono::steady_clock::now();
+    const auto start = Clock::now();
     Region place = window_of(result.face.points_px);
     Region around = place;
     around.size_px *= Detection::second_look_scale / Detection::face_window_scale;
@@ -234,7 +231,7 @@ struct Landmarker::Impl {
     if (nearest != faces.end()) {
       conflicts = near_each_other(nearest->face_region(), place, reach, growth) ? 0 : conflicts + 1;
     }
-    result.detect_ms += milliseconds_since(start);
+    result.detect_ms += ms_since(start);
     return conflicts >= patience_checks;
   }
 
@@ -343,20 +340,20 @@ const LandmarkResult& Landmarker::process(const Frame& frame) {
   result.detect_ms = 0;
   result.landmarks_ms = 0;
   if (!frame.empty() && !frame.corrupt && frame.width_px > 0 && frame.height_px > 0) {
-    auto start = std::chrono::steady_clock::now();
+    auto start = Clock::now();
     result.found = impl_->follow(frame);
-    result.landmarks_ms = milliseconds_since(start) - result.detect_ms;
+    result.landmarks_ms = ms_since(start) - result.detect_ms;
     if (!result.found) {
-      start = std::chrono::steady_clock::now();
+      start = Clock::now();
       result.found = impl_->acquire(frame);
       result.acquired = result.found;
-      result.detect_ms += milliseconds_since(start);
+      result.detect_ms += ms_since(start);
     }
   }
   if (result.found) {
-    const auto start = std::chrono::steady_clock::now();
+    const auto start = Clock::now();
     impl_->refine(frame, result.face);
-    result.landmarks_ms += milliseconds_since(start);
+    result.landmarks_ms += ms_since(start);
     if (impl_->config.smooth) {
       impl_->smooth(frame);
     }

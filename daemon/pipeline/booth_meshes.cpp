@@ -11,6 +11,7 @@
 #include <utility>
 
 #include "capture/rig_file.hpp"
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "pipeline/bounded_queue.hpp"
 #include "pipeline/figures.hpp"
@@ -20,7 +21,6 @@
 namespace facet::pipeline {
 namespace {
 
-using Clock = std::chrono::steady_clock;
 using FramePointer = std::shared_ptr<const mesh::MeshFrame>;
 
 enum Worker : std::size_t { kDepth, kPerform };
@@ -33,10 +33,6 @@ constexpr std::size_t kMostPeriods = 4;
 
 /// The rig is looked at in one of so many blank slots.
 constexpr std::uint64_t kCheckPeriod = 5;
-
-float ms_since(Clock::time_point start) {
-  return std::chrono::duration<float, std::milli>(Clock::now() - start).count();
-}
 
 struct RunSlot {
   FramePointer frame;  ///< null: missing

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <numeric>
 
+#include "facet/clock.hpp"
 #include "maths/statistics.hpp"
 
 namespace facet::pipeline {
@@ -47,7 +48,7 @@ float Window::quantile(float p) const {
   return maths::quantile_of(std::span(sorted).first(count_), static_cast<double>(p));
 }
 
-void MovingFigures::add(const mesh::MeshFrame& frame, std::chrono::steady_clock::time_point handed_out) {
+void MovingFigures::add(const mesh::MeshFrame& frame, Clock::time_point handed_out) {
   for (std::size_t s = 0; s < kStages.size(); ++s) {
     if (const float time_ms = frame.stage_ms.*(kStages[s].time_ms); time_ms > 0) {
       stages_[s].add(time_ms);
@@ -57,7 +58,7 @@ void MovingFigures::add(const mesh::MeshFrame& frame, std::chrono::steady_clock:
   if (!frame.displacements_mm.empty()) {
     photometric_rms_.add(frame.photometric_rms);
   }
-  if (last_ != std::chrono::steady_clock::time_point()) {
+  if (last_ != Clock::time_point()) {
     between_s_.add(std::chrono::duration<float>(handed_out - last_).count());
   }
   last_ = handed_out;

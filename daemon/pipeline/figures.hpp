@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cstddef>
 
+#include "facet/clock.hpp"
 #include "pipeline/status.hpp"
 
 namespace facet::pipeline {
@@ -26,7 +27,7 @@ class Window {
 /// Moving figures over the last frames. Not thread-safe: the owner locks.
 class MovingFigures {
  public:
-  void add(const mesh::MeshFrame& frame, std::chrono::steady_clock::time_point handed_out);
+  void add(const mesh::MeshFrame& frame, Clock::time_point handed_out);
   /// Fills frames_per_second, stages, histograms and photometric_rms.
   void fill(PipelineStatus& status) const;
 
@@ -35,7 +36,7 @@ class MovingFigures {
   std::array<Histogram, kStages.size()> histograms_;
   Window photometric_rms_;
   Window between_s_;
-  std::chrono::steady_clock::time_point last_;
+  Clock::time_point last_;
 };
 
 }  // namespace facet::pipeline

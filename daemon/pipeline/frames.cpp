@@ -15,6 +15,7 @@
 #include <utility>
 
 #include "capture/frame_set_assembler.hpp"
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "pipeline/figures.hpp"
 #include "pipeline/frame_pool.hpp"
@@ -28,7 +29,6 @@
 namespace facet::pipeline {
 namespace {
 
-using Clock = std::chrono::steady_clock;
 using namespace std::chrono_literals;
 
 /// How long a thread waits for a frame, an event or a set before it looks whether to stop.
@@ -342,7 +342,7 @@ void FramesPipeline::Impl::set_state(PipelineState state) {
 
 /// False where there is no trigger.
 bool FramesPipeline::Impl::not_fired_for(std::int64_t time_ns) const {
-  return rig.open_trigger && capture::monotonic_now_ns() - last_firing_ns > time_ns;
+  return rig.open_trigger && Clock::now_ns() - last_firing_ns > time_ns;
 }
 
 /// What the camera says of itself, and whether it waits for the trigger, which it can't know.
@@ -423,7 +423,7 @@ bool FramesPipeline::Impl::pause(Clock::duration duration) {
   std::unique_lock lock(mutex);
   while (!stopping && Clock::now() < end) {
     workers.beat(kEdges);
-    stop_asked.wait_until(lock, std::min(end, Clock::now() + kLookPeriod));
+    stop_asked.wait_until(lock, Clock::wake(std::min(end, Clock::now() + kLookPeriod)));
   }
   return !stopping;
 }
@@ -431,7 +431,7 @@ bool FramesPipeline::Impl::pause(Clock::duration duration) {
 void FramesPipeline::Impl::take_event(const TriggerEvent& event) {
   next_slot = std::max(next_slot, event.slot + event.slot_count);
   if (event.kind == TriggerEvent::Kind::Fired) {
-    last_firing_ns = capture::monotonic_now_ns();
+    last_firing_ns = Clock::now_ns();
     assembler.fired(event.slot, event.actual_ns);
   }
   if (const auto note = edge_log.add(event)) {
@@ -512,7 +512,7 @@ void FramesPipeline::Impl::deliver(std::shared_ptr<FrameSet> set) {
       }
     }
   }
-  frame->stage_ms.latency_ms = static_cast<float>(capture::monotonic_now_ns() - set->trigger_ns) * 1e-6F;
+  frame->stage_ms.latency_ms = static_cast<float>(Clock::now_ns() - set->trigger_ns) * 1e-6F;
   frame->images = std::move(set);
   for (MeshSink* sink : sinks) {
     sink->deliver(frame);
@@ -598,7 +598,7 @@ void FramesPipeline::start() {
   Impl& impl = *impl_;
   impl.set_state(PipelineState::Preparing);
   impl.cameras_at_work = impl.rig.cameras.size();
-  impl.last_firing_ns = capture::monotonic_now_ns();
+  impl.last_firing_ns = Clock::now_ns();
   std::vector<Workers::Work> works = {{kSets, [&impl] { impl.hand_out_sets(); }}};
   for (std::size_t i = 0; i < impl.rig.cameras.size(); ++i) {
     works.push_back({kFirstCamera + i, [&impl, i] { impl.run_camera(i); }});

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "face/subject_builder.hpp"
+#include "facet/clock.hpp"
 #include "pipeline/bounded_queue.hpp"
 #include "pipeline/figures.hpp"
 #include "pipeline/frame_pool.hpp"
@@ -18,8 +19,6 @@
 
 namespace facet::pipeline {
 namespace {
-
-using Clock = std::chrono::steady_clock;
 
 /// How long capture waits for a frame before it looks whether to stop.
 constexpr std::chrono::milliseconds kCaptureTimeout{50};
@@ -55,10 +54,6 @@ struct Tracked {
 void degrade(mesh::MeshFrame& mesh, const std::string& reason) {
   mesh.degraded_reason += (mesh.degraded ? "; " : "") + reason;
   mesh.degraded = true;
-}
-
-float ms_since(Clock::time_point start) {
-  return std::chrono::duration<float, std::milli>(Clock::now() - start).count();
 }
 
 }  // namespace

@@ -9,6 +9,8 @@
 #include <utility>
 #include <vector>
 
+#include "facet/clock.hpp"
+
 namespace facet::pipeline {
 
 /// When each worker (a thread that must get on for its pipeline to be alive) was last seen to get on, for
@@ -33,14 +35,14 @@ class Progress {
   const std::string& name(std::size_t worker) const { return workers_.at(worker); }
 
   /// It begins, or gets on. The worker's own thread, or the one that starts it; real-time safe.
-  void beat(std::size_t worker) { last_ns_.at(worker).store(now_ns(), std::memory_order_relaxed); }
+  void beat(std::size_t worker) { last_ns_.at(worker).store(Clock::now_ns(), std::memory_order_relaxed); }
 
   /// It has done its last work. The worker's own thread.
   void end(std::size_t worker) { last_ns_.at(worker).store(kNotAtWork, std::memory_order_relaxed); }
 
   /// The worker that was silent for the longest time; none where none is at work. Any thread.
   std::optional<Silence> longest_silence() const {
-    const std::int64_t now = now_ns();
+    const std::int64_t now = Clock::now_ns();
     std::optional<Silence> longest;
     for (std::size_t w = 0; w < last_ns_.size(); ++w) {
       const std::int64_t last = last_ns_[w].load(std::memory_order_relaxed);
@@ -54,8 +56,6 @@ class Progress {
 
  private:
   static constexpr std::int64_t kNotAtWork = -1;
-
-  static std::int64_t now_ns() { return std::chrono::steady_clock::now().time_since_epoch().count(); }
 
   std::vector<std::string> workers_;
   std::vector<std::atomic<std::int64_t>> last_ns_;  ///< CLOCK_MONOTONIC

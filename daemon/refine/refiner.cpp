@@ -10,6 +10,7 @@
 #include <span>
 #include <utility>
 
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "refine/albedo.hpp"
 #include "refine/displacement_kernels.hpp"
@@ -247,7 +248,7 @@ struct Refiner::Impl {
   std::shared_ptr<const mesh::Hierarchy> hierarchy;
   std::optional<SubjectBuffers> subject;
   const SubjectBuffers::Recorded* in_flight = nullptr;
-  std::chrono::steady_clock::time_point submitted;
+  Clock::time_point submitted;
   bool lost = false;
   bool warm = false;              ///< the previous frame's displacements and light can be used
   std::uint64_t frame_count = 0;  ///< of this subject
@@ -487,7 +488,7 @@ void Refiner::submit(const RefineInput& input) {
                               view.camera.height_px));
     }
   }
-  impl.submitted = std::chrono::steady_clock::now();
+  impl.submitted = Clock::now();
   if (!subject.pyramid || subject.pyramid->width_px != width_px || subject.pyramid->height_px != height_px) {
     subject.recorded.clear();
     subject.pyramid.reset();
@@ -692,8 +693,7 @@ RefineOutcome Refiner::collect(RefineOutput& output) {
   output.steps = recorded.plan.steps;
   output.given_up.clear();
   if (plans_frames(impl.config)) {
-    const std::chrono::duration<float, std::milli> frame_time =
-        std::chrono::steady_clock::now() - impl.submitted;
+    const std::chrono::duration<float, std::milli> frame_time = Clock::now() - impl.submitted;
     impl.subject->planner.learn(energies, output.displacement_ms, frame_time.count());
     output.given_up = impl.subject->planner.given_up();
   }

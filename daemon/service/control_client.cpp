@@ -10,6 +10,7 @@
 #include <nlohmann/json.hpp>
 #include <utility>
 
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "files/json_text.hpp"
 #include "service/control_protocol.hpp"
@@ -58,8 +59,7 @@ std::string ControlClient::exchange(const std::string& request, stream::Deadline
   std::array<char, 65536> piece{};
   while (response.empty() || response.back() != '\n') {
     // By the clock, too: an answer that comes byte by byte is always there to be read.
-    if (!stream::wait_for(fd_.get(), POLLIN, deadline) ||
-        (!response.empty() && std::chrono::steady_clock::now() >= deadline)) {
+    if (!stream::wait_for(fd_.get(), POLLIN, deadline) || (!response.empty() && Clock::now() >= deadline)) {
       throw fail(fmt::format("the daemon gave no {}answer for {} ms", response.empty() ? "" : "whole ",
                              patience_.count()));
     }
@@ -79,7 +79,7 @@ std::string ControlClient::exchange(const std::string& request, stream::Deadline
 }
 
 json ControlClient::call(const std::string& method, const json& params) {
-  const stream::Deadline deadline = std::chrono::steady_clock::now() + patience_;
+  const stream::Deadline deadline = Clock::now() + patience_;
   if (!fd_) {
     fd_ = stream::connect_unix(socket_, deadline);
   }

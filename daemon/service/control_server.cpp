@@ -15,13 +15,12 @@
 #include <utility>
 #include <vector>
 
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "service/errands.hpp"
 
 namespace facet::service {
 namespace {
-
-using Clock = std::chrono::steady_clock;
 
 constexpr std::uint64_t kListenTag = 0;  // epoll data
 constexpr std::uint64_t kWakeTag = 1;    // clients' ids follow

@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "facet/clock.hpp"
 #include "service/config.hpp"
 #include "service/control_protocol.hpp"
 #include "stream/places.hpp"
@@ -38,7 +39,7 @@ class ControlServer {
   /// Readable while there is something for serve() to do.
   int fd() const { return epoll_.get(); }
   /// When serve() has to be called at the latest though fd() is not readable; nothing: within a second.
-  std::optional<std::chrono::steady_clock::time_point> due() const;
+  std::optional<Clock::time_point> due() const;
 
   /// Accepts, reads, answers and writes what can be done without waiting. Calls the methods. To be called
   /// once a second at least, so that clients who take no answers are noticed.
@@ -66,8 +67,6 @@ class ControlServer {
   static constexpr int kLooksPerSecond = 20;
 
  private:
-  using Clock = std::chrono::steady_clock;
-
   struct Client {
     stream::FileDescriptor fd;
     std::uint64_t id = 0;

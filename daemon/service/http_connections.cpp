@@ -10,6 +10,7 @@
 #include <array>
 #include <new>
 
+#include "facet/clock.hpp"
 #include "service/listen_address.hpp"
 #include "stream/web_socket.hpp"
 

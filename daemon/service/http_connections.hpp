@@ -12,6 +12,7 @@
 #include <string_view>
 #include <vector>
 
+#include "facet/clock.hpp"
 #include "stream/places.hpp"
 
 namespace facet::service {
@@ -42,8 +43,6 @@ std::string foreign_host(MHD_Connection* connection, const std::set<std::string>
 /// anything that waits.
 class HttpConnections {
  public:
-  using Clock = std::chrono::steady_clock;
-
   /// places: connections at a time, those that were handed over not counted.
   explicit HttpConnections(std::size_t places, std::size_t downloads = 0);
 

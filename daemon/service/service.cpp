@@ -22,6 +22,7 @@
 #include <utility>
 #include <variant>
 
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "pipeline/booth.hpp"
 #include "pipeline/bridge_sink.hpp"
@@ -48,7 +49,6 @@
 namespace facet::service {
 namespace {
 
-using Clock = std::chrono::steady_clock;
 using nlohmann::json;
 
 /// How long the loop sleeps at most: it then looks at the pipeline, the recorder and the stream.
@@ -461,9 +461,8 @@ ControlAnswer Service::Impl::record_start(const json& params) {
   }
   return {recording.errands(), [this, take = take_config(), name = params.value("name", "")]() mutable {
             const std::filesystem::path& folder = config.takes.folder;
-            take.file = take::take_path(
-                folder,
-                name.empty() ? take::default_take_name(folder, std::chrono::system_clock::now()) : name);
+            take.file =
+                take::take_path(folder, name.empty() ? take::default_take_name(folder, Clock::utc()) : name);
             recording.begin(take);
             return to_text({{"file", take.file.string()}});
           }};

@@ -8,6 +8,7 @@
 #include <cstring>
 #include <utility>
 
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 
 namespace facet::service {

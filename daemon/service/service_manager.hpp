@@ -4,6 +4,7 @@
 #include <optional>
 #include <string>
 
+#include "facet/clock.hpp"
 #include "pipeline/progress.hpp"
 #include "service/log.hpp"
 #include "stream/unix_socket.hpp"
@@ -45,8 +46,6 @@ class ServiceManager {
   std::chrono::microseconds patience() const;
 
  private:
-  using Clock = std::chrono::steady_clock;
-
   const Log& log_;
   std::optional<std::chrono::microseconds> watchdog_;  ///< kills after this time without food
   Clock::time_point fed_;

@@ -17,6 +17,7 @@
 #include <utility>
 #include <vector>
 
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "take/closing.hpp"
 #include "take/reader.hpp"
@@ -25,7 +26,6 @@
 namespace facet::service {
 namespace {
 
-using Clock = std::chrono::steady_clock;
 using nlohmann::json;
 
 /// A list is good for this many times what making it took, and for at least kLeastAge.

@@ -26,6 +26,7 @@
 #include <utility>
 #include <vector>
 
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "facet/system_error.hpp"
 #include "files/output_file.hpp"
@@ -40,8 +41,6 @@
 
 namespace facet::service {
 namespace {
-
-using Clock = std::chrono::steady_clock;
 
 /// What the kernel may hold for one WebSocket, bytes: a reader that is slow is to lose old frames, not to get
 /// them late.

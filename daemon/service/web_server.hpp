@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "facet/clock.hpp"
 #include "service/config.hpp"
 #include "service/control_server.hpp"
 #include "stream/server.hpp"
@@ -63,7 +64,6 @@ class WebServer {
   const std::string& token_fault() const;
   WebStatistics statistics() const;  ///< any thread
 
-  using Clock = std::chrono::steady_clock;
   /// Ends connections that take too long; to be called once a second at least. Any thread.
   void look_after(Clock::time_point now = Clock::now());
 

@@ -8,6 +8,7 @@
 #include <cmath>
 #include <cstring>
 
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "gpu/device_array.hpp"
 #include "shaders/stereo/layout.h"
@@ -364,11 +365,11 @@ void SpacetimeSolver::solve(std::span<const float> start_px, DisparityField& out
   out.correlation.resize(count);
   gpu::Outcome outcome = impl.batch.submit();
   if (outcome == gpu::Outcome::Done) {
-    const auto end = std::chrono::steady_clock::now() + kSolvePatience;
+    const auto end = Clock::now() + kSolvePatience;
     do {
       alive();
       outcome = impl.batch.wait(kAlivePeriod);
-    } while (outcome == gpu::Outcome::TimedOut && std::chrono::steady_clock::now() < end);
+    } while (outcome == gpu::Outcome::TimedOut && Clock::now() < end);
   }
   if (outcome != gpu::Outcome::Done) {
     out.outcome = StereoOutcome::DeviceLost;

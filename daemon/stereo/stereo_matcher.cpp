@@ -8,6 +8,7 @@
 #include <cstring>
 #include <limits>
 
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "gpu/device_array.hpp"
 #include "shaders/stereo/layout.h"
@@ -23,10 +24,6 @@ constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 // Two left pixels that land on one right pixel: the farther one is hidden there if it is farther by more than
 // this.
 constexpr float kHidden_px = 1.5F;
-
-float ms_since(std::chrono::steady_clock::time_point from) {
-  return std::chrono::duration<float, std::milli>(std::chrono::steady_clock::now() - from).count();
-}
 
 /// One camera's pictures on their way into a volume.
 struct View {
@@ -298,23 +295,23 @@ StereoOutcome StereoMatcher::match(std::span<const StereoSlot> slots, std::vecto
     map.confidence.assign(size.slot_voxels(), 0);
   }
   impl.failure.clear();
-  auto clock = std::chrono::steady_clock::now();
+  auto clock = Clock::now();
   if (impl.rectify(slots) != gpu::Outcome::Done) {
     impl.failure = "the GPU was lost during rectification";
     return StereoOutcome::DeviceLost;
   }
   impl.times.rectify_ms = ms_since(clock);
-  clock = std::chrono::steady_clock::now();
+  clock = Clock::now();
   impl.find_start(slots, alive);
   impl.times.start_ms = ms_since(clock);
-  clock = std::chrono::steady_clock::now();
+  clock = Clock::now();
   impl.solver.solve(impl.start_px, impl.field, alive);
   impl.times.solve_ms = ms_since(clock);
   if (impl.field.outcome != StereoOutcome::Done) {
     impl.failure = impl.field.failure;
     return impl.field.outcome;
   }
-  clock = std::chrono::steady_clock::now();
+  clock = Clock::now();
   for (std::size_t slot = 0; slot < slots.size(); ++slot) {
     alive();
     impl.finish(slot, maps[slot]);

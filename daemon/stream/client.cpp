@@ -16,6 +16,7 @@
 #include <utility>
 #include <vector>
 
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "stream/encoder.hpp"
 #include "stream/framing.hpp"
@@ -24,8 +25,6 @@
 
 namespace facet::stream {
 namespace {
-
-using Clock = std::chrono::steady_clock;
 
 constexpr std::size_t kReceiveBytes = 256U << 10;
 constexpr std::size_t kMaxPassed = 2;  // descriptors with one message

@@ -5,6 +5,7 @@
 #include <tuple>
 
 #include "facet/assert.hpp"
+#include "facet/clock.hpp"
 
 namespace facet::stream {
 

@@ -7,6 +7,8 @@
 #include <optional>
 #include <string>
 
+#include "facet/clock.hpp"
+
 namespace facet::stream {
 
 /// Connections that a server accepts in one round of its loop: who connects and closes without end costs the
@@ -41,7 +43,6 @@ struct Visitor {
 /// Knows nothing of sockets: the server names connections by ids and closes what gives way. One thread.
 class Places {
  public:
-  using Clock = std::chrono::steady_clock;
   using Id = std::uint64_t;
 
   enum class Answer { Admitted, NoPlace, TooManyOfPeer, TooManyConnects };

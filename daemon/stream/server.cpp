@@ -23,6 +23,7 @@
 #include <utility>
 
 #include "facet/assert.hpp"
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "stream/decoder.hpp"
 #include "stream/encoder.hpp"
@@ -33,8 +34,6 @@
 
 namespace facet::stream {
 namespace {
-
-using Clock = std::chrono::steady_clock;
 
 constexpr auto kFarewellTime = std::chrono::milliseconds(100);
 constexpr int kEventsPerWait = 64;
@@ -224,7 +223,7 @@ struct StreamServer::Impl {
   std::shared_ptr<const mesh::Subject> subject;  ///< of the newest frame that had one
   /// What readers know it by: one more with every subject, and from another start on in every server, so that
   /// a reader that connects anew never takes one subject for another.
-  std::uint64_t subject_number = static_cast<std::uint64_t>(Clock::now().time_since_epoch().count());
+  std::uint64_t subject_number = static_cast<std::uint64_t>(Clock::now_ns());
   std::shared_ptr<const mesh::Albedo> albedo;  ///< likewise, of that subject
   /// Of current, made when asked for: without pixels, then with them.
   std::array<std::array<std::shared_ptr<const Packet>, kProfileCount>, 2> frame_packets;

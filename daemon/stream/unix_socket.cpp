@@ -16,6 +16,7 @@
 #include <utility>
 #include <vector>
 
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "facet/system_error.hpp"
 
@@ -206,8 +207,7 @@ FileDescriptor open_spare() {
 /// At least a millisecond: 0 would be without end.
 timeval time_until(Deadline deadline) {
   const auto left = std::max<std::chrono::microseconds>(
-      std::chrono::ceil<std::chrono::microseconds>(deadline - std::chrono::steady_clock::now()),
-      std::chrono::milliseconds(1));
+      std::chrono::ceil<std::chrono::microseconds>(deadline - Clock::now()), std::chrono::milliseconds(1));
   const auto whole = std::chrono::duration_cast<std::chrono::seconds>(left);
   return {whole.count(), (left - whole).count()};
 }
@@ -216,8 +216,7 @@ timeval time_until(Deadline deadline) {
 
 bool wait_for(int fd, short events, Deadline deadline) {
   for (;;) {
-    const auto left =
-        std::chrono::ceil<std::chrono::milliseconds>(deadline - std::chrono::steady_clock::now()).count();
+    const auto left = std::chrono::ceil<std::chrono::milliseconds>(deadline - Clock::now()).count();
     pollfd entry{fd, events, 0};
     const int ready = ::poll(&entry, 1, static_cast<int>(std::clamp<std::int64_t>(left, 0, 1 << 30)));
     if (ready >= 0) {
@@ -318,7 +317,7 @@ UnixPeer ListeningSocket::peer(int connection) const {
 
 FileDescriptor connect_unix(const std::filesystem::path& path) {
   constexpr auto kPatience = std::chrono::seconds(10);
-  return connect_unix(path, std::chrono::steady_clock::now() + kPatience);
+  return connect_unix(path, Clock::now() + kPatience);
 }
 
 FileDescriptor connect_unix(const std::filesystem::path& path, Deadline deadline) {
@@ -327,8 +326,7 @@ FileDescriptor connect_unix(const std::filesystem::path& path, Deadline deadline
   // A Unix socket's connect can't be polled for: it waits for a place in the queue as long as a send may
   // take.
   int error = EINTR;
-  for (bool first = true; error == EINTR && (first || std::chrono::steady_clock::now() < deadline);
-       first = false) {
+  for (bool first = true; error == EINTR && (first || Clock::now() < deadline); first = false) {
     const timeval patience = time_until(deadline);
     ::setsockopt(fd.get(), SOL_SOCKET, SO_SNDTIMEO, &patience, sizeof(patience));
     error = try_connect(fd.get(), address);

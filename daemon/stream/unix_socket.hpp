@@ -8,6 +8,8 @@
 #include <string>
 #include <utility>
 
+#include "facet/clock.hpp"
+
 namespace facet::stream {
 
 /// Owns a file descriptor.
@@ -95,7 +97,7 @@ class ListeningSocket {
 };
 
 /// The end of a wait. Every call that waits for a peer has one, whatever it waits for in between.
-using Deadline = std::chrono::steady_clock::time_point;
+using Deadline = Clock::time_point;
 
 /// Connects to a Unix stream socket; what comes back blocks. Throws Error(Unavailable) saying what is wrong:
 /// no such socket, nobody listens, no permission (and which group would have it), or a queue that stayed full

@@ -14,6 +14,7 @@
 #include <thread>
 
 #include "animate/places.hpp"
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "files/json_text.hpp"
 #include "files/output_file.hpp"
@@ -26,7 +27,6 @@
 namespace facet::studio {
 namespace {
 
-using Clock = std::chrono::steady_clock;
 using nlohmann::json;
 
 constexpr std::size_t kTimesKept = 256;
@@ -698,7 +698,8 @@ void Studio::Impl::run() {
     }
     const Clock::time_point due =
         std::min(session->check_due, session->playing ? session->next_due : session->repeat_due);
-    woken.wait_until(lock, due, [&] { return stopping || opening || wish || !export_to.empty(); });
+    woken.wait_until(lock, Clock::wake(due),
+                     [&] { return stopping || opening || wish || !export_to.empty(); });
   }
   lock.unlock();
   session.reset();

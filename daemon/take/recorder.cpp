@@ -25,6 +25,7 @@
 #include <vector>
 
 #include "facet/assert.hpp"
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
 #include "stream/decoder.hpp"
@@ -36,8 +37,6 @@
 
 namespace facet::take {
 namespace {
-
-using Clock = std::chrono::steady_clock;
 
 // Half a second of frames is at risk; two syncs per second are no load for any disk.
 constexpr auto kCommitPeriod = std::chrono::milliseconds(500);
@@ -271,7 +270,7 @@ bool TakeWriter::make_schema(const TakeRecorderConfig& config) {
       {"source", config.source},
       {"software", config.software},
       {"take_id", to_text(id_)},
-      {"created_utc", utc_text(std::chrono::system_clock::now(), "{:%Y-%m-%dT%H:%M:%SZ}")}};
+      {"created_utc", utc_text(Clock::utc(), "{:%Y-%m-%dT%H:%M:%SZ}")}};
   for (const auto& [key, value] : entries) {
     const std::string stored = cut_text(value, kMaxMetaBytes);
     meta.bind(1, key);
@@ -513,7 +512,7 @@ std::unique_ptr<PackedFrame> TakeRecorder::Impl::wait_for_frame(bool& at_end) {
     return next || !pack_fault.empty();
   };
   if (commit_due) {
-    work.wait_until(lock, *commit_due, ready);
+    work.wait_until(lock, Clock::wake(*commit_due), ready);
   } else {
     work.wait(lock, ready);
   }

@@ -4,6 +4,7 @@
 #include <chrono>
 #include <utility>
 
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "landmark/landmarker.hpp"
 #include "track/depth_filter.hpp"
@@ -32,12 +33,6 @@ SubjectTrackerConfig subject_config(const TrackerConfig& config, const face::Fac
   result.shading_model = config.identity_shading ? &model : nullptr;
   result.temporal.strength *= static_cast<double>(config.temporal_prior);
   return result;
-}
-
-using Clock = std::chrono::steady_clock;
-
-float milliseconds_since(Clock::time_point start) {
-  return std::chrono::duration<float, std::milli>(Clock::now() - start).count();
 }
 
 // Frames this far apart tell nothing of a speed.
@@ -105,7 +100,7 @@ struct Tracker::Impl {
     const SubjectFrame& subject = subject_tracker.process(
         view_landmarks, one ? views.front().width_px : lenses.front().width_px,
         one ? views.front().height_px : lenses.front().height_px, time_of(views), &views.front());
-    result.fit_ms += milliseconds_since(start);
+    result.fit_ms += ms_since(start);
     return subject;
   }
 
@@ -123,7 +118,7 @@ struct Tracker::Impl {
     result.camera_from_head.linear() = subject.face.pose.rotation.cast<float>();
     result.camera_from_head.translation() = calmed(subject.face.pose.translation_mm, time_ns).cast<float>();
     result.reprojection_px = static_cast<float>(subject.reprojection_px);
-    result.fit_ms += milliseconds_since(start);
+    result.fit_ms += ms_since(start);
   }
 
   /// The head's place with its distance filtered, along the ray on which it is seen.

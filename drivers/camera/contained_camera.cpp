@@ -15,6 +15,7 @@
 #include "camera/host_process.hpp"
 #include "camera/host_protocol.hpp"
 #include "camera/pixel_buffers.hpp"
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 
 namespace facet::camera {
@@ -61,7 +62,7 @@ std::optional<HostMessage> await_message(HostProcess& process, std::int64_t unti
     if (std::optional<HostMessage> message = process.receive()) {
       return message;
     }
-    if (monotonic_ns() >= until_ns) {
+    if (Clock::now_ns() >= until_ns) {
       return std::nullopt;
     }
     process.wait(until_ns);
@@ -159,7 +160,7 @@ void ContainedCamera::check_device() {
   std::vector<std::string> arguments = host_arguments(config_);
   arguments.emplace_back("--check");
   HostProcess process(program(), arguments, 0);
-  const auto message = await_message(process, monotonic_ns() + in_ns(patience_.open));
+  const auto message = await_message(process, Clock::now_ns() + in_ns(patience_.open));
   if (!message) {
     throw DeviceFault(DeviceFault::Kind::Failing, fmt::format("is not open after {:.3g} s: its process hangs",
                                                               in_s(in_ns(patience_.open))));
@@ -177,7 +178,7 @@ void ContainedCamera::check_device() {
 void ContainedCamera::start() {
   if (!started_) {
     started_ = true;
-    retry_ns_ = monotonic_ns();
+    retry_ns_ = Clock::now_ns();
   }
 }
 
@@ -196,8 +197,8 @@ void ContainedCamera::expect_frames(bool due) {
 
 void ContainedCamera::wind_watchdog() {
   const bool soon = frames_due_ && host_sequence_;
-  watchdog_ns_ = monotonic_ns() + in_ns(soon ? config_.live.stall_after
-                                             : std::max(config_.live.stall_after, patience_.first_frame));
+  watchdog_ns_ = Clock::now_ns() + in_ns(soon ? config_.live.stall_after
+                                              : std::max(config_.live.stall_after, patience_.first_frame));
 }
 
 void ContainedCamera::stop() {
@@ -232,13 +233,13 @@ CaptureOutcome ContainedCamera::next(Frame& out, std::chrono::milliseconds timeo
   if (!started_ || stopped_) {
     return CaptureOutcome::EndOfStream;
   }
-  const std::int64_t deadline_ns = monotonic_ns() + in_ns(timeout);
+  const std::int64_t deadline_ns = Clock::now_ns() + in_ns(timeout);
   try {
     while (process_ != nullptr || reopen(deadline_ns)) {
       if (take(out)) {
         return CaptureOutcome::Delivered;
       }
-      const std::int64_t now_ns = monotonic_ns();
+      const std::int64_t now_ns = Clock::now_ns();
       if (now_ns >= watchdog_ns_) {
         give_up_stalled(now_ns);
         break;
@@ -272,7 +273,7 @@ void ContainedCamera::give_up(CameraState state, const std::string& reason) {
     before_.*count.value += process_counters_.*count.value;
   }
   process_counters_ = {};
-  const std::int64_t now_ns = monotonic_ns();
+  const std::int64_t now_ns = Clock::now_ns();
   if (host_sequence_ && now_ns - begun_ns_ >= in_ns(patience_.proven)) {
     pause_ns_ = in_ns(patience_.shortest_pause);
   }
@@ -287,8 +288,8 @@ void ContainedCamera::give_up(CameraState state, const std::string& reason) {
 
 /// Starts a process when its time has come; false where that is after the deadline.
 bool ContainedCamera::reopen(std::int64_t deadline_ns) {
-  if (monotonic_ns() < retry_ns_) {
-    wait_until(std::min(retry_ns_, deadline_ns));
+  if (Clock::now_ns() < retry_ns_) {
+    Clock::sleep_until(Clock::at(std::min(retry_ns_, deadline_ns)));
     if (deadline_ns < retry_ns_) {
       return false;
     }
@@ -297,7 +298,7 @@ bool ContainedCamera::reopen(std::int64_t deadline_ns) {
   asked_ = false;
   signs_of_life_ = 0;
   host_sequence_.reset();
-  begun_ns_ = last_life_ns_ = monotonic_ns();
+  begun_ns_ = last_life_ns_ = Clock::now_ns();
   process_ = std::make_unique<HostProcess>(program(), host_arguments(config_), layout_.total_bytes);
   watchdog_ns_ = begun_ns_ + in_ns(patience_.open);
   // A device that stalled or failed shows with its first frame whether it is well again.
@@ -318,7 +319,7 @@ bool ContainedCamera::take(Frame& out) {
     switch (message->kind) {
       case HostMessage::Kind::Opened:
         opened_ = true;
-        last_life_ns_ = monotonic_ns();
+        last_life_ns_ = Clock::now_ns();
         wind_watchdog();
         break;
       case HostMessage::Kind::Alive:
@@ -343,11 +344,11 @@ bool ContainedCamera::take(Frame& out) {
 
 /// So a host can't keep `take` reading: every kind of message comes once, is asked for, or is counted here.
 void ContainedCamera::note_sign_of_life() {
-  const std::int64_t due = (monotonic_ns() - begun_ns_) / in_ns(kAlivePeriod);
+  const std::int64_t due = (Clock::now_ns() - begun_ns_) / in_ns(kAlivePeriod);
   if (++signs_of_life_ > due + kAliveSlack) {
     throw DeviceFault(DeviceFault::Kind::Failing,
                       fmt::format("its process said {} times in {:.3g} s that it is alive", signs_of_life_,
-                                  in_s(monotonic_ns() - begun_ns_)));
+                                  in_s(Clock::now_ns() - begun_ns_)));
   }
 }
 
@@ -388,7 +389,7 @@ void ContainedCamera::check_order(const HostMessage& message, std::int64_t now_n
 }
 
 void ContainedCamera::deliver(const HostMessage& message, Frame& out) {
-  const std::int64_t now_ns = monotonic_ns();
+  const std::int64_t now_ns = Clock::now_ns();
   check_order(message, now_ns);
   asked_ = false;
   const std::uint64_t mark = message.sequence + 1;
@@ -456,7 +457,7 @@ std::vector<CameraListing> list_contained_cameras(const std::filesystem::path& p
   std::vector<CameraListing> found;
   try {
     HostProcess process(program.empty() ? host_program() : program, {"--list"}, 0);
-    const std::int64_t until_ns = monotonic_ns() + in_ns(patience);
+    const std::int64_t until_ns = Clock::now_ns() + in_ns(patience);
     for (;;) {
       const auto message = await_message(process, until_ns);
       if (!message) {

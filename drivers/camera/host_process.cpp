@@ -20,6 +20,8 @@
 #include <mutex>
 #include <system_error>
 
+#include "facet/clock.hpp"
+
 namespace facet::camera {
 namespace {
 
@@ -116,18 +118,6 @@ std::string describe_end(int status) {
 }
 
 }  // namespace
-
-std::int64_t monotonic_ns() {
-  timespec now{};
-  ::clock_gettime(CLOCK_MONOTONIC, &now);
-  return now.tv_sec * kSecond_ns + now.tv_nsec;
-}
-
-void wait_until(std::int64_t until_ns) {
-  const timespec time{until_ns / kSecond_ns, until_ns % kSecond_ns};
-  while (::clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &time, nullptr) == EINTR) {
-  }
-}
 
 std::filesystem::path host_program() {
   constexpr const char* kName = "facet-camera-host";
@@ -268,7 +258,7 @@ void HostProcess::tell_end() {
 void HostProcess::wait(std::int64_t until_ns) {
   // The process too: its socket stays open while something that it started has it.
   std::array<pollfd, 2> watched = {pollfd{socket_.get(), POLLIN, 0}, pollfd{process_.get(), POLLIN, 0}};
-  const std::int64_t left_ns = std::max<std::int64_t>(0, until_ns - monotonic_ns());
+  const std::int64_t left_ns = std::max<std::int64_t>(0, until_ns - Clock::now_ns());
   const timespec left{left_ns / kSecond_ns, left_ns % kSecond_ns};
   // Ends early with EINTR: the caller looks and waits again.
   if (::ppoll(watched.data(), watched.size(), &left, nullptr) > 0) {
@@ -279,12 +269,12 @@ void HostProcess::wait(std::int64_t until_ns) {
 /// Waits for the end of the process and takes its status.
 bool HostProcess::reap(int patience_ms) {
   pollfd end{process_.get(), POLLIN, 0};
-  const std::int64_t until_ns = monotonic_ns() + std::int64_t{patience_ms} * 1'000'000;
+  const std::int64_t until_ns = Clock::now_ns() + std::int64_t{patience_ms} * 1'000'000;
   while (!ended_) {
     // It stays a zombie until its group, which has its number, is ended with it.
     siginfo_t info{};
     const bool waited = ::waitid(P_PID, static_cast<id_t>(pid_), &info, WEXITED | WNOHANG | WNOWAIT) == 0;
-    const std::int64_t left_ns = until_ns - monotonic_ns();
+    const std::int64_t left_ns = until_ns - Clock::now_ns();
     if (!waited || info.si_pid == pid_) {
       ::kill(-pid_, SIGKILL);
       ::waitpid(pid_, &status_, 0);

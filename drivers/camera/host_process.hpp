@@ -84,10 +84,4 @@ class HostProcess {
   const std::uint8_t* picture_ = nullptr;
 };
 
-/// Now, CLOCK_MONOTONIC.
-std::int64_t monotonic_ns();
-
-/// Waits until `until_ns` (CLOCK_MONOTONIC).
-void wait_until(std::int64_t until_ns);
-
 }  // namespace facet::camera

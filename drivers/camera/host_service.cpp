@@ -28,13 +28,12 @@
 #include "camera/device_fault.hpp"
 #include "camera/host_protocol.hpp"
 #include "camera/host_sandbox.hpp"
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "facet/printable.hpp"
 
 namespace facet::camera {
 namespace {
-
-using Clock = std::chrono::steady_clock;
 
 /// How long the camera may block before the parent's wishes are looked at.
 constexpr std::chrono::milliseconds kPatience{100};

@@ -20,7 +20,6 @@
 #include <condition_variable>
 #include <cstdint>
 #include <cstring>
-#include <ctime>
 #include <map>
 #include <mutex>
 #include <optional>
@@ -34,17 +33,12 @@
 #include "camera/libcamera_controls.hpp"
 #include "camera/pixel_buffers.hpp"
 #include "camera/pixel_conversion.hpp"
+#include "facet/clock.hpp"
 
 namespace facet::camera {
 namespace {
 
 constexpr std::int64_t kSecond_ns = 1'000'000'000;
-
-std::int64_t now_ns(clockid_t clock) {
-  timespec now{};
-  ::clock_gettime(clock, &now);
-  return now.tv_sec * kSecond_ns + now.tv_nsec;
-}
 
 [[noreturn]] void fail(DeviceFault::Kind kind, const std::string& what) {
   throw DeviceFault(kind, what);
@@ -360,7 +354,7 @@ void LibcameraCamera::start() {
     demand(request->addBuffer(stream, buffer.get()), "addBuffer");
     requests_.push_back(std::move(request));
   }
-  started_ns_ = now_ns(CLOCK_MONOTONIC);
+  started_ns_ = Clock::now_ns();
   demand(camera_->start(), "start");
   running_ = true;
   set_state(CameraState::Opening, "");
@@ -492,11 +486,10 @@ std::optional<LibcameraCamera::Arrived> LibcameraCamera::examine(libcamera::Requ
   if (metadata.status == libcamera::FrameMetadata::FrameCancelled) {
     return std::nullopt;
   }
-  const std::int64_t now = now_ns(CLOCK_MONOTONIC);
+  const std::int64_t now = Clock::now_ns();
   const auto stamp = request.metadata().get(libcamera::controls::SensorTimestamp);
-  const std::optional<std::int64_t> driver_ns =
-      monotonic_stamp_ns(stamp.value_or(static_cast<std::int64_t>(metadata.timestamp)), started_ns_, now,
-                         now_ns(CLOCK_BOOTTIME));
+  const std::optional<std::int64_t> driver_ns = monotonic_stamp_ns(
+      stamp.value_or(static_cast<std::int64_t>(metadata.timestamp)), started_ns_, now, Clock::boot_ns());
   const DriverCount::Step step = count_.next(metadata.sequence, driver_ns);
   count(&CameraCounters::lost, step.lost);
   count(&CameraCounters::omitted, step.omitted);

@@ -10,16 +10,12 @@
 #include <cerrno>
 #include <ctime>
 
+#include "facet/clock.hpp"
+
 namespace facet::camera {
 namespace {
 
 constexpr std::int64_t kSecond_ns = 1'000'000'000;
-
-std::int64_t now_ns(clockid_t clock) {
-  timespec now{};
-  ::clock_gettime(clock, &now);
-  return now.tv_sec * kSecond_ns + now.tv_nsec;
-}
 
 class SystemKernel final : public V4l2Kernel {
  public:
@@ -44,8 +40,8 @@ class SystemKernel final : public V4l2Kernel {
     });
     return ready <= 0 ? ready : descriptor.revents;
   }
-  std::int64_t monotonic_ns() override { return now_ns(CLOCK_MONOTONIC); }
-  std::int64_t realtime_ns() override { return now_ns(CLOCK_REALTIME); }
+  std::int64_t monotonic_ns() override { return Clock::now_ns(); }
+  std::int64_t realtime_ns() override { return Clock::utc().time_since_epoch().count(); }
 
  private:
   template <typename Call>

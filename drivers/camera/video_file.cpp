@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "camera/pixel_buffers.hpp"
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "facet/system_error.hpp"
 
@@ -69,13 +70,6 @@ Error refusal(int av_error, const std::string& path, const char* what) {
   const std::string why = may_pass(-av_error) ? "can't be read: " + describe_errno(-av_error)
                                               : fmt::format(fmt::runtime(what), describe(av_error));
   return {kind_of_errno(-av_error), fmt::format("{}: {}", path, why)};
-}
-
-std::int64_t monotonic_ns() {
-  // steady_clock is CLOCK_MONOTONIC with GNU's library.
-  return std::chrono::duration_cast<std::chrono::nanoseconds>(
-             std::chrono::steady_clock::now().time_since_epoch())
-      .count();
 }
 
 /// Clockwise quarter turns that put the picture upright, from the stream's display matrix.
@@ -266,7 +260,7 @@ void VideoFile::start() {
                             reason.empty() ? "" : " (" + reason + ")"));
   }
   started_ = true;
-  clock_start_ns_ = monotonic_ns();
+  clock_start_ns_ = Clock::now_ns();
   set_state(CameraState::Opening);
 }
 
@@ -448,7 +442,7 @@ bool VideoFile::deliver(Frame& out) {
 
   out.sequence = decoded_count_ - 1;
   out.media_time_ns = media_time_ns_;
-  out.timestamp_ns = config_.paced ? clock_start_ns_ + media_time_ns_ : monotonic_ns();
+  out.timestamp_ns = config_.paced ? clock_start_ns_ + media_time_ns_ : Clock::now_ns();
   out.width_px = info_.width_px;
   out.height_px = info_.height_px;
   out.stride_bytes = static_cast<std::size_t>(stride);
@@ -481,15 +475,15 @@ CaptureOutcome VideoFile::next_frame(Frame& out, std::chrono::milliseconds timeo
     return CaptureOutcome::EndOfStream;
   }
   const std::int64_t deadline_ns =
-      monotonic_ns() + std::chrono::duration_cast<std::chrono::nanoseconds>(timeout).count();
+      Clock::now_ns() + std::chrono::duration_cast<std::chrono::nanoseconds>(timeout).count();
   if (!pending_ && decode() != Decoded::Frame) {
     return end_of_stream();
   }
   if (config_.paced) {
     // Late by more than the slack: the frames in between are gone, as they would be with a live camera.
-    const std::int64_t skip_until_ns = monotonic_ns() + kLongestSkip_ns;
-    while (monotonic_ns() > clock_start_ns_ + media_time_ns_ + (kPacedSlack_frames + 1) * period_ns_) {
-      if (monotonic_ns() > skip_until_ns) {
+    const std::int64_t skip_until_ns = Clock::now_ns() + kLongestSkip_ns;
+    while (Clock::now_ns() > clock_start_ns_ + media_time_ns_ + (kPacedSlack_frames + 1) * period_ns_) {
+      if (Clock::now_ns() > skip_until_ns) {
         break;
       }
       if (decode() != Decoded::Frame) {
@@ -501,7 +495,8 @@ CaptureOutcome VideoFile::next_frame(Frame& out, std::chrono::milliseconds timeo
       std::this_thread::sleep_for(timeout);
       return CaptureOutcome::Timeout;
     }
-    std::this_thread::sleep_for(std::chrono::nanoseconds(std::max<std::int64_t>(0, due_ns - monotonic_ns())));
+    std::this_thread::sleep_for(
+        std::chrono::nanoseconds(std::max<std::int64_t>(0, due_ns - Clock::now_ns())));
   }
   return deliver(out) ? CaptureOutcome::Delivered : CaptureOutcome::Failed;
 }

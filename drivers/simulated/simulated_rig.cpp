@@ -11,17 +11,15 @@
 #include <deque>
 #include <mutex>
 #include <optional>
-#include <thread>
 #include <utility>
 #include <vector>
 
 #include "camera/pixel_buffers.hpp"
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 
 namespace facet::simulated {
 namespace {
-
-using Clock = std::chrono::steady_clock;
 
 constexpr int kCells = 64;
 constexpr int kRows = 16;
@@ -30,14 +28,6 @@ constexpr std::int64_t kTransport_ns = 2'000'000;
 constexpr std::size_t kMostWaiting = 4;
 constexpr std::uint8_t kBlack = 0;
 constexpr std::uint8_t kWhite = 255;
-
-Clock::time_point at(std::int64_t time_ns) {
-  return Clock::time_point(std::chrono::nanoseconds(time_ns));
-}
-
-std::int64_t now_ns() {
-  return std::chrono::duration_cast<std::chrono::nanoseconds>(Clock::now().time_since_epoch()).count();
-}
 
 struct Exposure {
   std::uint64_t sequence = 0;
@@ -168,7 +158,7 @@ class RigCamera final : public Camera {
   }
 
   void start() override {
-    started_ns_ = now_ns();
+    started_ns_ = Clock::now_ns();
     {
       const std::lock_guard lock(sensor_->mutex);
       sensor_->running = true;
@@ -183,7 +173,7 @@ class RigCamera final : public Camera {
     if (!exposure) {
       return started_ns_ == 0 ? CaptureOutcome::EndOfStream : CaptureOutcome::Timeout;
     }
-    std::this_thread::sleep_until(at(exposure->time_ns + kTransport_ns));
+    Clock::sleep_until(Clock::at(exposure->time_ns + kTransport_ns));
     const auto bytes =
         static_cast<std::size_t>(config_.width_px) * static_cast<std::size_t>(config_.height_px) * 4;
     auto pixels = pool_->take(bytes);
@@ -231,15 +221,16 @@ class RigCamera final : public Camera {
     if (!triggered_ && started_ns_ != 0) {
       const auto due_ns =
           started_ns_ + static_cast<std::int64_t>(static_cast<double>(own_count_) * 1e9 / config_.rate_hz);
-      std::this_thread::sleep_until(std::min(deadline, at(due_ns)));
-      if (at(due_ns) > deadline) {
+      Clock::sleep_until(std::min(deadline, Clock::at(due_ns)));
+      if (Clock::at(due_ns) > deadline) {
         return std::nullopt;
       }
       ++own_count_;
       sensor_->expose(due_ns, 0);
     }
     std::unique_lock lock(sensor_->mutex);
-    if (!sensor_->changed.wait_until(lock, deadline, [&] { return !sensor_->exposures.empty(); })) {
+    if (!sensor_->changed.wait_until(lock, Clock::wake(deadline),
+                                     [&] { return !sensor_->exposures.empty(); })) {
       return std::nullopt;
     }
     const Exposure exposure = sensor_->exposures.front();

@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "facet/clock.hpp"
 #include "trigger/lines.hpp"
 
 namespace facet::trigger {
@@ -34,7 +35,7 @@ class EventRing final : public TriggerEventSink {
   /// One reading thread. False where nothing came within the time.
   bool take(TriggerEvent& out, std::chrono::nanoseconds timeout) {
     // A POSIX semaphore: the timed wait of libstdc++ 12's std::counting_semaphore can sleep for ever.
-    const auto deadline = (std::chrono::steady_clock::now() + timeout).time_since_epoch();
+    const auto deadline = Clock::wake(Clock::now() + timeout).time_since_epoch();
     const auto seconds = std::chrono::duration_cast<std::chrono::seconds>(deadline);
     const timespec until = {seconds.count(), std::chrono::nanoseconds(deadline - seconds).count()};
     const std::uint64_t taken = taken_.load(std::memory_order_relaxed);

@@ -2,10 +2,8 @@
 
 #include <pthread.h>
 #include <sys/prctl.h>
-#include <time.h>
 
 #include <atomic>
-#include <cerrno>
 #include <exception>
 #include <mutex>
 #include <string>
@@ -13,6 +11,7 @@
 #include <thread>
 #include <utility>
 
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "trigger/event_ring.hpp"
 #include "trigger/real_time.hpp"
@@ -25,16 +24,8 @@ constexpr std::size_t kRingCapacity = 4096;
 
 class MonotonicClock final : public TriggerClock {
  public:
-  std::int64_t now_ns() override {
-    timespec now = {};
-    ::clock_gettime(CLOCK_MONOTONIC, &now);
-    return now.tv_sec * 1'000'000'000LL + now.tv_nsec;
-  }
-  void sleep_until(std::int64_t deadline_ns) override {
-    const timespec deadline = {deadline_ns / 1'000'000'000, deadline_ns % 1'000'000'000};
-    while (::clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &deadline, nullptr) == EINTR) {
-    }
-  }
+  std::int64_t now_ns() override { return Clock::now_ns(); }
+  void sleep_until(std::int64_t deadline_ns) override { Clock::sleep_until(Clock::at(deadline_ns)); }
 };
 
 class ThreadedTrigger final : public Trigger {

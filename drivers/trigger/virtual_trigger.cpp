@@ -5,6 +5,7 @@
 #include <chrono>
 #include <utility>
 
+#include "facet/clock.hpp"
 #include "trigger/lines.hpp"
 #include "trigger/program.hpp"
 
@@ -24,7 +25,7 @@ class VirtualLines final : public TriggerLines {
   bool set(LineMask which, LineMask active) override {
     const LineMask changed = which & (level_ ^ active);
     level_ ^= changed;
-    const std::int64_t now_ns = std::chrono::steady_clock::now().time_since_epoch().count();
+    const std::int64_t now_ns = Clock::now_ns();
     for (LineMask rest = changed & options_.read_back; rest != 0; rest &= rest - 1) {
       const int line = std::countr_zero(rest);
       if (seen_count_ < seen_.size()) {

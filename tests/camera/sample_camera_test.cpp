@@ -11,6 +11,7 @@
 #include <thread>
 
 #include "camera/host_process.hpp"
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 
 namespace facet::sample {
@@ -28,7 +29,7 @@ class ScriptedDevice final : public SampleDevice {
   std::deque<Picture> pictures;
 
   void expose(std::uint32_t number) {
-    pictures.push_back({number, camera::monotonic_ns(),
+    pictures.push_back({number, Clock::now_ns(),
                         std::vector<std::uint8_t>(std::size_t{64} * 48, static_cast<std::uint8_t>(number))});
   }
 

@@ -31,6 +31,7 @@
 #include "camera/host_sandbox.hpp"
 #include "camera/host_service.hpp"
 #include "escapes.hpp"
+#include "facet/clock.hpp"
 
 namespace facet::test {
 namespace {
@@ -60,7 +61,7 @@ void send_message(const std::function<void(HostMessage&)>& change) {
   HostMessage message;
   message.kind = HostMessage::Kind::Frame;
   message.sequence = 1;
-  message.timestamp_ns = camera::monotonic_ns();
+  message.timestamp_ns = Clock::now_ns();
   change(message);
   std::array<std::uint8_t, camera::kMaxHostMessage_bytes> bytes;
   send_bytes(bytes.data(), write_host_message(message, bytes));
@@ -179,7 +180,7 @@ class ScriptedCamera final : public Camera {
 
   CaptureOutcome deliver(Frame& out) {
     out.sequence = sequence_++;
-    out.timestamp_ns = camera::monotonic_ns();
+    out.timestamp_ns = Clock::now_ns();
     out.width_px = config_.live.width_px;
     out.height_px = config_.live.height_px;
     out.stride_bytes = std::size_t{4} * static_cast<std::size_t>(out.width_px);

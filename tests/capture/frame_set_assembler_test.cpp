@@ -2,13 +2,14 @@
 
 #include <gtest/gtest.h>
 
-#include <atomic>
 #include <condition_variable>
 #include <cstdint>
 #include <mutex>
 #include <thread>
 #include <vector>
 
+#include "facet/clock.hpp"
+#include "support/set_clock.hpp"
 #include "virtual_rig.hpp"
 
 namespace facet::capture {
@@ -44,8 +45,8 @@ TEST(FrameSetAssembler, SetsOfManyThreadsAreOfOneSlot) {
   config.period_ns = kMillisecond;
   config.deadline_ns = 30 * kMillisecond;
   config.open_sets = 16;
-  std::atomic<std::int64_t> now_ns = kBegin_ns;
-  FrameSetAssembler assembler(config, [&] { return now_ns.load(); });
+  test::SetClock clock(kBegin_ns);
+  FrameSetAssembler assembler(config);
   const auto time_of = [](std::int64_t slot) { return kBegin_ns + slot * kMillisecond; };
   Progress fired;
   Progress taken;
@@ -53,7 +54,7 @@ TEST(FrameSetAssembler, SetsOfManyThreadsAreOfOneSlot) {
   threads.emplace_back([&] {
     for (std::int64_t slot = 0; slot < kSlots; ++slot) {
       taken.wait_for(slot - 10);
-      now_ns = time_of(slot);
+      clock.set(time_of(slot));
       assembler.fired(static_cast<std::uint64_t>(slot), time_of(slot));
       fired.reach(slot + 1);
     }
@@ -88,12 +89,28 @@ TEST(FrameSetAssembler, TheDeadlineWakesTheConsumer) {
   config.period_ns = kMillisecond;
   config.deadline_ns = kMillisecond;
   FrameSetAssembler assembler(config);
-  assembler.fired(7, monotonic_now_ns());
+  assembler.fired(7, Clock::now_ns());
   FrameSet set;
   ASSERT_EQ(assembler.next(set, 60s), Outcome::Delivered);
   EXPECT_EQ(set.slot, 7U);
   EXPECT_EQ(set.missing, 0b11U);
   EXPECT_EQ(assembler.next(set, 0ms), Outcome::Timeout);
+}
+
+TEST(FrameSetAssembler, TheDeadlineIsTheInstalledClocks) {
+  CaptureConfig config = rig(2);
+  config.period_ns = kMillisecond;
+  config.deadline_ns = kMillisecond;
+  test::SetClock clock(1'000'000'000);
+  FrameSetAssembler assembler(config);
+  assembler.fired(7, Clock::now_ns());
+  FrameSet set;
+  EXPECT_EQ(assembler.next(set, 0ms), Outcome::Timeout);
+  std::this_thread::sleep_for(3ms);
+  EXPECT_EQ(assembler.next(set, 0ms), Outcome::Timeout);
+  clock.set(1'000'000'000 + kMillisecond);
+  ASSERT_EQ(assembler.next(set, 0ms), Outcome::Delivered);
+  EXPECT_EQ(set.slot, 7U);
 }
 
 TEST(FrameSetAssembler, CloseEndsTheWaiting) {

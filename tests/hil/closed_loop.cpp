@@ -28,6 +28,7 @@
 
 #include "camera/factory.hpp"
 #include "capture/frame_set_assembler.hpp"
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "painted_number.hpp"
 #include "trigger/edge_log.hpp"
@@ -189,7 +190,7 @@ class ClosedLoop {
       if (outcome != capture::FrameSetAssembler::Outcome::Delivered) {
         continue;
       }
-      const std::int64_t now_ns = capture::monotonic_now_ns();
+      const std::int64_t now_ns = Clock::now_ns();
       for (std::size_t i = 0; i < set.frames.size(); ++i) {
         const Frame& frame = set.frames[i];
         if (frame.empty()) {

@@ -18,6 +18,7 @@
 #include <optional>
 #include <thread>
 
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "service/http_connections.hpp"
 #include "stream/client.hpp"
@@ -852,7 +853,7 @@ TEST_F(Web, HalfRequestsKeepNobodyOut) {
   EXPECT_THAT(get("/"), StartsWith("HTTP/1.1 200"));
   crowd.front().take_all();  // its place went to another
   crowd.back().send("h");
-  web_->look_after(WebServer::Clock::now() + HttpConnections::kRequestTime);
+  web_->look_after(Clock::now() + HttpConnections::kRequestTime);
   for (Peer& one : crowd) {
     EXPECT_EQ(one.take_all(), "");
   }
@@ -877,7 +878,7 @@ TEST_F(Web, UnreadDownloadsEnd) {
   EXPECT_EQ(begun, static_cast<int>(config_.max_downloads));
   EXPECT_EQ(begun + refused, 24);
   EXPECT_THAT(get("/"), StartsWith("HTTP/1.1 200"));
-  const auto later = WebServer::Clock::now() + HttpConnections::kLeastBytesTime;
+  const auto later = Clock::now() + HttpConnections::kLeastBytesTime;
   web_->look_after(later);
   // What the kernels hold may have been taken in the first ten seconds, nothing is in the next.
   web_->look_after(later + HttpConnections::kLeastBytesTime);

@@ -5,6 +5,7 @@
 
 #include <string>
 
+#include "facet/clock.hpp"
 #include "stream/places.hpp"
 
 namespace facet::stream {
@@ -42,7 +43,7 @@ class PlacesTest : public ::testing::Test {
   }
 
   Places places_{small()};
-  Places::Clock::time_point now_ = Places::Clock::time_point() + 1h;
+  Clock::time_point now_ = Places::Clock::time_point() + 1h;
   Places::Id next_ = 1;
 };
 

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 #include <sqlite3.h>
 
+#include <chrono>
 #include <fstream>
 #include <iterator>
 #include <random>
@@ -10,6 +11,7 @@
 #include "facet/error.hpp"
 #include "record_take.hpp"
 #include "support/paths.hpp"
+#include "support/set_clock.hpp"
 #include "take/reader.hpp"
 #include "take/take_file.hpp"
 
@@ -51,7 +53,11 @@ class Reader : public testing::Test {
 };
 
 TEST_F(Reader, GivesBackWhatWasRecorded) {
-  test::record_take(file, 20, subject);
+  {
+    const std::chrono::sys_days day(std::chrono::year(2026) / 11 / 21);
+    const test::SetClock clock(1'000'000'000, day + std::chrono::minutes(570));
+    test::record_take(file, 20, subject);
+  }
   TakeReader reader(file);
   const TakeInfo& info = reader.info();
   EXPECT_EQ(info.format_version, kFormatVersion);
@@ -62,7 +68,7 @@ TEST_F(Reader, GivesBackWhatWasRecorded) {
   EXPECT_EQ(info.subject_count, 1);
   EXPECT_EQ(info.first_timestamp_ns, test::take_frame(0, subject)->timestamp_ns);
   EXPECT_EQ(info.last_timestamp_ns, test::take_frame(19, subject)->timestamp_ns);
-  EXPECT_EQ(info.created_utc.size(), std::string("2026-11-21T09:30:00Z").size());
+  EXPECT_EQ(info.created_utc, "2026-11-21T09:30:00Z");
   EXPECT_EQ(info.file_bytes, std::filesystem::file_size(file));
 
   for (const std::int64_t index : {19, 0, 7, 4, 12, 7}) {

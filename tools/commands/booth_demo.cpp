@@ -25,6 +25,7 @@
 #include "capture/rig_file.hpp"
 #include "commands.hpp"
 #include "facet/assets.hpp"
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
 #include "progress.hpp"
@@ -39,7 +40,6 @@ namespace facet::tools {
 namespace {
 
 using namespace std::chrono_literals;
-using Clock = std::chrono::steady_clock;
 
 constexpr auto kPollPeriod = 50ms;
 constexpr auto kOpeningPatience = 60s;

@@ -11,6 +11,7 @@
 
 #include "commands.hpp"
 #include "daemon_options.hpp"
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "progress.hpp"
 #include "tell.hpp"
@@ -27,14 +28,14 @@ constexpr auto kPatience = 10s;
 void record(const DaemonOptions& options, double seconds) {
   call_daemon(options, "neutral.record", {{"seconds", seconds}});
   const auto tenths = static_cast<std::uint64_t>(10 * seconds);
-  const auto end = std::chrono::steady_clock::now() + std::chrono::duration<double>(seconds) + kPatience;
+  const auto end = Clock::now() + std::chrono::duration<double>(seconds) + kPatience;
   Progress progress("Look straight ahead, the face at rest", tenths, "tenths of a second");
   json neutral;
   do {
     std::this_thread::sleep_for(100ms);
     neutral = call_daemon(options, "status", json::object())["bridges"]["neutral"];
     progress.advance();
-  } while (neutral["state"] == "recording" && std::chrono::steady_clock::now() < end);
+  } while (neutral["state"] == "recording" && Clock::now() < end);
   progress.finish();
   if (neutral["state"] != "set") {
     throw Error(neutral["frames"] == 0 ? ErrorKind::NoFace : ErrorKind::Unavailable,

@@ -12,6 +12,7 @@
 #include <string>
 
 #include "commands.hpp"
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "progress.hpp"
 #include "service/config.hpp"
@@ -24,8 +25,6 @@
 
 namespace facet::tools {
 namespace {
-
-using Clock = std::chrono::steady_clock;
 
 struct PlayOptions {
   std::string take;
@@ -89,8 +88,7 @@ void run_play(const PlayOptions& options) {
       signal = sleep_until(due, signals);
       frame->images = nullptr;
       frame->sequence = options.loop ? sequence++ : frame->sequence;
-      frame->timestamp_ns =
-          std::chrono::duration_cast<std::chrono::nanoseconds>(Clock::now().time_since_epoch()).count();
+      frame->timestamp_ns = Clock::now_ns();
       if (signal == 0) {
         server.publish(std::move(frame));
         progress.advance();

@@ -16,6 +16,7 @@
 
 #include "commands.hpp"
 #include "exports/formats.hpp"
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "report/set_pictures.hpp"
 #include "stream/client.hpp"
@@ -25,7 +26,6 @@
 namespace facet::tools {
 namespace {
 
-using Clock = std::chrono::steady_clock;
 using namespace std::chrono_literals;
 
 struct WatchOptions {
