@@ -15,12 +15,14 @@
 #include <vector>
 
 #include "facet/error.hpp"
+#include "files/append_file.hpp"
 
 namespace facet::files {
 namespace {
 
 constexpr int kAttempts = 100;
 constexpr int kMostBroken = 1000;
+constexpr std::size_t kMostWaiting = std::size_t{1} << 16;
 
 [[noreturn]] void fail_to_write(const std::filesystem::path& file, int error) {
   throw Error(ErrorKind::Storage, fmt::format("cannot write '{}': {}", file.string(), std::strerror(error)));
@@ -35,27 +37,19 @@ std::string shortened(const std::filesystem::path& file) {
 
 OutputFile::OutputFile(const std::filesystem::path& file, mode_t mode) : file_(file) {
   // As mkostemp does it, which knows no mode: nothing that lies there already is opened.
-  int descriptor = -1;
-  for (int attempt = 0; descriptor < 0 && attempt < kAttempts; ++attempt) {
+  for (int attempt = 0; !out_ && attempt < kAttempts; ++attempt) {
     std::uint64_t lot = 0;
     if (::getrandom(&lot, sizeof(lot), 0) != static_cast<ssize_t>(sizeof(lot))) {
       fail(errno);
     }
     temporary_ = file.parent_path() / fmt::format(".{}.{:016x}.part", shortened(file), lot);
-    descriptor = ::open(temporary_.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, mode);
-    if (descriptor < 0 && errno != EEXIST) {
+    out_ = DiskFile::create(temporary_, mode);
+    if (!out_ && errno != EEXIST) {
       break;
     }
   }
-  if (descriptor < 0) {
+  if (!out_) {
     fail(errno);
-  }
-  stream_.reset(::fdopen(descriptor, "wb"));
-  if (stream_ == nullptr) {
-    const int error = errno;
-    ::close(descriptor);
-    ::unlink(temporary_.c_str());
-    fail(error);
   }
 }
 
@@ -74,15 +68,37 @@ void OutputFile::write(std::string_view text) {
 }
 
 void OutputFile::write(std::span<const std::byte> bytes) {
-  if (std::fwrite(bytes.data(), 1, bytes.size(), stream_.get()) != bytes.size()) {
+  if (waiting_.size() + bytes.size() > kMostWaiting) {
+    flush();
+    if (bytes.size() > kMostWaiting) {
+      write_at(position_, bytes);
+      return;
+    }
+  }
+  waiting_.insert(waiting_.end(), bytes.begin(), bytes.end());
+}
+
+void OutputFile::write_at(std::uint64_t position, std::span<const std::byte> bytes) {
+  flush();
+  if (!out_.write(bytes, position)) {
     fail(errno);
   }
+  position_ = position + bytes.size();
+}
+
+void OutputFile::flush() {
+  if (!out_.write(waiting_, position_)) {
+    fail(errno);
+  }
+  position_ += waiting_.size();
+  waiting_.clear();
 }
 
 void OutputFile::commit() {
+  flush();
   // Some files (of FUSE, of devices) can't be synced and say EINVAL: there is nothing more to be had there.
-  if (std::fflush(stream_.get()) != 0 || (::fsync(::fileno(stream_.get())) != 0 && errno != EINVAL) ||
-      std::fclose(stream_.release()) != 0 || std::rename(temporary_.c_str(), file_.c_str()) != 0) {
+  if ((disk().sync(out_.get()) != 0 && errno != EINVAL) || !out_.close() ||
+      disk().rename(temporary_.c_str(), file_.c_str(), 0) != 0) {
     fail(errno);
   }
   committed_ = true;
@@ -136,25 +152,14 @@ void ScratchFile::move_to(OutputFile& out) {
 }
 
 void sync_folder(const std::filesystem::path& folder) {
-  const std::filesystem::path& named = folder.empty() ? std::filesystem::path(".") : folder;
-  const int descriptor = ::open(named.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-  // Some file systems (FUSE, CIFS) can't sync a folder and say EINVAL: there is nothing more to be had there.
-  const bool synced = descriptor >= 0 && (::fsync(descriptor) == 0 || errno == EINVAL);
-  const int error = errno;
-  if (descriptor >= 0) {
-    ::close(descriptor);
-  }
-  if (!synced) {
-    throw Error(ErrorKind::Storage,
-                fmt::format("cannot sync the folder '{}': {}", named.string(), std::strerror(error)));
-  }
+  Folder(folder.empty() ? "." : folder).sync();
 }
 
 std::string set_aside(const std::filesystem::path& file) {
   for (int number = 1; number <= kMostBroken; ++number) {
     std::filesystem::path to = file;
     to += fmt::format(".broken-{}", number);
-    if (::renameat2(AT_FDCWD, file.c_str(), AT_FDCWD, to.c_str(), RENAME_NOREPLACE) == 0) {
+    if (disk().rename(file.c_str(), to.c_str(), RENAME_NOREPLACE) == 0) {
       return fmt::format("set aside as '{}'", to.string());
     }
     if (errno != EEXIST) {

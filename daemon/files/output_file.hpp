@@ -10,6 +10,9 @@
 #include <span>
 #include <string>
 #include <string_view>
+#include <vector>
+
+#include "files/disk.hpp"
 
 namespace facet::files {
 
@@ -30,15 +33,20 @@ class OutputFile {
 
   void write(std::string_view text);
   void write(std::span<const std::byte> bytes);
+  /// In the place of what stands there, or with a gap before it; what write() writes follows it.
+  void write_at(std::uint64_t position, std::span<const std::byte> bytes);
   /// The file is on the disk under its name when this returns.
   void commit();
 
  private:
   [[noreturn]] void fail(int error) const;
+  void flush();
 
   std::filesystem::path file_;
   std::filesystem::path temporary_;
-  std::unique_ptr<std::FILE, CloseFile> stream_;
+  DiskFile out_;
+  std::vector<std::byte> waiting_;  ///< to be written at position_ when there is enough of it
+  std::uint64_t position_ = 0;
   bool committed_ = false;
 };
 

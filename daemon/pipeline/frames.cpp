@@ -7,16 +7,18 @@
 #include <chrono>
 #include <cmath>
 #include <condition_variable>
-#include <fstream>
+#include <exception>
 #include <mutex>
 #include <optional>
 #include <set>
+#include <span>
 #include <string>
 #include <utility>
 
 #include "capture/frame_set_assembler.hpp"
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
+#include "files/append_file.hpp"
 #include "pipeline/figures.hpp"
 #include "pipeline/frame_pool.hpp"
 #include "pipeline/workers.hpp"
@@ -153,25 +155,30 @@ capture::CaptureConfig capture_config(const Rig& rig) {
 /// Writes what the lines do, up to the most that a log holds.
 class EdgeLogFile {
  public:
-  EdgeLogFile(std::filesystem::path path, const TriggerProgram& program) : path_(std::move(path)) {
-    if (!path_.empty()) {
-      out_.open(path_, std::ios::trunc);
-      out_ << trigger::to_text(trigger::EdgeLog{program.lines, {}});
-    }
+  EdgeLogFile(std::filesystem::path path, const TriggerProgram& program)
+      : path_(std::move(path)), text_(trigger::to_text(trigger::EdgeLog{program.lines, {}})) {
+    flush();
   }
+  ~EdgeLogFile() { flush(); }
+  EdgeLogFile(const EdgeLogFile&) = delete;
+  EdgeLogFile& operator=(const EdgeLogFile&) = delete;
 
   /// What is to be told, once: the log can't be written, or is full.
   std::optional<std::string> add(const TriggerEvent& event) {
     if (path_.empty() || closed_) {
       return std::nullopt;
     }
-    out_ << trigger::to_text(event);
-    if (!out_) {
+    text_ += trigger::to_text(event);
+    if (text_.size() >= kMostWaitingBytes) {
+      flush();
+    }
+    if (failed_) {
       closed_ = true;
       return fmt::format("edge log '{}' can't be written: check folder and disk", path_.string());
     }
     if (++events_ == trigger::kMostLoggedEvents) {
-      out_.close();
+      flush();
+      file_ = {};
       closed_ = true;
       return fmt::format("edge log '{}' has {} events and is closed", path_.string(), events_);
     }
@@ -179,15 +186,28 @@ class EdgeLogFile {
   }
 
   void flush() {
-    if (!path_.empty() && !closed_) {
-      out_.flush();
+    if (path_.empty() || closed_ || failed_) {
+      return;
+    }
+    try {
+      if (!file_) {
+        file_ = files::AppendFile::replace(path_);
+      }
+      file_.append(std::as_bytes(std::span(text_)));
+      text_.clear();
+    } catch (const std::exception&) {
+      failed_ = true;
     }
   }
 
  private:
+  static constexpr std::size_t kMostWaitingBytes = 8192;
+
   std::filesystem::path path_;
-  std::ofstream out_;
+  files::AppendFile file_;
+  std::string text_;  ///< not in the file yet
   std::size_t events_ = 0;
+  bool failed_ = false;
   bool closed_ = false;
 };
 

@@ -2,11 +2,17 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <array>
+#include <cerrno>
+#include <new>
+#include <optional>
+#include <span>
 #include <string>
 #include <utility>
 
 #include "facet/error.hpp"
+#include "files/output_file.hpp"
 
 extern "C" {
 #include <libavcodec/avcodec.h>
@@ -17,6 +23,8 @@ extern "C" {
 
 namespace facet::simulation {
 namespace {
+
+constexpr int kBufferBytes = 1 << 18;  // as FFmpeg's own for files
 
 std::string reason_of(int code) {
   std::array<char, AV_ERROR_MAX_STRING_SIZE> text{};
@@ -29,7 +37,10 @@ struct CloseCodec {
 };
 struct CloseContainer {
   void operator()(AVFormatContext* container) const {
-    avio_closep(&container->pb);
+    if (container->pb != nullptr) {
+      av_freep(&container->pb->buffer);
+      avio_context_free(&container->pb);
+    }
     avformat_free_context(container);
   }
 };
@@ -40,10 +51,45 @@ struct FreePacket {
   void operator()(AVPacket* packet) const { av_packet_free(&packet); }
 };
 
+/// The container's bytes on their way into a file that comes into being whole.
+struct Output {
+  explicit Output(const std::filesystem::path& path) : file(path) {}
+
+  files::OutputFile file;
+  std::int64_t position = 0;
+  std::int64_t size = 0;
+  std::string fault;
+};
+
+/// Byte: const from libavformat 61 on.
+template <typename Byte>
+int write_packet(void* opaque, Byte* bytes, int count) {
+  Output& output = *static_cast<Output*>(opaque);
+  try {
+    output.file.write_at(static_cast<std::uint64_t>(output.position),
+                         std::as_bytes(std::span(bytes, static_cast<std::size_t>(count))));
+  } catch (const Error& error) {
+    output.fault = error.what();
+    return AVERROR(EIO);
+  }
+  output.position += count;
+  output.size = std::max(output.size, output.position);
+  return count;
+}
+
+std::int64_t seek(void* opaque, std::int64_t offset, int whence) {
+  Output& output = *static_cast<Output*>(opaque);
+  if (whence == AVSEEK_SIZE) {
+    return output.size;
+  }
+  return whence == SEEK_SET ? output.position = offset : AVERROR(EINVAL);
+}
+
 }  // namespace
 
 struct LosslessVideo::Impl {
   std::string file;
+  std::optional<Output> output;
   std::unique_ptr<AVFormatContext, CloseContainer> container;
   std::unique_ptr<AVCodecContext, CloseCodec> codec;
   std::unique_ptr<AVFrame, FreeFrame> frame;
@@ -53,6 +99,9 @@ struct LosslessVideo::Impl {
   bool finished = false;
 
   void check(int code, const char* what) const {
+    if (code < 0 && output && !output->fault.empty()) {
+      throw Error(ErrorKind::Storage, output->fault);
+    }
     if (code < 0) {
       throw Error(ErrorKind::Storage,
                   fmt::format("{}: cannot {} the video ({}); check the folder and the free space", file, what,
@@ -112,7 +161,13 @@ LosslessVideo::LosslessVideo(const std::filesystem::path& file, int width_px, in
   impl_->stream->time_base = codec.time_base;
   impl_->stream->avg_frame_rate = codec.framerate;
   impl_->check(avcodec_parameters_from_context(impl_->stream->codecpar, &codec), "set up");
-  impl_->check(avio_open(&container->pb, impl_->file.c_str(), AVIO_FLAG_WRITE), "create");
+  impl_->output.emplace(file);
+  auto* const buffer = static_cast<unsigned char*>(av_malloc(kBufferBytes));
+  container->pb = avio_alloc_context(buffer, kBufferBytes, 1, &*impl_->output, nullptr, write_packet, seek);
+  if (container->pb == nullptr) {
+    av_free(buffer);
+    throw std::bad_alloc();
+  }
   impl_->check(avformat_write_header(container, nullptr), "write");
 
   impl_->frame->format = codec.pix_fmt;
@@ -157,7 +212,7 @@ void LosslessVideo::finish() {
   }
   impl_->encode(nullptr);
   impl_->check(av_write_trailer(impl_->container.get()), "finish");
-  impl_->check(avio_closep(&impl_->container->pb), "close");
+  impl_->output->file.commit();
 }
 
 }  // namespace facet::simulation

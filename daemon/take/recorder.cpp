@@ -27,6 +27,7 @@
 #include "facet/assert.hpp"
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
+#include "files/disk.hpp"
 #include "files/output_file.hpp"
 #include "stream/decoder.hpp"
 #include "stream/encoder.hpp"
@@ -59,9 +60,7 @@ std::string utc_text(std::chrono::system_clock::time_point time, const char* for
 
 /// Makes an empty file that was not there before.
 void create_file(const std::filesystem::path& file) {
-  const int fd = ::open(file.c_str(), O_CREAT | O_EXCL | O_RDWR | O_CLOEXEC, 0644);
-  if (fd >= 0) {
-    ::close(fd);
+  if (files::DiskFile::create(file, 0644)) {
     return;
   }
   const int error = errno;

@@ -11,11 +11,14 @@
 #include <charconv>
 #include <cstddef>
 #include <cstring>
+#include <optional>
 #include <system_error>
 #include <utility>
 
 #include "facet/assert.hpp"
 #include "facet/error.hpp"
+#include "files/append_file.hpp"
+#include "files/disk.hpp"
 #include "take/checksum.hpp"
 #include "take/picture_records.hpp"
 
@@ -42,28 +45,6 @@ static_assert(sizeof(SegmentHead) == 64 && offsetof(SegmentHead, crc) == 60);
 std::span<const std::uint8_t> bytes_of(const SegmentHead& head) {
   return {reinterpret_cast<const std::uint8_t*>(&head), sizeof(head)};
 }
-
-/// A descriptor that closes.
-class File {
- public:
-  File() = default;
-  explicit File(int fd) : fd_(fd) {}
-  ~File() {
-    if (fd_ >= 0) {
-      ::close(fd_);
-    }
-  }
-  File(File&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
-  File& operator=(File&& other) noexcept {
-    std::swap(fd_, other.fd_);
-    return *this;
-  }
-  int get() const { return fd_; }
-  explicit operator bool() const { return fd_ >= 0; }
-
- private:
-  int fd_ = -1;
-};
 
 [[noreturn]] void storage_error(const std::filesystem::path& file, const char* what, int error) {
   throw Error(ErrorKind::Storage,
@@ -148,21 +129,18 @@ struct SegmentWriter::Impl {
   std::filesystem::path folder_path;
   TakeId id{};
   std::uint64_t segment_bytes = 0;
-  File folder;  ///< held for its syncs
-  File next;    ///< of the next segment, without a name yet; none where the file system knows no such files
-  File file;
+  std::optional<files::Folder> folder;  ///< held for its syncs
+  files::DiskFile next;                 ///< of the next segment, without a name yet
+  files::AppendFile file;
   NamedFile named;  ///< `file`
   std::vector<Ended> ended;
   std::int64_t number = 0;
-  std::uint64_t size = 0;
   std::uint64_t written_back = 0;  ///< the kernel was told to write what stands before
   std::uint64_t synced = 0;
   bool new_name = false;  ///< the folder does not know the file yet
   bool closed = false;
 
-  void write(std::span<const std::uint8_t> bytes);
-  void hold_next();
-  File open_next(const std::filesystem::path& path);
+  files::AppendFile open_next(const std::filesystem::path& path);
   void begin_next();
   void sync();
 };
@@ -185,66 +163,41 @@ SegmentWriter::SegmentWriter(const std::filesystem::path& take, const TakeId& id
     }
     storage_error(folder, "create the folder", error);
   }
-  impl_->folder = File(::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
-  if (!impl_->folder) {
-    const int error = errno;
+  try {
+    impl_->folder.emplace(folder);
+  } catch (const Error&) {
     ::rmdir(folder.c_str());
-    storage_error(folder, "open the folder", error);
+    throw;
   }
-  impl_->hold_next();
+  impl_->next = impl_->folder->nameless();
 }
 
 SegmentWriter::~SegmentWriter() {
   close();
 }
 
-void SegmentWriter::Impl::write(std::span<const std::uint8_t> bytes) {
-  while (!bytes.empty()) {
-    const ssize_t written = ::pwrite(file.get(), bytes.data(), bytes.size(), static_cast<off_t>(size));
-    if (written < 0 && errno != EINTR) {
-      storage_error(named.path, "write", errno);
-    }
-    const auto count = static_cast<std::size_t>(std::max<ssize_t>(written, 0));
-    size += count;
-    bytes = bytes.subspan(count);
-  }
-}
-
-/// Tried again with every sync: a want of descriptors passes.
-void SegmentWriter::Impl::hold_next() {
-  if (!next) {
-    next = File(::openat(folder.get(), ".", O_TMPFILE | O_WRONLY | O_CLOEXEC, 0644));
-  }
-}
-
 /// The file in reserve under its name, else one opened now.
-File SegmentWriter::Impl::open_next(const std::filesystem::path& path) {
-  if (next) {
-    const std::string nameless = fmt::format("/proc/self/fd/{}", next.get());
-    if (::linkat(AT_FDCWD, nameless.c_str(), AT_FDCWD, path.c_str(), AT_SYMLINK_FOLLOW) == 0) {
-      return std::exchange(next, File());
-    }
+files::AppendFile SegmentWriter::Impl::open_next(const std::filesystem::path& path) {
+  if (next && files::disk().name(next.get(), path.c_str()) == 0) {
+    return {std::exchange(next, {}), path};
   }
-  File opened(::open(path.c_str(), O_CREAT | O_EXCL | O_WRONLY | O_CLOEXEC, 0644));
-  if (!opened) {
-    storage_error(path, "create", errno);
-  }
-  return opened;
+  return files::AppendFile::create(path);
 }
 
 void SegmentWriter::Impl::begin_next() {
   sync();
+  FACET_ASSERT(synced == file.size(), number, synced, file.size());
   if (file) {
-    ended.push_back({named, size});
+    ended.push_back({named, file.size()});
     if (!next) {
-      file = File();  // its descriptor may be the only one to be had for the next
+      file = {};  // its descriptor may be the only one to be had for the next
+      synced = 0;
     }
   }
-  FACET_ASSERT(synced == size, number, synced, size);
   const std::filesystem::path path = segment_file(take, number + 1);
   file = open_next(path);
   ++number;
-  size = written_back = synced = 0;
+  written_back = synced = 0;
   named.path = path;
   named = NamedFile::of(path);
   new_name = true;
@@ -252,47 +205,42 @@ void SegmentWriter::Impl::begin_next() {
   head.number = static_cast<std::uint32_t>(number);
   head.take_id = id;
   head.crc = crc32c(bytes_of(head).first(offsetof(SegmentHead, crc)));
-  write(bytes_of(head));
+  file.append(std::as_bytes(bytes_of(head)));
 }
 
 Extent SegmentWriter::append(std::span<const std::uint8_t> records) {
   Impl& impl = *impl_;
-  const bool full = impl.size > sizeof(SegmentHead) && impl.size + records.size() > impl.segment_bytes;
+  const bool full =
+      impl.file.size() > sizeof(SegmentHead) && impl.file.size() + records.size() > impl.segment_bytes;
   if (!impl.file || full) {
     impl.begin_next();
   }
-  const Extent extent{impl.number, static_cast<std::int64_t>(impl.size),
+  const Extent extent{impl.number, static_cast<std::int64_t>(impl.file.size()),
                       static_cast<std::int64_t>(records.size())};
-  impl.write(records);
-  FACET_ASSERT(std::cmp_equal(impl.size, extent.position + extent.bytes), impl.size, extent.position,
-               extent.bytes);
-  FACET_ASSERT(impl.synced <= impl.size && impl.written_back <= impl.size, impl.synced, impl.written_back,
-               impl.size);
-  if (impl.size - impl.written_back >= kWriteBackBytes) {
-    // Only a hint: what does not come of it, the sync does.
-    ::sync_file_range(impl.file.get(), static_cast<off_t>(impl.written_back),
-                      static_cast<off_t>(impl.size - impl.written_back), SYNC_FILE_RANGE_WRITE);
-    impl.written_back = impl.size;
+  impl.file.append(std::as_bytes(records));
+  const std::uint64_t size = impl.file.size();
+  FACET_ASSERT(std::cmp_equal(size, extent.position + extent.bytes), size, extent.position, extent.bytes);
+  FACET_ASSERT(impl.synced <= size && impl.written_back <= size, impl.synced, impl.written_back, size);
+  if (size - impl.written_back >= kWriteBackBytes) {
+    impl.file.write_back(impl.written_back);
+    impl.written_back = size;
   }
   return extent;
 }
 
 void SegmentWriter::Impl::sync() {
-  if (!file || synced == size) {
+  if (!file || synced == file.size()) {
     return;
   }
-  if (::fdatasync(file.get()) != 0) {
-    storage_error(named.path, "sync", errno);
-  }
-  synced = size;
+  file.sync();
+  synced = file.size();
   if (new_name) {
-    // A new name in a folder is on the disk when the folder is; some file systems can't, and say EINVAL.
-    if (::fsync(folder.get()) != 0 && errno != EINVAL) {
-      storage_error(named.path.parent_path(), "sync the folder", errno);
-    }
+    folder->sync();  // a new name is on the disk when its folder is
     new_name = false;
   }
-  hold_next();
+  if (!next) {
+    next = folder->nameless();  // tried with every sync: a want of descriptors passes
+  }
 }
 
 void SegmentWriter::sync() {
@@ -306,7 +254,7 @@ bool SegmentWriter::is_there() const {
 bool SegmentWriter::are_all_there() const {
   std::vector<Impl::Ended> all = impl_->ended;
   if (impl_->file) {
-    all.push_back({impl_->named, impl_->size});
+    all.push_back({impl_->named, impl_->file.size()});
   }
   bool seen = true;
   for (const Impl::Ended& one : all) {
@@ -331,19 +279,19 @@ void SegmentWriter::close() {
   // What follows the last sync is in no index; should it stay, it is only a waste.
   if (impl.file && impl.synced == 0) {
     ::unlink(impl.named.path.c_str());
-  } else if (impl.file && impl.synced != impl.size) {
-    [[maybe_unused]] const int ignored = ::ftruncate(impl.file.get(), static_cast<off_t>(impl.synced));
+  } else if (impl.file && impl.synced != impl.file.size()) {
+    impl.file.cut(impl.synced);
   }
-  impl.file = File();
-  impl.next = File();
-  impl.folder = File();
+  impl.file = {};
+  impl.next = {};
+  impl.folder.reset();
   ::rmdir(impl.folder_path.c_str());  // fails, as it should, where segments lie in it
 }
 
 struct SegmentReader::Impl {
   std::filesystem::path take;
   TakeId id{};
-  File file;
+  files::DiskFile file;
   std::int64_t number = 0;  ///< of `file`; 0: none
   std::uint64_t size = 0;   ///< of `file` when it was opened
   std::vector<std::uint8_t> buffer;
@@ -385,7 +333,7 @@ void SegmentReader::Impl::read(std::int64_t segment, std::uint64_t position,
 void SegmentReader::Impl::open(std::int64_t segment) {
   number = 0;
   // Not blocking: what stands in a segment's place may be no file.
-  file = File(::open(segment_file(take, segment).c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));
+  file = files::DiskFile::open(AT_FDCWD, segment_file(take, segment), O_RDONLY | O_NONBLOCK);
   if (!file) {
     reject(segment,
            errno == ENOENT ? "it is missing" : fmt::format("cannot be opened: {}", std::strerror(errno)));

@@ -18,10 +18,12 @@
 #include <iterator>
 #include <map>
 #include <mutex>
+#include <optional>
 #include <thread>
 
 #include "facet/error.hpp"
 #include "record_take.hpp"
+#include "support/failing_disk.hpp"
 #include "support/paths.hpp"
 #include "support/small_disk.hpp"
 #include "system_calls.hpp"
@@ -29,6 +31,7 @@
 #include "take/picture_records.hpp"
 #include "take/reader.hpp"
 #include "take/recorder.hpp"
+#include "take/segment.hpp"
 
 namespace facet::take {
 namespace {
@@ -613,6 +616,43 @@ TEST_F(PictureTake, SegmentThatCanGrowNoFurtherStopsTheRecordingAndKeepsTheTake)
   expect_sound(info.frame_count);
   // What the index does not know of was cut off.
   EXPECT_EQ(fs::file_size(segment(1)), 64 + info.segments.at(0).bytes);
+}
+
+TEST(Segments, KeepWhatWasSyncedWhicheverCallOfTheDiskFails) {
+  for (std::int64_t n = 1;; ++n) {
+    const test::TemporaryFolder folder;
+    const fs::path take = folder.path() / "one.take";
+    const TakeId id = new_take_id();
+    std::vector<Extent> synced;
+    std::optional<test::FailingDisk> disk(n);
+    try {
+      SegmentWriter writer(take, id, 2500);
+      std::vector<Extent> appended;
+      for (std::uint8_t i = 1; i <= 9; ++i) {
+        appended.push_back(writer.append(std::vector<std::uint8_t>(1000, i)));
+        if (i % 3 == 0) {
+          writer.sync();
+          synced = appended;
+        }
+      }
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::Storage);
+      EXPECT_THAT(error.what(), HasSubstr(segments_folder(take).string())) << "call " << n;
+    }
+    const bool failed = disk->has_failed();
+    disk.reset();
+    EXPECT_EQ(fs::exists(segments_folder(take)), !synced.empty() || fs::exists(segment_file(take, 1)));
+    SegmentReader reader(take, id);
+    for (std::size_t i = 0; i < synced.size(); ++i) {
+      EXPECT_THAT(reader.read(synced[i]), testing::Each(i + 1)) << "call " << n;
+    }
+    if (!failed) {
+      EXPECT_EQ(synced.size(), 9U);
+      EXPECT_EQ(synced.back().segment, 5);
+      EXPECT_GT(n, 30);
+      break;
+    }
+  }
 }
 
 TEST_F(PictureTake, FullDiskStopsTheRecordingAndKeepsTheTake) {
