@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <cerrno>
 #include <cmath>
 #include <cstdlib>
@@ -15,18 +14,17 @@
 
 namespace facet::tools {
 
-void add_basis_options(CLI::App& command, BasisChoice& choice) {
-  command.add_option("TAKE", choice.take, "Take whose faces are blended")->required();
-  command.add_option("--coarse-rank", choice.coarse_rank, "Directions in which the face's shape may vary")
-      ->capture_default_str()
-      ->check(CLI::Range(1, animate::kMaxRank));
+void add_basis_options(Command command, BasisChoice& choice) {
+  command.option("TAKE", choice.take, "Take whose faces are blended").required();
+  command.option("--coarse-rank", choice.coarse_rank, "Directions in which the face's shape may vary")
+      .shows_default()
+      .range(1, animate::kMaxRank);
   command
-      .add_option("--detail-rank", choice.detail_rank,
-                  "Directions in which wrinkles may vary; 0: smooth faces")
-      ->capture_default_str()
-      ->check(CLI::Range(0, animate::kMaxRank));
-  command.add_option("--basis", choice.file,
-                     "Where the take's reduced basis is kept (default: NAME.basis beside NAME.take)");
+      .option("--detail-rank", choice.detail_rank, "Directions in which wrinkles may vary; 0: smooth faces")
+      .shows_default()
+      .range(0, animate::kMaxRank);
+  command.option("--basis", choice.file,
+                 "Where the take's reduced basis is kept (default: NAME.basis beside NAME.take)");
 }
 
 std::shared_ptr<const animate::TakeBasis> open_basis(const BasisChoice& choice, const StopSignals& signals) {

@@ -6,11 +6,8 @@
 
 #include "animate/take_basis.hpp"
 #include "mesh/mesh_frame.hpp"
+#include "options.hpp"
 #include "render/renderer.hpp"
-
-namespace CLI {
-class App;
-}
 
 namespace facet::tools {
 
@@ -25,7 +22,7 @@ struct BasisChoice {
 };
 
 /// Adds TAKE, --coarse-rank, --detail-rank and --basis.
-void add_basis_options(CLI::App& command, BasisChoice& choice);
+void add_basis_options(Command command, BasisChoice& choice);
 
 /// Opens or makes the basis with a progress line, and prints what it holds. A signal breaks it off: ends the
 /// process.

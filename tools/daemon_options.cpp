@@ -1,6 +1,5 @@
 #include "daemon_options.hpp"
 
-#include <CLI/CLI.hpp>
 #include <chrono>
 #include <nlohmann/json.hpp>
 
@@ -10,15 +9,15 @@
 
 namespace facet::tools {
 
-std::shared_ptr<DaemonOptions> add_daemon_options(CLI::App& command) {
+std::shared_ptr<DaemonOptions> add_daemon_options(Command command) {
   auto options = std::make_shared<DaemonOptions>();
-  auto* socket = command.add_option("--socket", options->socket,
-                                    "Control socket of the daemon (default: that of the configuration)");
+  command.option("--socket", options->socket,
+                 "Control socket of the daemon (default: that of the configuration)");
   command
-      .add_option("--config", options->config,
-                  "The daemon's configuration, which names its control socket (default " +
-                      service::default_config_file().string() + ", where it exists)")
-      ->excludes(socket);
+      .option("--config", options->config,
+              "The daemon's configuration, which names its control socket (default " +
+                  service::default_config_file().string() + ", where it exists)")
+      .excludes("--socket");
   return options;
 }
 

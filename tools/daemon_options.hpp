@@ -4,9 +4,7 @@
 #include <nlohmann/json_fwd.hpp>
 #include <string>
 
-namespace CLI {
-class App;
-}
+#include "options.hpp"
 
 namespace facet::tools {
 
@@ -17,7 +15,7 @@ struct DaemonOptions {
 };
 
 /// Adds --socket and --config to a subcommand.
-std::shared_ptr<DaemonOptions> add_daemon_options(CLI::App& command);
+std::shared_ptr<DaemonOptions> add_daemon_options(Command command);
 
 /// Calls a control method of the daemon. Throws Error(Unavailable) where it does not answer, and its own
 /// error else.

@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <charconv>
 #include <cmath>
@@ -273,44 +272,33 @@ void run_animate(const AnimateOptions& options) {
 
 }  // namespace
 
-void add_animate_command(CLI::App& app) {
+void add_animate_command(Command app) {
   auto options = std::make_shared<AnimateOptions>();
-  CLI::App* command =
-      app.add_subcommand("animate", "Animate a take's face: key frames, or an endless idle as a random walk");
-  add_basis_options(*command, options->basis);
-  CLI::Option* keys =
-      command->add_option("--keys", options->keys, "Key poses and their times (JSON, docs/animation.md)");
-  command->add_option("--walk", options->walk, "A random walk of this time, as in 30s or 2min")
-      ->excludes(keys);
-  command->add_option("--seed", options->seed, "Of the walk")->capture_default_str();
-  command->add_option("--mean-run", options->mean_run_s, "Seconds between the walk's jumps on average")
-      ->capture_default_str()
-      ->check(CLI::Range(0.3, 600.0));
+  const Command command =
+      app.subcommand("animate", "Animate a take's face: key frames, or an endless idle as a random walk");
+  add_basis_options(command, options->basis);
+  command.option("--keys", options->keys, "Key poses and their times (JSON, docs/animation.md)");
+  command.option("--walk", options->walk, "A random walk of this time, as in 30s or 2min").excludes("--keys");
+  command.option("--seed", options->seed, "Of the walk").shows_default();
+  command.option("--mean-run", options->mean_run_s, "Seconds between the walk's jumps on average")
+      .shows_default()
+      .range(0.3, 600.0);
   command
-      ->add_option("--region", options->regions,
-                   "A vertex or place with a soft region that moves on its own; any number")
-      ->allow_extra_args(false);
+      .option("--region", options->regions,
+              "A vertex or place with a soft region that moves on its own; any number")
+      .one_at_a_time();
+  command.option("--head", options->head, "still, or captured: turns as in the take, forwards and backwards")
+      .shows_default()
+      .one_of({"still", "captured"});
+  command.option("--rate", options->rate_hz, "Frames per second (default: the keys file's, or the take's)")
+      .range(1.0, 1000.0);
+  command.flag("--report", options->report, "Print every transition");
   command
-      ->add_option("--head", options->head,
-                   "still, or captured: turns as in the take, forwards and backwards")
-      ->capture_default_str()
-      ->check(CLI::IsMember({"still", "captured"}));
-  command
-      ->add_option("--rate", options->rate_hz, "Frames per second (default: the keys file's, or the take's)")
-      ->check(CLI::Range(1.0, 1000.0));
-  command->add_flag("--report", options->report, "Print every transition");
-  command
-      ->add_option(
-          "-o,--output", options->output,
-          "anim.take: a take like any other; anim.glb: one animated mesh; anim.mkv: a film of it in grey")
-      ->required()
-      ->check([](const std::string& file) {
-        const std::string extension = std::filesystem::path(file).extension();
-        return extension == ".take" || extension == ".glb" || extension == ".mkv"
-                   ? std::string()
-                   : fmt::format("'{}' must end in .take, .glb or .mkv", file);
-      });
-  command->callback([options] { run_animate(*options); });
+      .option("-o,--output", options->output,
+              "anim.take: a take like any other; anim.glb: one animated mesh; anim.mkv: a film of it in grey")
+      .required()
+      .ends_in({".take", ".glb", ".mkv"});
+  command.callback([options] { run_animate(*options); });
 }
 
 }  // namespace facet::tools

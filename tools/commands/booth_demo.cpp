@@ -7,7 +7,6 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cerrno>
 #include <chrono>
@@ -350,32 +349,28 @@ class Demo {
 
 }  // namespace
 
-void add_booth_demo_command(CLI::App& app) {
+void add_booth_demo_command(Command app) {
   auto options = std::make_shared<DemoOptions>();
-  CLI::App* command = app.add_subcommand("booth-demo",
+  const Command command = app.subcommand("booth-demo",
                                          "The whole way of a booth without hardware: render a virtual one, "
                                          "run facetd on it, record, make meshes, draw "
                                          "a sheet");
-  command->add_option("--seed", options->seed, "Of the virtual booth")->capture_default_str();
-  command->add_option("--slots", options->slots, "Length of the performance; a third of it become meshes")
-      ->capture_default_str()
-      ->check(CLI::Range(9, 3600));
+  command.option("--seed", options->seed, "Of the virtual booth").shows_default();
+  command.option("--slots", options->slots, "Length of the performance; a third of it become meshes")
+      .shows_default()
+      .range(9, 3600);
   command
-      ->add_option("--resolution", options->resolution,
-                   "Of the cameras: 1 is 640x480 px, 0.5 is 320x240, a quarter of the work")
-      ->capture_default_str()
-      ->check(CLI::Range(0.25, 4.0));
-  command->add_option("--samples", options->samples, "Rays a pixel")
-      ->capture_default_str()
-      ->check(CLI::Range(1, 64));
-  command->add_option("--model", options->model, "Face model")->capture_default_str();
-  command->add_option("--landmark-assets", options->landmark_assets, "MediaPipe's landmark nets")
-      ->capture_default_str();
-  command->add_option("--device", options->device, "Vulkan device: auto or part of its name")
-      ->capture_default_str();
-  command->add_option("-o,--output", options->folder, "Folder to write into; must not hold an earlier demo")
-      ->required();
-  command->callback([options] { Demo(*options).run(); });
+      .option("--resolution", options->resolution,
+              "Of the cameras: 1 is 640x480 px, 0.5 is 320x240, a quarter of the work")
+      .shows_default()
+      .range(0.25, 4.0);
+  command.option("--samples", options->samples, "Rays a pixel").shows_default().range(1, 64);
+  command.option("--model", options->model, "Face model").shows_default();
+  command.option("--landmark-assets", options->landmark_assets, "MediaPipe's landmark nets").shows_default();
+  command.option("--device", options->device, "Vulkan device: auto or part of its name").shows_default();
+  command.option("-o,--output", options->folder, "Folder to write into; must not hold an earlier demo")
+      .required();
+  command.callback([options] { Demo(*options).run(); });
 }
 
 }  // namespace facet::tools

@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cctype>
 #include <chrono>
@@ -499,74 +498,65 @@ void finish(const Arguments& arguments, const Board& board, Footage footage) {
        found.rig.pairs.size() == 1 ? "" : "s");
 }
 
-void add_board_options(CLI::App& command, BoardArguments& board) {
-  command
-      .add_option("--board", board.kind, "charuco: may be partly hidden; checkerboard: must be seen whole")
-      ->capture_default_str()
-      ->check(CLI::IsMember({"charuco", "checkerboard"}));
-  command.add_option("--squares", board.squares, "COLUMNSxROWS, squares (not inner corners)")
-      ->capture_default_str();
-  command.add_option("--square-mm", board.square_mm, "Side of a square, measured on the printed board")
-      ->capture_default_str();
-  command
-      .add_option("--marker-mm", board.marker_mm, "Side of a ChArUco marker; 0: three quarters of the square")
-      ->capture_default_str();
-  command
-      .add_option("--dictionary", board.dictionary,
-                  "Of the ChArUco markers, as OpenCV names it without DICT_")
-      ->capture_default_str();
+void add_board_options(Command command, BoardArguments& board) {
+  command.option("--board", board.kind, "charuco: may be partly hidden; checkerboard: must be seen whole")
+      .shows_default()
+      .one_of({"charuco", "checkerboard"});
+  command.option("--squares", board.squares, "COLUMNSxROWS, squares (not inner corners)").shows_default();
+  command.option("--square-mm", board.square_mm, "Side of a square, measured on the printed board")
+      .shows_default();
+  command.option("--marker-mm", board.marker_mm, "Side of a ChArUco marker; 0: three quarters of the square")
+      .shows_default();
+  command.option("--dictionary", board.dictionary, "Of the ChArUco markers, as OpenCV names it without DICT_")
+      .shows_default();
 }
 
-void add_calibration_options(CLI::App& command, Arguments& arguments) {
+void add_calibration_options(Command command, Arguments& arguments) {
   add_board_options(command, arguments.board);
   command
-      .add_option("-o,--output", arguments.output,
-                  "Rig file to write (.toml); NAME-coverage.png and NAME-errors.png come to stand beside it")
-      ->required();
-  command.add_option(
-      "--pair", arguments.pairs,
-      "LEFT:RIGHT, cameras that make a depth map; again for more. Default: monochrome neighbours");
-  command.add_option("--colour", arguments.colour,
-                     "A camera that counts as one of colour; default: whose pictures are");
-  command.add_flag("--k3", arguments.calibrator.free_k3, "Fit a third radial coefficient (wide lenses)");
-  command.add_option("--min-views", arguments.calibrator.least_views, "Views that each camera needs")
-      ->capture_default_str()
-      ->check(CLI::Range(3, 1000));
-  command.add_option("--min-corners", arguments.detector.least_corners, "Pictures with fewer are left out")
-      ->capture_default_str()
-      ->check(CLI::Range(6, 4000));
+      .option("-o,--output", arguments.output,
+              "Rig file to write (.toml); NAME-coverage.png and NAME-errors.png come to stand beside it")
+      .required();
+  command.option("--pair", arguments.pairs,
+                 "LEFT:RIGHT, cameras that make a depth map; again for more. Default: monochrome neighbours");
+  command.option("--colour", arguments.colour,
+                 "A camera that counts as one of colour; default: whose pictures are");
+  command.flag("--k3", arguments.calibrator.free_k3, "Fit a third radial coefficient (wide lenses)");
+  command.option("--min-views", arguments.calibrator.least_views, "Views that each camera needs")
+      .shows_default()
+      .range(3, 1000);
+  command.option("--min-corners", arguments.detector.least_corners, "Pictures with fewer are left out")
+      .shows_default()
+      .range(6, 4000);
   command
-      .add_option("--max-edge-px", arguments.detector.most_edge_width_px,
-                  "Pictures whose edges are wider (blurred) are left out")
-      ->capture_default_str()
-      ->check(CLI::Range(1.0, 100.0));
+      .option("--max-edge-px", arguments.detector.most_edge_width_px,
+              "Pictures whose edges are wider (blurred) are left out")
+      .shows_default()
+      .range(1.0, 100.0);
   command
-      .add_option("--max-oblique-deg", arguments.calibrator.most_oblique_deg,
-                  "Boards seen at a larger angle are left out")
-      ->capture_default_str()
-      ->check(CLI::Range(5.0, 89.0));
+      .option("--max-oblique-deg", arguments.calibrator.most_oblique_deg,
+              "Boards seen at a larger angle are left out")
+      .shows_default()
+      .range(5.0, 89.0);
   command
-      .add_option(
-          "--max-error-px", arguments.calibrator.most_error_px,
-          "Pictures with a larger reprojection error, and three times that of the others, are left out")
-      ->capture_default_str()
-      ->check(CLI::Range(0.01, 100.0));
+      .option("--max-error-px", arguments.calibrator.most_error_px,
+              "Pictures with a larger reprojection error, and three times that of the others, are left out")
+      .shows_default()
+      .range(0.01, 100.0);
 }
 
-void add_board(CLI::App& parent) {
+void add_board(Command parent) {
   struct Sheet {
     BoardArguments board;
     std::string output;
     double px_per_mm = 10;
   };
   auto sheet = std::make_shared<Sheet>();
-  CLI::App* command = parent.add_subcommand("board", "Draw the board to print");
-  add_board_options(*command, sheet->board);
-  command->add_option("-o,--output", sheet->output, "File to write: .pdf (true size) or .png")->required();
-  command->add_option("--px-per-mm", sheet->px_per_mm, "Of a PNG")
-      ->capture_default_str()
-      ->check(CLI::Range(0.1, 100.0));
-  command->callback([sheet] {
+  const Command command = parent.subcommand("board", "Draw the board to print");
+  add_board_options(command, sheet->board);
+  command.option("-o,--output", sheet->output, "File to write: .pdf (true size) or .png").required();
+  command.option("--px-per-mm", sheet->px_per_mm, "Of a PNG").shows_default().range(0.1, 100.0);
+  command.callback([sheet] {
     const Board board = board_of(sheet->board);
     const std::filesystem::path file = sheet->output;
     if (file.extension() == ".pdf") {
@@ -589,57 +579,54 @@ void add_board(CLI::App& parent) {
 
 }  // namespace
 
-void add_calibrate_command(CLI::App& app) {
-  CLI::App* command =
-      app.add_subcommand("calibrate", "Calibrate cameras with a board: from pictures to a rig file");
-  command->require_subcommand(1);
-  command->footer(
+void add_calibrate_command(Command app) {
+  const Command command =
+      app.subcommand("calibrate", "Calibrate cameras with a board: from pictures to a rig file");
+  command.requires_subcommand();
+  command.footer(
       "1. `facet calibrate board -o board.pdf`; print it at its true size and glue it on something flat.\n"
       "2. Show it to the cameras, 30 views and more: near and far, at all edges, tilted by 20 to 45 degrees "
       "to all\n"
       "sides, often enough to neighbouring cameras at once, held still, projectors off.\n"
       "3. `facet calibrate live`, `take` or `pictures` with the board's size. Docs: calibration.md.");
-  add_board(*command);
+  add_board(command);
 
   auto pictures = std::make_shared<Arguments>();
-  CLI::App* from_pictures =
-      command->add_subcommand("pictures", "Calibrate from folders of pictures, one a camera");
+  const Command from_pictures =
+      command.subcommand("pictures", "Calibrate from folders of pictures, one a camera");
   from_pictures
-      ->add_option("folders", pictures->folders,
-                   "CAMERA=FOLDER for each camera; pictures of one name (.png, .jpg) were taken at once")
-      ->required();
-  add_calibration_options(*from_pictures, *pictures);
-  from_pictures->callback([pictures] {
+      .option("folders", pictures->folders,
+              "CAMERA=FOLDER for each camera; pictures of one name (.png, .jpg) were taken at once")
+      .required();
+  add_calibration_options(from_pictures, *pictures);
+  from_pictures.callback([pictures] {
     const Board board = board_of(pictures->board);
     const calibration::BoardDetector detector(board, pictures->detector);
     finish(*pictures, board, read_folders(*pictures, detector));
   });
 
   auto take = std::make_shared<Arguments>();
-  CLI::App* from_take = command->add_subcommand("take", "Calibrate from a take of frame sets");
-  from_take->add_option("take", take->take, "Take recorded in mode \"frames\", projectors off")->required();
-  add_calibration_options(*from_take, *take);
-  from_take->add_option("--views", take->views, "Views to choose from it at most")
-      ->capture_default_str()
-      ->check(CLI::Range(3, 1000));
-  from_take->add_option("--save", take->save, "Write the pictures of the chosen views into FOLDER/CAMERA/");
-  from_take->callback([take] {
+  const Command from_take = command.subcommand("take", "Calibrate from a take of frame sets");
+  from_take.option("take", take->take, "Take recorded in mode \"frames\", projectors off").required();
+  add_calibration_options(from_take, *take);
+  from_take.option("--views", take->views, "Views to choose from it at most").shows_default().range(3, 1000);
+  from_take.option("--save", take->save, "Write the pictures of the chosen views into FOLDER/CAMERA/");
+  from_take.callback([take] {
     const Board board = board_of(take->board);
     const calibration::BoardDetector detector(board, take->detector);
     finish(*take, board, read_take(*take, detector));
   });
 
   auto live = std::make_shared<Arguments>();
-  CLI::App* from_daemon = command->add_subcommand("live", "Calibrate with the cameras of a running facetd");
-  from_daemon->add_option("--socket", live->socket, "Stream socket")->capture_default_str();
-  add_calibration_options(*from_daemon, *live);
-  from_daemon->add_option("--views", live->views, "Views to take; Ctrl-C goes on with those that are there")
-      ->capture_default_str()
-      ->check(CLI::Range(3, 1000));
-  from_daemon->add_option(
-      "--save", live->save,
-      "Write the pictures of the views into FOLDER/CAMERA/, for `facet calibrate pictures`");
-  from_daemon->callback([live] {
+  const Command from_daemon = command.subcommand("live", "Calibrate with the cameras of a running facetd");
+  from_daemon.option("--socket", live->socket, "Stream socket").shows_default();
+  add_calibration_options(from_daemon, *live);
+  from_daemon.option("--views", live->views, "Views to take; Ctrl-C goes on with those that are there")
+      .shows_default()
+      .range(3, 1000);
+  from_daemon.option("--save", live->save,
+                     "Write the pictures of the views into FOLDER/CAMERA/, for `facet calibrate pictures`");
+  from_daemon.callback([live] {
     const Board board = board_of(live->board);
     const calibration::BoardDetector detector(board, live->detector);
     finish(*live, board, watch_daemon(*live, detector));

@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 #include <unistd.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cstddef>
 #include <filesystem>
@@ -343,14 +342,14 @@ void run(const std::string& given_file) {
 
 }  // namespace
 
-void add_doctor_command(CLI::App& app) {
+void add_doctor_command(Command app) {
   auto config_file = std::make_shared<std::string>();
-  CLI::App* command = app.add_subcommand(
-      "doctor", "Check GPU, face model, cameras, trigger, sockets and disk; say what to do");
-  command->add_option("--config", *config_file,
-                      "The daemon's configuration file (default " + service::default_config_file().string() +
-                          ", where it exists)");
-  command->callback([config_file] { run(*config_file); });
+  const Command command =
+      app.subcommand("doctor", "Check GPU, face model, cameras, trigger, sockets and disk; say what to do");
+  command.option("--config", *config_file,
+                 "The daemon's configuration file (default " + service::default_config_file().string() +
+                     ", where it exists)");
+  command.callback([config_file] { run(*config_file); });
 }
 
 }  // namespace facet::tools

@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <cmath>
 #include <filesystem>
 #include <memory>
@@ -101,20 +100,20 @@ void run_eval(const EvalOptions& options) {
 
 }  // namespace
 
-void add_eval_command(CLI::App& app) {
+void add_eval_command(Command app) {
   auto options = std::make_shared<EvalOptions>();
-  CLI::App* command = app.add_subcommand(
+  const Command command = app.subcommand(
       "eval", "Measure a take of a synthetic sequence against its truth (JSON and a heat map)");
-  command->add_option("take", options->take, "Take file")->required();
-  command->add_option("--truth", options->truth, "Folder that `facet synth` wrote")->required();
+  command.option("take", options->take, "Take file").required();
+  command.option("--truth", options->truth, "Folder that `facet synth` wrote").required();
   command
-      ->add_option("--align", options->align,
-                   "What to take out of every frame first: none, rigid, or similarity (rigid and scale)")
-      ->capture_default_str()
-      ->check(CLI::IsMember({"none", "rigid", "similarity"}));
-  command->add_option("-o,--output", options->output, "JSON to write; default: standard output");
-  command->add_option("--heat-map", options->heat_map, "PNG to write; default: TAKE with .eval.png");
-  command->callback([options] { run_eval(*options); });
+      .option("--align", options->align,
+              "What to take out of every frame first: none, rigid, or similarity (rigid and scale)")
+      .shows_default()
+      .one_of({"none", "rigid", "similarity"});
+  command.option("-o,--output", options->output, "JSON to write; default: standard output");
+  command.option("--heat-map", options->heat_map, "PNG to write; default: TAKE with .eval.png");
+  command.callback([options] { run_eval(*options); });
 }
 
 }  // namespace facet::tools

@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cstdint>
 #include <filesystem>
@@ -410,53 +409,50 @@ void run_export(const ExportOptions& options) {
 
 }  // namespace
 
-void add_export_command(CLI::App& app) {
+void add_export_command(Command app) {
   auto options = std::make_shared<ExportOptions>();
-  CLI::App* command = app.add_subcommand(
+  const Command command = app.subcommand(
       "export", "Write a take's meshes, animations, maps, curves or pictures for other programs");
-  command->add_option("TAKE", options->take, "Take file")->required();
-  command->add_option("--format", options->format, formats_help())
-      ->required()
-      ->check(CLI::IsMember(names_of(is_any)));
-  command->add_option("--frames", options->frames, kFramesHelp);
-  command->add_option("--level", options->level, "coarse: the tracked mesh; finest: the refined one")
-      ->capture_default_str()
-      ->check(CLI::IsMember({"coarse", "finest"}));
+  command.option("TAKE", options->take, "Take file").required();
+  command.option("--format", options->format, formats_help()).required().one_of(names_of(is_any));
+  command.option("--frames", options->frames, kFramesHelp);
+  command.option("--level", options->level, "coarse: the tracked mesh; finest: the refined one")
+      .shows_default()
+      .one_of({"coarse", "finest"});
   command
-      ->add_option("--space", options->space,
-                   fmt::format("{}: camera has the head's movement in the vertices, head is held still",
-                               fmt::join(names_of(has_no_node), ", ")))
-      ->capture_default_str()
-      ->check(CLI::IsMember({"camera", "head"}));
+      .option("--space", options->space,
+              fmt::format("{}: camera has the head's movement in the vertices, head is held still",
+                          fmt::join(names_of(has_no_node), ", ")))
+      .shows_default()
+      .one_of({"camera", "head"});
   command
-      ->add_option(
+      .option(
           "--compress", options->compress,
           fmt::format(
               "{}: meshopt makes a file a third of the size, which needs a reader of "
               "EXT_meshopt_compression (three.js, Babylon.js, Unity's glTFast; not Blender); vertices are "
               "rounded to 0.002 mm",
               fmt::join(names_of(compresses), ", ")))
-      ->capture_default_str()
-      ->check(CLI::IsMember({"none", "meshopt"}));
+      .shows_default()
+      .one_of({"none", "meshopt"});
   command
-      ->add_option("--pictures", options->pictures,
-                   "Maps: exr has the values themselves as 32-bit floats, png 16 bits a channel")
-      ->capture_default_str()
-      ->check(CLI::IsMember({"png", "exr"}));
-  command->add_option("--size", options->size_px, "Maps: width and height, pixels")
-      ->capture_default_str()
-      ->check(CLI::Range(16, 16384));
-  command->add_option("--model", options->model,
-                      "glb-expressions: the face model that the take was made with");
+      .option("--pictures", options->pictures,
+              "Maps: exr has the values themselves as 32-bit floats, png 16 bits a channel")
+      .shows_default()
+      .one_of({"png", "exr"});
+  command.option("--size", options->size_px, "Maps: width and height, pixels")
+      .shows_default()
+      .range(16, 16384);
+  command.option("--model", options->model, "glb-expressions: the face model that the take was made with");
   command
-      ->add_option(
+      .option(
           "-o,--output", options->output,
           fmt::format(
               "What is one file for all frames ({}): the file; {}: - is standard output. Else the folder for "
               "frame_%06d files (the number of the source's frame), or one file for one frame's mesh",
               fmt::join(names_of(is_one_file), ", "), fmt::join(names_of(is_text), " and ")))
-      ->required();
-  command->callback([options] { run_export(*options); });
+      .required();
+  command.callback([options] { run_export(*options); });
 }
 
 }  // namespace facet::tools

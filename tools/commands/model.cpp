@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cstdio>
 #include <filesystem>
@@ -198,83 +197,77 @@ void run_info(const FileArguments& arguments) {
   }
 }
 
-void add_build(CLI::App& parent) {
+void add_build(Command parent) {
   auto arguments = std::make_shared<BuildArguments>();
-  CLI::App* command = parent.add_subcommand("build", "Make the default model from MakeHuman's data (CC0)");
-  command->add_option("--assets", arguments->assets, "Folder that packaging/fetch-assets filled")
-      ->capture_default_str();
-  command->add_option("-o,--output", arguments->output,
-                      "Model file to write (default: default.facemodel in --assets)");
-  command->add_option("--seed", arguments->options.seed, "Of the sampled identities")->capture_default_str();
-  command
-      ->add_option("--identities", arguments->options.identities,
-                   "Sampled; each counts with its mirror image")
-      ->capture_default_str()
-      ->check(CLI::Range(2, 1000));
-  command->add_option("--modes", arguments->options.core.max_modes, "Largest number of identity modes")
-      ->capture_default_str()
-      ->check(CLI::Range(1, 500));
-  command->callback([arguments] { run_build(*arguments); });
+  const Command command = parent.subcommand("build", "Make the default model from MakeHuman's data (CC0)");
+  command.option("--assets", arguments->assets, "Folder that packaging/fetch-assets filled").shows_default();
+  command.option("-o,--output", arguments->output,
+                 "Model file to write (default: default.facemodel in --assets)");
+  command.option("--seed", arguments->options.seed, "Of the sampled identities").shows_default();
+  command.option("--identities", arguments->options.identities, "Sampled; each counts with its mirror image")
+      .shows_default()
+      .range(2, 1000);
+  command.option("--modes", arguments->options.core.max_modes, "Largest number of identity modes")
+      .shows_default()
+      .range(1, 500);
+  command.callback([arguments] { run_build(*arguments); });
 }
 
-void add_import_ict(CLI::App& parent) {
+void add_import_ict(Command parent) {
   auto arguments = std::make_shared<ImportArguments>();
-  CLI::App* command = parent.add_subcommand(
+  const Command command = parent.subcommand(
       "import-ict", "Make a model of ICT-FaceKit's scans (MIT; download them from its authors)");
-  command->add_option("folder", arguments->options.folder, "Its FaceXModel folder, with the OBJ files")
-      ->required()
-      ->check(CLI::ExistingDirectory);
-  command->add_option("-o,--output", arguments->output, "Model file to write")->required();
+  command.option("folder", arguments->options.folder, "Its FaceXModel folder, with the OBJ files")
+      .required()
+      .existing_folder();
+  command.option("-o,--output", arguments->output, "Model file to write").required();
   command
-      ->add_option("--modes", arguments->options.identity_modes,
-                   "Identity modes at most; each takes about 8 MB of memory")
-      ->capture_default_str()
-      ->check(CLI::Range(0, 500));
-  command->add_option("--landmark-assets", arguments->landmark_assets, "File of the landmark nets")
-      ->capture_default_str();
+      .option("--modes", arguments->options.identity_modes,
+              "Identity modes at most; each takes about 8 MB of memory")
+      .shows_default()
+      .range(0, 500);
+  command.option("--landmark-assets", arguments->landmark_assets, "File of the landmark nets")
+      .shows_default();
   command
-      ->add_option("--albedo-from", arguments->albedo_from,
-                   "Model whose mean albedo the skin gets; empty: plain skin")
-      ->capture_default_str();
-  command->callback([arguments] { run_import_ict(*arguments); });
+      .option("--albedo-from", arguments->albedo_from,
+              "Model whose mean albedo the skin gets; empty: plain skin")
+      .shows_default();
+  command.callback([arguments] { run_import_ict(*arguments); });
 }
 
 }  // namespace
 
-void add_model_command(CLI::App& app) {
-  CLI::App* command = app.add_subcommand("model", "Make, show and examine face models");
-  command->require_subcommand(1);
-  add_build(*command);
-  add_import_ict(*command);
+void add_model_command(Command app) {
+  const Command command = app.subcommand("model", "Make, show and examine face models");
+  command.requires_subcommand();
+  add_build(command);
+  add_import_ict(command);
 
   auto landmarks = std::make_shared<FileArguments>();
-  CLI::App* find = command->add_subcommand(
+  const Command find = command.subcommand(
       "landmarks", "Find where the landmark net's points lie on a model, by rendering it; any model file");
-  find->add_option("model", landmarks->model, "Model file")->capture_default_str();
-  find->add_option("-o,--output", landmarks->output, "Model file to write (default: the same file)");
-  find->add_option("--landmark-assets", landmarks->landmark_assets, "MediaPipe's packed assets")
-      ->capture_default_str();
-  find->add_option("--sheet", landmarks->sheet, "Also draw what was found, as a PNG");
-  find->callback([landmarks] { run_landmarks(*landmarks); });
+  find.option("model", landmarks->model, "Model file").shows_default();
+  find.option("-o,--output", landmarks->output, "Model file to write (default: the same file)");
+  find.option("--landmark-assets", landmarks->landmark_assets, "MediaPipe's packed assets").shows_default();
+  find.option("--sheet", landmarks->sheet, "Also draw what was found, as a PNG");
+  find.callback([landmarks] { run_landmarks(*landmarks); });
 
   auto show = std::make_shared<FileArguments>();
   show->output = "sheet.png";
-  CLI::App* sheet =
-      command->add_subcommand("show", "Render a contact sheet of identity modes and expressions");
-  sheet->add_option("model", show->model, "Model file")->capture_default_str();
-  sheet->add_option("-o,--output", show->output, "PNG to write")->capture_default_str();
-  sheet->add_option("--tile", show->sheet_options.tile_px, "Width of one picture, px")
-      ->capture_default_str()
-      ->check(CLI::Range(40, 1000));
-  sheet->add_option("--columns", show->sheet_options.columns, "Pictures per row")
-      ->capture_default_str()
-      ->check(CLI::Range(2, 40));
-  sheet->callback([show] { run_show(*show); });
+  const Command sheet =
+      command.subcommand("show", "Render a contact sheet of identity modes and expressions");
+  sheet.option("model", show->model, "Model file").shows_default();
+  sheet.option("-o,--output", show->output, "PNG to write").shows_default();
+  sheet.option("--tile", show->sheet_options.tile_px, "Width of one picture, px")
+      .shows_default()
+      .range(40, 1000);
+  sheet.option("--columns", show->sheet_options.columns, "Pictures per row").shows_default().range(2, 40);
+  sheet.callback([show] { run_show(*show); });
 
   auto info = std::make_shared<FileArguments>();
-  CLI::App* explain = command->add_subcommand("info", "Print a model's sizes, regions and expressions");
-  explain->add_option("model", info->model, "Model file")->capture_default_str();
-  explain->callback([info] { run_info(*info); });
+  const Command explain = command.subcommand("info", "Print a model's sizes, regions and expressions");
+  explain.option("model", info->model, "Model file").shows_default();
+  explain.callback([info] { run_info(*info); });
 }
 
 }  // namespace facet::tools

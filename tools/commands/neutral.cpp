@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <chrono>
 #include <memory>
 #include <nlohmann/json.hpp>
@@ -46,15 +45,15 @@ void record(const DaemonOptions& options, double seconds) {
 
 }  // namespace
 
-void add_neutral_command(CLI::App& app) {
-  CLI::App* command = app.add_subcommand(
+void add_neutral_command(Command app) {
+  const Command command = app.subcommand(
       "neutral", "Record the resting face and the straight look that the daemon's bridges count from");
-  const auto options = add_daemon_options(*command);
+  const auto options = add_daemon_options(command);
   const auto seconds = std::make_shared<double>(1.0);
   const auto clear = std::make_shared<bool>(false);
-  command->add_option("--seconds", *seconds, "How long")->capture_default_str()->check(CLI::Range(0.1, 60.0));
-  command->add_flag("--clear", *clear, "Forget it instead");
-  command->callback([options, seconds, clear] {
+  command.option("--seconds", *seconds, "How long").shows_default().range(0.1, 60.0);
+  command.flag("--clear", *clear, "Forget it instead");
+  command.callback([options, seconds, clear] {
     if (*clear) {
       call_daemon(*options, "neutral.clear", json::object());
     } else {

@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 #include <unistd.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
@@ -188,68 +187,62 @@ void run_show(const ShowOptions& options) {
               fmt::format("the player mpv can't be started ({}): apt install mpv", std::strerror(errno)));
 }
 
-void add_show_command(CLI::App& command) {
+void add_show_command(Command command) {
   auto options = std::make_shared<ShowOptions>();
-  CLI::App* show = command.add_subcommand(
+  const Command show = command.subcommand(
       "show",
       "Show a folder's pictures on a projector's screen: full-screen, pixel by pixel, again and again");
-  show->add_option("folder", options->folder, "Of one projector, as `facet patterns write` made it")
-      ->required();
-  show->add_option(
-          "--rate", options->rate_hz,
-          "Pictures a second; without it each stays until the key > (or <, back) is pressed. A desktop's "
-          "player keeps no exact time: projectors that the trigger steps play the pictures themselves")
-      ->check(CLI::Range(0.01, 1000.0));
-  show->add_option("--screen", options->screen, "Number of the screen, from 0")->check(CLI::Range(0, 31));
-  auto* console = show->add_flag("--console", options->console,
-                                 "Without a desktop, on the kernel's own display (DRM/KMS)");
-  show->add_option("--connector", options->connector,
-                   "Of the projector, such as HDMI-A-1: see /sys/class/drm")
-      ->needs(console);
-  show->add_option("--player", options->player, "More options of the player, mpv");
-  show->footer("Key q ends it. Needs the program mpv.");
-  show->callback([options] { run_show(*options); });
+  show.option("folder", options->folder, "Of one projector, as `facet patterns write` made it").required();
+  show.option("--rate", options->rate_hz,
+              "Pictures a second; without it each stays until the key > (or <, back) is pressed. A desktop's "
+              "player keeps no exact time: projectors that the trigger steps play the pictures themselves")
+      .range(0.01, 1000.0);
+  show.option("--screen", options->screen, "Number of the screen, from 0").range(0, 31);
+  show.flag("--console", options->console, "Without a desktop, on the kernel's own display (DRM/KMS)");
+  show.option("--connector", options->connector, "Of the projector, such as HDMI-A-1: see /sys/class/drm")
+      .needs("--console");
+  show.option("--player", options->player, "More options of the player, mpv");
+  show.footer("Key q ends it. Needs the program mpv.");
+  show.callback([options] { run_show(*options); });
 }
 
 }  // namespace
 
-void add_patterns_command(CLI::App& app) {
+void add_patterns_command(Command app) {
   auto options = std::make_shared<PatternsOptions>();
-  CLI::App* command = app.add_subcommand(
-      "patterns", "Patterns for the projectors of a booth: random stripes, structured light");
-  command->require_subcommand(1);
-  CLI::App* write = command->add_subcommand(
+  const Command command =
+      app.subcommand("patterns", "Patterns for the projectors of a booth: random stripes, structured light");
+  command.requires_subcommand();
+  const Command write = command.subcommand(
       "write", "Write what the projectors show, slot by slot, as PNG pictures for their player");
-  write->add_option("folder", options->folder, "Folder to write the numbered PNG pictures into")->required();
-  auto* rig = write->add_option("--rig", options->rig,
-                                "Rig file: sizes of its projectors, a folder of its name for each");
-  auto* size = write->add_option("--size", options->size, "WIDTHxHEIGHT of one projector in pixels");
-  rig->excludes(size);
-  auto* sequence = write->add_option(
+  write.option("folder", options->folder, "Folder to write the numbered PNG pictures into").required();
+  write.option("--rig", options->rig, "Rig file: sizes of its projectors, a folder of its name for each");
+  write.option("--size", options->size, "WIDTHxHEIGHT of one projector in pixels").excludes("--rig");
+  write.option(
       "--sequence", options->sequence,
       "Structured light for something still instead of stripes, such as phase:8x64,gray:6,gray-inverse:6: "
       "8 shifts of a sine of 64 periods over the picture, Gray bits that count them, and their inverses; "
       "`facet scan --help` has all groups");
   write
-      ->add_option("--periods", options->periods,
-                   "Periods of three slots; a player that begins again repeats the stripes")
-      ->capture_default_str()
-      ->check(CLI::Range(1, 100'000))
-      ->excludes(sequence);
-  write->add_option("--seed", options->patterns.seed, "All stripes follow from it")->capture_default_str();
+      .option("--periods", options->periods,
+              "Periods of three slots; a player that begins again repeats the stripes")
+      .shows_default()
+      .range(1, 100'000)
+      .excludes("--sequence");
+  write.option("--seed", options->patterns.seed, "All stripes follow from it").shows_default();
   write
-      ->add_option("--stripe", options->patterns.stripe_px,
-                   "Mean width of a stripe in the projector's pixels; 3 pixels of the cameras at least")
-      ->capture_default_str();
-  write->add_option("--gamma", options->patterns.gamma, "Of the projector: light = (value / 255)^gamma")
-      ->capture_default_str();
-  write->callback([options] {
+      .option("--stripe", options->patterns.stripe_px,
+              "Mean width of a stripe in the projector's pixels; 3 pixels of the cameras at least")
+      .shows_default();
+  write.option("--gamma", options->patterns.gamma, "Of the projector: light = (value / 255)^gamma")
+      .shows_default();
+  write.callback([options] {
     if (options->rig.empty() && options->size.empty()) {
       throw Error(ErrorKind::Usage, "give --rig FILE or --size WIDTHxHEIGHT");
     }
     run_write(*options);
   });
-  add_show_command(*command);
+  add_show_command(command);
 }
 
 }  // namespace facet::tools

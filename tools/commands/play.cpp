@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <chrono>
 #include <cstdint>
@@ -110,22 +109,19 @@ void run_play(const PlayOptions& options) {
 
 }  // namespace
 
-void add_play_command(CLI::App& app) {
+void add_play_command(Command app) {
   auto options = std::make_shared<PlayOptions>();
-  CLI::App* command =
-      app.add_subcommand("play", "Put a take on a live socket at its rate, as the daemon streams");
-  command->add_option("TAKE", options->take, "Take file")->required();
-  command->add_option("--frames", options->frames, kFramesHelp);
-  command->add_option(
-      "--socket", options->socket,
-      "Socket to listen on (default: stream.socket of the configuration, where no daemon runs)");
-  command->add_option("--config", options->config, "Configuration file")->capture_default_str();
-  command->add_option("--speed", options->speed, "Times the take's rate")
-      ->capture_default_str()
-      ->check(CLI::Range(0.01, 100.0));
-  command->add_flag("--loop", options->loop, "Begin again at the end, until stopped");
-  command->add_flag("--wait", options->wait, "Begin when the first reader has subscribed");
-  command->callback([options] { run_play(*options); });
+  const Command command =
+      app.subcommand("play", "Put a take on a live socket at its rate, as the daemon streams");
+  command.option("TAKE", options->take, "Take file").required();
+  command.option("--frames", options->frames, kFramesHelp);
+  command.option("--socket", options->socket,
+                 "Socket to listen on (default: stream.socket of the configuration, where no daemon runs)");
+  command.option("--config", options->config, "Configuration file").shows_default();
+  command.option("--speed", options->speed, "Times the take's rate").shows_default().range(0.01, 100.0);
+  command.flag("--loop", options->loop, "Begin again at the end, until stopped");
+  command.flag("--wait", options->wait, "Begin when the first reader has subscribed");
+  command.callback([options] { run_play(*options); });
 }
 
 }  // namespace facet::tools

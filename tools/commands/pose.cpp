@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <array>
 #include <filesystem>
 #include <memory>
@@ -192,37 +191,31 @@ void run_pose(const PoseOptions& options) {
 
 }  // namespace
 
-void add_pose_command(CLI::App& app) {
+void add_pose_command(Command app) {
   auto options = std::make_shared<PoseOptions>();
-  CLI::App* command = app.add_subcommand("pose", "Pose a take's face by dragging points of it (FaceIK)");
-  add_basis_options(*command, options->basis);
+  const Command command = app.subcommand("pose", "Pose a take's face by dragging points of it (FaceIK)");
+  add_basis_options(command, options->basis);
   command
-      ->add_option(
+      .option(
           "--control", options->at,
           "VERTEX=X,Y,Z: where a vertex of the finest mesh, a number or a place, shall be; head frame, mm "
           "(x to the subject's left, y up, z forward)")
-      ->allow_extra_args(false);
-  command->add_option("--move", options->move, "VERTEX=DX,DY,DZ: the same from where it rests, mm")
-      ->allow_extra_args(false);
+      .one_at_a_time();
+  command.option("--move", options->move, "VERTEX=DX,DY,DZ: the same from where it rests, mm")
+      .one_at_a_time();
+  command.option("--screen", options->screen, "VERTEX=X,Y: where it shall be in the camera's picture, px")
+      .one_at_a_time();
+  command.flag("--whole", options->whole, "Without regions: all points act on the whole face at once");
+  command.flag("--clamp", options->clamp, "Pull points back to what was captured");
+  command.flag("--average-folds", options->average_folds,
+               "Average wrinkles as everything else, for comparison");
+  command.flag("--places", options->places, "Print the vertices that have names, and where they rest");
   command
-      ->add_option("--screen", options->screen, "VERTEX=X,Y: where it shall be in the camera's picture, px")
-      ->allow_extra_args(false);
-  command->add_flag("--whole", options->whole, "Without regions: all points act on the whole face at once");
-  command->add_flag("--clamp", options->clamp, "Pull points back to what was captured");
-  command->add_flag("--average-folds", options->average_folds,
-                    "Average wrinkles as everything else, for comparison");
-  command->add_flag("--places", options->places, "Print the vertices that have names, and where they rest");
-  command
-      ->add_option("-o,--output", options->output,
-                   "pose.glb, .ply or .obj: the mesh as of `facet export`; .png: a picture with its regions "
-                   "in colours")
-      ->check([](const std::string& file) {
-        const std::string extension = std::filesystem::path(file).extension();
-        return extension == ".glb" || extension == ".ply" || extension == ".obj" || extension == ".png"
-                   ? std::string()
-                   : fmt::format("'{}' must end in .glb, .ply, .obj or .png", file);
-      });
-  command->callback([options] { run_pose(*options); });
+      .option("-o,--output", options->output,
+              "pose.glb, .ply or .obj: the mesh as of `facet export`; .png: a picture with its regions "
+              "in colours")
+      .ends_in({".glb", ".ply", ".obj", ".png"});
+  command.callback([options] { run_pose(*options); });
 }
 
 }  // namespace facet::tools

@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <ctime>
 #include <exception>
@@ -63,8 +62,8 @@ void set_budget(const std::string& budget, refine::RefinerConfig& refiner) {
     refiner.budget = budget == "auto" ? refine::Budget::Auto : refine::Budget::Paper;
     return;
   }
-  int steps = 0;
-  if (!CLI::detail::lexical_cast(budget, steps) || steps < 1 || steps > 100) {
+  const int steps = read_int(budget).value_or(0);
+  if (steps < 1 || steps > 100) {
     throw Error(
         ErrorKind::Usage,
         fmt::format("--budget {}: must be \"auto\", \"paper\" or Gauss-Newton steps per level, 1 to 100",
@@ -532,71 +531,66 @@ void run_booth(const Options& options, const std::function<std::unique_ptr<Team>
 
 }  // namespace
 
-void add_process_command(CLI::App& app, std::unique_ptr<Team> (*join)()) {
+Command add_process_command(Command app, std::unique_ptr<Team> (*join)()) {
   auto options = std::make_shared<Options>();
-  CLI::App* command = app.add_subcommand("process",
+  const Command command = app.subcommand("process",
                                          "Turn a video of a face, videos of calibrated cameras that see it, "
                                          "or the pictures that a booth recorded, "
                                          "into a take of meshes");
   command
-      ->add_option(
-          "input", options->inputs,
-          "The video; with --rig the take that holds a booth's pictures, or one video for each of the "
-          "rig's cameras that see the face, CAMERA=VIDEO (VIDEO alone where it bears the camera's name), "
-          "the one that looks at it most squarely first")
-      ->required();
-  command->add_option(
+      .option("input", options->inputs,
+              "The video; with --rig the take that holds a booth's pictures, or one video for each of the "
+              "rig's cameras that see the face, CAMERA=VIDEO (VIDEO alone where it bears the camera's name), "
+              "the one that looks at it most squarely first")
+      .required();
+  command.option(
       "--rig", options->rig,
       "Rig file: the input is videos of its cameras; or a take of a booth's pictures, and every blank slot "
       "becomes a mesh");
-  command->add_option("-o,--output", options->take, "The take to write, NAME.take; must not exist yet")
-      ->required()
-      ->check([](const std::string& file) {
-        return std::filesystem::path(file).extension() == ".take"
-                   ? std::string()
-                   : fmt::format("'{}' must end in .take", file);
-      });
-  command->add_option("--config", options->config,
-                      "Configuration file; of [source], only frames and intrinsics count");
-  command->add_option("--frames", options->frames, kFramesHelp);
-  command->add_option("--budget", options->budget,
-                      "Solver work per frame: \"auto\" (as many steps as pay), \"paper\" (10 of 7 "
-                      "iterations) or Gauss-Newton "
-                      "steps per level");
-  command->add_option("--device", options->device,
-                      "Vulkan device: auto, part of its name, or none (coarse meshes only)");
+  command.option("-o,--output", options->take, "The take to write, NAME.take; must not exist yet")
+      .required()
+      .ends_in({".take"});
+  command.option("--config", options->config,
+                 "Configuration file; of [source], only frames and intrinsics count");
+  command.option("--frames", options->frames, kFramesHelp);
+  command.option("--budget", options->budget,
+                 "Solver work per frame: \"auto\" (as many steps as pay), \"paper\" (10 of 7 "
+                 "iterations) or Gauss-Newton "
+                 "steps per level");
+  command.option("--device", options->device,
+                 "Vulkan device: auto, part of its name, or none (coarse meshes only)");
   command
-      ->add_flag("--every-slot", options->every_slot,
-                 "A mesh for slots with stripes, too: between the blank ones' meshes, on its own depth maps")
-      ->needs("--rig");
+      .flag("--every-slot", options->every_slot,
+            "A mesh for slots with stripes, too: between the blank ones' meshes, on its own depth maps")
+      .needs("--rig");
   command
-      ->add_flag("--shading", options->shading,
-                 "Shading of the blank slots' colour pictures on top of what depth gives")
-      ->needs("--rig");
+      .flag("--shading", options->shading,
+            "Shading of the blank slots' colour pictures on top of what depth gives")
+      .needs("--rig");
   command
-      ->add_option("--depth", options->depth,
-                   "Folder for the depth maps of every slot that gets a mesh (PFM, mm) and their lenses "
-                   "(rig.toml); maps that an "
-                   "earlier run left there are not found again")
-      ->needs("--rig");
+      .option("--depth", options->depth,
+              "Folder for the depth maps of every slot that gets a mesh (PFM, mm) and their lenses "
+              "(rig.toml); maps that an "
+              "earlier run left there are not found again")
+      .needs("--rig");
   command
-      ->add_option("--points", options->points,
-                   "Where the face is in one slot, pointed at by hand, if the landmark net does not find it "
-                   "(docs/booth.md)")
-      ->needs("--rig");
+      .option("--points", options->points,
+              "Where the face is in one slot, pointed at by hand, if the landmark net does not find it "
+              "(docs/booth.md)")
+      .needs("--rig");
   command
-      ->add_option("--cameras", options->cameras,
-                   "Of a take of frame sets in plain light (mode \"frames\"): the cameras that see the face, "
-                   "NAME,NAME,..., the one that looks at it most squarely first. Their pictures are tracked "
-                   "and refined like videos, "
-                   "without depth maps")
-      ->delimiter(',')
-      ->allow_extra_args(false)
-      ->needs("--rig");
-  command->footer(
+      .option("--cameras", options->cameras,
+              "Of a take of frame sets in plain light (mode \"frames\"): the cameras that see the face, "
+              "NAME,NAME,..., the one that looks at it most squarely first. Their pictures are tracked "
+              "and refined like videos, "
+              "without depth maps")
+      .delimiter(',')
+      .one_at_a_time()
+      .needs("--rig");
+  command.footer(
       "Exit status 3 with a take written: the video or take is truncated or damaged, and what could be read "
       "of it is\nprocessed.");
-  command->callback([options, join] {
+  command.callback([options, join] {
     const bool videos = has_views(*options);
     const bool views = videos || !options->cameras.empty();
     if (videos && !options->cameras.empty()) {
@@ -612,6 +606,7 @@ void add_process_command(CLI::App& app, std::unique_ptr<Team> (*join)()) {
     }
     options->rig.empty() || views ? run_monocular(*options) : run_booth(*options, join);
   });
+  return command;
 }
 
 }  // namespace facet::tools

@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
 #include "commands.hpp"
@@ -14,22 +13,22 @@ namespace facet::tools {
 
 using nlohmann::json;
 
-void add_record_command(CLI::App& app) {
-  CLI::App* command = app.add_subcommand("record", "Record a take of the running daemon");
-  command->require_subcommand(1);
+void add_record_command(Command app) {
+  const Command command = app.subcommand("record", "Record a take of the running daemon");
+  command.requires_subcommand();
 
-  CLI::App* start = command->add_subcommand("start", "Begin a take with the next frame");
-  const auto start_options = add_daemon_options(*start);
+  const Command start = command.subcommand("start", "Begin a take with the next frame");
+  const auto start_options = add_daemon_options(start);
   const auto name = std::make_shared<std::string>();
-  start->add_option("name", *name, "Name of the take (default: the time, UTC)");
-  start->callback([start_options, name] {
+  start.option("name", *name, "Name of the take (default: the time, UTC)");
+  start.callback([start_options, name] {
     const json params = name->empty() ? json::object() : json{{"name", *name}};
     tell("{}\n", call_daemon(*start_options, "record.start", params)["file"].get<std::string>());
   });
 
-  CLI::App* stop = command->add_subcommand("stop", "End the take and close its file");
-  const auto stop_options = add_daemon_options(*stop);
-  stop->callback([stop_options] {
+  const Command stop = command.subcommand("stop", "End the take and close its file");
+  const auto stop_options = add_daemon_options(stop);
+  stop.callback([stop_options] {
     const json take = call_daemon(*stop_options, "record.stop", json::object());
     tell("{}: {} frames, {} not recorded, {:.1f} MB\n", take["file"].get<std::string>(),
          take["frames"].get<std::uint64_t>(), take["dropped"].get<std::uint64_t>(),

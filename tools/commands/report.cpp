@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -442,17 +441,17 @@ void run_report(const ReportOptions& options) {
 
 }  // namespace
 
-void add_report_command(CLI::App& app) {
+void add_report_command(Command app) {
   auto options = std::make_shared<ReportOptions>();
-  CLI::App* command = app.add_subcommand(
+  const Command command = app.subcommand(
       "report",
       "One page about a take: states, errors, expressions, times and pictures (HTML, nothing outside it)");
-  command->add_option("take", options->take, "The take")->required();
-  command->add_option("-o,--output", options->output, "HTML to write")->required();
-  command->add_option("--truth", options->truth,
-                      "Folder that `facet synth` wrote: errors against the truth over time, and a heat map");
-  command->add_option("--video", options->video, "The video that the take was made from, where it has moved");
-  command->callback([options] { run_report(*options); });
+  command.option("take", options->take, "The take").required();
+  command.option("-o,--output", options->output, "HTML to write").required();
+  command.option("--truth", options->truth,
+                 "Folder that `facet synth` wrote: errors against the truth over time, and a heat map");
+  command.option("--video", options->video, "The video that the take was made from, where it has moved");
+  command.callback([options] { run_report(*options); });
 }
 
 }  // namespace facet::tools

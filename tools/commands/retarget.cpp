@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <array>
 #include <filesystem>
@@ -292,41 +291,40 @@ void run_retarget(const RetargetOptions& options) {
 
 }  // namespace
 
-void add_retarget_command(CLI::App& app) {
+void add_retarget_command(Command app) {
   auto options = std::make_shared<RetargetOptions>();
-  CLI::App* command =
-      app.add_subcommand("retarget", "Put a take's expressions and head turns on an avatar (GLB, VRM)");
-  command->add_option("TAKE", options->take, "Take file")->required();
-  command->add_option("--rig", options->rig, "The avatar: a GLB file whose morph targets have ARKit's names")
-      ->required();
-  command->add_option("--frames", options->frames, kFramesHelp);
-  command->add_option(
+  const Command command =
+      app.subcommand("retarget", "Put a take's expressions and head turns on an avatar (GLB, VRM)");
+  command.option("TAKE", options->take, "Take file").required();
+  command.option("--rig", options->rig, "The avatar: a GLB file whose morph targets have ARKit's names")
+      .required();
+  command.option("--frames", options->frames, kFramesHelp);
+  command.option(
       "--neutral", options->neutral,
       "Number of the frame in which the face is at rest and looks straight ahead; default: the model's "
       "neutral face, and the camera is straight ahead");
-  command->add_option(
+  command.option(
       "--head", options->head,
       "Node that turns with the head; default: VRM's head bone, else a name that ends with \"head\"");
-  command->add_flag("--no-head", options->no_head, "Leave the head still");
-  command->add_flag("--allow-missing", options->allow_missing,
-                    "Go on where the avatar lacks shapes that the take moves");
-  command->add_option(
+  command.flag("--no-head", options->no_head, "Leave the head still");
+  command.flag("--allow-missing", options->allow_missing,
+               "Go on where the avatar lacks shapes that the take moves");
+  command.option(
       "--displacement-maps", options->displacement_maps,
       "Folder: the take's displacements in the avatar's texture coordinates, a picture for each frame");
-  command->add_option("--normal-maps", options->normal_maps,
-                      "Folder: the same as normals against the avatar's surface");
-  command->add_option("--pictures", options->pictures, "Format of the maps: exr, png")
-      ->check(CLI::IsMember({"exr", "png"}))
-      ->capture_default_str();
-  command->add_option("--size", options->size_px, "Width and height of the maps, pixels")
-      ->check(CLI::Range(16, 16384))
-      ->capture_default_str();
-  command->add_option("--model", options->model,
-                      "Face model that the take was made with (for maps); default: the "
-                      "configured one");
-  command->add_option("-o,--output", options->output, "GLB file: the avatar with an animation more")
-      ->required();
-  command->callback([options] { run_retarget(*options); });
+  command.option("--normal-maps", options->normal_maps,
+                 "Folder: the same as normals against the avatar's surface");
+  command.option("--pictures", options->pictures, "Format of the maps: exr, png")
+      .one_of({"exr", "png"})
+      .shows_default();
+  command.option("--size", options->size_px, "Width and height of the maps, pixels")
+      .range(16, 16384)
+      .shows_default();
+  command.option("--model", options->model,
+                 "Face model that the take was made with (for maps); default: the "
+                 "configured one");
+  command.option("-o,--output", options->output, "GLB file: the avatar with an animation more").required();
+  command.callback([options] { run_retarget(*options); });
 }
 
 }  // namespace facet::tools

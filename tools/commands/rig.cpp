@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
@@ -118,43 +117,38 @@ void convert(RigArguments& arguments) {
   }
 }
 
-void add_input(CLI::App& command, RigArguments& arguments) {
-  command
-      .add_option("input", arguments.input, "Rig file (.toml), Kalibr camchain or OpenCV's intrinsics.yml")
-      ->required();
-  command.add_option("--extrinsics", arguments.extrinsics,
-                     "OpenCV's extrinsics.yml; default: R and T are in the same file");
-  command.add_option("--size", arguments.size,
-                     "WIDTHxHEIGHT of the pictures, which OpenCV's files do not say");
-  command.add_option("--unit-mm", arguments.import.unit_mm, "Unit of OpenCV's T in mm; 1000: metres")
-      ->capture_default_str()
-      ->check(CLI::Range(1e-3, 1e6));
+void add_input(Command command, RigArguments& arguments) {
+  command.option("input", arguments.input, "Rig file (.toml), Kalibr camchain or OpenCV's intrinsics.yml")
+      .required();
+  command.option("--extrinsics", arguments.extrinsics,
+                 "OpenCV's extrinsics.yml; default: R and T are in the same file");
+  command.option("--size", arguments.size, "WIDTHxHEIGHT of the pictures, which OpenCV's files do not say");
+  command.option("--unit-mm", arguments.import.unit_mm, "Unit of OpenCV's T in mm; 1000: metres")
+      .shows_default()
+      .range(1e-3, 1e6);
 }
 
 }  // namespace
 
-void add_rig_command(CLI::App& app) {
-  CLI::App* command = app.add_subcommand("rig", "Show and convert rig files: calibrated cameras");
-  command->require_subcommand(1);
+void add_rig_command(Command app) {
+  const Command command = app.subcommand("rig", "Show and convert rig files: calibrated cameras");
+  command.requires_subcommand();
 
   auto shown = std::make_shared<RigArguments>();
-  CLI::App* show_command =
-      command->add_subcommand("show", "Check a rig file and print its cameras and pairs");
-  add_input(*show_command, *shown);
-  show_command->callback([shown] { show(read(*shown)); });
+  const Command show_command = command.subcommand("show", "Check a rig file and print its cameras and pairs");
+  add_input(show_command, *shown);
+  show_command.callback([shown] { show(read(*shown)); });
 
   auto converted = std::make_shared<RigArguments>();
-  CLI::App* convert_command =
-      command->add_subcommand("convert", "Convert between rig files and those of OpenCV and Kalibr");
-  add_input(*convert_command, *converted);
-  convert_command->add_option("-o,--output", converted->output, "File to write; for OpenCV a folder")
-      ->required();
-  convert_command->add_option("--to", converted->format, "What to write")
-      ->capture_default_str()
-      ->check(CLI::IsMember({"rig", "opencv", "kalibr"}));
-  convert_command->add_option("--pair", converted->pair,
-                              "LEFT:RIGHT, the pair for OpenCV; default: the first");
-  convert_command->callback([converted] { convert(*converted); });
+  const Command convert_command =
+      command.subcommand("convert", "Convert between rig files and those of OpenCV and Kalibr");
+  add_input(convert_command, *converted);
+  convert_command.option("-o,--output", converted->output, "File to write; for OpenCV a folder").required();
+  convert_command.option("--to", converted->format, "What to write")
+      .shows_default()
+      .one_of({"rig", "opencv", "kalibr"});
+  convert_command.option("--pair", converted->pair, "LEFT:RIGHT, the pair for OpenCV; default: the first");
+  convert_command.callback([converted] { convert(*converted); });
 }
 
 }  // namespace facet::tools

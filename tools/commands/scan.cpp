@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <array>
 #include <cctype>
@@ -327,56 +326,54 @@ void run_scan(ScanOptions options) {
 
 }  // namespace
 
-void add_scan_command(CLI::App& app) {
+void add_scan_command(Command app) {
   auto options = std::make_shared<ScanOptions>();
-  CLI::App* command = app.add_subcommand(
+  const Command command = app.subcommand(
       "scan", "From structured-light pictures of something still (phase shift) to its surface");
-  command->add_option("--rig", options->rig, "Rig file (facet calibrate)")->required();
+  command.option("--rig", options->rig, "Rig file (facet calibrate)").required();
   command
-      ->add_option(
-          "--left", options->left,
-          "[CAMERA=]FOLDER of the left camera's pictures, one for each of the sequence, in the order "
-          "of their names (2 before 10); without CAMERA the rig's first pair's")
-      ->required();
-  auto* right = command->add_option("--right", options->right, "The same of the right camera");
-  auto* projector = command->add_option("--projector", options->projector,
-                                        "Instead: depth from the left camera and this projector of the rig");
-  right->excludes(projector);
+      .option("--left", options->left,
+              "[CAMERA=]FOLDER of the left camera's pictures, one for each of the sequence, in the order "
+              "of their names (2 before 10); without CAMERA the rig's first pair's")
+      .required();
+  command.option("--right", options->right, "The same of the right camera");
   command
-      ->add_option("--sequence", options->sequence,
-                   "What the pictures show, in their order, such as phase:4x64,gray:6,white,black. "
-                   "phase:NxF: N shifts of a sine of F periods (xF may be left out with Gray bits and two "
-                   "cameras); gray:M bits, most significant first (:fine-first: the other way); "
-                   "gray-inverse:M; gray-pairs:M: each bit and its inverse; white; black; skip:N; rows: what "
-                   "follows changes downwards; several phase groups: periods told by all of them")
-      ->required();
+      .option("--projector", options->projector,
+              "Instead: depth from the left camera and this projector of the rig")
+      .excludes("--right");
   command
-      ->add_option("-o,--output", options->output,
-                   "PLY to write; with it a shaded relief (.png), the depth map (.pfm) and its lens (.toml)")
-      ->required();
+      .option("--sequence", options->sequence,
+              "What the pictures show, in their order, such as phase:4x64,gray:6,white,black. "
+              "phase:NxF: N shifts of a sine of F periods (xF may be left out with Gray bits and two "
+              "cameras); gray:M bits, most significant first (:fine-first: the other way); "
+              "gray-inverse:M; gray-pairs:M: each bit and its inverse; white; black; skip:N; rows: what "
+              "follows changes downwards; several phase groups: periods told by all of them")
+      .required();
   command
-      ->add_option(
-          "--response", options->response,
-          "Of the cameras: linear, srgb, or auto: under which the fringes are sines (4 shifts or more)")
-      ->capture_default_str()
-      ->check(CLI::IsMember({"auto", "linear", "srgb"}));
-  command->add_option("--depths", options->depths, "Nearest and farthest, mm; else they are found")
-      ->expected(2)
-      ->check(CLI::PositiveNumber);
-  command->add_option("--smooth", options->decode.smooth_px, "Averages phases over (2 N + 1)^2 px")
-      ->capture_default_str()
-      ->check(CLI::Range(0, 8));
+      .option("-o,--output", options->output,
+              "PLY to write; with it a shaded relief (.png), the depth map (.pfm) and its lens (.toml)")
+      .required();
   command
-      ->add_option("--modulation", options->decode.least_modulation,
-                   "Least amplitude of the fringes, white is 1; what has less is a hole")
-      ->capture_default_str();
-  command->add_option("--sigma", options->match.most_sigma_mm, "Most standard deviation of a depth, mm")
-      ->capture_default_str();
+      .option("--response", options->response,
+              "Of the cameras: linear, srgb, or auto: under which the fringes are sines (4 shifts or more)")
+      .shows_default()
+      .one_of({"auto", "linear", "srgb"});
+  command.option("--depths", options->depths, "Nearest and farthest, mm; else they are found")
+      .expected(2)
+      .positive();
+  command.option("--smooth", options->decode.smooth_px, "Averages phases over (2 N + 1)^2 px")
+      .shows_default()
+      .range(0, 8);
   command
-      ->add_option("--break", options->match.break_mm, "Neighbours further apart in depth are not joined, mm")
-      ->capture_default_str();
-  command->add_flag("--explain", options->explain, "Says what each file is taken for and ends");
-  command->callback([options] { run_scan(*options); });
+      .option("--modulation", options->decode.least_modulation,
+              "Least amplitude of the fringes, white is 1; what has less is a hole")
+      .shows_default();
+  command.option("--sigma", options->match.most_sigma_mm, "Most standard deviation of a depth, mm")
+      .shows_default();
+  command.option("--break", options->match.break_mm, "Neighbours further apart in depth are not joined, mm")
+      .shows_default();
+  command.flag("--explain", options->explain, "Says what each file is taken for and ends");
+  command.callback([options] { run_scan(*options); });
 }
 
 }  // namespace facet::tools

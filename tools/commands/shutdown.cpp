@@ -1,6 +1,5 @@
 // `facet shutdown`: ends the running daemon; a take that is being recorded is closed.
 
-#include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
 #include "commands.hpp"
@@ -8,10 +7,10 @@
 
 namespace facet::tools {
 
-void add_shutdown_command(CLI::App& app) {
-  CLI::App* command = app.add_subcommand("shutdown", "End the running daemon; a take in progress is closed");
-  const auto options = add_daemon_options(*command);
-  command->callback([options] { call_daemon(*options, "shutdown", nlohmann::json::object()); });
+void add_shutdown_command(Command app) {
+  const Command command = app.subcommand("shutdown", "End the running daemon; a take in progress is closed");
+  const auto options = add_daemon_options(command);
+  command.callback([options] { call_daemon(*options, "shutdown", nlohmann::json::object()); });
 }
 
 }  // namespace facet::tools

@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <cstdio>
 #include <nlohmann/json.hpp>
 #include <string>
@@ -188,13 +187,13 @@ void print(const json& status) {
 
 }  // namespace
 
-void add_status_command(CLI::App& app) {
-  CLI::App* command =
-      app.add_subcommand("status", "What the daemon does: state, frames, rate, times per stage, readers");
-  const auto options = add_daemon_options(*command);
+void add_status_command(Command app) {
+  const Command command =
+      app.subcommand("status", "What the daemon does: state, frames, rate, times per stage, readers");
+  const auto options = add_daemon_options(command);
   const auto as_json = std::make_shared<bool>(false);
-  command->add_flag("--json", *as_json, "Print the daemon's answer as JSON");
-  command->callback([options, as_json] {
+  command.flag("--json", *as_json, "Print the daemon's answer as JSON");
+  command.callback([options, as_json] {
     const json status = call_daemon(*options, "status", json::object());
     if (*as_json) {
       std::puts(status.dump(2, ' ', true).c_str());

@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -257,19 +256,19 @@ void run(const Options& options) {
 
 }  // namespace
 
-void add_summary_command(CLI::App& app) {
+void add_summary_command(Command app) {
   auto options = std::make_shared<Options>();
-  CLI::App* command = app.add_subcommand(
+  const Command command = app.subcommand(
       "summary", "What is in a take: frames by state, pictures, rate, times per stage, errors");
-  command->add_option("take", options->take, "The take")->required();
-  command->add_flag("--last-mesh-frame", options->last_mesh_frame,
-                    "Print only the number, in the source, of the last frame that has a mesh");
-  command->add_flag("--verify", options->verify,
-                    "Read every frame with its pictures and name those that are damaged");
-  command->add_flag("--close", options->close,
-                    "First close a take that was broken off and fold in the log beside it, where nobody has "
-                    "it open");
-  command->callback([options] { run(*options); });
+  command.option("take", options->take, "The take").required();
+  command.flag("--last-mesh-frame", options->last_mesh_frame,
+               "Print only the number, in the source, of the last frame that has a mesh");
+  command.flag("--verify", options->verify,
+               "Read every frame with its pictures and name those that are damaged");
+  command.flag("--close", options->close,
+               "First close a take that was broken off and fold in the log beside it, where nobody has "
+               "it open");
+  command.callback([options] { run(*options); });
 }
 
 }  // namespace facet::tools

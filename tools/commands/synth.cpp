@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <filesystem>
 #include <memory>
 #include <string>
@@ -82,47 +81,46 @@ void run_synth(SynthOptions options) {
 
 }  // namespace
 
-void add_synth_command(CLI::App& app) {
+void add_synth_command(Command app) {
   auto options = std::make_shared<SynthOptions>();
-  CLI::App* command = app.add_subcommand(
+  const Command command = app.subcommand(
       "synth", "Render a sequence of a virtual actor with known geometry (video, truth meshes, camera)");
-  command->add_option("--seed", options->studio.seed, "Actor, performance, camera and light follow from it")
-      ->capture_default_str();
-  command->add_option("--frames", options->studio.frame_count, "Number of frames at 30 per second")
-      ->capture_default_str()
-      ->check(CLI::Range(1, 1'000'000));
-  command->add_option("--size", options->size, "WIDTHxHEIGHT in pixels")->capture_default_str();
-  command->add_option("--light", options->light, "sh: distant, smooth; area: lamps with soft shadows")
-      ->capture_default_str()
-      ->check(CLI::IsMember({"sh", "area"}));
-  command->add_flag("--highlights", options->studio.highlights, "The skin shines");
-  command->add_flag("--glasses", options->studio.glasses, "The actor wears spectacles");
+  command.option("--seed", options->studio.seed, "Actor, performance, camera and light follow from it")
+      .shows_default();
+  command.option("--frames", options->studio.frame_count, "Number of frames at 30 per second")
+      .shows_default()
+      .range(1, 1'000'000);
+  command.option("--size", options->size, "WIDTHxHEIGHT in pixels").shows_default();
+  command.option("--light", options->light, "sh: distant, smooth; area: lamps with soft shadows")
+      .shows_default()
+      .one_of({"sh", "area"});
+  command.flag("--highlights", options->studio.highlights, "The skin shines");
+  command.flag("--glasses", options->studio.glasses, "The actor wears spectacles");
   command
-      ->add_option("--turn", options->studio.turn_deg,
-                   "Of a video: the head also turns by so many degrees and back")
-      ->check(CLI::Range(-90.0, 90.0))
-      ->capture_default_str();
+      .option("--turn", options->studio.turn_deg,
+              "Of a video: the head also turns by so many degrees and back")
+      .range(-90.0, 90.0)
+      .shows_default();
   command
-      ->add_option("--cameras", options->studio.camera_count,
-                   "Of a video: so many calibrated cameras see the actor, the first one as without this; one "
-                   "video each and rig.toml")
-      ->capture_default_str()
-      ->check(CLI::Range(1, 8));
-  command->add_option("--spread", options->studio.spread_deg, "Degrees from one of those cameras to the next")
-      ->capture_default_str()
-      ->check(CLI::Range(1.0, 60.0));
-  command->add_option("--model", options->model, "Face model file whose topology the actor uses")
-      ->capture_default_str();
-  command->add_option("--vertices", options->max_vertices, "Of a take's finest meshes, at most")
-      ->capture_default_str()
-      ->check(CLI::Range(1'000, 200'000));
+      .option("--cameras", options->studio.camera_count,
+              "Of a video: so many calibrated cameras see the actor, the first one as without this; one "
+              "video each and rig.toml")
+      .shows_default()
+      .range(1, 8);
+  command.option("--spread", options->studio.spread_deg, "Degrees from one of those cameras to the next")
+      .shows_default()
+      .range(1.0, 60.0);
+  command.option("--model", options->model, "Face model file whose topology the actor uses").shows_default();
+  command.option("--vertices", options->max_vertices, "Of a take's finest meshes, at most")
+      .shows_default()
+      .range(1'000, 200'000);
   command
-      ->add_option(
+      .option(
           "-o,--output", options->folder,
           "Folder to write into; or NAME.take: the actor's meshes alone, as a tracker without error would "
           "make them")
-      ->required();
-  command->callback([options] { run_synth(*options); });
+      .required();
+  command.callback([options] { run_synth(*options); });
 }
 
 }  // namespace facet::tools

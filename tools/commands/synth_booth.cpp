@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <array>
 #include <filesystem>
@@ -162,48 +161,46 @@ void run_synth_booth(SynthBoothOptions options) {
 
 }  // namespace
 
-void add_synth_booth_command(CLI::App& app) {
+void add_synth_booth_command(Command app) {
   auto options = std::make_shared<SynthBoothOptions>();
-  CLI::App* command = app.add_subcommand(
+  const Command command = app.subcommand(
       "synth-booth",
       "Render what a booth of six cameras and two stripe projectors would record, with true depth");
-  command->add_option("--seed", options->booth.seed, "Rig, actor, performance and noise follow from it")
-      ->capture_default_str();
-  command->add_option("--scene", options->scene, "actor: performs; plane, sphere: still targets")
-      ->capture_default_str()
-      ->check(CLI::IsMember(kScenes));
-  command->add_option("--slots", options->slots, "Number of slots, 60 a second: stripes A, stripes B, blank")
-      ->capture_default_str()
-      ->check(CLI::Range(1, 36'000));
+  command.option("--seed", options->booth.seed, "Rig, actor, performance and noise follow from it")
+      .shows_default();
+  command.option("--scene", options->scene, "actor: performs; plane, sphere: still targets")
+      .shows_default()
+      .one_of({kScenes.begin(), kScenes.end()});
+  command.option("--slots", options->slots, "Number of slots, 60 a second: stripes A, stripes B, blank")
+      .shows_default()
+      .range(1, 36'000);
   command
-      ->add_option("--first-slot", options->first_slot,
-                   "The actor begins calmly: by slot 150 the head moves as it does later")
-      ->capture_default_str()
-      ->check(CLI::Range(0, 36'000));
+      .option("--first-slot", options->first_slot,
+              "The actor begins calmly: by slot 150 the head moves as it does later")
+      .shows_default()
+      .range(0, 36'000);
   command
-      ->add_option("--resolution", options->booth.resolution,
-                   "Of the cameras: 1 is 640x480 px, 0.5 is 320x240, a quarter of the work")
-      ->capture_default_str()
-      ->check(CLI::Range(0.25, 4.0));
-  command->add_option("--exposure", options->booth.exposure_ms, "Of all cameras, ms; 0: nothing blurs")
-      ->capture_default_str();
-  command->add_option("--samples", options->booth.samples, "Rays a pixel, spread over the exposure")
-      ->capture_default_str()
-      ->check(CLI::Range(1, 64));
+      .option("--resolution", options->booth.resolution,
+              "Of the cameras: 1 is 640x480 px, 0.5 is 320x240, a quarter of the work")
+      .shows_default()
+      .range(0.25, 4.0);
+  command.option("--exposure", options->booth.exposure_ms, "Of all cameras, ms; 0: nothing blurs")
+      .shows_default();
+  command.option("--samples", options->booth.samples, "Rays a pixel, spread over the exposure")
+      .shows_default()
+      .range(1, 64);
   command
-      ->add_option("--head-motion", options->booth.head_motion,
-                   "0: the head is still, 1: it turns by up to 25 degrees")
-      ->capture_default_str();
-  command->add_option("--ambient", options->booth.ambient, "Room light, of the projectors' white")
-      ->capture_default_str();
-  command->add_flag("--quiet-sensor", options->quiet_sensor, "No noise");
-  command->add_option("--meshes", options->meshes, "Slots whose surface is written, 12 MB each")
-      ->capture_default_str()
-      ->check(CLI::IsMember({"all", "blank", "none"}));
-  command->add_option("--model", options->model, "Face model file whose topology the actor uses")
-      ->capture_default_str();
-  command->add_option("-o,--output", options->folder, "Folder to write into")->required();
-  command->callback([options] { run_synth_booth(*options); });
+      .option("--head-motion", options->booth.head_motion,
+              "0: the head is still, 1: it turns by up to 25 degrees")
+      .shows_default();
+  command.option("--ambient", options->booth.ambient, "Room light, of the projectors' white").shows_default();
+  command.flag("--quiet-sensor", options->quiet_sensor, "No noise");
+  command.option("--meshes", options->meshes, "Slots whose surface is written, 12 MB each")
+      .shows_default()
+      .one_of({"all", "blank", "none"});
+  command.option("--model", options->model, "Face model file whose topology the actor uses").shows_default();
+  command.option("-o,--output", options->folder, "Folder to write into").required();
+  command.callback([options] { run_synth_booth(*options); });
 }
 
 }  // namespace facet::tools

@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <cstdio>
 #include <nlohmann/json.hpp>
 
@@ -43,12 +42,12 @@ void print(const json& list) {
 
 }  // namespace
 
-void add_takes_command(CLI::App& app) {
-  CLI::App* command = app.add_subcommand("takes", "List the takes in the daemon's folder, newest first");
-  const auto options = add_daemon_options(*command);
+void add_takes_command(Command app) {
+  const Command command = app.subcommand("takes", "List the takes in the daemon's folder, newest first");
+  const auto options = add_daemon_options(command);
   const auto as_json = std::make_shared<bool>(false);
-  command->add_flag("--json", *as_json, "Print the daemon's answer as JSON");
-  command->callback([options, as_json] {
+  command.flag("--json", *as_json, "Print the daemon's answer as JSON");
+  command.callback([options, as_json] {
     const json list = call_daemon(*options, "takes.list", json::object());
     if (*as_json) {
       std::puts(list.dump(2, ' ', true).c_str());

@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <chrono>
 #include <fstream>
 #include <memory>
@@ -76,18 +75,17 @@ void run(const Options& options) {
 
 }  // namespace
 
-void add_trigger_diagram_command(CLI::App& app) {
+void add_trigger_diagram_command(Command app) {
   auto options = std::make_shared<Options>();
-  CLI::App* command =
-      app.add_subcommand("trigger-diagram", "Draw the edges of a trigger's lines from a recorded edge log");
-  command->add_option("log", options->log, "The edge log")->required();
-  command->add_option("-o,--output", options->output, "PNG to write")->required();
-  command->add_option("--slots", options->slots, "How many slots to show")->check(CLI::Range(1, 1000));
-  command->add_flag(
-      "--record", options->record,
-      "First run a sample program on lines without wires and write the log: shows how exactly this "
-      "machine keeps time");
-  command->callback([options] { run(*options); });
+  const Command command =
+      app.subcommand("trigger-diagram", "Draw the edges of a trigger's lines from a recorded edge log");
+  command.option("log", options->log, "The edge log").required();
+  command.option("-o,--output", options->output, "PNG to write").required();
+  command.option("--slots", options->slots, "How many slots to show").range(1, 1000);
+  command.flag("--record", options->record,
+               "First run a sample program on lines without wires and write the log: shows how exactly this "
+               "machine keeps time");
+  command.callback([options] { run(*options); });
 }
 
 }  // namespace facet::tools

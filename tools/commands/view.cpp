@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <charconv>
 #include <cstdint>
@@ -131,31 +130,28 @@ void run_view(const ViewOptions& options) {
 
 }  // namespace
 
-void add_view_command(CLI::App& app) {
+void add_view_command(Command app) {
   auto options = std::make_shared<ViewOptions>();
-  CLI::App* command = app.add_subcommand(
+  const Command command = app.subcommand(
       "view", "Draw a sheet of a take: input, coarse mesh, normals, shaded mesh, albedo, photometric error");
-  command->add_option("take", options->take, "Take file")->required();
-  command->add_option("-o,--output", options->sheet, "PNG to write")->required();
-  command->add_option(
-      "--frames", options->frames,
-      "Frames of the source by number as in 0,50,100, or a range A:B without B, of which five "
-      "are drawn; default: the whole take");
-  command->add_option("--video", options->video, "The video that the take was made from, where it has moved");
-  CLI::Option* rig = command->add_option(
+  command.option("take", options->take, "Take file").required();
+  command.option("-o,--output", options->sheet, "PNG to write").required();
+  command.option("--frames", options->frames,
+                 "Frames of the source by number as in 0,50,100, or a range A:B without B, of which five "
+                 "are drawn; default: the whole take");
+  command.option("--video", options->video, "The video that the take was made from, where it has moved");
+  command.option(
       "--rig", options->rig,
       "A booth's rig file, for a take that `facet process --rig` made: draws stripes, depth, mesh over the "
       "picture, shaded mesh, texture, error");
+  command.option("--pictures", options->pictures, "The take that the meshes were made of, where it has moved")
+      .needs("--rig");
+  command.option("--depth", options->depth, "The folder that `facet process --depth` wrote").needs("--rig");
   command
-      ->add_option("--pictures", options->pictures,
-                   "The take that the meshes were made of, where it has moved")
-      ->needs(rig);
-  command->add_option("--depth", options->depth, "The folder that `facet process --depth` wrote")->needs(rig);
-  command
-      ->add_option("--truth", options->truth,
-                   "The folder that `facet synth-booth` wrote, where the pictures are of the virtual booth")
-      ->needs(rig);
-  command->callback([options] { run_view(*options); });
+      .option("--truth", options->truth,
+              "The folder that `facet synth-booth` wrote, where the pictures are of the virtual booth")
+      .needs("--rig");
+  command.callback([options] { run_view(*options); });
 }
 
 }  // namespace facet::tools

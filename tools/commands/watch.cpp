@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 #include <unistd.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <chrono>
 #include <cstdint>
@@ -235,23 +234,23 @@ void run_watch(const WatchOptions& options) {
 
 }  // namespace
 
-void add_watch_command(CLI::App& app) {
+void add_watch_command(Command app) {
   auto options = std::make_shared<WatchOptions>();
-  CLI::App* command = app.add_subcommand("watch", "Show the live stream of a running facetd");
-  command->add_option("--socket", options->socket, "Stream socket")->capture_default_str();
-  command->add_option("--frames", options->frames, "Stop after that many frames; 0: when the stream ends")
-      ->capture_default_str();
-  command->add_flag("--json", options->json, "One JSON object per frame, as `facet export --format jsonl`");
-  command->add_option("--save-last", options->save_last,
-                      "At the end write the newest frame with a mesh to this .ply, .obj or .glb file");
-  command->add_option("--save-images", options->save_images,
-                      "At the end write the newest pictures of the cameras into this folder");
-  command->add_flag("--ring", options->ring,
-                    "Read the frames out of shared memory; over the socket where facetd offers none");
-  command->add_option("--wait", options->wait_s, "Seconds to go on trying while facetd is not there yet")
-      ->capture_default_str()
-      ->check(CLI::Range(0.0, 86400.0));
-  command->callback([options] { run_watch(*options); });
+  const Command command = app.subcommand("watch", "Show the live stream of a running facetd");
+  command.option("--socket", options->socket, "Stream socket").shows_default();
+  command.option("--frames", options->frames, "Stop after that many frames; 0: when the stream ends")
+      .shows_default();
+  command.flag("--json", options->json, "One JSON object per frame, as `facet export --format jsonl`");
+  command.option("--save-last", options->save_last,
+                 "At the end write the newest frame with a mesh to this .ply, .obj or .glb file");
+  command.option("--save-images", options->save_images,
+                 "At the end write the newest pictures of the cameras into this folder");
+  command.flag("--ring", options->ring,
+               "Read the frames out of shared memory; over the socket where facetd offers none");
+  command.option("--wait", options->wait_s, "Seconds to go on trying while facetd is not there yet")
+      .shows_default()
+      .range(0.0, 86400.0);
+  command.callback([options] { run_watch(*options); });
 }
 
 }  // namespace facet::tools
