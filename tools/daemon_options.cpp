@@ -1,6 +1,7 @@
 #include "daemon_options.hpp"
 
 #include <chrono>
+#include <cstdio>
 #include <nlohmann/json.hpp>
 
 #include "service/config.hpp"
@@ -32,6 +33,26 @@ nlohmann::json call_daemon(const DaemonOptions& options, const std::string& meth
   // A slow disk may take its time for the beginning and the end of a take; all else is answered at once.
   const bool waits_for_disk = method.starts_with("record.");
   return service::ControlClient(socket, std::chrono::seconds(waits_for_disk ? 60 : 10)).call(method, params);
+}
+
+nlohmann::json call_daemon(const DaemonOptions& options, const std::string& method) {
+  return call_daemon(options, method, nlohmann::json::object());
+}
+
+void add_question(Command program, const std::string& name, const std::string& help,
+                  const std::string& method, void (*print)(const nlohmann::json& answer)) {
+  const Command command = program.subcommand(name, help);
+  const auto options = add_daemon_options(command);
+  const auto as_json = std::make_shared<bool>(false);
+  command.flag("--json", *as_json, "Print the daemon's answer as JSON");
+  command.callback([options, as_json, method, print] {
+    const nlohmann::json answer = call_daemon(*options, method);
+    if (*as_json) {
+      std::puts(answer.dump(2, ' ', true).c_str());
+    } else {
+      print(answer);
+    }
+  });
 }
 
 }  // namespace facet::tools

@@ -21,5 +21,10 @@ std::shared_ptr<DaemonOptions> add_daemon_options(Command command);
 /// error else.
 nlohmann::json call_daemon(const DaemonOptions& options, const std::string& method,
                            const nlohmann::json& params);
+nlohmann::json call_daemon(const DaemonOptions& options, const std::string& method);
+
+/// A subcommand that asks the daemon one thing and prints the answer; with --json as it came.
+void add_question(Command program, const std::string& name, const std::string& help,
+                  const std::string& method, void (*print)(const nlohmann::json& answer));
 
 }  // namespace facet::tools

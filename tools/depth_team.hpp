@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "booth/booth_depth.hpp"
+#include "options.hpp"
 #include "report/depth_folder.hpp"
 
 namespace facet::tools {
@@ -39,6 +40,10 @@ class Team {
 /// For a process that is alone. Throws facet::Error{Usage} where mpirun started several: each would do the
 /// whole work.
 std::unique_ptr<Team> join_nobody();
+
+/// `process`, which `facet-team` has, too.
+/// join  called once, by a run that reads a booth's take
+Command add_process_command(Command program, std::unique_ptr<Team> (*join)());
 
 /// The runs of a take shared out: run n is found by member n modulo the team's size and sent to the leader,
 /// so that the depth maps are those of a single process, number for number. What the folder keeps is read by

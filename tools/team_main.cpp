@@ -1,6 +1,6 @@
 // `facet-team`: `facet process` of a booth's take by the processes that mpirun starts.
 
-#include "commands.hpp"
+#include "depth_team.hpp"
 #include "mpi_team.hpp"
 #include "options.hpp"
 

@@ -16,7 +16,6 @@
 #include "animate/places.hpp"
 #include "animate/streaming_basis.hpp"
 #include "animate_options.hpp"
-#include "commands.hpp"
 #include "exports/export.hpp"
 #include "facet/error.hpp"
 #include "mesh/hierarchy.hpp"

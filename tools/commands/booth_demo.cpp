@@ -22,11 +22,11 @@
 #include <vector>
 
 #include "capture/rig_file.hpp"
-#include "commands.hpp"
 #include "facet/assets.hpp"
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
+#include "options.hpp"
 #include "progress.hpp"
 #include "service/control_client.hpp"
 #include "stop_signals.hpp"

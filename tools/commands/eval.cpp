@@ -9,9 +9,9 @@
 #include <optional>
 #include <string>
 
-#include "commands.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
+#include "options.hpp"
 #include "progress.hpp"
 #include "report/take_evaluation.hpp"
 #include "take/reader.hpp"

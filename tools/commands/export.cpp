@@ -11,11 +11,11 @@
 #include <variant>
 #include <vector>
 
-#include "commands.hpp"
 #include "exports/formats.hpp"
 #include "face/face_model.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
+#include "options.hpp"
 #include "progress.hpp"
 #include "report/set_pictures.hpp"
 #include "stop_signals.hpp"

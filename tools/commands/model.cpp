@@ -8,13 +8,13 @@
 #include <memory>
 #include <string>
 
-#include "commands.hpp"
 #include "facet/assets.hpp"
 #include "facet/error.hpp"
 #include "model/build_model.hpp"
 #include "model/contact_sheet.hpp"
 #include "model/ict_model.hpp"
 #include "model/landmark_map.hpp"
+#include "options.hpp"
 #include "progress.hpp"
 #include "tell.hpp"
 

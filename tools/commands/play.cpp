@@ -10,9 +10,9 @@
 #include <memory>
 #include <string>
 
-#include "commands.hpp"
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
+#include "options.hpp"
 #include "progress.hpp"
 #include "service/config.hpp"
 #include "service/default_paths.hpp"

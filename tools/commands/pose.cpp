@@ -11,7 +11,6 @@
 #include "animate/face_ik.hpp"
 #include "animate/places.hpp"
 #include "animate_options.hpp"
-#include "commands.hpp"
 #include "exports/formats.hpp"
 #include "facet/error.hpp"
 #include "mesh/hierarchy.hpp"

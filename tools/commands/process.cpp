@@ -17,9 +17,9 @@
 
 #include "booth/face_points.hpp"
 #include "capture/rig_file.hpp"
-#include "commands.hpp"
 #include "depth_team.hpp"
 #include "facet/error.hpp"
+#include "options.hpp"
 #include "pipeline/booth_meshes.hpp"
 #include "pipeline/calibrated_camera.hpp"
 #include "pipeline/monocular.hpp"
@@ -607,6 +607,10 @@ Command add_process_command(Command app, std::unique_ptr<Team> (*join)()) {
     options->rig.empty() || views ? run_monocular(*options) : run_booth(*options, join);
   });
   return command;
+}
+
+void add_process_command(Command program) {
+  add_process_command(program, join_nobody);
 }
 
 }  // namespace facet::tools

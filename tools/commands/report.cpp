@@ -16,10 +16,10 @@
 #include <string>
 #include <vector>
 
-#include "commands.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
 #include "maths/statistics.hpp"
+#include "options.hpp"
 #include "progress.hpp"
 #include "render/renderer.hpp"
 #include "report/html_plot.hpp"

@@ -13,10 +13,10 @@
 
 #include "avatar/retarget.hpp"
 #include "avatar/skin.hpp"
-#include "commands.hpp"
 #include "exports/export.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
+#include "options.hpp"
 #include "progress.hpp"
 #include "stop_signals.hpp"
 #include "take_frames.hpp"

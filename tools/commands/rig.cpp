@@ -11,9 +11,9 @@
 
 #include "calibration/exchange.hpp"
 #include "capture/rig_file.hpp"
-#include "commands.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
+#include "options.hpp"
 #include "tell.hpp"
 
 namespace facet::tools {

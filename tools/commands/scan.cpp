@@ -14,11 +14,11 @@
 
 #include "capture/code_sequence.hpp"
 #include "capture/rig_file.hpp"
-#include "commands.hpp"
 #include "facet/error.hpp"
 #include "files/pfm.hpp"
 #include "maths/statistics.hpp"
 #include "natural_order.hpp"
+#include "options.hpp"
 #include "progress.hpp"
 #include "render/renderer.hpp"
 #include "report/depth_pictures.hpp"

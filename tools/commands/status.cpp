@@ -2,12 +2,10 @@
 
 #include <fmt/format.h>
 
-#include <cstdio>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
 
-#include "commands.hpp"
 #include "daemon_options.hpp"
 #include "pipeline/status.hpp"
 #include "tell.hpp"
@@ -187,20 +185,9 @@ void print(const json& status) {
 
 }  // namespace
 
-void add_status_command(Command app) {
-  const Command command =
-      app.subcommand("status", "What the daemon does: state, frames, rate, times per stage, readers");
-  const auto options = add_daemon_options(command);
-  const auto as_json = std::make_shared<bool>(false);
-  command.flag("--json", *as_json, "Print the daemon's answer as JSON");
-  command.callback([options, as_json] {
-    const json status = call_daemon(*options, "status", json::object());
-    if (*as_json) {
-      std::puts(status.dump(2, ' ', true).c_str());
-    } else {
-      print(status);
-    }
-  });
+void add_status_command(Command program) {
+  add_question(program, "status", "What the daemon does: state, frames, rate, times per stage, readers",
+               "status", print);
 }
 
 }  // namespace facet::tools

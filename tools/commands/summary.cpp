@@ -10,9 +10,9 @@
 #include <string>
 #include <vector>
 
-#include "commands.hpp"
 #include "facet/error.hpp"
 #include "maths/statistics.hpp"
+#include "options.hpp"
 #include "progress.hpp"
 #include "take/closing.hpp"
 #include "take/reader.hpp"

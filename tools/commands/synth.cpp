@@ -6,9 +6,9 @@
 #include <memory>
 #include <string>
 
-#include "commands.hpp"
 #include "facet/assets.hpp"
 #include "facet/error.hpp"
+#include "options.hpp"
 #include "picture_size.hpp"
 #include "progress.hpp"
 #include "simulation/actor_take.hpp"

@@ -12,11 +12,11 @@
 #include <system_error>
 
 #include "capture/rig_file.hpp"
-#include "commands.hpp"
 #include "facet/assets.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
 #include "files/pfm.hpp"
+#include "options.hpp"
 #include "progress.hpp"
 #include "render/renderer.hpp"
 #include "simulation/virtual_booth.hpp"

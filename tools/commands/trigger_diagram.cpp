@@ -7,10 +7,10 @@
 #include <memory>
 #include <string>
 
-#include "commands.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
 #include "files/text_file.hpp"
+#include "options.hpp"
 #include "render/renderer.hpp"
 #include "report/trigger_diagram.hpp"
 #include "tell.hpp"

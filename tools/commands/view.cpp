@@ -13,8 +13,8 @@
 #include <vector>
 
 #include "capture/rig_file.hpp"
-#include "commands.hpp"
 #include "facet/error.hpp"
+#include "options.hpp"
 #include "progress.hpp"
 #include "report/booth_sheet.hpp"
 #include "report/sheet.hpp"

@@ -13,10 +13,10 @@
 #include <string>
 #include <thread>
 
-#include "commands.hpp"
 #include "exports/formats.hpp"
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
+#include "options.hpp"
 #include "report/set_pictures.hpp"
 #include "stream/client.hpp"
 #include "stream/ring_layout.h"
