@@ -150,17 +150,8 @@ void close(const std::string& file) {
   }
 }
 
-void run(const Options& options) {
-  if (options.close) {
-    close(options.take);
-  }
-  take::TakeReader reader(options.take);
-  if (options.last_mesh_frame) {
-    print_last_mesh_frame(reader);
-    return;
-  }
-  const take::TakeInfo& info = reader.info();
-  const std::int64_t frame_count = reader.frame_count();
+/// What the frames of a take say of themselves.
+struct TakeFigures {
   std::array<std::int64_t, 4> states{};
   std::array<std::vector<float>, kStages.size()> times_ms;
   std::vector<float> photometric_rms;
@@ -171,37 +162,44 @@ void run(const Options& options) {
   std::size_t levels = 0;
   std::string degraded_reason;
   PictureFigures pictures;
-  {
-    Progress progress("Reading", static_cast<std::uint64_t>(frame_count));
-    for (std::int64_t i = 0; i < frame_count; ++i) {
-      const auto frame = reader.frame(i, take::Pictures::Described);
-      ++states[static_cast<std::size_t>(frame->state)];
-      if (frame->images != nullptr) {
-        pictures.add(*frame->images);
+
+  void add(const mesh::MeshFrame& frame) {
+    ++states[static_cast<std::size_t>(frame.state)];
+    if (frame.images != nullptr) {
+      pictures.add(*frame.images);
+    }
+    if (frame.degraded) {
+      ++degraded;
+      degraded_reason = frame.degraded_reason;
+    }
+    for (std::size_t s = 0; s < kStages.size(); ++s) {
+      if (const float time_ms = frame.stage_ms.*(kStages[s].time_ms); time_ms > 0) {
+        times_ms[s].push_back(time_ms);
       }
-      if (frame->degraded) {
-        ++degraded;
-        degraded_reason = frame->degraded_reason;
-      }
-      for (std::size_t s = 0; s < kStages.size(); ++s) {
-        if (const float time_ms = frame->stage_ms.*(kStages[s].time_ms); time_ms > 0) {
-          times_ms[s].push_back(time_ms);
-        }
-      }
-      if (frame->state == mesh::TrackingState::Tracking) {
-        reprojection_px.push_back(frame->reprojection_px);
-      }
-      if (!frame->displacements_mm.empty()) {
-        ++refined;
-        photometric_rms.push_back(frame->photometric_rms);
-        finest_vertices = static_cast<std::int64_t>(frame->displacements_mm.size());
-        levels = frame->subject->hierarchy->levels.size();
-      }
-      progress.advance();
+    }
+    if (frame.state == mesh::TrackingState::Tracking) {
+      reprojection_px.push_back(frame.reprojection_px);
+    }
+    if (!frame.displacements_mm.empty()) {
+      ++refined;
+      photometric_rms.push_back(frame.photometric_rms);
+      finest_vertices = static_cast<std::int64_t>(frame.displacements_mm.size());
+      levels = frame.subject->hierarchy->levels.size();
     }
   }
+};
 
-  const double seconds = static_cast<double>(info.last_timestamp_ns - info.first_timestamp_ns) * 1e-9;
+TakeFigures read(take::TakeReader& reader) {
+  TakeFigures figures;
+  Progress progress("Reading", static_cast<std::uint64_t>(reader.frame_count()));
+  for (std::int64_t i = 0; i < reader.frame_count(); ++i) {
+    figures.add(*reader.frame(i, take::Pictures::Described));
+    progress.advance();
+  }
+  return figures;
+}
+
+void print_take(const take::TakeInfo& info) {
   tell("take          {}\n", info.file.string());
   tell("source        {}\n", info.source);
   tell("recorded      {} by {}{}\n", info.created_utc, info.software,
@@ -209,42 +207,69 @@ void run(const Options& options) {
   if (!info.end_reason.empty()) {
     tell("ended         {}\n", info.end_reason);
   }
+}
+
+void print_frames(const TakeFigures& figures, const take::TakeInfo& info, std::int64_t frame_count,
+                  double rate_hz) {
+  const auto count = [&](mesh::TrackingState state) {
+    return figures.states[static_cast<std::size_t>(state)];
+  };
   tell("frames        {} ({} tracking, {} acquiring, {} searching, {} lost; {} refined; {} not recorded)\n",
-       frame_count, states[static_cast<std::size_t>(mesh::TrackingState::Tracking)],
-       states[static_cast<std::size_t>(mesh::TrackingState::Acquiring)],
-       states[static_cast<std::size_t>(mesh::TrackingState::Searching)],
-       states[static_cast<std::size_t>(mesh::TrackingState::Lost)], refined, info.dropped);
-  if (degraded > 0) {
-    tell("degraded      {} frames, the last one because: {}\n", degraded, degraded_reason);
+       frame_count, count(mesh::TrackingState::Tracking), count(mesh::TrackingState::Acquiring),
+       count(mesh::TrackingState::Searching), count(mesh::TrackingState::Lost), figures.refined,
+       info.dropped);
+  if (figures.degraded > 0) {
+    tell("degraded      {} frames, the last one because: {}\n", figures.degraded, figures.degraded_reason);
   }
-  if (refined > 0) {
-    tell("mesh          {} vertices on the finest of {} levels\n", finest_vertices, levels);
+  if (figures.refined > 0) {
+    tell("mesh          {} vertices on the finest of {} levels\n", figures.finest_vertices, figures.levels);
   }
-  const double rate_hz = frame_count > 1 && seconds > 0 ? static_cast<double>(frame_count - 1) / seconds : 0;
   if (rate_hz > 0) {
     tell("rate          {:.2f} frames per second\n", rate_hz);
   }
   tell("size          {:.1f} MB, {:.1f} KB a frame\n", static_cast<double>(info.file_bytes) / 1e6,
        static_cast<double>(info.file_bytes) / 1e3 /
            static_cast<double>(std::max<std::int64_t>(1, frame_count)));
-  if (pictures.sets > 0) {
-    print_pictures(pictures, info, rate_hz);
+}
+
+void print_errors_and_times(const TakeFigures& figures) {
+  if (!figures.reprojection_px.empty()) {
+    tell("reprojection  {:.2f} px median of the frames' medians\n", quantile(figures.reprojection_px, 0.5));
   }
-  const int faults = print_faults(reader);
-  if (!reprojection_px.empty()) {
-    tell("reprojection  {:.2f} px median of the frames' medians\n", quantile(reprojection_px, 0.5));
-  }
-  if (!photometric_rms.empty()) {
+  if (!figures.photometric_rms.empty()) {
     tell("photometric   {:.4f} mean rms error, {:.4f} worst frame (linear light, 0 to 1)\n",
-         mean(photometric_rms), quantile(photometric_rms, 1.0));
+         mean(figures.photometric_rms), quantile(figures.photometric_rms, 1.0));
   }
   tell("\n{:<24} {:>9} {:>9} {:>9} {:>8}\n", "stage", "mean ms", "median", "p95", "frames");
   for (std::size_t s = 0; s < kStages.size(); ++s) {
-    if (!times_ms[s].empty()) {
-      tell("{:<24} {:>9.2f} {:>9.2f} {:>9.2f} {:>8}\n", kStages[s].name, mean(times_ms[s]),
-           quantile(times_ms[s], 0.5), quantile(times_ms[s], 0.95), times_ms[s].size());
+    if (const std::vector<float>& times_ms = figures.times_ms[s]; !times_ms.empty()) {
+      tell("{:<24} {:>9.2f} {:>9.2f} {:>9.2f} {:>8}\n", kStages[s].name, mean(times_ms),
+           quantile(times_ms, 0.5), quantile(times_ms, 0.95), times_ms.size());
     }
   }
+}
+
+void run(const Options& options) {
+  if (options.close) {
+    close(options.take);
+  }
+  take::TakeReader reader(options.take);
+  if (options.last_mesh_frame) {
+    print_last_mesh_frame(reader);
+    return;
+  }
+  const take::TakeInfo& info = reader.info();
+  const TakeFigures figures = read(reader);
+  const double seconds = static_cast<double>(info.last_timestamp_ns - info.first_timestamp_ns) * 1e-9;
+  const double rate_hz =
+      reader.frame_count() > 1 && seconds > 0 ? static_cast<double>(reader.frame_count() - 1) / seconds : 0;
+  print_take(info);
+  print_frames(figures, info, reader.frame_count(), rate_hz);
+  if (figures.pictures.sets > 0) {
+    print_pictures(figures.pictures, info, rate_hz);
+  }
+  const int faults = print_faults(reader);
+  print_errors_and_times(figures);
   if (options.verify) {
     tell("\n");
     verify(reader);
