@@ -351,7 +351,7 @@ void Batch::Impl::bind(const Kernel::Impl& kernel, std::span<const Binding> bind
                        push.size()));
   }
   const DeviceApi& api = device->api();
-  const std::vector<BindingInfo>& wanted = kernel.interface.bindings;
+  const std::span<const BindingInfo> wanted = kernel.interface.bindings;
   const VkDescriptorSet set = allocate_set(kernel.set_layout);
   std::vector<bool> given(wanted.size(), false);
   for (const Binding& binding : bindings) {

@@ -59,7 +59,7 @@ Kernel::Impl::Impl(std::shared_ptr<Device> on, ShaderSet set, std::string_view c
                    std::span<const Constant> constants)
     : device(std::move(on)), name(called) {
   const Shader& shader = find(set, called);
-  interface = reflect(shader.words);
+  interface = shader.interface;
   try {
     make(shader, constants);
   } catch (...) {
@@ -161,7 +161,7 @@ void Kernel::Impl::make(const Shader& shader, std::span<const Constant> constant
   pipeline_info.stage.sType = VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO;
   pipeline_info.stage.stage = VK_SHADER_STAGE_COMPUTE_BIT;
   pipeline_info.stage.module = module;
-  pipeline_info.stage.pName = interface.entry_point.c_str();
+  pipeline_info.stage.pName = "main";
   pipeline_info.stage.pSpecializationInfo = &specialization;
   pipeline_info.layout = pipeline_layout;
   const VkResult result =

@@ -11,18 +11,9 @@
 #include <string_view>
 
 #include "gpu/context.hpp"
-#include "gpu/spirv.hpp"
+#include "gpu/shader.hpp"
 
 namespace facet::gpu {
-
-/// One embedded kernel as facet_shaders() (cmake/FacetShaders.cmake) builds it.
-struct Shader {
-  std::string_view name;  ///< path below shaders/ without its ending: "refine/jacobian_product"
-  std::span<const std::uint32_t> words;
-};
-
-/// All kernels of one room: `facet::shaders::refine::kernels()` from the generated "refine_shaders.hpp".
-using ShaderSet = std::span<const Shader>;
 
 /// A value for a specialization constant, by the name it has in the shader. The workgroup size, where the
 /// shader sets it with `local_size_x_id`, is called "local_size_x" (y, z).

@@ -8,11 +8,11 @@ layout(constant_id = 2) const int shift = -3;
 layout(constant_id = 3) const float weight = 0.5;
 layout(constant_id = 4) const bool negate = false;
 
-uniform Parameters {
+struct Pair {
   vec4 first;
   vec4 second;
-}
-parameters;
+};
+uniform Parameters { Pair parameters; };
 buffer Values { float values[]; };
 
 void main() {
