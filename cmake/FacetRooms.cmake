@@ -87,6 +87,21 @@ function(facet_room name)
   endif()
 endfunction()
 
+# facet_schema(<target> <file.fbs>): "<file>_generated.h" in the build folder, which only this target's .cpp files include.
+function(facet_schema target file)
+  find_program(FLATC flatc REQUIRED)
+  get_filename_component(name "${file}" NAME_WE)
+  set(out "${CMAKE_CURRENT_BINARY_DIR}/generated")
+  add_custom_command(
+    OUTPUT "${out}/${name}_generated.h"
+    COMMAND "${FLATC}" --cpp --scoped-enums --no-prefix -o "${out}" "${CMAKE_CURRENT_SOURCE_DIR}/${file}"
+    DEPENDS "${CMAKE_CURRENT_SOURCE_DIR}/${file}"
+    COMMENT "FlatBuffers: ${file}"
+    VERBATIM)
+  target_sources(${target} PRIVATE "${out}/${name}_generated.h")
+  target_include_directories(${target} SYSTEM PRIVATE "${out}")
+endfunction()
+
 # facet_test(<room> SOURCES <files> [ROOMS <rooms>] [LIBS <external>] [TOGETHER <suites>]): one gtest program test_<room>,
 # each case a ctest; of the suites named after TOGETHER, whose cases share something that takes long to make, each
 # suite is one. ctest runs each with the Vulkan validation layers on, where they are installed.

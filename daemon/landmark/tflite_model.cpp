@@ -2,298 +2,182 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <bit>
 #include <cstring>
-#include <optional>
 
+#include "facet/assert.hpp"
 #include "facet/error.hpp"
+#include "tflite_generated.h"
 
 namespace facet::landmark {
 namespace {
 
-static_assert(std::endian::native == std::endian::little, "FlatBuffers are read in place");
-
+constexpr int max_depth = 8;           ///< of tables in each other; the format's go 5 deep
+constexpr int max_tables = 1'000'000;  ///< bounds the time where vectors share their tables
 constexpr std::size_t max_rank = 6;
 constexpr std::size_t max_operands =
     64;                              ///< of one operator: bounds the memory that shared vectors could claim
 constexpr int max_extent = 1 << 24;  ///< of one dimension
 constexpr int max_stride = 64;
 
-// Field numbers and codes of TensorFlow's schema, version 3.
-namespace model_field {
-constexpr int operator_codes = 1;
-constexpr int subgraphs = 2;
-constexpr int buffers = 4;
-}  // namespace model_field
-namespace code_field {
-constexpr int old_builtin = 0;
-constexpr int custom_name = 1;
-constexpr int builtin = 3;
-}  // namespace code_field
-namespace graph_field {
-constexpr int tensors = 0;
-constexpr int inputs = 1;
-constexpr int outputs = 2;
-constexpr int operators = 3;
-}  // namespace graph_field
-namespace tensor_field {
-constexpr int shape = 0;
-constexpr int type = 1;
-constexpr int buffer = 2;
-constexpr int name = 3;
-}  // namespace tensor_field
-namespace operator_field {
-constexpr int code_index = 0;
-constexpr int inputs = 1;
-constexpr int outputs = 2;
-constexpr int options = 4;
-constexpr int custom_options = 5;
-}  // namespace operator_field
-
-std::optional<OperatorKind> kind_of(int builtin) {
-  switch (builtin) {
-    case 0:
-      return OperatorKind::Add;
-    case 2:
-      return OperatorKind::Concatenation;
-    case 3:
-      return OperatorKind::Conv2d;
-    case 4:
-      return OperatorKind::DepthwiseConv2d;
-    case 6:
-      return OperatorKind::Dequantize;
-    case 17:
-      return OperatorKind::MaxPool2d;
-    case 18:
-      return OperatorKind::Mul;
-    case 19:
-      return OperatorKind::Relu;
-    case 22:
-      return OperatorKind::Reshape;
-    case 32:
-      return OperatorKind::Custom;
-    case 34:
-      return OperatorKind::Pad;
-    case 45:
-      return OperatorKind::StridedSlice;
-    case 54:
-      return OperatorKind::Prelu;
-    default:
-      return std::nullopt;
+bool is_known(OperatorKind kind) {
+  switch (kind) {
+    case OperatorKind::Add:
+    case OperatorKind::Concatenation:
+    case OperatorKind::Conv2d:
+    case OperatorKind::DepthwiseConv2d:
+    case OperatorKind::Dequantize:
+    case OperatorKind::MaxPool2d:
+    case OperatorKind::Mul:
+    case OperatorKind::Relu:
+    case OperatorKind::Reshape:
+    case OperatorKind::Custom:
+    case OperatorKind::Pad:
+    case OperatorKind::StridedSlice:
+    case OperatorKind::Prelu:
+      return true;
   }
+  return false;
 }
 
-TensorType type_of(int type) {
-  switch (type) {
-    case 0:
-      return TensorType::Float32;
-    case 1:
-      return TensorType::Float16;
-    case 2:
-      return TensorType::Int32;
-    default:
-      return TensorType::Other;
-  }
+TensorType type_of(int code) {
+  return code >= 0 && code < static_cast<int>(TensorType::Other) ? static_cast<TensorType>(code)
+                                                                 : TensorType::Other;
 }
 
 std::size_t element_size(TensorType type) {
   return type == TensorType::Float16 ? 2 : 4;
 }
 
-/// The bytes of a FlatBuffer; nothing is read outside them.
-class Buffer {
- public:
-  Buffer(std::span<const std::uint8_t> bytes, const std::string& name) : bytes_(bytes), name_(name) {}
+std::span<const std::uint8_t> bytes_of(const flatbuffers::Vector<std::uint8_t>* bytes) {
+  return bytes == nullptr ? std::span<const std::uint8_t>() : std::span(bytes->data(), bytes->size());
+}
 
+std::string_view text_of(const flatbuffers::String* text) {
+  return text == nullptr ? std::string_view() : std::string_view(text->data(), text->size());
+}
+
+template <typename T>
+std::size_t count_of(const flatbuffers::Vector<T>* vector) {
+  return vector == nullptr ? 0 : vector->size();
+}
+
+/// What a verified file says beyond its structure, checked.
+class Reader {
+ public:
+  Reader(const tflite::Model& model, const std::string& name) : model_(model), name_(name) {}
+
+  TfliteModel read() const;
+
+ private:
   [[noreturn]] void fail(const std::string& what) const {
     throw Error(ErrorKind::UnreadableInput, fmt::format("{}: {}", name_, what));
   }
-  std::size_t size() const { return bytes_.size(); }
-
-  template <typename T>
-  T read(std::size_t at) const {
-    check(at, sizeof(T));
-    T value;
-    std::memcpy(&value, bytes_.data() + at, sizeof(T));
+  int checked(int value, int low, int high, const char* what) const {
+    if (value < low || value > high) {
+      fail(fmt::format("{} is {}, expected {} to {}", what, value, low, high));
+    }
     return value;
   }
-  std::span<const std::uint8_t> bytes(std::size_t at, std::size_t count) const {
-    check(at, count);
-    return bytes_.subspan(at, count);
-  }
-  /// Where the offset stored at `at` points.
-  std::size_t follow(std::size_t at) const {
-    const std::size_t target = at + read<std::uint32_t>(at);
-    check(target, sizeof(std::uint32_t));
-    return target;
-  }
-
- private:
-  void check(std::size_t at, std::size_t count) const {
-    if (at > bytes_.size() || count > bytes_.size() - at) {
-      fail(fmt::format("damaged: {} bytes at {} of {}", count, at, bytes_.size()));
+  std::vector<int> ints(const flatbuffers::Vector<std::int32_t>* values, std::size_t limit,
+                        const char* what) const {
+    if (count_of(values) > limit) {
+      fail(fmt::format("{} {}, at most {} are understood", values->size(), what, limit));
     }
+    return values == nullptr ? std::vector<int>() : std::vector<int>(values->begin(), values->end());
   }
 
-  std::span<const std::uint8_t> bytes_;
+  template <typename Options>
+  const Options& options_of(const tflite::Operator& op) const {
+    const Options* options = op.options_as<Options>();
+    if (options == nullptr) {
+      fail("an operator lacks the options of its kind");
+    }
+    return *options;
+  }
+  /// Padding and strides, which the options of three operators have.
+  template <typename Options>
+  void read_window(const Options& options, TfliteOperator& op) const {
+    op.padding = static_cast<PaddingMode>(checked(options.padding(), 0, 1, "a padding mode"));
+    op.stride_columns = checked(options.stride_w(), 1, max_stride, "a stride");
+    op.stride_rows = checked(options.stride_h(), 1, max_stride, "a stride");
+  }
+  template <typename Options>
+  void check_undilated(const Options& options) const {
+    checked(options.dilation_w(), 1, 1, "a dilation");
+    checked(options.dilation_h(), 1, 1, "a dilation");
+  }
+  void read_options(const tflite::Operator& from, TfliteOperator& op) const;
+  TfliteTensor read_tensor(const tflite::Tensor& tensor) const;
+  TfliteOperator read_operator(const tflite::Operator& from) const;
+
+  const tflite::Model& model_;
   const std::string& name_;
 };
 
-/// A vector of a FlatBuffer: element count and where the elements start.
-struct Vector {
-  std::size_t count = 0;
-  std::size_t first = 0;
-};
-
-class Table {
- public:
-  Table(const Buffer& buffer, std::size_t at) : buffer_(&buffer), at_(at) {
-    const auto back = static_cast<std::int64_t>(buffer.read<std::int32_t>(at));
-    const std::int64_t fields = static_cast<std::int64_t>(at) - back;
-    if (fields < 0) {
-      buffer.fail(fmt::format("damaged: the table at {} has its fields before the file", at));
-    }
-    fields_ = static_cast<std::size_t>(fields);
-    fields_size_ = buffer.read<std::uint16_t>(fields_);
-  }
-
-  template <typename T>
-  T scalar(int field, T missing) const {
-    const std::size_t at = find(field);
-    return at == 0 ? missing : buffer_->read<T>(at);
-  }
-  std::optional<Table> table(int field) const {
-    const std::size_t at = find(field);
-    return at == 0 ? std::nullopt : std::optional<Table>(Table(*buffer_, buffer_->follow(at)));
-  }
-  Vector vector(int field, std::size_t element_bytes) const {
-    const std::size_t at = find(field);
-    if (at == 0) {
-      return {};
-    }
-    const std::size_t head = buffer_->follow(at);
-    const Vector vector{buffer_->read<std::uint32_t>(head), head + sizeof(std::uint32_t)};
-    buffer_->bytes(vector.first, vector.count * element_bytes);
-    return vector;
-  }
-  std::span<const std::uint8_t> bytes(int field) const {
-    const Vector content = vector(field, 1);
-    return content.count == 0 ? std::span<const std::uint8_t>()
-                              : buffer_->bytes(content.first, content.count);
-  }
-  std::string_view text(int field) const {
-    const auto content = bytes(field);
-    return {reinterpret_cast<const char*>(content.data()), content.size()};
-  }
-  std::vector<int> ints(int field, std::size_t limit, const char* what) const {
-    const Vector content = vector(field, sizeof(std::int32_t));
-    if (content.count > limit) {
-      buffer_->fail(fmt::format("{} {}, at most {} are understood", content.count, what, limit));
-    }
-    std::vector<int> values(content.count);
-    for (std::size_t i = 0; i < content.count; ++i) {
-      values[i] = buffer_->read<std::int32_t>(content.first + i * sizeof(std::int32_t));
-    }
-    return values;
-  }
-  Table element(const Vector& tables, std::size_t index) const {
-    return {*buffer_, buffer_->follow(tables.first + index * sizeof(std::uint32_t))};
-  }
-
- private:
-  /// Where a field's value lies, 0 where the table leaves it out.
-  std::size_t find(int field) const {
-    const std::size_t slot = 4 + 2 * static_cast<std::size_t>(field);
-    if (slot + 2 > fields_size_) {
-      return 0;
-    }
-    const std::size_t offset = buffer_->read<std::uint16_t>(fields_ + slot);
-    return offset == 0 ? 0 : at_ + offset;
-  }
-
-  const Buffer* buffer_;
-  std::size_t at_;
-  std::size_t fields_ = 0;
-  std::size_t fields_size_ = 0;
-};
-
-int checked(const Buffer& buffer, int value, int low, int high, const char* what) {
-  if (value < low || value > high) {
-    buffer.fail(fmt::format("{} is {}, expected {} to {}", what, value, low, high));
-  }
-  return value;
-}
-
-PaddingMode padding_of(const Buffer& buffer, int code) {
-  return checked(buffer, code, 0, 1, "a padding mode") == 0 ? PaddingMode::Same : PaddingMode::Valid;
-}
-
-void read_options(const Buffer& buffer, const std::optional<Table>& options, TfliteOperator& op) {
-  const auto integer = [&](int field, int missing) {
-    return options ? options->scalar<std::int32_t>(field, missing) : missing;
-  };
-  const auto byte = [&](int field) -> int { return options ? options->scalar<std::int8_t>(field, 0) : 0; };
+void Reader::read_options(const tflite::Operator& from, TfliteOperator& op) const {
   int activation = 0;
   switch (op.kind) {
-    case OperatorKind::Conv2d:
-      op.padding = padding_of(buffer, byte(0));
-      op.stride_columns = checked(buffer, integer(1, 1), 1, max_stride, "a stride");
-      op.stride_rows = checked(buffer, integer(2, 1), 1, max_stride, "a stride");
-      activation = byte(3);
-      checked(buffer, integer(4, 1), 1, 1, "a dilation");
-      checked(buffer, integer(5, 1), 1, 1, "a dilation");
+    case OperatorKind::Conv2d: {
+      const auto& options = options_of<tflite::Conv2DOptions>(from);
+      read_window(options, op);
+      check_undilated(options);
+      activation = options.activation();
       break;
-    case OperatorKind::DepthwiseConv2d:
-      op.padding = padding_of(buffer, byte(0));
-      op.stride_columns = checked(buffer, integer(1, 1), 1, max_stride, "a stride");
-      op.stride_rows = checked(buffer, integer(2, 1), 1, max_stride, "a stride");
-      checked(buffer, integer(3, 1), 1, 1, "a depth multiplier");
-      activation = byte(4);
-      checked(buffer, integer(5, 1), 1, 1, "a dilation");
-      checked(buffer, integer(6, 1), 1, 1, "a dilation");
+    }
+    case OperatorKind::DepthwiseConv2d: {
+      const auto& options = options_of<tflite::DepthwiseConv2DOptions>(from);
+      read_window(options, op);
+      check_undilated(options);
+      checked(options.depth_multiplier(), 0, 1, "a depth multiplier");  // 0: what the weights' shape says
+      activation = options.activation();
       break;
-    case OperatorKind::MaxPool2d:
-      op.padding = padding_of(buffer, byte(0));
-      op.stride_columns = checked(buffer, integer(1, 1), 1, max_stride, "a stride");
-      op.stride_rows = checked(buffer, integer(2, 1), 1, max_stride, "a stride");
-      op.filter_columns = checked(buffer, integer(3, 1), 1, max_stride, "a filter size");
-      op.filter_rows = checked(buffer, integer(4, 1), 1, max_stride, "a filter size");
-      activation = byte(5);
+    }
+    case OperatorKind::MaxPool2d: {
+      const auto& options = options_of<tflite::Pool2DOptions>(from);
+      read_window(options, op);
+      op.filter_columns = checked(options.filter_w(), 1, max_stride, "a filter size");
+      op.filter_rows = checked(options.filter_h(), 1, max_stride, "a filter size");
+      activation = options.activation();
       break;
-    case OperatorKind::Concatenation:
-      op.axis = checked(buffer, integer(0, 0), 0, static_cast<int>(max_rank) - 1, "an axis");
-      activation = byte(1);
+    }
+    case OperatorKind::Concatenation: {
+      const auto& options = options_of<tflite::ConcatenationOptions>(from);
+      op.axis = checked(options.axis(), 0, static_cast<int>(max_rank) - 1, "an axis");
+      activation = options.activation();
       break;
+    }
     case OperatorKind::Add:
-    case OperatorKind::Mul:
-      activation = byte(0);
+      activation = options_of<tflite::AddOptions>(from).activation();
       break;
+    case OperatorKind::Mul:
+      activation = options_of<tflite::MulOptions>(from).activation();
+      break;
+    case OperatorKind::Custom:
     case OperatorKind::Dequantize:
     case OperatorKind::Pad:
     case OperatorKind::Prelu:
     case OperatorKind::Relu:
     case OperatorKind::Reshape:
     case OperatorKind::StridedSlice:
-    case OperatorKind::Custom:
       break;
   }
-  checked(buffer, activation, 0, 0, "a fused activation");
+  checked(activation, 0, 0, "a fused activation");
 }
 
-TfliteTensor read_tensor(const Buffer& buffer, const Table& tensor, const Table& model,
-                         const Vector& buffers) {
+TfliteTensor Reader::read_tensor(const tflite::Tensor& tensor) const {
   TfliteTensor result;
-  result.name = tensor.text(tensor_field::name);
-  result.type = type_of(tensor.scalar<std::int8_t>(tensor_field::type, 0));
-  result.shape = tensor.ints(tensor_field::shape, max_rank, "dimensions");
+  result.name = text_of(tensor.name());
+  result.type = type_of(tensor.type());
+  result.shape = ints(tensor.shape(), max_rank, "dimensions");
   for (const int extent : result.shape) {
-    checked(buffer, extent, 1, max_extent, "a tensor's extent");
+    checked(extent, 1, max_extent, "a tensor's extent");
   }
-  const auto index = tensor.scalar<std::uint32_t>(tensor_field::buffer, 0);
-  if (index >= buffers.count) {
-    buffer.fail(fmt::format("a tensor names buffer {} of {}", index, buffers.count));
+  if (tensor.buffer() >= count_of(model_.buffers())) {
+    fail(fmt::format("a tensor names buffer {} of {}", tensor.buffer(), count_of(model_.buffers())));
   }
-  result.data = model.element(buffers, index).bytes(0);
+  result.data = bytes_of(model_.buffers()->Get(tensor.buffer())->data());
   if (result.data.empty() || result.type == TensorType::Other) {
     return result;
   }
@@ -306,35 +190,62 @@ TfliteTensor read_tensor(const Buffer& buffer, const Table& tensor, const Table&
     elements /= static_cast<std::size_t>(extent);
   }
   if (elements != 1 || result.data.size() % element_size(result.type) != 0) {
-    buffer.fail(fmt::format("a constant tensor has {} bytes, which is not its shape", result.data.size()));
+    fail(fmt::format("a constant tensor has {} bytes, which is not its shape", result.data.size()));
   }
   return result;
 }
 
-TfliteOperator read_operator(const Buffer& buffer, const Table& table, const Table& model,
-                             const Vector& codes) {
-  const auto index = table.scalar<std::uint32_t>(operator_field::code_index, 0);
-  if (index >= codes.count) {
-    buffer.fail(fmt::format("an operator names code {} of {}", index, codes.count));
+TfliteOperator Reader::read_operator(const tflite::Operator& from) const {
+  if (from.code_index() >= count_of(model_.codes())) {
+    fail(fmt::format("an operator names code {} of {}", from.code_index(), count_of(model_.codes())));
   }
-  const Table code = model.element(codes, index);
-  // Files older than schema 3a hold the code only in the byte, newer ones in both.
-  const int builtin = std::max<int>(code.scalar<std::int8_t>(code_field::old_builtin, 0),
-                                    code.scalar<std::int32_t>(code_field::builtin, 0));
-  const auto kind = kind_of(builtin);
-  if (!kind) {
-    buffer.fail(fmt::format("operator code {} is not supported", builtin));
-  }
+  const tflite::OperatorCode& code = *model_.codes()->Get(from.code_index());
+  const int number = std::max<int>(code.old_code(), code.code());
   TfliteOperator op;
-  op.kind = *kind;
-  op.inputs = table.ints(operator_field::inputs, max_operands, "operands");
-  op.outputs = table.ints(operator_field::outputs, max_operands, "results");
-  if (op.kind == OperatorKind::Custom) {
-    op.custom_name = code.text(code_field::custom_name);
-    op.custom_options = table.bytes(operator_field::custom_options);
+  op.kind = static_cast<OperatorKind>(number);
+  if (!is_known(op.kind)) {
+    fail(fmt::format("operator code {} is not supported", number));
   }
-  read_options(buffer, table.table(operator_field::options), op);
+  op.inputs = ints(from.inputs(), max_operands, "operands");
+  op.outputs = ints(from.outputs(), max_operands, "results");
+  if (op.kind == OperatorKind::Custom) {
+    op.custom_name = text_of(code.custom_name());
+    op.custom_options = bytes_of(from.custom_options());
+  }
+  read_options(from, op);
   return op;
+}
+
+TfliteModel Reader::read() const {
+  if (count_of(model_.graphs()) == 0) {
+    fail("holds no graph");
+  }
+  const tflite::Graph& graph = *model_.graphs()->Get(0);
+  TfliteModel result;
+  result.tensors.reserve(count_of(graph.tensors()));
+  for (flatbuffers::uoffset_t i = 0; i < count_of(graph.tensors()); ++i) {
+    result.tensors.push_back(read_tensor(*graph.tensors()->Get(i)));
+  }
+  result.operators.reserve(count_of(graph.operators()));
+  for (flatbuffers::uoffset_t i = 0; i < count_of(graph.operators()); ++i) {
+    result.operators.push_back(read_operator(*graph.operators()->Get(i)));
+  }
+  result.inputs = ints(graph.inputs(), max_operands, "inputs");
+  result.outputs = ints(graph.outputs(), max_operands, "outputs");
+
+  const int last = static_cast<int>(result.tensors.size()) - 1;
+  const auto check_all = [&](const std::vector<int>& indices, int low) {
+    for (const int index : indices) {
+      checked(index, low, last, "a tensor index");
+    }
+  };
+  check_all(result.inputs, 0);
+  check_all(result.outputs, 0);
+  for (const TfliteOperator& op : result.operators) {
+    check_all(op.inputs, -1);
+    check_all(op.outputs, 0);
+  }
+  return result;
 }
 
 }  // namespace
@@ -380,46 +291,19 @@ std::vector<int> TfliteModel::constant_ints(int tensor) const {
 }
 
 TfliteModel parse_tflite(std::span<const std::uint8_t> file, const std::string& name) {
-  const Buffer buffer(file, name);
-  if (file.size() < 8 || std::memcmp(file.data() + 4, "TFL3", 4) != 0) {
-    buffer.fail("not a TensorFlow Lite model (no TFL3 at byte 4)");
-  }
-  const Table model(buffer, buffer.follow(0));
-  const Vector codes = model.vector(model_field::operator_codes, sizeof(std::uint32_t));
-  const Vector graphs = model.vector(model_field::subgraphs, sizeof(std::uint32_t));
-  const Vector buffers = model.vector(model_field::buffers, sizeof(std::uint32_t));
-  if (graphs.count == 0) {
-    buffer.fail("holds no graph");
-  }
-  const Table graph = model.element(graphs, 0);
-
-  TfliteModel result;
-  const Vector tensors = graph.vector(graph_field::tensors, sizeof(std::uint32_t));
-  result.tensors.reserve(tensors.count);
-  for (std::size_t i = 0; i < tensors.count; ++i) {
-    result.tensors.push_back(read_tensor(buffer, graph.element(tensors, i), model, buffers));
-  }
-  const Vector operators = graph.vector(graph_field::operators, sizeof(std::uint32_t));
-  result.operators.reserve(operators.count);
-  for (std::size_t i = 0; i < operators.count; ++i) {
-    result.operators.push_back(read_operator(buffer, graph.element(operators, i), model, codes));
-  }
-  result.inputs = graph.ints(graph_field::inputs, max_operands, "inputs");
-  result.outputs = graph.ints(graph_field::outputs, max_operands, "outputs");
-
-  const int last = static_cast<int>(result.tensors.size()) - 1;
-  const auto check_all = [&](const std::vector<int>& indices, int low) {
-    for (const int index : indices) {
-      checked(buffer, index, low, last, "a tensor index");
-    }
+  const auto address = reinterpret_cast<std::uintptr_t>(file.data());
+  FACET_ASSERT(address % alignof(std::uint32_t) == 0, address);
+  const auto refuse = [&](const char* what) {
+    throw Error(ErrorKind::UnreadableInput, fmt::format("{}: {}", name, what));
   };
-  check_all(result.inputs, 0);
-  check_all(result.outputs, 0);
-  for (const TfliteOperator& op : result.operators) {
-    check_all(op.inputs, -1);
-    check_all(op.outputs, 0);
+  if (file.size() < 8 || !tflite::ModelBufferHasIdentifier(file.data())) {
+    refuse("not a TensorFlow Lite model (no TFL3 at byte 4)");
   }
-  return result;
+  flatbuffers::Verifier verifier(file.data(), file.size(), max_depth, max_tables);
+  if (!tflite::VerifyModelBuffer(verifier)) {
+    refuse("damaged: its tables do not lie within it");
+  }
+  return Reader(*tflite::GetModel(file.data()), name).read();
 }
 
 float float_from_half(std::uint16_t half) {

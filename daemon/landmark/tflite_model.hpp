@@ -9,25 +9,24 @@
 
 namespace facet::landmark {
 
-enum class TensorType { Float32, Float16, Int32, Other };
-
+// What is understood of the format, by the format's codes.
+enum class TensorType { Float32 = 0, Float16 = 1, Int32 = 2, Other };
 enum class OperatorKind {
-  Add,
-  Concatenation,
-  Conv2d,
-  DepthwiseConv2d,
-  Dequantize,
-  MaxPool2d,
-  Mul,
-  Pad,
-  Prelu,
-  Relu,
-  Reshape,
-  StridedSlice,
-  Custom
+  Add = 0,
+  Concatenation = 2,
+  Conv2d = 3,
+  DepthwiseConv2d = 4,
+  Dequantize = 6,
+  MaxPool2d = 17,
+  Mul = 18,
+  Relu = 19,
+  Reshape = 22,
+  Custom = 32,
+  Pad = 34,
+  StridedSlice = 45,
+  Prelu = 54
 };
-
-enum class PaddingMode { Same, Valid };
+enum class PaddingMode { Same = 0, Valid = 1 };
 
 /// One tensor of the graph; four-dimensional ones are [batch][rows][columns][channels].
 struct TfliteTensor {
@@ -69,11 +68,11 @@ struct TfliteModel {
   std::vector<int> constant_ints(int tensor) const;
 };
 
-/// Reads the first subgraph of a TensorFlow Lite file (FlatBuffers, identifier TFL3). Every offset, length
-/// and index is checked before it is followed, so that any bytes give either a consistent model or an error;
-/// memory stays linear in the size of the file. Understood are the operators of OperatorKind without fused
-/// activation or dilation. The model borrows `file`, which must outlive it. Throws Error(UnreadableInput)
-/// that starts with `name`.
+/// Reads the first subgraph of a TensorFlow Lite file (FlatBuffers, identifier TFL3; tflite.fbs). Its
+/// structure is verified before anything is followed, so that any bytes give either a consistent model or an
+/// error; memory stays linear in the size of the file. Understood are the operators of OperatorKind without
+/// fused activation or dilation. The model borrows `file`, which must outlive it and begin at a multiple of 4
+/// bytes. Throws Error(UnreadableInput) that starts with `name`.
 TfliteModel parse_tflite(std::span<const std::uint8_t> file, const std::string& name);
 
 /// IEEE 754 binary16 to binary32, exact; subnormals, infinities and NaN included.

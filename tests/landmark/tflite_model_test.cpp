@@ -77,10 +77,28 @@ TEST(TfliteModel, RefusesWhatItDoesNotUnderstand) {
   EXPECT_THAT(with(TfliteWriter::Add, {{0, 3, true}}, {0, 0}), HasSubstr("a fused activation is 3"));
   EXPECT_THAT(with(TfliteWriter::Conv2d, test::conv_options(false, 0x7FFFFFFF, 1), {0, 0, 0}),
               HasSubstr("a stride"));
+  EXPECT_THAT(with(TfliteWriter::DepthwiseConv2d, {{1, 1}, {2, 1}, {3, 2}}, {0, 0, 0}),
+              HasSubstr("a depth multiplier is 2"));
+  EXPECT_THAT(with(TfliteWriter::DepthwiseConv2d, {{1, 1}, {2, 1}, {6, 3}}, {0, 0, 0}),
+              HasSubstr("a dilation is 3"));
+  EXPECT_THAT(with(TfliteWriter::MaxPool2d, test::pool_options(true, 2, 65), {0}),
+              HasSubstr("a filter size is 65"));
+  EXPECT_THAT(with(TfliteWriter::Mul, {{0, 1, true}}, {0, 0}), HasSubstr("a fused activation is 1"));
+  EXPECT_THAT(with(TfliteWriter::Concatenation, {{0, -1}}, {0, 0}), HasSubstr("an axis is -1"));
   EXPECT_THAT(with(TfliteWriter::Relu, {}, {7}), HasSubstr("a tensor index is 7"));
   EXPECT_THAT(with(TfliteWriter::Relu, {}, {-2}), HasSubstr("a tensor index is -2"));
   EXPECT_THAT(with(TfliteWriter::Relu, {}, std::vector<int>(1000, 0)), HasSubstr("1000 operands"));
   EXPECT_THAT(with(TfliteWriter::Relu, {}, {0}), "");
+}
+
+TEST(TfliteModel, RefusesAFileWhoseTablesLeaveIt) {
+  auto file = small_file();
+  EXPECT_EQ(error_of(file), "");
+  file.resize(file.size() - 4);
+  EXPECT_THAT(error_of(file), HasSubstr("some.tflite: damaged"));
+  auto elsewhere = small_file();
+  elsewhere[3] = 0x7F;
+  EXPECT_THAT(error_of(elsewhere), HasSubstr("some.tflite: damaged"));
 }
 
 TEST(TfliteModel, RefusesConstantsThatDoNotFillTheirShape) {

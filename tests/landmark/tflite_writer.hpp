@@ -9,8 +9,8 @@
 
 namespace facet::test {
 
-/// Writes TensorFlow Lite files (schema version 3) with the FlatBuffers library, to test a reader that does
-/// not use it.
+/// Writes TensorFlow Lite files (schema version 3) with the format's field numbers themselves, to test a
+/// reader that has a schema.
 class TfliteWriter {
  public:
   enum Builtin : std::int8_t {
@@ -20,6 +20,7 @@ class TfliteWriter {
     DepthwiseConv2d = 4,
     Dequantize = 6,
     MaxPool2d = 17,
+    Mul = 18,
     Relu = 19,
     Reshape = 22,
     Softmax = 25,
@@ -102,6 +103,7 @@ class TfliteWriter {
         b.AddElement<std::uint32_t>(slot(0), static_cast<std::uint32_t>(operators.size()), 0);
         b.AddOffset(slot(1), ins);
         b.AddOffset(slot(2), outs);
+        b.AddElement<std::uint8_t>(slot(3), options_type(op.code), 0);
         b.AddOffset(slot(4), options);
       }));
     }
@@ -142,6 +144,25 @@ class TfliteWriter {
     std::string custom_name;
   };
 
+  /// Which of the format's option tables an operator has.
+  static std::uint8_t options_type(Builtin code) {
+    switch (code) {
+      case Conv2d:
+        return 1;
+      case DepthwiseConv2d:
+        return 2;
+      case MaxPool2d:
+        return 5;
+      case Concatenation:
+        return 10;
+      case Add:
+        return 11;
+      case Mul:
+        return 21;
+      default:
+        return 0;
+    }
+  }
   static flatbuffers::voffset_t slot(int field) { return static_cast<flatbuffers::voffset_t>(4 + 2 * field); }
   template <typename T>
   static std::vector<std::uint8_t> bytes_of(const std::vector<T>& values) {
