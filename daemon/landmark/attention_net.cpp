@@ -161,7 +161,7 @@ AttentionNet::AttentionNet(const TfliteModel& model, const std::string& name)
   add("output_right_eye", "output_right_iris", left_eye_landmarks(), {362, 263}, 1);
 }
 
-void AttentionNet::look_closer(Part& part, Eigen::Matrix3Xf& irises) {
+void AttentionNet::look_closer(Part& part) {
   // The crop is the box round the part's landmarks, its axes along the line through the two corners:
   // feature = origin + right x + down y, for (x, y) in pixels of the crop from its corner on.
   const Eigen::Matrix2Xf& first = first_look_;
@@ -200,7 +200,7 @@ void AttentionNet::look_closer(Part& part, Eigen::Matrix3Xf& irises) {
   if (part.iris >= 0) {
     // The centre comes first, then four points of the edge.
     const Eigen::Map<const Eigen::Vector2f> centre(part.head.output(1).data());
-    irises.col(part.iris).head<2>() = place(centre);
+    irises_.col(part.iris).head<2>() = place(centre);
   }
 }
 
@@ -211,22 +211,12 @@ float AttentionNet::find(const Frame& frame, const Region& window, Eigen::Matrix
   trunk_.forward();
   refined_ = Eigen::Map<const Eigen::Matrix3Xf>(trunk_.output(0).data(), 3, landmark_count);
   first_look_ = refined_.topRows<2>();
-  irises_px.setZero(3, kIrises);
+  irises_.setZero(3, kIrises);
   for (Part& part : parts_) {
-    look_closer(part, irises_px);
+    look_closer(part);
   }
-
-  const float pixel = window.size_px / kInputSide;
-  Eigen::Matrix3f image_from_net = Eigen::Matrix3f::Zero();
-  image_from_net.col(0).head<2>() = pixel * window.right();
-  image_from_net.col(1).head<2>() = pixel * window.down();
-  image_from_net(2, 2) = pixel;
-  Eigen::Vector3f origin = Eigen::Vector3f::Zero();
-  origin.head<2>() = window.image_from_window(Eigen::Vector2f::Zero());
-  points_px.resize(3, landmark_count);
-  points_px.noalias() = image_from_net * refined_;
-  points_px.colwise() += origin;
-  irises_px = ((image_from_net * irises_px).colwise() + origin).eval();
+  window.image_from_net(refined_, kInputSide, points_px);
+  window.image_from_net(irises_, kInputSide, irises_px);
   return 1 / (1 + std::exp(-trunk_.output(2)[0]));
 }
 

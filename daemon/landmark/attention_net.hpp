@@ -38,17 +38,18 @@ class AttentionNet {
     Network head;
     std::span<const int> landmarks;  ///< in the order of the head's points; their extent gives the crop
     std::array<int, 2> corners;      ///< lie level in the crop
-    Eigen::Index iris;               ///< column of irises_px for the head's second output; -1: it has none
+    Eigen::Index iris;               ///< column of irises_ for the head's second output; -1: it has none
   };
 
   AttentionNet(const TfliteModel& model, const std::string& name);
-  void look_closer(Part& part, Eigen::Matrix3Xf& irises);
+  void look_closer(Part& part);
 
   Network trunk_;
   RegionSampler sampler_;
   std::vector<Part> parts_;
   Eigen::Matrix2Xf first_look_;  ///< [2][468] net pixels
   Eigen::Matrix3Xf refined_;     ///< [3][468] net pixels
+  Eigen::Matrix3Xf irises_;      ///< [3][2] net pixels, z 0
 };
 
 }  // namespace facet::landmark

@@ -25,16 +25,7 @@ float LandmarkNet::find(const Frame& frame, const Region& window, Eigen::Matrix3
   sampler_.sample(frame, window, Border::Replicate, 1 / 255.0F, 0.0F, network_.input());
   network_.forward();
   const Eigen::Map<const Eigen::Matrix3Xf> raw(network_.output(0).data(), 3, landmark_count);
-  const float pixel = window.size_px / input_side;
-  Eigen::Matrix3f image_from_net = Eigen::Matrix3f::Zero();
-  image_from_net.col(0).head<2>() = pixel * window.right();
-  image_from_net.col(1).head<2>() = pixel * window.down();
-  image_from_net(2, 2) = pixel;
-  Eigen::Vector3f origin = Eigen::Vector3f::Zero();
-  origin.head<2>() = window.image_from_window(Eigen::Vector2f::Zero());
-  points_px.resize(3, landmark_count);
-  points_px.noalias() = image_from_net * raw;
-  points_px.colwise() += origin;
+  window.image_from_net(raw, input_side, points_px);
   return 1 / (1 + std::exp(-network_.output(1)[0]));
 }
 

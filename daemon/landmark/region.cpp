@@ -42,6 +42,20 @@ Float4 blend(const std::uint8_t* above_left, const std::uint8_t* above_right, co
 
 }  // namespace
 
+void Region::image_from_net(const Eigen::Ref<const Eigen::Matrix3Xf>& net_px, int input_side,
+                            Eigen::Matrix3Xf& image_px) const {
+  const float pixel = size_px / static_cast<float>(input_side);
+  Eigen::Matrix3f turn = Eigen::Matrix3f::Zero();
+  turn.col(0).head<2>() = pixel * right();
+  turn.col(1).head<2>() = pixel * down();
+  turn(2, 2) = pixel;
+  Eigen::Vector3f origin = Eigen::Vector3f::Zero();
+  origin.head<2>() = image_from_window(Eigen::Vector2f::Zero());
+  image_px.resize(3, net_px.cols());
+  image_px.noalias() = turn * net_px;
+  image_px.colwise() += origin;
+}
+
 RegionSampler::RegionSampler(int side) : side_(side) {}
 
 RegionSampler::Source RegionSampler::average_boxes(const Frame& frame, const Region& region, int box) {

@@ -24,6 +24,13 @@ struct Region {
   Eigen::Vector2f image_from_window(const Eigen::Vector2f& window) const {
     return centre_px + size_px * ((window.x() - 0.5F) * right() + (window.y() - 0.5F) * down());
   }
+  /// From a net's points, in pixels of its input that shows the window, to image pixels; z in the same scale.
+  ///
+  /// net_px     [3][count]
+  /// input_side of the net's input
+  /// image_px   [3][count] out
+  void image_from_net(const Eigen::Ref<const Eigen::Matrix3Xf>& net_px, int input_side,
+                      Eigen::Matrix3Xf& image_px) const;
 };
 
 /// What a window shows beyond the border of the image.

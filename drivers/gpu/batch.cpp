@@ -63,6 +63,21 @@ struct Batch::Impl {
   Impl(const Impl&) = delete;
   Impl& operator=(const Impl&) = delete;
 
+  /// A resource that is given for one that a kernel declares.
+  struct Use {
+    std::string_view kernel;
+    const BindingInfo& info;
+    const Binding& binding;
+  };
+  /// What is written of it into a descriptor set, of which the type says what is used, and what is done with
+  /// it; a resource that is both read and written counts as written.
+  struct Descriptor {
+    VkDescriptorBufferInfo buffer{};
+    VkDescriptorImageInfo image{};
+    VkBufferView texels = VK_NULL_HANDLE;
+    Access access;
+  };
+
   void make();
   void destroy();
   void begin();
@@ -76,8 +91,12 @@ struct Batch::Impl {
   VkDescriptorSet allocate_set(VkDescriptorSetLayout layout);
   void bind(const Kernel::Impl& kernel, std::span<const Binding> bindings, std::span<const std::byte> push,
             std::size_t push_alignment, std::vector<Access>& accesses);
-  void write_descriptor(const Kernel::Impl& kernel, const BindingInfo& info, const Binding& binding,
-                        VkDescriptorSet set, std::vector<Access>& accesses) const;
+  [[noreturn]] void wrong_type(const Use& use) const;
+  Descriptor describe_buffer(const Use& use) const;
+  Descriptor describe_texels(const Use& use) const;
+  Descriptor describe_image(const Use& use) const;
+  Descriptor describe(const Use& use) const;
+  Access write_descriptor(const Use& use, VkDescriptorSet set) const;
   void copy_image(const Buffer& buffer, const Image& image, std::uint32_t level, std::size_t offset_bytes,
                   bool to_image);
   void timestamp();
@@ -248,95 +267,107 @@ VkDescriptorSet Batch::Impl::allocate_set(VkDescriptorSetLayout layout) {
   return set;
 }
 
-void Batch::Impl::write_descriptor(const Kernel::Impl& kernel, const BindingInfo& info,
-                                   const Binding& binding, VkDescriptorSet set,
-                                   std::vector<Access>& accesses) const {
-  const auto wrong_type = [&] {
-    misuse(fmt::format("'{}' of kernel '{}' must be {}", info.name, kernel.name, type_name(info.type)));
-  };
-  VkDescriptorBufferInfo buffer_info{};
-  VkDescriptorImageInfo image_info{};
+void Batch::Impl::wrong_type(const Use& use) const {
+  misuse(fmt::format("'{}' of kernel '{}' must be {}", use.info.name, use.kernel, type_name(use.info.type)));
+}
+
+Batch::Impl::Descriptor Batch::Impl::describe_buffer(const Use& use) const {
+  if (use.binding.buffer == nullptr) {
+    wrong_type(use);
+  }
+  const Buffer::Impl& buffer = use.binding.buffer->impl();
+  check_device(buffer.device, use.info.name);
+  const std::size_t offset = use.binding.offset_bytes;
+  const std::size_t size = use.binding.size_bytes != 0
+                               ? use.binding.size_bytes
+                               : buffer.size_bytes - std::min(offset, buffer.size_bytes);
+  check_range(buffer.name, buffer.size_bytes, offset, size);
+  if (offset % device->info().buffer_alignment_bytes != 0) {
+    misuse(fmt::format("'{}' of kernel '{}' starts at byte {}, which is no multiple of {}", use.info.name,
+                       use.kernel, offset, device->info().buffer_alignment_bytes));
+  }
+  if (use.info.type == BindingType::UniformBuffer && size > device->limits().maxUniformBufferRange) {
+    misuse(fmt::format("'{}' of kernel '{}': {} bytes are more than a uniform buffer's {}", use.info.name,
+                       use.kernel, size, device->limits().maxUniformBufferRange));
+  }
+  Descriptor descriptor;
+  descriptor.buffer = {buffer.buffer, offset, size};
+  descriptor.access = {handle_bits(buffer.buffer), offset, offset + size, use.info.written};
+  return descriptor;
+}
+
+Batch::Impl::Descriptor Batch::Impl::describe_texels(const Use& use) const {
+  if (use.binding.view == nullptr) {
+    wrong_type(use);
+  }
+  const TexelView::Impl& view = use.binding.view->impl();
+  check_device(view.device, use.info.name);
+  Descriptor descriptor;
+  descriptor.texels = view.view;
+  descriptor.access = {handle_bits(view.buffer), view.offset_bytes, view.offset_bytes + view.size_bytes,
+                       use.info.written};
+  return descriptor;
+}
+
+Batch::Impl::Descriptor Batch::Impl::describe_image(const Use& use) const {
+  const Binding& binding = use.binding;
+  const bool sampled = use.info.type == BindingType::SampledImage;
+  if (binding.image == nullptr || sampled != (binding.sampler != nullptr)) {
+    wrong_type(use);
+  }
+  const Image::Impl& image = binding.image->impl();
+  check_device(image.device, use.info.name);
+  if (binding.level >= image.levels.size()) {
+    misuse(fmt::format("'{}' of kernel '{}': level {} of image '{}', which has {}", use.info.name, use.kernel,
+                       binding.level, image.name, image.levels.size()));
+  }
+  Descriptor descriptor;
+  descriptor.image.imageLayout = VK_IMAGE_LAYOUT_GENERAL;
+  descriptor.image.imageView = binding.one_level ? image.levels[binding.level] : image.all_levels;
+  if (sampled) {
+    const Sampler::Impl& sampler = binding.sampler->impl();
+    check_device(sampler.device, use.info.name);
+    if (sampler.linear && !image.filters_linearly) {
+      misuse(fmt::format("'{}' of kernel '{}': the device '{}' cannot filter image '{}' linearly",
+                         use.info.name, use.kernel, device->info().name, image.name));
+    }
+    descriptor.image.sampler = sampler.sampler;
+  }
+  descriptor.access = {handle_bits(image.image), binding.one_level ? binding.level : 0,
+                       binding.one_level ? std::size_t{binding.level} + 1 : image.levels.size(),
+                       use.info.written};
+  return descriptor;
+}
+
+Batch::Impl::Descriptor Batch::Impl::describe(const Use& use) const {
+  switch (use.info.type) {
+    case BindingType::StorageBuffer:
+    case BindingType::UniformBuffer:
+      return describe_buffer(use);
+    case BindingType::TexelBuffer:
+      return describe_texels(use);
+    case BindingType::SampledImage:
+    case BindingType::StorageImage:
+      return describe_image(use);
+  }
+  wrong_type(use);
+}
+
+/// Returns what the kernel does with the resource.
+Access Batch::Impl::write_descriptor(const Use& use, VkDescriptorSet set) const {
+  const Descriptor descriptor = describe(use);
   VkWriteDescriptorSet write{};
   write.sType = VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET;
   write.dstSet = set;
-  write.dstBinding = info.binding;
+  write.dstBinding = use.info.binding;
   write.descriptorCount = 1;
-  write.descriptorType = descriptor_type(info.type);
-  // A resource that the kernel both reads and writes counts as written.
-  Access access{0, 0, 0, info.written};
-
-  switch (info.type) {
-    case BindingType::StorageBuffer:
-    case BindingType::UniformBuffer: {
-      if (binding.buffer == nullptr) {
-        wrong_type();
-      }
-      const Buffer::Impl& buffer = binding.buffer->impl();
-      check_device(buffer.device, info.name);
-      const std::size_t offset = binding.offset_bytes;
-      const std::size_t size = binding.size_bytes != 0
-                                   ? binding.size_bytes
-                                   : buffer.size_bytes - std::min(offset, buffer.size_bytes);
-      check_range(buffer.name, buffer.size_bytes, offset, size);
-      if (offset % device->info().buffer_alignment_bytes != 0) {
-        misuse(fmt::format("'{}' of kernel '{}' starts at byte {}, which is no multiple of {}", info.name,
-                           kernel.name, offset, device->info().buffer_alignment_bytes));
-      }
-      if (info.type == BindingType::UniformBuffer && size > device->limits().maxUniformBufferRange) {
-        misuse(fmt::format("'{}' of kernel '{}': {} bytes are more than a uniform buffer's {}", info.name,
-                           kernel.name, size, device->limits().maxUniformBufferRange));
-      }
-      buffer_info = {buffer.buffer, offset, size};
-      write.pBufferInfo = &buffer_info;
-      access.resource = handle_bits(buffer.buffer);
-      access.begin = offset;
-      access.end = offset + size;
-      break;
-    }
-    case BindingType::TexelBuffer: {
-      if (binding.view == nullptr) {
-        wrong_type();
-      }
-      const TexelView::Impl& view = binding.view->impl();
-      check_device(view.device, info.name);
-      write.pTexelBufferView = &view.view;
-      access.resource = handle_bits(view.buffer);
-      access.begin = view.offset_bytes;
-      access.end = view.offset_bytes + view.size_bytes;
-      break;
-    }
-    case BindingType::SampledImage:
-    case BindingType::StorageImage: {
-      const bool sampled = info.type == BindingType::SampledImage;
-      if (binding.image == nullptr || sampled != (binding.sampler != nullptr)) {
-        wrong_type();
-      }
-      const Image::Impl& image = binding.image->impl();
-      check_device(image.device, info.name);
-      if (binding.level >= image.levels.size()) {
-        misuse(fmt::format("'{}' of kernel '{}': level {} of image '{}', which has {}", info.name,
-                           kernel.name, binding.level, image.name, image.levels.size()));
-      }
-      image_info.imageLayout = VK_IMAGE_LAYOUT_GENERAL;
-      image_info.imageView = binding.one_level ? image.levels[binding.level] : image.all_levels;
-      if (sampled) {
-        const Sampler::Impl& sampler = binding.sampler->impl();
-        check_device(sampler.device, info.name);
-        if (sampler.linear && !image.filters_linearly) {
-          misuse(fmt::format("'{}' of kernel '{}': the device '{}' cannot filter image '{}' linearly",
-                             info.name, kernel.name, device->info().name, image.name));
-        }
-        image_info.sampler = sampler.sampler;
-      }
-      write.pImageInfo = &image_info;
-      access.resource = handle_bits(image.image);
-      access.begin = binding.one_level ? binding.level : 0;
-      access.end = binding.one_level ? binding.level + 1 : image.levels.size();
-      break;
-    }
-  }
+  write.descriptorType = descriptor_type(use.info.type);
+  // Vulkan reads the one that belongs to the type.
+  write.pBufferInfo = &descriptor.buffer;
+  write.pImageInfo = &descriptor.image;
+  write.pTexelBufferView = &descriptor.texels;
   device->api().vkUpdateDescriptorSets(device->handle(), 1, &write, 0, nullptr);
-  accesses.push_back(access);
+  return descriptor.access;
 }
 
 /// Binds everything a kernel needs and notes what it will read and write.
@@ -367,7 +398,7 @@ void Batch::Impl::bind(const Kernel::Impl& kernel, std::span<const Binding> bind
       misuse(fmt::format("'{}' of kernel '{}' is given twice", binding.name, kernel.name));
     }
     given[index] = true;
-    write_descriptor(kernel, *info, binding, set, accesses);
+    accesses.push_back(write_descriptor({kernel.name, *info, binding}, set));
   }
   if (const auto missing = std::ranges::find(given, false); missing != given.end()) {
     misuse(fmt::format("'{}' of kernel '{}' is not given",

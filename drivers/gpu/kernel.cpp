@@ -97,10 +97,15 @@ void Kernel::Impl::check_limits() const {
 void Kernel::Impl::make(const Shader& shader, std::span<const Constant> constants) {
   const std::string what = fmt::format("build kernel '{}'", name);
   device->check_not_lost(what);
-  const DeviceApi& api = device->api();
+  const Specialization specialization = specialize(constants);
+  check_limits();
+  make_layouts(what);
+  make_pipeline(shader.words, specialization, what);
+}
 
-  std::vector<VkSpecializationMapEntry> entries;
-  std::vector<std::uint32_t> values;
+/// Sets the workgroup's size, too.
+Kernel::Impl::Specialization Kernel::Impl::specialize(std::span<const Constant> constants) {
+  Specialization made;
   workgroup_size = interface.workgroup_size;
   for (const Constant& constant : constants) {
     const auto info = std::ranges::find(interface.constants, constant.name, &ConstantInfo::name);
@@ -113,9 +118,9 @@ void Kernel::Impl::make(const Shader& shader, std::span<const Constant> constant
                   fmt::format("kernel '{}' has no specialization constant '{} {}'; it has: {}", name,
                               type_name(constant.type), constant.name, fmt::join(known, ", ")));
     }
-    entries.push_back(
-        {info->id, static_cast<std::uint32_t>(values.size() * sizeof(std::uint32_t)), sizeof(std::uint32_t)});
-    values.push_back(constant.bits);
+    made.entries.push_back({info->id, static_cast<std::uint32_t>(made.values.size() * sizeof(std::uint32_t)),
+                            sizeof(std::uint32_t)});
+    made.values.push_back(constant.bits);
     const int index = static_cast<int>(info - interface.constants.begin());
     for (std::size_t axis = 0; axis < 3; ++axis) {
       if (interface.workgroup_size_constant[axis] == index) {
@@ -123,8 +128,11 @@ void Kernel::Impl::make(const Shader& shader, std::span<const Constant> constant
       }
     }
   }
-  check_limits();
+  return made;
+}
 
+void Kernel::Impl::make_layouts(const std::string& what) {
+  const DeviceApi& api = device->api();
   std::vector<VkDescriptorSetLayoutBinding> bindings;
   bindings.reserve(interface.bindings.size());
   for (const BindingInfo& binding : interface.bindings) {
@@ -146,23 +154,28 @@ void Kernel::Impl::make(const Shader& shader, std::span<const Constant> constant
   layout_info.pushConstantRangeCount = push.size > 0 ? 1 : 0;
   layout_info.pPushConstantRanges = &push;
   device->check(api.vkCreatePipelineLayout(device->handle(), &layout_info, nullptr, &pipeline_layout), what);
+}
 
+void Kernel::Impl::make_pipeline(std::span<const std::uint32_t> words, const Specialization& specialization,
+                                 const std::string& what) {
+  const DeviceApi& api = device->api();
   VkShaderModuleCreateInfo module_info{};
   module_info.sType = VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO;
-  module_info.codeSize = shader.words.size_bytes();
-  module_info.pCode = shader.words.data();
+  module_info.codeSize = words.size_bytes();
+  module_info.pCode = words.data();
   VkShaderModule module = VK_NULL_HANDLE;
   device->check(api.vkCreateShaderModule(device->handle(), &module_info, nullptr, &module), what);
 
-  const VkSpecializationInfo specialization{static_cast<std::uint32_t>(entries.size()), entries.data(),
-                                            values.size() * sizeof(std::uint32_t), values.data()};
+  const VkSpecializationInfo constants{
+      static_cast<std::uint32_t>(specialization.entries.size()), specialization.entries.data(),
+      specialization.values.size() * sizeof(std::uint32_t), specialization.values.data()};
   VkComputePipelineCreateInfo pipeline_info{};
   pipeline_info.sType = VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO;
   pipeline_info.stage.sType = VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO;
   pipeline_info.stage.stage = VK_SHADER_STAGE_COMPUTE_BIT;
   pipeline_info.stage.module = module;
   pipeline_info.stage.pName = "main";
-  pipeline_info.stage.pSpecializationInfo = &specialization;
+  pipeline_info.stage.pSpecializationInfo = &constants;
   pipeline_info.layout = pipeline_layout;
   const VkResult result =
       api.vkCreateComputePipelines(device->handle(), VK_NULL_HANDLE, 1, &pipeline_info, nullptr, &pipeline);

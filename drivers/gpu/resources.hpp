@@ -90,7 +90,16 @@ struct Kernel::Impl {
   VkPipeline pipeline = VK_NULL_HANDLE;
 
  private:
+  struct Specialization {
+    std::vector<VkSpecializationMapEntry> entries;
+    std::vector<std::uint32_t> values;
+  };
+
   void make(const Shader& shader, std::span<const Constant> constants);
+  Specialization specialize(std::span<const Constant> constants);
+  void make_layouts(const std::string& what);
+  void make_pipeline(std::span<const std::uint32_t> words, const Specialization& specialization,
+                     const std::string& what);
   void check_limits() const;
   void destroy();
 };

@@ -34,6 +34,21 @@ TEST(Region, MapsWindowToImage) {
   EXPECT_NEAR(std::atan2(along.y(), along.x()), 0.5F, 1e-5);
 }
 
+TEST(Region, MapsANetsPointsAsItMapsTheWindow) {
+  const Region region{{100, 50}, 48, 0.7F};
+  constexpr int side = 192;
+  Eigen::Matrix3Xf net_px(3, 2);
+  net_px << 0, 150, 192, 30, 8, -4;
+  Eigen::Matrix3Xf image_px;
+  region.image_from_net(net_px, side, image_px);
+  ASSERT_EQ(image_px.cols(), 2);
+  for (Eigen::Index point = 0; point < 2; ++point) {
+    const Eigen::Vector2f window = net_px.col(point).head<2>() / side;
+    EXPECT_TRUE(image_px.col(point).head<2>().isApprox(region.image_from_window(window), 1e-5F)) << point;
+    EXPECT_FLOAT_EQ(image_px(2, point), net_px(2, point) * 48 / side) << point;
+  }
+}
+
 TEST(RegionSampler, ReproducesALinearImageUnderAnySimilarity) {
   constexpr int side = 32;
   const Frame frame = ramp(211, 173);
