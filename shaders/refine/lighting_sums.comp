@@ -6,8 +6,7 @@
 #include "shading.glsl"
 
 // Normal equations of the lighting [MD19 eq. 3] summed over each workgroup's vertices of M0, displaced as in the
-// previous frame. The 9 x 9 matrix stands in blocks of the basis parts (1, x, y, z), (xy, xz, yz, xx - yy) and
-// (3zz - 1).
+// previous frame. The 9 x 9 matrix stands in blocks of the basis parts of sh().
 
 layout(push_constant) uniform Push {
   LightingPush push;
@@ -52,22 +51,20 @@ void main() {
       vec3 rho = texelFetch(albedo, int(i)).rgb;
       vec3 residual = colour.rgb - shade(light, n) * rho;
       float weight = colour.w * tukey_weight(light.gain * dot(residual, residual), push.robust_scale);
-      vec4 low = vec4(1, n);
-      vec4 middle = vec4(n.x * n.y, n.x * n.z, n.y * n.z, n.x * n.x - n.y * n.y);
-      float last = 3 * n.z * n.z - 1;
+      Harmonics h = sh(n);
       float square = weight * dot(rho, rho);
       float seen = weight * dot(rho, colour.rgb);
-      low_low += outerProduct(low, square * low);
-      low_middle += outerProduct(low, square * middle);
-      middle_middle += outerProduct(middle, square * middle);
-      low_last += square * last * low;
-      middle_last += square * last * middle;
-      low_right += seen * low;
-      middle_right += seen * middle;
+      low_low += outerProduct(h.low, square * h.low);
+      low_middle += outerProduct(h.low, square * h.middle);
+      middle_middle += outerProduct(h.middle, square * h.middle);
+      low_last += square * h.last * h.low;
+      middle_last += square * h.last * h.middle;
+      low_right += seen * h.low;
+      middle_right += seen * h.middle;
       vec3 deviation = residual / max(shade(light, n), kDarkest);
       square_sum += weight * vec4(deviation * deviation, 1);
       mixed_sum.xyz += weight * deviation.xxy * deviation.yzz;
-      rest += vec4(square * last * last, seen * last, weight, weight * dot(colour.rgb, colour.rgb));
+      rest += vec4(square * h.last * h.last, seen * h.last, weight, weight * dot(colour.rgb, colour.rgb));
     }
   }
   uint first = gl_WorkGroupID.x * kLightingSums;

@@ -36,34 +36,19 @@ layout(std430) writeonly buffer Energies {
   float energies[];  // [slot][workgroup]
 };
 
+#include "displaced_normal.glsl"
+
 void main() {
   float energy = 0;
   uvec2 block = block_of(push.vertex_count);
   for (uint i = block.x + gl_LocalInvocationID.x; i < block.y; i += kGroupSize) {
     ivec2 ring = texelFetch(vertex_rings, int(i)).xy;
     int size = ring_size(ring);
-    int first = 4 * ring.x;
     vec4 own = texelFetch(positions, int(i));
     vec4 own_normal = texelFetch(normals, int(i));
     vec3 centre = own.xyz + own.w * own_normal.xyz;
-
-    // n*_i [MD19 eq. 5] as in displaced_normal.glsl, and the sum of d_j in the same round.
-    int j = texelFetch(ring_indices, first).x;
-    vec4 neighbour = texelFetch(positions, j);
-    vec3 to_first = neighbour.xyz + neighbour.w * texelFetch(normals, j).xyz - centre;
-    vec3 to_next = to_first;
-    vec3 star = vec3(0);
-    float sum = neighbour.w;
-    for (int k = 1; k < size; ++k) {
-      vec3 to_this = to_next;
-      j = texelFetch(ring_indices, first + k).x;
-      neighbour = texelFetch(positions, j);
-      to_next = neighbour.xyz + neighbour.w * texelFetch(normals, j).xyz - centre;
-      star += cross(to_this, to_next);
-      sum += neighbour.w;
-    }
-    star += cross(to_next, to_first);
-
+    float sum;
+    vec3 star = displaced_normal(ring, centre, sum);
     float inverse_spacing = 1 / own_normal.w;
     float inverse_size = 1 / float(size);
     float bend = (own.w - sum * inverse_size) * inverse_spacing;

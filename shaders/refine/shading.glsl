@@ -1,6 +1,17 @@
 // [MD19 eq. 1]: R = (l . SH(n)) rho with
 // SH(n) = (1, nx, ny, nz, nx ny, nx nz, ny nz, nx^2 - ny^2, 3 nz^2 - 1).
 
+struct Harmonics {
+  vec4 low;     // 1, x, y, z
+  vec4 middle;  // xy, xz, yz, xx - yy
+  float last;   // 3zz - 1
+};
+
+Harmonics sh(vec3 n) {
+  return Harmonics(vec4(1, n), vec4(n.x * n.y, n.x * n.z, n.y * n.z, n.x * n.x - n.y * n.y), 3 * n.z * n.z - 1);
+}
+
+// l . SH(n), multiplied from the left: l (x y) instead of (l x) y would round otherwise.
 float shade(Light l, vec3 n) {
   return l.low.x + dot(l.low.yzw, n) + l.middle.x * n.x * n.y + l.middle.y * n.x * n.z + l.middle.z * n.y * n.z +
          l.middle.w * (n.x * n.x - n.y * n.y) + l.last * (3 * n.z * n.z - 1);
