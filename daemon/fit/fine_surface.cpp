@@ -7,6 +7,7 @@
 #include <cmath>
 
 #include "facet/error.hpp"
+#include "fit/conjugate_gradients.hpp"
 #include "fit/depth_pull.hpp"
 
 namespace facet::fit {
@@ -49,8 +50,7 @@ struct FineSurface::Impl {
     for (Eigen::Index i = 0; i < fine_skin.cols(); ++i) {
       is_skin.push_back(fine_skin(0, i) > kSkin ? 1 : 0);
     }
-    for (VectorXf* field :
-         {&diagonal, &blocks, &gradient, &step, &residual, &direction, &product, &scratch}) {
+    for (VectorXf* field : {&diagonal, &blocks, &gradient, &step, &scratch}) {
       field->setZero(fine.vertex_count);
     }
   }
@@ -59,7 +59,7 @@ struct FineSurface::Impl {
   void laplacian(const VectorXf& in, VectorXf& out) const;
   void add_transposed_laplacian(const VectorXf& in, VectorXf& out) const;
   void apply(const VectorXf& in, VectorXf& out);
-  void conjugate_gradients();
+  void solve_step();
   void stand_on(const mesh::Vertices& template_mm);
   int unfold(std::span<const float> kept_mm, std::span<float> moved_mm, std::span<float> confidence);
   int add(const mesh::Vertices& template_mm, std::span<const float> displacements_mm,
@@ -75,7 +75,8 @@ struct FineSurface::Impl {
   VectorXf edge_sums;                 ///< [finest vertex_count]
   VectorXf areas;                     ///< [finest vertex_count] mm^2
   VectorXf smooth_diagonal;           ///< of the smoothness' part of the normal equations
-  VectorXf diagonal, blocks, gradient, step, residual, direction, product, scratch;
+  VectorXf diagonal, blocks, gradient, step, scratch;
+  GradientsMemory<VectorXf> memory;
   mesh::Vertices base_mm, now_mm;
   Matrix3Xf normals, fine_normals;
 };
@@ -150,32 +151,13 @@ void FineSurface::Impl::apply(const VectorXf& in, VectorXf& out) {
   add_transposed_laplacian(scratch, out);
 }
 
-/// step = -H^-1 gradient, by conjugate gradients with the diagonal as preconditioner.
-void FineSurface::Impl::conjugate_gradients() {
+/// step = -H^-1 gradient, with the diagonal as preconditioner.
+void FineSurface::Impl::solve_step() {
   diagonal = (blocks + smooth_diagonal).cwiseMax(1e-12F);
-  const auto dot = [](const VectorXf& a, const VectorXf& b) {
-    return a.cwiseProduct(b).cast<double>().sum();
-  };
-  step.setZero();
-  residual = -gradient;
-  direction = residual.cwiseQuotient(diagonal);
-  double energy = dot(residual, direction);
-  const double enough =
-      energy * static_cast<double>(kResidualReduction) * static_cast<double>(kResidualReduction);
-  for (int i = 0; i < options.cg_iterations && energy > enough; ++i) {
-    apply(direction, product);
-    const double curvature = dot(direction, product);
-    if (!(curvature > 0)) {
-      return;
-    }
-    const auto length = static_cast<float>(energy / curvature);
-    step += length * direction;
-    residual -= length * product;
-    scratch = residual.cwiseQuotient(diagonal);
-    const double next = dot(residual, scratch);
-    direction = scratch + static_cast<float>(next / energy) * direction;
-    energy = next;
-  }
+  conjugate_gradients(
+      gradient, options.cg_iterations, kResidualReduction,
+      [this](const VectorXf& in, VectorXf& out) { apply(in, out); },
+      [this](const VectorXf& in, VectorXf& out) { out = in.cwiseQuotient(diagonal); }, memory, step);
 }
 
 /// Displacements along normals that meet can turn a triangle over, in a fold of the skin or where two
@@ -317,7 +299,7 @@ TemplateFitReport FineSurface::Impl::fit(std::span<const capture::DepthMap> maps
       return fail(TemplateFitOutcome::NoData,
                   fmt::format("only {:.1f} % of the fine skin lies on a depth map", 100 * report.seen));
     }
-    conjugate_gradients();
+    solve_step();
     ++report.steps;
     if (!step.allFinite()) {
       return fail(TemplateFitOutcome::NumericalFailure,

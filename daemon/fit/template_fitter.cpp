@@ -10,6 +10,7 @@
 #include <optional>
 
 #include "facet/error.hpp"
+#include "fit/conjugate_gradients.hpp"
 #include "fit/depth_pull.hpp"
 
 namespace facet::fit {
@@ -215,8 +216,7 @@ struct TemplateFitter::Impl {
     const auto count = static_cast<std::size_t>(surface->vertex_count());
     blocks.resize(count);
     inverse.resize(count);
-    for (Matrix3Xf* field :
-         {&gradient, &step, &residual, &direction, &product, &preconditioned, &normals, &offset}) {
+    for (Matrix3Xf* field : {&gradient, &step, &normals, &offset}) {
       field->setZero(3, surface->vertex_count());
     }
     skin = static_cast<double>(std::count(surface->is_skin.begin(), surface->is_skin.end(), std::uint8_t{1}));
@@ -252,7 +252,7 @@ struct TemplateFitter::Impl {
   void add_motion(const FlowView& flow, const mesh::Vertices& before_mm,
                   std::span<const std::uint8_t> visible, const mesh::Vertices& vertices_mm);
   void apply(const Matrix3Xf& in, Matrix3Xf& out) const;
-  void conjugate_gradients();
+  void solve_step();
 
   std::shared_ptr<const TemplateMesh> surface;
   FitOptions options;
@@ -271,7 +271,8 @@ struct TemplateFitter::Impl {
   std::vector<float> edge_sums;          ///< [vertex_count]
   std::vector<Matrix3f> blocks;          ///< [vertex_count] data terms' part of the normal equations
   std::vector<Matrix3f> inverse;         ///< of the diagonal blocks, the preconditioner
-  Matrix3Xf gradient, step, residual, direction, product, preconditioned, normals, offset;
+  Matrix3Xf gradient, step, normals, offset;
+  GradientsMemory<Matrix3Xf> memory;
   std::vector<float> depth_pull, flow_pull;
   std::vector<std::vector<std::uint8_t>> visible;
   double skin = 0;                            ///< vertices of it
@@ -561,42 +562,22 @@ void TemplateFitter::Impl::apply(const Matrix3Xf& in, Matrix3Xf& out) const {
   }
 }
 
-/// step = -H^-1 gradient, by conjugate gradients with the diagonal's 3x3 blocks as preconditioner.
-void TemplateFitter::Impl::conjugate_gradients() {
+/// step = -H^-1 gradient, with the diagonal's 3x3 blocks as preconditioner.
+void TemplateFitter::Impl::solve_step() {
   const std::int32_t count = surface->vertex_count();
-  const auto precondition = [&] {
-    for (std::int32_t v = 0; v < count; ++v) {
-      preconditioned.col(v).noalias() = inverse[static_cast<std::size_t>(v)] * residual.col(v);
-    }
-  };
-  const auto dot = [](const Matrix3Xf& a, const Matrix3Xf& b) {
-    return a.cwiseProduct(b).cast<double>().sum();
-  };
   for (std::int32_t v = 0; v < count; ++v) {
     const auto vertex = static_cast<std::size_t>(v);
     inverse[vertex] = (blocks[vertex] + edge_sums[vertex] * Matrix3f::Identity()).inverse();
   }
-  step.setZero();
-  residual = -gradient;
-  precondition();
-  direction = preconditioned;
-  double energy = dot(residual, preconditioned);
-  const double enough =
-      energy * static_cast<double>(kResidualReduction) * static_cast<double>(kResidualReduction);
-  for (int i = 0; i < options.cg_iterations && energy > enough; ++i) {
-    apply(direction, product);
-    const double curvature = dot(direction, product);
-    if (!(curvature > 0)) {
-      return;
-    }
-    const auto length = static_cast<float>(energy / curvature);
-    step += length * direction;
-    residual -= length * product;
-    precondition();
-    const double next = dot(residual, preconditioned);
-    direction = preconditioned + static_cast<float>(next / energy) * direction;
-    energy = next;
-  }
+  conjugate_gradients(
+      gradient, options.cg_iterations, kResidualReduction,
+      [this](const Matrix3Xf& in, Matrix3Xf& out) { apply(in, out); },
+      [&](const Matrix3Xf& in, Matrix3Xf& out) {
+        for (std::int32_t v = 0; v < count; ++v) {
+          out.col(v).noalias() = inverse[static_cast<std::size_t>(v)] * in.col(v);
+        }
+      },
+      memory, step);
 }
 
 TemplateFitReport TemplateFitter::Impl::solve(std::span<const DepthMap> maps, std::span<const FlowView> flows,
@@ -681,7 +662,7 @@ TemplateFitReport TemplateFitter::Impl::solve(std::span<const DepthMap> maps, st
 
 /// The Gauss-Newton step of the normal equations as they stand; false where it is not finite.
 bool TemplateFitter::Impl::take_step(mesh::Vertices& vertices_mm, TemplateFitReport& report) {
-  conjugate_gradients();
+  solve_step();
   ++report.steps;
   if (!step.allFinite()) {
     return false;

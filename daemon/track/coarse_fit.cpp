@@ -2,16 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace facet::track {
 namespace {
-
-/// Relative decrease of the energy at which a solve has converged.
-constexpr double kConverged = 1e-4;
-constexpr double kFirstDamping = 1e-3;
-constexpr double kLargestDamping = 1e6;
-/// Trial steps per iteration, each ten times more damped than the one before.
-constexpr int kTrials = 5;
 
 double huber(double scaled, double threshold) {
   const double size = std::abs(scaled);
@@ -135,42 +129,22 @@ double CoarseFit::linearise(const LandmarkBasis& basis, std::span<const Observat
 CoarseFitReport CoarseFit::solve(const LandmarkBasis& basis, std::span<const Observation> views,
                                  double focal_px, const TemporalPrior* previous, int max_iterations,
                                  FrameState& state) {
-  CoarseFitReport report;
-  double damping = kFirstDamping;
-  for (int iteration = 0; iteration < max_iterations; ++iteration) {
-    const double before = linearise(basis, views, focal_px, previous, state, equations_);
-    if (!std::isfinite(before)) {
-      return report;
-    }
-    if (iteration == 0) {
-      report.initial_energy = before;
-      report.final_energy = before;
-      report.outcome = CoarseFitOutcome::NotConverged;
-    }
-    hold_bounded(state.expression, equations_.gradient, kExpressionAt, scratch_.held);
-    bool improved = false;
-    for (int trial = 0; trial < kTrials && !improved && damping <= kLargestDamping; ++trial) {
-      if (solve_bounded_step(equations_.hessian, equations_.gradient, damping, scratch_, step_)) {
-        apply_step(state, step_, trial_);
-        const double after = energy(basis, views, focal_px, previous, trial_);
-        if (after < before) {
-          std::swap(state, trial_);
-          report.final_energy = after;
-          improved = true;
-          damping *= 0.1;
-          break;
+  Damping damping;
+  return damped_steps(
+      max_iterations, damping,
+      [&] {
+        const double at_state = linearise(basis, views, focal_px, previous, state, equations_);
+        hold_bounded(state.expression, equations_.gradient, kExpressionAt, scratch_.held);
+        return at_state;
+      },
+      [&](double value) {
+        if (!solve_bounded_step(equations_.hessian, equations_.gradient, value, scratch_, step_)) {
+          return std::nan("");
         }
-      }
-      damping *= 10.0;
-    }
-    report.iterations = iteration + 1;
-    // No downhill step left, or a negligible one: the state is a minimum as far as double precision shows.
-    if (!improved || before - report.final_energy <= kConverged * before) {
-      report.outcome = CoarseFitOutcome::Converged;
-      break;
-    }
-  }
-  return report;
+        apply_step(state, step_, trial_);
+        return energy(basis, views, focal_px, previous, trial_);
+      },
+      [&] { std::swap(state, trial_); });
 }
 
 }  // namespace facet::track

@@ -1,29 +1,15 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <limits>
 #include <span>
 
+#include "track/damped_steps.hpp"
 #include "track/expression_prior.hpp"
 #include "track/landmark_model.hpp"
 #include "track/landmark_term.hpp"
 #include "track/normal_equations.hpp"
 
 namespace facet::track {
-
-/// How a solver ended.
-enum class CoarseFitOutcome {
-  Converged,
-  NotConverged,      ///< the iterations ran out; the state is the best one found
-  NumericalFailure,  ///< no usable step or a point behind the camera; the state is as it came in
-};
-
-struct CoarseFitReport {
-  CoarseFitOutcome outcome = CoarseFitOutcome::NumericalFailure;
-  int iterations = 0;
-  double initial_energy = std::numeric_limits<double>::infinity();
-  double final_energy = std::numeric_limits<double>::infinity();
-};
 
 /// How much a face moves between frames, as standard deviations after one second of a random walk; over dt
 /// seconds they shrink with sqrt(dt). From huber_sigmas on, a change costs linearly: jitter is held, movement

@@ -8,11 +8,6 @@
 namespace facet::track {
 namespace {
 
-constexpr double kConverged = 1e-4;
-constexpr double kFirstDamping = 1e-3;
-constexpr double kSmallestDamping = 1e-9;
-constexpr double kLargestDamping = 1e6;
-constexpr int kTrials = 5;
 /// No identity coefficient leaves this many standard deviations, whatever the landmarks say.
 constexpr double kLargestIdentity = 4.0;
 /// No focal length leaves this range around the prior's median (a factor).
@@ -202,52 +197,31 @@ void IdentityFit::apply_shared(const Eigen::VectorXd& step, SubjectShape& to) co
 }
 
 CoarseFitReport IdentityFit::improve(int max_iterations) {
-  CoarseFitReport report;
   if (frames_.empty()) {
-    return report;
+    return {};
   }
   for (BatchFrame& frame : frames_) {
     observe_views(frame);
   }
-  damping_ = std::min(damping_, kFirstDamping);
-  for (int iteration = 0; iteration < max_iterations; ++iteration) {
-    const double before = linearise();
-    if (!std::isfinite(before)) {
-      return report;
-    }
-    if (iteration == 0) {
-      report.initial_energy = before;
-      report.final_energy = before;
-      report.outcome = CoarseFitOutcome::NotConverged;
-    }
-    bool improved = false;
-    for (int trial = 0; trial < kTrials && damping_ <= kLargestDamping; ++trial) {
-      if (solve_step(damping_)) {
+  damping_.value = std::min(damping_.value, Damping::kFirst);
+  return damped_steps(
+      max_iterations, damping_, [&] { return linearise(); },
+      [&](double value) {
+        if (!solve_step(value)) {
+          return std::nan("");
+        }
         apply_shared(shared_step_, trial_shape_);
         for (BatchFrame& frame : frames_) {
           apply_step(frame.state, frame.step, frame.trial);
         }
-        const double after = batch_energy(trial_shape_, true);
-        if (after < before) {
-          std::swap(shape_, trial_shape_);
-          for (BatchFrame& frame : frames_) {
-            std::swap(frame.state, frame.trial);
-          }
-          report.final_energy = after;
-          improved = true;
-          damping_ = std::max(0.1 * damping_, kSmallestDamping);
-          break;
+        return batch_energy(trial_shape_, true);
+      },
+      [&] {
+        std::swap(shape_, trial_shape_);
+        for (BatchFrame& frame : frames_) {
+          std::swap(frame.state, frame.trial);
         }
-      }
-      damping_ *= 10.0;
-    }
-    report.iterations = iteration + 1;
-    if (!improved || before - report.final_energy <= kConverged * before) {
-      report.outcome = CoarseFitOutcome::Converged;
-      break;
-    }
-  }
-  return report;
+      });
 }
 
 Eigen::VectorXd IdentityFit::landmark_bias_mm() {

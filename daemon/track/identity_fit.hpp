@@ -115,7 +115,7 @@ class IdentityFit {
   Eigen::VectorXd shared_gradient_;
   Eigen::MatrixXd reduced_hessian_;
   Eigen::VectorXd shared_step_;
-  double damping_ = 1e-3;
+  Damping damping_{.smallest = 1e-9};
 };
 
 }  // namespace facet::track
