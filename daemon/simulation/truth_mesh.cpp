@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <array>
-#include <bit>
 #include <charconv>
 #include <cstring>
 #include <fstream>
@@ -13,13 +12,11 @@
 #include <string_view>
 
 #include "facet/error.hpp"
-#include "files/output_file.hpp"
+#include "files/ply.hpp"
 #include "render/renderer.hpp"
 
 namespace facet::simulation {
 namespace {
-
-static_assert(std::endian::native == std::endian::little, "PLY files are written in memory order");
 
 constexpr std::size_t kMaxElements = 50'000'000;  // more than any mesh of ours; keeps sizes far from overflow
 
@@ -31,12 +28,8 @@ struct PlyVertex {
   float albedo[3];
   std::uint8_t srgb[3];
 };
-struct PlyFace {
-  std::uint8_t count;
-  std::int32_t corners[3];
-};
 #pragma pack(pop)
-static_assert(sizeof(PlyVertex) == 39 && sizeof(PlyFace) == 13);
+static_assert(sizeof(PlyVertex) == 39);
 
 struct Property {
   std::string name;
@@ -184,19 +177,6 @@ bool read_fields(const std::byte* vertices, const Header& header, const std::arr
 }  // namespace
 
 void write_truth_ply(const TruthMesh& mesh, const std::filesystem::path& file) {
-  std::string header = fmt::format(
-      "ply\nformat binary_little_endian 1.0\n"
-      "comment Facet truth mesh: camera frame, mm, x right, y down, z forward; albedo linear, colours sRGB\n"
-      "element vertex {}\n",
-      mesh.vertices_mm.cols());
-  for (const char* name : {"x", "y", "z", "nx", "ny", "nz", "albedo_red", "albedo_green", "albedo_blue"}) {
-    header += fmt::format("property float {}\n", name);
-  }
-  header += fmt::format(
-      "property uchar red\nproperty uchar green\nproperty uchar blue\n"
-      "element face {}\nproperty list uchar int vertex_indices\nend_header\n",
-      mesh.triangles.cols());
-
   std::vector<PlyVertex> vertices(static_cast<std::size_t>(mesh.vertices_mm.cols()));
   for (std::size_t v = 0; v < vertices.size(); ++v) {
     const auto column = static_cast<Eigen::Index>(v);
@@ -208,17 +188,15 @@ void write_truth_ply(const TruthMesh& mesh, const std::filesystem::path& file) {
       vertices[v].srgb[k] = render::linear_to_srgb8(mesh.albedo(axis, column));
     }
   }
-  std::vector<PlyFace> faces(static_cast<std::size_t>(mesh.triangles.cols()));
-  for (std::size_t f = 0; f < faces.size(); ++f) {
-    const auto corners = mesh.triangles.col(static_cast<Eigen::Index>(f));
-    faces[f] = {3, {corners[0], corners[1], corners[2]}};
-  }
-
-  files::OutputFile output(file);
-  output.write(header);
-  output.write(std::as_bytes(std::span(vertices)));
-  output.write(std::as_bytes(std::span(faces)));
-  output.commit();
+  files::write_ply(
+      {.comments =
+           {"Facet truth mesh: camera frame, mm, x right, y down, z forward; albedo linear, colours sRGB"},
+       .fields = {"float x", "float y", "float z", "float nx", "float ny", "float nz", "float albedo_red",
+                  "float albedo_green", "float albedo_blue", "uchar red", "uchar green", "uchar blue"},
+       .vertices = std::as_bytes(std::span(vertices)),
+       .vertex_count = vertices.size(),
+       .corners = {mesh.triangles.data(), static_cast<std::size_t>(mesh.triangles.size())}},
+      file);
 }
 
 TruthMesh read_truth_ply(const std::filesystem::path& file) {
@@ -234,10 +212,10 @@ TruthMesh read_truth_ply(const std::filesystem::path& file) {
 TruthMesh parse_truth_ply(std::span<const std::byte> bytes, const std::string& source) {
   const Header header = parse_header({reinterpret_cast<const char*>(bytes.data()), bytes.size()}, source);
   const std::size_t vertex_total = header.vertex_count * header.vertex_bytes;
-  if (bytes.size() - header.body != vertex_total + header.face_count * sizeof(PlyFace)) {
+  if (bytes.size() - header.body != vertex_total + header.face_count * sizeof(files::PlyFace)) {
     refuse(source, fmt::format("{} bytes follow the header where {} vertices and {} triangles take {}",
                                bytes.size() - header.body, header.vertex_count, header.face_count,
-                               vertex_total + header.face_count * sizeof(PlyFace)));
+                               vertex_total + header.face_count * sizeof(files::PlyFace)));
   }
   const std::byte* vertices = bytes.data() + header.body;
   TruthMesh mesh;
@@ -250,8 +228,8 @@ TruthMesh parse_truth_ply(std::span<const std::byte> bytes, const std::string& s
   mesh.triangles.resize(3, static_cast<Eigen::Index>(header.face_count));
   const std::byte* faces = vertices + vertex_total;
   for (std::size_t f = 0; f < header.face_count; ++f) {
-    PlyFace face{};
-    std::memcpy(&face, faces + f * sizeof(PlyFace), sizeof(PlyFace));
+    files::PlyFace face{};
+    std::memcpy(&face, faces + f * sizeof(files::PlyFace), sizeof(files::PlyFace));
     for (std::size_t k = 0; k < 3; ++k) {
       if (face.count != 3 || face.corners[k] < 0 ||
           static_cast<std::size_t>(face.corners[k]) >= header.vertex_count) {
