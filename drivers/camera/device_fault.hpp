@@ -5,7 +5,7 @@
 
 namespace facet::camera {
 
-/// Why a device can't be used now; the message names it.
+/// Why a device can't be used now. Who catches it puts the device's name before the message.
 struct DeviceFault : std::runtime_error {
   enum class Kind {
     Absent,      ///< no such device, or it went away

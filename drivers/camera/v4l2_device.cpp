@@ -173,8 +173,7 @@ V4l2Device::V4l2Device(V4l2Kernel& kernel, const std::string& path) : kernel_(ke
     constexpr std::uint32_t kWays = V4L2_CAP_STREAMING | V4L2_CAP_READWRITE | V4L2_CAP_EXT_PIX_FORMAT;
     if ((can & ~kWays) == 0 || (can & ~kWays) == V4L2_CAP_VIDEO_OUTPUT) {
       // v4l2loopback with exclusive_caps=1: nothing has written into it, or its writer is gone.
-      throw DeviceFault(DeviceFault::Kind::Failing,
-                        fmt::format("{}: gives no pictures: nothing writes into it", path_));
+      throw DeviceFault(DeviceFault::Kind::Failing, "gives no pictures: nothing writes into it");
     }
     if ((can & (V4L2_CAP_VIDEO_CAPTURE | V4L2_CAP_VIDEO_CAPTURE_MPLANE)) == 0 ||
         (can & V4L2_CAP_STREAMING) == 0) {
@@ -213,13 +212,12 @@ void V4l2Device::close() {
 
 void V4l2Device::fail(int error, const std::string& what) const {
   const bool absent = error == ENODEV || error == ENXIO || error == ENOENT;
-  throw DeviceFault(
-      absent ? DeviceFault::Kind::Absent : DeviceFault::Kind::Failing,
-      fmt::format("{}: {}{}", path_, describe_error(error), what.empty() ? "" : " (" + what + ")"));
+  throw DeviceFault(absent ? DeviceFault::Kind::Absent : DeviceFault::Kind::Failing,
+                    fmt::format("{}{}", describe_error(error), what.empty() ? "" : " (" + what + ")"));
 }
 
 void V4l2Device::refuse(const std::string& what) const {
-  throw DeviceFault(DeviceFault::Kind::Unsuitable, fmt::format("{}: {}", path_, what));
+  throw DeviceFault(DeviceFault::Kind::Unsuitable, what);
 }
 
 bool V4l2Device::ask(unsigned long request, void* argument, const char* what) const {
@@ -341,7 +339,7 @@ std::string V4l2Device::controls() const {
 std::uint32_t V4l2Device::choose(const LiveConfig& config) const {
   if (modes_.empty() && unread_formats_.empty()) {
     // As v4l2loopback does until something writes into it.
-    throw DeviceFault(DeviceFault::Kind::Failing, fmt::format("{}: offers {}", path_, offer()));
+    throw DeviceFault(DeviceFault::Kind::Failing, "offers " + offer());
   }
   for (const KnownFormat& format : kKnownFormats) {
     if (config.format != "auto" && config.format != format.name) {
@@ -376,7 +374,7 @@ void V4l2Device::start(const LiveConfig& config) {
   const std::string refused = set_controls(
       config, [this](unsigned long request, void* argument) { return ask(request, argument, "controls"); });
   if (!refused.empty()) {
-    throw DeviceFault(DeviceFault::Kind::Failing, fmt::format("{}: {}", path_, refused));
+    throw DeviceFault(DeviceFault::Kind::Failing, refused);
   }
   map_buffers(config.buffers);
   started_ns_ = kernel_.monotonic_ns();

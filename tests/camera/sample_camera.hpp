@@ -30,11 +30,11 @@ class SampleDevice {
 
   virtual bool is_there() = 0;
   virtual std::vector<double> rates_hz() = 0;
-  /// Throws std::runtime_error where the device refuses.
+  /// Throws camera::DeviceFault where the device refuses or is not there.
   virtual void open(double rate_hz) = 0;
   virtual void close() = 0;
-  /// The oldest picture that nobody has taken, awaited for `timeout` at most. Throws std::runtime_error where
-  /// the device is gone or broken.
+  /// The oldest picture that nobody has taken, awaited for `timeout` at most. Throws camera::DeviceFault
+  /// where the device is gone or broken.
   virtual std::optional<Picture> take(std::chrono::milliseconds timeout) = 0;
 };
 

@@ -6,11 +6,10 @@
 #include <gtest/gtest.h>
 
 #include <deque>
-#include <stdexcept>
 #include <string>
 #include <thread>
 
-#include "camera/host_process.hpp"
+#include "camera/device_fault.hpp"
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
 
@@ -18,6 +17,7 @@ namespace facet::sample {
 namespace {
 
 using namespace std::chrono_literals;
+using camera::DeviceFault;
 using ::testing::HasSubstr;
 
 /// A device that gives what a test puts into it.
@@ -37,17 +37,17 @@ class ScriptedDevice final : public SampleDevice {
   std::vector<double> rates_hz() override { return {15, 30}; }
   void open(double /*rate_hz*/) override {
     if (!there) {
-      throw std::runtime_error("no such device");
+      throw DeviceFault(DeviceFault::Kind::Absent, "no such device");
     }
     if (refuses) {
-      throw std::runtime_error("is in use");
+      throw DeviceFault(DeviceFault::Kind::Failing, "is in use");
     }
     ++opened;
   }
   void close() override { --opened; }
   std::optional<Picture> take(std::chrono::milliseconds timeout) override {
     if (!there) {
-      throw std::runtime_error("was unplugged");
+      throw DeviceFault(DeviceFault::Kind::Absent, "was unplugged");
     }
     if (pictures.empty()) {
       std::this_thread::sleep_for(timeout);
@@ -144,7 +144,7 @@ TEST_F(SampleCameraTest, ComesBackFromEveryFault) {
   device_.expose(0);
   ASSERT_TRUE(becomes(*camera, CameraState::Streaming));
   ASSERT_TRUE(becomes(*camera, CameraState::Stalled));
-  EXPECT_THAT(camera->status().reason, HasSubstr("no frame for 50 ms"));
+  EXPECT_THAT(camera->status().reason, HasSubstr("sample camera: no frame for 0."));
   device_.expose(0);
   ASSERT_TRUE(becomes(*camera, CameraState::Streaming));
   device_.there = false;
