@@ -1,18 +1,17 @@
-// A live face in Unity: put FacetMessage.cs and this file into Assets/, add the component FacetFace to an object with a MeshFilter and
-// a MeshRenderer. Reads the WebSocket of a running facetd (docs/web.md) on a thread of its own, connecting again by itself.
+// A live face in Unity: put FacetClient.cs and this file into Assets/ and libfacet-client.so into Assets/Plugins/, add the component
+// FacetFace to an object with a MeshFilter and a MeshRenderer. Reads the socket of a facetd on this machine on a thread of its own,
+// connecting again by itself. Linux, as the library is.
 
 using System;
 using System.Collections.Generic;
-using System.Net.WebSockets;
 using System.Threading;
-using System.Threading.Tasks;
 using UnityEngine;
 
 [RequireComponent(typeof(MeshFilter), typeof(MeshRenderer))]
 public sealed class FacetFace : MonoBehaviour
 {
-    public string url = "ws://127.0.0.1:8420/stream";
-    [Tooltip("Displacements: compact, rebuilt here. Vertices: about four times the bytes, nothing to rebuild.")]
+    public string socket = Facet.Client.DefaultSocket;
+    [Tooltip("Displacements: compact, rebuilt by the library. Vertices: about four times the bytes, nothing to rebuild.")]
     public Facet.Profile profile = Facet.Profile.Displacements;
     [Tooltip("An avatar with ARKit's blend shapes that the expression drives; may be empty.")]
     public SkinnedMeshRenderer rig;
@@ -27,26 +26,37 @@ public sealed class FacetFace : MonoBehaviour
         public Color[] colours;  // null: as they were
     }
 
-    readonly CancellationTokenSource ending = new CancellationTokenSource();
+    Thread reader;
+    volatile bool ending;
     Shown newest;
     string said = "connecting";
     Mesh mesh;
     ulong subjectShown;
+    // The reading thread's: what the colours are of.
+    Facet.Subject coloured;
+    ulong colouredVersion;
+    Color[] colours;
     readonly Dictionary<string, int> shapes = new Dictionary<string, int>();
 
-    void Start()
+    void OnEnable()
     {
         mesh = new Mesh { indexFormat = UnityEngine.Rendering.IndexFormat.UInt32 };
         mesh.MarkDynamic();
         GetComponent<MeshFilter>().sharedMesh = mesh;
         for (int k = 0; rig != null && k < rig.sharedMesh.blendShapeCount; ++k)
             shapes[Plain(rig.sharedMesh.GetBlendShapeName(k))] = k;
-        Task.Run(() => Read(ending.Token));
+        subjectShown = 0;
+        newest = null;
+        ending = false;
+        reader = new Thread(Read) { IsBackground = true, Name = "facet" };
+        reader.Start();
     }
 
-    void OnDestroy()
+    // The editor unloads scripts when it stops or compiles: no thread may be inside the library then, and no client be left behind.
+    void OnDisable()
     {
-        ending.Cancel();
+        ending = true;
+        reader.Join();
     }
 
     void Update()
@@ -77,92 +87,50 @@ public sealed class FacetFace : MonoBehaviour
         }
     }
 
-    // The reading thread.
-    async Task Read(CancellationToken end)
+    // The reading thread, to which the client belongs alone. Looks every Patience_ms whether it is to end.
+    void Read()
     {
-        int wait_ms = 250;
-        while (!end.IsCancellationRequested)
+        const int Patience_ms = 100;
+        while (!ending)
         {
             try
             {
-                using (var socket = new ClientWebSocket())
-                {
-                    socket.Options.AddSubProtocol("facet");
-                    await socket.ConnectAsync(new Uri(url), end);
-                    await socket.SendAsync(new ArraySegment<byte>(Facet.Message.Subscribe(profile, true, "unity")), WebSocketMessageType.Binary, true, end);
-                    wait_ms = 250;
-                    await ReadMessages(socket, end);
-                }
+                // No ring: what Unity shows is copied in any case, and the socket can't be overtaken.
+                using (var client = new Facet.Client(socket, profile, true, false, true, "unity"))
+                    while (!ending)
+                        Show(client, client.Next(Patience_ms));
             }
-            catch (OperationCanceledException)
-            {
-                return;
-            }
-            catch (Exception error)  // the network, or a message that breaks the protocol
+            catch (Exception error)  // a message that breaks the protocol, or the library is not there
             {
                 Volatile.Write(ref said, error.Message);
+                for (int wait_ms = 0; wait_ms < 1000 && !ending; wait_ms += Patience_ms)
+                    Thread.Sleep(Patience_ms);
             }
-            await Task.Delay(wait_ms).ConfigureAwait(false);
-            wait_ms = Math.Min(2 * wait_ms, 3000);
         }
     }
 
-    async Task ReadMessages(ClientWebSocket socket, CancellationToken end)
+    void Show(Facet.Client client, Facet.Frame frame)
     {
-        var buffer = new byte[1 << 16];
-        Facet.Subject subject = null;
-        Facet.Albedo albedo = null;
-        Color[] colours = null;
-        while (true)
+        if (frame == null)
+            return;
+        Volatile.Write(ref said, frame.State + ", frame " + frame.Sequence);
+        float[] vertices_mm, normals;
+        if (frame.SubjectId == 0 || !client.Mesh(out vertices_mm, out normals))
+            return;
+        Facet.Subject subject = client.Subject;
+        if (!ReferenceEquals(subject, coloured) || frame.AlbedoVersion != colouredVersion)
         {
-            int length = 0;
-            WebSocketReceiveResult part;
-            do
-            {
-                if (length == buffer.Length)
-                {
-                    if (buffer.Length >= Facet.Message.MostBytes)
-                        throw new Facet.FormatException("a message is too long");
-                    Array.Resize(ref buffer, 2 * buffer.Length);
-                }
-                part = await socket.ReceiveAsync(new ArraySegment<byte>(buffer, length, buffer.Length - length), end).ConfigureAwait(false);
-                length += part.Count;
-            } while (!part.EndOfMessage);
-            if (part.MessageType == WebSocketMessageType.Close)
-                throw new Facet.FormatException("closed: " + socket.CloseStatusDescription);
-            var message = new byte[length];
-            Array.Copy(buffer, message, length);
-            switch (Facet.Message.KindOf(message))
-            {
-                case Facet.MessageKind.Hello:
-                    if (Facet.Message.ReadHello(message) != Facet.Message.ProtocolVersion)
-                        throw new Facet.FormatException("the server speaks another version");
-                    break;
-                case Facet.MessageKind.Goodbye:
-                    throw new Facet.FormatException("goodbye: " + Facet.Message.ReadGoodbye(message));
-                case Facet.MessageKind.Subject:
-                    subject = Facet.Message.ReadSubject(message);
-                    break;
-                case Facet.MessageKind.Albedo:
-                    albedo = Facet.Message.ReadAlbedo(message);
-                    colours = null;
-                    break;
-                case Facet.MessageKind.Frame:
-                    Facet.Frame frame = Facet.Message.ReadFrame(message, subject);
-                    Volatile.Write(ref said, frame.State + ", frame " + frame.Sequence);
-                    float[] vertices_mm, normals;
-                    if (frame.SubjectId == 0 || !Facet.Mesh.Rebuild(frame, subject, out vertices_mm, out normals))
-                        break;
-                    if (colours == null && albedo != null && albedo.SubjectId == subject.Id && albedo.LinearRgb.Length == 3 * subject.VertexCount)
-                        colours = Colours(albedo);
-                    Interlocked.Exchange(ref newest, new Shown
-                    {
-                        subject = subject, frame = frame, colours = colours,
-                        vertices = Points(vertices_mm, 0.001f), normals = Points(normals, 1.0f)
-                    });
-                    break;
-            }
+            Facet.Albedo albedo = frame.AlbedoVersion != 0 ? client.Albedo : null;
+            bool fits = albedo != null && albedo.SubjectId == subject.Id && albedo.LinearRgb.Length == 3 * subject.VertexCount;
+            colours = fits ? Colours(albedo) : null;
+            coloured = subject;
+            colouredVersion = fits ? frame.AlbedoVersion : 0;
         }
+        Interlocked.Exchange(ref newest, new Shown
+        {
+            subject = subject, frame = frame, colours = colours,
+            vertices = Points(vertices_mm, 0.001f), normals = Points(normals, 1.0f)
+        });
     }
 
     // Unity is left-handed: x to the subject's right, y up, z out of the face; metres.

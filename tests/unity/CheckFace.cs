@@ -1,6 +1,6 @@
 // The component FacetFace before a running server, without Unity: what lands in its mesh and on its rig.
 // Usage: CheckFace.exe PATCH-SERVER FOLDER      the server of tests/client/patch_server.cpp; a folder for its sockets
-//        CheckFace.exe live URL                  a facetd that sees a face: ten pictures of it
+//        CheckFace.exe live SOCKET               a facetd that sees a face: ten pictures of it
 using System;
 using System.Diagnostics;
 using System.IO;
@@ -22,9 +22,9 @@ static class CheckFace
         {
             try
             {
-                int port = int.Parse(server.StandardOutput.ReadLine());
+                server.StandardOutput.ReadLine();  // it listens
                 foreach (Facet.Profile profile in new[] { Facet.Profile.Displacements, Facet.Profile.Vertices })
-                    Check(server, "ws://127.0.0.1:" + port + "/stream", profile);
+                    Check(server, Path.Combine(arguments[1], "stream.sock"), profile);
             }
             finally
             {
@@ -55,10 +55,10 @@ static class CheckFace
         }
     }
 
-    static FacetFace Begin(string url, Facet.Profile profile)
+    static FacetFace Begin(string socket, Facet.Profile profile)
     {
-        var face = new FacetFace { url = url, profile = profile, rig = new SkinnedMeshRenderer { sharedMesh = new UnityEngine.Mesh { shapes = new[] { "nothing", "face.JawOpen", "eyeBlink_L" } } } };
-        Call(face, "Start");
+        var face = new FacetFace { socket = socket, profile = profile, rig = new SkinnedMeshRenderer { sharedMesh = new UnityEngine.Mesh { shapes = new[] { "nothing", "face.JawOpen", "eyeBlink_L" } } } };
+        Call(face, "OnEnable");
         return face;
     }
 
@@ -74,9 +74,9 @@ static class CheckFace
         throw new Exception("not in time: " + what + " (" + face.state + ")");
     }
 
-    static void Check(Process server, string url, Facet.Profile profile)
+    static void Check(Process server, string socket, Facet.Profile profile)
     {
-        FacetFace face = Begin(url, profile);
+        FacetFace face = Begin(socket, profile);
         UnityEngine.Mesh mesh = face.GetComponent<MeshFilter>().sharedMesh;
         Until(face, "a first face", () => mesh.vertices.Length > 0);
         int first = mesh.vertices.Length, triangles = mesh.triangles.Length;
@@ -103,7 +103,7 @@ static class CheckFace
             Require(mesh.triangles.Max() == mesh.vertices.Length - 1 && mesh.uv.Length == mesh.vertices.Length, "its arrays");
         }
         Console.WriteLine(profile + ": " + first + " vertices, " + face.state);
-        Call(face, "OnDestroy");
+        Call(face, "OnDisable");
     }
 
     // The share of triangles that are clockwise as seen from before the face. Unity's z there points at who looks, x to the right.
@@ -119,9 +119,9 @@ static class CheckFace
         return 3.0 * clockwise / mesh.triangles.Length;
     }
 
-    static int Live(string url)
+    static int Live(string socket)
     {
-        FacetFace face = Begin(url, Facet.Profile.Displacements);
+        FacetFace face = Begin(socket, Facet.Profile.Displacements);
         UnityEngine.Mesh mesh = face.GetComponent<MeshFilter>().sharedMesh;
         for (int k = 0; k < 10; ++k)
         {
@@ -129,7 +129,7 @@ static class CheckFace
             Until(face, "a face", () => mesh.vertices.Length > 0 && !ReferenceEquals(mesh.vertices, before));
         }
         Console.WriteLine(mesh.vertices.Length + " vertices, " + mesh.triangles.Length / 3 + " triangles, " + face.state);
-        Call(face, "OnDestroy");
+        Call(face, "OnDisable");
         return 0;
     }
 }

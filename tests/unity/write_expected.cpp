@@ -1,17 +1,11 @@
-// Messages of the stream as the server encodes them, and what the C++ decoder makes of them, for
-// CheckDecoder.cs. Usage: write_messages FOLDER           writes them
-//        write_messages FILE PROFILE     checks a Subscribe message that another program made
+// What the C++ decoder makes of the frame that patch_server publishes, in each profile, for CheckClient.cs.
+// Usage: write_expected FOLDER
 
 #include <fmt/format.h>
 
-#include <cstdio>
-#include <cstring>
 #include <filesystem>
 #include <fstream>
-#include <iterator>
-#include <span>
 #include <string>
-#include <vector>
 
 #include "stream/decoder.hpp"
 #include "stream/encoder.hpp"
@@ -33,27 +27,19 @@ void write_profile(const std::filesystem::path& folder, stream::Profile profile,
   const auto sent = test::patch_subject();
   const auto albedo = test::patch_albedo(*sent);
   const mesh::MeshFrame frame = test::patch_frame(7, sent, albedo);
-  const auto keep = [&](const std::string& kind, std::span<const std::uint8_t> message) {
-    const std::vector<std::uint8_t> bytes(message.begin(), message.end());
-    write(folder / (kind + "-" + name + ".bin"), bytes.data(), bytes.size());
-    return bytes;
-  };
-  const auto subject = stream::decode_subject(keep("subject", encoder.subject(*sent, profile)));
+  const auto subject = stream::decode_subject(encoder.subject(*sent, profile));
   const auto floats = [&](const std::string& what, const float* data, std::size_t count) {
     write(folder / (what + "-" + name + ".f32"), data, count);
   };
-  const auto albedo_message = keep("albedo", encoder.albedo(sent->id, *albedo));
-  const auto seen = stream::decode_albedo(albedo_message);
+  const auto seen = stream::decode_albedo(encoder.albedo(sent->id, *albedo));
   floats("albedo", seen.albedo->linear_rgb.data(), seen.albedo->linear_rgb.size());
   stream::DecodedFrame decoded;
-  stream::decode_frame(keep("frame", encoder.frame(frame, profile)), subject, seen.albedo, decoded);
+  stream::decode_frame(encoder.frame(frame, profile), subject, seen.albedo, decoded);
   std::string triangles;
   std::size_t vertex_count = 0;
-  int control_vertex_count = 0;
   if (subject->hierarchy != nullptr) {
     const auto& finest = subject->hierarchy->finest();
     vertex_count = static_cast<std::size_t>(finest.vertex_count);
-    control_vertex_count = subject->hierarchy->control_vertex_count;
     for (Eigen::Index k = 0; k < 30; ++k) {
       triangles += fmt::format("{}{}", k == 0 ? "" : ",", finest.triangles.data()[k]);
     }
@@ -73,29 +59,14 @@ void write_profile(const std::filesystem::path& folder, stream::Profile profile,
   for (const std::string& expression : subject->expression_names) {
     names += (names.empty() ? "" : ",") + expression;
   }
-  std::ofstream(folder / ("scalars-" + name + ".txt")) << fmt::format(
-      "{}\n{}\n{}\n{}\n{}\n{}\n{}\n{}\n{}\n", subject->id, names, control_vertex_count, vertex_count,
-      triangles, got.sequence, got.timestamp_ns, static_cast<int>(got.state), albedo->version);
-}
-
-int check_subscribe(const std::string& file, const std::string& profile) {
-  std::ifstream in(file, std::ios::binary);
-  const std::vector<std::uint8_t> bytes{std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
-  const stream::Subscription wanted = stream::decode_subscription(bytes);
-  const bool right = wanted.protocol_version == stream::kProtocolVersion && wanted.want_albedo &&
-                     wanted.client == "test" && std::to_string(static_cast<int>(wanted.profile)) == profile;
-  if (!right) {
-    std::fprintf(stderr, "another subscription than was meant: %s\n", wanted.client.c_str());
-  }
-  return right ? 0 : 1;
+  std::ofstream(folder / ("scalars-" + name + ".txt"))
+      << fmt::format("{}\n{}\n{}\n{}\n{}\n{}\n{}\n{}\n", subject->id, names, vertex_count, triangles,
+                     got.sequence, got.timestamp_ns, static_cast<int>(got.state), albedo->version);
 }
 
 }  // namespace
 
 int main(int argc, char** argv) {
-  if (argc == 3) {
-    return check_subscribe(argv[1], argv[2]);
-  }
   if (argc != 2) {
     return 2;
   }
