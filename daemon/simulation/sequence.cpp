@@ -4,10 +4,8 @@
 
 #include <memory>
 #include <nlohmann/json.hpp>
-#include <system_error>
 
 #include "capture/rig_file.hpp"
-#include "facet/error.hpp"
 #include "files/output_file.hpp"
 #include "simulation/lossless_video.hpp"
 
@@ -57,12 +55,7 @@ std::filesystem::path truth_file(const std::filesystem::path& folder, std::uint6
 
 void write_sequence(const ActorSequence& sequence, const std::filesystem::path& folder,
                     const std::function<void(int)>& done) {
-  std::error_code failure;
-  std::filesystem::create_directories(folder / "truth", failure);
-  if (failure) {
-    throw Error(ErrorKind::Storage, fmt::format("{}: cannot make the folder ({})",
-                                                (folder / "truth").string(), failure.message()));
-  }
+  files::make_folder(folder / "truth");
   const ActorSequenceConfig& config = sequence.config();
   const CameraIntrinsics& camera = sequence.camera();
   json document = {{"fx", camera.fx},

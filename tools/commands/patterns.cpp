@@ -10,13 +10,13 @@
 #include <memory>
 #include <optional>
 #include <string>
-#include <system_error>
 #include <vector>
 
 #include "capture/code_sequence.hpp"
 #include "capture/patterns.hpp"
 #include "capture/rig_file.hpp"
 #include "facet/error.hpp"
+#include "files/output_file.hpp"
 #include "options.hpp"
 #include "picture_size.hpp"
 #include "progress.hpp"
@@ -72,15 +72,6 @@ render::Picture to_picture(const capture::GreyImage& image) {
   return picture;
 }
 
-void make_folder(const std::filesystem::path& folder) {
-  std::error_code failure;
-  std::filesystem::create_directories(folder, failure);
-  if (failure) {
-    throw Error(ErrorKind::Storage,
-                fmt::format("{}: cannot make the folder ({})", folder.string(), failure.message()));
-  }
-}
-
 void run_write(const PatternsOptions& options) {
   const std::vector<Screen> screens = screens_of(options);
   std::optional<capture::CodeSequence> sequence;
@@ -92,7 +83,7 @@ void run_write(const PatternsOptions& options) {
   Progress progress("Drawing", slots * screens.size(), "pictures");
   for (std::size_t k = 0; k < screens.size(); ++k) {
     const Screen& screen = screens[k];
-    make_folder(screen.folder);
+    files::make_folder(screen.folder);
     capture::PatternConfig config = options.patterns;
     config.width_px = screen.width_px;
     config.height_px = screen.height_px;
