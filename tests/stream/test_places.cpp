@@ -43,7 +43,7 @@ class PlacesTest : public ::testing::Test {
   }
 
   Places places_{small()};
-  Clock::time_point now_ = Places::Clock::time_point() + 1h;
+  Clock::time_point now_ = Clock::time_point() + 1h;
   Places::Id next_ = 1;
 };
 
