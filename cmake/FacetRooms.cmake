@@ -3,6 +3,7 @@
 
 add_library(facet_options INTERFACE)
 target_compile_options(facet_options INTERFACE -Wall -Wextra -Wshadow -Wconversion $<$<COMPILE_LANGUAGE:CXX>:-Wnon-virtual-dtor> -Werror
+                       $<$<COMPILE_LANG_AND_ID:CXX,Clang>:-Wthread-safety>  # facet/thread_annotations.hpp
                        -fno-math-errno -fno-trapping-math)
 if(CMAKE_SYSTEM_PROCESSOR MATCHES "x86_64|AMD64")
   # AVX2 and FMA: every x86-64 machine of the last ten years. facetd and facet check it at start.

@@ -10,9 +10,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <charconv>
-#include <condition_variable>
 #include <cstring>
-#include <mutex>
 #include <random>
 #include <system_error>
 #include <thread>
@@ -21,6 +19,7 @@
 #include "avatar/protocols.hpp"
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
+#include "facet/mutex.hpp"
 #include "files/output_file.hpp"
 
 namespace facet::avatar {
@@ -118,9 +117,9 @@ struct Bridge::Impl {
   ~Impl();
 
   // What holds poses stands first: it is aligned to 32 bytes.
-  Smoother smoother;                        ///< the thread's own
-  std::optional<NeutralPose> neutral;       ///< guarded by mutex, as is the next
-  std::optional<NeutralRecorder> recorder;  ///< while a neutral pose is recorded
+  Smoother smoother;  ///< the thread's own
+  std::optional<NeutralPose> neutral FACET_GUARDED_BY(mutex);
+  std::optional<NeutralRecorder> recorder FACET_GUARDED_BY(mutex);  ///< while a neutral pose is recorded
 
   BridgeConfig config;
   std::string device = random_uuid();
@@ -133,12 +132,12 @@ struct Bridge::Impl {
   };
   std::vector<Destination> destinations;  ///< [targets]
 
-  mutable std::mutex mutex;
-  std::condition_variable changed;
-  bool stopping = false;
-  std::shared_ptr<const mesh::MeshFrame> newest;  ///< not sent yet
-  BridgeStatus status;
-  Clock::time_point recorded_until;
+  mutable Mutex mutex;
+  Condition changed;
+  bool stopping FACET_GUARDED_BY(mutex) = false;
+  std::shared_ptr<const mesh::MeshFrame> newest FACET_GUARDED_BY(mutex);  ///< not sent yet
+  BridgeStatus status FACET_GUARDED_BY(mutex);
+  Clock::time_point recorded_until FACET_GUARDED_BY(mutex);
 
   // The thread's own.
   OscBundles vmc{kMostDatagram};
@@ -148,8 +147,8 @@ struct Bridge::Impl {
 
   static int open_socket(int family);
   void run();
-  void work_once(std::unique_lock<std::mutex>& lock, Clock::time_point& next_send);
-  void finish_recording(std::unique_lock<std::mutex>& lock);
+  void work_once(Clock::time_point& next_send) FACET_REQUIRES(mutex);
+  void finish_recording() FACET_REQUIRES(mutex);
   void send(const FaceState& state, bool with_neutral);
   static std::string send_all(Destination& to, const std::vector<std::vector<std::byte>>& datagrams);
 };
@@ -190,15 +189,12 @@ int Bridge::Impl::open_socket(int family) {
 void Bridge::Impl::run() {
   ::pthread_setname_np(::pthread_self(), "facet-bridge");
   Clock::time_point next_send = Clock::now();
-  std::unique_lock lock(mutex);
+  const Lock lock(mutex);
   while (!stopping) {
     try {
-      work_once(lock, next_send);
+      work_once(next_send);
     } catch (const std::exception& error) {
       // A frame for which there was no memory: the next one finds some, or not.
-      if (!lock.owns_lock()) {
-        lock.lock();
-      }
       for (BridgeTargetStatus& target : status.targets) {
         ++target.failed;
         target.reason = error.what();
@@ -208,17 +204,17 @@ void Bridge::Impl::run() {
 }
 
 /// Waits for a frame or the time to send it, sends it, or ends the recording of a neutral pose.
-void Bridge::Impl::work_once(std::unique_lock<std::mutex>& lock, Clock::time_point& next_send) {
+void Bridge::Impl::work_once(Clock::time_point& next_send) {
   const auto period =
       std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1 / config.rate_hz));
   const auto now = Clock::now();
   if (recorder && now >= recorded_until) {
-    finish_recording(lock);
+    finish_recording();
   }
   if (newest == nullptr || now < next_send) {
     // A recording ends without a frame too.
     const auto until = newest != nullptr ? next_send : now + std::chrono::milliseconds(100);
-    changed.wait_until(lock, Clock::wake(until));
+    changed.wait_until(mutex, Clock::wake(until));
     return;
   }
   // A frame that comes a little early is in time all the same: a camera at rate_hz loses none.
@@ -232,29 +228,30 @@ void Bridge::Impl::work_once(std::unique_lock<std::mutex>& lock, Clock::time_poi
   if (neutral && state.tracked) {
     subtract(*neutral, state);
   }
-  lock.unlock();
+  const Unlock unlock(mutex);
   smoother.apply(state);
   send(state, with_neutral);
-  lock.lock();
 }
 
 /// Writes the file with the lock open: whoever hands frames over does not wait for the disk.
-void Bridge::Impl::finish_recording(std::unique_lock<std::mutex>& lock) {
+void Bridge::Impl::finish_recording() {
   const NeutralRecorder recorded = *std::exchange(recorder, std::nullopt);
-  lock.unlock();
-  const std::optional<NeutralPose> mean = recorded.mean();
+  std::optional<NeutralPose> mean;
   std::string fault;
-  if (mean) {
-    try {
-      save_neutral(*mean, config.neutral_file);
-    } catch (const Error& error) {
-      fault = error.what();
+  {
+    const Unlock unlock(mutex);
+    mean = recorded.mean();
+    if (mean) {
+      try {
+        save_neutral(*mean, config.neutral_file);
+      } catch (const Error& error) {
+        fault = error.what();
+      }
+    } else {
+      fault = fmt::format("a face was tracked in {} frames, {} are needed", recorded.frames(),
+                          NeutralRecorder::kFewestFrames);
     }
-  } else {
-    fault = fmt::format("a face was tracked in {} frames, {} are needed", recorded.frames(),
-                        NeutralRecorder::kFewestFrames);
   }
-  lock.lock();
   status.neutral = fault.empty() ? NeutralState::Set : NeutralState::Failed;
   status.neutral_reason = fault;
   status.neutral_frames = recorded.frames();
@@ -290,7 +287,7 @@ void Bridge::Impl::send(const FaceState& state, bool with_neutral) {
       continue;
     }
     const std::string reason = send_all(destinations[i], is_vmc ? vmc.bundles() : live_link);
-    const std::lock_guard lock(mutex);
+    const Lock lock(mutex);
     BridgeTargetStatus& target = status.targets[i];
     ++target.frames;
     target.failed += reason.empty() ? 0 : 1;
@@ -315,7 +312,7 @@ void Bridge::start() {
 
 void Bridge::request_stop() {
   {
-    const std::lock_guard lock(impl_->mutex);
+    const Lock lock(impl_->mutex);
     impl_->stopping = true;
   }
   impl_->changed.notify_one();
@@ -329,19 +326,19 @@ void Bridge::stop() {
 
 void Bridge::publish(std::shared_ptr<const mesh::MeshFrame> frame) {
   {
-    const std::lock_guard lock(impl_->mutex);
+    const Lock lock(impl_->mutex);
     impl_->newest.swap(frame);
   }
   impl_->changed.notify_one();
 }
 
 BridgeStatus Bridge::status() const {
-  const std::lock_guard lock(impl_->mutex);
+  const Lock lock(impl_->mutex);
   return impl_->status;
 }
 
 void Bridge::record_neutral(std::chrono::milliseconds duration) {
-  const std::lock_guard lock(impl_->mutex);
+  const Lock lock(impl_->mutex);
   if (impl_->recorder) {
     throw Error(ErrorKind::Usage, "a neutral pose is being recorded already");
   }
@@ -359,7 +356,7 @@ void Bridge::clear_neutral() {
     throw Error(ErrorKind::Storage, fmt::format("cannot remove '{}': {}", impl_->config.neutral_file.string(),
                                                 failure.message()));
   }
-  const std::lock_guard lock(impl_->mutex);
+  const Lock lock(impl_->mutex);
   impl_->recorder.reset();
   impl_->neutral.reset();
   impl_->status.neutral = NeutralState::None;

@@ -1,11 +1,10 @@
 #pragma once
 
 #include <chrono>
-#include <condition_variable>
 #include <cstdint>
-#include <mutex>
 
 #include "capture/frame_set_matcher.hpp"
+#include "facet/mutex.hpp"
 
 namespace facet::capture {
 
@@ -35,10 +34,10 @@ class FrameSetAssembler {
   CaptureStatistics statistics() const;  ///< any thread
 
  private:
-  mutable std::mutex mutex_;
-  std::condition_variable changed_;
-  FrameSetMatcher matcher_;  ///< guarded by mutex_, as all below
-  bool closed_ = false;
+  mutable Mutex mutex_;
+  Condition changed_;
+  FrameSetMatcher matcher_ FACET_GUARDED_BY(mutex_);
+  bool closed_ FACET_GUARDED_BY(mutex_) = false;
 };
 
 }  // namespace facet::capture

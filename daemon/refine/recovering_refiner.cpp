@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "facet/error.hpp"
+#include "facet/mutex.hpp"
 #include "gpu/context.hpp"
 
 namespace facet::refine {
@@ -32,7 +33,7 @@ RecoveringRefiner::~RecoveringRefiner() {
 }
 
 void RecoveringRefiner::request_stop() {
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   stop_ = true;
   stop_changed_.notify_all();
 }
@@ -134,7 +135,7 @@ void RecoveringRefiner::adopt_reopened() {
   }
   const mesh::Hierarchy* reopened_for = nullptr;
   {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     stage_ = std::move(reopened_);
     reopened_for = reopened_for_;
   }
@@ -154,15 +155,15 @@ void RecoveringRefiner::reopen(const SubjectSetup& subject) {
   std::chrono::milliseconds pause = pauses_.first;
   for (;;) {
     {
-      std::unique_lock lock(mutex_);
-      if (stop_changed_.wait_for(lock, pause, [&] { return stop_; })) {
+      const Lock lock(mutex_);
+      if (stop_changed_.wait_for(mutex_, pause, [&]() FACET_REQUIRES(mutex_) { return stop_; })) {
         return;
       }
     }
     pause = std::min(2 * pause, pauses_.longest);
     std::unique_ptr<RefineStage> stage = try_open(subject);
     if (stage != nullptr) {
-      const std::lock_guard lock(mutex_);
+      const Lock lock(mutex_);
       reopened_ = std::move(stage);
       reopened_for_ = subject.hierarchy.get();
       return;

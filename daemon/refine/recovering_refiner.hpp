@@ -1,13 +1,12 @@
 #pragma once
 
 #include <chrono>
-#include <condition_variable>
 #include <memory>
-#include <mutex>
 #include <string>
 #include <thread>
 
 #include "facet/messages.hpp"
+#include "facet/mutex.hpp"
 #include "refine/refine_stage.hpp"
 
 namespace facet::refine {
@@ -63,11 +62,11 @@ class RecoveringRefiner {
   bool has_subject_ = false;
   bool helped_ = true;  ///< the helper of the last loss was made
 
-  std::mutex mutex_;
-  std::condition_variable stop_changed_;
-  bool stop_ = false;                              ///< guarded by mutex_
-  std::unique_ptr<RefineStage> reopened_;          ///< guarded by mutex_
-  const mesh::Hierarchy* reopened_for_ = nullptr;  ///< guarded by mutex_: whose subject reopened_ has
+  Mutex mutex_;
+  Condition stop_changed_;
+  bool stop_ FACET_GUARDED_BY(mutex_) = false;
+  std::unique_ptr<RefineStage> reopened_ FACET_GUARDED_BY(mutex_);
+  const mesh::Hierarchy* reopened_for_ FACET_GUARDED_BY(mutex_) = nullptr;  ///< whose subject reopened_ has
   std::jthread helper_;
 };
 

@@ -16,7 +16,6 @@
 #include <chrono>
 #include <cstring>
 #include <exception>
-#include <mutex>
 #include <optional>
 #include <span>
 #include <thread>
@@ -25,6 +24,7 @@
 #include "facet/assert.hpp"
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
+#include "facet/mutex.hpp"
 #include "stream/decoder.hpp"
 #include "stream/encoder.hpp"
 #include "stream/framing.hpp"
@@ -198,15 +198,15 @@ struct StreamServer::Impl {
   FileDescriptor wake;
   std::atomic<bool> stopping{false};
 
-  std::mutex newest_mutex;                        ///< held for a pointer's swap only
-  std::shared_ptr<const mesh::MeshFrame> newest;  ///< guarded by newest_mutex; null once taken
-  std::uint64_t published = 0;                    ///< guarded by newest_mutex
+  Mutex newest_mutex;  ///< held for a pointer's swap only
+  std::shared_ptr<const mesh::MeshFrame> newest FACET_GUARDED_BY(newest_mutex);  ///< null once taken
+  std::uint64_t published FACET_GUARDED_BY(newest_mutex) = 0;
 
-  std::mutex adopted_mutex;
-  std::vector<AdoptedConnection> adopted;  ///< guarded by adopted_mutex
+  Mutex adopted_mutex;
+  std::vector<AdoptedConnection> adopted FACET_GUARDED_BY(adopted_mutex);
 
-  mutable std::mutex statistics_mutex;
-  StreamStatistics shown_statistics;  ///< guarded by statistics_mutex
+  mutable Mutex statistics_mutex;
+  StreamStatistics shown_statistics FACET_GUARDED_BY(statistics_mutex);
 
   // facet-stream only.
   FileDescriptor epoll;
@@ -288,7 +288,7 @@ void StreamServer::Impl::take_newest() {
   std::shared_ptr<const mesh::MeshFrame> frame;
   std::uint64_t number = 0;
   {
-    const std::lock_guard lock(newest_mutex);
+    const Lock lock(newest_mutex);
     frame = std::exchange(newest, nullptr);
     number = published;
   }
@@ -336,7 +336,7 @@ void StreamServer::Impl::accept_readers() {
 void StreamServer::Impl::admit_adopted() {
   std::vector<AdoptedConnection> waiting;
   {
-    const std::lock_guard lock(adopted_mutex);
+    const Lock lock(adopted_mutex);
     waiting.swap(adopted);
   }
   for (AdoptedConnection& entry : waiting) {
@@ -833,7 +833,7 @@ void StreamServer::Impl::show_statistics() {
   statistics.readers.resize(readers.size());
   std::transform(readers.begin(), readers.end(), statistics.readers.begin(),
                  [](const std::unique_ptr<Reader>& reader) { return reader->statistics; });
-  const std::lock_guard lock(statistics_mutex);
+  const Lock lock(statistics_mutex);
   shown_statistics = statistics;
 }
 
@@ -967,7 +967,7 @@ void StreamServer::publish(std::shared_ptr<const mesh::MeshFrame> frame) {
     return;
   }
   {
-    const std::lock_guard lock(impl_->newest_mutex);
+    const Lock lock(impl_->newest_mutex);
     impl_->newest.swap(frame);
     ++impl_->published;
   }
@@ -978,7 +978,7 @@ void StreamServer::publish(std::shared_ptr<const mesh::MeshFrame> frame) {
 
 void StreamServer::adopt(FileDescriptor connection, std::vector<std::uint8_t> early) {
   {
-    const std::lock_guard lock(impl_->adopted_mutex);
+    const Lock lock(impl_->adopted_mutex);
     if (impl_->stopping.load() || impl_->adopted.size() >= kMostWaiting) {
       return;
     }
@@ -1003,7 +1003,7 @@ void StreamServer::stop() {
 }
 
 StreamStatistics StreamServer::statistics() const {
-  const std::lock_guard lock(impl_->statistics_mutex);
+  const Lock lock(impl_->statistics_mutex);
   return impl_->shown_statistics;
 }
 

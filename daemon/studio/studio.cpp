@@ -6,8 +6,6 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
-#include <condition_variable>
-#include <mutex>
 #include <new>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -16,6 +14,7 @@
 #include "animate/places.hpp"
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
+#include "facet/mutex.hpp"
 #include "files/json_text.hpp"
 #include "files/output_file.hpp"
 #include "files/text_file.hpp"
@@ -185,36 +184,39 @@ struct Studio::Impl {
   const std::function<void(bool)> hold_live;
   const std::string software;
 
-  /// Guards what follows; never held while a face is made or a file is read or written.
-  mutable std::mutex mutex;
-  std::condition_variable woken;
-  bool stopping = false;
-  std::optional<Opening> opening;
-  std::optional<Wish> wish;
-  std::filesystem::path export_to;  ///< empty: nothing is to be exported
-  bool cancelled = false;           ///< what is prepared or exported
-  StudioStatus shown;               ///< but targets are those that were solved, `wanted` those asked for
-  Times latency;
-  Times work;
-  std::shared_ptr<const Faces> faces;
-  std::vector<animate::ControlTarget> wanted;
-  animate::IkOptions options;
-  std::shared_ptr<const animate::InfluenceMaps> maps;  ///< of the last pose
-  std::string keys;
+  /// Never held while a face is made or a file is read or written.
+  mutable Mutex mutex;
+  Condition woken;
+  bool stopping FACET_GUARDED_BY(mutex) = false;
+  std::optional<Opening> opening FACET_GUARDED_BY(mutex);
+  std::optional<Wish> wish FACET_GUARDED_BY(mutex);
+  std::filesystem::path export_to FACET_GUARDED_BY(mutex);  ///< empty: nothing is to be exported
+  bool cancelled FACET_GUARDED_BY(mutex) = false;           ///< what is prepared or exported
+  /// But targets are those that were solved, `wanted` those asked for.
+  StudioStatus shown FACET_GUARDED_BY(mutex);
+  Times latency FACET_GUARDED_BY(mutex);
+  Times work FACET_GUARDED_BY(mutex);
+  std::shared_ptr<const Faces> faces FACET_GUARDED_BY(mutex);
+  std::vector<animate::ControlTarget> wanted FACET_GUARDED_BY(mutex);
+  animate::IkOptions options FACET_GUARDED_BY(mutex);
+  std::shared_ptr<const animate::InfluenceMaps> maps FACET_GUARDED_BY(mutex);  ///< of the last pose
+  std::string keys FACET_GUARDED_BY(mutex);
 
   std::unique_ptr<Session> session;  ///< the thread only
   std::jthread thread;
   std::atomic<bool> ended{true};
 
-  // Whoever asks; under the mutex.
-  const Faces& ready_faces() const;
-  animate::ControlTarget resolve(const animate::KeyControl& control) const;
-  std::uint64_t ask_pose(std::vector<animate::ControlTarget> targets, const animate::IkOptions& how);
-  void ask(const Wish& what);
+  // Whoever asks.
+  const Faces& ready_faces() const FACET_REQUIRES(mutex);
+  animate::ControlTarget resolve(const animate::KeyControl& control) const FACET_REQUIRES(mutex);
+  std::uint64_t ask_pose(std::vector<animate::ControlTarget> targets, const animate::IkOptions& how)
+      FACET_REQUIRES(mutex);
+  void ask(const Wish& what) FACET_REQUIRES(mutex);
 
   // The thread.
   void run();
-  bool work_once(std::unique_lock<std::mutex>& lock);
+  void work_until_stopped();
+  bool work_once() FACET_REQUIRES(mutex);
   void guarded(const std::function<void()>& what);
   /// next_take: what is opened at once; empty: nothing.
   void close_session(const std::string& reason, const std::string& next_take = {});
@@ -283,19 +285,19 @@ std::uint64_t Studio::Impl::ask_pose(std::vector<animate::ControlTarget> targets
 // ---- the thread -----------------------------------------------------------------------------------------
 
 void Studio::Impl::set_state(StudioState state) {
-  const std::lock_guard lock(mutex);
+  const Lock lock(mutex);
   shown.state = state;
 }
 
 /// Somebody wants another take, or the end.
 bool Studio::Impl::given_up() {
-  const std::lock_guard lock(mutex);
+  const Lock lock(mutex);
   return stopping || opening.has_value();
 }
 
 /// What takes long shall go on.
 bool Studio::Impl::wanted_still(StudioState what) {
-  const std::lock_guard lock(mutex);
+  const Lock lock(mutex);
   // Places of the animation wait for it: a cursor that is dragged along must not begin it anew each time.
   const bool other = wish && (wish->kind == Wish::Kind::Pose || wish->kind == Wish::Kind::Pause ||
                               wish->shown != Shown::Keys);
@@ -320,7 +322,7 @@ void Studio::Impl::publish(mesh::MeshFrame frame, std::optional<Clock::time_poin
 void Studio::Impl::close_session(const std::string& reason, const std::string& next_take) {
   session.reset();
   hold_live(false);
-  const std::lock_guard lock(mutex);
+  const Lock lock(mutex);
   shown = {};
   shown.reason = reason;
   if (!next_take.empty()) {
@@ -370,7 +372,7 @@ void Studio::Impl::open_session(const Opening& what) {
     auto ready = std::make_shared<Faces>();
     ready->basis = animate::TakeBasis::open(made->file, {}, [&](std::int64_t done, std::int64_t total) {
       {
-        const std::lock_guard lock(mutex);
+        const Lock lock(mutex);
         shown.done = done;
         shown.total = total;
       }
@@ -398,7 +400,7 @@ void Studio::Impl::open_session(const Opening& what) {
   session = std::move(made);
   hold_live(true);
   {
-    const std::lock_guard lock(mutex);
+    const Lock lock(mutex);
     faces = session->faces;
     keys = std::move(stored_keys);
     options = {};
@@ -414,7 +416,7 @@ void Studio::Impl::open_session(const Opening& what) {
     show_at(Shown::Take, 0);
   }
   if (!keys_fault.empty()) {
-    const std::lock_guard lock(mutex);
+    const Lock lock(mutex);
     shown.reason = std::move(keys_fault);
   }
 }
@@ -423,7 +425,7 @@ void Studio::Impl::solve(const Wish& what) {
   std::vector<animate::ControlTarget> targets;
   animate::IkOptions how;
   {
-    const std::lock_guard lock(mutex);
+    const Lock lock(mutex);
     targets = wanted;
     how = options;
   }
@@ -436,7 +438,7 @@ void Studio::Impl::solve(const Wish& what) {
   const Clock::time_point made = Clock::now();
   publish(std::move(frame), what.asked);
   const auto& boundary = session->faces->basis->hierarchy().finest().one_rings.on_boundary;
-  const std::lock_guard lock(mutex);
+  const Lock lock(mutex);
   work.add(made - began);
   latency.add(Clock::now() - what.asked);
   ++shown.solved;
@@ -483,7 +485,7 @@ void Studio::Impl::show_at(Shown what, double time_s) {
     sequence = entry.sequence;
     publish(*session->reader->frame(entry.index, take::Pictures::Described), {});
   }
-  const std::lock_guard lock(mutex);
+  const Lock lock(mutex);
   shown.shown = what;
   shown.time_s = at_s;
   shown.frame = sequence;
@@ -492,7 +494,7 @@ void Studio::Impl::show_at(Shown what, double time_s) {
 void Studio::Impl::prepare_keys() {
   std::string text;
   {
-    const std::lock_guard lock(mutex);
+    const Lock lock(mutex);
     text = keys;
   }
   if (session->animation && session->animated_keys == text) {
@@ -511,7 +513,7 @@ void Studio::Impl::prepare_keys() {
                           : session->faces->basis->frame_period_s() > 0.001
                               ? 1.0 / session->faces->basis->frame_period_s()
                               : kDefaultRate_hz;
-  const std::lock_guard lock(mutex);
+  const Lock lock(mutex);
   shown.warnings = std::move(report.warnings);
 }
 
@@ -565,7 +567,7 @@ void Studio::Impl::do_wish(const Wish& what) {
       show_at(what.shown, what.time_s);
     }
   }
-  const std::lock_guard lock(mutex);
+  const Lock lock(mutex);
   shown.reason.clear();
   shown.state = session->playing ? StudioState::Playing : StudioState::Ready;
 }
@@ -576,7 +578,7 @@ void Studio::Impl::export_keys(const std::filesystem::path& file) {
   const double rate_hz = session->keys_rate_hz;
   const auto count = std::max<std::int64_t>(1, std::llround(session->animation->duration_s() * rate_hz) + 1);
   {
-    const std::lock_guard lock(mutex);
+    const Lock lock(mutex);
     shown.state = StudioState::Exporting;
     shown.done = 0;
     shown.total = count;
@@ -595,7 +597,7 @@ void Studio::Impl::export_keys(const std::filesystem::path& file) {
     frame.timestamp_ns = frame.media_time_ns;
     recorder.record(std::make_shared<const mesh::MeshFrame>(std::move(frame)));
     broken_off = !wanted_still(StudioState::Exporting);
-    const std::lock_guard lock(mutex);
+    const Lock lock(mutex);
     shown.done = index + 1;
   }
   const take::RecorderStatus status = recorder.stop();
@@ -607,7 +609,7 @@ void Studio::Impl::export_keys(const std::filesystem::path& file) {
   if (status.state == take::RecorderState::Failed) {
     throw Error(ErrorKind::Storage, fmt::format("'{}': {}", file.string(), status.reason));
   }
-  const std::lock_guard lock(mutex);
+  const Lock lock(mutex);
   shown.state = StudioState::Ready;
   shown.reason.clear();
   shown.exported = file;
@@ -623,7 +625,7 @@ void Studio::Impl::guarded(const std::function<void()>& what) {
       return;
     }
     session->playing.reset();
-    const std::lock_guard lock(mutex);
+    const Lock lock(mutex);
     shown.state = StudioState::Ready;
     shown.reason = error.what();
   } catch (const std::exception& error) {
@@ -632,11 +634,10 @@ void Studio::Impl::guarded(const std::function<void()>& what) {
 }
 
 /// One piece of work; false where there is none.
-bool Studio::Impl::work_once(std::unique_lock<std::mutex>& lock) {
-  const auto unlocked = [&](const std::function<void()>& what) {
-    lock.unlock();
+bool Studio::Impl::work_once() {
+  const auto unlocked = [&](const std::function<void()>& what) FACET_REQUIRES(mutex) {
+    const Unlock unlock(mutex);
     guarded(what);
-    lock.lock();
     return true;
   };
   if (opening) {
@@ -679,31 +680,33 @@ bool Studio::Impl::work_once(std::unique_lock<std::mutex>& lock) {
 
 void Studio::Impl::run() {
   ::pthread_setname_np(::pthread_self(), "facet-studio");
-  std::unique_lock lock(mutex);
+  work_until_stopped();
+  session.reset();
+  ended = true;
+}
+
+void Studio::Impl::work_until_stopped() {
+  const Lock lock(mutex);
+  const auto is_asked = [&]() FACET_REQUIRES(mutex) {
+    return stopping || opening || wish || !export_to.empty();
+  };
   while (!stopping) {
     try {
-      if (work_once(lock)) {
+      if (work_once()) {
         continue;
       }
     } catch (const std::bad_alloc&) {
       // There was not even the memory to say what had failed. What is asked for next finds some, or not.
-      if (!lock.owns_lock()) {
-        lock.lock();
-      }
       continue;
     }
     if (session == nullptr) {
-      woken.wait(lock, [&] { return stopping || opening || wish || !export_to.empty(); });
+      woken.wait(mutex, is_asked);
       continue;
     }
     const Clock::time_point due =
         std::min(session->check_due, session->playing ? session->next_due : session->repeat_due);
-    woken.wait_until(lock, Clock::wake(due),
-                     [&] { return stopping || opening || wish || !export_to.empty(); });
+    woken.wait_until(mutex, Clock::wake(due), is_asked);
   }
-  lock.unlock();
-  session.reset();
-  ended = true;
 }
 
 // ---- the door -------------------------------------------------------------------------------------------
@@ -728,7 +731,7 @@ void Studio::start() {
 }
 
 void Studio::request_stop() {
-  const std::lock_guard lock(impl_->mutex);
+  const Lock lock(impl_->mutex);
   impl_->stopping = true;
   impl_->woken.notify_one();
 }
@@ -750,20 +753,20 @@ void Studio::open(const std::string& take, bool posing) {
   if (!std::filesystem::is_regular_file(file, ignored)) {
     throw Error(ErrorKind::Usage, fmt::format("there is no take {}", take));
   }
-  const std::lock_guard lock(impl_->mutex);
+  const Lock lock(impl_->mutex);
   impl_->opening = {take, posing};
   impl_->shown.state = StudioState::Opening;
   impl_->woken.notify_one();
 }
 
 void Studio::close() {
-  const std::lock_guard lock(impl_->mutex);
+  const Lock lock(impl_->mutex);
   impl_->opening = Impl::Opening();
   impl_->woken.notify_one();
 }
 
 std::uint64_t Studio::set_controls(const std::vector<animate::KeyControl>& controls, bool whole, bool clamp) {
-  const std::lock_guard lock(impl_->mutex);
+  const Lock lock(impl_->mutex);
   std::vector<animate::ControlTarget> targets;
   targets.reserve(controls.size());
   for (const animate::KeyControl& control : controls) {
@@ -773,7 +776,7 @@ std::uint64_t Studio::set_controls(const std::vector<animate::KeyControl>& contr
 }
 
 std::uint64_t Studio::move_control(const animate::KeyControl& control) {
-  const std::lock_guard lock(impl_->mutex);
+  const Lock lock(impl_->mutex);
   const animate::ControlTarget target = impl_->resolve(control);
   std::vector<animate::ControlTarget> targets = impl_->wanted;
   const auto known = std::find_if(targets.begin(), targets.end(),
@@ -787,7 +790,7 @@ std::uint64_t Studio::move_control(const animate::KeyControl& control) {
 }
 
 std::uint64_t Studio::remove_control(const std::string& vertex) {
-  const std::lock_guard lock(impl_->mutex);
+  const Lock lock(impl_->mutex);
   const std::int32_t number = impl_->resolve({vertex, animate::KeyControl::How::At, {0, 0, 0}}).vertex;
   std::vector<animate::ControlTarget> targets = impl_->wanted;
   const auto last =
@@ -800,7 +803,7 @@ std::uint64_t Studio::remove_control(const std::string& vertex) {
 }
 
 void Studio::play(Shown what, double from_s, bool loop) {
-  const std::lock_guard lock(impl_->mutex);
+  const Lock lock(impl_->mutex);
   if (what != Shown::Take || impl_->shown.take.empty() || impl_->shown.state == StudioState::Opening) {
     impl_->ready_faces();
   }
@@ -808,7 +811,7 @@ void Studio::play(Shown what, double from_s, bool loop) {
 }
 
 void Studio::seek(Shown what, double time_s) {
-  const std::lock_guard lock(impl_->mutex);
+  const Lock lock(impl_->mutex);
   if (what != Shown::Take || impl_->shown.take.empty() || impl_->shown.state == StudioState::Opening) {
     impl_->ready_faces();
   }
@@ -816,7 +819,7 @@ void Studio::seek(Shown what, double time_s) {
 }
 
 void Studio::pause() {
-  const std::lock_guard lock(impl_->mutex);
+  const Lock lock(impl_->mutex);
   if (impl_->shown.take.empty()) {
     impl_->ready_faces();
   }
@@ -824,7 +827,7 @@ void Studio::pause() {
 }
 
 void Studio::cancel() {
-  const std::lock_guard lock(impl_->mutex);
+  const Lock lock(impl_->mutex);
   const bool waits_to_open = impl_->opening && !impl_->opening->take.empty();
   if (waits_to_open || impl_->shown.state == StudioState::Opening) {
     impl_->opening = Impl::Opening();
@@ -841,7 +844,7 @@ void Studio::cancel() {
 }
 
 std::string Studio::keys() const {
-  const std::lock_guard lock(impl_->mutex);
+  const Lock lock(impl_->mutex);
   impl_->ready_faces();
   return impl_->keys;
 }
@@ -850,7 +853,7 @@ void Studio::set_keys(const std::string& text) {
   const animate::KeyList list = text.empty() ? animate::KeyList{} : animate::parse_keys(text, "keys");
   std::string take;
   {
-    const std::lock_guard lock(impl_->mutex);
+    const Lock lock(impl_->mutex);
     if (impl_->opening) {
       throw Error(ErrorKind::Unavailable, "the take is still being opened");
     }
@@ -871,7 +874,7 @@ void Studio::set_keys(const std::string& text) {
     file.write(text);
     file.commit();
   }
-  const std::lock_guard lock(impl_->mutex);
+  const Lock lock(impl_->mutex);
   if (impl_->shown.take == take) {
     impl_->keys = text;
   }
@@ -883,7 +886,7 @@ std::string Studio::save_key(double time_s) {
   std::vector<animate::ControlTarget> wanted;
   animate::IkOptions options;
   {
-    const std::lock_guard lock(impl_->mutex);
+    const Lock lock(impl_->mutex);
     impl_->ready_faces();
     keys = impl_->keys;
     wanted = impl_->wanted;
@@ -919,7 +922,7 @@ std::string Studio::save_key(double time_s) {
 
 std::filesystem::path Studio::export_keys(const std::string& name) {
   std::filesystem::path file = take::take_path(impl_->folder, name);
-  const std::lock_guard lock(impl_->mutex);
+  const Lock lock(impl_->mutex);
   impl_->ready_faces();
   if (impl_->keys.empty()) {
     throw Error(ErrorKind::Usage, "there are no keys yet");
@@ -935,7 +938,7 @@ std::filesystem::path Studio::export_keys(const std::string& name) {
 RegionColours Studio::regions() const {
   std::shared_ptr<const animate::InfluenceMaps> maps;
   {
-    const std::lock_guard lock(impl_->mutex);
+    const Lock lock(impl_->mutex);
     impl_->ready_faces();
     maps = impl_->maps;
   }
@@ -966,7 +969,7 @@ RegionColours Studio::regions() const {
 }
 
 StudioStatus Studio::status() const {
-  const std::lock_guard lock(impl_->mutex);
+  const Lock lock(impl_->mutex);
   StudioStatus out = impl_->shown;
   out.latency = impl_->latency.figures();
   out.work = impl_->work.figures();

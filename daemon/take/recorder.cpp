@@ -12,11 +12,9 @@
 #include <atomic>
 #include <bit>
 #include <cerrno>
-#include <condition_variable>
 #include <cstring>
 #include <exception>
 #include <functional>
-#include <mutex>
 #include <new>
 #include <optional>
 #include <string_view>
@@ -27,6 +25,7 @@
 #include "facet/assert.hpp"
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
+#include "facet/mutex.hpp"
 #include "files/disk.hpp"
 #include "files/output_file.hpp"
 #include "stream/decoder.hpp"
@@ -385,20 +384,21 @@ struct TakeRecorder::Impl {
   TakeRecorderConfig config;
   std::optional<TakeWriter> writer;  ///< facet-take only, once started
 
-  mutable std::mutex mutex;
-  std::condition_variable to_pack;  ///< a frame came, or the end
-  std::condition_variable work;     ///< the next frame is packed, or the end
-  std::condition_variable room;     ///< WhenFull::Wait: a place came free, or the end
-  // Guarded by mutex. Frame n of the take is in place n % size, from when it is taken until it is written.
-  std::vector<Place> ring;
-  std::uint64_t taken = 0;                          ///< frames so far
-  std::uint64_t packing = 0;                        ///< of these, given to a facet-pack
-  std::uint64_t written = 0;                        ///< of these, given to facet-take
-  std::vector<std::unique_ptr<PackedFrame>> spare;  ///< keep their memory; as many as were ever in use
-  bool stopping = false;                            ///< takes no more frames
-  std::string end_reason;                           ///< given by who asked for the end
-  std::string pack_fault;                           ///< why a facet-pack ended early; else empty
-  RecorderStatus shown;
+  mutable Mutex mutex;
+  Condition to_pack;  ///< a frame came, or the end
+  Condition work;     ///< the next frame is packed, or the end
+  Condition room;     ///< WhenFull::Wait: a place came free, or the end
+  /// Frame n of the take is in place n % size, from when it is taken until it is written.
+  std::vector<Place> ring FACET_GUARDED_BY(mutex);
+  std::uint64_t taken FACET_GUARDED_BY(mutex) = 0;    ///< frames so far
+  std::uint64_t packing FACET_GUARDED_BY(mutex) = 0;  ///< of these, given to a facet-pack
+  std::uint64_t written FACET_GUARDED_BY(mutex) = 0;  ///< of these, given to facet-take
+  /// Keep their memory; as many as were ever in use.
+  std::vector<std::unique_ptr<PackedFrame>> spare FACET_GUARDED_BY(mutex);
+  bool stopping FACET_GUARDED_BY(mutex) = false;   ///< takes no more frames
+  std::string end_reason FACET_GUARDED_BY(mutex);  ///< given by who asked for the end
+  std::string pack_fault FACET_GUARDED_BY(mutex);  ///< why a facet-pack ended early; else empty
+  RecorderStatus shown FACET_GUARDED_BY(mutex);
 
   // facet-take only.
   RecorderStatus counted;                       ///< with what the open transaction holds
@@ -409,7 +409,8 @@ struct TakeRecorder::Impl {
   std::vector<std::jthread> packers;  ///< facet-pack-N
   std::jthread thread;                ///< facet-take
 
-  std::size_t queued() const { return static_cast<std::size_t>(taken - written); }  ///< under mutex
+  std::size_t queued() const FACET_REQUIRES(mutex) { return static_cast<std::size_t>(taken - written); }
+  bool take_in(std::shared_ptr<const mesh::MeshFrame> frame);
   void pack_until_stopped();
   void run_packer(int index);
   std::string told(const char* doing, const std::exception& error) const;
@@ -460,7 +461,7 @@ void TakeRecorder::Impl::run_packer(int index) {
     pack_until_stopped();
   } catch (const std::exception& error) {
     std::string why = told("encode", error);
-    const std::lock_guard lock(mutex);
+    const Lock lock(mutex);
     pack_fault = std::move(why);
     work.notify_one();
   }
@@ -468,9 +469,9 @@ void TakeRecorder::Impl::run_packer(int index) {
 
 void TakeRecorder::Impl::pack_until_stopped() {
   FramePacker packer(config);
-  std::unique_lock lock(mutex);
+  const Lock lock(mutex);
   while (true) {
-    to_pack.wait(lock, [this] { return packing < taken || stopping; });
+    to_pack.wait(mutex, [this]() FACET_REQUIRES(mutex) { return packing < taken || stopping; });
     if (packing >= taken) {
       return;
     }
@@ -483,17 +484,18 @@ void TakeRecorder::Impl::pack_until_stopped() {
       packed = std::move(spare.back());
       spare.pop_back();
     }
-    lock.unlock();
-    if (packed == nullptr) {
-      packed = std::make_unique<PackedFrame>();
+    {
+      const Unlock unlock(mutex);
+      if (packed == nullptr) {
+        packed = std::make_unique<PackedFrame>();
+      }
+      try {
+        packer.pack(*frame, static_cast<std::int64_t>(number), *packed);
+      } catch (const std::exception& error) {
+        packed->fault = told("encode", error);
+      }
+      frame = nullptr;  // the pictures go back to their cameras
     }
-    try {
-      packer.pack(*frame, static_cast<std::int64_t>(number), *packed);
-    } catch (const std::exception& error) {
-      packed->fault = told("encode", error);
-    }
-    frame = nullptr;  // the pictures go back to their cameras
-    lock.lock();
     FACET_ASSERT(ring[number % ring.size()].packed == nullptr, number, written, taken);
     ring[number % ring.size()].packed = std::move(packed);
     if (number == written) {
@@ -505,15 +507,15 @@ void TakeRecorder::Impl::pack_until_stopped() {
 /// The next frame; null at the commit's time or, with `ended`, at the end of the queue after request_stop.
 /// Throws where the frames can't be encoded.
 std::unique_ptr<PackedFrame> TakeRecorder::Impl::wait_for_frame(bool& at_end) {
-  std::unique_lock lock(mutex);
-  const auto ready = [this] {
+  const Lock lock(mutex);
+  const auto ready = [this]() FACET_REQUIRES(mutex) {
     const bool next = queued() > 0 ? ring[written % ring.size()].packed != nullptr : stopping;
     return next || !pack_fault.empty();
   };
   if (commit_due) {
-    work.wait_until(lock, Clock::wake(*commit_due), ready);
+    work.wait_until(mutex, Clock::wake(*commit_due), ready);
   } else {
-    work.wait(lock, ready);
+    work.wait(mutex, ready);
   }
   if (!pack_fault.empty()) {
     throw Error(ErrorKind::Internal, pack_fault);
@@ -547,7 +549,7 @@ void TakeRecorder::Impl::check_disk() const {
 
 void TakeRecorder::Impl::show_committed() {
   commit_due.reset();
-  const std::lock_guard lock(mutex);
+  const Lock lock(mutex);
   FACET_ASSERT(counted.frames >= shown.frames && counted.mesh_frames <= counted.frames, counted.frames,
                shown.frames, counted.mesh_frames);
   FACET_ASSERT(counted.frames <= written, counted.frames, written);
@@ -576,7 +578,7 @@ void TakeRecorder::Impl::write_until_stopped() {
       write(*frame);
       frame->subject = nullptr;
       frame->albedo = nullptr;
-      const std::lock_guard lock(mutex);
+      const Lock lock(mutex);
       spare.push_back(std::move(frame));
     }
     if (commit_due && !at_end && Clock::now() >= *commit_due) {
@@ -590,7 +592,7 @@ void TakeRecorder::Impl::write_until_stopped() {
 /// Takes no more frames and lets nobody wait; what is queued or not committed counts as dropped. The first
 /// reason stays.
 void TakeRecorder::Impl::fail(std::string reason) {
-  const std::lock_guard lock(mutex);
+  const Lock lock(mutex);
   stopping = true;
   if (shown.state == RecorderState::Failed) {
     return;
@@ -612,17 +614,18 @@ void TakeRecorder::Impl::fail(std::string reason) {
 /// where the take is not what was recorded.
 void TakeRecorder::Impl::close() {
   std::uint64_t dropped = 0;
+  std::string reason;
   {
-    const std::lock_guard lock(mutex);
+    const Lock lock(mutex);
     dropped = shown.dropped;
-    shown.reason = end_reason;
+    reason = end_reason;
+    shown.reason = reason;
   }
-  writer->mark_closed(dropped, counted.mesh_frames,
-                      end_reason);  // settled: nobody sets it once the queue is at its end
+  writer->mark_closed(dropped, counted.mesh_frames, reason);
   writer->commit();
   show_committed();
   {
-    const std::lock_guard lock(mutex);
+    const Lock lock(mutex);
     shown.marked = true;
   }
   std::string warning;
@@ -638,7 +641,7 @@ void TakeRecorder::Impl::close() {
   } catch (const DatabaseError& error) {
     warning = fmt::format("not known to be readable: {}", error.what());
   }
-  const std::lock_guard lock(mutex);
+  const Lock lock(mutex);
   shown.warning = std::move(warning);
 }
 
@@ -646,14 +649,14 @@ void TakeRecorder::Impl::close() {
 void TakeRecorder::Impl::finish() {
   bool failed = false;
   {
-    const std::lock_guard lock(mutex);
+    const Lock lock(mutex);
     failed = shown.state == RecorderState::Failed;
   }
   if (failed || !attempt("close", [this] { close(); })) {
     try {
       writer->give_up();
       const RecorderStatus end = [this] {
-        const std::lock_guard lock(mutex);
+        const Lock lock(mutex);
         return shown;
       }();
       writer->mark_closed(end.dropped, end.mesh_frames, end.reason);
@@ -670,7 +673,7 @@ void TakeRecorder::Impl::finish() {
   } catch (const std::bad_alloc&) {
     // It is a note for people.
   }
-  const std::lock_guard lock(mutex);
+  const Lock lock(mutex);
   shown.log_left = left > 0;
   if (shown.state == RecorderState::Recording) {
     shown.state = RecorderState::Finished;
@@ -734,32 +737,39 @@ void TakeRecorder::start() {
   }
 }
 
-bool TakeRecorder::record(std::shared_ptr<const mesh::MeshFrame> frame) {
-  Impl& impl = *impl_;
-  std::unique_lock lock(impl.mutex);
-  const auto has_room = [&impl] { return impl.queued() < impl.ring.size() || impl.stopping; };
-  if (impl.config.when_full == WhenFull::Wait) {
-    impl.room.wait(lock, has_room);
+/// False where the frame is not taken.
+bool TakeRecorder::Impl::take_in(std::shared_ptr<const mesh::MeshFrame> frame) {
+  const Lock lock(mutex);
+  const auto has_room = [this]() FACET_REQUIRES(mutex) { return queued() < ring.size() || stopping; };
+  if (config.when_full == WhenFull::Wait) {
+    room.wait(mutex, has_room);
   }
   if (frame == nullptr) {
     return false;
   }
-  if (impl.stopping || !has_room()) {
+  if (stopping || !has_room()) {
     // A frame that comes after the take's end is none of its losses.
-    const bool ended_on_request = impl.stopping && impl.shown.state != RecorderState::Failed;
-    impl.shown.dropped += ended_on_request ? 0 : 1;
+    const bool ended_on_request = stopping && shown.state != RecorderState::Failed;
+    shown.dropped += ended_on_request ? 0 : 1;
     return false;
   }
-  const Impl::Place& place = impl.ring[impl.taken % impl.ring.size()];
-  FACET_ASSERT(place.frame == nullptr && place.packed == nullptr, impl.taken, impl.written, impl.ring.size());
-  impl.ring[impl.taken++ % impl.ring.size()].frame = std::move(frame);
-  lock.unlock();
-  impl.to_pack.notify_one();
+  Place& place = ring[taken % ring.size()];
+  FACET_ASSERT(place.frame == nullptr && place.packed == nullptr, taken, written, ring.size());
+  place.frame = std::move(frame);
+  ++taken;
   return true;
 }
 
+bool TakeRecorder::record(std::shared_ptr<const mesh::MeshFrame> frame) {
+  const bool taken = impl_->take_in(std::move(frame));
+  if (taken) {
+    impl_->to_pack.notify_one();
+  }
+  return taken;
+}
+
 void TakeRecorder::request_stop(std::string reason) {
-  const std::lock_guard lock(impl_->mutex);
+  const Lock lock(impl_->mutex);
   if (!std::exchange(impl_->stopping, true)) {
     impl_->end_reason = std::move(reason);
   }
@@ -779,7 +789,7 @@ bool TakeRecorder::ended() const {
 }
 
 RecorderStatus TakeRecorder::status() const {
-  const std::lock_guard lock(impl_->mutex);
+  const Lock lock(impl_->mutex);
   RecorderStatus status = impl_->shown;
   status.queued = impl_->queued();
   return status;

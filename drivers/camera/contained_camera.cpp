@@ -6,7 +6,6 @@
 #include <array>
 #include <cstdint>
 #include <cstring>
-#include <mutex>
 #include <optional>
 #include <utility>
 
@@ -17,6 +16,7 @@
 #include "camera/pixel_buffers.hpp"
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
+#include "facet/mutex.hpp"
 
 namespace facet::camera {
 namespace {
@@ -240,7 +240,7 @@ void ContainedCamera::note_counters(const CameraCounters& counters) {
   process_counters_ = counters;
   process_counters_.delivered = 0;
   process_counters_.reopened = 0;
-  const std::scoped_lock lock(shown_mutex_);
+  const Lock lock(shown_mutex_);
   for (const CameraCount& count : kCameraCounts) {
     if (count.value != &CameraCounters::delivered && count.value != &CameraCounters::reopened) {
       status_.counters.*count.value = before_.*count.value + process_counters_.*count.value;

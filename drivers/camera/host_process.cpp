@@ -17,10 +17,10 @@
 #include <cstdlib>
 #include <cstring>
 #include <ctime>
-#include <mutex>
 #include <system_error>
 
 #include "facet/clock.hpp"
+#include "facet/mutex.hpp"
 
 namespace facet::camera {
 namespace {
@@ -41,18 +41,18 @@ constexpr int kKillPatience_ms = 1000;
 class Stragglers {
  public:
   void add(pid_t pid) {
-    const std::scoped_lock lock(mutex_);
+    const Lock lock(mutex_);
     pids_.push_back(pid);
   }
   void bury() {
-    const std::scoped_lock lock(mutex_);
+    const Lock lock(mutex_);
     const auto gone = [](pid_t pid) { return ::waitpid(pid, nullptr, WNOHANG) != 0; };
     pids_.erase(std::remove_if(pids_.begin(), pids_.end(), gone), pids_.end());
   }
 
  private:
-  std::mutex mutex_;
-  std::vector<pid_t> pids_;
+  Mutex mutex_;
+  std::vector<pid_t> pids_ FACET_GUARDED_BY(mutex_);
 };
 
 Stragglers& stragglers() {

@@ -17,11 +17,9 @@
 #include <array>
 #include <cerrno>
 #include <cmath>
-#include <condition_variable>
 #include <cstdint>
 #include <cstring>
 #include <map>
-#include <mutex>
 #include <optional>
 #include <span>
 #include <string>
@@ -34,6 +32,7 @@
 #include "camera/pixel_buffers.hpp"
 #include "camera/pixel_conversion.hpp"
 #include "facet/clock.hpp"
+#include "facet/mutex.hpp"
 
 namespace facet::camera {
 namespace {
@@ -254,10 +253,10 @@ class LibcameraCamera final : public Camera {
   bool running_ = false;
 
   // Between libcamera's thread and the one that calls next.
-  mutable std::mutex mutex_;
-  std::condition_variable changed_;
-  std::vector<libcamera::Request*> completed_;  // guarded by mutex_
-  CameraStatus status_;                         // guarded by mutex_
+  mutable Mutex mutex_;
+  Condition changed_;
+  std::vector<libcamera::Request*> completed_ FACET_GUARDED_BY(mutex_);
+  CameraStatus status_ FACET_GUARDED_BY(mutex_);
 };
 
 LibcameraCamera::LibcameraCamera(const CameraConfig& config)
@@ -383,7 +382,7 @@ void LibcameraCamera::stop() {
 }
 
 CameraStatus LibcameraCamera::status() const {
-  const std::scoped_lock lock(mutex_);
+  const Lock lock(mutex_);
   return status_;
 }
 
@@ -392,19 +391,19 @@ std::string LibcameraCamera::last_error() const {
 }
 
 void LibcameraCamera::set_state(CameraState state, const std::string& reason) {
-  const std::scoped_lock lock(mutex_);
+  const Lock lock(mutex_);
   status_.state = state;
   status_.reason = reason;
 }
 
 void LibcameraCamera::count(std::uint64_t CameraCounters::*which, std::uint64_t how_many) {
-  const std::scoped_lock lock(mutex_);
+  const Lock lock(mutex_);
   status_.counters.*which += how_many;
 }
 
 /// In libcamera's thread.
 void LibcameraCamera::on_completed(libcamera::Request* request) {
-  const std::scoped_lock lock(mutex_);
+  const Lock lock(mutex_);
   if (request->status() == libcamera::Request::RequestComplete) {
     completed_.push_back(request);
   } else if (status_.state == CameraState::Opening || status_.state == CameraState::Streaming) {
@@ -417,15 +416,15 @@ void LibcameraCamera::on_completed(libcamera::Request* request) {
 
 /// In libcamera's thread.
 void LibcameraCamera::on_disconnected() {
-  const std::scoped_lock lock(mutex_);
+  const Lock lock(mutex_);
   status_.state = CameraState::Absent;
   status_.reason = "was unplugged";
   changed_.notify_one();
 }
 
 std::vector<libcamera::Request*> LibcameraCamera::wait_completed(std::chrono::milliseconds timeout) {
-  std::unique_lock lock(mutex_);
-  changed_.wait_for(lock, timeout, [this] {
+  const Lock lock(mutex_);
+  changed_.wait_for(mutex_, timeout, [this]() FACET_REQUIRES(mutex_) {
     return !completed_.empty() || status_.state == CameraState::Absent ||
            status_.state == CameraState::Failing;
   });
@@ -462,7 +461,7 @@ CaptureOutcome LibcameraCamera::next(Frame& out, std::chrono::milliseconds timeo
     if (!converted) {
       return CaptureOutcome::Timeout;
     }
-    const std::scoped_lock lock(mutex_);
+    const Lock lock(mutex_);
     CameraCounters& counters = status_.counters;
     ++counters.delivered;
     counters.damaged += frame.corrupt ? 1 : 0;

@@ -7,6 +7,7 @@
 
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
+#include "facet/mutex.hpp"
 
 namespace facet::camera {
 namespace {
@@ -26,17 +27,17 @@ std::string LiveCamera::silence(double silent_s) const {
 }
 
 CameraStatus LiveCamera::status() const {
-  const std::scoped_lock lock(shown_mutex_);
+  const Lock lock(shown_mutex_);
   return status_;
 }
 
 std::string LiveCamera::last_error() const {
-  const std::scoped_lock lock(shown_mutex_);
+  const Lock lock(shown_mutex_);
   return last_error_;
 }
 
 void LiveCamera::set_state(CameraState state, const std::string& reason) {
-  const std::scoped_lock lock(shown_mutex_);
+  const Lock lock(shown_mutex_);
   status_.state = state;
   status_.reason = reason;
   if (!reason.empty()) {
@@ -45,7 +46,7 @@ void LiveCamera::set_state(CameraState state, const std::string& reason) {
 }
 
 void LiveCamera::count(std::uint64_t CameraCounters::*which, std::uint64_t how_many) {
-  const std::scoped_lock lock(shown_mutex_);
+  const Lock lock(shown_mutex_);
   status_.counters.*which += how_many;
 }
 
@@ -149,7 +150,7 @@ void LiveCamera::date(Frame& frame, std::int64_t exposed_ns) {
 void LiveCamera::note_delivery(const Frame& frame) {
   timestamp_ns_ = frame.timestamp_ns;
   last_life_ns_ = now_ns();
-  const std::scoped_lock lock(shown_mutex_);
+  const Lock lock(shown_mutex_);
   ++status_.counters.delivered;
   status_.counters.reopened += delivered_before_ && first_of_stream_ ? 1 : 0;
   delivered_before_ = true;

@@ -2,11 +2,11 @@
 
 #include <chrono>
 #include <cstdint>
-#include <mutex>
 #include <string>
 
 #include "camera/device_fault.hpp"
 #include "facet/camera.hpp"
+#include "facet/mutex.hpp"
 
 namespace facet::camera {
 
@@ -81,9 +81,9 @@ class LiveCamera : public Camera {
   std::int64_t last_life_ns_ = 0;  ///< the last delivery, or when the device was opened
   std::int64_t watchdog_ns_ = 0;   ///< the device is taken for stalled when no frame has come until then
 
-  mutable std::mutex shown_mutex_;
-  CameraStatus status_;     // guarded by shown_mutex_
-  std::string last_error_;  // guarded by shown_mutex_
+  mutable Mutex shown_mutex_;
+  CameraStatus status_ FACET_GUARDED_BY(shown_mutex_);
+  std::string last_error_ FACET_GUARDED_BY(shown_mutex_);
 
  private:
   bool reopen(std::int64_t deadline_ns);

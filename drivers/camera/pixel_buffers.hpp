@@ -4,10 +4,11 @@
 #include <cstdint>
 #include <cstring>
 #include <memory>
-#include <mutex>
 #include <new>
 #include <utility>
 #include <vector>
+
+#include "facet/mutex.hpp"
 
 namespace facet::camera {
 
@@ -31,7 +32,7 @@ class PixelBuffers : public std::enable_shared_from_this<PixelBuffers> {
   std::shared_ptr<std::uint8_t[]> take(std::size_t size_bytes) {
     Buffer buffer;
     {
-      const std::scoped_lock lock(mutex_);
+      const Lock lock(mutex_);
       while (made_ < kKept) {
         free_.push_back(make(size_bytes));
         std::memset(free_.back().get(), 0, size_bytes);
@@ -44,7 +45,7 @@ class PixelBuffers : public std::enable_shared_from_this<PixelBuffers> {
     }
     if (buffer == nullptr) {
       buffer = make(size_bytes);
-      const std::scoped_lock lock(mutex_);
+      const Lock lock(mutex_);
       ++made_;
     }
     return {buffer.release(), [pool = shared_from_this()](std::uint8_t* bytes) { pool->give_back(bytes); }};
@@ -52,7 +53,7 @@ class PixelBuffers : public std::enable_shared_from_this<PixelBuffers> {
 
   /// Buffers that there are, in use or not.
   std::size_t count() const {
-    const std::scoped_lock lock(mutex_);
+    const Lock lock(mutex_);
     return made_;
   }
 
@@ -71,7 +72,7 @@ class PixelBuffers : public std::enable_shared_from_this<PixelBuffers> {
 
   void give_back(std::uint8_t* bytes) {
     Buffer buffer(bytes);
-    const std::scoped_lock lock(mutex_);
+    const Lock lock(mutex_);
     if (made_ <= kKept) {
       free_.push_back(std::move(buffer));
     } else {
@@ -79,9 +80,9 @@ class PixelBuffers : public std::enable_shared_from_this<PixelBuffers> {
     }
   }
 
-  mutable std::mutex mutex_;
-  std::vector<Buffer> free_;  ///< guarded by mutex_, as below
-  std::size_t made_ = 0;
+  mutable Mutex mutex_;
+  std::vector<Buffer> free_ FACET_GUARDED_BY(mutex_);
+  std::size_t made_ FACET_GUARDED_BY(mutex_) = 0;
 };
 
 }  // namespace facet::camera

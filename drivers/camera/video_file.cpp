@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
-#include <mutex>
 #include <new>
 #include <string>
 #include <thread>
@@ -14,6 +13,7 @@
 #include "camera/pixel_buffers.hpp"
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
+#include "facet/mutex.hpp"
 #include "facet/system_error.hpp"
 
 extern "C" {
@@ -142,9 +142,9 @@ class VideoFile final : public Camera {
   std::int64_t duration_ns_ = 0;      // that the file names; 0 where it does not
   std::int64_t clock_start_ns_ = 0;
 
-  mutable std::mutex shown_mutex_;
-  std::string error_;    // guarded by shown_mutex_
-  CameraStatus status_;  // guarded by shown_mutex_
+  mutable Mutex shown_mutex_;
+  std::string error_ FACET_GUARDED_BY(shown_mutex_);
+  CameraStatus status_ FACET_GUARDED_BY(shown_mutex_);
 };
 
 VideoFile::VideoFile(const CameraConfig& config) : config_(config) {
@@ -270,23 +270,23 @@ void VideoFile::stop() {
 }
 
 CameraStatus VideoFile::status() const {
-  const std::scoped_lock lock(shown_mutex_);
+  const Lock lock(shown_mutex_);
   return status_;
 }
 
 void VideoFile::set_state(CameraState state, std::string reason) {
-  const std::scoped_lock lock(shown_mutex_);
+  const Lock lock(shown_mutex_);
   status_.state = state;
   status_.reason = std::move(reason);
 }
 
 std::string VideoFile::last_error() const {
-  const std::scoped_lock lock(shown_mutex_);
+  const Lock lock(shown_mutex_);
   return error_;
 }
 
 void VideoFile::set_error(std::string text) {
-  const std::scoped_lock lock(shown_mutex_);
+  const Lock lock(shown_mutex_);
   error_ = std::move(text);
 }
 
@@ -461,7 +461,7 @@ CaptureOutcome VideoFile::next(Frame& out, std::chrono::milliseconds timeout) {
   } else if (outcome == CaptureOutcome::Failed) {
     set_state(CameraState::Failing, last_error());
   } else if (outcome == CaptureOutcome::Delivered) {
-    const std::scoped_lock lock(shown_mutex_);
+    const Lock lock(shown_mutex_);
     status_.state = CameraState::Streaming;
     ++status_.counters.delivered;
     status_.counters.damaged += out.corrupt ? 1 : 0;

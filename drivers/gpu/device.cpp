@@ -11,6 +11,7 @@
 #include <limits>
 #include <utility>
 
+#include "facet/mutex.hpp"
 #include "gpu/software_threads.hpp"
 
 namespace facet::gpu {
@@ -308,7 +309,7 @@ VkBool32 Instance::collect_message(VkDebugUtilsMessageSeverityFlagBitsEXT /*seve
                                    VkDebugUtilsMessageTypeFlagsEXT /*types*/,
                                    const VkDebugUtilsMessengerCallbackDataEXT* data, void* user) {
   auto* self = static_cast<Instance*>(user);
-  const std::scoped_lock lock(self->messages_mutex_);
+  const Lock lock(self->messages_mutex_);
   if (self->messages_.size() < max_messages) {
     self->messages_.emplace_back(data->pMessage);
   }
@@ -316,7 +317,7 @@ VkBool32 Instance::collect_message(VkDebugUtilsMessageSeverityFlagBitsEXT /*seve
 }
 
 std::vector<std::string> Instance::validation_messages() const {
-  const std::scoped_lock lock(messages_mutex_);
+  const Lock lock(messages_mutex_);
   return messages_;
 }
 
@@ -431,7 +432,7 @@ VkResult Device::submit(VkCommandBuffer commands, VkFence fence) {
   submit.pCommandBuffers = &commands;
   VkResult result = VK_SUCCESS;
   {
-    const std::scoped_lock lock(queue_mutex_);
+    const Lock lock(queue_mutex_);
     result = api_.vkQueueSubmit(queue_, 1, &submit, fence);
   }
   if (result == VK_ERROR_DEVICE_LOST) {
@@ -443,7 +444,7 @@ VkResult Device::submit(VkCommandBuffer commands, VkFence fence) {
 Outcome Device::wait_idle() {
   VkResult result = VK_SUCCESS;
   {
-    const std::scoped_lock lock(queue_mutex_);
+    const Lock lock(queue_mutex_);
     result = api_.vkDeviceWaitIdle(device_);
   }
   if (result != VK_SUCCESS) {

@@ -5,12 +5,12 @@
 #include <atomic>
 #include <functional>
 #include <memory>
-#include <mutex>
 #include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
 
+#include "facet/mutex.hpp"
 #include "gpu/context.hpp"
 #include "gpu/vulkan_api.hpp"
 
@@ -46,8 +46,8 @@ class Instance {
   VkInstance instance_ = VK_NULL_HANDLE;
   VkDebugUtilsMessengerEXT messenger_ = VK_NULL_HANDLE;
   bool validation_active_ = false;
-  mutable std::mutex messages_mutex_;
-  std::vector<std::string> messages_;  // guarded by messages_mutex_
+  mutable Mutex messages_mutex_;
+  std::vector<std::string> messages_ FACET_GUARDED_BY(messages_mutex_);
 };
 
 /// The device, its one compute queue and what every resource needs from them. Any thread.
@@ -98,14 +98,14 @@ class Device {
   std::unique_ptr<Instance> instance_;
   VkPhysicalDevice physical_ = VK_NULL_HANDLE;
   VkDevice device_ = VK_NULL_HANDLE;
-  VkQueue queue_ = VK_NULL_HANDLE;
+  Mutex queue_mutex_;
+  VkQueue queue_ FACET_GUARDED_BY(queue_mutex_) = VK_NULL_HANDLE;  // externally synchronised
   DeviceApi api_;
   DeviceInfo info_;
   VkPhysicalDeviceLimits limits_{};
   VkPhysicalDeviceMemoryProperties memory_{};
   std::uint32_t queue_family_ = 0;
   std::uint32_t timestamp_valid_bits_ = 0;
-  std::mutex queue_mutex_;  // the queue is externally synchronised
   std::atomic<bool> lost_{false};
 };
 

@@ -6,10 +6,8 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <condition_variable>
 #include <cstring>
 #include <deque>
-#include <mutex>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -17,6 +15,7 @@
 #include "camera/pixel_buffers.hpp"
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
+#include "facet/mutex.hpp"
 
 namespace facet::simulated {
 namespace {
@@ -38,19 +37,19 @@ struct Exposure {
 
 /// What one camera has exposed.
 struct Sensor {
-  std::mutex mutex;
-  std::condition_variable changed;
-  std::deque<Exposure> exposures;  ///< guarded by mutex, as all below
-  std::uint64_t next_sequence = 0;
-  bool running = false;
+  Mutex mutex;
+  Condition changed;
+  std::deque<Exposure> exposures FACET_GUARDED_BY(mutex);
+  std::uint64_t next_sequence FACET_GUARDED_BY(mutex) = 0;
+  bool running FACET_GUARDED_BY(mutex) = false;
 
   bool is_running() {
-    const std::lock_guard lock(mutex);
+    const Lock lock(mutex);
     return running;
   }
 
   void expose(std::int64_t time_ns, LineMask lit, std::size_t period = 0) {
-    const std::lock_guard lock(mutex);
+    const Lock lock(mutex);
     if (!running) {
       return;
     }
@@ -153,17 +152,17 @@ class RigCamera final : public Camera {
   }
 
   CameraStatus status() const override {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     return status_;
   }
 
   void start() override {
     started_ns_ = Clock::now_ns();
     {
-      const std::lock_guard lock(sensor_->mutex);
+      const Lock lock(sensor_->mutex);
       sensor_->running = true;
     }
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     status_.state = CameraState::Opening;
   }
 
@@ -185,7 +184,7 @@ class RigCamera final : public Camera {
     out.height_px = config_.height_px;
     out.stride_bytes = static_cast<std::size_t>(config_.width_px) * 4;
     out.pixels = std::move(pixels);
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     status_.state = CameraState::Streaming;
     ++status_.counters.delivered;
     status_.counters.lost += exposure->sequence - next_sequence_;
@@ -196,11 +195,11 @@ class RigCamera final : public Camera {
   void stop() override {
     started_ns_ = 0;
     {
-      const std::lock_guard lock(sensor_->mutex);
+      const Lock lock(sensor_->mutex);
       sensor_->running = false;
       sensor_->exposures.clear();
     }
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     status_.state = CameraState::Idle;
   }
 
@@ -228,9 +227,10 @@ class RigCamera final : public Camera {
       ++own_count_;
       sensor_->expose(due_ns, 0);
     }
-    std::unique_lock lock(sensor_->mutex);
-    if (!sensor_->changed.wait_until(lock, Clock::wake(deadline),
-                                     [&] { return !sensor_->exposures.empty(); })) {
+    const Lock lock(sensor_->mutex);
+    if (!sensor_->changed.wait_until(
+            sensor_->mutex, Clock::wake(deadline),
+            [&]() FACET_REQUIRES(sensor_->mutex) { return !sensor_->exposures.empty(); })) {
       return std::nullopt;
     }
     const Exposure exposure = sensor_->exposures.front();
@@ -247,8 +247,8 @@ class RigCamera final : public Camera {
   std::uint64_t own_count_ = 0;
   std::uint64_t next_sequence_ = 0;
   std::shared_ptr<camera::PixelBuffers> pool_ = std::make_shared<camera::PixelBuffers>();
-  mutable std::mutex mutex_;
-  CameraStatus status_;  ///< guarded by mutex_
+  mutable Mutex mutex_;
+  CameraStatus status_ FACET_GUARDED_BY(mutex_);
 };
 
 }  // namespace
@@ -256,14 +256,14 @@ class RigCamera final : public Camera {
 struct SimulatedRig::Wires {
   LineMask cameras = 0;
   LineMask projectors = 0;
-  std::mutex mutex;
-  std::vector<std::shared_ptr<Sensor>> sensors;  ///< guarded by mutex, as all below
-  LineMask level = 0;
   std::shared_ptr<const Footage> footage;  ///< null: none
-  std::optional<std::int64_t> begun_ns;    ///< when its first period began
+  Mutex mutex;
+  std::vector<std::shared_ptr<Sensor>> sensors FACET_GUARDED_BY(mutex);
+  LineMask level FACET_GUARDED_BY(mutex) = 0;
+  std::optional<std::int64_t> begun_ns FACET_GUARDED_BY(mutex);  ///< when its first period began
 
   /// The period of the performance at a firing.
-  std::size_t period_at(std::int64_t time_ns, LineMask lit) {
+  std::size_t period_at(std::int64_t time_ns, LineMask lit) FACET_REQUIRES(mutex) {
     if (footage == nullptr) {
       return 0;
     }
@@ -328,7 +328,7 @@ SimulatedRig::SimulatedRig(LineMask camera_lines, LineMask projector_lines,
 }
 
 void SimulatedRig::on_change(LineMask active, std::int64_t time_ns) {
-  const std::lock_guard lock(wires_->mutex);
+  const Lock lock(wires_->mutex);
   const LineMask cameras = wires_->cameras;
   const bool fires = cameras != 0 && (active & cameras) == cameras && (wires_->level & cameras) != cameras;
   wires_->level = active;
@@ -359,7 +359,7 @@ std::unique_ptr<Camera> SimulatedRig::camera(const RigCameraConfig& config, bool
     seen.height_px = footage->slots.front()[at].height_px;
   }
   if (triggered) {
-    const std::lock_guard lock(wires_->mutex);
+    const Lock lock(wires_->mutex);
     wires_->sensors.push_back(sensor);
   }
   return std::make_unique<RigCamera>(seen, std::move(sensor), triggered, footage, at);

@@ -5,7 +5,6 @@
 
 #include <atomic>
 #include <exception>
-#include <mutex>
 #include <string>
 #include <system_error>
 #include <thread>
@@ -13,6 +12,7 @@
 
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
+#include "facet/mutex.hpp"
 #include "trigger/event_ring.hpp"
 #include "trigger/real_time.hpp"
 #include "trigger/runner.hpp"
@@ -71,7 +71,7 @@ class ThreadedTrigger final : public Trigger {
   TriggerStatus status() const override {
     TriggerStatus status;
     {
-      const std::lock_guard lock(mutex_);
+      const Lock lock(mutex_);
       status.state = state_;
       status.reason = reason_;
       status.real_time = scheduling_.granted;
@@ -91,12 +91,12 @@ class ThreadedTrigger final : public Trigger {
 
  private:
   TriggerState state_now() const {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     return state_;
   }
 
   void set_state(TriggerState state, const std::string& reason) {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     state_ = state;
     reason_ = reason;
   }
@@ -117,7 +117,7 @@ class ThreadedTrigger final : public Trigger {
       scheduling = become_real_time(options_.priority);
     }
     {
-      const std::lock_guard lock(mutex_);
+      const Lock lock(mutex_);
       scheduling_ = scheduling;
     }
     if (runner_.run(first_slot, stop_requested_)) {
@@ -135,10 +135,10 @@ class ThreadedTrigger final : public Trigger {
   RunCounters counters_;
   TriggerRunner runner_;
   std::atomic<bool> stop_requested_ = false;
-  mutable std::mutex mutex_;  ///< held for copies only, and by the edge thread only as it begins and ends
-  TriggerState state_ = TriggerState::Idle;  ///< guarded by mutex_, as all below
-  std::string reason_;
-  RealTime scheduling_;
+  mutable Mutex mutex_;  ///< held for copies only, and by the edge thread only as it begins and ends
+  TriggerState state_ FACET_GUARDED_BY(mutex_) = TriggerState::Idle;
+  std::string reason_ FACET_GUARDED_BY(mutex_);
+  RealTime scheduling_ FACET_GUARDED_BY(mutex_);
   std::jthread thread_;  ///< of the thread that starts and stops
 };
 

@@ -1,10 +1,11 @@
 #pragma once
 
 #include <cstddef>
-#include <mutex>
 #include <string>
 #include <utility>
 #include <vector>
+
+#include "facet/mutex.hpp"
 
 namespace facet {
 
@@ -22,7 +23,7 @@ class Messages {
 
   /// Everything since the last call, oldest first.
   std::vector<Message> take() {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     return std::exchange(messages_, {});
   }
 
@@ -31,14 +32,14 @@ class Messages {
   static constexpr std::size_t kMost = 1000;
 
   void add(Message message) {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     if (messages_.size() < kMost) {
       messages_.push_back(std::move(message));
     }
   }
 
-  std::mutex mutex_;
-  std::vector<Message> messages_;  ///< guarded by mutex_
+  Mutex mutex_;
+  std::vector<Message> messages_ FACET_GUARDED_BY(mutex_);
 };
 
 }  // namespace facet
