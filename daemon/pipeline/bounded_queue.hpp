@@ -1,11 +1,11 @@
 #pragma once
 
 #include <chrono>
-#include <condition_variable>
 #include <cstddef>
-#include <mutex>
 #include <utility>
 #include <vector>
+
+#include "facet/mutex.hpp"
 
 namespace facet::pipeline {
 
@@ -23,8 +23,8 @@ class BoundedQueue {
   /// Waits for room. Returns false once closed.
   template <typename Idle = decltype(kNoIdle)>
   bool push(Item&& item, const Idle& idle = kNoIdle) {
-    std::unique_lock lock(mutex_);
-    wait(lock, idle, [&] { return closed_ || count_ < slots_.size(); });
+    const Lock lock(mutex_);
+    wait(idle, [&]() FACET_REQUIRES(mutex_) { return closed_ || count_ < slots_.size(); });
     return put(std::move(item));
   }
 
@@ -35,7 +35,7 @@ class BoundedQueue {
   }
   /// The same; what was thrown away is handed out, where something was.
   bool push_newest(Item&& item, Item& oldest) {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     if (count_ == slots_.size()) {
       oldest = take();
     }
@@ -45,46 +45,46 @@ class BoundedQueue {
   /// Waits for an item. Returns false once closed and empty.
   template <typename Idle = decltype(kNoIdle)>
   bool pop(Item& item, const Idle& idle = kNoIdle) {
-    std::unique_lock lock(mutex_);
-    wait(lock, idle, [&] { return closed_ || count_ > 0; });
+    const Lock lock(mutex_);
+    wait(idle, [&]() FACET_REQUIRES(mutex_) { return closed_ || count_ > 0; });
     return hand(item);
   }
   /// The same, for `timeout` at most: false also where nothing came.
   bool pop_within(Item& item, std::chrono::milliseconds timeout) {
-    std::unique_lock lock(mutex_);
-    changed_.wait_for(lock, timeout, [&] { return closed_ || count_ > 0; });
+    const Lock lock(mutex_);
+    changed_.wait_for(mutex_, timeout, [&]() FACET_REQUIRES(mutex_) { return closed_ || count_ > 0; });
     return hand(item);
   }
 
   /// Waits until everything was popped. Returns false once closed.
   template <typename Idle = decltype(kNoIdle)>
   bool wait_until_empty(const Idle& idle = kNoIdle) {
-    std::unique_lock lock(mutex_);
-    wait(lock, idle, [&] { return closed_ || count_ == 0; });
+    const Lock lock(mutex_);
+    wait(idle, [&]() FACET_REQUIRES(mutex_) { return closed_ || count_ == 0; });
     return !closed_;
   }
 
   void close() {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     closed_ = true;
     changed_.notify_all();
   }
 
   /// Items that wait. Any thread.
   std::size_t size() const {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     return count_;
   }
 
  private:
   template <typename Idle, typename Ready>
-  void wait(std::unique_lock<std::mutex>& lock, const Idle& idle, const Ready& ready) {
-    while (!changed_.wait_for(lock, kIdlePeriod, ready)) {
+  void wait(const Idle& idle, const Ready& ready) FACET_REQUIRES(mutex_) {
+    while (!changed_.wait_for(mutex_, kIdlePeriod, ready)) {
       idle();
     }
   }
 
-  bool put(Item&& item) {
+  bool put(Item&& item) FACET_REQUIRES(mutex_) {
     if (closed_) {
       return false;
     }
@@ -94,7 +94,7 @@ class BoundedQueue {
     return true;
   }
 
-  bool hand(Item& item) {
+  bool hand(Item& item) FACET_REQUIRES(mutex_) {
     if (count_ == 0) {
       return false;
     }
@@ -103,19 +103,19 @@ class BoundedQueue {
     return true;
   }
 
-  Item take() {
+  Item take() FACET_REQUIRES(mutex_) {
     Item item = std::exchange(slots_[first_], Item{});
     first_ = (first_ + 1) % slots_.size();
     --count_;
     return item;
   }
 
-  mutable std::mutex mutex_;
-  std::condition_variable changed_;
-  std::vector<Item> slots_;  ///< guarded by mutex_, as all below
-  std::size_t first_ = 0;
-  std::size_t count_ = 0;
-  bool closed_ = false;
+  mutable Mutex mutex_;
+  Condition changed_;
+  std::vector<Item> slots_ FACET_GUARDED_BY(mutex_);
+  std::size_t first_ FACET_GUARDED_BY(mutex_) = 0;
+  std::size_t count_ FACET_GUARDED_BY(mutex_) = 0;
+  bool closed_ FACET_GUARDED_BY(mutex_) = false;
 };
 
 }  // namespace facet::pipeline

@@ -1,11 +1,11 @@
 #pragma once
 
 #include <memory>
-#include <mutex>
 #include <utility>
 #include <vector>
 
 #include "facet/frame_set.hpp"
+#include "facet/mutex.hpp"
 #include "mesh/mesh_frame.hpp"
 
 namespace facet::pipeline {
@@ -29,7 +29,7 @@ class Pool {
   std::shared_ptr<T> take() {
     std::unique_ptr<T> item;
     {
-      const std::lock_guard lock(shelf_->mutex);
+      const Lock lock(shelf_->mutex);
       if (!shelf_->items.empty()) {
         item = std::move(shelf_->items.back());
         shelf_->items.pop_back();
@@ -41,15 +41,15 @@ class Pool {
     return {item.release(), [shelf = shelf_](T* used) {
               std::unique_ptr<T> back(used);
               clear(*back);
-              const std::lock_guard lock(shelf->mutex);
+              const Lock lock(shelf->mutex);
               shelf->items.push_back(std::move(back));
             }};
   }
 
  private:
   struct Shelf {
-    std::mutex mutex;
-    std::vector<std::unique_ptr<T>> items;  ///< guarded by mutex
+    Mutex mutex;
+    std::vector<std::unique_ptr<T>> items FACET_GUARDED_BY(mutex);
   };
   std::shared_ptr<Shelf> shelf_;
 };

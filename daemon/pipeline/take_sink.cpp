@@ -5,11 +5,12 @@
 #include <utility>
 
 #include "facet/error.hpp"
+#include "facet/mutex.hpp"
 
 namespace facet::pipeline {
 
 std::shared_ptr<take::TakeRecorder> TakeSink::current() const {
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   return recorder_;
 }
 
@@ -36,7 +37,7 @@ void TakeSink::begin(const take::TakeRecorderConfig& config) {
                 fmt::format("'{}' is being recorded: stop it first", running->status().file.string()));
   }
   {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     beginning_ = true;
     end_wanted_.reset();
   }
@@ -45,11 +46,11 @@ void TakeSink::begin(const take::TakeRecorderConfig& config) {
     recorder = std::make_shared<take::TakeRecorder>(config);
     recorder->start();
   } catch (...) {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     beginning_ = false;
     throw;
   }
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   if (end_wanted_) {
     recorder->request_stop(*std::exchange(end_wanted_, std::nullopt));
   }
@@ -58,7 +59,7 @@ void TakeSink::begin(const take::TakeRecorderConfig& config) {
 }
 
 void TakeSink::request_end(std::string reason) {
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   if (recorder_ != nullptr) {
     recorder_->request_stop(std::move(reason));
   } else if (beginning_ && !end_wanted_) {
@@ -67,7 +68,7 @@ void TakeSink::request_end(std::string reason) {
 }
 
 bool TakeSink::ended() const {
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   return !beginning_ && (recorder_ == nullptr || recorder_->ended());
 }
 
@@ -78,7 +79,7 @@ std::optional<take::RecorderStatus> TakeSink::end(std::string reason) {
   }
   recorder->request_stop(std::move(reason));
   take::RecorderStatus status = recorder->stop();
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   recorder_ = nullptr;
   return status;
 }

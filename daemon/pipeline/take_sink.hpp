@@ -1,10 +1,10 @@
 #pragma once
 
 #include <memory>
-#include <mutex>
 #include <optional>
 #include <string>
 
+#include "facet/mutex.hpp"
 #include "pipeline/mesh_sink.hpp"
 #include "take/recorder.hpp"
 
@@ -39,10 +39,10 @@ class TakeSink final : public MeshSink {
  private:
   std::shared_ptr<take::TakeRecorder> current() const;
 
-  mutable std::mutex mutex_;                      ///< held for a pointer's copy only; guards what follows
-  std::shared_ptr<take::TakeRecorder> recorder_;  ///< null: nothing is recorded
-  bool beginning_ = false;                        ///< a recorder is being made
-  std::optional<std::string> end_wanted_;         ///< of that one
+  mutable Mutex mutex_;                                                    ///< held for a pointer's copy only
+  std::shared_ptr<take::TakeRecorder> recorder_ FACET_GUARDED_BY(mutex_);  ///< null: nothing is recorded
+  bool beginning_ FACET_GUARDED_BY(mutex_) = false;                        ///< a recorder is being made
+  std::optional<std::string> end_wanted_ FACET_GUARDED_BY(mutex_);         ///< of that one
 };
 
 }  // namespace facet::pipeline

@@ -17,6 +17,7 @@
 
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
+#include "facet/mutex.hpp"
 #include "service/errands.hpp"
 
 namespace facet::service {
@@ -178,7 +179,7 @@ void ControlServer::admit(Client& client, std::string peer) {
 void ControlServer::adopt(stream::FileDescriptor connection, const Caller& caller, std::string peer,
                           std::vector<std::uint8_t> early) {
   {
-    const std::lock_guard lock(mailbox_->mutex);
+    const Lock lock(mailbox_->mutex);
     if (mailbox_->adopted.size() >= page_places_.config().total) {
       return;
     }
@@ -193,7 +194,7 @@ void ControlServer::read_mailbox() {
   std::vector<Adopted> adopted;
   taken_answers_.clear();
   {
-    const std::lock_guard lock(mailbox_->mutex);
+    const Lock lock(mailbox_->mutex);
     adopted.swap(mailbox_->adopted);
     taken_answers_.swap(mailbox_->answers);  // both have room for one answer of every client
   }
@@ -368,7 +369,7 @@ void ControlServer::take_turn(Client& client) {
           // Not even the memory for an answer: an empty one says so to the loop, which hangs up.
         }
         {
-          const std::lock_guard lock(mailbox->mutex);
+          const Lock lock(mailbox->mutex);
           mailbox->answers.emplace_back(id, std::move(response));
         }
         mailbox->rouse();

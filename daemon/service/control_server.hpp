@@ -4,12 +4,12 @@
 #include <cstdint>
 #include <deque>
 #include <memory>
-#include <mutex>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include "facet/clock.hpp"
+#include "facet/mutex.hpp"
 #include "service/config.hpp"
 #include "service/control_protocol.hpp"
 #include "stream/places.hpp"
@@ -99,9 +99,10 @@ class ControlServer {
   /// What errands' threads leave for the loop; they may outlive the server.
   struct Mailbox {
     stream::FileDescriptor wake;  ///< eventfd: there is something in it, or more to do at once
-    std::mutex mutex;             ///< guards what follows
-    std::vector<Adopted> adopted;
-    std::vector<std::pair<std::uint64_t, std::string>> answers;  ///< client's id, response
+    Mutex mutex;
+    std::vector<Adopted> adopted FACET_GUARDED_BY(mutex);
+    /// Client's id, response.
+    std::vector<std::pair<std::uint64_t, std::string>> answers FACET_GUARDED_BY(mutex);
 
     void rouse() const;
   };

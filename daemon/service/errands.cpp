@@ -5,6 +5,8 @@
 #include <exception>
 #include <utility>
 
+#include "facet/mutex.hpp"
+
 namespace facet::service {
 
 Errands::~Errands() {
@@ -12,36 +14,35 @@ Errands::~Errands() {
 }
 
 void Errands::start() {
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   thread_ = std::jthread([this] { run(); });
   ended_ = false;
 }
 
 void Errands::run() {
   ::pthread_setname_np(::pthread_self(), thread_name_.c_str());
-  std::unique_lock lock(mutex_);
+  const Lock lock(mutex_);
   while (true) {
-    woken_.wait(lock, [&] { return stopping_ || !waiting_.empty(); });
+    woken_.wait(mutex_, [&]() FACET_REQUIRES(mutex_) { return stopping_ || !waiting_.empty(); });
     if (stopping_) {
       break;
     }
     std::function<void()> work = std::move(waiting_.front());
     waiting_.pop_front();
-    lock.unlock();
+    const Unlock unlock(mutex_);
     try {
       work();
     } catch (const std::exception&) {
       // Said in the header: whoever asks deals with its errors. What is left is want of memory.
     }
     work = nullptr;
-    lock.lock();
   }
   waiting_.clear();
   ended_ = true;
 }
 
 void Errands::ask(std::function<void()> work) {
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   if (!stopping_) {
     waiting_.push_back(std::move(work));
     woken_.notify_one();
@@ -49,13 +50,13 @@ void Errands::ask(std::function<void()> work) {
 }
 
 void Errands::request_stop() {
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   stopping_ = true;
   woken_.notify_one();
 }
 
 bool Errands::finished() const {
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   return ended_;
 }
 

@@ -1,11 +1,11 @@
 #pragma once
 
-#include <condition_variable>
 #include <deque>
 #include <functional>
-#include <mutex>
 #include <string>
 #include <thread>
+
+#include "facet/mutex.hpp"
 
 namespace facet::service {
 
@@ -33,11 +33,11 @@ class Errands {
   void run();
 
   const std::string thread_name_;
-  mutable std::mutex mutex_;  ///< guards what follows; not held while something is done
-  std::condition_variable woken_;
-  std::deque<std::function<void()>> waiting_;
-  bool stopping_ = false;
-  bool ended_ = true;
+  mutable Mutex mutex_;  ///< not held while something is done
+  Condition woken_;
+  std::deque<std::function<void()>> waiting_ FACET_GUARDED_BY(mutex_);
+  bool stopping_ FACET_GUARDED_BY(mutex_) = false;
+  bool ended_ FACET_GUARDED_BY(mutex_) = true;
   std::jthread thread_;
 };
 

@@ -11,6 +11,7 @@
 #include <new>
 
 #include "facet/clock.hpp"
+#include "facet/mutex.hpp"
 #include "service/listen_address.hpp"
 #include "stream/web_socket.hpp"
 
@@ -130,7 +131,7 @@ void HttpConnections::begin(MHD_Connection* connection) {
   entry.fd = socket_of(connection);
   entry.since = Clock::now();
   const stream::Visitor visitor{stream::peer_address(entry.fd), false};
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   if (places_.size() >= places_.config().per_peer) {
     look_after_locked(entry.since);
   }
@@ -156,7 +157,7 @@ void HttpConnections::begin(MHD_Connection* connection) {
 }
 
 void HttpConnections::asked(MHD_Connection* connection) {
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   if (const auto found = entries_.find(connection); found != entries_.end()) {
     Entry& entry = found->second;
     entry.asked = true;
@@ -169,7 +170,7 @@ void HttpConnections::asked(MHD_Connection* connection) {
 }
 
 bool HttpConnections::begin_download(MHD_Connection* connection) {
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   const auto under_way = static_cast<std::size_t>(std::count_if(
       entries_.begin(), entries_.end(), [](const auto& entry) { return entry.second.download; }));
   const auto found = entries_.find(connection);
@@ -181,7 +182,7 @@ bool HttpConnections::begin_download(MHD_Connection* connection) {
 }
 
 void HttpConnections::handed_over(MHD_Connection* connection) {
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   if (const auto found = entries_.find(connection); found != entries_.end()) {
     places_.leave(found->second.id);
     entries_.erase(found);
@@ -223,17 +224,17 @@ void HttpConnections::look_after_locked(Clock::time_point now) {
 }
 
 void HttpConnections::look_after(Clock::time_point now) {
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   look_after_locked(now);
 }
 
 std::size_t HttpConnections::size() const {
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   return places_.size();
 }
 
 std::uint64_t HttpConnections::broken_off() const {
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   return broken_off_;
 }
 

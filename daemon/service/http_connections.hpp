@@ -5,7 +5,6 @@
 #include <chrono>
 #include <cstdint>
 #include <map>
-#include <mutex>
 #include <optional>
 #include <set>
 #include <string>
@@ -13,6 +12,7 @@
 #include <vector>
 
 #include "facet/clock.hpp"
+#include "facet/mutex.hpp"
 #include "stream/places.hpp"
 
 namespace facet::service {
@@ -87,17 +87,17 @@ class HttpConnections {
   static void on_connection(void* self, MHD_Connection* connection, void** /*context*/,
                             MHD_ConnectionNotificationCode what);
   void begin(MHD_Connection* connection);
-  void look_after_locked(Clock::time_point now);
-  void end_locked(Entry& entry);
+  void look_after_locked(Clock::time_point now) FACET_REQUIRES(mutex_);
+  void end_locked(Entry& entry) FACET_REQUIRES(mutex_);
 
   std::vector<MHD_OptionItem> options_;
   const std::size_t downloads_;
-  mutable std::mutex mutex_;
-  stream::Places places_;  // all below guarded by mutex_
-  std::map<MHD_Connection*, Entry>
-      entries_;  ///< an entry's descriptor is open: the library says before it closes
-  stream::Places::Id next_id_ = 1;
-  std::uint64_t broken_off_ = 0;
+  mutable Mutex mutex_;
+  stream::Places places_ FACET_GUARDED_BY(mutex_);
+  /// An entry's descriptor is open: the library says before it closes.
+  std::map<MHD_Connection*, Entry> entries_ FACET_GUARDED_BY(mutex_);
+  stream::Places::Id next_id_ FACET_GUARDED_BY(mutex_) = 1;
+  std::uint64_t broken_off_ FACET_GUARDED_BY(mutex_) = 0;
 };
 
 }  // namespace facet::service

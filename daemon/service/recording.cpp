@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "facet/error.hpp"
+#include "facet/mutex.hpp"
 
 namespace facet::service {
 
@@ -19,7 +20,7 @@ void Recording::begin(const take::TakeRecorderConfig& config) {
   sink_.begin(config);
   std::optional<std::string> over;
   {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     last_.reset();
     over = end_reason_;
   }
@@ -35,7 +36,7 @@ take::RecorderStatus Recording::stop() {
   const auto take = sink_.end("");
   index_.changed();
   if (!take) {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     throw Error(ErrorKind::Usage, last_ ? fmt::format("nothing is being recorded: {} ended by itself: {}",
                                                       last_->file.string(), last_->reason)
                                         : "nothing is being recorded");
@@ -46,7 +47,7 @@ take::RecorderStatus Recording::stop() {
 
 void Recording::end(const std::string& reason) {
   {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     end_reason_ = reason;
   }
   sink_.request_end(reason);
@@ -71,7 +72,7 @@ void Recording::look_after() {
 void Recording::close() {
   const auto ended = sink_.end("");
   {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     last_ = ended;
   }
   index_.changed();
@@ -84,7 +85,7 @@ std::optional<take::RecorderStatus> Recording::status() const {
   if (auto take = sink_.status()) {
     return take;
   }
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   return last_;
 }
 
@@ -99,7 +100,12 @@ bool Recording::finished() const {
 
 void Recording::finish() {
   errands_.stop();
-  if (const auto take = sink_.end(end_reason_.value_or(""))) {
+  std::string reason;
+  {
+    const Lock lock(mutex_);
+    reason = end_reason_.value_or("");
+  }
+  if (const auto take = sink_.end(std::move(reason))) {
     log(*take);
   }
 }

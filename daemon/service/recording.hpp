@@ -1,10 +1,10 @@
 #pragma once
 
 #include <atomic>
-#include <mutex>
 #include <optional>
 #include <string>
 
+#include "facet/mutex.hpp"
 #include "pipeline/take_sink.hpp"
 #include "service/errands.hpp"
 #include "service/log.hpp"
@@ -55,10 +55,11 @@ class Recording {
   pipeline::TakeSink& sink_;
   TakeIndex& index_;
   const Log& log_;
-  mutable std::mutex mutex_;                  ///< guards what follows; held for its copies alone
-  std::optional<take::RecorderStatus> last_;  ///< that ended by itself, until the next begins
-  std::optional<std::string> end_reason_;     ///< no more frames come
-  std::atomic<bool> closing_{false};          ///< an errand will end the take
+  mutable Mutex mutex_;  ///< held for copies alone
+  /// That ended by itself, until the next begins.
+  std::optional<take::RecorderStatus> last_ FACET_GUARDED_BY(mutex_);
+  std::optional<std::string> end_reason_ FACET_GUARDED_BY(mutex_);  ///< no more frames come
+  std::atomic<bool> closing_{false};                                ///< an errand will end the take
   Errands errands_{"facet-record"};
 };
 

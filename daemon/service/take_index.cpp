@@ -7,7 +7,6 @@
 #include <atomic>
 #include <chrono>
 #include <map>
-#include <mutex>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <set>
@@ -19,6 +18,7 @@
 
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
+#include "facet/mutex.hpp"
 #include "take/closing.hpp"
 #include "take/reader.hpp"
 #include "take/recorder.hpp"
@@ -84,14 +84,14 @@ struct TakeIndex::Impl {
   std::atomic<std::uint64_t> number{0};
   std::atomic<std::uint64_t> reads{0};
 
-  std::mutex listing;  ///< guards what follows; held while the folder is looked at
-  std::string text;    ///< the last list
-  Clock::time_point good_until;
+  Mutex listing;                               ///< held while the folder is looked at
+  std::string text FACET_GUARDED_BY(listing);  ///< the last list
+  Clock::time_point good_until FACET_GUARDED_BY(listing);
   std::atomic<bool> stale{true};
   std::atomic<bool> asked{false};  ///< somebody wants to see the takes, with pictures
 
-  std::mutex mutex;                    ///< guards `known`; held for its look-ups alone
-  std::map<std::string, Known> known;  ///< by the file's path
+  Mutex mutex;                                                 ///< held for look-ups alone
+  std::map<std::string, Known> known FACET_GUARDED_BY(mutex);  ///< by the file's path
 
   Known read(const std::filesystem::path& file, const FileState& state);
   json entry_of(const std::filesystem::path& file, const FileState& state);
@@ -102,7 +102,7 @@ struct TakeIndex::Impl {
 /// What is known of a file as it is, read where it is not known.
 TakeIndex::Impl::Known TakeIndex::Impl::read(const std::filesystem::path& file, const FileState& state) {
   {
-    const std::lock_guard lock(mutex);
+    const Lock lock(mutex);
     const auto found = known.find(file.native());
     if (found != known.end() && found->second.state == state) {
       return found->second;
@@ -115,7 +115,7 @@ TakeIndex::Impl::Known TakeIndex::Impl::read(const std::filesystem::path& file, 
   } catch (const Error& unreadable) {
     fresh.error = unreadable.what();
   }
-  const std::lock_guard lock(mutex);
+  const Lock lock(mutex);
   known.insert_or_assign(file.native(), fresh);
   return fresh;
 }
@@ -185,7 +185,7 @@ std::string TakeIndex::Impl::make_list() {
     for (const auto& [file, state] : found) {
       listed.insert(file.native());
     }
-    const std::lock_guard lock(mutex);
+    const Lock lock(mutex);
     std::erase_if(known, [&](const auto& entry) { return listed.count(entry.first) == 0; });
   }
   const json list = {{"folder", folder.string()}, {"count", count}, {"takes", std::move(takes)}};
@@ -202,12 +202,12 @@ std::string TakeIndex::list() {
     changed();
   }
   look();
-  const std::lock_guard lock(impl_->listing);
+  const Lock lock(impl_->listing);
   return impl_->text;
 }
 
 void TakeIndex::look() {
-  const std::lock_guard lock(impl_->listing);
+  const Lock lock(impl_->listing);
   const Clock::time_point began = Clock::now();
   if (impl_->stale.exchange(false) || began >= impl_->good_until) {
     std::string text = impl_->make_list();

@@ -9,15 +9,14 @@
 #include <atomic>
 #include <chrono>
 #include <cmath>
-#include <condition_variable>
 #include <deque>
-#include <mutex>
 #include <new>
 #include <set>
 #include <thread>
 #include <utility>
 
 #include "facet/error.hpp"
+#include "facet/mutex.hpp"
 #include "files/output_file.hpp"
 #include "mesh/hierarchy.hpp"
 #include "render/renderer.hpp"
@@ -93,15 +92,18 @@ std::shared_ptr<const mesh::MeshFrame> middle_mesh(const std::filesystem::path& 
 
 struct Thumbnails::Impl {
   std::filesystem::path folder;
-  mutable std::mutex mutex;  ///< guards what follows; not held while something is drawn
-  std::condition_variable woken;
-  bool stopping = false;
-  std::deque<std::string> wanted;
-  std::set<std::pair<std::string, std::filesystem::file_time_type>> failed;  ///< takes as they were
+  mutable Mutex mutex;  ///< not held while something is drawn
+  Condition woken;
+  bool stopping FACET_GUARDED_BY(mutex) = false;
+  std::deque<std::string> wanted FACET_GUARDED_BY(mutex);
+  /// Takes as they were.
+  std::set<std::pair<std::string, std::filesystem::file_time_type>> failed FACET_GUARDED_BY(mutex);
   std::atomic<bool> ended{true};
   std::jthread thread;
 
   void run();
+  void draw_until_stopped();
+  std::optional<std::filesystem::file_time_type> try_to_make(const std::string& take) const;
   void make(const std::string& take) const;
 };
 
@@ -115,39 +117,48 @@ void Thumbnails::Impl::make(const std::string& take) const {
   render::write_png(draw(*mesh), to);
 }
 
-void Thumbnails::Impl::run() {
-  ::pthread_setname_np(::pthread_self(), "facet-pictures");
-  ::setpriority(PRIO_PROCESS, static_cast<id_t>(::gettid()), kNice);
-  std::unique_lock lock(mutex);
+/// Nothing where the picture was made; else of when the take is of which there is none: the page shows none.
+std::optional<std::filesystem::file_time_type> Thumbnails::Impl::try_to_make(const std::string& take) const {
+  std::filesystem::file_time_type changed;
+  try {
+    std::error_code ignored;
+    changed = std::filesystem::last_write_time(take::named_take(folder, take), ignored);
+    make(take);
+  } catch (const std::exception&) {
+    return changed;
+  }
+  return std::nullopt;
+}
+
+void Thumbnails::Impl::draw_until_stopped() {
+  const Lock lock(mutex);
   while (true) {
-    woken.wait(lock, [&] { return stopping || !wanted.empty(); });
+    woken.wait(mutex, [&]() FACET_REQUIRES(mutex) { return stopping || !wanted.empty(); });
     if (stopping) {
-      break;
+      return;
     }
     // It stays in front while it is drawn, so that it is not asked for again.
     const std::string& take = wanted.front();
-    lock.unlock();
-    bool made = false;
-    std::error_code ignored;
-    std::filesystem::file_time_type changed;
-    try {
-      changed = std::filesystem::last_write_time(take::named_take(folder, take), ignored);
-      make(take);
-      made = true;
-    } catch (const std::exception&) {
-      // No picture of this take: the page shows none.
+    std::optional<std::filesystem::file_time_type> refused;
+    {
+      const Unlock unlock(mutex);
+      refused = try_to_make(take);
     }
-    lock.lock();
     try {
-      if (!made) {
-        failed.insert({take, changed});
+      if (refused) {
+        failed.insert({take, *refused});
       }
     } catch (const std::bad_alloc&) {
       // It will be tried once more.
     }
     wanted.pop_front();
   }
-  lock.unlock();
+}
+
+void Thumbnails::Impl::run() {
+  ::pthread_setname_np(::pthread_self(), "facet-pictures");
+  ::setpriority(PRIO_PROCESS, static_cast<id_t>(::gettid()), kNice);
+  draw_until_stopped();
   ended = true;
 }
 
@@ -170,7 +181,7 @@ void Thumbnails::start() {
 }
 
 void Thumbnails::request_stop() {
-  const std::lock_guard lock(impl_->mutex);
+  const Lock lock(impl_->mutex);
   impl_->stopping = true;
   impl_->woken.notify_one();
 }
@@ -201,7 +212,7 @@ std::optional<std::int64_t> Thumbnails::ask(const std::string& take) {
   if (!no_picture && drawn >= taken) {
     return std::chrono::duration_cast<std::chrono::milliseconds>(drawn.time_since_epoch()).count();
   }
-  const std::lock_guard lock(impl_->mutex);
+  const Lock lock(impl_->mutex);
   if (impl_->failed.count({take, taken}) == 0 &&
       std::find(impl_->wanted.begin(), impl_->wanted.end(), take) == impl_->wanted.end()) {
     impl_->wanted.push_back(take);

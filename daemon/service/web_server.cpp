@@ -18,7 +18,6 @@
 #include <exception>
 #include <iterator>
 #include <map>
-#include <mutex>
 #include <optional>
 #include <set>
 #include <string_view>
@@ -28,6 +27,7 @@
 
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
+#include "facet/mutex.hpp"
 #include "facet/system_error.hpp"
 #include "files/output_file.hpp"
 #include "files/text_file.hpp"
@@ -409,8 +409,8 @@ struct WebServer::Impl {
   std::array<Passage, static_cast<std::size_t>(Door::Count)> passages{};
   MHD_Daemon* daemon = nullptr;
 
-  mutable std::mutex statistics_mutex;
-  WebStatistics shown;  ///< guarded by statistics_mutex
+  mutable Mutex statistics_mutex;
+  WebStatistics shown FACET_GUARDED_BY(statistics_mutex);
 
   // The server's thread only.
   int guesses_left = kGuesses;
@@ -444,7 +444,7 @@ struct WebServer::Impl {
 
 MHD_Result WebServer::Impl::refuse(MHD_Connection* connection, unsigned status, const std::string& why) {
   {
-    const std::lock_guard lock(statistics_mutex);
+    const Lock lock(statistics_mutex);
     ++shown.refused;
     shown.last_refusal = why;
   }
@@ -486,7 +486,7 @@ MHD_Result WebServer::Impl::answer(MHD_Connection* connection, const std::string
                                    std::string_view method) {
   connections.asked(connection);
   {
-    const std::lock_guard lock(statistics_mutex);
+    const Lock lock(statistics_mutex);
     ++shown.requests;
   }
   if (const std::string why = stranger(connection); !why.empty()) {
@@ -667,7 +667,7 @@ WebServer::Impl::Door WebServer::Impl::door_of_token(std::string_view shown_toke
     last_guess = now;
   }
   guesses_left -= looked_at ? 1 : 0;
-  const std::lock_guard lock(statistics_mutex);
+  const Lock lock(statistics_mutex);
   ++shown.refused;
   ++shown.wrong_tokens;
   shown.last_refusal = looked_at ? "a wrong token was shown" : "too many wrong tokens were shown";
@@ -805,7 +805,7 @@ bool WebServer::has_page() const {
 WebStatistics WebServer::statistics() const {
   WebStatistics now;
   {
-    const std::lock_guard lock(impl_->statistics_mutex);
+    const Lock lock(impl_->statistics_mutex);
     now = impl_->shown;
   }
   now.broken_off = impl_->connections.broken_off();
