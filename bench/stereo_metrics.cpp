@@ -6,6 +6,8 @@
 #include <array>
 #include <cmath>
 
+#include "maths/statistics.hpp"
+
 namespace facet::bench {
 
 void DepthFigures::add(const StereoFootage& footage, std::size_t slot, const std::vector<float>& depth_mm) {
@@ -60,10 +62,8 @@ double DepthFigures::percentile_mm(double fraction) const {
   if (errors_mm_.empty()) {
     return 0;
   }
-  const auto middle =
-      errors_mm_.begin() + static_cast<std::ptrdiff_t>(fraction * static_cast<double>(errors_mm_.size() - 1));
-  std::nth_element(errors_mm_.begin(), middle, errors_mm_.end());
-  return static_cast<double>(*middle);
+  const double place = fraction * static_cast<double>(errors_mm_.size() - 1);
+  return static_cast<double>(maths::nth_of(errors_mm_, static_cast<std::size_t>(place)));
 }
 
 double DepthFigures::fill() const {

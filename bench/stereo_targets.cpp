@@ -16,6 +16,7 @@
 
 #include "facet/error.hpp"
 #include "gpu/context.hpp"
+#include "maths/statistics.hpp"
 #include "render/renderer.hpp"
 #include "scan/structured_light.hpp"
 #include "simulation/virtual_booth.hpp"
@@ -148,9 +149,7 @@ double point_noise(const facet::capture::DepthMap& map) {
     }
   }
   // The median of absolute values, so that a bent rim does not count.
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return 1.4826 * *middle / std::sqrt(8.0 / 9);
+  return 1.4826 * maths::median_of(values) / std::sqrt(8.0 / 9);
 }
 
 struct Method {

@@ -19,6 +19,7 @@
 #include "camera/factory.hpp"
 #include "facet/assets.hpp"
 #include "facet/error.hpp"
+#include "maths/statistics.hpp"
 #include "render/renderer.hpp"
 #include "track/tracker.hpp"
 
@@ -50,9 +51,8 @@ double quantile(std::vector<double> values, double q) {
   if (values.empty()) {
     return 0;
   }
-  const auto at = values.begin() + static_cast<std::ptrdiff_t>(q * static_cast<double>(values.size() - 1));
-  std::nth_element(values.begin(), at, values.end());
-  return *at;
+  const double place = q * static_cast<double>(values.size() - 1);
+  return facet::maths::nth_of(values, static_cast<std::size_t>(place));
 }
 
 double mean(const std::vector<double>& values) {

@@ -20,6 +20,7 @@
 #include "capture/rig_file.hpp"
 #include "facet/assets.hpp"
 #include "facet/error.hpp"
+#include "maths/srgb.hpp"
 #include "mesh/mesh.hpp"
 #include "report/evaluation.hpp"
 #include "simulation/sensor.hpp"
@@ -429,9 +430,8 @@ class TruthRun {
       const std::uint8_t* row = frame.row(y);
       for (int x = 0; x < frame.width_px; ++x) {
         for (int c = 0; c < 3; ++c) {
-          const float value = static_cast<float>(row[4 * x + c]) / 255.0F;
           light(c, Eigen::Index{y} * frame.width_px + x) =
-              value <= 0.04045F ? value / 12.92F : std::pow((value + 0.055F) / 1.055F, 2.4F);
+              facet::maths::decode_srgb(static_cast<float>(row[4 * x + c]) / 255.0F);
         }
       }
     }

@@ -141,8 +141,10 @@ Eigen::Matrix3d read_matrix3(const Yaml& yaml, const std::string& key) {
 }
 
 /// A plausible lens, so that what is imported can be written as a rig file.
-void set_pinhole(const Yaml& yaml, const YAML::Node& node, const std::string& name, double fx, double fy,
-                 double cx, double cy, capture::Lens& lens) {
+/// pinhole: fx, fy, cx, cy, pixels.
+void set_pinhole(const Yaml& yaml, const YAML::Node& node, const std::string& name,
+                 const std::array<double, 4>& pinhole, capture::Lens& lens) {
+  const auto [fx, fy, cx, cy] = pinhole;
   lens.fx_px = fx;
   lens.fy_px = fy;
   lens.cx_px = cx;
@@ -195,7 +197,7 @@ capture::RigCamera read_opencv_camera(const Yaml& yaml, char number, const std::
   if (matrix(0, 1) != 0) {
     yaml.fail(matrix_node, matrix_key, "has a skew; lenses here have none");
   }
-  set_pinhole(yaml, matrix_node, matrix_key, matrix(0, 0), matrix(1, 1), matrix(0, 2), matrix(1, 2), lens);
+  set_pinhole(yaml, matrix_node, matrix_key, {matrix(0, 0), matrix(1, 1), matrix(0, 2), matrix(1, 2)}, lens);
   const std::vector<double> values = read_matrix(yaml, distortion_key).values;
   if (values.size() > 5 &&
       std::any_of(values.begin() + 5, values.end(), [](double value) { return value != 0; })) {
@@ -286,8 +288,8 @@ capture::RigCamera read_kalibr_camera(const Yaml& yaml, const YAML::Node& node, 
   if (intrinsics.size() != 4) {
     yaml.fail(need("intrinsics"), name + ".intrinsics", "must be [fu, fv, pu, pv]");
   }
-  set_pinhole(yaml, need("intrinsics"), name + ".intrinsics", intrinsics[0], intrinsics[1], intrinsics[2],
-              intrinsics[3], camera.lens);
+  set_pinhole(yaml, need("intrinsics"), name + ".intrinsics",
+              {intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]}, camera.lens);
   const std::vector<double> coefficients =
       yaml.numbers(need("distortion_coeffs"), name + ".distortion_coeffs", 4);
   if (distortion == "radtan" && coefficients.size() != 4) {

@@ -15,9 +15,9 @@ namespace facet::fit {
 struct FineOptions {
   int sweeps = 2;       ///< of 4-8 subdivision below the template, on the face's skin; two halve its edges
   double sigma_mm = 3;  ///< Tukey's, of depth: what lies farther off is another surface
-  double smoothness =
-      0.1;        ///< of the squared Laplacian of the displacements, mm^4; its fourth root is a length
-  int steps = 3;  ///< Gauss-Newton
+  /// Of the squared Laplacian of the displacements, mm^4; its fourth root is a length.
+  double smoothness = 0.1;
+  int steps = 3;           ///< Gauss-Newton
   int cg_iterations = 20;  ///< per step, at most
 };
 

@@ -92,8 +92,8 @@ struct PipelineStatus {
   std::vector<booth::RigPairStatus> pairs;  ///< of a booth: whether its cameras stand as they were calibrated
   std::string device;                       ///< of the refinement, for people; empty while there is none
   std::uint64_t captured = 0;               ///< frames that the source produced, within the range asked for
-  std::uint64_t dropped =
-      0;  ///< of these, frames that no stage saw: the stages are slower than a live source
+  /// Of these, frames that no stage saw: the stages are slower than a live source.
+  std::uint64_t dropped = 0;
   std::uint64_t processed = 0;       ///< frames handed out
   std::uint64_t mesh_frames = 0;     ///< of these, in state Tracking
   std::uint64_t face_frames = 0;     ///< of these, with landmarks of a face

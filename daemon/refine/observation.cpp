@@ -198,10 +198,11 @@ void ObservationKernels::record_image(gpu::Batch& batch, const ImagePyramid& pyr
 
 void ObservationKernels::record_prolong(gpu::Batch& batch, const LevelTopology& topology,
                                         const LevelStencils& stencils, const gpu::TexelView& coarser,
-                                        const LevelState& state, const gpu::Buffer& frame, bool refine,
-                                        Prior prior) const {
-  const shaders::refine::LevelPush push{topology.vertex_count, prior == Prior::None ? 0.0F : 1.0F,
-                                        refine ? 1.0F : 0.0F, prior == Prior::Given ? 1.0F : 0.0F};
+                                        const LevelState& state, const gpu::Buffer& frame,
+                                        const LevelStart& start) const {
+  const shaders::refine::LevelPush push{topology.vertex_count, start.prior == Prior::None ? 0.0F : 1.0F,
+                                        start.refine ? 1.0F : 0.0F,
+                                        start.prior == Prior::Given ? 1.0F : 0.0F};
   batch.dispatch(prolong_,
                  {{"frame", frame},
                   {"vertex_rings", topology.vertex_rings.view},

@@ -85,6 +85,12 @@ enum class Prior {
   Given,      ///< those that came with the control vertices; what shading does not move stands there
 };
 
+/// How a level begins.
+struct LevelStart {
+  bool refine = false;  ///< shading moves this level
+  Prior prior = Prior::None;
+};
+
 /// What the cameras see of every vertex: linear image pyramid, depth map of the coarse mesh, positions,
 /// coarse normals and sampled colours of every level.
 class ObservationKernels {
@@ -95,10 +101,10 @@ class ObservationKernels {
   void record_image(gpu::Batch& batch, const ImagePyramid& pyramid, const gpu::Buffer& frame) const;
 
   /// Records positions, start displacements and priors of a level from the next coarser one. coarser: a view
-  /// of positions and displacements. refine: shading moves this level.
+  /// of positions and displacements.
   void record_prolong(gpu::Batch& batch, const LevelTopology& topology, const LevelStencils& stencils,
                       const gpu::TexelView& coarser, const LevelState& state, const gpu::Buffer& frame,
-                      bool refine, Prior prior) const;
+                      const LevelStart& start) const;
 
   /// Records the depth map from the positions of M0.
   void record_depth(gpu::Batch& batch, const LevelState& coarsest, const OcclusionMap& map,

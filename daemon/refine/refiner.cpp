@@ -316,8 +316,8 @@ void Kernels::record(gpu::Batch& batch, const RefinerConfig& config, const Subje
   batch.stage("upload");
   observation.record_image(batch, *subject.pyramid, subject.frame);
   observation.record_prolong(batch, coarsest.topology, coarsest.stencils, subject.control.view,
-                             coarsest.state, subject.frame, refine_coarsest,
-                             config.given_prior ? Prior::Given : Prior::None);
+                             coarsest.state, subject.frame,
+                             {refine_coarsest, config.given_prior ? Prior::Given : Prior::None});
   observation.record_depth(batch, coarsest.state, subject.depth, subject.frame);
   for (const std::unique_ptr<FurtherView>& view : subject.further_views) {
     observation.record_image(batch, view->pyramid, view->frame);
@@ -382,7 +382,7 @@ void Kernels::record_displacements(gpu::Batch& batch, const RefinerConfig& confi
     if (l > 0) {
       observation.record_prolong(batch, level.topology, level.stencils,
                                  subject.levels[l - 1]->state.positions.view, level.state, subject.frame,
-                                 refined, prolonged ? Prior::Prolonged : Prior::None);
+                                 {refined, prolonged ? Prior::Prolonged : Prior::None});
     }
     // The finest level is looked at in any case: its vertices' confidence is handed out.
     if (l > 0 && (refined || l + 1 == subject.levels.size())) {

@@ -75,8 +75,8 @@ struct RefineInput {
   Frame image;  ///< empty: this camera says nothing of this frame, further_views do
   CameraIntrinsics camera;
   Eigen::Isometry3f camera_from_head;
-  const mesh::Vertices* control_vertices_mm =
-      nullptr;  ///< [3][control_vertex_count] head frame; read during submit only
+  /// [3][control_vertex_count] head frame; read during submit only.
+  const mesh::Vertices* control_vertices_mm = nullptr;
   /// [control_vertex_count] along the normals of the coarsest level; where RefinerConfig::given_prior, else
   /// empty. Read during submit only.
   std::span<const float> prior_displacements_mm = {};

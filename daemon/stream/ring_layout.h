@@ -27,8 +27,8 @@
 /* The arrays beside a head message: what the message of the same profile on the socket holds in its vectors.
  */
 enum {
-  FACET_RING_CONTROL_VERTICES =
-      0, /* int16 [control_vertex_count][3], times control_vertices.step_mm of the head */
+  /* int16 [control_vertex_count][3], times control_vertices.step_mm of the head */
+  FACET_RING_CONTROL_VERTICES = 0,
   FACET_RING_DISPLACEMENTS = 1, /* int16 [finest vertex_count], times displacements.step_mm */
   FACET_RING_VERTICES = 2,      /* int16 [finest vertex_count][3], times vertices.step_mm */
   FACET_RING_NORMALS = 3,       /* int16 [finest vertex_count][3], 32767 is 1 */

@@ -8,8 +8,8 @@ namespace facet::track {
 /// Where the head stands: p_camera = rotation * p_head + translation_mm. Camera frame: x right, y down, z
 /// forward; head frame: x to the subject's left, y up, z out of the face.
 struct Pose {
-  Eigen::Matrix3d rotation =
-      Eigen::Vector3d(1, -1, -1).asDiagonal();                  ///< camera_from_head, facing the camera
+  /// camera_from_head, facing the camera.
+  Eigen::Matrix3d rotation = Eigen::Vector3d(1, -1, -1).asDiagonal();
   Eigen::Vector3d translation_mm = Eigen::Vector3d(0, 0, 600);  ///< camera_from_head
 };
 

@@ -559,8 +559,14 @@ bool LibcameraCamera::convert_pixels(const MappedBuffer& buffer,
     return false;
   }
   const bool grey = layout == PixelLayout::Grey || layout == PixelLayout::Y10;
-  convert_to_rgba(layout, colour_coding(stream, grey), mapped.front().data(), source_stride, info_.width_px,
-                  info_.height_px, rgba, stride_bytes, mapped.size() > 1 ? mapped[1].data() : nullptr);
+  convert_to_rgba({.layout = layout,
+                   .coding = colour_coding(stream, grey),
+                   .bytes = mapped.front().data(),
+                   .stride_bytes = source_stride,
+                   .width_px = info_.width_px,
+                   .height_px = info_.height_px,
+                   .chroma = mapped.size() > 1 ? mapped[1].data() : nullptr},
+                  rgba, stride_bytes);
   return true;
 }
 

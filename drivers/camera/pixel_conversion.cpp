@@ -131,28 +131,29 @@ std::size_t picture_bytes(PixelLayout layout, int width_px, int height_px, std::
   return (rows - 1) * stride_bytes + packed_stride_bytes(layout, width_px);
 }
 
-void convert_to_rgba(PixelLayout layout, const ColourCoding& coding, const std::uint8_t* picture,
-                     std::size_t stride_bytes, int width_px, int height_px, std::uint8_t* rgba,
-                     std::size_t rgba_stride_bytes, const std::uint8_t* chroma_plane) {
-  const Matrix matrix(coding);
-  const GreyScale ten_bits(10, coding.full_range);
-  const GreyScale sixteen_bits(16, coding.full_range);
+void convert_to_rgba(const RawPicture& picture, std::uint8_t* rgba, std::size_t rgba_stride_bytes) {
+  const int width_px = picture.width_px;
+  const bool full_range = picture.coding.full_range;
+  const Matrix matrix(picture.coding);
+  const GreyScale ten_bits(10, full_range);
+  const GreyScale sixteen_bits(16, full_range);
   std::array<std::uint8_t, 256> eight_bits{};
   for (int value = 0; value < 256; ++value) {
-    eight_bits[static_cast<std::size_t>(value)] = GreyScale(8, coding.full_range)(value);
+    eight_bits[static_cast<std::size_t>(value)] = GreyScale(8, full_range)(value);
   }
-  if (chroma_plane == nullptr) {
-    chroma_plane = picture + static_cast<std::size_t>(height_px) * stride_bytes;
-  }
-  for (int y = 0; y < height_px; ++y) {
-    const std::uint8_t* row = picture + static_cast<std::size_t>(y) * stride_bytes;
+  const std::uint8_t* chroma_plane =
+      picture.chroma != nullptr
+          ? picture.chroma
+          : picture.bytes + static_cast<std::size_t>(picture.height_px) * picture.stride_bytes;
+  for (int y = 0; y < picture.height_px; ++y) {
+    const std::uint8_t* row = picture.bytes + static_cast<std::size_t>(y) * picture.stride_bytes;
     std::uint8_t* out = rgba + static_cast<std::size_t>(y) * rgba_stride_bytes;
-    switch (layout) {
+    switch (picture.layout) {
       case PixelLayout::Yuyv:
         convert_row<2, 4>(matrix, row, row + 1, row + 3, width_px, out);
         break;
       case PixelLayout::Nv12: {
-        const std::uint8_t* chroma = chroma_plane + static_cast<std::size_t>(y / 2) * stride_bytes;
+        const std::uint8_t* chroma = chroma_plane + static_cast<std::size_t>(y / 2) * picture.stride_bytes;
         convert_row<1, 2>(matrix, row, chroma, chroma + 1, width_px, out);
         break;
       }

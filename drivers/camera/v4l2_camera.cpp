@@ -230,8 +230,14 @@ bool V4l2Camera::convert(const Arrived& arrived, Frame& out) {
   auto pixels = pool_->take(stride * static_cast<std::size_t>(config_.height_px));
   bool damaged = (arrived.buffer.flags & V4L2_BUF_FLAG_ERROR) != 0;
   if (format.layout) {
-    convert_to_rgba(*format.layout, format.coding, payload.data(), format.stride_bytes, config_.width_px,
-                    config_.height_px, pixels.get(), stride, chroma.empty() ? nullptr : chroma.data());
+    convert_to_rgba({.layout = *format.layout,
+                     .coding = format.coding,
+                     .bytes = payload.data(),
+                     .stride_bytes = format.stride_bytes,
+                     .width_px = config_.width_px,
+                     .height_px = config_.height_px,
+                     .chroma = chroma.empty() ? nullptr : chroma.data()},
+                    pixels.get(), stride);
   } else {
     const JpegOutcome outcome =
         jpeg_.decode(payload, config_.width_px, config_.height_px, pixels.get(), stride);

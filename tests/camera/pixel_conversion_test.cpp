@@ -22,7 +22,7 @@ std::vector<int> convert(PixelLayout layout, const ColourCoding& coding,
   EXPECT_EQ(picture.size(), picture_bytes(layout, width, height, stride));
   const std::size_t row = 4 * static_cast<std::size_t>(width);
   std::vector<std::uint8_t> rgba((row + 8) * static_cast<std::size_t>(height), kSentinel);
-  convert_to_rgba(layout, coding, picture.data(), stride, width, height, rgba.data(), row + 8);
+  convert_to_rgba({layout, coding, picture.data(), stride, width, height, nullptr}, rgba.data(), row + 8);
   std::vector<int> pixels;
   for (std::size_t i = 0; i < rgba.size(); ++i) {
     if (i % (row + 8) < row) {
@@ -86,7 +86,7 @@ TEST(PixelConversion, Nv12WhosePlanesLieApart) {
   const std::vector<std::uint8_t> luma = {76, 76, 150, 150};
   const std::vector<std::uint8_t> chroma = {85, 255};
   std::array<std::uint8_t, 16> rgba{};
-  convert_to_rgba(PixelLayout::Nv12, kFull601, luma.data(), 2, 2, 2, rgba.data(), 8, chroma.data());
+  convert_to_rgba({PixelLayout::Nv12, kFull601, luma.data(), 2, 2, 2, chroma.data()}, rgba.data(), 8);
   EXPECT_THAT(rgba, ElementsAre(254, 0, 0, 255, 254, 0, 0, 255, 255, 74, 74, 255, 255, 74, 74, 255));
 }
 

@@ -105,11 +105,14 @@ void SampleCamera::wait(std::int64_t until_ns) {
 Frame SampleCamera::convert(const SampleDevice::Picture& picture, std::uint64_t sequence) {
   const auto stride = static_cast<std::size_t>(camera::rgba_stride_bytes(config_.width_px));
   auto pixels = pool_->take(stride * static_cast<std::size_t>(config_.height_px));
-  camera::ColourCoding coding;
-  coding.full_range = true;
-  camera::convert_to_rgba(camera::PixelLayout::Grey, coding, picture.grey.data(),
-                          static_cast<std::size_t>(config_.width_px), config_.width_px, config_.height_px,
-                          pixels.get(), stride);
+  camera::RawPicture raw;
+  raw.layout = camera::PixelLayout::Grey;
+  raw.coding.full_range = true;
+  raw.bytes = picture.grey.data();
+  raw.stride_bytes = static_cast<std::size_t>(config_.width_px);
+  raw.width_px = config_.width_px;
+  raw.height_px = config_.height_px;
+  camera::convert_to_rgba(raw, pixels.get(), stride);
   Frame frame;
   frame.sequence = sequence;
   date(frame, picture.exposed_ns);

@@ -278,8 +278,8 @@ TEST_F(RefineObservation, ProlongAgreesWithTheStencils) {
     const gpu::Buffer uniform = upload_parameters(context(), parameters);
     const test::DeviceLevel fresh(context(), small);
     gpu::run_now(context(), "prolong", [&](gpu::Batch& batch) {
-      kernels.record_prolong(batch, fresh.topology, stencils, coarser.view, fresh.state, uniform, true,
-                             Prior::Prolonged);
+      kernels.record_prolong(batch, fresh.topology, stencils, coarser.view, fresh.state, uniform,
+                             {true, Prior::Prolonged});
     });
     const auto found = test::read<vec4>(context(), fresh.state.positions.buffer);
     const auto priors = test::read<float>(context(), fresh.state.priors.buffer);
