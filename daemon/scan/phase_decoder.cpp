@@ -14,6 +14,7 @@
 #include "facet/error.hpp"
 #include "maths/srgb.hpp"
 #include "maths/statistics.hpp"
+#include "scan/phase_noise.hpp"
 
 namespace facet::scan {
 namespace {
@@ -23,7 +24,6 @@ using capture::CodeAxis;
 using capture::CodedPicture;
 using Kind = capture::CodedPicture::Kind;
 
-constexpr float kPi = std::numbers::pi_v<float>;
 constexpr double kTurn = 2 * std::numbers::pi;
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr float kGreyScale = 32767;  // of a stored Gray bit
@@ -49,14 +49,6 @@ struct SetSums {
   std::vector<float> sum, square, sine, cosine;  ///< [pixels]
 
   explicit SetSums(std::size_t pixels) : sum(pixels), square(pixels), sine(pixels), cosine(pixels) {}
-};
-
-/// Of one pixel: I_k = mean + modulation cos(phase - 2 pi k / N).
-struct Sine {
-  float mean = 0;
-  float modulation = 0;
-  float phase = 0;  ///< -pi to pi
-  float rest = 0;   ///< sum of the squares of what is no sine; 0 for three shifts
 };
 
 Sine sine_of(const SetSums& sums, int shifts, std::size_t at) {
@@ -89,6 +81,29 @@ struct GrayNumber {
   float above = 0;   ///< between cell and cell + 1
   float second = 0;  ///< of the second least clear bit
 };
+
+/// How an axis' fringe sets are read together.
+struct SetsReading {
+  std::size_t axis = 0;
+  const std::vector<capture::FringeSet>& fringes;
+  std::size_t best = 0;  ///< the set with the most periods
+  double periods = 0;    ///< of that
+  int candidates = 0;    ///< whole periods of it over the picture
+  std::vector<std::size_t> others;
+  std::vector<double> seen;  ///< [others] scratch: phases of a pixel, turns
+};
+
+/// A pixel's period of the finest set.
+struct PeriodChoice {
+  int turn = 0;
+  double cost = std::numeric_limits<double>::max();    ///< rad^2
+  double second = std::numeric_limits<double>::max();  ///< of the next best
+  double part = 0;                                     ///< of the period, rad
+};
+
+const char* name_of(std::size_t axis) {
+  return static_cast<CodeAxis>(axis) == CodeAxis::Columns ? "columns" : "rows";
+}
 
 /// How fringes and code lie to each other.
 struct CodeFit {
@@ -144,11 +159,10 @@ struct PhaseDecoder::Impl {
                    const std::vector<PhaseFault>& fault) const;
   void unwrap_by_gray(std::size_t axis, const std::vector<Sine>& sines, PhaseField& field,
                       std::vector<PhaseFault>& fault) const;
+  double separation_of(const SetsReading& sets) const;
+  PeriodChoice choose(SetsReading& sets, std::size_t at, int sign, double start) const;
+  int find_direction(SetsReading& sets, const std::vector<PhaseFault>& fault, PhaseField& field) const;
   void unwrap_by_sets(std::size_t axis, PhaseField& field, std::vector<PhaseFault>& fault) const;
-  std::vector<float> grey_noise(const std::vector<Sine>& sines, int shifts,
-                                const std::vector<PhaseFault>& fault) const;
-  void drop_lonely(PhaseField& field, std::vector<PhaseFault>& fault) const;
-  void smooth(PhaseField& field) const;
   void decode_axis(std::size_t axis, PhaseField& field, DecodedView& view) const;
 };
 
@@ -307,7 +321,7 @@ CodeFit PhaseDecoder::Impl::fit_gray(std::size_t axis, const std::vector<Sine>& 
   const double rise = squares > 0 ? products / squares * kTurn : 0;  // cells a period, with sign
   fit.sign = rise < 0 ? -1 : 1;
   fit.cells = static_cast<int>(std::lround(std::abs(rise)));
-  const char* name = static_cast<CodeAxis>(axis) == CodeAxis::Columns ? "columns" : "rows";
+  const char* name = name_of(axis);
   if (!(squares > 0)) {
     fit.failure = fmt::format("{}: no pixel sees fringes and Gray code", name);
     return fit;
@@ -390,238 +404,134 @@ void PhaseDecoder::Impl::unwrap_by_gray(std::size_t axis, const std::vector<Sine
   }
 }
 
-/// Among all periods of the finest set the one that the other sets' phases fit best.
-void PhaseDecoder::Impl::unwrap_by_sets(std::size_t axis, PhaseField& field,
-                                        std::vector<PhaseFault>& fault) const {
-  const std::vector<capture::FringeSet>& sets = code(axis).fringes;
-  const std::size_t best_set = finest(axis);
-  const double periods = sets[best_set].periods;
-  const int candidates = static_cast<int>(std::ceil(periods - 1e-9));
-  std::vector<std::size_t> others;
-  for (std::size_t set = 0; set < sets.size(); ++set) {
-    if (set != best_set) {
-      others.push_back(set);
-    }
-  }
-  // What a wrong period costs at least.
+/// What a wrong period of the finest set costs at least, rad^2.
+double PhaseDecoder::Impl::separation_of(const SetsReading& sets) const {
   double separation = std::numeric_limits<double>::max();
-  for (int wrong = 1; wrong < candidates; ++wrong) {
+  for (int wrong = 1; wrong < sets.candidates; ++wrong) {
     double cost = 0;
-    for (const std::size_t set : others) {
-      const double off = wrapped(kTurn * sets[set].periods * wrong / periods);
+    for (const std::size_t set : sets.others) {
+      const double off = wrapped(kTurn * sets.fringes[set].periods * wrong / sets.periods);
       cost += off * off;
     }
     separation = std::min(separation, cost);
   }
-  constexpr double kLeastSeparation = 0.01;  // rad^2
-  const char* name = static_cast<CodeAxis>(axis) == CodeAxis::Columns ? "columns" : "rows";
-  if (separation < kLeastSeparation) {
-    field.why_no_phases =
-        fmt::format("{}: these numbers of periods do not tell {:g} periods apart", name, periods);
+  return separation;
+}
+
+/// Among all periods of the finest set the one that the other sets' phases fit best.
+PeriodChoice PhaseDecoder::Impl::choose(SetsReading& sets, std::size_t at, int sign, double start) const {
+  PeriodChoice choice;
+  const auto phase_of = [&](std::size_t set) {
+    const SetSums& sums = axes[sets.axis].sets[set];
+    return sign * static_cast<double>(std::atan2(sums.sine[at], sums.cosine[at])) - start;
+  };
+  choice.part = in_turn(phase_of(sets.best));
+  for (std::size_t k = 0; k < sets.others.size(); ++k) {
+    sets.seen[k] = phase_of(sets.others[k]) / kTurn;
   }
-  struct Choice {
-    int turn = 0;
-    double cost = std::numeric_limits<double>::max();
-    double second = std::numeric_limits<double>::max();
-    double part = 0;
-  };
-  std::vector<double> seen(others.size());
-  const auto choose = [&](std::size_t at, int sign, double start) {
-    Choice choice;
-    const auto phase_of = [&](std::size_t set) {
-      const SetSums& sums = axes[axis].sets[set];
-      return sign * static_cast<double>(std::atan2(sums.sine[at], sums.cosine[at])) - start;
-    };
-    choice.part = in_turn(phase_of(best_set));
-    for (std::size_t k = 0; k < others.size(); ++k) {
-      seen[k] = phase_of(others[k]) / kTurn;
+  for (int turn = 0; turn < sets.candidates; ++turn) {
+    const double position = (turn + choice.part / kTurn) / sets.periods;
+    double cost = 0;
+    for (std::size_t k = 0; k < sets.others.size(); ++k) {
+      const double off = sets.fringes[sets.others[k]].periods * position - sets.seen[k];
+      const double rest = off - std::floor(off + 0.5);
+      cost += rest * rest;
     }
-    for (int turn = 0; turn < candidates; ++turn) {
-      const double position = (turn + choice.part / kTurn) / periods;
-      double cost = 0;
-      for (std::size_t k = 0; k < others.size(); ++k) {
-        const double off = sets[others[k]].periods * position - seen[k];
-        const double rest = off - std::floor(off + 0.5);
-        cost += rest * rest;
+    cost *= kTurn * kTurn;
+    if (cost < choice.cost) {
+      choice.second = choice.cost;
+      choice.cost = cost;
+      choice.turn = turn;
+    } else {
+      choice.second = std::min(choice.second, cost);
+    }
+  }
+  return choice;
+}
+
+/// Which way the shifts go and what phase 0 is: as they are drawn, unless the sets agree far better else.
+/// (Whole numbers of periods fit each other as well in the mirror: nothing in the pictures tells.) Returns
+/// the sign; sets field's start, agreement and, where there is no telling, why.
+int PhaseDecoder::Impl::find_direction(SetsReading& sets, const std::vector<PhaseFault>& fault,
+                                       PhaseField& field) const {
+  if (sets.others.empty()) {
+    field.agreement = 1;
+    return 1;
+  }
+  int sign = 1;
+  constexpr std::size_t kSamples = 4000;
+  std::vector<std::size_t> lit;
+  for (std::size_t at = 0; at < pixels; ++at) {
+    if (fault[at] == PhaseFault::None) {
+      lit.push_back(at);
+    }
+  }
+  const std::size_t step = std::max<std::size_t>(1, lit.size() / kSamples);
+  double least = std::numeric_limits<double>::max();
+  double most = 0;
+  for (const int tried_sign : {1, -1}) {
+    for (int quarter = 0; quarter < 4 && !lit.empty(); ++quarter) {
+      std::vector<double> costs;
+      for (std::size_t k = 0; k < lit.size(); k += step) {
+        costs.push_back(choose(sets, lit[k], tried_sign, quarter * kTurn / 4).cost);
       }
-      cost *= kTurn * kTurn;
-      if (cost < choice.cost) {
-        choice.second = choice.cost;
-        choice.cost = cost;
-        choice.turn = turn;
-      } else {
-        choice.second = std::min(choice.second, cost);
+      const double middle = maths::median_of(costs);
+      most = std::max(most, middle);
+      constexpr double kFarBetter = 0.25;
+      if (middle < kFarBetter * least) {
+        least = middle;
+        sign = tried_sign;
+        field.start_rad = wrapped(quarter * kTurn / 4);
       }
     }
-    return choice;
-  };
+  }
+  // Where the sets have nothing to do with each other, no way of reading them is better than another.
+  field.agreement = most > 0 ? 1 - least / most : 0;
+  // One other set leaves little to disagree about.
+  const double least_agreement = sets.others.size() > 1 ? 0.8 : 0.5;
+  if (field.why_no_phases.empty() && !lit.empty() && field.agreement < least_agreement) {
+    field.why_no_phases = fmt::format(
+        "{}: the fringe sets' phases do not fit each other (agreement {:.2f}, {} at least): are the "
+        "pictures in the order, and the numbers of periods those, that the sequence says?",
+        name_of(sets.axis), field.agreement, least_agreement);
+  }
+  return sign;
+}
+
+void PhaseDecoder::Impl::unwrap_by_sets(std::size_t axis, PhaseField& field,
+                                        std::vector<PhaseFault>& fault) const {
+  SetsReading sets{axis, code(axis).fringes, finest(axis), 0, 0, {}, {}};
+  sets.periods = sets.fringes[sets.best].periods;
+  sets.candidates = static_cast<int>(std::ceil(sets.periods - 1e-9));
+  for (std::size_t set = 0; set < sets.fringes.size(); ++set) {
+    if (set != sets.best) {
+      sets.others.push_back(set);
+    }
+  }
+  sets.seen.resize(sets.others.size());
+  const double separation = separation_of(sets);
+  constexpr double kLeastSeparation = 0.01;  // rad^2
+  if (separation < kLeastSeparation) {
+    field.why_no_phases = fmt::format("{}: these numbers of periods do not tell {:g} periods apart",
+                                      name_of(axis), sets.periods);
+  }
   const double most_cost = static_cast<double>(options.most_disagreement_rad) *
                            static_cast<double>(options.most_disagreement_rad) *
-                           static_cast<double>(others.size());
-  const auto is_clear = [&](const Choice& choice) {
+                           static_cast<double>(sets.others.size());
+  const auto is_clear = [&](const PeriodChoice& choice) {
     return choice.cost <= most_cost && choice.second - choice.cost >= 0.3 * separation;
   };
-  // Which way the shifts go and what phase 0 is: as they are drawn, unless the sets agree far better else.
-  // (Whole numbers of periods fit each other as well in the mirror: nothing in the pictures tells.)
-  int sign = 1;
-  double start = 0;
-  if (!others.empty()) {
-    constexpr std::size_t kSamples = 4000;
-    std::vector<std::size_t> lit;
-    for (std::size_t at = 0; at < pixels; ++at) {
-      if (fault[at] == PhaseFault::None) {
-        lit.push_back(at);
-      }
-    }
-    const std::size_t step = std::max<std::size_t>(1, lit.size() / kSamples);
-    double least = std::numeric_limits<double>::max();
-    double most = 0;
-    for (const int tried_sign : {1, -1}) {
-      for (int quarter = 0; quarter < 4 && !lit.empty(); ++quarter) {
-        std::vector<double> costs;
-        for (std::size_t k = 0; k < lit.size(); k += step) {
-          costs.push_back(choose(lit[k], tried_sign, quarter * kTurn / 4).cost);
-        }
-        const double middle = maths::median_of(costs);
-        most = std::max(most, middle);
-        constexpr double kFarBetter = 0.25;
-        if (middle < kFarBetter * least) {
-          least = middle;
-          sign = tried_sign;
-          start = wrapped(quarter * kTurn / 4);
-        }
-      }
-    }
-    // Where the sets have nothing to do with each other, no way of reading them is better than another.
-    field.agreement = most > 0 ? 1 - least / most : 0;
-    // One other set leaves little to disagree about.
-    const double least_agreement = others.size() > 1 ? 0.8 : 0.5;
-    if (field.why_no_phases.empty() && !lit.empty() && field.agreement < least_agreement) {
-      field.why_no_phases = fmt::format(
-          "{}: the fringe sets' phases do not fit each other (agreement {:.2f}, {} at least): are the "
-          "pictures "
-          "in the order, and the numbers of periods those, that the sequence says?",
-          name, field.agreement, least_agreement);
-    }
-  } else {
-    field.agreement = 1;
-  }
+  const int sign = find_direction(sets, fault, field);
   field.reversed = sign < 0;
-  field.start_rad = start;
   for (std::size_t at = 0; at < pixels; ++at) {
     if (fault[at] != PhaseFault::None) {
       continue;
     }
-    const Choice choice = choose(at, sign, start);
-    if (!field.why_no_phases.empty() || !(is_clear(choice) || others.empty())) {
+    const PeriodChoice choice = choose(sets, at, sign, field.start_rad);
+    if (!field.why_no_phases.empty() || !(is_clear(choice) || sets.others.empty())) {
       fault[at] = PhaseFault::Order;
     } else {
-      field.phase_rad[at] = static_cast<float>(start + choice.part + kTurn * choice.turn);
-    }
-  }
-}
-
-/// Standard deviation of grey over grey (0 to 1, [kBins]), from what is no sine: the median of its variance,
-/// by which n - 3 degrees of freedom are (1 - 2 / (9 dof))^3 of the mean [WH31].
-std::vector<float> PhaseDecoder::Impl::grey_noise(const std::vector<Sine>& sines, int shifts,
-                                                  const std::vector<PhaseFault>& fault) const {
-  constexpr std::size_t kBins = 16;
-  constexpr std::size_t kEnough = 200;
-  std::vector<float> noise(kBins, options.noise);
-  if (shifts == 3) {
-    return noise;
-  }
-  std::array<std::vector<float>, kBins> values;
-  std::vector<float> all;
-  for (std::size_t at = 0; at < pixels; ++at) {
-    if (fault[at] == PhaseFault::None) {
-      const auto bin = static_cast<std::size_t>(
-          std::clamp(sines[at].mean * static_cast<float>(kBins), 0.0F, static_cast<float>(kBins - 1)));
-      const float variance = sines[at].rest / static_cast<float>(shifts - 3);
-      values[bin].push_back(variance);
-      all.push_back(variance);
-    }
-  }
-  const auto dof = static_cast<double>(shifts - 3);
-  const double share = std::pow(1 - 2 / (9 * dof), 3);
-  const auto deviation = [&](std::vector<float>& variances) {
-    const auto middle = static_cast<double>(maths::median_of(variances));
-    // 8 bits round by 1/12 of a level's square: no camera is better.
-    constexpr double kRounding = 1.0 / 12 / 255 / 255;
-    return static_cast<float>(std::sqrt(std::max(middle / share, kRounding)));
-  };
-  if (all.size() < kEnough) {
-    return noise;
-  }
-  const float overall = deviation(all);
-  for (std::size_t bin = 0; bin < kBins; ++bin) {
-    noise[bin] = values[bin].size() < kEnough ? overall : deviation(values[bin]);
-  }
-  return noise;
-}
-
-/// A pixel that agrees with none of its neighbours is in the wrong period or on no surface.
-void PhaseDecoder::Impl::drop_lonely(PhaseField& field, std::vector<PhaseFault>& fault) const {
-  const std::vector<float> phase = field.phase_rad;
-  for (int y = 0; y < height; ++y) {
-    for (int x = 0; x < width; ++x) {
-      const std::size_t at =
-          static_cast<std::size_t>(y) * static_cast<std::size_t>(width) + static_cast<std::size_t>(x);
-      if (std::isnan(phase[at])) {
-        continue;
-      }
-      const auto agrees = [&](bool there, std::size_t other) {
-        return there && std::abs(phase[other] - phase[at]) < kPi;  // false for NaN
-      };
-      const int friends = (agrees(x > 0, at - 1) ? 1 : 0) + (agrees(x + 1 < width, at + 1) ? 1 : 0) +
-                          (agrees(y > 0, at - static_cast<std::size_t>(width)) ? 1 : 0) +
-                          (agrees(y + 1 < height, at + static_cast<std::size_t>(width)) ? 1 : 0);
-      if (friends < 2) {
-        field.phase_rad[at] = kNan;
-        field.sigma_rad[at] = 0;
-        fault[at] = fault[at] == PhaseFault::None ? PhaseFault::Order : fault[at];
-      }
-    }
-  }
-}
-
-/// Mean over pairs of pixels that lie opposite of each other and whose own mean is the middle's within noise:
-/// on one surface, and not bent.
-void PhaseDecoder::Impl::smooth(PhaseField& field) const {
-  const int reach = options.smooth_px;
-  if (reach == 0) {
-    return;
-  }
-  constexpr float kBend_rad = 0.05F;
-  const std::vector<float> phase = field.phase_rad;
-  for (int y = 0; y < height; ++y) {
-    for (int x = 0; x < width; ++x) {
-      const auto index = [&](int column, int row) {
-        return static_cast<std::size_t>(row) * static_cast<std::size_t>(width) +
-               static_cast<std::size_t>(column);
-      };
-      const std::size_t at = index(x, y);
-      if (std::isnan(phase[at])) {
-        continue;
-      }
-      const float limit = 5 * field.sigma_rad[at] + kBend_rad;
-      float sum = 0;  // of what the others are away from the middle
-      int count = 1;
-      for (int dy = 0; dy <= reach; ++dy) {
-        for (int dx = dy == 0 ? 1 : -reach; dx <= reach; ++dx) {
-          if (y - dy < 0 || y + dy >= height || x - std::abs(dx) < 0 || x + std::abs(dx) >= width) {
-            continue;
-          }
-          const float pair =
-              (phase[index(x + dx, y + dy)] - phase[at]) + (phase[index(x - dx, y - dy)] - phase[at]);
-          if (std::abs(pair) < 2 * limit) {  // false for NaN
-            sum += pair;
-            count += 2;
-          }
-        }
-      }
-      field.phase_rad[at] = phase[at] + sum / static_cast<float>(count);
-      field.sigma_rad[at] /= std::sqrt(static_cast<float>(count));
+      field.phase_rad[at] = static_cast<float>(field.start_rad + choice.part + kTurn * choice.turn);
     }
   }
 }
@@ -655,7 +565,7 @@ void PhaseDecoder::Impl::decode_axis(std::size_t axis, PhaseField& field, Decode
       }
     }
   }
-  const std::vector<float> noise = grey_noise(sines, shifts, fault);
+  const std::vector<float> noise = grey_noise(sines, shifts, fault, options.noise);
   if (code_here.gray_bits > 0) {
     unwrap_by_gray(axis, sines, field, fault);
   } else {
@@ -674,7 +584,7 @@ void PhaseDecoder::Impl::decode_axis(std::size_t axis, PhaseField& field, Decode
     }
   }
   drop_lonely(field, fault);
-  smooth(field);
+  smooth(field, options.smooth_px);
   if (!residuals.empty()) {
     view.residual = std::max(view.residual, maths::median_of(residuals));
   }

@@ -261,6 +261,98 @@ StructuredLightOptions looking_everywhere(const stereo::DepthRange& depths) {
   return options;
 }
 
+/// An axis that is coded.
+struct ProjectorAxis {
+  Eigen::Index component = 0;  ///< of the projector's pixel
+  const PhaseField* field = nullptr;
+  double px_per_rad = 0;  ///< of the projector
+  Sampled sampled;
+};
+
+std::vector<ProjectorAxis> coded_axes(const DecodedView& view, const capture::Lens& light) {
+  std::vector<ProjectorAxis> axes;
+  for (const bool rows : {false, true}) {
+    const PhaseField& field = rows ? view.rows : view.columns;
+    if (coded(field)) {
+      if (!(field.periods > 0)) {
+        throw Error(
+            ErrorKind::Usage,
+            "depth from camera and projector needs the numbers of periods over the projector's picture: "
+            "phase:NxF");
+      }
+      axes.push_back({rows ? 1 : 0,
+                      &field,
+                      (rows ? light.height_px : light.width_px) / (2 * std::numbers::pi * field.periods),
+                      {}});
+    }
+  }
+  return axes;
+}
+
+/// The lens without its distortion, with pictures of another size where one is given (not 0).
+capture::Lens undistorted(const capture::Lens& seeing, int width_px, int height_px) {
+  capture::Lens lens = seeing;
+  lens.distortion = {};
+  if (width_px > 0 && height_px > 0) {
+    const double across = static_cast<double>(width_px) / lens.width_px;
+    const double down = static_cast<double>(height_px) / lens.height_px;
+    lens.fx_px *= across;
+    lens.fy_px *= down;
+    lens.cx_px = (lens.cx_px + 0.5) * across - 0.5;
+    lens.cy_px = (lens.cy_px + 0.5) * down - 0.5;
+    lens.width_px = width_px;
+    lens.height_px = height_px;
+  }
+  return lens;
+}
+
+/// Where a line of sight meets what the projector's pixel lights.
+struct Meeting {
+  double depth_mm = 0;
+  double weight = 0;  ///< 1 / mm^2
+  Vector2d along;     ///< projector's pixels per mm of depth
+  Vector2d off;       ///< projector's pixels that are left
+};
+
+/// Gauss-Newton along the line of sight: the sum over the axes of ((pixel - wanted) / sigma)^2. Nothing where
+/// it does not settle. at: the camera's pixel; start_mm: where to begin.
+std::optional<Meeting> meet(const capture::Lens& light, const std::vector<ProjectorAxis>& axes,
+                            std::size_t at, const Vector3d& centre, const Vector3d& direction,
+                            double start_mm) {
+  constexpr int kMostSteps = 20;
+  constexpr double kEnough_mm = 1e-5;
+  Meeting met{start_mm, 0, {0, 0}, {0, 0}};
+  for (int step = 0; step < kMostSteps; ++step) {
+    const double small = 1e-5 * met.depth_mm;
+    const auto pixel = light.project(centre + met.depth_mm * direction);
+    const auto beside = light.project(centre + (met.depth_mm + small) * direction);
+    if (!pixel || !beside) {
+      return std::nullopt;
+    }
+    met.along = (*beside - *pixel) / small;
+    met.weight = 0;
+    double pull = 0;
+    for (const ProjectorAxis& axis : axes) {
+      const Eigen::Index k = axis.component;
+      const double wanted =
+          (static_cast<double>(axis.sampled.phase[at]) - axis.field->start_rad) * axis.px_per_rad - 0.5;
+      const double sigma = static_cast<double>(axis.sampled.sigma[at]) * axis.px_per_rad;
+      met.off[k] = wanted - (*pixel)[k];
+      met.weight += met.along[k] * met.along[k] / (sigma * sigma);
+      pull += met.along[k] * met.off[k] / (sigma * sigma);
+    }
+    if (!(met.weight > 0)) {
+      return std::nullopt;
+    }
+    const double move = std::clamp(pull / met.weight, -0.5 * met.depth_mm, 0.5 * met.depth_mm);
+    met.depth_mm += move;
+    if (std::abs(move) < kEnough_mm) {
+      return met;
+    }
+  }
+  return std::nullopt;
+}
+
 }  // namespace
 
 StructuredDepth match_phases(const capture::Rig& rig, const capture::StereoPair& pair,
@@ -346,45 +438,11 @@ StructuredDepth triangulate_phases(const capture::Rig& rig, std::size_t camera, 
                                               options.depths.nearest_mm, options.depths.farthest_mm));
   }
   const capture::Lens& light = rig.projectors[projector].lens;
-  // The axes that are coded: which component of the projector's pixel they tell, and px in a radian.
-  struct Axis {
-    Eigen::Index component;
-    const PhaseField* field;
-    double px_per_rad;
-    Sampled sampled;
-  };
-  std::vector<Axis> axes;
-  for (const bool rows : {false, true}) {
-    const PhaseField& field = rows ? view.rows : view.columns;
-    if (coded(field)) {
-      if (!(field.periods > 0)) {
-        throw Error(
-            ErrorKind::Usage,
-            "depth from camera and projector needs the numbers of periods over the projector's picture: "
-            "phase:NxF");
-      }
-      axes.push_back({rows ? 1 : 0,
-                      &field,
-                      (rows ? light.height_px : light.width_px) / (2 * std::numbers::pi * field.periods),
-                      {}});
-    }
-  }
+  std::vector<ProjectorAxis> axes = coded_axes(view, light);
   if (axes.empty()) {
     throw Error(ErrorKind::Usage, fmt::format("camera '{}' has no coded axis", seeing.name));
   }
-  // The camera without its distortion.
-  capture::Lens lens = seeing.lens;
-  lens.distortion = {};
-  if (options.width_px > 0 && options.height_px > 0) {
-    const double across = static_cast<double>(options.width_px) / lens.width_px;
-    const double down = static_cast<double>(options.height_px) / lens.height_px;
-    lens.fx_px *= across;
-    lens.fy_px *= down;
-    lens.cx_px = (lens.cx_px + 0.5) * across - 0.5;
-    lens.cy_px = (lens.cy_px + 0.5) * down - 0.5;
-    lens.width_px = options.width_px;
-    lens.height_px = options.height_px;
-  }
+  const capture::Lens lens = undistorted(seeing.lens, options.width_px, options.height_px);
   StructuredDepth out;
   out.map = empty_map(lens);
   const Vector3d centre = lens.centre_mm();
@@ -400,7 +458,7 @@ StructuredDepth triangulate_phases(const capture::Rig& rig, std::size_t camera, 
       sources.emplace_back(pixel ? Vector2f(pixel->cast<float>()) : Vector2f(-1, -1));
     }
   }
-  for (Axis& axis : axes) {
+  for (ProjectorAxis& axis : axes) {
     axis.sampled = sample(*axis.field, sources);
   }
   const double middle = 2 / (1 / static_cast<double>(options.depths.nearest_mm) +
@@ -411,59 +469,28 @@ StructuredDepth triangulate_phases(const capture::Rig& rig, std::size_t camera, 
     for (int x = 0; x < lens.width_px; ++x) {
       const std::size_t at =
           static_cast<std::size_t>(y) * static_cast<std::size_t>(lens.width_px) + static_cast<std::size_t>(x);
-      const bool known = std::all_of(axes.begin(), axes.end(),
-                                     [&](const Axis& axis) { return !std::isnan(axis.sampled.phase[at]); });
+      const bool known = std::all_of(axes.begin(), axes.end(), [&](const ProjectorAxis& axis) {
+        return !std::isnan(axis.sampled.phase[at]);
+      });
       if (!known) {
         continue;
       }
-      // Gauss-Newton along the line of sight: the sum over the axes of ((pixel - wanted) / sigma)^2.
-      const Vector3d direction = direction_of(x, y);
-      constexpr int kMostSteps = 20;
-      constexpr double kEnough_mm = 1e-5;
-      double depth = start;
-      double weight = 0;
-      Vector2d along(0, 0);
-      Vector2d off(0, 0);
-      bool found = false;
-      for (int step = 0; step < kMostSteps && !found; ++step) {
-        const double small = 1e-5 * depth;
-        const auto pixel = light.project(centre + depth * direction);
-        const auto beside = light.project(centre + (depth + small) * direction);
-        if (!pixel || !beside) {
-          break;
-        }
-        along = (*beside - *pixel) / small;
-        weight = 0;
-        double pull = 0;
-        for (const Axis& axis : axes) {
-          const double wanted =
-              (static_cast<double>(axis.sampled.phase[at]) - axis.field->start_rad) * axis.px_per_rad - 0.5;
-          const double sigma = static_cast<double>(axis.sampled.sigma[at]) * axis.px_per_rad;
-          off[axis.component] = wanted - (*pixel)[axis.component];
-          weight += along[axis.component] * along[axis.component] / (sigma * sigma);
-          pull += along[axis.component] * off[axis.component] / (sigma * sigma);
-        }
-        if (!(weight > 0)) {
-          break;
-        }
-        const double move = std::clamp(pull / weight, -0.5 * depth, 0.5 * depth);
-        depth += move;
-        found = std::abs(move) < kEnough_mm;
-      }
-      if (!found || !in_range(depth, options.depths)) {
+      const auto met = meet(light, axes, at, centre, direction_of(x, y), start);
+      if (!met || !in_range(met->depth_mm, options.depths)) {
         continue;
       }
       if (axes.size() == 2) {
-        const double across = (along.x() * off.y() - along.y() * off.x()) / along.norm();
+        const double across =
+            (met->along.x() * met->off.y() - met->along.y() * met->off.x()) / met->along.norm();
         if (std::abs(across) > static_cast<double>(options.most_disagreement_px)) {
           ++out.disagreeing;
           continue;
         }
         epipolar.push_back(static_cast<float>(std::abs(across)));
       }
-      start = depth;
-      out.map.depth_mm[at] = static_cast<float>(depth);
-      out.map.sigma_mm[at] = static_cast<float>(1 / std::sqrt(weight));
+      start = met->depth_mm;
+      out.map.depth_mm[at] = static_cast<float>(met->depth_mm);
+      out.map.sigma_mm[at] = static_cast<float>(1 / std::sqrt(met->weight));
     }
   }
   finish(options, out, epipolar);

@@ -195,12 +195,9 @@ void VirtualActor::find_eyeballs(const face::FaceModel& model) {
   }
 }
 
-VirtualActor::VirtualActor(const face::FaceModel& model, std::uint64_t seed, bool glasses)
-    : expression_names_(model.expression_names) {
-  make_identity(model, seed);
-  anatomy_ = find_anatomy(model, basis_.neutral_mm);
-  find_eyeballs(model);
-
+/// The surface: the control mesh subdivided as far as kMaxVertices allows, without eyeballs, which are drawn
+/// finer than the model has them.
+void VirtualActor::make_surface(const face::FaceModel& model) {
   mesh::ControlMesh control = model.control;
   std::vector<std::uint8_t> everywhere(static_cast<std::size_t>(model.vertex_count()), 1);
   for (std::size_t v = 0; v < everywhere.size(); ++v) {
@@ -217,7 +214,6 @@ VirtualActor::VirtualActor(const face::FaceModel& model, std::uint64_t seed, boo
   hierarchy_ =
       mesh::build_hierarchy(control, kPixelsPerUnit * control.texture_coordinates, everywhere, options);
 
-  // Eyeballs are drawn finer than the model has them; they are left out here.
   Eigen::MatrixXf eyeball(1, model.vertex_count());
   for (std::int32_t v = 0; v < model.vertex_count(); ++v) {
     eyeball(0, v) = is_eyeball_[static_cast<std::size_t>(v)];
@@ -232,13 +228,9 @@ VirtualActor::VirtualActor(const face::FaceModel& model, std::uint64_t seed, boo
     }
   }
   head_triangles_ = mesh::Triangles(head_triangles_.leftCols(kept));
+}
 
-  std::vector<mesh::Vertices> levels;
-  mesh::push_positions(*hierarchy_, basis_.neutral_mm, levels);
-  const mesh::Vertices& resting_mm = levels.back();
-  Eigen::Matrix3Xf resting_normals;
-  mesh::vertex_normals(resting_mm, head_triangles_, resting_normals);
-
+SkinZones VirtualActor::skin_zones(const face::FaceModel& model) const {
   const auto pushed = [&](const std::function<bool(std::uint8_t)>& inside) -> Eigen::VectorXf {
     return push_to_finest(*hierarchy_, region_weights(model, inside)).row(0).transpose();
   };
@@ -250,7 +242,7 @@ VirtualActor::VirtualActor(const face::FaceModel& model, std::uint64_t seed, boo
   zones.eye = pushed([](std::uint8_t bits) { return has_region(bits, Region::Eye); });
   zones.mouth = pushed([](std::uint8_t bits) { return has_region(bits, Region::MouthInterior); });
   mesh::Quads without_eyeballs(4, model.control.quads.cols());
-  kept = 0;
+  Eigen::Index kept = 0;
   for (Eigen::Index q = 0; q < model.control.quads.cols(); ++q) {
     if (is_eyeball_[static_cast<std::size_t>(model.control.quads(0, q))] == 0) {
       without_eyeballs.col(kept++) = model.control.quads.col(q);
@@ -261,13 +253,12 @@ VirtualActor::VirtualActor(const face::FaceModel& model, std::uint64_t seed, boo
       push_to_finest(*hierarchy_, render::openness(basis_.neutral_mm, split_quads(without_eyeballs)))
           .row(0)
           .transpose();
+  return zones;
+}
 
-  const Complexion complexion = make_complexion(seed);
-  head_albedo_ = paint_albedo(anatomy_, complexion, zones, resting_mm,
-                              push_to_finest(*hierarchy_, model.mean_albedo), seed);
-  openness_ = zones.openness;
-  face_skin_ = zones.skin;
-
+/// skin: [head vertex_count] as in SkinZones. Takes the hair out of face_skin_.
+void VirtualActor::grow_hair(const mesh::Vertices& resting_mm, const Eigen::VectorXf& skin,
+                             std::uint64_t seed) {
   constexpr float kBehindEyes_mm = 75;
   head_middle_mm_ = anatomy_.nasion - Vector3f(0, 0, kBehindEyes_mm);
   hair_volume_mm_.resize(resting_mm.cols());
@@ -275,7 +266,7 @@ VirtualActor::VirtualActor(const face::FaceModel& model, std::uint64_t seed, boo
   const Noise locks(seed, 78);
   for (Eigen::Index v = 0; v < resting_mm.cols(); ++v) {
     const Vector3f at = resting_mm.col(v);
-    const float cover = smooth_step(0, 16, above_hairline_mm(anatomy_, at, zones.skin[v]));
+    const float cover = smooth_step(0, 16, above_hairline_mm(anatomy_, at, skin[v]));
     const float lock = locks.fractal({at.x() / 6.0F, at.y() / 40.0F, at.z() / 25.0F}, 2);
     hair_volume_mm_[v] = cover * (kHairVolume_mm + 1.2F * lock);
     if (cover > 0) {
@@ -283,6 +274,28 @@ VirtualActor::VirtualActor(const face::FaceModel& model, std::uint64_t seed, boo
       face_skin_[v] = 0;
     }
   }
+}
+
+VirtualActor::VirtualActor(const face::FaceModel& model, std::uint64_t seed, bool glasses)
+    : expression_names_(model.expression_names) {
+  make_identity(model, seed);
+  anatomy_ = find_anatomy(model, basis_.neutral_mm);
+  find_eyeballs(model);
+  make_surface(model);
+
+  std::vector<mesh::Vertices> levels;
+  mesh::push_positions(*hierarchy_, basis_.neutral_mm, levels);
+  const mesh::Vertices& resting_mm = levels.back();
+  Eigen::Matrix3Xf resting_normals;
+  mesh::vertex_normals(resting_mm, head_triangles_, resting_normals);
+
+  const SkinZones zones = skin_zones(model);
+  const Complexion complexion = make_complexion(seed);
+  head_albedo_ = paint_albedo(anatomy_, complexion, zones, resting_mm,
+                              push_to_finest(*hierarchy_, model.mean_albedo), seed);
+  openness_ = zones.openness;
+  face_skin_ = zones.skin;
+  grow_hair(resting_mm, zones.skin, seed);
   relief_ = std::make_unique<const Relief>(
       Relief{Wrinkles(anatomy_, {resting_mm, resting_normals, head_triangles_, face_skin_, zones.lips}, seed,
                       expression_names_)});

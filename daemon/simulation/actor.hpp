@@ -14,6 +14,8 @@
 
 namespace facet::simulation {
 
+struct SkinZones;
+
 /// An actor's shape at one moment. Head frame, mm.
 struct ActorShape {
   mesh::Vertices head_mm;         ///< [3][head vertex_count]
@@ -56,6 +58,9 @@ class VirtualActor {
  private:
   void make_identity(const face::FaceModel& model, std::uint64_t seed);
   void find_eyeballs(const face::FaceModel& model);
+  void make_surface(const face::FaceModel& model);
+  SkinZones skin_zones(const face::FaceModel& model) const;
+  void grow_hair(const mesh::Vertices& resting_mm, const Eigen::VectorXf& skin, std::uint64_t seed);
 
   std::vector<std::string> expression_names_;
   std::vector<float> identity_;
