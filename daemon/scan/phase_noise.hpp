@@ -14,8 +14,8 @@ struct Sine {
   float rest = 0;   ///< sum of the squares of what is no sine; 0 for three shifts
 };
 
-/// Standard deviation of grey over grey (0 to 1, in 16 bins), from what is no sine: the median of its variance,
-/// by which n - 3 degrees of freedom are (1 - 2 / (9 dof))^3 of the mean [WH31].
+/// Standard deviation of grey over grey (0 to 1, in 16 bins), from what is no sine: the median of its
+/// variance, by which n - 3 degrees of freedom are (1 - 2 / (9 dof))^3 of the mean [WH31].
 ///
 /// sines, fault  [pixels]; of shifts pictures
 /// assumed       where too little is seen to tell

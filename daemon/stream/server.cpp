@@ -1,6 +1,5 @@
 #include "stream/server.hpp"
 
-#include <fcntl.h>
 #include <fmt/format.h>
 #include <pthread.h>
 #include <sys/epoll.h>
@@ -25,11 +24,10 @@
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "facet/mutex.hpp"
+#include "stream/broadcast.hpp"
 #include "stream/decoder.hpp"
-#include "stream/encoder.hpp"
-#include "stream/framing.hpp"
 #include "stream/places.hpp"
-#include "stream/ring.hpp"
+#include "stream/reader.hpp"
 #include "stream/web_socket.hpp"
 
 namespace facet::stream {
@@ -45,68 +43,9 @@ constexpr std::uint64_t kWakeTag = 0;    // epoll data of the eventfd
 constexpr std::uint64_t kListenTag = 1;  // of the listening socket; readers' ids follow
 constexpr std::uint64_t kFirstReaderId = 2;
 
-/// A message with its header, ready to be sent; shared by the readers that are in the middle of it.
-struct Packet {
-  std::vector<std::uint8_t> bytes;
-};
-
-/// A WebSocket in the place of the Unix socket's framing.
-struct WebPeer {
-  WebSocketAssembler requests{kMaxRequestBytes};
-  WebSocketHeader header;            ///< of the message that goes out
-  std::vector<std::uint8_t> answer;  ///< pong or close that is to be sent; empty: none
-  bool answer_goes_out = false;      ///< outgoing is an answer, ready as it is
-  Clock::time_point second;          ///< in which the requests are counted
-  int requests_in_second = 0;
-};
-
 struct AdoptedConnection {
   FileDescriptor connection;
   std::vector<std::uint8_t> early;
-};
-
-struct Reader {
-  explicit Reader(FileDescriptor connection) : fd(std::move(connection)) {}
-
-  FileDescriptor fd;
-  MessageAssembler requests{kMaxRequestBytes};
-  Subscription subscription;
-  ReaderStatistics statistics;
-  std::shared_ptr<const Packet> outgoing;  ///< null: ready for the next message
-  std::size_t sent_bytes = 0;              ///< of outgoing
-  bool outgoing_is_frame = false;
-  bool hello_sent = false;
-  bool waits_for_room = false;  ///< EPOLLOUT is armed
-  bool gone = false;            ///< to be removed after this round
-  Clock::time_point came = Clock::now();
-  std::uint64_t subject_number = 0;  ///< of the one that the reader was sent in its profile; 0: none
-  std::uint64_t albedo_version = 0;
-  std::uint64_t last_number = 0;  ///< newest publication that was sent or counted as dropped
-  std::uint64_t dropped_since_frame = 0;
-  std::uint64_t dropped_told = 0;
-
-  /// Wake-ups of a ring's reader. A pipe and no eventfd: both ends of an eventfd are one open file, whose
-  /// O_NONBLOCK the reader could take away, and then fill it so that the next wake-up never returns.
-  FileDescriptor wake;
-  FileDescriptor wake_far_end;         ///< the reader's, kept so that nobody gets SIGPIPE
-  std::vector<FileDescriptor> passed;  ///< go with the first byte of outgoing
-  std::uint64_t ring_generation = 0;   ///< of the ring that was offered last; 0: none
-  int ring_offers = 0;
-
-  std::optional<WebPeer> web;  ///< none: a Unix socket
-
-  /// Frames come through a ring. Pictures never do.
-  bool by_ring() const {
-    return !web && statistics.subscribed && subscription.ring_version >= FACET_RING_VERSION &&
-           !subscription.want_images;
-  }
-};
-
-/// The ring of one profile, made when it is first asked for.
-struct Ring {
-  std::optional<RingWriter> writer;
-  std::uint64_t generation = 0;  ///< another one for every ring of the server
-  std::uint64_t number = 0;      ///< of the newest frame in it
 };
 
 FileDescriptor open_checked(int fd, const char* what) {
@@ -114,41 +53,6 @@ FileDescriptor open_checked(int fd, const char* what) {
     throw Error(ErrorKind::Internal, fmt::format("stream: {}: {}", what, std::strerror(errno)));
   }
   return FileDescriptor(fd);
-}
-
-/// What of head and body lies behind their first `sent` bytes.
-std::array<iovec, 2> rest_of(std::span<const std::uint8_t> head, std::span<const std::uint8_t> body,
-                             std::size_t sent) {
-  FACET_ASSERT(sent < head.size() + body.size(), sent, head.size(), body.size());
-  const std::size_t of_head = std::min(sent, head.size());
-  head = head.subspan(of_head);
-  body = body.subspan(sent - of_head);
-  // The socket API takes what is sent by a pointer that is not const.
-  return {{{const_cast<std::uint8_t*>(head.data()), head.size()},
-           {const_cast<std::uint8_t*>(body.data()), body.size()}}};
-}
-
-/// send() that passes descriptors on with the first byte; it never blocks.
-ssize_t send_some(int fd, std::span<iovec> parts, const std::vector<FileDescriptor>& passed) {
-  constexpr std::size_t kMaxPassed = 2;
-  FACET_ASSERT(passed.size() <= kMaxPassed, passed.size());
-  msghdr message{};
-  message.msg_iov = parts.data();
-  message.msg_iovlen = parts.size();
-  alignas(cmsghdr) std::array<char, CMSG_SPACE(kMaxPassed * sizeof(int))> control{};
-  if (!passed.empty()) {
-    std::array<int, kMaxPassed> fds{};
-    std::transform(passed.begin(), passed.end(), fds.begin(),
-                   [](const FileDescriptor& entry) { return entry.get(); });
-    message.msg_control = control.data();
-    message.msg_controllen = CMSG_SPACE(passed.size() * sizeof(int));
-    cmsghdr* header = CMSG_FIRSTHDR(&message);
-    header->cmsg_level = SOL_SOCKET;
-    header->cmsg_type = SCM_RIGHTS;
-    header->cmsg_len = CMSG_LEN(passed.size() * sizeof(int));
-    std::memcpy(CMSG_DATA(header), fds.data(), passed.size() * sizeof(int));
-  }
-  return ::sendmsg(fd, &message, MSG_NOSIGNAL | MSG_DONTWAIT);
 }
 
 /// A reader who may only look connects this often, so that who does it without end is closed unheard.
@@ -185,11 +89,10 @@ struct StreamServer::Impl {
         wake(open_checked(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK), "eventfd")),
         epoll(open_checked(::epoll_create1(EPOLL_CLOEXEC), "epoll")),
         places(socket_places(given)),
-        places_of_web(web_places(given)) {
-    Hello hello_message;
-    hello_message.server = config.server_name;
-    hello = packet(encoder.hello(hello_message));
-  }
+        places_of_web(web_places(given)),
+        broadcast(given.server_name, statistics,
+                  {.used = [this](const Reader& reader) { used(reader); },
+                   .refuse = [this](Reader& reader, const std::string& why) { refuse(reader, why); }}) {}
 
   // Any thread.
   StreamServerConfig config;
@@ -212,27 +115,11 @@ struct StreamServer::Impl {
   FileDescriptor epoll;
   Places places;         ///< of the socket's readers
   Places places_of_web;  ///< these don't take the place of those who sit at the machine, nor these theirs
-  Encoder encoder;
   std::vector<std::unique_ptr<Reader>> readers;
   std::uint64_t next_reader_id = kFirstReaderId;
   StreamStatistics statistics;
-  std::vector<std::shared_ptr<Packet>> pool;
-  std::shared_ptr<const Packet> hello;
-  std::shared_ptr<const mesh::MeshFrame> current;
-  std::uint64_t current_number = 0;              ///< publications up to and with current
-  std::shared_ptr<const mesh::Subject> subject;  ///< of the newest frame that had one
-  /// What readers know it by: one more with every subject, and from another start on in every server, so that
-  /// a reader that connects anew never takes one subject for another.
-  std::uint64_t subject_number = static_cast<std::uint64_t>(Clock::now_ns());
-  std::shared_ptr<const mesh::Albedo> albedo;  ///< likewise, of that subject
-  /// Of current, made when asked for: without pixels, then with them.
-  std::array<std::array<std::shared_ptr<const Packet>, kProfileCount>, 2> frame_packets;
-  std::array<std::shared_ptr<const Packet>, kProfileCount> subject_packets;  ///< of subject
-  std::shared_ptr<const Packet> albedo_packet;                               ///< of albedo
-  std::array<Ring, kProfileCount> rings;
-  std::uint64_t ring_generations = 0;
+  Broadcast broadcast;
 
-  std::shared_ptr<const Packet> packet(std::span<const std::uint8_t> message);
   void run();
   void run_until_stopped();
   void take_newest();
@@ -241,6 +128,7 @@ struct StreamServer::Impl {
   void admit(FileDescriptor connection);
   Reader* admit(std::unique_ptr<Reader> reader, const Visitor& visitor);
   Places& places_for(const Reader& reader) { return reader.web ? places_of_web : places; }
+  void used(const Reader& reader) { places_for(reader).used(reader.statistics.id, Clock::now()); }
   bool find_place(Reader& reader, const Visitor& visitor);
   int patience_ms() const;
   void drop_silent();
@@ -250,16 +138,8 @@ struct StreamServer::Impl {
   void read_web_requests(Reader& reader, std::span<const std::uint8_t> bytes);
   void accept_request(Reader& reader, std::span<const std::uint8_t> message);
   void refuse(Reader& reader, const std::string& why, WebSocketClose code = WebSocketClose::Refused);
-  static void set_outgoing(Reader& reader, std::shared_ptr<const Packet> message);
-  static void close_web(Reader& reader, WebSocketClose code, const std::string& why);
   void pump(Reader& reader);
   bool send_outgoing(Reader& reader);
-  std::shared_ptr<const Packet> next_packet(Reader& reader);
-  std::shared_ptr<const Packet> frame_packet(const Subscription& subscription);
-  bool fill_ring(Profile profile);
-  void announce(Reader& reader);
-  void announce_to_all();
-  std::shared_ptr<const Packet> ring_packet(Reader& reader);
   void arm(Reader& reader, bool waits_for_room);
   void remove_gone();
   void farewell();
@@ -267,22 +147,6 @@ struct StreamServer::Impl {
 
   std::jthread thread;  // last, so that it is joined before anything is freed
 };
-
-/// A free packet of the pool, or one more: the pool is bounded by the packets in use, one per reader and
-/// those cached above.
-std::shared_ptr<const Packet> StreamServer::Impl::packet(std::span<const std::uint8_t> message) {
-  auto free = std::find_if(pool.begin(), pool.end(),
-                           [](const std::shared_ptr<Packet>& entry) { return entry.use_count() == 1; });
-  if (free == pool.end()) {
-    free = pool.insert(pool.end(), std::make_shared<Packet>());
-  }
-  const auto header = make_header(message.size());
-  std::vector<std::uint8_t>& bytes = (*free)->bytes;
-  bytes.resize(kHeaderBytes + message.size());
-  std::copy(header.begin(), header.end(), bytes.begin());
-  std::copy(message.begin(), message.end(), bytes.begin() + kHeaderBytes);
-  return *free;
-}
 
 void StreamServer::Impl::take_newest() {
   std::shared_ptr<const mesh::MeshFrame> frame;
@@ -295,27 +159,7 @@ void StreamServer::Impl::take_newest() {
   if (frame == nullptr) {
     return;
   }
-  FACET_ASSERT(number > current_number, number, current_number);
-  statistics.skipped += number - current_number - 1;
-  statistics.published = number;
-  current_number = number;
-  current = std::move(frame);
-  frame_packets = {};
-  if (current->subject == nullptr || !subject_fault(*current->subject).empty()) {
-    return;
-  }
-  // Takes come from elsewhere too: one may show another mesh under an id that is known.
-  if (subject != current->subject) {
-    subject = current->subject;
-    encoder.number_subject(++subject_number);
-    subject_packets.fill(nullptr);
-    albedo = nullptr;
-    albedo_packet = nullptr;
-  }
-  if (current->albedo != nullptr && (albedo == nullptr || albedo->version != current->albedo->version)) {
-    albedo = current->albedo;
-    albedo_packet = nullptr;
-  }
+  broadcast.take(std::move(frame), number);
 }
 
 void StreamServer::Impl::accept_readers() {
@@ -499,7 +343,7 @@ void StreamServer::Impl::read_web_requests(Reader& reader, std::span<const std::
         web.answer = web_socket_pong(web.requests.control());
         break;
       case Outcome::Close:
-        close_web(reader, WebSocketClose::GoingAway, "");
+        reader.close_web(WebSocketClose::GoingAway, "");
         break;
       case Outcome::Violation:
         refuse(reader, "request breaks the WebSocket protocol", WebSocketClose::Violation);
@@ -546,13 +390,13 @@ void StreamServer::Impl::accept_request(Reader& reader, std::span<const std::uin
   }
   if (!reader.statistics.subscribed) {
     // The first frame is the current one, so that a reader sees something even while the source pauses.
-    reader.last_number = current_number > 0 ? current_number - 1 : 0;
+    reader.last_number = broadcast.current_number() > 0 ? broadcast.current_number() - 1 : 0;
   }
   if (!reader.statistics.subscribed || wanted.profile != reader.subscription.profile) {
     reader.subject_number = 0;
     reader.albedo_version = 0;
   }
-  places_for(reader).used(reader.statistics.id, Clock::now());
+  used(reader);
   reader.subscription = wanted;
   reader.statistics.subscribed = true;
   reader.statistics.ring = reader.by_ring();
@@ -570,221 +414,22 @@ void StreamServer::Impl::refuse(Reader& reader, const std::string& why, WebSocke
   ++statistics.refused;
   statistics.last_refusal = why;
   if (reader.outgoing == nullptr) {
-    set_outgoing(reader, packet(encoder.goodbye(why)));
+    reader.set_outgoing(broadcast.goodbye(why));
     send_outgoing(reader);
   }
   if (reader.web) {
-    close_web(reader, code, why);
+    reader.close_web(code, why);
   }
   reader.gone = true;
 }
 
-void StreamServer::Impl::set_outgoing(Reader& reader, std::shared_ptr<const Packet> message) {
-  reader.sent_bytes = 0;
-  if (reader.web) {
-    reader.web->answer_goes_out = false;
-    reader.web->header = WebSocketHeader(WebSocketOpcode::Binary, message->bytes.size() - kHeaderBytes);
-  }
-  reader.outgoing_is_frame = false;
-  reader.outgoing = std::move(message);
-}
-
-/// Ends a WebSocket. In the middle of a message there is no way to say why.
-void StreamServer::Impl::close_web(Reader& reader, WebSocketClose code, const std::string& why) {
-  if (reader.outgoing == nullptr) {
-    const std::vector<std::uint8_t> frame = web_socket_close(code, why);
-    [[maybe_unused]] const ssize_t ignored =
-        ::send(reader.fd.get(), frame.data(), frame.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
-    // What lies unread when a TCP connection is closed makes the kernel throw away what was just sent.
-    std::array<std::uint8_t, kMaxRequestBytes> unread{};
-    for (int piece = 0; piece < 16 && ::recv(reader.fd.get(), unread.data(), unread.size(), MSG_DONTWAIT) > 0;
-         ++piece) {
-    }
-  }
-  reader.gone = true;
-}
-
-std::shared_ptr<const Packet> StreamServer::Impl::frame_packet(const Subscription& subscription) {
-  FACET_ASSERT(current != nullptr, current_number);
-  const bool with_pixels = subscription.want_images && current->images != nullptr;
-  auto& cached = frame_packets.at(with_pixels ? 1 : 0).at(static_cast<std::size_t>(subscription.profile));
-  if (cached == nullptr) {
-    cached = packet(encoder.frame(*current, subscription.profile, with_pixels));
-    statistics.encoded_bytes += cached->bytes.size();
-  }
-  return cached;
-}
-
-/// Puts the current frame into the ring of a profile; into a new, larger ring where it does not fit. False
-/// where none is to be had.
-bool StreamServer::Impl::fill_ring(Profile profile) {
-  Ring& ring = rings.at(static_cast<std::size_t>(profile));
-  if (ring.number == current_number) {
-    return true;
-  }
-  FACET_ASSERT(current != nullptr && ring.number < current_number, ring.number, current_number);
-  const RingFrame frame = encoder.ring_frame(*current, profile);
-  const std::size_t bytes = ring_slot_bytes(frame);
-  if (!ring.writer || ring.writer->slot_bytes() < bytes) {
-    try {
-      // Readers keep the ring that they have: only ever larger by a quarter, rings can't pile up.
-      ring.writer = RingWriter(profile, kRingSlots, bytes + bytes / 4);
-      ring.generation = ++ring_generations;
-    } catch (const Error& error) {
-      statistics.last_refusal = fmt::format("frames go over the socket: {}", error.what());
-      return false;
-    }
-  }
-  FACET_ASSERT(bytes <= ring.writer->slot_bytes(), bytes, ring.writer->slot_bytes());
-  ring.writer->write(current_number, frame);
-  ring.number = current_number;
-  statistics.encoded_bytes += bytes;
-  return true;
-}
-
-/// Wakes a ring's reader for the current frame. One that has not seen the last wake-up has lost that frame.
-void StreamServer::Impl::announce(Reader& reader) {
-  if (reader.last_number >= current_number) {
-    return;
-  }
-  const std::uint64_t missed = current_number - reader.last_number - 1;
-  reader.last_number = current_number;
-  int unseen = 0;
-  if (::ioctl(reader.wake_far_end.get(), FIONREAD, &unseen) == 0 && unseen > 0) {
-    reader.statistics.frames_dropped += missed + 1;
-  } else {
-    const char wake_up = 1;
-    [[maybe_unused]] const ssize_t ignored = ::write(reader.wake.get(), &wake_up, 1);
-    reader.statistics.frames_dropped += missed;
-    ++reader.statistics.frames_sent;
-    places_for(reader).used(reader.statistics.id, Clock::now());
-  }
-  // Readers of a ring see what they lost by the frames' numbers.
-  reader.dropped_told = reader.statistics.frames_dropped;
-}
-
-/// Rings come before sockets: their readers want the least delay.
-void StreamServer::Impl::announce_to_all() {
-  for (const std::unique_ptr<Reader>& reader : readers) {
-    if (reader->by_ring() && reader->ring_generation != 0 && fill_ring(reader->subscription.profile) &&
-        reader->ring_generation ==
-            rings.at(static_cast<std::size_t>(reader->subscription.profile)).generation) {
-      announce(*reader);
-    }
-  }
-}
-
-/// The offer of a ring that the reader does not have yet; else null.
-std::shared_ptr<const Packet> StreamServer::Impl::ring_packet(Reader& reader) {
-  const Ring& ring = rings.at(static_cast<std::size_t>(reader.subscription.profile));
-  FACET_ASSERT(ring.writer && ring.number == current_number, ring.number, current_number);
-  if (reader.ring_generation == ring.generation) {
-    announce(reader);
-    return nullptr;
-  }
-  std::array<int, 2> ends{-1, -1};
-  FileDescriptor memory(::fcntl(ring.writer->fd(), F_DUPFD_CLOEXEC, 0));
-  if (!memory || ::pipe2(ends.data(), O_CLOEXEC | O_NONBLOCK) != 0) {
-    refuse(reader, fmt::format("no file descriptor left for a ring: {}", std::strerror(errno)));
-    return nullptr;
-  }
-  reader.wake_far_end.reset(ends[0]);
-  reader.wake.reset(ends[1]);
-  reader.passed.clear();
-  reader.passed.push_back(std::move(memory));
-  reader.passed.emplace_back(::fcntl(reader.wake_far_end.get(), F_DUPFD_CLOEXEC, 0));
-  if (!reader.passed.back() || ++reader.ring_offers > kMaxRingOffers) {
-    reader.passed.clear();
-    refuse(reader, fmt::format("no ring: descriptors used up, or more than {} asked for", kMaxRingOffers));
-    return nullptr;
-  }
-  reader.ring_generation = ring.generation;
-  announce(reader);
-  return packet(encoder.ring({FACET_RING_VERSION, ring.writer->bytes()}));
-}
-
-/// What this reader needs next: hello, then subject, albedo and drop notice before the frame that needs them.
-std::shared_ptr<const Packet> StreamServer::Impl::next_packet(Reader& reader) {
-  reader.outgoing_is_frame = false;
-  if (!reader.hello_sent) {
-    reader.hello_sent = true;
-    return hello;
-  }
-  if (!reader.statistics.subscribed) {
-    return nullptr;
-  }
-  const Profile profile = reader.subscription.profile;
-  if (subject != nullptr && reader.subject_number != subject_number) {
-    reader.subject_number = subject_number;
-    reader.albedo_version = 0;
-    auto& cached = subject_packets[static_cast<std::size_t>(profile)];
-    if (cached == nullptr) {
-      cached = packet(encoder.subject(*subject, profile));
-    }
-    return cached;
-  }
-  if (albedo != nullptr && profile != Profile::Signals && reader.subscription.want_albedo &&
-      reader.albedo_version != albedo->version) {
-    reader.albedo_version = albedo->version;
-    if (albedo_packet == nullptr) {
-      albedo_packet = packet(encoder.albedo(subject_number, *albedo));
-    }
-    return albedo_packet;
-  }
-  if (reader.by_ring() && current_number > 0) {
-    if (fill_ring(profile)) {
-      return ring_packet(reader);
-    }
-    reader.subscription.ring_version = 0;
-    reader.statistics.ring = false;
-  }
-  if (reader.last_number >= current_number) {
-    return nullptr;
-  }
-  FACET_ASSERT(current != nullptr && reader.last_number < current_number, reader.last_number, current_number);
-  const std::uint64_t missed = current_number - reader.last_number - 1;
-  reader.last_number = current_number - 1;
-  reader.dropped_since_frame += missed;
-  reader.statistics.frames_dropped += missed;
-  if (reader.statistics.frames_dropped != reader.dropped_told) {
-    reader.dropped_told = reader.statistics.frames_dropped;
-    return packet(encoder.dropped({reader.dropped_since_frame, reader.statistics.frames_dropped}));
-  }
-  reader.last_number = current_number;
-  reader.dropped_since_frame = 0;
-  reader.outgoing_is_frame = true;
-  return frame_packet(reader.subscription);
-}
-
-/// Sends what the socket takes of the outgoing message. Returns true once it is all sent.
+/// As Reader::send_outgoing; what was sent whole was taken.
 bool StreamServer::Impl::send_outgoing(Reader& reader) {
-  std::span<const std::uint8_t> body = reader.outgoing->bytes;
-  std::span<const std::uint8_t> head;
-  FACET_ASSERT(body.size() >= kHeaderBytes || (reader.web && reader.web->answer_goes_out), body.size());
-  if (reader.web && !reader.web->answer_goes_out) {
-    head = reader.web->header.view();
-    body = body.subspan(kHeaderBytes);
+  const bool all = reader.send_outgoing();
+  if (all && reader.statistics.subscribed) {
+    used(reader);
   }
-  while (reader.sent_bytes < head.size() + body.size()) {
-    std::array<iovec, 2> parts = rest_of(head, body, reader.sent_bytes);
-    const ssize_t count = send_some(reader.fd.get(), parts, reader.passed);
-    if (count < 0 && errno == EINTR) {
-      continue;
-    }
-    if (count < 0) {
-      reader.gone = errno != EAGAIN && errno != EWOULDBLOCK;
-      return false;
-    }
-    reader.passed.clear();
-    reader.sent_bytes += static_cast<std::size_t>(count);
-    reader.statistics.bytes_sent += static_cast<std::uint64_t>(count);
-  }
-  reader.statistics.frames_sent += reader.outgoing_is_frame ? 1 : 0;
-  reader.outgoing = nullptr;
-  if (reader.statistics.subscribed) {
-    places_for(reader).used(reader.statistics.id, Clock::now());
-  }
-  return true;
+  return all;
 }
 
 void StreamServer::Impl::pump(Reader& reader) {
@@ -797,9 +442,9 @@ void StreamServer::Impl::pump(Reader& reader) {
       reader.outgoing_is_frame = false;
       reader.web->answer_goes_out = true;
     } else if (reader.outgoing == nullptr) {
-      if (auto message = next_packet(reader)) {
+      if (auto message = broadcast.next_packet(reader)) {
         const bool is_frame = reader.outgoing_is_frame;
-        set_outgoing(reader, std::move(message));
+        reader.set_outgoing(std::move(message));
         reader.outgoing_is_frame = is_frame;
       }
     }
@@ -892,7 +537,7 @@ void StreamServer::Impl::run_until_stopped() {
       [[maybe_unused]] const ssize_t ignored = ::read(wake.get(), &wakes, sizeof(wakes));
       admit_adopted();
       take_newest();
-      announce_to_all();
+      broadcast.announce(readers);
       for (const std::unique_ptr<Reader>& reader : readers) {
         if (reader->outgoing == nullptr) {
           pump(*reader);
@@ -911,10 +556,10 @@ void StreamServer::Impl::farewell() {
   while (!readers.empty()) {
     for (const std::unique_ptr<Reader>& reader : readers) {
       if (reader->outgoing == nullptr || send_outgoing(*reader)) {
-        set_outgoing(*reader, packet(encoder.goodbye("the server stops")));
+        reader->set_outgoing(broadcast.goodbye("the server stops"));
         send_outgoing(*reader);
         if (reader->web) {
-          close_web(*reader, WebSocketClose::GoingAway, "the server stops");
+          reader->close_web(WebSocketClose::GoingAway, "the server stops");
         }
         reader->gone = true;
       }

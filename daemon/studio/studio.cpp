@@ -5,94 +5,22 @@
 
 #include <algorithm>
 #include <atomic>
-#include <cmath>
 #include <new>
-#include <nlohmann/json.hpp>
 #include <optional>
 #include <thread>
 
-#include "animate/places.hpp"
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "facet/mutex.hpp"
-#include "files/json_text.hpp"
-#include "files/output_file.hpp"
-#include "files/text_file.hpp"
 #include "mesh/hierarchy.hpp"
-#include "take/closing.hpp"
+#include "studio/keys.hpp"
+#include "studio/region_colours.hpp"
+#include "studio/session.hpp"
+#include "studio/times.hpp"
 #include "take/reader.hpp"
 #include "take/recorder.hpp"
 
 namespace facet::studio {
-namespace {
-
-using nlohmann::json;
-
-constexpr std::size_t kTimesKept = 256;
-/// Keys closer than this are one, s.
-constexpr double kSameTime_s = 1e-3;
-constexpr double kDefaultRate_hz = 30;
-
-/// The last durations, ms.
-class Times {
- public:
-  void add(Clock::duration took) {
-    const float ms = std::chrono::duration<float, std::milli>(took).count();
-    if (kept_.size() < kTimesKept) {
-      kept_.push_back(ms);
-    } else {
-      kept_[next_] = ms;
-      next_ = (next_ + 1) % kTimesKept;
-    }
-  }
-  void clear() {
-    kept_.clear();
-    next_ = 0;
-  }
-  StudioTimes figures() const {
-    if (kept_.empty()) {
-      return {};
-    }
-    std::vector<float> sorted = kept_;
-    std::sort(sorted.begin(), sorted.end());
-    float sum = 0;
-    for (const float one : sorted) {
-      sum += one;
-    }
-    return {sum / static_cast<float>(sorted.size()), sorted[(sorted.size() - 1) * 95 / 100], sorted.back()};
-  }
-
- private:
-  std::vector<float> kept_;
-  std::size_t next_ = 0;
-};
-
-/// A hue for each region, far from its neighbours' (golden angle), sRGB.
-std::array<std::uint8_t, 3> colour_of(std::size_t region) {
-  const double hue = std::fmod(0.02 + 0.381966 * static_cast<double>(region), 1.0);
-  std::array<std::uint8_t, 3> out{};
-  for (std::size_t channel = 0; channel < 3; ++channel) {
-    const double shifted = std::fmod(hue + (channel == 0 ? 0.0 : channel == 1 ? 2.0 / 3 : 1.0 / 3), 1.0) * 6;
-    const double part = std::clamp(std::abs(shifted - 3) - 1, 0.0, 1.0);
-    out[channel] = static_cast<std::uint8_t>(std::lround(255 * (0.25 + 0.7 * part)));
-  }
-  return out;
-}
-
-std::filesystem::path keys_file(const std::filesystem::path& take) {
-  return take.parent_path() / (take.stem().string() + ".keys.json");
-}
-
-bool all_finite(const mesh::MeshFrame& frame) {
-  const Eigen::Map<const Eigen::VectorXf> displacements(
-      frame.displacements_mm.data(), static_cast<Eigen::Index>(frame.displacements_mm.size()));
-  const Eigen::Map<const Eigen::VectorXf> expression(frame.expression.data(),
-                                                     static_cast<Eigen::Index>(frame.expression.size()));
-  return frame.control_vertices_mm.allFinite() && displacements.allFinite() && expression.allFinite() &&
-         frame.camera_from_head.matrix().allFinite();
-}
-
-}  // namespace
 
 const char* to_string(Shown shown) {
   switch (shown) {
@@ -137,42 +65,6 @@ struct Studio::Impl {
     std::string take;  ///< "": close
     bool posing = false;
   };
-  struct MeshEntry {
-    std::int64_t index = 0;  ///< in the take
-    double time_s = 0;       ///< from the first
-    std::uint64_t sequence = 0;
-  };
-  /// What a controller may look at while the thread works: immutable, or safe for any thread.
-  struct Faces {
-    std::shared_ptr<const animate::TakeBasis> basis;
-    std::shared_ptr<animate::FaceIk> ik;  ///< solve: the thread only; check: any
-    mesh::Vertices rest_mm;
-    std::vector<std::pair<std::string, std::int32_t>> places;
-  };
-  /// The open take; the thread only.
-  struct Session {
-    std::filesystem::path file;
-    animate::FileState file_state;
-    std::optional<take::TakeReader> reader;
-    std::vector<MeshEntry> meshes;
-    std::shared_ptr<const Faces> faces;  ///< null where it is open for replay alone
-    animate::Pose pose;
-    mesh::MeshFrame blank;
-    std::string animated_keys;  ///< what `animation` was made of
-    std::optional<animate::Animation> animation;
-    double keys_rate_hz = kDefaultRate_hz;
-    std::shared_ptr<const mesh::MeshFrame> last;  ///< on the stream
-    std::uint64_t published = 0;
-    // While playing.
-    std::optional<Shown> playing;
-    bool loop = false;
-    double played_from_s = 0;
-    Clock::time_point playing_since;
-    Clock::time_point next_due;
-    Clock::time_point repeat_due;
-    Clock::time_point check_due;
-  };
-
   Impl(std::filesystem::path takes, Show shower, std::function<void(bool)> hold, std::string name)
       : folder(std::move(takes)),
         show(std::move(shower)),
@@ -223,14 +115,10 @@ struct Studio::Impl {
   void open_session(const Opening& what);
   void do_wish(const Wish& what);
   void solve(const Wish& what);
-  void begin_playing(const Wish& what);
   void play_on();
   void show_at(Shown what, double time_s);
   void prepare_keys();
   void export_keys(const std::filesystem::path& file);
-  double duration_s(Shown what) const;
-  mesh::MeshFrame animated(double time_s) const;
-  std::size_t entry_at(double time_s) const;
   void publish(mesh::MeshFrame frame, std::optional<Clock::time_point> asked);
   void set_state(StudioState state);
   bool given_up();
@@ -239,7 +127,7 @@ struct Studio::Impl {
 
 // ---- whoever asks --------------------------------------------------------------------------------------
 
-const Studio::Impl::Faces& Studio::Impl::ready_faces() const {
+const Faces& Studio::Impl::ready_faces() const {
   if (faces != nullptr) {
     return *faces;
   }
@@ -305,16 +193,8 @@ bool Studio::Impl::wanted_still(StudioState what) {
 }
 
 void Studio::Impl::publish(mesh::MeshFrame frame, std::optional<Clock::time_point> asked) {
-  if (!all_finite(frame)) {
-    throw Error(ErrorKind::Internal, "a face is not finite: it is not shown");
-  }
   const Clock::time_point now = Clock::now();
-  frame.images = nullptr;
-  frame.sequence = session->published++;
-  frame.timestamp_ns = std::chrono::duration_cast<std::chrono::nanoseconds>(now.time_since_epoch()).count();
-  frame.stage_ms = {};
-  frame.stage_ms.latency_ms = asked ? std::chrono::duration<float, std::milli>(now - *asked).count() : 0.0F;
-  session->last = std::make_shared<const mesh::MeshFrame>(std::move(frame));
+  session->keep(std::move(frame), asked, now);
   session->repeat_due = now + kRepeat;
   show(session->last);
 }
@@ -344,65 +224,23 @@ void Studio::Impl::open_session(const Opening& what) {
   if (what.take.empty()) {
     return;
   }
-  auto made = std::make_unique<Session>();
-  made->file = take::named_take(folder, what.take);
-  const take::ClosedTake closed = take::close_take(made->file);
-  if (!closed.info.closed) {
-    throw Error(ErrorKind::Usage, fmt::format("take {}: {}", what.take, closed.left));
-  }
-  made->file_state = animate::state_of(made->file);
-  made->reader.emplace(made->file);
-  std::int64_t first_ns = 0;
-  for (std::int64_t index = 0; index < made->reader->frame_count(); ++index) {
-    const take::FrameEntry entry = made->reader->entry(index);
-    if (!entry.has_mesh) {
-      continue;
+  const auto progress = [&](std::int64_t done, std::int64_t total) {
+    {
+      const Lock lock(mutex);
+      shown.done = done;
+      shown.total = total;
     }
-    first_ns = made->meshes.empty() ? entry.media_time_ns : first_ns;
-    const double time_s = static_cast<double>(entry.media_time_ns - first_ns) * 1e-9;
-    const double least_s = made->meshes.empty() ? 0.0 : made->meshes.back().time_s;
-    made->meshes.push_back({index, std::max(time_s, least_s), entry.sequence});
-  }
-  if (made->meshes.empty()) {
-    throw Error(ErrorKind::UnreadableInput, fmt::format("take {} has no mesh", what.take));
-  }
-  std::string stored_keys;
-  std::string keys_fault;
-  if (what.posing) {
-    auto ready = std::make_shared<Faces>();
-    ready->basis = animate::TakeBasis::open(made->file, {}, [&](std::int64_t done, std::int64_t total) {
-      {
-        const Lock lock(mutex);
-        shown.done = done;
-        shown.total = total;
-      }
-      return !given_up();
-    });
-    ready->ik = std::make_shared<animate::FaceIk>(ready->basis);
-    ready->ik->set_view(ready->basis->sample().camera, ready->basis->sample().camera_from_head);
-    ready->rest_mm = animate::resting_vertices(*ready->basis);
-    ready->places = animate::places(*ready->basis);
-    made->blank = animate::blank_frame(*ready->basis);
-    made->faces = ready;
-    std::error_code ignored;
-    if (std::filesystem::exists(keys_file(made->file), ignored)) {
-      try {
-        stored_keys = files::read_text(keys_file(made->file), animate::kKeysLimits.most_bytes, "keys file");
-        animate::parse_keys(stored_keys, keys_file(made->file).string());
-      } catch (const Error& error) {
-        stored_keys.clear();
-        keys_fault = fmt::format("the take is open without its keys: {}; {}", error.what(),
-                                 files::set_aside(keys_file(made->file)));
-      }
-    }
-  }
+    return !given_up();
+  };
+  auto made =
+      std::make_unique<Session>(take::named_take(folder, what.take), what.take, what.posing, progress);
   made->check_due = Clock::now() + kRepeat;
   session = std::move(made);
   hold_live(true);
   {
     const Lock lock(mutex);
     faces = session->faces;
-    keys = std::move(stored_keys);
+    keys = std::move(session->stored_keys);
     options = {};
     shown.posing = faces != nullptr;
     shown.events = faces != nullptr ? 1 : 0;  // the resting face
@@ -415,9 +253,9 @@ void Studio::Impl::open_session(const Opening& what) {
   } else {
     show_at(Shown::Take, 0);
   }
-  if (!keys_fault.empty()) {
+  if (!session->keys_fault.empty()) {
     const Lock lock(mutex);
-    shown.reason = std::move(keys_fault);
+    shown.reason = std::move(session->keys_fault);
   }
 }
 
@@ -455,33 +293,13 @@ void Studio::Impl::solve(const Wish& what) {
   maps = session->pose.maps;
 }
 
-double Studio::Impl::duration_s(Shown what) const {
-  return what == Shown::Keys ? session->animation->duration_s() : session->meshes.back().time_s;
-}
-
-mesh::MeshFrame Studio::Impl::animated(double time_s) const {
-  animate::Pose pose;
-  session->animation->pose(time_s, pose);
-  mesh::MeshFrame frame = session->blank;
-  animate::blend(*session->faces->basis, pose, frame);
-  frame.media_time_ns = std::llround(time_s * 1e9);
-  return frame;
-}
-
-/// The newest mesh of a time.
-std::size_t Studio::Impl::entry_at(double time_s) const {
-  const auto after = std::upper_bound(session->meshes.begin(), session->meshes.end(), time_s + 1e-6,
-                                      [](double at_s, const MeshEntry& one) { return at_s < one.time_s; });
-  return after == session->meshes.begin() ? 0 : static_cast<std::size_t>(after - session->meshes.begin()) - 1;
-}
-
 void Studio::Impl::show_at(Shown what, double time_s) {
-  const double at_s = std::clamp(time_s, 0.0, duration_s(what));
+  const double at_s = std::clamp(time_s, 0.0, session->duration_s(what));
   std::uint64_t sequence = 0;
   if (what == Shown::Keys) {
-    publish(animated(at_s), {});
+    publish(session->animated(at_s), {});
   } else {
-    const MeshEntry& entry = session->meshes[entry_at(at_s)];
+    const Session::MeshEntry& entry = session->meshes[session->entry_at(at_s)];
     sequence = entry.sequence;
     publish(*session->reader->frame(entry.index, take::Pictures::Described), {});
   }
@@ -497,58 +315,30 @@ void Studio::Impl::prepare_keys() {
     const Lock lock(mutex);
     text = keys;
   }
-  if (session->animation && session->animated_keys == text) {
+  if (session->is_animated(text)) {
     return;
   }
   if (text.empty()) {
     throw Error(ErrorKind::Usage, "there are no keys yet");
   }
   set_state(StudioState::Preparing);
-  const animate::KeyList list = animate::parse_keys(text, "keys");
-  animate::AnimationReport report;
-  session->animation = animate::Animation::of_keys(session->faces->basis, list, report,
-                                                   [this] { return wanted_still(StudioState::Preparing); });
-  session->animated_keys = std::move(text);
-  session->keys_rate_hz = list.rate_hz > 0 ? list.rate_hz
-                          : session->faces->basis->frame_period_s() > 0.001
-                              ? 1.0 / session->faces->basis->frame_period_s()
-                              : kDefaultRate_hz;
+  std::vector<std::string> warnings =
+      session->make_animation(std::move(text), [this] { return wanted_still(StudioState::Preparing); });
   const Lock lock(mutex);
-  shown.warnings = std::move(report.warnings);
-}
-
-void Studio::Impl::begin_playing(const Wish& what) {
-  session->playing = what.shown;
-  session->loop = what.loop;
-  session->played_from_s = what.time_s >= duration_s(what.shown) ? 0.0 : what.time_s;
-  session->playing_since = session->next_due = Clock::now();
-  set_state(StudioState::Playing);
+  shown.warnings = std::move(warnings);
 }
 
 void Studio::Impl::play_on() {
   const Shown what = *session->playing;
   const Clock::time_point now = Clock::now();
-  const double end_s = duration_s(what);
-  double time_s =
-      session->played_from_s + std::chrono::duration<double>(now - session->playing_since).count();
-  if (time_s >= end_s && session->loop && end_s > 0) {
-    time_s = std::fmod(time_s, end_s);
-    session->played_from_s = time_s;
-    session->playing_since = now;
-  }
+  const double time_s = session->advance(now);
   show_at(what, time_s);
-  if (time_s >= end_s) {
+  if (time_s >= session->duration_s(what)) {
     session->playing.reset();
     set_state(StudioState::Ready);
     return;
   }
-  double step_s = 1.0 / session->keys_rate_hz;
-  if (what == Shown::Take) {
-    const std::size_t next = std::min(entry_at(time_s) + 1, session->meshes.size() - 1);
-    step_s = std::max(1e-3, session->meshes[next].time_s - time_s);
-  }
-  session->next_due =
-      now + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(step_s));
+  session->next_due = now + session->step_after(time_s);
 }
 
 void Studio::Impl::do_wish(const Wish& what) {
@@ -562,7 +352,8 @@ void Studio::Impl::do_wish(const Wish& what) {
       prepare_keys();
     }
     if (what.kind == Wish::Kind::Play) {
-      begin_playing(what);
+      session->play(what.shown, what.time_s, what.loop, Clock::now());
+      set_state(StudioState::Playing);
     } else {
       show_at(what.shown, what.time_s);
     }
@@ -575,40 +366,18 @@ void Studio::Impl::do_wish(const Wish& what) {
 void Studio::Impl::export_keys(const std::filesystem::path& file) {
   session->playing.reset();
   prepare_keys();
-  const double rate_hz = session->keys_rate_hz;
-  const auto count = std::max<std::int64_t>(1, std::llround(session->animation->duration_s() * rate_hz) + 1);
   {
     const Lock lock(mutex);
     shown.state = StudioState::Exporting;
     shown.done = 0;
-    shown.total = count;
+    shown.total = session->animation_frames();
   }
-  take::TakeRecorderConfig config;
-  config.file = file;
-  config.source = fmt::format("keys of {}", session->file.string());
-  config.software = software;
-  config.when_full = take::WhenFull::Wait;
-  take::TakeRecorder recorder(config);
-  recorder.start();
-  bool broken_off = false;
-  for (std::int64_t index = 0; index < count && !broken_off; ++index) {
-    mesh::MeshFrame frame = animated(static_cast<double>(index) / rate_hz);
-    frame.sequence = static_cast<std::uint64_t>(index);
-    frame.timestamp_ns = frame.media_time_ns;
-    recorder.record(std::make_shared<const mesh::MeshFrame>(std::move(frame)));
-    broken_off = !wanted_still(StudioState::Exporting);
+  session->write_animation(file, software, [&](std::int64_t written) {
+    const bool go_on = wanted_still(StudioState::Exporting);
     const Lock lock(mutex);
-    shown.done = index + 1;
-  }
-  const take::RecorderStatus status = recorder.stop();
-  if (broken_off) {
-    std::error_code ignored;
-    std::filesystem::remove(file, ignored);
-    throw Error(ErrorKind::Unavailable, "broken off");
-  }
-  if (status.state == take::RecorderState::Failed) {
-    throw Error(ErrorKind::Storage, fmt::format("'{}': {}", file.string(), status.reason));
-  }
+    shown.done = written;
+    return go_on;
+  });
   const Lock lock(mutex);
   shown.state = StudioState::Ready;
   shown.reason.clear();
@@ -865,15 +634,7 @@ void Studio::set_keys(const std::string& text) {
     }
     take = impl_->shown.take;
   }
-  const std::filesystem::path stored = keys_file(take::named_take(impl_->folder, take));
-  if (text.empty()) {
-    std::error_code ignored;
-    std::filesystem::remove(stored, ignored);
-  } else {
-    files::OutputFile file(stored);
-    file.write(text);
-    file.commit();
-  }
+  store_keys(take::named_take(impl_->folder, take), text);
   const Lock lock(impl_->mutex);
   if (impl_->shown.take == take) {
     impl_->keys = text;
@@ -892,30 +653,7 @@ std::string Studio::save_key(double time_s) {
     wanted = impl_->wanted;
     options = impl_->options;
   }
-  json root = keys.empty() ? json::object() : files::parse_json(keys, animate::kKeysLimits, "keys");
-  json controls = json::array();
-  for (const animate::ControlTarget& target : wanted) {
-    const bool on_screen = target.space == animate::ControlTarget::Space::Screen;
-    json at = json::array();
-    for (Eigen::Index axis = 0; axis < (on_screen ? 2 : 3); ++axis) {
-      at.push_back(std::round(1e4 * static_cast<double>(target.target[axis])) / 1e4);
-    }
-    controls.push_back({{"vertex", target.vertex}, {on_screen ? "at_px" : "at_mm", std::move(at)}});
-  }
-  json kept = json::array();
-  for (const json& key : root.value("keys", json::array())) {
-    if (std::abs(key.at("time_s").get<double>() - time_s) > kSameTime_s) {
-      kept.push_back(key);
-    }
-  }
-  const auto later = std::find_if(kept.begin(), kept.end(),
-                                  [&](const json& key) { return key.at("time_s").get<double>() > time_s; });
-  // Not a braced list: that would insert its two members.
-  kept.insert(later, json({{"time_s", time_s}, {"controls", std::move(controls)}}));
-  root["keys"] = std::move(kept);
-  root["whole"] = options.whole;
-  root["clamp"] = options.clamp;
-  std::string text = root.dump(1);
+  std::string text = with_key(keys, time_s, wanted, options);
   set_keys(text);
   return text;
 }
@@ -942,30 +680,7 @@ RegionColours Studio::regions() const {
     impl_->ready_faces();
     maps = impl_->maps;
   }
-  RegionColours out;
-  if (maps == nullptr || maps->vertices().empty()) {
-    return out;
-  }
-  out.vertices = maps->vertices();
-  for (std::size_t region = 0; region < out.vertices.size(); ++region) {
-    out.colours.push_back(colour_of(maps->region_count() == 1 ? 0 : region));
-  }
-  const animate::RegionWeights& weights = maps->finest();
-  const std::size_t count = weights.offsets.size() - 1;
-  out.rgb.resize(3 * count);
-  for (std::size_t v = 0; v < count; ++v) {
-    Eigen::Vector3f mixed = Eigen::Vector3f::Zero();
-    for (std::int32_t k = weights.offsets[v]; k < weights.offsets[v + 1]; ++k) {
-      const auto entry = static_cast<std::size_t>(k);
-      const auto colour = colour_of(weights.regions[entry]);
-      mixed += weights.weights[entry] * Eigen::Vector3f(colour[0], colour[1], colour[2]);
-    }
-    for (std::size_t channel = 0; channel < 3; ++channel) {
-      out.rgb[3 * v + channel] = static_cast<std::uint8_t>(
-          std::lround(std::clamp(mixed[static_cast<Eigen::Index>(channel)], 0.0F, 255.0F)));
-    }
-  }
-  return out;
+  return maps != nullptr ? colours_of(*maps) : RegionColours();
 }
 
 StudioStatus Studio::status() const {
