@@ -1,5 +1,7 @@
 #include "files/toml_section.hpp"
 
+#include <algorithm>
+#include <limits>
 #include <numeric>
 #include <utility>
 
@@ -239,6 +241,43 @@ const toml::node* TomlSection::read_numbers(const std::string& key, std::span<do
   return node;
 }
 
+void TomlSection::read_auto(const std::string& key, std::optional<int>& value, std::int64_t least,
+                            std::int64_t most) {
+  if (const toml::node* node = find(key)) {
+    if (node->value_exact<std::string>() == "auto") {
+      value.reset();
+    } else {
+      value = static_cast<int>(integer(*node, key, least, most,
+                                       fmt::format("\"auto\" or a whole number from {} to {}", least, most)));
+    }
+  }
+}
+
+void TomlSection::read_auto(const std::string& key, std::optional<double>& value, double least, double most) {
+  if (const toml::node* node = find(key)) {
+    if (node->value_exact<std::string>() == "auto") {
+      value.reset();
+    } else {
+      value = number(*node, key, least, most, fmt::format("\"auto\" or a number from {} to {}", least, most));
+    }
+  }
+}
+
+std::optional<std::size_t> TomlSection::read_choice(const std::string& key,
+                                                    std::span<const char* const> allowed) {
+  const toml::node* node = find(key);
+  if (node == nullptr) {
+    return std::nullopt;
+  }
+  const std::optional<std::string> found = node->value_exact<std::string>();
+  const auto at =
+      std::find_if(allowed.begin(), allowed.end(), [&](const char* word) { return found == word; });
+  if (!found || at == allowed.end()) {
+    fail(node, key, fmt::format("must be one of: \"{}\"", fmt::join(allowed, "\", \"")));
+  }
+  return static_cast<std::size_t>(at - allowed.begin());
+}
+
 std::vector<std::pair<std::string, const toml::node*>> TomlSection::entries() {
   std::vector<std::pair<std::string, const toml::node*>> found;
   if (table_ != nullptr) {
@@ -258,7 +297,7 @@ std::vector<std::pair<std::string, const toml::node*>> TomlSection::entries() {
 const toml::node* TomlSection::find(const std::string& key, bool is_value) {
   known_.push_back(key);
   if (is_value) {
-    document_.keys.push_back(full(key));
+    document_.keys.push_back({.name = full(key), .value = {}});
   }
   return table_ != nullptr ? table_->get(key) : nullptr;
 }

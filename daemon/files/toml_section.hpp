@@ -4,8 +4,8 @@
 #include <fmt/ranges.h>
 #include <toml++/toml.h>
 
-#include <algorithm>
 #include <array>
+#include <chrono>
 #include <cstdint>
 #include <filesystem>
 #include <functional>
@@ -13,8 +13,12 @@
 #include <span>
 #include <string>
 #include <string_view>
+#include <type_traits>
 #include <utility>
+#include <variant>
 #include <vector>
+
+#include "facet/setting.hpp"
 
 namespace facet::files {
 
@@ -28,6 +32,14 @@ inline constexpr std::size_t kMostTomlItems = 200'000;  ///< of all lists togeth
 
 inline constexpr const char* kAnyText = "a text in quotes";
 
+/// A key that was asked for.
+struct TomlKey {
+  std::string name;   ///< "section.key"
+  double least = 0;   ///< of a Setting that is a number; else both 0
+  double most = 0;    ///< the same
+  std::string value;  ///< what a Setting came to
+};
+
 /// A TOML file as a whole: where messages point, and the keys that were asked for.
 class TomlDocument {
  public:
@@ -39,7 +51,7 @@ class TomlDocument {
 
   const toml::table& root() const { return root_; }
   std::filesystem::path folder() const { return file_.parent_path(); }
-  std::vector<std::string> keys;
+  std::vector<TomlKey> keys;
 
  private:
   const toml::table& root_;
@@ -86,36 +98,26 @@ class TomlSection {
     }
   }
 
+  /// A value, or "auto" for none.
+  void read_auto(const std::string& key, std::optional<int>& value, std::int64_t least, std::int64_t most);
+  void read_auto(const std::string& key, std::optional<double>& value, double least, double most);
+
+  template <typename Struct>
+  void read(const Setting<Struct>& setting, Struct& values) {
+    std::visit([&](auto place) { read_setting(setting, place(values)); }, setting.place);
+  }
+  template <typename Struct>
+  void read(std::span<const Setting<std::type_identity_t<Struct>>> settings, Struct& values) {
+    for (const Setting<Struct>& setting : settings) {
+      read(setting, values);
+    }
+  }
+
   /// The keys of a section that names them itself, with their values, in the file's order.
   std::vector<std::pair<std::string, const toml::node*>> entries();
 
   /// One of a few words; returns its place among them.
-  template <std::size_t Count>
-  std::optional<std::size_t> read_choice(const std::string& key,
-                                         const std::array<const char*, Count>& allowed) {
-    const toml::node* node = find(key);
-    if (node == nullptr) {
-      return std::nullopt;
-    }
-    const std::string wanted = fmt::format("must be one of: \"{}\"", fmt::join(allowed, "\", \""));
-    const std::optional<std::string> found = node->value_exact<std::string>();
-    const auto at =
-        std::find_if(allowed.begin(), allowed.end(), [&](const char* word) { return found == word; });
-    if (!found || at == allowed.end()) {
-      fail(node, key, wanted);
-    }
-    return static_cast<std::size_t>(at - allowed.begin());
-  }
-
-  /// Refuses the keys that are there, with the reason.
-  template <std::size_t Count>
-  void refuse(const std::array<const char*, Count>& keys, const std::string& why) const {
-    for (const char* key : keys) {
-      if (const toml::node* node = table_ != nullptr ? table_->get(key) : nullptr) {
-        fail(node, key, why);
-      }
-    }
-  }
+  std::optional<std::size_t> read_choice(const std::string& key, std::span<const char* const> allowed);
 
   /// Refuses a section that lacks one of the keys.
   template <std::size_t Count>
@@ -145,6 +147,52 @@ class TomlSection {
                        const std::string& allowed) const;
   double number(const toml::node& node, const std::string& key, double least, double most,
                 const std::string& allowed) const;
+
+  template <typename Struct, typename Value>
+  void read_setting(const Setting<Struct>& setting, Value& value) {
+    const std::string key = setting.key;
+    const auto least = static_cast<std::int64_t>(setting.least);
+    const auto most = static_cast<std::int64_t>(setting.most);
+    std::string text;
+    if constexpr (std::is_same_v<Value, std::optional<int>>) {
+      read_auto(key, value, least, most);
+      text = value ? fmt::to_string(*value) : "auto";
+    } else if constexpr (std::is_same_v<Value, std::optional<double>>) {
+      read_auto(key, value, setting.least, setting.most);
+      text = value ? fmt::to_string(*value) : "auto";
+    } else if constexpr (std::is_same_v<Value, std::chrono::milliseconds>) {
+      std::int64_t count = value.count();
+      read_integer(key, count, least, most);
+      value = Value(count);
+      text = fmt::to_string(count);
+    } else if constexpr (std::is_floating_point_v<Value>) {
+      read_number(key, value, setting.least, setting.most);
+      text = fmt::to_string(value);
+    } else if constexpr (std::is_integral_v<Value> && !std::is_same_v<Value, bool>) {
+      std::int64_t in_units = static_cast<std::int64_t>(value) / setting.unit;
+      read_integer(key, in_units, least, most);
+      value = static_cast<Value>(in_units * setting.unit);
+      text = fmt::to_string(in_units);
+    } else if constexpr (std::is_same_v<Value, std::string>) {
+      if (setting.words.empty()) {
+        read(key, value);
+      } else if (const auto chosen = read_choice(key, setting.words)) {
+        value = setting.words[*chosen];
+      }
+      text = value;
+    } else {
+      read(key, value);
+      if constexpr (std::is_same_v<Value, std::filesystem::path>) {
+        text = value.string();
+      } else if constexpr (std::is_same_v<Value, bool>) {
+        text = fmt::to_string(value);
+      } else {
+        text = fmt::format("{}", fmt::join(value, " "));
+      }
+    }
+    TomlKey& told = document_.keys.back();
+    told = {std::move(told.name), setting.least, setting.most, std::move(text)};
+  }
 
   TomlDocument& document_;
   const toml::table* table_;

@@ -15,6 +15,7 @@
 #include <string>
 #include <utility>
 
+#include "camera/simulated_rig.hpp"
 #include "capture/frame_set_assembler.hpp"
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
@@ -22,7 +23,6 @@
 #include "pipeline/figures.hpp"
 #include "pipeline/frame_pool.hpp"
 #include "pipeline/workers.hpp"
-#include "simulated/simulated_rig.hpp"
 #include "take/reader.hpp"
 #include "trigger/edge_log.hpp"
 #include "trigger/program.hpp"
@@ -127,7 +127,7 @@ void check_camera(const RigCamera& camera, TriggerKind trigger) {
         fmt::format("camera '{}' is a file, which no trigger fires: use [trigger] kind = \"none\" with files",
                     camera.name));
   }
-  if (camera.source.kind == kSimulatedCamera && trigger == TriggerKind::Gpio) {
+  if (camera.source.kind == camera::kSimulatedCamera.name && trigger == TriggerKind::Gpio) {
     refuse(fmt::format("camera '{}' is simulated and hangs on no GPIO line: use [trigger] kind = \"virtual\"",
                        camera.name));
   }
@@ -240,7 +240,7 @@ Rig open_rig(const RigConfig& config) {
                                                               trigger::lines_of(program, LineRole::Projector),
                                                               read_footage(config));
   for (const RigCamera& camera : config.cameras) {
-    if (camera.source.kind == kSimulatedCamera) {
+    if (camera.source.kind == camera::kSimulatedCamera.name) {
       const camera::LiveConfig& size = camera.source.live;
       rig.cameras.push_back(
           room->camera({camera.name, size.width_px, size.height_px, size.rate_hz}, triggered));

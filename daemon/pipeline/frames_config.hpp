@@ -12,13 +12,9 @@
 
 namespace facet::pipeline {
 
-/// Kind of a camera that FramesPipeline makes itself (simulated::SimulatedRig); others are
-/// camera::open_camera's.
-inline constexpr const char* kSimulatedCamera = "simulated";
-
 struct RigCamera {
-  std::string name;             ///< unique
-  camera::CameraConfig source;  ///< kind "simulated": size and rate are those of source.live
+  std::string name;  ///< unique
+  camera::CameraConfig source;
   std::int64_t latency_ns = 0;  ///< capture::CaptureCamera::latency_ns
 };
 

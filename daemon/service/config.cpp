@@ -5,8 +5,6 @@
 #include <algorithm>
 #include <array>
 #include <chrono>
-#include <cmath>
-#include <limits>
 #include <optional>
 #include <set>
 
@@ -47,44 +45,6 @@ void read_intrinsics(Section section, std::optional<CameraIntrinsics>& intrinsic
   intrinsics = given;
 }
 
-/// A control that the device regulates by itself, or a value for it.
-void read_regulated(Section& section, const std::string& key, std::optional<int>& value, int least,
-                    int most) {
-  if (const toml::node* node = section.find(key)) {
-    const std::optional<std::int64_t> found = node->value_exact<std::int64_t>();
-    if (node->value_exact<std::string>() == "auto") {
-      value.reset();
-    } else if (found && *found >= least && *found <= most) {
-      value = static_cast<int>(*found);
-    } else {
-      section.fail(node, key, fmt::format("must be \"auto\" or a whole number from {} to {}", least, most));
-    }
-  }
-}
-
-/// The same for a value that need not be whole.
-void read_regulated(Section& section, const std::string& key, std::optional<double>& value, double least,
-                    double most) {
-  if (const toml::node* node = section.find(key)) {
-    const double found =
-        node->is_number() ? node->value<double>().value_or(0) : std::numeric_limits<double>::quiet_NaN();
-    if (node->value_exact<std::string>() == "auto") {
-      value.reset();
-    } else if (found >= least && found <= most) {
-      value = found;
-    } else {
-      section.fail(node, key, fmt::format("must be \"auto\" or a number from {} to {}", least, most));
-    }
-  }
-}
-
-template <std::size_t Count>
-void read_format(Section& section, const std::array<const char*, Count>& formats, std::string& value) {
-  if (const auto format = section.read_choice("format", formats)) {
-    value = formats.at(*format);
-  }
-}
-
 /// Controls of a device by its driver's names for them.
 void read_controls(Section section, std::vector<camera::ControlSetting>& controls) {
   std::set<std::string> keys;
@@ -106,71 +66,65 @@ void read_controls(Section section, std::vector<camera::ControlSetting>& control
   }
 }
 
-/// What a camera can do is checked when it is opened; here, what no camera can.
-void read_live(Section& section, camera::CameraConfig& source) {
-  camera::LiveConfig& live = source.live;
-  camera::LibcameraConfig& libcamera = source.libcamera;
-  section.read("device", live.device);
-  section.read("id", libcamera.id);
-  if (source.kind == "libcamera") {
-    read_format(section, camera::kLibcameraFormats, live.format);
-    read_regulated(section, "gain", libcamera.gain, 0.01, 1000.0);
-  } else {
-    read_format(section, camera::kV4l2Formats, live.format);
-    read_regulated(section, "gain", live.gain, -1'000'000, 1'000'000);
+/// The settings of a source of its kind; those of other kinds are refused. What a camera can do is checked
+/// when it is opened; here, what no camera can. left_out: a setting that this section does not have.
+void read_settings(Section& section, camera::CameraConfig& source, std::string_view left_out = {}) {
+  const camera::CameraKind& kind = camera::camera_kind(source.kind);
+  const auto refuse = [&](const toml::node* node, const std::string& key, const auto& has) {
+    std::vector<const char*> kinds;
+    for (const camera::CameraKind* other : camera::camera_kinds()) {
+      if (has(*other)) {
+        kinds.push_back(other->name);
+      }
+    }
+    section.fail(node, key,
+                 fmt::format("is for kind = \"{}\"; the kind of this one is \"{}\"",
+                             fmt::join(kinds, "\" or \""), source.kind));
+  };
+  std::set<std::string_view> seen = {left_out};
+  for (const camera::CameraKind* other : camera::camera_kinds()) {
+    for (const camera::CameraSetting& setting : other->settings) {
+      const std::string_view key = setting.key;
+      if (kind.find(key) != nullptr || !seen.insert(key).second) {
+        continue;
+      }
+      if (const toml::node* node = section.find(setting.key)) {
+        refuse(node, setting.key, [&](const camera::CameraKind& one) { return one.find(key) != nullptr; });
+      }
+    }
   }
-  read_regulated(section, "red_gain", libcamera.red_gain, 0.01, 100.0);
-  read_regulated(section, "blue_gain", libcamera.blue_gain, 0.01, 100.0);
-  if (libcamera.red_gain.has_value() != libcamera.blue_gain.has_value()) {
-    section.fail(section.node(), "red_gain", "red_gain and blue_gain need one another");
+  for (const camera::CameraSetting& setting : kind.settings) {
+    if (setting.key != left_out) {
+      section.read(setting, source);
+    }
   }
-  section.read_integer("width_px", live.width_px, 16, 16384);
-  section.read_integer("height_px", live.height_px, 16, 16384);
-  section.read_number("rate_hz", live.rate_hz, 1, 1000);
-  read_regulated(section, "exposure_us", live.exposure_us, 1, 10'000'000);
-  read_regulated(section, "white_balance_k", live.white_balance_k, 1000, 20'000);
-  section.read_integer("buffers", live.buffers, 2, 32);
-  std::int64_t stall_after_ms = live.stall_after.count();
-  section.read_integer("stall_after_ms", stall_after_ms, 100, 3'600'000);
-  live.stall_after = std::chrono::milliseconds(stall_after_ms);
-  read_controls(section.section("controls"), live.controls);
+  Section controls = section.section("controls");
+  if (controls.given() && !kind.has_controls) {
+    refuse(controls.node(), "controls", [](const camera::CameraKind& one) { return one.has_controls; });
+  }
+  read_controls(std::move(controls), source.live.controls);
+  if (kind.pair) {
+    const auto& [one, other] = *kind.pair;
+    if (kind.says(one, source) != kind.says(other, source)) {
+      section.fail(section.node(), one, fmt::format("{} and {} need one another", one, other));
+    }
+  }
 }
 
-constexpr std::array kFileKeys = {"path", "paced", "loop"};
-constexpr std::array kV4l2Keys = {"device", "controls"};
-constexpr std::array kLibcameraKeys = {"id", "red_gain", "blue_gain"};
-constexpr std::array kLiveKeys = {"format", "width_px",        "height_px", "rate_hz",       "exposure_us",
-                                  "gain",   "white_balance_k", "buffers",   "stall_after_ms"};
-
-/// Keys that are not for a source of this kind.
-void refuse_others(const Section& section, const std::string& kind) {
-  const auto is_for = [&](const char* other) {
-    return fmt::format("is for kind = \"{}\"; the kind of this one is \"{}\"", other, kind);
-  };
-  if (kind == "file") {
-    section.refuse(kLiveKeys, is_for("v4l2\" or \"libcamera"));
-  } else {
-    section.refuse(kFileKeys, is_for("file"));
+void read_kind(Section& section, camera::CameraConfig& source) {
+  std::vector<const char*> names;
+  for (const camera::CameraKind* kind : camera::camera_kinds()) {
+    names.push_back(kind->name);
   }
-  if (kind != "v4l2") {
-    section.refuse(kV4l2Keys, is_for("v4l2"));
-  }
-  if (kind != "libcamera") {
-    section.refuse(kLibcameraKeys, is_for("libcamera"));
+  if (const auto kind = section.read_choice("kind", names)) {
+    source.kind = names[*kind];
   }
 }
 
 void read_source(Section section, Config& config) {
-  constexpr std::array kKinds = {"file", "v4l2", "libcamera"};
   pipeline::MonocularConfig& pipeline = config.pipeline;
-  if (const auto kind = section.read_choice("kind", kKinds)) {
-    pipeline.source.kind = kKinds.at(*kind);
-  }
-  refuse_others(section, pipeline.source.kind);
-  section.read("path", pipeline.source.path);
-  section.read("paced", pipeline.source.paced);
-  section.read("loop", pipeline.source.loop);
-  read_live(section, pipeline.source);
+  read_kind(section, pipeline.source);
+  read_settings(section, pipeline.source);
   if (const toml::node* node = section.find("frames")) {
     try {
       pipeline.frames = pipeline::parse_frame_range(section.text(*node, "frames", files::kAnyText));
@@ -195,33 +149,19 @@ void read_us(Section& section, const std::string& key, std::int64_t& value_ns, s
 
 /// Values that depend on one another are checked by pipeline::check, once all of them are known.
 void read_camera(Section section, std::vector<pipeline::RigCamera>& cameras) {
-  constexpr std::array kKinds = {"file", "v4l2", "libcamera", pipeline::kSimulatedCamera};
-  constexpr std::array kNotSimulated = {"format",          "exposure_us", "gain",
-                                        "white_balance_k", "buffers",     "stall_after_ms"};
   pipeline::RigCamera camera;
   camera.source.kind = "v4l2";
   section.read("name", camera.name);
-  if (const auto kind = section.read_choice("kind", kKinds)) {
-    camera.source.kind = kKinds.at(*kind);
-  }
-  const std::string& kind = camera.source.kind;
-  refuse_others(section, kind);
-  if (kind == pipeline::kSimulatedCamera) {
-    section.refuse(kNotSimulated, "is not for a camera of kind \"simulated\"");
-  }
-  section.read("path", camera.source.path);
-  section.read("loop", camera.source.loop);
-  read_live(section, camera.source);
+  read_kind(section, camera.source);
+  read_settings(section, camera.source, "paced");  // a file takes the place of a live camera here
   read_us(section, "latency_us", camera.latency_ns, -1'000'000, 1'000'000);
   section.finish();
   if (!section.given()) {
     return;
   }
-  if (kind == "v4l2" && camera.source.live.device.empty()) {
-    section.fail(section.node(), "device", "is missing: `facet doctor` lists the cameras");
-  }
-  if (kind == "file" && camera.source.path.empty()) {
-    section.fail(section.node(), "path", "is missing: name a video file");
+  if (!camera::names_source(camera.source)) {
+    const camera::CameraKind& kind = camera::camera_kind(camera.source.kind);
+    section.fail(section.node(), kind.needs, fmt::format("is missing: {}", kind.advice));
   }
   cameras.push_back(std::move(camera));
 }
@@ -625,16 +565,10 @@ void require_source(const Config& config, const std::filesystem::path& file) {
   } catch (const Error& error) {
     throw Error(ErrorKind::Usage, fmt::format("{}: {}", file.string(), error.what()));
   }
-  if (source.kind == "v4l2" && source.live.device.empty()) {
+  if (!camera::names_source(source)) {
+    const camera::CameraKind& kind = camera::camera_kind(source.kind);
     throw Error(ErrorKind::Usage,
-                fmt::format("{}: source.device is missing: name the camera that faces come from, such as "
-                            "/dev/v4l/by-path/...; `facet doctor` lists them",
-                            file.string()));
-  }
-  if (source.kind == "file" && source.path.empty()) {
-    throw Error(
-        ErrorKind::Usage,
-        fmt::format("{}: source.path is missing: name the video file that faces come from", file.string()));
+                fmt::format("{}: source.{} is missing: {}", file.string(), kind.needs, kind.advice));
   }
 }
 
@@ -643,7 +577,11 @@ std::vector<std::string> config_keys() {
   Document document(empty, {});
   Config config;
   read_all(document, config);
-  return document.keys;
+  std::vector<std::string> keys;
+  for (const files::TomlKey& key : document.keys) {
+    keys.push_back(key.name);
+  }
+  return keys;
 }
 
 }  // namespace facet::service

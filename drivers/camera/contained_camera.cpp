@@ -343,4 +343,39 @@ std::vector<CameraListing> list_contained_cameras(const std::filesystem::path& p
   }
 }
 
+namespace {
+
+constexpr CameraSetting kSettings[] = {
+    {"id", &at<&CameraConfig::libcamera, &LibcameraConfig::id>},
+    {"format", &at<&CameraConfig::live, &LiveConfig::format>, 0, 0, 1, kLibcameraFormats},
+    {"gain", &at<&CameraConfig::libcamera, &LibcameraConfig::gain>, 0.01, 1000},
+    {"red_gain", &at<&CameraConfig::libcamera, &LibcameraConfig::red_gain>, 0.01, 100},
+    {"blue_gain", &at<&CameraConfig::libcamera, &LibcameraConfig::blue_gain>, 0.01, 100},
+    kWidthSetting,
+    kHeightSetting,
+    kRateSetting,
+    kExposureSetting,
+    kWhiteBalanceSetting,
+    kBuffersSetting,
+    kStallAfterSetting,
+};
+
+std::vector<FoundCamera> list_for_people() {
+  std::vector<FoundCamera> found;
+  for (const CameraListing& camera : list_contained_cameras()) {
+    found.push_back({fmt::format("libcamera, id = '{}': {}", camera.id, camera.description), ""});
+  }
+  return found;
+}
+
+}  // namespace
+
+constexpr CameraKind kLibcamera = {
+    .name = "libcamera",
+    .settings = kSettings,
+    .pair = {{"red_gain", "blue_gain"}},
+    .open = [](const CameraConfig& config) { return open_contained_camera(config); },
+    .list = list_for_people,
+};
+
 }  // namespace facet::camera

@@ -40,6 +40,9 @@ std::unique_ptr<Camera> open_contained_camera(const CameraConfig& config,
                                               const std::filesystem::path& program = {},
                                               const HostPatience& patience = {});
 
+/// Cameras of libcamera, which run in facet-camera-host.
+extern const CameraKind kLibcamera;
+
 /// The cameras that a host program finds. Throws Error(Unavailable), saying why, where it can't tell within
 /// `patience`.
 std::vector<CameraListing> list_contained_cameras(

@@ -285,4 +285,41 @@ std::vector<V4l2Description> list_v4l2_devices(const std::filesystem::path& fold
   return found;
 }
 
+namespace {
+
+constexpr CameraSetting kSettings[] = {
+    {"device", &at<&CameraConfig::live, &LiveConfig::device>},
+    {"format", &at<&CameraConfig::live, &LiveConfig::format>, 0, 0, 1, kV4l2Formats},
+    {"gain", &at<&CameraConfig::live, &LiveConfig::gain>, -1'000'000, 1'000'000},
+    kWidthSetting,
+    kHeightSetting,
+    kRateSetting,
+    kExposureSetting,
+    kWhiteBalanceSetting,
+    kBuffersSetting,
+    kStallAfterSetting,
+};
+
+std::vector<FoundCamera> list_for_people() {
+  std::vector<FoundCamera> found;
+  for (const V4l2Description& device : list_v4l2_devices()) {
+    found.push_back({device.card.empty() ? device.modes
+                                         : fmt::format("{} ({}): {}", device.path, device.card, device.modes),
+                     device.controls.empty() ? "" : fmt::format("{}: {}", device.path, device.controls)});
+  }
+  return found;
+}
+
+}  // namespace
+
+constexpr CameraKind kV4l2Camera = {
+    .name = "v4l2",
+    .settings = kSettings,
+    .has_controls = true,
+    .needs = "device",
+    .advice = "name the camera that faces come from, such as /dev/v4l/by-path/...; `facet doctor` lists them",
+    .open = [](const CameraConfig& config) { return open_v4l2_camera(config.live); },
+    .list = list_for_people,
+};
+
 }  // namespace facet::camera

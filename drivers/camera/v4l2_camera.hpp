@@ -25,6 +25,8 @@ namespace facet::camera {
 /// what it can. The kernel outlives the camera.
 std::unique_ptr<Camera> open_v4l2_camera(const LiveConfig& config, V4l2Kernel& kernel = system_v4l2_kernel());
 
+extern const CameraKind kV4l2Camera;
+
 /// A capture device for people.
 struct V4l2Description {
   std::string path;

@@ -521,4 +521,22 @@ std::unique_ptr<Camera> open_video_file(const CameraConfig& config) {
   return std::make_unique<VideoFile>(config);
 }
 
+namespace {
+
+constexpr CameraSetting kSettings[] = {
+    {"path", &at<&CameraConfig::path>},
+    {"paced", &at<&CameraConfig::paced>},
+    {"loop", &at<&CameraConfig::loop>},
+};
+
+}  // namespace
+
+constexpr CameraKind kVideoFile = {
+    .name = "file",
+    .settings = kSettings,
+    .needs = "path",
+    .advice = "name the video file that faces come from",
+    .open = open_video_file,
+};
+
 }  // namespace facet::camera

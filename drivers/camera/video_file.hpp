@@ -13,4 +13,6 @@ namespace facet::camera {
 /// Error(UnreadableInput).
 std::unique_ptr<Camera> open_video_file(const CameraConfig& config);
 
+extern const CameraKind kVideoFile;
+
 }  // namespace facet::camera

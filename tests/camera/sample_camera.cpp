@@ -23,7 +23,7 @@ using std::chrono::milliseconds;
 
 class SampleCamera final : public camera::LiveCamera {
  public:
-  SampleCamera(const SampleConfig& config, SampleDevice& device);
+  SampleCamera(const camera::LiveConfig& config, SampleDevice& device);
   ~SampleCamera() override { SampleCamera::close(CameraState::Idle); }
 
   void expect_frames(bool due) override;
@@ -38,7 +38,7 @@ class SampleCamera final : public camera::LiveCamera {
   Frame convert(const SampleDevice::Picture& picture, std::uint64_t sequence);
 
   SampleDevice& device_;
-  SampleConfig config_;
+  camera::LiveConfig config_;
   bool open_ = false;
   std::optional<SampleDevice::Picture> awaited_;  ///< what wait has taken
   camera::DriverCount count_;
@@ -46,7 +46,7 @@ class SampleCamera final : public camera::LiveCamera {
 };
 
 // Match: what is there is checked once, before anything is set; what is not there is a state.
-SampleCamera::SampleCamera(const SampleConfig& config, SampleDevice& device)
+SampleCamera::SampleCamera(const camera::LiveConfig& config, SampleDevice& device)
     : LiveCamera(Pauses{}), device_(device), config_(config), count_(std::llround(1e9 / config.rate_hz)) {
   info_.name = "sample camera";
   info_.width_px = config.width_px;
@@ -147,8 +147,42 @@ void SampleCamera::close(CameraState /*why*/) {
 
 }  // namespace
 
-std::unique_ptr<Camera> open_sample_camera(const SampleConfig& config, SampleDevice& device) {
+std::unique_ptr<Camera> open_sample_camera(const camera::LiveConfig& config, SampleDevice& device) {
   return std::make_unique<SampleCamera>(config, device);
 }
+
+SampleDevice*& plugged_in() {
+  static SampleDevice* device = nullptr;
+  return device;
+}
+
+namespace {
+
+constexpr camera::CameraSetting kSettings[] = {
+    camera::kWidthSetting,
+    camera::kHeightSetting,
+    camera::kRateSetting,
+    camera::kStallAfterSetting,
+};
+
+std::unique_ptr<Camera> open(const camera::CameraConfig& config) {
+  return open_sample_camera(config.live, *plugged_in());
+}
+
+std::vector<camera::FoundCamera> list() {
+  if (plugged_in() == nullptr || !plugged_in()->is_there()) {
+    return {};
+  }
+  return {{fmt::format("sample camera: {} Hz", fmt::join(plugged_in()->rates_hz(), ", ")), ""}};
+}
+
+}  // namespace
+
+constexpr camera::CameraKind kSampleCamera = {
+    .name = "sample",
+    .settings = kSettings,
+    .open = open,
+    .list = list,
+};
 
 }  // namespace facet::sample

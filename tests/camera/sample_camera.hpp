@@ -7,6 +7,7 @@
 #include <optional>
 #include <vector>
 
+#include "camera/factory.hpp"
 #include "facet/camera.hpp"
 
 // The sample driver of docs/adding-a-camera.md: complete, and as small as a driver can be.
@@ -38,15 +39,14 @@ class SampleDevice {
   virtual std::optional<Picture> take(std::chrono::milliseconds timeout) = 0;
 };
 
-struct SampleConfig {
-  int width_px = 64;
-  int height_px = 48;
-  double rate_hz = 30;
-  std::chrono::milliseconds stall_after{2000};
-};
+/// What is plugged in, as the library would find it; null: nothing.
+SampleDevice*& plugged_in();
 
 /// Opens a camera. Throws Error(Usage) where the device is there and has no such rate; the message lists
 /// those it has. The device outlives the camera.
-std::unique_ptr<Camera> open_sample_camera(const SampleConfig& config, SampleDevice& device);
+std::unique_ptr<Camera> open_sample_camera(const camera::LiveConfig& config, SampleDevice& device);
+
+/// What camera::camera_kinds() would list.
+extern const camera::CameraKind kSampleCamera;
 
 }  // namespace facet::sample

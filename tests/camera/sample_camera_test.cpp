@@ -8,6 +8,8 @@
 #include <deque>
 #include <string>
 #include <thread>
+#include <type_traits>
+#include <variant>
 
 #include "camera/device_fault.hpp"
 #include "facet/clock.hpp"
@@ -71,7 +73,7 @@ class SampleCameraTest : public ::testing::Test {
   }
 
   ScriptedDevice device_;
-  SampleConfig config_;
+  camera::LiveConfig config_{.width_px = 64, .height_px = 48};
   Frame frame_;
 };
 
@@ -100,6 +102,25 @@ TEST_F(SampleCameraTest, HandsOutTheNewestPictureAndCountsTheRest) {
   camera->stop();
   EXPECT_EQ(device_.opened, 0);
   EXPECT_EQ(camera->next(frame_, 0ms), CaptureOutcome::EndOfStream);
+}
+
+TEST_F(SampleCameraTest, TheRowOpensAndListsIt) {
+  plugged_in() = &device_;
+  camera::CameraConfig config{.kind = kSampleCamera.name, .live = config_};
+  EXPECT_EQ(kSampleCamera.open(config)->info().width_px, 64);
+  ASSERT_EQ(kSampleCamera.list().size(), 1U);
+  EXPECT_EQ(kSampleCamera.list()[0].text, "sample camera: 15, 30 Hz");
+  std::visit(
+      [&](auto place) {
+        if constexpr (std::is_same_v<decltype(place(config)), double&>) {
+          place(config) = 15;
+        }
+      },
+      kSampleCamera.find("rate_hz")->place);
+  EXPECT_EQ(config.live.rate_hz, 15);
+  EXPECT_EQ(kSampleCamera.find("device"), nullptr);
+  device_.there = false;
+  EXPECT_TRUE(kSampleCamera.list().empty());
 }
 
 TEST_F(SampleCameraTest, SaysWhatTheDeviceHas) {

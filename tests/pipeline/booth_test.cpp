@@ -826,7 +826,7 @@ TEST_F(Booth, LiveDevicesGiveSetsAndMeshes) {
   for (const capture::RigCamera& camera : footage_->booth.rig().cameras) {
     RigCamera device;
     device.name = camera.name;
-    device.source.kind = kSimulatedCamera;
+    device.source.kind = camera::kSimulatedCamera.name;
     devices.cameras.push_back(device);
   }
   devices.trigger = TriggerKind::Virtual;

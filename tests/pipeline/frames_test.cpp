@@ -9,9 +9,9 @@
 #include <fstream>
 #include <thread>
 
+#include "camera/simulated_rig.hpp"
 #include "facet/error.hpp"
 #include "scripted_stages.hpp"
-#include "simulated/simulated_rig.hpp"
 #include "support/paths.hpp"
 #include "support/videos.hpp"
 #include "trigger/edge_log.hpp"
@@ -51,7 +51,7 @@ RigConfig simulated_rig(std::size_t cameras, double slots_per_second) {
   for (std::size_t i = 0; i < cameras; ++i) {
     RigCamera camera;
     camera.name = "cam" + std::to_string(i);
-    camera.source.kind = kSimulatedCamera;
+    camera.source.kind = camera::kSimulatedCamera.name;
     camera.source.live.width_px = 128;
     camera.source.live.height_px = 64;
     camera.source.live.rate_hz = slots_per_second;

@@ -243,7 +243,7 @@ TEST_F(LiveCameras, ATriggersSlotsAreTheFramesNumbers) {
   for (const ViewConfig& view : config_.views) {
     RigCamera camera;
     camera.name = view.camera.name;
-    camera.source.kind = kSimulatedCamera;
+    camera.source.kind = camera::kSimulatedCamera.name;
     camera.source.live.width_px = view.camera.lens.width_px;
     camera.source.live.height_px = view.camera.lens.height_px;
     devices.cameras.push_back(camera);
@@ -291,7 +291,7 @@ TEST_F(LiveCameras, WhatDoesNotFitTheRigFileIsTold) {
   expect_refused([&] { check(devices, ""); }, ErrorKind::Usage, HasSubstr("booth.rig is missing"));
   devices.trigger = TriggerKind::Virtual;
   devices.cameras.resize(1);
-  devices.cameras[0].source.kind = kSimulatedCamera;
+  devices.cameras[0].source.kind = camera::kSimulatedCamera.name;
   devices.program.lines = {{.name = "cameras"}, {.name = "stripes", .role = LineRole::Projector}};
   devices.program.patterns = {2, 0};
   devices.program.exposure_ns = 1'000'000;

@@ -264,7 +264,11 @@ TEST(Config, ARigThatCannotBeIsToldByKey) {
   EXPECT_THAT(refusal("[camera]\nname = \"a\""), HasSubstr("double square brackets"));
   EXPECT_THAT(refusal("[[camera]]\nname = \"a\""), HasSubstr("f.toml:2: camera.device: is missing"));
   EXPECT_THAT(refusal("[[camera]]\nname = \"a\"\nkind = \"file\""), HasSubstr("camera.path: is missing"));
-  EXPECT_THAT(refusal(camera + "buffers = 3"), HasSubstr("f.toml:5: camera.buffers: is not for a camera"));
+  EXPECT_THAT(refusal(camera + "buffers = 3"),
+              AllOf(HasSubstr("f.toml:5: camera.buffers: is for kind = \"v4l2\" or \"libcamera\""),
+                    HasSubstr("the kind of this one is \"simulated\"")));
+  EXPECT_THAT(refusal("[[camera]]\nname = \"a\"\nkind = \"file\"\npath = \"v\"\npaced = true"),
+              HasSubstr("camera.paced: unknown key"));
   EXPECT_THAT(refusal(camera + "paht = \"x\""), HasSubstr("did you mean 'path'?"));
   EXPECT_THAT(refusal(camera + camera), HasSubstr("two cameras are named 'a'"));
   EXPECT_THAT(refusal(camera + "[trigger]\nkind = \"virtual\"\n"), HasSubstr("needs 1 to 64 lines"));
@@ -472,6 +476,12 @@ stall_after_ms = 500
   require_source(parse_config("[source]\nkind = \"libcamera\"", "facet.toml"), "facet.toml");
 }
 
+TEST(Config, ASimulatedSourceNeedsNothing) {
+  const Config config = parse_config("[source]\nkind = \"simulated\"\nwidth_px = 64\n", "f.toml");
+  EXPECT_EQ(config.pipeline.source.live.width_px, 64);
+  require_source(config, "f.toml");
+}
+
 TEST(Config, ErrorsOfACameraOfLibcamera) {
   const std::string camera = "[source]\nkind = \"libcamera\"\n";
   EXPECT_THAT(error_of(camera + "device = \"/dev/video0\""),
@@ -559,7 +569,7 @@ TEST(Config, ErrorsNameFileLineKeyAndWhatIsAllowed) {
               AllOf(StartsWith("/etc/facet/facet.toml:2: source.paced: "), HasSubstr("true or false")));
   EXPECT_THAT(error_of("\n[source]\nkind = \"webcam\""),
               AllOf(StartsWith("/etc/facet/facet.toml:3: source.kind: "),
-                    HasSubstr("one of: \"file\", \"v4l2\", \"libcamera\"")));
+                    HasSubstr("one of: \"file\", \"v4l2\", \"libcamera\", \"simulated\"")));
   EXPECT_THAT(error_of("[source]\nframes = \"20:10\""), HasSubstr("facet.toml:2: source.frames: "));
   EXPECT_THAT(error_of("[source]\npath = \"\""), HasSubstr("source.path: must be a path"));
   EXPECT_THAT(error_of("[source]\npath = 3"), HasSubstr("source.path: must be a path"));

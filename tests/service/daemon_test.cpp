@@ -14,7 +14,7 @@
 #include "facet/error.hpp"
 #include "gpu/context.hpp"
 #include "service/default_paths.hpp"
-#include "simulated/simulated_rig.hpp"
+#include "camera/simulated_rig.hpp"
 #include "simulation/sequence.hpp"
 #include "stream/client.hpp"
 #include "support/small_disk.hpp"

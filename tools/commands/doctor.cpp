@@ -14,10 +14,8 @@
 #include <vector>
 
 #include "booth/booth_depth.hpp"
-#include "camera/contained_camera.hpp"
 #include "camera/factory.hpp"
 #include "camera/host_sandbox.hpp"
-#include "camera/v4l2_camera.hpp"
 #include "capture/rig_file.hpp"
 #include "face/face_model.hpp"
 #include "facet/assets.hpp"
@@ -115,21 +113,18 @@ void check_model(Report& report, const service::Config& config) {
 
 /// The cameras of this machine.
 void list_cameras(Report& report) {
-  for (const camera::V4l2Description& device : camera::list_v4l2_devices()) {
-    report.say(Verdict::Note, "camera",
-               device.card.empty() ? device.modes
-                                   : fmt::format("{} ({}): {}", device.path, device.card, device.modes));
-    if (!device.controls.empty()) {
-      report.say(Verdict::Note, "controls", fmt::format("{}: {}", device.path, device.controls));
+  for (const camera::CameraKind* kind : camera::camera_kinds()) {
+    try {
+      for (const camera::FoundCamera& found :
+           kind->list != nullptr ? kind->list() : std::vector<camera::FoundCamera>()) {
+        report.say(Verdict::Note, "camera", found.text);
+        if (!found.controls.empty()) {
+          report.say(Verdict::Note, "controls", found.controls);
+        }
+      }
+    } catch (const Error& error) {
+      report.say(Verdict::Note, "camera", error.what());
     }
-  }
-  try {
-    for (const camera::CameraListing& listing : camera::list_contained_cameras()) {
-      report.say(Verdict::Note, "camera",
-                 fmt::format("libcamera, id = '{}': {}", listing.id, listing.description));
-    }
-  } catch (const Error& error) {
-    report.say(Verdict::Note, "camera", error.what());
   }
   if (const std::string unguarded = camera::files_unguarded(); !unguarded.empty()) {
     report.say(Verdict::Note, "containment", unguarded,
@@ -225,7 +220,7 @@ void check_source(Report& report, const service::Config& config) {
   const camera::CameraConfig& source = config.pipeline.source;
   if (!camera::names_source(source)) {
     report.say(Verdict::Note, "source", "none is configured",
-               fmt::format("set source.{} in the configuration", source.kind == "file" ? "path" : "device"));
+               fmt::format("set source.{} in the configuration", camera::camera_kind(source.kind).needs));
     return;
   }
   try {

@@ -1,4 +1,4 @@
-#include "simulated/simulated_rig.hpp"
+#include "camera/simulated_rig.hpp"
 
 #include <gtest/gtest.h>
 

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "camera/factory.hpp"
 #include "facet/camera.hpp"
 #include "facet/frame_set.hpp"
 #include "facet/trigger.hpp"
@@ -70,3 +71,10 @@ enum class Marker { Lines, Count };
 std::uint64_t read_marker(const Frame& frame, Marker marker);
 
 }  // namespace facet::simulated
+
+namespace facet::camera {
+
+/// One that runs by itself and shows markers. FramesPipeline hangs its own on the trigger (SimulatedRig).
+extern const CameraKind kSimulatedCamera;
+
+}  // namespace facet::camera

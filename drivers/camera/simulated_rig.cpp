@@ -1,4 +1,4 @@
-#include "simulated/simulated_rig.hpp"
+#include "camera/simulated_rig.hpp"
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -142,7 +142,7 @@ class RigCamera final : public Camera {
         footage_camera_(footage_camera) {}
 
   CameraInfo info() const override {
-    return {.name = "simulated camera " + config_.name,
+    return {.name = config_.name.empty() ? "simulated camera" : "simulated camera " + config_.name,
             .width_px = config_.width_px,
             .height_px = config_.height_px,
             .rate_hz = config_.rate_hz,
@@ -384,3 +384,23 @@ std::uint64_t read_marker(const Frame& frame, Marker marker) {
 }
 
 }  // namespace facet::simulated
+
+namespace facet::camera {
+namespace {
+
+constexpr CameraSetting kSettings[] = {kWidthSetting, kHeightSetting, kRateSetting};
+
+std::unique_ptr<Camera> open_alone(const CameraConfig& config) {
+  return simulated::SimulatedRig(0, 0).camera(
+      {"", config.live.width_px, config.live.height_px, config.live.rate_hz}, false);
+}
+
+}  // namespace
+
+constexpr CameraKind kSimulatedCamera = {
+    .name = "simulated",
+    .settings = kSettings,
+    .open = open_alone,
+};
+
+}  // namespace facet::camera
