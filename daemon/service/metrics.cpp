@@ -10,9 +10,11 @@
 #include <exception>
 #include <filesystem>
 #include <fstream>
+#include <initializer_list>
 #include <limits>
 #include <set>
 #include <string_view>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -21,32 +23,26 @@
 #include "service/listen_address.hpp"
 
 namespace facet::service {
-namespace {
 
 using prometheus::ClientMetric;
 using prometheus::MetricFamily;
 using prometheus::MetricType;
 
-using Labels = std::vector<ClientMetric::Label>;
-
-/// Families in the order in which they are begun.
-class Families {
+/// One family while it is filled.
+class Series {
  public:
-  void begin(const char* name, const char* help, MetricType type) {
-    MetricFamily& family = families_.emplace_back();
-    family.name = std::string("facet_") + name;
-    family.help = help;
-    family.type = type;
+  Series(const Metric& metric, MetricFamily& family) : metric_(metric), family_(family) {}
+
+  /// label_values  as many as the metric has labels, in their order
+  template <typename Number>
+  requires std::is_arithmetic_v<Number>
+  void add(Number value, std::initializer_list<std::string> label_values = {}) {
+    ClientMetric& one = next(label_values);
+    (family_.type == MetricType::Counter ? one.counter.value : one.gauge.value) = static_cast<double>(value);
   }
 
-  void add(double value, Labels labels = {}) {
-    ClientMetric& metric = next(std::move(labels));
-    (families_.back().type == MetricType::Counter ? metric.counter.value : metric.gauge.value) = value;
-  }
-  void add(std::uint64_t value, Labels labels = {}) { add(static_cast<double>(value), std::move(labels)); }
-
-  void add(const pipeline::Histogram& histogram, Labels labels) {
-    ClientMetric::Histogram& out = next(std::move(labels)).histogram;
+  void add(const pipeline::Histogram& histogram, std::initializer_list<std::string> label_values) {
+    ClientMetric::Histogram& out = next(label_values).histogram;
     out.sample_sum = histogram.sum_ms * 1e-3;
     std::uint64_t below = 0;
     for (std::size_t i = 0; i < histogram.counts.size(); ++i) {
@@ -58,78 +54,37 @@ class Families {
     out.sample_count = below;
   }
 
-  void gauge(const char* name, const char* help, double value) {
-    begin(name, help, MetricType::Gauge);
-    add(value);
-  }
-  void counter(const char* name, const char* help, std::uint64_t value) {
-    begin(name, help, MetricType::Counter);
-    add(value);
-  }
-
-  std::vector<MetricFamily> take() { return std::move(families_); }
-
  private:
-  ClientMetric& next(Labels labels) {
-    ClientMetric& metric = families_.back().metric.emplace_back();
-    metric.label = std::move(labels);
-    return metric;
+  ClientMetric& next(std::initializer_list<std::string> label_values) {
+    ClientMetric& one = family_.metric.emplace_back();
+    const char* const* label = metric_.labels.data();
+    for (const std::string& value : label_values) {
+      one.label.push_back({*label++, value});
+    }
+    return one;
   }
 
-  std::vector<MetricFamily> families_;
+  const Metric& metric_;
+  MetricFamily& family_;
 };
 
-/// One series of a state is 1, the others 0.
-template <typename Names>
-void add_states(Families& out, const Names& names, const std::string& now, const Labels& labels = {}) {
-  for (const char* name : names) {
-    Labels with_state = labels;
-    with_state.push_back({"state", name});
-    out.add(now == name ? 1.0 : 0.0, std::move(with_state));
+namespace {
+
+/// The names of an enum's values up to the last one.
+template <auto Last>
+std::vector<std::string> names() {
+  std::vector<std::string> all;
+  for (std::size_t i = 0; i <= static_cast<std::size_t>(Last); ++i) {
+    all.emplace_back(to_string(static_cast<decltype(Last)>(i)));
   }
+  return all;
 }
 
-void collect_daemon(Families& out, const MetricsSnapshot& now) {
-  out.begin("info", "Version and device of the refinement; always 1.", MetricType::Gauge);
-  out.add(1.0, {{"version", FACET_VERSION}, {"gpu", now.pipeline.device}});
-  out.begin("state", "1 for the daemon's state, else 0.", MetricType::Gauge);
-  constexpr std::array kStates = {
-      "starting", "waiting for a reader", "preparing", "running", "ended", "stopped", "failed", "idle"};
-  add_states(out, kStates, now.state);
-  out.gauge("uptime_seconds", "Since the daemon was started.", now.uptime_s);
-  out.gauge("resident_bytes", "Memory in use.", static_cast<double>(now.resident_bytes));
-  out.gauge("disk_free_bytes", "Free where takes are recorded.", static_cast<double>(now.disk_free_bytes));
-}
-
-void collect_frames(Families& out, const pipeline::PipelineStatus& now) {
-  out.begin("frames_total", "Frames (mode \"frames\": frame sets) by what became of them.",
-            MetricType::Counter);
-  const std::pair<const char*, std::uint64_t> counts[] = {
-      {"captured", now.captured},       {"dropped", now.dropped},  {"processed", now.processed},
-      {"face", now.face_frames},        {"mesh", now.mesh_frames}, {"refined", now.refined_frames},
-      {"degraded", now.degraded_frames}};
-  for (const auto& [outcome, count] : counts) {
-    out.add(count, {{"outcome", outcome}});
-  }
-  out.gauge("frames_per_second", "Handed out, over the last 128 frames.", now.frames_per_second);
-  out.begin("tracking_state", "1 for the tracker's state with the last frame, else 0.", MetricType::Gauge);
-  constexpr std::array kTracking = {mesh::TrackingState::Searching, mesh::TrackingState::Acquiring,
-                                    mesh::TrackingState::Tracking, mesh::TrackingState::Lost};
-  for (const mesh::TrackingState state : kTracking) {
-    out.add(now.tracking == state ? 1.0 : 0.0, {{"state", mesh::to_string(state)}});
-  }
-  out.begin("stage_seconds",
-            "Time of a stage per frame; lighting, albedo and displacement are the GPU's. Latency: from the "
-            "frame's delivery to the hand-out.",
-            MetricType::Histogram);
-  for (std::size_t s = 0; s < pipeline::kStages.size(); ++s) {
-    out.add(now.histograms[s], {{"stage", pipeline::kStages[s].name}});
-  }
-  out.begin("queue_frames", "Frames that wait for a stage.", MetricType::Gauge);
-  out.add(std::uint64_t{now.queued_captured}, {{"queue", "captured"}});
-  out.add(std::uint64_t{now.queued_tracked}, {{"queue", "tracked"}});
-  out.gauge("photometric_rms", "Mean over the last refined frames; linear light, 0 to 1.",
-            static_cast<double>(now.photometric_rms));
+std::vector<std::string> daemon_states() {
+  std::vector<std::string> all = names<pipeline::PipelineState::Failed>();
+  std::rotate(all.begin(), all.begin() + 1, all.end());  // idle comes last
+  all.insert(all.begin(), kStatesBeforeThePipeline.begin(), kStatesBeforeThePipeline.end());
+  return all;
 }
 
 struct NamedCamera {
@@ -137,161 +92,308 @@ struct NamedCamera {
   const CameraStatus* status;
 };
 
-std::vector<NamedCamera> cameras_of(const pipeline::PipelineStatus& now) {
-  if (!now.rig) {
-    return {{now.source.name, &now.camera}};
+std::vector<NamedCamera> cameras_of(const MetricsSnapshot& now) {
+  const pipeline::PipelineStatus& status = now.pipeline;
+  if (!status.rig) {
+    return {{status.source.name, &status.camera}};
   }
   std::vector<NamedCamera> cameras;
-  cameras.reserve(now.rig->cameras.size());
-  for (const pipeline::RigCameraStatus& camera : now.rig->cameras) {
+  cameras.reserve(status.rig->cameras.size());
+  for (const pipeline::RigCameraStatus& camera : status.rig->cameras) {
     cameras.push_back({camera.name, &camera.status});
   }
   return cameras;
 }
 
-void collect_cameras(Families& out, const pipeline::PipelineStatus& now) {
-  const std::vector<NamedCamera> cameras = cameras_of(now);
-  constexpr std::array kStates = {"idle",    "absent",  "opening", "streaming",
-                                  "waiting", "stalled", "failing", "ended"};
-  out.begin("camera_state", "1 for a camera's state, else 0.", MetricType::Gauge);
-  for (const NamedCamera& camera : cameras) {
-    add_states(out, kStates, to_string(camera.status->state), {{"camera", camera.name}});
+using Now = const MetricsSnapshot&;
+
+/// get  gives the value, or adds the series
+template <typename Get>
+Metric metric(MetricType type, const char* name, const char* help, Metric::Labels labels, Get get) {
+  if constexpr (std::is_invocable_v<Get, Now>) {
+    return {name, help, type, labels, [get](Now now, Series& out) { out.add(get(now)); }};
+  } else {
+    return {name, help, type, labels, get};
   }
-  out.begin("camera_frames_total", "Frames of a camera by what became of them (docs/control-protocol.md).",
-            MetricType::Counter);
-  for (const NamedCamera& camera : cameras) {
-    for (const CameraCount& count : kCameraCounts) {
-      out.add(camera.status->counters.*count.value, {{"camera", camera.name}, {"outcome", count.name}});
+}
+template <typename Get>
+Metric gauge(const char* name, const char* help, Get get) {
+  return metric(MetricType::Gauge, name, help, {}, get);
+}
+template <typename Get>
+Metric gauge(const char* name, const char* help, Metric::Labels labels, Get get) {
+  return metric(MetricType::Gauge, name, help, labels, get);
+}
+template <typename Get>
+Metric counter(const char* name, const char* help, Get get) {
+  return metric(MetricType::Counter, name, help, {}, get);
+}
+template <typename Get>
+Metric counter(const char* name, const char* help, Metric::Labels labels, Get get) {
+  return metric(MetricType::Counter, name, help, labels, get);
+}
+
+/// Adds one series for each camera of the sets.
+template <typename Get>
+auto each_match(Get get) {
+  return [get](Now now, Series& out) {
+    for (const capture::CameraMatch& match : now.pipeline.rig->sets.cameras) {
+      out.add(get(match), {match.name});
     }
-  }
+  };
 }
 
-void collect_sets(Families& out, const capture::CaptureStatistics& sets) {
-  out.begin("sets_total", "Frame sets by what became of them.", MetricType::Counter);
-  out.add(sets.complete, {{"outcome", "complete"}});
-  out.add(sets.incomplete, {{"outcome", "incomplete"}});
-  out.add(sets.dropped, {{"outcome", "dropped"}});
-  out.gauge("sets_worst_skew_seconds", "Largest skew between the pictures of a set.",
-            static_cast<double>(sets.worst_skew_ns) * 1e-9);
-  out.begin("camera_in_step", "1 while a camera's times and numbers agree with the trigger.",
-            MetricType::Gauge);
-  for (const capture::CameraMatch& match : sets.cameras) {
-    out.add(match.in_step ? 1.0 : 0.0, {{"camera", match.name}});
-  }
-  out.begin("camera_refused_total", "Frames that came into no set, by cause.", MetricType::Counter);
-  for (const capture::CameraMatch& match : sets.cameras) {
-    for (std::size_t cause = 0; cause < capture::kRefusals.size(); ++cause) {
-      out.add(match.refused.at(cause), {{"camera", match.name}, {"cause", capture::kRefusals.at(cause)}});
-    }
-  }
-  out.begin("camera_offset_seconds", "Mean of the time stamp behind the trigger's edge.", MetricType::Gauge);
-  for (const capture::CameraMatch& match : sets.cameras) {
-    out.add(match.offset_ns * 1e-9, {{"camera", match.name}});
-  }
-  out.begin("camera_jitter_seconds", "Standard deviation of the time stamp.", MetricType::Gauge);
-  for (const capture::CameraMatch& match : sets.cameras) {
-    out.add(match.jitter_ns * 1e-9, {{"camera", match.name}});
-  }
-  out.begin("camera_skew_seconds", "Mean of the time stamp to the mean of its set.", MetricType::Gauge);
-  for (const capture::CameraMatch& match : sets.cameras) {
-    out.add(match.skew_ns * 1e-9, {{"camera", match.name}});
-  }
+std::vector<Metric> of_daemon() {
+  return {
+      gauge("info", "Version and device of the refinement; always 1.", {"version", "gpu"},
+            [](Now now, Series& out) {
+              out.add(1.0, {FACET_VERSION, now.pipeline.device});
+            }),
+      gauge("state", "1 for the daemon's state, else 0.", {"state"},
+            [](Now now, Series& out) {
+              for (const std::string& state : daemon_states()) {
+                out.add(now.state == state, {state});
+              }
+            }),
+      gauge("uptime_seconds", "Since the daemon was started.", [](Now now) { return now.uptime_s; }),
+      gauge("resident_bytes", "Memory in use.", [](Now now) { return now.resident_bytes; }),
+      gauge("disk_free_bytes", "Free where takes are recorded.", [](Now now) { return now.disk_free_bytes; }),
+  };
 }
 
-void collect_trigger(Families& out, const TriggerStatus& trigger) {
-  out.gauge("trigger_running", "1 while slots are fired.",
-            trigger.state == TriggerState::Running ? 1.0 : 0.0);
-  out.gauge("trigger_real_time", "1 where the edges have real-time priority and locked memory.",
-            trigger.real_time ? 1.0 : 0.0);
-  out.begin("trigger_slots_total", "Slots of the trigger.", MetricType::Counter);
-  out.add(trigger.slots_fired, {{"outcome", "fired"}});
-  out.add(trigger.slots_dropped, {{"outcome", "dropped"}});
-  out.begin("trigger_edges_total", "Edges of the trigger's lines.", MetricType::Counter);
-  const std::pair<const char*, std::uint64_t> counts[] = {{"set", trigger.edges},
-                                                          {"late", trigger.edges_late},
-                                                          {"proven", trigger.edges_proven},
-                                                          {"missing", trigger.edges_missing},
-                                                          {"stray", trigger.edges_stray}};
-  for (const auto& [outcome, count] : counts) {
-    out.add(count, {{"outcome", outcome}});
-  }
-  out.gauge("trigger_worst_late_seconds", "Largest lateness of an edge.",
-            static_cast<double>(trigger.worst_late_ns) * 1e-9);
+std::vector<Metric> of_frames() {
+  return {
+      counter("frames_total", "Frames (mode \"frames\": frame sets) by what became of them.", {"outcome"},
+              [](Now now, Series& out) {
+                out.add(now.pipeline.captured, {"captured"});
+                out.add(now.pipeline.dropped, {"dropped"});
+                out.add(now.pipeline.processed, {"processed"});
+                out.add(now.pipeline.face_frames, {"face"});
+                out.add(now.pipeline.mesh_frames, {"mesh"});
+                out.add(now.pipeline.refined_frames, {"refined"});
+                out.add(now.pipeline.degraded_frames, {"degraded"});
+              }),
+      gauge("frames_per_second", "Handed out, over the last 128 frames.",
+            [](Now now) { return now.pipeline.frames_per_second; }),
+      gauge("tracking_state", "1 for the tracker's state with the last frame, else 0.", {"state"},
+            [](Now now, Series& out) {
+              for (const std::string& state : names<mesh::TrackingState::Lost>()) {
+                out.add(to_string(now.pipeline.tracking) == state, {state});
+              }
+            }),
+      metric(MetricType::Histogram, "stage_seconds",
+             "Time of a stage per frame; lighting, albedo and displacement are the GPU's. Latency: from the "
+             "frame's delivery to the hand-out.",
+             {"stage"},
+             [](Now now, Series& out) {
+               for (std::size_t s = 0; s < pipeline::kStages.size(); ++s) {
+                 out.add(now.pipeline.histograms[s], {pipeline::kStages[s].name});
+               }
+             }),
+      gauge("queue_frames", "Frames that wait for a stage.", {"queue"},
+            [](Now now, Series& out) {
+              out.add(now.pipeline.queued_captured, {"captured"});
+              out.add(now.pipeline.queued_tracked, {"tracked"});
+            }),
+      gauge("photometric_rms", "Mean over the last refined frames; linear light, 0 to 1.",
+            [](Now now) { return static_cast<double>(now.pipeline.photometric_rms); }),
+  };
 }
 
-void collect_stream(Families& out, const stream::StreamStatistics& stream) {
-  out.gauge("stream_readers", "Readers of the stream.", static_cast<double>(stream.readers.size()));
-  out.gauge("stream_ring_readers", "Those of them that read through shared memory.",
-            static_cast<double>(std::count_if(stream.readers.begin(), stream.readers.end(),
-                                              [](const auto& reader) { return reader.ring; })));
-  out.gauge("stream_web_readers", "Those of them that read over a WebSocket.",
-            static_cast<double>(std::count_if(stream.readers.begin(), stream.readers.end(),
-                                              [](const auto& reader) { return reader.web; })));
-  out.counter("stream_published_total", "Frames given to the stream.", stream.published);
-  out.counter("stream_skipped_total", "Frames that a newer one replaced before any reader could get them.",
-              stream.skipped);
-  out.counter("stream_refused_total", "Connections that were refused or broken off.", stream.refused);
-  out.begin("stream_reader_dropped_total", "Frames that a reader was too slow for.", MetricType::Counter);
-  for (const stream::ReaderStatistics& reader : stream.readers) {
-    out.add(reader.frames_dropped, {{"reader", std::to_string(reader.id)}, {"client", reader.client}});
-  }
+std::vector<Metric> of_cameras() {
+  return {
+      gauge("camera_state", "1 for a camera's state, else 0.", {"camera", "state"},
+            [](Now now, Series& out) {
+              for (const NamedCamera& camera : cameras_of(now)) {
+                for (const std::string& state : names<CameraState::Ended>()) {
+                  out.add(to_string(camera.status->state) == state, {camera.name, state});
+                }
+              }
+            }),
+      counter("camera_frames_total", "Frames of a camera by what became of them (docs/control-protocol.md).",
+              {"camera", "outcome"},
+              [](Now now, Series& out) {
+                for (const NamedCamera& camera : cameras_of(now)) {
+                  for (const CameraCount& count : kCameraCounts) {
+                    out.add(camera.status->counters.*count.value, {camera.name, count.name});
+                  }
+                }
+              }),
+  };
 }
 
-void collect_take(Families& out, const std::optional<take::RecorderStatus>& take) {
-  const bool recording = take && take->state == take::RecorderState::Recording;
-  out.gauge("recording", "1 while a take is recorded.", recording ? 1.0 : 0.0);
-  if (take) {
-    out.gauge("take_frames", "Frames of the current take that are safe on the disk.",
-              static_cast<double>(take->frames));
-    out.gauge("take_dropped_frames", "Frames that the current take lacks.",
-              static_cast<double>(take->dropped));
-    out.gauge("take_bytes", "Size of the current take's frames.", static_cast<double>(take->bytes));
-    out.gauge("take_queued_frames", "Frames that wait for the disk.", static_cast<double>(take->queued));
-  }
+std::vector<Metric> of_sets() {
+  using Match = const capture::CameraMatch&;
+  return {
+      counter("sets_total", "Frame sets by what became of them.", {"outcome"},
+              [](Now now, Series& out) {
+                const capture::CaptureStatistics& sets = now.pipeline.rig->sets;
+                out.add(sets.complete, {"complete"});
+                out.add(sets.incomplete, {"incomplete"});
+                out.add(sets.dropped, {"dropped"});
+              }),
+      gauge("sets_worst_skew_seconds", "Largest skew between the pictures of a set.",
+            [](Now now) { return static_cast<double>(now.pipeline.rig->sets.worst_skew_ns) * 1e-9; }),
+      gauge("camera_in_step", "1 while a camera's times and numbers agree with the trigger.", {"camera"},
+            each_match([](Match match) { return match.in_step; })),
+      counter("camera_refused_total", "Frames that came into no set, by cause.", {"camera", "cause"},
+              [](Now now, Series& out) {
+                for (Match match : now.pipeline.rig->sets.cameras) {
+                  for (std::size_t cause = 0; cause < capture::kRefusals.size(); ++cause) {
+                    out.add(match.refused.at(cause), {match.name, capture::kRefusals.at(cause)});
+                  }
+                }
+              }),
+      gauge("camera_offset_seconds", "Mean of the time stamp behind the trigger's edge.", {"camera"},
+            each_match([](Match match) { return match.offset_ns * 1e-9; })),
+      gauge("camera_jitter_seconds", "Standard deviation of the time stamp.", {"camera"},
+            each_match([](Match match) { return match.jitter_ns * 1e-9; })),
+      gauge("camera_skew_seconds", "Mean of the time stamp to the mean of its set.", {"camera"},
+            each_match([](Match match) { return match.skew_ns * 1e-9; })),
+  };
+}
+
+std::vector<Metric> of_trigger() {
+  constexpr auto of = [](Now now) -> const TriggerStatus& { return *now.pipeline.rig->trigger; };
+  return {
+      gauge("trigger_running", "1 while slots are fired.",
+            [=](Now now) { return of(now).state == TriggerState::Running; }),
+      gauge("trigger_real_time", "1 where the edges have real-time priority and locked memory.",
+            [=](Now now) { return of(now).real_time; }),
+      counter("trigger_slots_total", "Slots of the trigger.", {"outcome"},
+              [=](Now now, Series& out) {
+                out.add(of(now).slots_fired, {"fired"});
+                out.add(of(now).slots_dropped, {"dropped"});
+              }),
+      counter("trigger_edges_total", "Edges of the trigger's lines.", {"outcome"},
+              [=](Now now, Series& out) {
+                out.add(of(now).edges, {"set"});
+                out.add(of(now).edges_late, {"late"});
+                out.add(of(now).edges_proven, {"proven"});
+                out.add(of(now).edges_missing, {"missing"});
+                out.add(of(now).edges_stray, {"stray"});
+              }),
+      gauge("trigger_worst_late_seconds", "Largest lateness of an edge.",
+            [=](Now now) { return static_cast<double>(of(now).worst_late_ns) * 1e-9; }),
+  };
+}
+
+std::vector<Metric> of_stream() {
+  constexpr auto count = [](Now now, bool stream::ReaderStatistics::*by) {
+    const auto& readers = now.stream.readers;
+    return static_cast<std::uint64_t>(
+        std::count_if(readers.begin(), readers.end(), [&](const auto& reader) { return reader.*by; }));
+  };
+  return {
+      gauge("stream_readers", "Readers of the stream.", [](Now now) { return now.stream.readers.size(); }),
+      gauge("stream_ring_readers", "Those of them that read through shared memory.",
+            [=](Now now) { return count(now, &stream::ReaderStatistics::ring); }),
+      gauge("stream_web_readers", "Those of them that read over a WebSocket.",
+            [=](Now now) { return count(now, &stream::ReaderStatistics::web); }),
+      counter("stream_published_total", "Frames given to the stream.",
+              [](Now now) { return now.stream.published; }),
+      counter("stream_skipped_total", "Frames that a newer one replaced before any reader could get them.",
+              [](Now now) { return now.stream.skipped; }),
+      counter("stream_refused_total", "Connections that were refused or broken off.",
+              [](Now now) { return now.stream.refused; }),
+      counter("stream_reader_dropped_total", "Frames that a reader was too slow for.", {"reader", "client"},
+              [](Now now, Series& out) {
+                for (const stream::ReaderStatistics& reader : now.stream.readers) {
+                  out.add(reader.frames_dropped, {std::to_string(reader.id), reader.client});
+                }
+              }),
+  };
+}
+
+std::vector<Metric> of_page() {
+  return {
+      counter("web_requests_total", "Requests to the page and its WebSockets.",
+              [](Now now) { return now.web->requests; }),
+      counter("web_refused_total", "Of them refused for host, origin, method, path or token.",
+              [](Now now) { return now.web->refused; }),
+      counter("web_broken_off_total", "Connections closed for taking too long, or for want of a place.",
+              [](Now now) { return now.web->broken_off; }),
+      counter("web_wrong_tokens_total", "Of them for the token.",
+              [](Now now) { return now.web->wrong_tokens; }),
+  };
+}
+
+Metric of_recording() {
+  return gauge("recording", "1 while a take is recorded.",
+               [](Now now) { return now.take && now.take->state == take::RecorderState::Recording; });
+}
+
+std::vector<Metric> of_take() {
+  return {
+      gauge("take_frames", "Frames of the current take that are safe on the disk.",
+            [](Now now) { return now.take->frames; }),
+      gauge("take_dropped_frames", "Frames that the current take lacks.",
+            [](Now now) { return now.take->dropped; }),
+      gauge("take_bytes", "Size of the current take's frames.", [](Now now) { return now.take->bytes; }),
+      gauge("take_queued_frames", "Frames that wait for the disk.", [](Now now) { return now.take->queued; }),
+  };
 }
 
 /// What the kernel's thermal zones say, where they can be read.
-void collect_temperatures(Families& out) {
-  out.begin("temperature_celsius", "Of the machine's thermal zones.", MetricType::Gauge);
-  std::error_code error;
-  for (std::filesystem::directory_iterator zone("/sys/class/thermal", error), end; !error && zone != end;
-       zone.increment(error)) {
-    std::ifstream temperature(zone->path() / "temp");
-    std::ifstream type(zone->path() / "type");
-    double millidegrees = 0;
-    std::string name;
-    if (temperature >> millidegrees && std::getline(type, name)) {
-      out.add(millidegrees * 1e-3, {{"zone", zone->path().filename().string()}, {"type", name}});
-    }
-  }
+Metric of_machine() {
+  return gauge("temperature_celsius", "Of the machine's thermal zones.", {"zone", "type"},
+               [](Now, Series& out) {
+                 std::error_code error;
+                 for (std::filesystem::directory_iterator zone("/sys/class/thermal", error), end;
+                      !error && zone != end; zone.increment(error)) {
+                   std::ifstream temperature(zone->path() / "temp");
+                   std::ifstream type(zone->path() / "type");
+                   double millidegrees = 0;
+                   std::string name;
+                   if (temperature >> millidegrees && std::getline(type, name)) {
+                     out.add(millidegrees * 1e-3, {zone->path().filename().string(), name});
+                   }
+                 }
+               });
 }
 
-std::string metrics_text(const MetricsSnapshot& now) {
-  Families out;
-  collect_daemon(out, now);
-  collect_frames(out, now.pipeline);
-  collect_cameras(out, now.pipeline);
-  if (now.pipeline.rig) {
-    collect_sets(out, now.pipeline.rig->sets);
-    if (now.pipeline.rig->trigger) {
-      collect_trigger(out, *now.pipeline.rig->trigger);
+std::vector<Metric> all_metrics() {
+  std::vector<Metric> all;
+  const auto add = [&](std::vector<Metric> some, bool (*is_there)(Now) = nullptr) {
+    for (Metric& one : some) {
+      one.is_there = is_there;
+      all.push_back(std::move(one));
     }
-  }
-  collect_stream(out, now.stream);
-  if (now.web) {
-    out.counter("web_requests_total", "Requests to the page and its WebSockets.", now.web->requests);
-    out.counter("web_refused_total", "Of them refused for host, origin, method, path or token.",
-                now.web->refused);
-    out.counter("web_broken_off_total", "Connections closed for taking too long, or for want of a place.",
-                now.web->broken_off);
-    out.counter("web_wrong_tokens_total", "Of them for the token.", now.web->wrong_tokens);
-  }
-  collect_take(out, now.take);
-  collect_temperatures(out);
-  return prometheus::TextSerializer().Serialize(out.take());
+  };
+  add(of_daemon());
+  add(of_frames());
+  add(of_cameras());
+  add(of_sets(), [](Now now) { return now.pipeline.rig.has_value(); });
+  add(of_trigger(), [](Now now) { return now.pipeline.rig && now.pipeline.rig->trigger; });
+  add(of_stream());
+  add(of_page(), [](Now now) { return now.web.has_value(); });
+  add({of_recording()});
+  add(of_take(), [](Now now) { return now.take.has_value(); });
+  add({of_machine()});
+  return all;
 }
 
 }  // namespace
+
+const std::vector<Metric>& metrics() {
+  static const std::vector<Metric> kAll = all_metrics();
+  return kAll;
+}
+
+std::string metrics_text(const MetricsSnapshot& now) {
+  std::vector<MetricFamily> families;
+  for (const Metric& one : metrics()) {
+    if (one.is_there == nullptr || one.is_there(now)) {
+      MetricFamily& family = families.emplace_back();
+      family.name = std::string("facet_") + one.name;
+      family.help = one.help;
+      family.type = one.type;
+      Series series(one, family);
+      one.get(now, series);
+    }
+  }
+  return prometheus::TextSerializer().Serialize(families);
+}
 
 struct MetricsServer::Impl {
   Impl(const MetricsConfig& config, std::function<MetricsSnapshot()> given,

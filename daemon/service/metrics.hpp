@@ -1,5 +1,8 @@
 #pragma once
 
+#include <prometheus/metric_type.h>
+
+#include <array>
 #include <functional>
 #include <memory>
 #include <optional>
@@ -24,6 +27,29 @@ struct MetricsSnapshot {
   std::optional<take::RecorderStatus> take;
   std::optional<WebStatistics> web;  ///< none: the page is off
 };
+
+/// MetricsSnapshot::state before there is a pipeline::PipelineState.
+inline constexpr std::array kStatesBeforeThePipeline = {"starting", "waiting for a reader"};
+
+class Series;
+
+/// One metric; /metrics and the test of docs/metrics.md walk them.
+struct Metric {
+  using Labels = std::array<const char*, 2>;  ///< null: none
+
+  const char* name;  ///< behind "facet_"
+  const char* help;
+  prometheus::MetricType type;
+  Labels labels;
+  std::function<void(const MetricsSnapshot& now, Series& out)> get;
+  bool (*is_there)(const MetricsSnapshot& now) = nullptr;  ///< null: always
+};
+
+/// In the order in which they are served.
+const std::vector<Metric>& metrics();
+
+/// Prometheus' text format.
+std::string metrics_text(const MetricsSnapshot& now);
 
 /// Serves metrics in Prometheus' text format over HTTP, path /metrics (docs/metrics.md lists them). Its one
 /// thread asks for a snapshot with every scrape. Destroying it ends the thread.

@@ -335,7 +335,8 @@ json Service::Impl::status() {
 }
 
 std::string Service::Impl::state(const pipeline::PipelineStatus& now) const {
-  return !pipeline ? "starting" : !running ? "waiting for a reader" : pipeline::to_string(now.state);
+  const auto& [starting, waiting] = kStatesBeforeThePipeline;
+  return !pipeline ? starting : !running ? waiting : pipeline::to_string(now.state);
 }
 
 /// On a thread of the metrics server, which lives no longer than the pipeline.

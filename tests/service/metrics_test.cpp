@@ -154,34 +154,55 @@ TEST(Metrics, AreThereWhileHalfRequestsAreOpen) {
   EXPECT_THAT(scrape(server.port()), HasSubstr("facet_info"));
 }
 
-/// Every metric of the dashboard and of the documentation is there, and every metric is documented.
+std::string source_text(const char* name) {
+  std::ifstream file(std::filesystem::path(FACET_SOURCE_DIR) / name);
+  return {std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
+}
+
+std::set<std::string> matches(const std::string& text, const std::regex& pattern) {
+  std::set<std::string> found;
+  for (std::sregex_iterator at(text.begin(), text.end(), pattern), end; at != end; ++at) {
+    found.insert((*at)[1]);
+  }
+  return found;
+}
+
+/// Every row is served, and documented with its labels; the page and the dashboard name no other metric.
 TEST(Metrics, DashboardAndDocumentationNameWhatIsThere) {
-  const MetricsServer server(anywhere(), snapshot);
-  const std::string text = scrape(server.port());
-  std::set<std::string> served;
-  const std::regex type("# TYPE (facet_[a-z_]+) ");
-  for (std::sregex_iterator at(text.begin(), text.end(), type), end; at != end; ++at) {
-    served.insert((*at)[1]);
-  }
-  EXPECT_GT(served.size(), 25U);
-  const auto read = [](const char* name) {
-    std::ifstream file(std::filesystem::path(FACET_SOURCE_DIR) / name);
-    return std::string{std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
-  };
-  const std::regex metric("facet_[a-z_]+");
-  const auto names_in = [&](const std::string& of) {
-    std::set<std::string> names;
-    for (std::sregex_iterator at(of.begin(), of.end(), metric), end; at != end; ++at) {
-      names.insert(std::regex_replace(at->str(), std::regex("_(bucket|count|sum)$"), ""));
+  std::set<std::string> known;
+  const std::string page = source_text("docs/metrics.md");
+  for (const Metric& metric : metrics()) {
+    const std::string name = std::string("facet_") + metric.name;
+    EXPECT_TRUE(known.insert(name).second) << name << " has two rows";
+    const std::size_t line = page.find("`" + name + "`");
+    ASSERT_NE(line, std::string::npos) << name << " is not documented";
+    for (const char* label : metric.labels) {
+      if (label != nullptr) {
+        EXPECT_THAT(page.substr(line, page.find('\n', line) - line),
+                    HasSubstr("`" + std::string(label) + "`"))
+            << name;
+      }
     }
-    return names;
-  };
-  const std::string dashboard = read("packaging/grafana-dashboard.json");
-  ASSERT_TRUE(nlohmann::json::accept(dashboard));
-  for (const std::string& name : names_in(dashboard)) {
-    EXPECT_TRUE(served.contains(name)) << name << " is on the dashboard and is not served";
   }
-  EXPECT_EQ(names_in(read("docs/metrics.md")), served);
+  EXPECT_EQ(matches(metrics_text(snapshot()), std::regex("# TYPE (facet_[a-z_]+) ")), known);
+  const std::regex name("(facet_[a-z_]+?)(_bucket|_count|_sum)?(?![a-z_])");
+  EXPECT_EQ(matches(page, name), known);
+  const std::string dashboard = source_text("packaging/grafana-dashboard.json");
+  ASSERT_TRUE(nlohmann::json::accept(dashboard));
+  for (const std::string& shown : matches(dashboard, name)) {
+    EXPECT_TRUE(known.contains(shown)) << shown << " is on the dashboard and is not served";
+  }
+}
+
+TEST(Metrics, AStateIsOneSeriesForEachThatThereIs) {
+  MetricsSnapshot now = snapshot();
+  now.state = kStatesBeforeThePipeline[1];
+  const std::string text = metrics_text(now);
+  EXPECT_EQ(matches(text, std::regex("facet_state\\{state=\"([a-z ]+)\"\\}")).size(), 8U);
+  EXPECT_THAT(text, HasSubstr("facet_state{state=\"waiting for a reader\"} 1\n"));
+  EXPECT_THAT(text, HasSubstr("facet_state{state=\"idle\"} 0\n"));
+  EXPECT_THAT(text, HasSubstr("facet_tracking_state{state=\"lost\"} 0\n"));
+  EXPECT_THAT(text, HasSubstr("facet_camera_state{camera=\"left\",state=\"ended\"} 0\n"));
 }
 
 TEST_F(Daemon, ServesMetrics) {
