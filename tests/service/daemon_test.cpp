@@ -9,12 +9,15 @@
 
 #include <array>
 #include <fstream>
+#include <map>
+#include <regex>
+#include <set>
 
+#include "camera/simulated_rig.hpp"
 #include "daemon_fixture.hpp"
 #include "facet/error.hpp"
 #include "gpu/context.hpp"
 #include "service/default_paths.hpp"
-#include "camera/simulated_rig.hpp"
 #include "simulation/sequence.hpp"
 #include "stream/client.hpp"
 #include "support/small_disk.hpp"
@@ -55,6 +58,58 @@ TEST_F(Daemon, BrokenOffTakeIsClosedAtTheNextStart) {
   EXPECT_THAT(listed["end_reason"].get<std::string>(), HasSubstr("broken off"));
   EXPECT_THAT(daemon->output(), HasSubstr("killed.take had been broken off"));
   EXPECT_FALSE(std::filesystem::exists(folder_.path() / "takes" / "killed.take-wal"));
+  ask("shutdown");
+  expect_clean_end(*daemon);
+}
+
+std::set<std::string> words_in(const std::string& text, const std::regex& pattern) {
+  std::set<std::string> found;
+  for (std::sregex_iterator at(text.begin(), text.end(), pattern), end; at != end; ++at) {
+    found.insert((*at)[1]);
+  }
+  return found;
+}
+
+/// What the daemon says that there is, of methods or of a method's params.
+std::set<std::string> known_to(ControlClient& daemon, const std::string& method, const json& params) {
+  try {
+    daemon.call(method, params);
+  } catch (const Error& error) {
+    const std::string told = error.what();
+    EXPECT_THAT(told, ::testing::AnyOf(HasSubstr("there are: "), HasSubstr("takes no params")));
+    const std::size_t list = told.find("there are: ");
+    return list == std::string::npos ? std::set<std::string>()
+                                     : words_in(told.substr(list + 11), std::regex("([a-z_.]+)"));
+  }
+  ADD_FAILURE() << method << " " << params << " was taken";
+  return {};
+}
+
+/// docs/control-protocol.md has every method and every param, and no other.
+TEST_F(Daemon, EveryMethodAndParamIsDocumented) {
+  std::map<std::string, std::set<std::string>> documented;
+  std::ifstream page(std::filesystem::path(FACET_SOURCE_DIR) / "docs" / "control-protocol.md");
+  const std::regex row("\\| `([a-z_.]+)` \\| ([^|]*) \\| [^|]* \\| (all|members) \\|");
+  std::smatch cells;
+  for (std::string line; std::getline(page, line);) {
+    if (std::regex_match(line, cells, row)) {
+      documented[cells[1]] = words_in(cells[2], std::regex("`([a-z_]+)`"));
+    }
+  }
+  const auto config = folder_.path() / "facet.toml";
+  std::ofstream(config)
+      << "mode = \"frames\"\n[[camera]]\nname = \"a\"\nkind = \"simulated\"\n[stream]\nsocket "
+         "= \"stream.sock\"\n[control]\nsocket = \"control.sock\"\n[takes]\nfolder = "
+         "\"takes\"\n[metrics]\nlisten = \"\"\n";
+  const auto daemon = start(config.string());
+  await(*daemon, [](const json&) { return true; });
+  ControlClient client(control());
+  std::set<std::string> methods;
+  for (const auto& [method, params] : documented) {
+    methods.insert(method);
+    EXPECT_EQ(known_to(client, method, {{"no such param", 1}}), params) << method;
+  }
+  EXPECT_EQ(known_to(client, "no such method", json::object()), methods);
   ask("shutdown");
   expect_clean_end(*daemon);
 }
