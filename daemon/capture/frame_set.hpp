@@ -69,4 +69,7 @@ struct CaptureStatistics {
   std::vector<CameraMatch> cameras;
 };
 
+/// "no picture of camera A B": those of a set that are missing, for people; empty where none is.
+std::string missing_pictures(const FrameSet& set);
+
 }  // namespace facet::capture

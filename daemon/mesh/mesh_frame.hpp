@@ -68,7 +68,9 @@ struct MeshFrame {
   bool degraded = false;  ///< something failed for this frame (GPU lost, corrupt image): see degraded_reason
   std::string degraded_reason;
   CameraIntrinsics camera;
-  std::shared_ptr<const FrameSet> images;  ///< what the cameras saw; null where pictures are not passed on
+  /// What the cameras saw, for readers of the stream and of takes; null where pictures are not passed on.
+  /// What makes meshes is given frame sets, not this.
+  std::shared_ptr<const FrameSet> images;
 
   // The rest is empty unless state is Tracking. While Acquiring a live face may have a provisional mesh:
   // subject (M0 alone, identity all 0), pose, expression and control vertices, of a shape that is still being

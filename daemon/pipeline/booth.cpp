@@ -37,7 +37,7 @@ Booth open_booth(const RigConfig& devices, const BoothConfig& config) {
   return booth;
 }
 
-BoothPipeline::BoothPipeline(Booth booth, std::vector<MeshSink*> set_sinks,
+BoothPipeline::BoothPipeline(Booth booth, std::vector<FrameSetSink*> set_sinks,
                              std::vector<MeshSink*> mesh_sinks) {
   meshes_ = std::make_unique<BoothMeshes>(std::move(booth.stages), BoothMeshes::WhenBusy::Drop,
                                           std::move(mesh_sinks));

@@ -28,7 +28,7 @@ Booth open_booth(const RigConfig& devices, const BoothConfig& config);
 class BoothPipeline final : public SetsPipeline<BoothMeshes> {
  public:
   /// set_sinks: get every frame set; mesh_sinks: every slot that a mesh was asked of, later.
-  BoothPipeline(Booth booth, std::vector<MeshSink*> set_sinks, std::vector<MeshSink*> mesh_sinks);
+  BoothPipeline(Booth booth, std::vector<FrameSetSink*> set_sinks, std::vector<MeshSink*> mesh_sinks);
 
   PipelineStatus status() const override;
 };

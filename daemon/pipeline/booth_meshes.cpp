@@ -10,6 +10,7 @@
 #include <mutex>
 #include <utility>
 
+#include "capture/frame_set.hpp"
 #include "capture/rig_file.hpp"
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
@@ -21,7 +22,7 @@
 namespace facet::pipeline {
 namespace {
 
-using FramePointer = std::shared_ptr<const mesh::MeshFrame>;
+using SetPointer = std::shared_ptr<const FrameSet>;
 
 enum Worker : std::size_t { kDepth, kPerform };
 
@@ -35,7 +36,7 @@ constexpr std::size_t kMostPeriods = 4;
 constexpr std::uint64_t kCheckPeriod = 5;
 
 struct RunSlot {
-  FramePointer frame;  ///< null: missing
+  SetPointer set;  ///< null: missing
   bool stripes = true;
   bool wanted = false;
 };
@@ -53,8 +54,8 @@ struct Run {
 
 /// A slot with its depth.
 struct Seen {
-  FramePointer frame;
-  std::shared_ptr<const FrameSet> set;  ///< in the rig's order
+  SetPointer given;                     ///< as it was delivered
+  SetPointer set;                       ///< in the rig's order
   std::vector<capture::DepthMap> maps;  ///< [pairs]
   bool stripes = false;
   std::string wrong;
@@ -167,11 +168,11 @@ struct BoothMeshes::Impl {
 
   void fail(ErrorKind kind, const std::string& what);
   bool is_stripes(std::uint64_t slot) const { return stages.stripes[slot % stages.stripes.size()] != 0; }
-  void add(std::uint64_t slot, FramePointer frame);
+  void add(std::uint64_t slot, SetPointer set);
   void hand_on(bool at_end);
   void find_depth();
   void find_depth(Run& run);
-  std::shared_ptr<const FrameSet> in_rig_order(const FrameSet& set);
+  SetPointer in_rig_order(const FrameSet& set);
   void check_size(const FrameSet& set) const;
   void perform();
   void perform(Seen& item);
@@ -196,13 +197,13 @@ void BoothMeshes::Impl::fail(ErrorKind kind, const std::string& what) {
   seen.close();
 }
 
-void BoothMeshes::Impl::add(std::uint64_t slot, FramePointer frame) {
+void BoothMeshes::Impl::add(std::uint64_t slot, SetPointer set) {
   RunSlot& one = window.emplace_back();
   one.stripes = is_stripes(slot);
   const auto has_picture = [](const Frame& picture) { return !picture.empty(); };
-  one.wanted = (!one.stripes || stages.every_slot) && frame != nullptr &&
-               std::any_of(frame->images->frames.begin(), frame->images->frames.end(), has_picture);
-  one.frame = std::move(frame);
+  one.wanted = (!one.stripes || stages.every_slot) && set != nullptr &&
+               std::any_of(set->frames.begin(), set->frames.end(), has_picture);
+  one.set = std::move(set);
   wanted += one.wanted ? 1 : 0;
 }
 
@@ -273,7 +274,7 @@ void BoothMeshes::Impl::find_depth() {
 }
 
 /// The set's frames in the rig's order. Throws Error(Usage) where a camera of the rig is not in the set.
-std::shared_ptr<const FrameSet> BoothMeshes::Impl::in_rig_order(const FrameSet& set) {
+SetPointer BoothMeshes::Impl::in_rig_order(const FrameSet& set) {
   if (set.camera_names == nullptr) {
     throw Error(ErrorKind::UnreadableInput, "the frame sets do not say which camera made which picture");
   }
@@ -295,6 +296,7 @@ std::shared_ptr<const FrameSet> BoothMeshes::Impl::in_rig_order(const FrameSet& 
   auto ordered = std::make_shared<FrameSet>();
   ordered->slot = set.slot;
   ordered->trigger_ns = set.trigger_ns;
+  ordered->media_time_ns = set.media_time_ns;
   ordered->skew_ns = set.skew_ns;
   ordered->camera_names = camera_names;
   for (std::size_t i = 0; i < rig_from_set.size(); ++i) {
@@ -322,10 +324,10 @@ void BoothMeshes::Impl::check_size(const FrameSet& set) const {
 }
 
 void BoothMeshes::Impl::find_depth(Run& run) {
-  std::vector<std::shared_ptr<const FrameSet>> sets;
+  std::vector<SetPointer> sets;
   std::vector<booth::DepthSlot> slots;
   for (const RunSlot& slot : run.slots) {
-    sets.push_back(slot.frame != nullptr ? in_rig_order(*slot.frame->images) : nullptr);
+    sets.push_back(slot.set != nullptr ? in_rig_order(*slot.set) : nullptr);
     slots.push_back({sets.back().get(), slot.stripes, slot.wanted});
   }
   const Clock::time_point begun = Clock::now();
@@ -336,7 +338,7 @@ void BoothMeshes::Impl::find_depth(Run& run) {
   for (std::size_t i = 0; i < run.slots.size(); ++i) {
     if (run.slots[i].wanted) {
       Seen item;
-      item.frame = run.slots[i].frame;
+      item.given = run.slots[i].set;
       item.set = sets[i];
       item.depth_ms = depth_ms / static_cast<float>(maps.size());
       item.maps = std::move(maps[at++]);
@@ -379,8 +381,8 @@ void BoothMeshes::Impl::perform(Seen& item) {
   const std::shared_ptr<mesh::MeshFrame> frame = begin_frame(item);
   stages.tracker->process(*item.set, item.maps, *frame);
   check_rig(*item.set, *frame);
-  perform_waiting(item.frame->timestamp_ns);
-  last_blank_ns = item.frame->timestamp_ns;
+  perform_waiting(item.set->trigger_ns);
+  last_blank_ns = item.set->trigger_ns;
   tell(*frame);
   hand_out(item, frame);
 }
@@ -391,7 +393,7 @@ void BoothMeshes::Impl::perform_waiting(std::int64_t blank_ns) {
   for (Seen& item : waiting) {
     workers.beat(kPerform);
     const std::shared_ptr<mesh::MeshFrame> frame = begin_frame(item);
-    const auto after = static_cast<double>(item.frame->timestamp_ns - last_blank_ns);
+    const auto after = static_cast<double>(item.set->trigger_ns - last_blank_ns);
     stages.tracker->process_between(after / static_cast<double>(blank_ns - last_blank_ns), item.maps, *frame);
     hand_out(item, frame);
   }
@@ -400,12 +402,12 @@ void BoothMeshes::Impl::perform_waiting(std::int64_t blank_ns) {
 
 std::shared_ptr<mesh::MeshFrame> BoothMeshes::Impl::begin_frame(const Seen& item) {
   std::shared_ptr<mesh::MeshFrame> frame = pool.take();
-  frame->sequence = item.frame->sequence;
-  frame->timestamp_ns = item.frame->timestamp_ns;
-  frame->media_time_ns = item.frame->media_time_ns;
+  frame->sequence = item.set->slot;
+  frame->timestamp_ns = item.set->trigger_ns;
+  frame->media_time_ns = item.set->media_time_ns;
   frame->images = item.set;
-  frame->degraded = item.frame->degraded || !item.wrong.empty();
-  frame->degraded_reason = item.wrong.empty() ? item.frame->degraded_reason : item.wrong;
+  frame->degraded_reason = item.wrong.empty() ? capture::missing_pictures(*item.given) : item.wrong;
+  frame->degraded = !frame->degraded_reason.empty();
   frame->stage_ms.depth_ms = item.depth_ms;
   if (take_depth && item.wrong.empty()) {
     take_depth(frame->sequence, item.maps);
@@ -481,12 +483,9 @@ void BoothMeshes::start() {
   impl.workers.begin({{kPerform, [&impl] { impl.perform(); }}, {kDepth, [&impl] { impl.find_depth(); }}});
 }
 
-void BoothMeshes::deliver(FramePointer frame) {
+void BoothMeshes::deliver(SetPointer set) {
   Impl& impl = *impl_;
-  if (frame->images == nullptr) {
-    return;
-  }
-  const std::uint64_t slot = frame->sequence;
+  const std::uint64_t slot = set->slot;
   std::uint64_t next = impl.first_slot + impl.window.size();
   if (!impl.window.empty() && (slot < next || slot > next + kMostGap)) {
     while (impl.wanted > 0) {
@@ -500,7 +499,7 @@ void BoothMeshes::deliver(FramePointer frame) {
   for (; next < slot; ++next) {
     impl.add(next, nullptr);
   }
-  impl.add(slot, std::move(frame));
+  impl.add(slot, std::move(set));
   impl.hand_on(false);
 }
 

@@ -12,6 +12,7 @@
 #include "booth/rig_check.hpp"
 #include "facet/messages.hpp"
 #include "pipeline/booth_config.hpp"
+#include "pipeline/frame_set_sink.hpp"
 #include "pipeline/mesh_sink.hpp"
 #include "pipeline/progress.hpp"
 #include "pipeline/status.hpp"
@@ -39,7 +40,7 @@ BoothStages open_booth(const BoothConfig& config, int blanks_per_run);
 /// * whoever delivers: the order of slots, windows in time.
 /// * `facet-depth`: BoothDepth. An empty queue, the GPU, room in a queue.
 /// * `facet-perform`: PerformanceTracker, MeshSink::deliver. An empty queue, a sink.
-class BoothMeshes final : public MeshSink {
+class BoothMeshes final : public FrameSetSink {
  public:
   enum class WhenBusy {
     Drop,  ///< live: older slots that wait give way to newer ones, counted
@@ -55,8 +56,8 @@ class BoothMeshes final : public MeshSink {
   ~BoothMeshes() override;
 
   void start();
-  /// Frames of one frame set each (MeshFrame::images), slots ascending.
-  void deliver(std::shared_ptr<const mesh::MeshFrame> frame) override;
+  /// Slots ascending.
+  void deliver(std::shared_ptr<const FrameSet> set) override;
   /// No more frames come: what waits is worked off.
   void finish();
   /// What waits is let go. Any thread, returns at once.

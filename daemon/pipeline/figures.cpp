@@ -49,14 +49,18 @@ float Window::quantile(float p) const {
 }
 
 void MovingFigures::add(const mesh::MeshFrame& frame, Clock::time_point handed_out) {
+  if (!frame.displacements_mm.empty()) {
+    photometric_rms_.add(frame.photometric_rms);
+  }
+  add(frame.stage_ms, handed_out);
+}
+
+void MovingFigures::add(const mesh::StageTimes& times, Clock::time_point handed_out) {
   for (std::size_t s = 0; s < kStages.size(); ++s) {
-    if (const float time_ms = frame.stage_ms.*(kStages[s].time_ms); time_ms > 0) {
+    if (const float time_ms = times.*(kStages[s].time_ms); time_ms > 0) {
       stages_[s].add(time_ms);
       histograms_[s].add(time_ms);
     }
-  }
-  if (!frame.displacements_mm.empty()) {
-    photometric_rms_.add(frame.photometric_rms);
   }
   if (last_ != Clock::time_point()) {
     between_s_.add(std::chrono::duration<float>(handed_out - last_).count());

@@ -28,6 +28,8 @@ class Window {
 class MovingFigures {
  public:
   void add(const mesh::MeshFrame& frame, Clock::time_point handed_out);
+  /// Of what has no mesh.
+  void add(const mesh::StageTimes& times, Clock::time_point handed_out);
   /// Fills frames_per_second, stages, histograms and photometric_rms.
   void fill(PipelineStatus& status) const;
 

@@ -271,7 +271,7 @@ Rig open_rig(const RigConfig& config) {
 }
 
 struct FramesPipeline::Impl {
-  Impl(Rig given, std::vector<MeshSink*> given_sinks)
+  Impl(Rig given, std::vector<FrameSetSink*> given_sinks)
       : rig(std::move(given)),
         sinks(std::move(given_sinks)),
         capture(capture_config(rig)),
@@ -283,7 +283,7 @@ struct FramesPipeline::Impl {
 
   // Set before the threads start.
   Rig rig;
-  std::vector<MeshSink*> sinks;
+  std::vector<FrameSetSink*> sinks;
   capture::CaptureConfig capture;
 
   // Shared by the threads.
@@ -313,7 +313,6 @@ struct FramesPipeline::Impl {
   std::vector<Watched> watched;
   Clock::time_point next_look;
   std::optional<std::int64_t> first_trigger_ns;
-  FramePool frames;
   Pool<FrameSet> sets;
 
   // facet-edges only.
@@ -517,33 +516,22 @@ void FramesPipeline::Impl::run_trigger() {
 }
 
 void FramesPipeline::Impl::deliver(std::shared_ptr<FrameSet> set) {
-  const std::shared_ptr<mesh::MeshFrame> frame = frames.take();
   first_trigger_ns = first_trigger_ns.value_or(set->trigger_ns);
-  frame->sequence = set->slot;
-  frame->timestamp_ns = set->trigger_ns;
-  frame->media_time_ns = set->trigger_ns - *first_trigger_ns;
-  frame->control_vertices_mm.resize(3, 0);
-  if (!set->complete()) {
-    frame->degraded = true;
-    frame->degraded_reason = "no picture of camera";
-    for (std::size_t i = 0; i < rig.cameras.size(); ++i) {
-      if ((set->missing >> i & 1) != 0) {
-        frame->degraded_reason += " " + rig.config.cameras[i].name;
-      }
-    }
-  }
-  frame->stage_ms.latency_ms = static_cast<float>(Clock::now_ns() - set->trigger_ns) * 1e-6F;
-  frame->images = std::move(set);
-  for (MeshSink* sink : sinks) {
-    sink->deliver(frame);
+  set->media_time_ns = set->trigger_ns - *first_trigger_ns;
+  const std::string missing = capture::missing_pictures(*set);
+  mesh::StageTimes times;
+  times.latency_ms = static_cast<float>(Clock::now_ns() - set->trigger_ns) * 1e-6F;
+  const std::shared_ptr<const FrameSet> whole = std::move(set);
+  for (FrameSetSink* sink : sinks) {
+    sink->deliver(whole);
   }
   const std::lock_guard lock(mutex);
   ++shown.processed;
-  if (frame->degraded) {
+  if (!missing.empty()) {
     ++shown.degraded_frames;
-    shown.degraded_reason = frame->degraded_reason;
+    shown.degraded_reason = missing;
   }
-  figures.add(*frame, Clock::now());
+  figures.add(times, Clock::now());
 }
 
 /// Tells the log of cameras that stream and come into no set, and has them restarted.
@@ -607,7 +595,7 @@ void FramesPipeline::Impl::hand_out_sets() {
   set_state(PipelineState::Stopped);
 }
 
-FramesPipeline::FramesPipeline(Rig rig, std::vector<MeshSink*> sinks)
+FramesPipeline::FramesPipeline(Rig rig, std::vector<FrameSetSink*> sinks)
     : impl_(std::make_unique<Impl>(std::move(rig), std::move(sinks))) {}
 
 FramesPipeline::~FramesPipeline() {

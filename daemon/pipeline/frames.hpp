@@ -6,8 +6,8 @@
 
 #include "facet/camera.hpp"
 #include "facet/trigger.hpp"
+#include "pipeline/frame_set_sink.hpp"
 #include "pipeline/frames_config.hpp"
-#include "pipeline/mesh_sink.hpp"
 #include "pipeline/pipeline.hpp"
 
 namespace facet::pipeline {
@@ -26,14 +26,13 @@ struct Rig {
 /// for a file. Cameras that are absent and lines that are busy are states.
 Rig open_rig(const RigConfig& config);
 
-/// Several cameras in, frame sets out, no meshes: what the cameras of one trigger slot saw goes to the sinks
-/// as MeshFrame::images. MeshFrame::sequence is the slot, timestamp_ns the time at which it was fired.
+/// Several cameras in, frame sets out, no meshes: what the cameras of one trigger slot saw goes to the sinks.
 ///
 /// Threads, what each does and what it may block on:
 /// * `facet-cam-N`: Camera::start, next, stop of one camera. The source.
 /// * `facet-edges`: opens the trigger, again with pauses of 1 to 10 s where it fails; Trigger::next; writes
 ///   the edge log. GPIO devices, the disk.
-/// * `facet-sets`: takes the sets, MeshSink::deliver. The sets, a sink.
+/// * `facet-sets`: takes the sets, FrameSetSink::deliver. The sets, a sink.
 ///
 /// A camera that is gone leaves its place in the sets empty (degraded), a trigger that is gone leaves out the
 /// sets; both are told in the status, and go on by themselves. A camera that streams and stays out of step
@@ -42,7 +41,7 @@ Rig open_rig(const RigConfig& config);
 /// where every camera is at its end.
 class FramesPipeline final : public Pipeline {
  public:
-  FramesPipeline(Rig rig, std::vector<MeshSink*> sinks);
+  FramesPipeline(Rig rig, std::vector<FrameSetSink*> sinks);
   ~FramesPipeline() override;
 
   void start() override;

@@ -9,12 +9,11 @@
 
 namespace facet::pipeline {
 
-void LiveSets::deliver(std::shared_ptr<const mesh::MeshFrame> frame) {
-  newest_.push_newest(std::move(frame));
+void LiveSets::deliver(std::shared_ptr<const FrameSet> set) {
+  newest_.push_newest(std::move(set));
 }
 
-CaptureOutcome LiveSets::next(std::shared_ptr<const mesh::MeshFrame>& out,
-                              std::chrono::milliseconds timeout) {
+CaptureOutcome LiveSets::next(std::shared_ptr<const FrameSet>& out, std::chrono::milliseconds timeout) {
   using namespace std::chrono_literals;
   if (newest_.pop_within(out, timeout)) {
     return CaptureOutcome::Delivered;
@@ -79,8 +78,8 @@ LiveViews open_live_views(const RigConfig& devices, const std::filesystem::path&
 LiveViewsPipeline::LiveViewsPipeline(LiveViews views, const MonocularPipeline::Options& options,
                                      std::vector<MeshSink*> sinks) {
   meshes_ = std::make_unique<MonocularPipeline>(std::move(views.stages), options, std::move(sinks));
-  frames_ =
-      std::make_unique<FramesPipeline>(std::move(views.devices), std::vector<MeshSink*>{views.sets.get()});
+  frames_ = std::make_unique<FramesPipeline>(std::move(views.devices),
+                                             std::vector<FrameSetSink*>{views.sets.get()});
   views.sets->set_ended([&frames = *frames_] {
     const PipelineState state = frames.status().state;
     return state == PipelineState::Ended || state == PipelineState::Failed;

@@ -14,19 +14,18 @@
 namespace facet::pipeline {
 
 /// Frame sets on their way from FramesPipeline to MonocularPipeline: the newest, older ones are dropped.
-class LiveSets final : public MeshSink, public SetSource {
+class LiveSets final : public FrameSetSink, public SetSource {
  public:
   /// ended: whether no more sets come; before the first `next`.
   void set_ended(std::function<bool()> ended) { ended_ = std::move(ended); }
 
-  void deliver(std::shared_ptr<const mesh::MeshFrame> frame) override;
-  CaptureOutcome next(std::shared_ptr<const mesh::MeshFrame>& out,
-                      std::chrono::milliseconds timeout) override;
+  void deliver(std::shared_ptr<const FrameSet> set) override;
+  CaptureOutcome next(std::shared_ptr<const FrameSet>& out, std::chrono::milliseconds timeout) override;
   std::string last_error() const override { return {}; }  // FramesPipeline's status says it
 
  private:
   std::function<bool()> ended_;
-  BoundedQueue<std::shared_ptr<const mesh::MeshFrame>> newest_{1};
+  BoundedQueue<std::shared_ptr<const FrameSet>> newest_{1};
 };
 
 /// The devices and stages of several calibrated cameras that see one face, opened.

@@ -14,8 +14,9 @@ class MeshSink {
   MeshSink& operator=(const MeshSink&) = delete;
   virtual ~MeshSink() = default;
 
-  /// Called on the thread `facet-refine` with every frame in order, those without a mesh too. Must not throw;
-  /// may block only where nothing may be lost (recorded sources). May keep the frame as long as it likes.
+  /// Called with every frame in order, those without a mesh too, on the one thread that makes them
+  /// (`facet-refine`, `facet-perform`, `facet-sets`). Must not throw; may block only where nothing may be
+  /// lost (recorded sources). May keep the frame as long as it likes.
   virtual void deliver(std::shared_ptr<const mesh::MeshFrame> frame) = 0;
 };
 

@@ -23,7 +23,7 @@ std::optional<std::size_t> place_in(const FrameSet& set, const std::string& came
 /// The set that all cameras look at.
 struct Shared {
   std::shared_ptr<SetSource> source;
-  std::shared_ptr<const mesh::MeshFrame> set;
+  std::shared_ptr<const FrameSet> set;
 };
 
 class SetCamera final : public Camera {
@@ -42,8 +42,8 @@ class SetCamera final : public Camera {
       }
     }
     out = picture();
-    out.sequence = shared_->set->sequence;
-    out.timestamp_ns = shared_->set->timestamp_ns;
+    out.sequence = shared_->set->slot;
+    out.timestamp_ns = shared_->set->trigger_ns;
     out.media_time_ns = shared_->set->media_time_ns;
     return CaptureOutcome::Delivered;
   }
@@ -52,10 +52,11 @@ class SetCamera final : public Camera {
 
  private:
   Frame picture() const {
-    const FrameSet* set = shared_->set->images.get();
-    const std::optional<std::size_t> at = set != nullptr ? place_in(*set, info_.name) : std::nullopt;
-    if (at && !set->frames[*at].empty()) {
-      return set->frames[*at];
+    const FrameSet& set = *shared_->set;
+    const std::optional<std::size_t> at =
+        set.camera_names != nullptr ? place_in(set, info_.name) : std::nullopt;
+    if (at && !set.frames[*at].empty()) {
+      return set.frames[*at];
     }
     Frame none;
     none.width_px = info_.width_px;
@@ -68,19 +69,28 @@ class SetCamera final : public Camera {
   bool leads_;
 };
 
+/// A frame of a take that holds no pictures is a set that lacks them all.
+std::shared_ptr<const FrameSet> without_pictures(const mesh::MeshFrame& frame) {
+  auto set = std::make_shared<FrameSet>();
+  set->slot = frame.sequence;
+  set->trigger_ns = frame.timestamp_ns;
+  set->media_time_ns = frame.media_time_ns;
+  return set;
+}
+
 /// The sets of a take, from `first` up to but not including `end`, as the take counts its frames.
 class TakeSets final : public SetSource {
  public:
   TakeSets(std::unique_ptr<take::TakeReader> take, std::int64_t first, std::int64_t end)
       : take_(std::move(take)), next_(first), end_(end) {}
 
-  CaptureOutcome next(std::shared_ptr<const mesh::MeshFrame>& out,
-                      std::chrono::milliseconds /*timeout*/) override {
+  CaptureOutcome next(std::shared_ptr<const FrameSet>& out, std::chrono::milliseconds /*timeout*/) override {
     if (next_ == end_) {
       return CaptureOutcome::EndOfStream;
     }
     try {
-      out = take_->frame(next_);
+      const auto frame = take_->frame(next_);
+      out = frame->images != nullptr ? frame->images : without_pictures(*frame);
     } catch (const Error& error) {
       error_ = error.what();
       return CaptureOutcome::Failed;

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "facet/camera.hpp"
-#include "mesh/mesh_frame.hpp"
+#include "facet/frame_set.hpp"
 #include "pipeline/frame_range.hpp"
 
 namespace facet::pipeline {
@@ -20,9 +20,8 @@ class SetSource {
   SetSource& operator=(const SetSource&) = delete;
   virtual ~SetSource() = default;
 
-  /// The next set (MeshFrame::images), `timeout` at most. Never throws.
-  virtual CaptureOutcome next(std::shared_ptr<const mesh::MeshFrame>& out,
-                              std::chrono::milliseconds timeout) = 0;
+  /// The next set, `timeout` at most. Never throws.
+  virtual CaptureOutcome next(std::shared_ptr<const FrameSet>& out, std::chrono::milliseconds timeout) = 0;
   virtual std::string last_error() const = 0;  ///< as Camera::last_error
 };
 

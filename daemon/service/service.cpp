@@ -29,6 +29,7 @@
 #include "pipeline/frames.hpp"
 #include "pipeline/live_views.hpp"
 #include "pipeline/monocular.hpp"
+#include "pipeline/sets_on_stream.hpp"
 #include "pipeline/stream_sink.hpp"
 #include "pipeline/take_sink.hpp"
 #include "service/control_server.hpp"
@@ -151,6 +152,8 @@ struct Service::Impl {
   std::atomic<bool> looking_ends{false};  ///< tells an errand of `looking` that takes long
   Errands looking{"facet-look"};          ///< what looking methods leave: files, and what is much to compute
   std::optional<StageOpener> opener;
+  std::optional<pipeline::SetsOnStream>
+      sets;  ///< where frame sets are streamed or recorded; outlives `pipeline`
   std::unique_ptr<pipeline::Pipeline> pipeline;
   std::string source_name;
   bool live = false;                     ///< the source goes on while nobody reads
@@ -589,16 +592,22 @@ void Service::Impl::tell_devices(const pipeline::Rig& rig) {
 
 void Service::Impl::make_pipeline(pipeline::Rig rig) {
   tell_devices(rig);
-  pipeline = std::make_unique<pipeline::FramesPipeline>(
-      std::move(rig), std::vector<pipeline::MeshSink*>{&stream_sink, &takes});
+  sets.emplace(std::vector<pipeline::MeshSink*>{&stream_sink, &takes});
+  pipeline = std::make_unique<pipeline::FramesPipeline>(std::move(rig),
+                                                        std::vector<pipeline::FrameSetSink*>{&*sets});
 }
 
 void Service::Impl::make_pipeline(pipeline::Booth booth) {
   tell_devices(booth.devices);
   log.info(fmt::format("depth maps on {}", booth.stages.depth->device()));
-  std::vector<pipeline::MeshSink*> set_sinks;
+  std::vector<pipeline::FrameSetSink*> set_sinks;
   std::vector<pipeline::MeshSink*> mesh_sinks = {&stream_sink, &bridge_sink};
-  (config.booth_record == BoothRecord::Pictures ? set_sinks : mesh_sinks).push_back(&takes);
+  if (config.booth_record == BoothRecord::Pictures) {
+    sets.emplace(std::vector<pipeline::MeshSink*>{&takes});
+    set_sinks.push_back(&*sets);
+  } else {
+    mesh_sinks.push_back(&takes);
+  }
   pipeline = std::make_unique<pipeline::BoothPipeline>(std::move(booth), std::move(set_sinks),
                                                        std::move(mesh_sinks));
 }

@@ -347,7 +347,7 @@ void decode_whole_frame(const wire::Frame& body, const RingReader* ring,
     decode_mesh_part(body, Arrays(body, ring), decoded);
   }
   if (body.frame_set() != nullptr) {
-    frame.images = read_frame_set(*body.frame_set());
+    frame.images = read_frame_set(*body.frame_set(), frame.media_time_ns);
   }
   out = std::move(decoded);
 }

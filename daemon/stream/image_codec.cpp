@@ -95,12 +95,13 @@ Offset<wire::FrameSet> write_frame_set(FlatBufferBuilder& builder, const FrameSe
   return wire::CreateFrameSet(builder, set.slot, set.trigger_ns, set.skew_ns, name_vector, image_vector);
 }
 
-std::shared_ptr<const FrameSet> read_frame_set(const wire::FrameSet& set) {
+std::shared_ptr<const FrameSet> read_frame_set(const wire::FrameSet& set, std::int64_t media_time_ns) {
   require(set.cameras() != nullptr && set.cameras()->size() > 0 && set.cameras()->size() <= kMaxCameras,
           "number of cameras");
   auto out = std::make_shared<FrameSet>();
   out->slot = set.slot();
   out->trigger_ns = set.trigger_ns();
+  out->media_time_ns = media_time_ns;
   out->skew_ns = set.skew_ns();
   std::vector<std::string> names;
   for (const flatbuffers::String* name : *set.cameras()) {

@@ -15,8 +15,8 @@ std::size_t pixel_bytes(const FrameSet& set);
 flatbuffers::Offset<wire::FrameSet> write_frame_set(flatbuffers::FlatBufferBuilder& builder,
                                                     const FrameSet& set, bool with_pixels);
 
-/// Throws Error(UnreadableInput) with the field that is wrong. A picture without pixels has a size and no
-/// pixels (Frame::empty).
-std::shared_ptr<const FrameSet> read_frame_set(const wire::FrameSet& set);
+/// media_time_ns: of the frame that has it. Throws Error(UnreadableInput) with the field that is wrong. A
+/// picture without pixels has a size and no pixels (Frame::empty).
+std::shared_ptr<const FrameSet> read_frame_set(const wire::FrameSet& set, std::int64_t media_time_ns);
 
 }  // namespace facet::stream

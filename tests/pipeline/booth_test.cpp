@@ -21,6 +21,7 @@
 #include "capture/epipolar.hpp"
 #include "capture/rig_file.hpp"
 #include "facet/error.hpp"
+#include "pipeline/sets_on_stream.hpp"
 #include "render/renderer.hpp"
 #include "scripted_stages.hpp"
 #include "simulation/virtual_booth.hpp"
@@ -327,19 +328,6 @@ class Booth : public ::testing::Test {
     write_rig(rig);
   }
 
-  static std::shared_ptr<const mesh::MeshFrame> frame_of(FrameSet set) {
-    auto frame = std::make_shared<mesh::MeshFrame>();
-    frame->sequence = set.slot;
-    frame->timestamp_ns = set.trigger_ns;
-    frame->control_vertices_mm.resize(3, 0);
-    if (!set.complete()) {
-      frame->degraded = true;
-      frame->degraded_reason = "a picture is missing";
-    }
-    frame->images = std::make_shared<const FrameSet>(std::move(set));
-    return frame;
-  }
-
   static void lose(FrameSet& set, std::size_t camera) {
     set.frames[camera] = {};
     set.missing |= std::uint64_t{1} << camera;
@@ -367,7 +355,7 @@ class Booth : public ::testing::Test {
     BoothMeshes meshes(std::move(*stages), BoothMeshes::WhenBusy::Wait, {&sink});
     meshes.start();
     for (const FrameSet& set : sets) {
-      meshes.deliver(frame_of(set));
+      meshes.deliver(std::make_shared<const FrameSet>(set));
     }
     meshes.finish();
     while (!meshes.finished()) {
@@ -817,7 +805,9 @@ TEST_F(Booth, LiveDevicesGiveSetsAndMeshes) {
     take::TakeRecorder recorder(recording);
     recorder.start();
     for (const FrameSet& set : footage_->sets) {
-      recorder.record(frame_of(set));
+      test::CollectingSink frame;
+      SetsOnStream({&frame}).deliver(std::make_shared<const FrameSet>(set));
+      recorder.record(frame.frames().front());
     }
     ASSERT_EQ(recorder.stop().state, take::RecorderState::Finished);
   }
@@ -848,7 +838,7 @@ TEST_F(Booth, LiveDevicesGiveSetsAndMeshes) {
     ASSERT_EQ(error.kind(), ErrorKind::NoDevice) << error.what();
     GTEST_SKIP() << error.what();
   }
-  test::CollectingSink sets;
+  test::CollectingSets sets;
   test::CollectingSink meshes;
   BoothPipeline pipeline(std::move(*booth), {&sets}, {&meshes});
   pipeline.start();
@@ -867,16 +857,16 @@ TEST_F(Booth, LiveDevicesGiveSetsAndMeshes) {
   EXPECT_EQ(meshes.frames().back()->sequence % 3, 2U) << "a blank slot";
   // Every picture is that of the slot which the lines selected.
   std::size_t compared = 0;
-  for (const auto& frame : sets.frames()) {
-    const Frame& picture = frame->images->frames[0];
+  for (const auto& shown : sets.sets()) {
+    const Frame& picture = shown->frames[0];
     if (picture.empty()) {
       continue;
     }
     const bool found = std::any_of(footage_->sets.begin(), footage_->sets.end(), [&](const FrameSet& set) {
-      return set.slot % 3 == frame->sequence % 3 &&
+      return set.slot % 3 == shown->slot % 3 &&
              std::equal(picture.row(150), picture.row(150) + 4 * picture.width_px, set.frames[0].row(150));
     });
-    EXPECT_TRUE(found) << "slot " << frame->sequence;
+    EXPECT_TRUE(found) << "slot " << shown->slot;
     ++compared;
   }
   EXPECT_GT(compared, 6U);

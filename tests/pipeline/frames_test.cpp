@@ -11,6 +11,7 @@
 
 #include "camera/simulated_rig.hpp"
 #include "facet/error.hpp"
+#include "pipeline/sets_on_stream.hpp"
 #include "scripted_stages.hpp"
 #include "support/paths.hpp"
 #include "support/videos.hpp"
@@ -83,16 +84,14 @@ std::string log_of(Pipeline& pipeline) {
 }
 
 /// Every picture shows the slot that its set is of.
-void expect_no_shift(const std::vector<std::shared_ptr<const mesh::MeshFrame>>& frames) {
+void expect_no_shift(const std::vector<std::shared_ptr<const FrameSet>>& sets) {
+  ASSERT_FALSE(sets.empty());
   std::uint64_t last = 0;
-  for (const auto& frame : frames) {
-    ASSERT_NE(frame->images, nullptr);
-    const FrameSet& set = *frame->images;
-    EXPECT_EQ(frame->sequence, set.slot);
-    EXPECT_EQ(frame->timestamp_ns, set.trigger_ns);
-    EXPECT_TRUE(frame == frames.front() || set.slot > last);
+  for (const auto& one : sets) {
+    const FrameSet& set = *one;
+    EXPECT_EQ(set.media_time_ns, set.trigger_ns - sets.front()->trigger_ns);
+    EXPECT_TRUE(one == sets.front() || set.slot > last);
     last = set.slot;
-    EXPECT_EQ(frame->degraded, !set.complete());
     for (std::size_t i = 0; i < set.frames.size(); ++i) {
       ASSERT_EQ(set.frames[i].empty(), (set.missing >> i & 1) != 0);
       if (!set.frames[i].empty()) {
@@ -149,7 +148,7 @@ class CrookedCamera final : public Camera {
 };
 
 TEST(FramesPipeline, EverySetShowsThePatternOfItsSlot) {
-  test::CollectingSink sink;
+  test::CollectingSets sink;
   FramesPipeline pipeline(open_rig(simulated_rig(3, 100)), {&sink});
   EXPECT_EQ(pipeline.status().state, PipelineState::Idle);
   pipeline.start();
@@ -167,18 +166,49 @@ TEST(FramesPipeline, EverySetShowsThePatternOfItsSlot) {
   EXPECT_TRUE(pipeline.finished());
   EXPECT_EQ(pipeline.status().state, PipelineState::Stopped);
   EXPECT_THROW(pipeline.reset_identity(), Error);
-  const auto frames = sink.frames();
-  EXPECT_GE(frames.size(), 100U);
-  expect_no_shift(frames);
-  ASSERT_NE(frames.back()->images->camera_names, nullptr);
-  EXPECT_EQ(frames.back()->images->camera_names->at(1), "cam1");
+  const auto sets = sink.sets();
+  EXPECT_GE(sets.size(), 100U);
+  expect_no_shift(sets);
+  ASSERT_NE(sets.back()->camera_names, nullptr);
+  EXPECT_EQ(sets.back()->camera_names->at(1), "cam1");
+}
+
+TEST(SetsOnStream, ASetIsAFrameWithoutAMesh) {
+  FrameSet set;
+  set.slot = 7;
+  set.trigger_ns = 5'000'000;
+  set.media_time_ns = 2'000'000;
+  set.frames.resize(3);
+  set.camera_names =
+      std::make_shared<const std::vector<std::string>>(std::vector<std::string>{"left", "top", "right"});
+  const auto whole = std::make_shared<const FrameSet>(set);
+  set.missing = 5;
+  const auto lacking = std::make_shared<const FrameSet>(set);
+  test::CollectingSink first;
+  test::CollectingSink second;
+  SetsOnStream on_stream({&first, &second});
+  on_stream.deliver(whole);
+  on_stream.deliver(lacking);
+  ASSERT_EQ(first.frames().size(), 2U);
+  EXPECT_EQ(first.frames(), second.frames()) << "one frame for all";
+  const mesh::MeshFrame& frame = *first.frames().front();
+  EXPECT_EQ(frame.sequence, 7U);
+  EXPECT_EQ(frame.timestamp_ns, 5'000'000);
+  EXPECT_EQ(frame.media_time_ns, 2'000'000);
+  EXPECT_EQ(frame.images, whole);
+  EXPECT_FALSE(mesh::has_mesh(frame));
+  EXPECT_GT(frame.stage_ms.latency_ms, 0);
+  EXPECT_FALSE(frame.degraded);
+  EXPECT_EQ(frame.degraded_reason, "");
+  EXPECT_TRUE(first.frames().back()->degraded);
+  EXPECT_EQ(first.frames().back()->degraded_reason, "no picture of camera left right");
 }
 
 TEST(FramesPipeline, ACameraThatComesLateFillsItsPlace) {
   std::atomic<bool> present = false;
   Rig rig = open_rig(simulated_rig(2, 100));
   rig.cameras[1] = std::make_unique<LateCamera>(std::move(rig.cameras[1]), present);
-  test::CollectingSink sink;
+  test::CollectingSets sink;
   FramesPipeline pipeline(std::move(rig), {&sink});
   pipeline.start();
   ASSERT_TRUE(eventually([&] { return pipeline.status().rig->sets.cameras[0].in_sets >= 20; }));
@@ -193,14 +223,14 @@ TEST(FramesPipeline, ACameraThatComesLateFillsItsPlace) {
   ASSERT_TRUE(eventually([&] { return pipeline.status().rig->sets.incomplete >= 60; }));
   EXPECT_LE(pipeline.status().rig->sets.complete, complete + 5);
   pipeline.stop();
-  expect_no_shift(sink.frames());
+  expect_no_shift(sink.sets());
 }
 
 TEST(FramesPipeline, ACameraOutOfStepIsLeftOutAndStartedAnew) {
   std::atomic<int> restarts = 0;
   Rig rig = open_rig(simulated_rig(2, 100));
   rig.cameras[1] = std::make_unique<CrookedCamera>(std::move(rig.cameras[1]), restarts);
-  test::CollectingSink sink;
+  test::CollectingSets sink;
   FramesPipeline pipeline(std::move(rig), {&sink});
   pipeline.start();
   ASSERT_TRUE(eventually([&] { return restarts > 0; }));
@@ -212,7 +242,7 @@ TEST(FramesPipeline, ACameraOutOfStepIsLeftOutAndStartedAnew) {
            text.find("camera cam1 is in step again") != std::string::npos;
   }));
   pipeline.stop();
-  expect_no_shift(sink.frames());
+  expect_no_shift(sink.sets());
 }
 
 /// A live camera that stalls where frames are due and stay out.
@@ -268,7 +298,7 @@ TEST(FramesPipeline, ATriggerThatCannotBeOpenedIsAStateUntilItCan) {
   TroubledTrigger trouble{rig.open_trigger};
   trouble.refusals = 1;
   rig.open_trigger = [&] { return trouble.open(); };
-  test::CollectingSink sink;
+  test::CollectingSets sink;
   FramesPipeline pipeline(std::move(rig), {&sink});
   pipeline.start();
   ASSERT_TRUE(eventually([&] { return !pipeline.status().rig->trigger->reason.empty(); }));
@@ -279,7 +309,7 @@ TEST(FramesPipeline, ATriggerThatCannotBeOpenedIsAStateUntilItCan) {
   EXPECT_THAT(log_of(pipeline),
               AllOf(HasSubstr("warning: trigger failing: chip"), HasSubstr("trigger running")));
   pipeline.stop();
-  expect_no_shift(sink.frames());
+  expect_no_shift(sink.sets());
 }
 
 TEST(FramesPipeline, CamerasWaitForATriggerThatStandsStill) {
@@ -289,7 +319,7 @@ TEST(FramesPipeline, CamerasWaitForATriggerThatStandsStill) {
   TroubledTrigger trouble{rig.open_trigger};
   trouble.refusals = 2;  // for three seconds
   rig.open_trigger = [&] { return trouble.open(); };
-  test::CollectingSink sink;
+  test::CollectingSets sink;
   FramesPipeline pipeline(std::move(rig), {&sink});
   pipeline.start();
   const auto camera = [&] { return pipeline.status().rig->cameras.at(0).status; };
@@ -302,7 +332,7 @@ TEST(FramesPipeline, CamerasWaitForATriggerThatStandsStill) {
   EXPECT_THAT(log_of(pipeline), AllOf(HasSubstr("warning: camera cam0 waiting: the trigger does not fire"),
                                       HasSubstr("info: camera cam0 streaming")));
   pipeline.stop();
-  expect_no_shift(sink.frames());
+  expect_no_shift(sink.sets());
 }
 
 TEST(FramesPipeline, ASilentCameraOfATriggerThatFiresIsStalled) {
@@ -334,14 +364,14 @@ TEST(FramesPipeline, AFaultThatIsOursEndsItWithAReason) {
 TEST(FramesPipeline, FreeRunningCamerasAreMatchedByTime) {
   RigConfig config = simulated_rig(2, 100);
   config.trigger = TriggerKind::None;
-  test::CollectingSink sink;
+  test::CollectingSets sink;
   FramesPipeline pipeline(open_rig(config), {&sink});
   pipeline.start();
   ASSERT_TRUE(eventually([&] { return pipeline.status().rig->sets.complete >= 50; }));
   EXPECT_FALSE(pipeline.status().rig->trigger.has_value());
   pipeline.stop();
-  for (const auto& frame : sink.frames()) {
-    const FrameSet& set = *frame->images;
+  for (const auto& one : sink.sets()) {
+    const FrameSet& set = *one;
     if (set.complete()) {
       EXPECT_LE(std::abs(set.frames[0].timestamp_ns - set.frames[1].timestamp_ns), 5'000'000);
     }
@@ -361,12 +391,12 @@ TEST(FramesPipeline, FilesTakeTheirTimeAndEnd) {
     test::write_grey_video(camera.source.path, 10);
     config.cameras.push_back(camera);
   }
-  test::CollectingSink sink;
+  test::CollectingSets sink;
   FramesPipeline pipeline(open_rig(config), {&sink});
   pipeline.start();
   ASSERT_TRUE(eventually([&] { return pipeline.finished(); }));
   EXPECT_EQ(pipeline.status().state, PipelineState::Ended);
-  EXPECT_GE(sink.frames().size(), 8U);
+  EXPECT_GE(sink.sets().size(), 8U);
 }
 
 TEST(FramesPipeline, TheEdgeLogHoldsWhatTheLinesDid) {

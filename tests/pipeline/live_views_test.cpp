@@ -86,9 +86,10 @@ class LiveCameras : public Views {
         EXPECT_EQ(cameras[c]->next(set->frames[c], 10s), CaptureOutcome::Delivered);
       }
       const auto frame = std::make_shared<mesh::MeshFrame>();
+      set->trigger_ns = set->frames[0].media_time_ns;
       frame->sequence = set->slot;
-      frame->media_time_ns = set->frames[0].media_time_ns;
-      frame->timestamp_ns = frame->media_time_ns;
+      frame->media_time_ns = set->trigger_ns;
+      frame->timestamp_ns = set->trigger_ns;
       frame->control_vertices_mm.resize(3, 0);
       if (set->slot == gone) {
         set->frames[1] = {};

@@ -226,4 +226,14 @@ void CollectingSink::wait_for(const std::function<bool(const mesh::MeshFrame&)>&
   passes_ = nullptr;
 }
 
+void CollectingSets::deliver(std::shared_ptr<const FrameSet> set) {
+  const std::lock_guard lock(mutex_);
+  sets_.push_back(std::move(set));
+}
+
+std::vector<std::shared_ptr<const FrameSet>> CollectingSets::sets() const {
+  const std::lock_guard lock(mutex_);
+  return sets_;
+}
+
 }  // namespace facet::test

@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "pipeline/frame_set_sink.hpp"
 #include "pipeline/mesh_sink.hpp"
 #include "pipeline/stages.hpp"
 
@@ -97,6 +98,17 @@ class CollectingSink final : public pipeline::MeshSink {
   std::vector<std::shared_ptr<const mesh::MeshFrame>> frames_;
   std::function<bool(const mesh::MeshFrame&)> passes_;
   bool passed_ = false;
+};
+
+/// The same of frame sets.
+class CollectingSets final : public pipeline::FrameSetSink {
+ public:
+  void deliver(std::shared_ptr<const FrameSet> set) override;
+  std::vector<std::shared_ptr<const FrameSet>> sets() const;
+
+ private:
+  mutable std::mutex mutex_;
+  std::vector<std::shared_ptr<const FrameSet>> sets_;
 };
 
 }  // namespace facet::test

@@ -375,7 +375,9 @@ int run_to_end(pipeline::BoothMeshes& meshes, take::TakeReader& input, const std
   std::jthread reading([&](const std::stop_token& broken_off) {
     try {
       for (auto slot = slots.begin(); slot != slots.end() && !broken_off.stop_requested(); ++slot) {
-        meshes.deliver(input.frame(*slot));
+        if (auto set = input.frame(*slot)->images) {
+          meshes.deliver(std::move(set));
+        }
       }
     } catch (...) {
       damage = std::current_exception();
