@@ -46,8 +46,16 @@ BoothPipeline::BoothPipeline(Booth booth, std::vector<FrameSetSink*> set_sinks,
 }
 
 PipelineStatus BoothPipeline::status() const {
-  PipelineStatus status = frames_->status();
-  meshes_->fill(status);
+  PipelineStatus status = meshes_->status();
+  PipelineStatus frames = frames_->status();
+  if (status.state != PipelineState::Failed) {
+    status.state = frames.state;
+    status.failure_kind = frames.failure_kind;
+    status.reason = frames.reason;
+  }
+  status.captured = frames.captured;
+  status.dropped += frames.dropped;
+  status.rig = std::move(frames.rig);
   return status;
 }
 

@@ -7,7 +7,6 @@
 #include <atomic>
 #include <chrono>
 #include <deque>
-#include <mutex>
 #include <utility>
 
 #include "capture/frame_set.hpp"
@@ -15,8 +14,8 @@
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "pipeline/bounded_queue.hpp"
-#include "pipeline/figures.hpp"
 #include "pipeline/frame_pool.hpp"
+#include "pipeline/pipeline_board.hpp"
 #include "pipeline/workers.hpp"
 
 namespace facet::pipeline {
@@ -121,7 +120,7 @@ struct BoothMeshes::Impl {
         take_depth(std::move(taker)),
         runs(1),
         seen(1) {
-    shown.device = stages.depth->device();
+    note_device();
     camera_names = std::make_shared<std::vector<std::string>>();
     for (const capture::RigCamera& camera : stages.rig->cameras) {
       camera_names->push_back(camera.name);
@@ -143,9 +142,7 @@ struct BoothMeshes::Impl {
   std::atomic<bool> wants_new_identity{false};
   BoundedQueue<Run> runs;
   BoundedQueue<Seen> seen;
-  mutable std::mutex mutex;
-  PipelineStatus shown;  ///< guarded by mutex, as all below
-  MovingFigures figures;
+  PipelineBoard board;
 
   // The delivering thread only.
   std::deque<RunSlot> window;    ///< the last slots, consecutive
@@ -167,6 +164,9 @@ struct BoothMeshes::Impl {
   mesh::TrackingState state = mesh::TrackingState::Searching;
 
   void fail(ErrorKind kind, const std::string& what);
+  void note_device() {
+    board.change([this](PipelineStatus& shown) { shown.device = stages.depth->device(); });
+  }
   bool is_stripes(std::uint64_t slot) const { return stages.stripes[slot % stages.stripes.size()] != 0; }
   void add(std::uint64_t slot, SetPointer set);
   void hand_on(bool at_end);
@@ -184,14 +184,7 @@ struct BoothMeshes::Impl {
 };
 
 void BoothMeshes::Impl::fail(ErrorKind kind, const std::string& what) {
-  {
-    const std::lock_guard lock(mutex);
-    if (shown.state != PipelineState::Failed) {
-      shown.state = PipelineState::Failed;
-      shown.failure_kind = kind;
-      shown.reason = what;
-    }
-  }
+  board.fail(kind, what);
   stopping = true;
   runs.close();
   seen.close();
@@ -242,8 +235,7 @@ void BoothMeshes::Impl::hand_on(bool at_end) {
     } else {
       Run dropped;
       runs.push_newest(std::move(run), dropped);
-      const std::lock_guard lock(mutex);
-      shown.dropped += dropped.wanted();
+      board.change([&](PipelineStatus& shown) { shown.dropped += dropped.wanted(); });
     }
   }
   // A slot to come, or one that waits, looks back this far.
@@ -348,8 +340,7 @@ void BoothMeshes::Impl::find_depth(Run& run) {
       seen.push(std::move(item), [this] { workers.beat(kDepth); });
     }
   }
-  const std::lock_guard lock(mutex);
-  shown.device = stages.depth->device();
+  note_device();
 }
 
 void BoothMeshes::Impl::perform() {
@@ -420,22 +411,14 @@ void BoothMeshes::Impl::hand_out(const Seen& item, const std::shared_ptr<mesh::M
   for (MeshSink* sink : sinks) {
     sink->deliver(frame);
   }
-  const std::lock_guard lock(mutex);
-  ++shown.processed;
-  shown.tracking = frame->state;
-  shown.mesh_frames += frame->state == mesh::TrackingState::Tracking ? 1 : 0;
-  shown.face_frames += frame->state == mesh::TrackingState::Tracking || !frame->landmarks_px.empty() ? 1 : 0;
-  shown.refined_frames += frame->displacements_mm.empty() ? 0 : 1;
-  shown.subjects = subjects;
-  if (frame->subject != nullptr) {
-    shown.finest_vertices = frame->subject->hierarchy->finest().vertex_count;
-    shown.levels = static_cast<int>(frame->subject->hierarchy->levels.size());
-  }
-  if (frame->degraded) {
-    ++shown.degraded_frames;
-    shown.degraded_reason = frame->degraded_reason;
-  }
-  figures.add(*frame, Clock::now());
+  board.change([&](PipelineStatus& shown) {
+    shown.subjects = subjects;
+    if (frame->subject != nullptr) {
+      shown.finest_vertices = frame->subject->hierarchy->finest().vertex_count;
+      shown.levels = static_cast<int>(frame->subject->hierarchy->levels.size());
+    }
+  });
+  board.count(*frame, frame->state == mesh::TrackingState::Tracking || !frame->landmarks_px.empty());
 }
 
 /// Whether the cameras stand as they were calibrated: now and then, and while there is no mesh.
@@ -448,8 +431,7 @@ void BoothMeshes::Impl::check_rig(const FrameSet& set, mesh::MeshFrame& frame) {
       messages.info("the cameras stand as they were calibrated again");
     }
     rig_wrong = wrong;
-    const std::lock_guard lock(mutex);
-    shown.pairs = stages.check->pairs();
+    board.change([this](PipelineStatus& shown) { shown.pairs = stages.check->pairs(); });
   }
   if (!rig_wrong.empty()) {
     frame.degraded = true;
@@ -525,30 +507,11 @@ bool BoothMeshes::finished() const {
   return impl_->workers.finished();
 }
 
-void BoothMeshes::fill(PipelineStatus& status) const {
-  const std::lock_guard lock(impl_->mutex);
-  const PipelineStatus& shown = impl_->shown;
-  if (shown.state == PipelineState::Failed) {
-    status.state = shown.state;
-    status.failure_kind = shown.failure_kind;
-    status.reason = shown.reason;
-  }
-  status.device = shown.device;
-  status.dropped += shown.dropped;
-  status.processed = shown.processed;
-  status.mesh_frames = shown.mesh_frames;
-  status.face_frames = shown.face_frames;
-  status.refined_frames = shown.refined_frames;
-  status.degraded_frames = shown.degraded_frames;
-  status.degraded_reason = shown.degraded_reason;
-  status.subjects = shown.subjects;
-  status.finest_vertices = shown.finest_vertices;
-  status.levels = shown.levels;
-  status.tracking = shown.tracking;
-  status.pairs = shown.pairs;
-  impl_->figures.fill(status);
+PipelineStatus BoothMeshes::status() const {
+  PipelineStatus status = impl_->board.status();
   status.queued_captured = impl_->runs.size();
   status.queued_tracked = impl_->seen.size();
+  return status;
 }
 
 std::optional<Progress::Silence> BoothMeshes::longest_silence() const {

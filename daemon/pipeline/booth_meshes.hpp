@@ -65,9 +65,9 @@ class BoothMeshes final : public FrameSetSink {
   void stop();
   bool finished() const;
 
-  /// Fills what it knows: device, meshes, tracking, times, queues, reasons. State Failed where a thread
+  /// What it knows: device, meshes, tracking, times, queues, reasons. State Idle, or Failed where a thread
   /// failed. Any thread.
-  void fill(PipelineStatus& status) const;
+  PipelineStatus status() const;
   std::optional<Progress::Silence> longest_silence() const;
   /// The next slots are searched for a face. Any thread.
   void reset_identity();

@@ -20,8 +20,8 @@
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "files/append_file.hpp"
-#include "pipeline/figures.hpp"
 #include "pipeline/frame_pool.hpp"
+#include "pipeline/pipeline_board.hpp"
 #include "pipeline/workers.hpp"
 #include "take/reader.hpp"
 #include "trigger/edge_log.hpp"
@@ -293,12 +293,11 @@ struct FramesPipeline::Impl {
   std::atomic<std::int64_t> last_firing_ns{0};  ///< when it was told; at first, when the pipeline was started
   capture::FrameSetAssembler assembler;
   Workers workers;
+  PipelineBoard board;
   mutable std::mutex mutex;
   std::condition_variable stop_asked;  ///< for the pause between two attempts
-  PipelineStatus shown;                ///< guarded by mutex, as all below
-  MovingFigures figures;
-  std::shared_ptr<Trigger> trigger;  ///< null while it can't be opened
-  std::string trigger_reason;        ///< why
+  std::shared_ptr<Trigger> trigger;    ///< null while it can't be opened; guarded by mutex, as all below
+  std::string trigger_reason;          ///< why
   std::uint64_t triggers_opened = 0;
   std::optional<Error> source_failure;
 
@@ -320,7 +319,6 @@ struct FramesPipeline::Impl {
   std::uint64_t next_slot = 0;
 
   void fail(ErrorKind kind, const std::string& what);
-  void set_state(PipelineState state);
 
   void run_camera(std::size_t index);
   void watch_camera(std::size_t index, CameraState& state, std::string& reason);
@@ -337,26 +335,13 @@ struct FramesPipeline::Impl {
 };
 
 void FramesPipeline::Impl::fail(ErrorKind kind, const std::string& what) {
+  board.fail(kind, what);
   {
     const std::lock_guard lock(mutex);
-    if (shown.state != PipelineState::Failed) {
-      shown.state = PipelineState::Failed;
-      shown.failure_kind = kind;
-      shown.reason = what;
-    }
     stopping = true;
   }
   stop_asked.notify_all();
   assembler.close();
-}
-
-/// The end is final: a thread that is late must not overwrite it.
-void FramesPipeline::Impl::set_state(PipelineState state) {
-  const std::lock_guard lock(mutex);
-  if (shown.state != PipelineState::Failed && shown.state != PipelineState::Ended &&
-      shown.state != PipelineState::Stopped) {
-    shown.state = state;
-  }
 }
 
 /// False where there is no trigger.
@@ -420,8 +405,7 @@ void FramesPipeline::Impl::run_camera(std::size_t index) {
     source_failure.emplace(ErrorKind::UnreadableInput, camera.last_error());
   } else if (outcome == CaptureOutcome::EndOfStream && !camera.last_error().empty()) {
     messages.warning(camera.last_error());
-    const std::lock_guard lock(mutex);
-    shown.reason = camera.last_error();
+    board.change([&](PipelineStatus& shown) { shown.reason = camera.last_error(); });
   }
   assembler.set_streaming(index, false);
   watched[index].ended = outcome == CaptureOutcome::EndOfStream && !stopping;
@@ -525,13 +509,7 @@ void FramesPipeline::Impl::deliver(std::shared_ptr<FrameSet> set) {
   for (FrameSetSink* sink : sinks) {
     sink->deliver(whole);
   }
-  const std::lock_guard lock(mutex);
-  ++shown.processed;
-  if (!missing.empty()) {
-    ++shown.degraded_frames;
-    shown.degraded_reason = missing;
-  }
-  figures.add(times, Clock::now());
+  board.count(times, missing);
 }
 
 /// Tells the log of cameras that stream and come into no set, and has them restarted.
@@ -566,7 +544,7 @@ void FramesPipeline::Impl::look_after_steps() {
 }
 
 void FramesPipeline::Impl::hand_out_sets() {
-  set_state(PipelineState::Running);
+  board.set_state(PipelineState::Running);
   const auto last_wait = std::chrono::nanoseconds(2 * capture.deadline_ns);
   Clock::time_point last_set = Clock::now();
   std::shared_ptr<FrameSet> set = sets.take();
@@ -583,7 +561,7 @@ void FramesPipeline::Impl::hand_out_sets() {
           if (source_failure) {
             throw Error(*source_failure);
           }
-          shown.state = PipelineState::Ended;
+          board.set_state(PipelineState::Ended);
           return;
         }
         break;
@@ -592,7 +570,7 @@ void FramesPipeline::Impl::hand_out_sets() {
     }
     look_after_steps();
   }
-  set_state(PipelineState::Stopped);
+  board.set_state(PipelineState::Stopped);
 }
 
 FramesPipeline::FramesPipeline(Rig rig, std::vector<FrameSetSink*> sinks)
@@ -604,7 +582,7 @@ FramesPipeline::~FramesPipeline() {
 
 void FramesPipeline::start() {
   Impl& impl = *impl_;
-  impl.set_state(PipelineState::Preparing);
+  impl.board.set_state(PipelineState::Preparing);
   impl.cameras_at_work = impl.rig.cameras.size();
   impl.last_firing_ns = Clock::now_ns();
   std::vector<Workers::Work> works = {{kSets, [&impl] { impl.hand_out_sets(); }}};
@@ -644,11 +622,9 @@ PipelineStatus FramesPipeline::status() const {
   }
   rig.sets = impl.assembler.statistics();
   std::shared_ptr<Trigger> trigger;
-  PipelineStatus status;
+  PipelineStatus status = impl.board.status();
   {
     const std::lock_guard lock(impl.mutex);
-    status = impl.shown;
-    impl.figures.fill(status);
     trigger = impl.trigger;
     rig.triggers_opened = impl.triggers_opened;
     if (impl.rig.open_trigger) {

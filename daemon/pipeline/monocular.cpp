@@ -4,7 +4,6 @@
 
 #include <atomic>
 #include <chrono>
-#include <mutex>
 #include <optional>
 #include <span>
 #include <utility>
@@ -13,8 +12,8 @@
 #include "face/subject_builder.hpp"
 #include "facet/clock.hpp"
 #include "pipeline/bounded_queue.hpp"
-#include "pipeline/figures.hpp"
 #include "pipeline/frame_pool.hpp"
+#include "pipeline/pipeline_board.hpp"
 #include "pipeline/workers.hpp"
 
 namespace facet::pipeline {
@@ -72,8 +71,10 @@ struct MonocularPipeline::Impl {
       camera_names.push_back(one.camera->info().name);
       further_views.push_back({{}, one.view.intrinsics, one.view.view_from_reference.cast<float>()});
     }
-    shown.source = source;
-    shown.device = refiner.device();
+    board.change([&](PipelineStatus& shown) {
+      shown.source = source;
+      shown.device = refiner.device();
+    });
   }
 
   // Set before the threads start.
@@ -95,9 +96,7 @@ struct MonocularPipeline::Impl {
   BoundedQueue<Captured> captured;
   BoundedQueue<Tracked> tracked;
   FramePool pool;
-  mutable std::mutex shown_mutex;
-  PipelineStatus shown;   ///< guarded by shown_mutex
-  MovingFigures figures;  ///< guarded by shown_mutex
+  PipelineBoard board;
 
   // facet-capture only.
   CameraState camera_state = CameraState::Idle;
@@ -119,7 +118,6 @@ struct MonocularPipeline::Impl {
   bool face_was_away = false;       ///< since the last frame with a mesh
 
   void fail(ErrorKind kind, const std::string& what);
-  void set_state(PipelineState state);
 
   void capture();
   void capture_until_end();
@@ -140,26 +138,10 @@ struct MonocularPipeline::Impl {
 };
 
 void MonocularPipeline::Impl::fail(ErrorKind kind, const std::string& what) {
-  {
-    const std::lock_guard lock(shown_mutex);
-    if (shown.state != PipelineState::Failed) {
-      shown.state = PipelineState::Failed;
-      shown.failure_kind = kind;
-      shown.reason = what;
-    }
-  }
+  board.fail(kind, what);
   stopping = true;
   captured.close();
   tracked.close();
-}
-
-/// The end is final: a thread that is late must not overwrite it.
-void MonocularPipeline::Impl::set_state(PipelineState state) {
-  const std::lock_guard lock(shown_mutex);
-  if (shown.state != PipelineState::Failed && shown.state != PipelineState::Ended &&
-      shown.state != PipelineState::Stopped) {
-    shown.state = state;
-  }
 }
 
 void MonocularPipeline::Impl::capture() {
@@ -206,10 +188,9 @@ void MonocularPipeline::Impl::capture_until_end() {
     // Of a live source this time is mostly that of waiting for the next exposure.
     item.capture_ms =
         source.live ? 0.0F : std::chrono::duration<float, std::milli>(item.delivered - begun).count();
-    {
-      const std::lock_guard lock(shown_mutex);
-      shown.captured = item.frame.sequence + 1 - options.frames.first;
-    }
+    board.change([so_far = item.frame.sequence + 1 - options.frames.first](PipelineStatus& shown) {
+      shown.captured = so_far;
+    });
     if (!take(std::move(item))) {
       return;
     }
@@ -240,8 +221,7 @@ bool MonocularPipeline::Impl::add_further(Captured& item) {
 void MonocularPipeline::Impl::note_early_end(const std::string& error) {
   if (!error.empty()) {
     messages.warning(error);
-    const std::lock_guard lock(shown_mutex);
-    shown.reason = error;
+    board.change([&](PipelineStatus& shown) { shown.reason = error; });
   }
 }
 
@@ -269,13 +249,13 @@ bool MonocularPipeline::Impl::take(Captured&& item) {
 }
 
 void MonocularPipeline::Impl::track() {
-  set_state(PipelineState::Preparing);
+  board.set_state(PipelineState::Preparing);
   const auto beat = [this] { workers.beat(kTrack); };
   stages.coarse->prepare([&] {
     beat();
     return !stopping;
   });
-  set_state(PipelineState::Running);
+  board.set_state(PipelineState::Running);
   next_sequence = options.frames.first;
   // A frame is taken only when the GPU has begun the one before: what waits is the newest, not a tracked one.
   while (!stopping && tracked.wait_until_empty(beat)) {
@@ -295,8 +275,9 @@ void MonocularPipeline::Impl::track() {
 void MonocularPipeline::Impl::track_one(Captured&& item) {
   // What a recorded source leaves out was not there.
   if (source.live && item.frame.sequence > next_sequence) {
-    const std::lock_guard lock(shown_mutex);
-    shown.dropped += item.frame.sequence - next_sequence;
+    board.change([left_out = item.frame.sequence - next_sequence](PipelineStatus& shown) {
+      shown.dropped += left_out;
+    });
   }
   next_sequence = item.frame.sequence + 1;
   const track::TrackResult& result = stages.coarse->process(item.views());
@@ -363,7 +344,7 @@ void MonocularPipeline::Impl::refine() {
     // Only now: what came before the failure is handed out.
     throw Error(*source_failure);
   }
-  set_state(stopping ? PipelineState::Stopped : PipelineState::Ended);
+  board.set_state(stopping ? PipelineState::Stopped : PipelineState::Ended);
 }
 
 void MonocularPipeline::Impl::refine_one(Tracked& item) {
@@ -403,12 +384,11 @@ void MonocularPipeline::Impl::follow_subject(const Tracked& item) {
       face::build_subject(*stages.model, options.hierarchy, *item.mesh, *item.identity, item.subject_count);
   subject_count = item.subject_count;
   const mesh::Hierarchy& hierarchy = *subject->hierarchy;
-  {
-    const std::lock_guard lock(shown_mutex);
+  board.change([&](PipelineStatus& shown) {
     ++shown.subjects;
     shown.finest_vertices = hierarchy.finest().vertex_count;
     shown.levels = static_cast<int>(hierarchy.levels.size());
-  }
+  });
   messages.info(fmt::format("subject {}: hierarchy of {} levels, {} to {} vertices", item.subject_count,
                             hierarchy.levels.size(), hierarchy.levels.front().vertex_count,
                             hierarchy.finest().vertex_count));
@@ -457,8 +437,7 @@ void MonocularPipeline::Impl::note_given_up() {
   }
   given_up = refined.given_up;
   messages.info(given_up.empty() ? "refinement: all levels again" : "refinement: " + given_up);
-  const std::lock_guard lock(shown_mutex);
-  shown.given_up = given_up;
+  board.change([&](PipelineStatus& shown) { shown.given_up = given_up; });
 }
 
 void MonocularPipeline::Impl::hand_out(Tracked& item) {
@@ -467,18 +446,8 @@ void MonocularPipeline::Impl::hand_out(Tracked& item) {
   for (MeshSink* sink : sinks) {
     sink->deliver(item.mesh);
   }
-  const std::lock_guard lock(shown_mutex);
-  ++shown.processed;
-  shown.tracking = mesh.state;
-  shown.mesh_frames += mesh.state == mesh::TrackingState::Tracking ? 1 : 0;
-  shown.face_frames += mesh.landmarks_px.empty() ? 0 : 1;
-  shown.refined_frames += mesh.displacements_mm.empty() ? 0 : 1;
-  if (mesh.degraded) {
-    ++shown.degraded_frames;
-    shown.degraded_reason = mesh.degraded_reason;
-  }
-  shown.device = refiner.device();
-  figures.add(mesh, Clock::now());
+  board.change([&](PipelineStatus& shown) { shown.device = refiner.device(); });
+  board.count(mesh, !mesh.landmarks_px.empty());
 }
 
 MonocularPipeline::MonocularPipeline(Stages stages, const Options& options, std::vector<MeshSink*> sinks)
@@ -489,7 +458,7 @@ MonocularPipeline::~MonocularPipeline() {
 }
 
 void MonocularPipeline::start() {
-  impl_->set_state(PipelineState::Preparing);
+  impl_->board.set_state(PipelineState::Preparing);
   Impl& impl = *impl_;
   impl.workers.begin({{kRefine, [&impl] { impl.refine(); }},
                       {kTrack, [&impl] { impl.track(); }},
@@ -513,10 +482,8 @@ bool MonocularPipeline::finished() const {
 }
 
 PipelineStatus MonocularPipeline::status() const {
-  const std::lock_guard lock(impl_->shown_mutex);
-  PipelineStatus status = impl_->shown;
+  PipelineStatus status = impl_->board.status();
   status.camera = impl_->stages.camera->status();
-  impl_->figures.fill(status);
   status.queued_captured = impl_->captured.size();
   status.queued_tracked = impl_->tracked.size();
   return status;

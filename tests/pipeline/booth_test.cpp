@@ -362,7 +362,7 @@ class Booth : public ::testing::Test {
       std::this_thread::sleep_for(5ms);
     }
     meshes.stop();
-    meshes.fill(status_);
+    status_ = meshes.status();
     frames_ = sink.frames();
   }
 

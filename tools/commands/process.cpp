@@ -441,8 +441,7 @@ void help_booth(const Options& options, Team& team, const StopSignals& signals) 
   } catch (const Error&) {
     // A damaged take is the leader's to tell: it meets the same damage.
   }
-  pipeline::PipelineStatus status;
-  meshes.fill(status);
+  const pipeline::PipelineStatus status = meshes.status();
   if (status.state == pipeline::PipelineState::Failed) {
     throw Error(status.failure_kind, status.reason);
   }
@@ -480,8 +479,7 @@ void lead_booth(const Options& options, Team& team, const StopSignals& signals) 
   Progress progress("Processing", wanted, "meshes");
   pipeline::PipelineStatus status;
   const auto show = [&] {
-    status = {};
-    meshes.fill(status);
+    status = meshes.status();
     progress.set(status.processed, booth_note(status));
   };
   std::exception_ptr damage;
