@@ -13,8 +13,6 @@
 #include "facet/error.hpp"
 #include "files/text_file.hpp"
 #include "files/toml_section.hpp"
-#include "pipeline/booth.hpp"
-#include "pipeline/live_views.hpp"
 #include "service/listen_address.hpp"
 #include "stream/protocol.hpp"
 #include "stream/unix_socket.hpp"
@@ -540,36 +538,6 @@ pipeline::BoothConfig booth_config(const Config& config) {
 
 bool has_live_views(const Config& config) {
   return config.mode == Mode::Monocular && !config.rig.cameras.empty();
-}
-
-void require_source(const Config& config, const std::filesystem::path& file) {
-  const camera::CameraConfig& source = config.pipeline.source;
-  try {
-    if (config.mode == Mode::Booth) {
-      pipeline::check(config.rig, booth_config(config));
-      return;
-    }
-    if (config.mode == Mode::Frames) {
-      pipeline::check(config.rig);
-      return;
-    }
-    if (has_live_views(config)) {
-      if (camera::names_source(source)) {
-        throw Error(ErrorKind::Usage,
-                    "mode \"monocular\" takes pictures from one [source] or from [[camera]]s: leave out "
-                    "source.kind and source.path, or the [[camera]]s");
-      }
-      pipeline::check(config.rig, config.rig_file);
-      return;
-    }
-  } catch (const Error& error) {
-    throw Error(ErrorKind::Usage, fmt::format("{}: {}", file.string(), error.what()));
-  }
-  if (!camera::names_source(source)) {
-    const camera::CameraKind& kind = camera::camera_kind(source.kind);
-    throw Error(ErrorKind::Usage,
-                fmt::format("{}: source.{} is missing: {}", file.string(), kind.needs, kind.advice));
-  }
 }
 
 std::vector<std::string> config_keys() {

@@ -98,9 +98,6 @@ bool has_live_views(const Config& config);
 /// What mode Booth asks of the meshes; the slots are those of the trigger's program, where it has one.
 pipeline::BoothConfig booth_config(const Config& config);
 
-/// Throws Error(Usage) where the configuration lacks what a daemon needs: a source, or a rig that can be.
-void require_source(const Config& config, const std::filesystem::path& file);
-
 /// Every key that a configuration file may have, as "section.key".
 std::vector<std::string> config_keys();
 

@@ -18,6 +18,7 @@
 #include "service/descriptors.hpp"
 #include "service/log.hpp"
 #include "service/memory_reserve.hpp"
+#include "service/modes.hpp"
 #include "service/service.hpp"
 
 namespace {

@@ -20,15 +20,11 @@
 #include <optional>
 #include <tuple>
 #include <utility>
-#include <variant>
 
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
-#include "pipeline/booth.hpp"
 #include "pipeline/bridge_sink.hpp"
-#include "pipeline/frames.hpp"
-#include "pipeline/live_views.hpp"
-#include "pipeline/monocular.hpp"
+#include "pipeline/pipeline.hpp"
 #include "pipeline/sets_on_stream.hpp"
 #include "pipeline/stream_sink.hpp"
 #include "pipeline/take_sink.hpp"
@@ -36,6 +32,7 @@
 #include "service/errands.hpp"
 #include "service/memory_reserve.hpp"
 #include "service/metrics.hpp"
+#include "service/modes.hpp"
 #include "service/recording.hpp"
 #include "service/service_manager.hpp"
 #include "service/stage_opener.hpp"
@@ -147,13 +144,13 @@ struct Service::Impl {
   Thumbnails thumbnails;
   pipeline::BridgeSink bridge_sink;
   pipeline::TakeSink takes;
+  pipeline::SetsOnStream sets_shown{{&stream_sink, &takes}};
+  pipeline::SetsOnStream sets_recorded{{&takes}};
   TakeIndex index;
   Recording recording;
   std::atomic<bool> looking_ends{false};  ///< tells an errand of `looking` that takes long
   Errands looking{"facet-look"};          ///< what looking methods leave: files, and what is much to compute
   std::optional<StageOpener> opener;
-  std::optional<pipeline::SetsOnStream>
-      sets;  ///< where frame sets are streamed or recorded; outlives `pipeline`
   std::unique_ptr<pipeline::Pipeline> pipeline;
   std::string source_name;
   bool live = false;                     ///< the source goes on while nobody reads
@@ -197,12 +194,6 @@ struct Service::Impl {
   void wait_for_events();
   void read_signals();
   void begin_pipeline();
-  void make_pipeline(pipeline::Stages stages);
-  void make_pipeline(pipeline::LiveViews views);
-  void make_pipeline(pipeline::Rig rig);
-  void make_pipeline(pipeline::Booth booth);
-  void tell_refiner(const pipeline::Stages& stages);
-  void tell_devices(const pipeline::Rig& rig);
   void start_when_awaited();
   take::TakeRecorderConfig take_config() const;
   void begin_first_take();
@@ -542,79 +533,14 @@ void Service::Impl::read_signals() {
   }
 }
 
-void Service::Impl::tell_refiner(const pipeline::Stages& stages) {
-  if (stages.refiner != nullptr) {
-    log.info(fmt::format("refining on {}", stages.refiner->device()));
-  } else {
-    log.warning("refinement off (gpu.device = \"none\"): meshes are coarse and marked as degraded");
-  }
-}
-
-void Service::Impl::make_pipeline(pipeline::Stages stages) {
-  const CameraInfo source = stages.camera->info();
-  const camera::CameraConfig& given = config.pipeline.source;
-  // A take tells where its video is, from whatever folder the daemon was started.
-  source_name =
-      given.kind == "file" ? std::filesystem::absolute(given.path).lexically_normal().string() : source.name;
-  live = source.live;
-  log.info(fmt::format("source {}: {} x {} px, {:.2f} Hz{}", source.name, source.width_px, source.height_px,
-                       source.rate_hz, source.live ? ", live" : ""));
-  tell_refiner(stages);
-  pipeline = std::make_unique<pipeline::MonocularPipeline>(
-      std::move(stages),
-      pipeline::MonocularPipeline::Options{config.pipeline.hierarchy, config.pipeline.frames, {}},
-      std::vector<pipeline::MeshSink*>{&stream_sink, &bridge_sink, &takes});
-}
-
-void Service::Impl::make_pipeline(pipeline::LiveViews views) {
-  tell_devices(views.devices);
-  log.info(fmt::format("meshes are in the frame of camera {}", views.devices.config.cameras.front().name));
-  tell_refiner(views.stages);
-  pipeline = std::make_unique<pipeline::LiveViewsPipeline>(
-      std::move(views),
-      pipeline::MonocularPipeline::Options{config.pipeline.hierarchy, config.pipeline.frames, {}},
-      std::vector<pipeline::MeshSink*>{&stream_sink, &bridge_sink, &takes});
-}
-
-void Service::Impl::tell_devices(const pipeline::Rig& rig) {
-  live = true;
-  for (std::size_t i = 0; i < rig.cameras.size(); ++i) {
-    const CameraInfo camera = rig.cameras[i]->info();
-    source_name += (i == 0 ? "" : ", ") + rig.config.cameras[i].name;
-    log.info(fmt::format("camera {}: {}, {} x {} px, {:.2f} Hz", rig.config.cameras[i].name, camera.name,
-                         camera.width_px, camera.height_px, camera.rate_hz));
-  }
-  log.info(rig.open_trigger
-               ? fmt::format("trigger: {} lines, {:.2f} slots a second", rig.config.program.lines.size(),
-                             rig.config.program.slots_per_second)
-               : std::string("no trigger: the cameras run freely"));
-}
-
-void Service::Impl::make_pipeline(pipeline::Rig rig) {
-  tell_devices(rig);
-  sets.emplace(std::vector<pipeline::MeshSink*>{&stream_sink, &takes});
-  pipeline = std::make_unique<pipeline::FramesPipeline>(std::move(rig),
-                                                        std::vector<pipeline::FrameSetSink*>{&*sets});
-}
-
-void Service::Impl::make_pipeline(pipeline::Booth booth) {
-  tell_devices(booth.devices);
-  log.info(fmt::format("depth maps on {}", booth.stages.depth->device()));
-  std::vector<pipeline::FrameSetSink*> set_sinks;
-  std::vector<pipeline::MeshSink*> mesh_sinks = {&stream_sink, &bridge_sink};
-  if (config.booth_record == BoothRecord::Pictures) {
-    sets.emplace(std::vector<pipeline::MeshSink*>{&takes});
-    set_sinks.push_back(&*sets);
-  } else {
-    mesh_sinks.push_back(&takes);
-  }
-  pipeline = std::make_unique<pipeline::BoothPipeline>(std::move(booth), std::move(set_sinks),
-                                                       std::move(mesh_sinks));
-}
-
 void Service::Impl::begin_pipeline() {
-  std::visit([this](auto&& opened) { make_pipeline(std::forward<decltype(opened)>(opened)); },
-             opener->take());
+  const OpenedPipeline opened = opener->take();
+  source_name = opened.source_name;
+  live = opened.live;
+  for (const Messages::Message& line : opened.lines) {
+    line.warning ? log.warning(line.text) : log.info(line.text);
+  }
+  pipeline = opened.make({stream_sink, bridge_sink, takes, sets_shown, sets_recorded});
   opener.reset();
   if (!config.takes.record_at_start.empty()) {
     begin_first_take();

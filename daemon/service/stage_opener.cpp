@@ -15,7 +15,7 @@ struct StageOpener::Result {
   stream::FileDescriptor wake{::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)};
   std::atomic<bool> done{false};
   std::exception_ptr error;  ///< written before done
-  Opened opened;             ///< written before done
+  OpenedPipeline opened;     ///< written before done
 };
 
 StageOpener::StageOpener(const Config& config) : result_(std::make_shared<Result>()) {
@@ -26,15 +26,7 @@ StageOpener::StageOpener(const Config& config) : result_(std::make_shared<Result
   thread_ = std::jthread([result = result_, config] {
     ::pthread_setname_np(::pthread_self(), "facet-open");
     try {
-      if (config.mode == Mode::Frames) {
-        result->opened = pipeline::open_rig(config.rig);
-      } else if (config.mode == Mode::Booth) {
-        result->opened = pipeline::open_booth(config.rig, booth_config(config));
-      } else if (has_live_views(config)) {
-        result->opened = pipeline::open_live_views(config.rig, config.rig_file, config.pipeline);
-      } else {
-        result->opened = pipeline::open_stages(config.pipeline);
-      }
+      result->opened = mode_row(config.mode).open(config);
     } catch (...) {
       result->error = std::current_exception();
     }
@@ -52,7 +44,7 @@ bool StageOpener::done() const {
   return result_->done;
 }
 
-Opened StageOpener::take() {
+OpenedPipeline StageOpener::take() {
   if (result_->error != nullptr) {
     std::rethrow_exception(result_->error);
   }

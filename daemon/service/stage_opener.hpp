@@ -4,20 +4,12 @@
 #include <optional>
 #include <string>
 #include <thread>
-#include <variant>
 
 #include "facet/error.hpp"
-#include "pipeline/booth.hpp"
-#include "pipeline/frames.hpp"
-#include "pipeline/live_views.hpp"
-#include "pipeline/stages.hpp"
-#include "service/config.hpp"
+#include "service/modes.hpp"
 #include "stream/unix_socket.hpp"
 
 namespace facet::service {
-
-/// What a pipeline of any mode is made of.
-using Opened = std::variant<pipeline::Stages, pipeline::LiveViews, pipeline::Rig, pipeline::Booth>;
 
 /// Opens the pipeline's stages or devices on the thread `facet-open`, which can't be broken off: models are
 /// read, drivers loaded and kernels compiled meanwhile. The destructor waits for it. One thread uses this
@@ -34,7 +26,7 @@ class StageOpener {
   bool done() const;
 
   /// Once. Throws what opening threw. Only when done().
-  Opened take();
+  OpenedPipeline take();
 
  private:
   struct Result;

@@ -11,6 +11,7 @@
 #include <sstream>
 
 #include "facet/error.hpp"
+#include "service/modes.hpp"
 #include "support/paths.hpp"
 
 namespace facet::service {
