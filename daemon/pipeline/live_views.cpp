@@ -5,7 +5,6 @@
 
 #include "capture/rig_file.hpp"
 #include "facet/error.hpp"
-#include "pipeline/calibrated_camera.hpp"
 
 namespace facet::pipeline {
 
@@ -13,16 +12,20 @@ void LiveSets::deliver(std::shared_ptr<const FrameSet> set) {
   newest_.push_newest(std::move(set));
 }
 
-CaptureOutcome LiveSets::next(std::shared_ptr<const FrameSet>& out, std::chrono::milliseconds timeout) {
+CaptureOutcome LiveSets::next(FrameSet& out, std::chrono::milliseconds timeout) {
   using namespace std::chrono_literals;
-  if (newest_.pop_within(out, timeout)) {
-    return CaptureOutcome::Delivered;
+  std::shared_ptr<const FrameSet> set;
+  if (!newest_.pop_within(set, timeout)) {
+    if (!ended_()) {
+      return CaptureOutcome::Timeout;
+    }
+    // The last one may have come meanwhile.
+    if (!newest_.pop_within(set, 0ms)) {
+      return CaptureOutcome::EndOfStream;
+    }
   }
-  if (!ended_()) {
-    return CaptureOutcome::Timeout;
-  }
-  // The last one may have come meanwhile.
-  return newest_.pop_within(out, 0ms) ? CaptureOutcome::Delivered : CaptureOutcome::EndOfStream;
+  out = pictures_of(*set, cameras_);
+  return CaptureOutcome::Delivered;
 }
 
 void check(const RigConfig& devices, const std::filesystem::path& rig_file) {
@@ -58,8 +61,7 @@ LiveViews open_live_views(const RigConfig& devices, const std::filesystem::path&
   const std::vector<capture::RigCamera> known = calibration_of(devices, rig_file);
   LiveViews views;
   views.devices = open_rig(devices);
-  views.sets = std::make_shared<LiveSets>();
-  std::vector<CameraInfo> infos;
+  std::vector<PictureCamera> cameras;
   for (std::size_t i = 0; i < known.size(); ++i) {
     CameraInfo info = views.devices.cameras[i]->info();
     info.name = known[i].name;
@@ -68,18 +70,22 @@ LiveViews open_live_views(const RigConfig& devices, const std::filesystem::path&
     if (views.devices.open_trigger) {
       info.rate_hz = devices.program.slots_per_second;
     }
-    infos.push_back(info);
+    cameras.push_back({info, std::nullopt});
   }
-  views.stages = open_stages(
-      config, [=, sets = views.sets] { return calibrated_views(known, rig_file, set_cameras(sets, infos)); });
+  // Called once, here: what is live is not looked at ahead.
+  views.stages = open_stages(config, [&] {
+    auto sets = std::make_unique<LiveSets>(cameras);
+    views.sets = sets.get();
+    return calibrated(std::move(sets), known, rig_file);
+  });
   return views;
 }
 
 LiveViewsPipeline::LiveViewsPipeline(LiveViews views, const MonocularPipeline::Options& options,
                                      std::vector<MeshSink*> sinks) {
   meshes_ = std::make_unique<MonocularPipeline>(std::move(views.stages), options, std::move(sinks));
-  frames_ = std::make_unique<FramesPipeline>(std::move(views.devices),
-                                             std::vector<FrameSetSink*>{views.sets.get()});
+  frames_ =
+      std::make_unique<FramesPipeline>(std::move(views.devices), std::vector<FrameSetSink*>{views.sets});
   views.sets->set_ended([&frames = *frames_] {
     const PipelineState state = frames.status().state;
     return state == PipelineState::Ended || state == PipelineState::Failed;

@@ -3,27 +3,38 @@
 #include <filesystem>
 #include <functional>
 #include <memory>
+#include <string>
+#include <utility>
 #include <vector>
 
 #include "pipeline/bounded_queue.hpp"
 #include "pipeline/frames.hpp"
 #include "pipeline/monocular.hpp"
-#include "pipeline/set_cameras.hpp"
+#include "pipeline/picture_source.hpp"
 #include "pipeline/sets_pipeline.hpp"
 
 namespace facet::pipeline {
 
-/// Frame sets on their way from FramesPipeline to MonocularPipeline: the newest, older ones are dropped.
-class LiveSets final : public FrameSetSink, public SetSource {
+/// Frame sets on their way from FramesPipeline to MonocularPipeline: the newest, older ones are dropped. How
+/// the devices do is FramesPipeline's to know.
+class LiveSets final : public FrameSetSink, public PictureSource {
  public:
+  /// cameras: named as in the sets.
+  explicit LiveSets(std::vector<PictureCamera> cameras) : cameras_(std::move(cameras)) {}
   /// ended: whether no more sets come; before the first `next`.
   void set_ended(std::function<bool()> ended) { ended_ = std::move(ended); }
 
   void deliver(std::shared_ptr<const FrameSet> set) override;
-  CaptureOutcome next(std::shared_ptr<const FrameSet>& out, std::chrono::milliseconds timeout) override;
-  std::string last_error() const override { return {}; }  // FramesPipeline's status says it
+
+  std::vector<PictureCamera> cameras() const override { return cameras_; }
+  CameraStatus status() const override { return {}; }
+  void start() override {}
+  CaptureOutcome next(FrameSet& out, std::chrono::milliseconds timeout) override;
+  void stop() override {}
+  std::string last_error() const override { return {}; }
 
  private:
+  std::vector<PictureCamera> cameras_;
   std::function<bool()> ended_;
   BoundedQueue<std::shared_ptr<const FrameSet>> newest_{1};
 };
@@ -31,8 +42,8 @@ class LiveSets final : public FrameSetSink, public SetSource {
 /// The devices and stages of several calibrated cameras that see one face, opened.
 struct LiveViews {
   Rig devices;
-  std::shared_ptr<LiveSets> sets;  ///< that the stages' cameras read
   Stages stages;
+  LiveSets* sets = nullptr;  ///< whose pictures the stages are given; theirs
 };
 
 /// Throws Error(Usage) where no face can be followed with these cameras.

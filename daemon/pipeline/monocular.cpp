@@ -5,7 +5,6 @@
 #include <atomic>
 #include <chrono>
 #include <optional>
-#include <span>
 #include <utility>
 #include <vector>
 
@@ -32,14 +31,12 @@ constexpr double kRefineShare = 0.9;
 enum Worker : std::size_t { kCapture, kTrack, kRefine };
 
 struct Captured {
-  Frame frame;
-  std::vector<Frame> all;  ///< of every camera, `frame` first, where there are several; else empty
+  FrameSet set;
   Clock::time_point delivered;
   float capture_ms = 0;
 
-  std::span<const Frame> views() const {
-    return all.empty() ? std::span<const Frame>(&frame, 1) : std::span<const Frame>(all);
-  }
+  const Frame& reference() const { return set.frames.front(); }
+  bool several() const { return set.frames.size() > 1; }
 };
 
 struct Tracked {
@@ -62,14 +59,14 @@ struct MonocularPipeline::Impl {
       : stages(std::move(given)),
         options(given_options),
         sinks(std::move(given_sinks)),
-        source(stages.camera->info()),
+        cameras(stages.pictures->cameras()),
+        source(cameras.front().info),
         captured(source.live ? kLiveQueue : kRecordedQueue),
         tracked(1),
         refiner(std::move(stages.refiner), stages.open_refiner, messages, given_options.pauses) {
-    camera_names.push_back(source.name);
-    for (const FurtherCamera& one : stages.further_cameras) {
-      camera_names.push_back(one.camera->info().name);
-      further_views.push_back({{}, one.view.intrinsics, one.view.view_from_reference.cast<float>()});
+    for (std::size_t i = 1; i < cameras.size(); ++i) {
+      further_views.push_back(
+          {{}, cameras[i].info.intrinsics.value(), cameras[i].camera_from_reference.value().cast<float>()});
     }
     board.change([&](PipelineStatus& shown) {
       shown.source = source;
@@ -81,8 +78,8 @@ struct MonocularPipeline::Impl {
   Stages stages;
   Options options;
   std::vector<MeshSink*> sinks;
-  CameraInfo source;
-  std::vector<std::string> camera_names;  ///< [view]
+  std::vector<PictureCamera> cameras;
+  CameraInfo source;  ///< the reference camera's
 
   // facet-capture until it closes `captured`, then facet-refine.
   std::optional<Error> source_failure;
@@ -121,7 +118,6 @@ struct MonocularPipeline::Impl {
 
   void capture();
   void capture_until_end();
-  bool add_further(Captured& item);
   void note_early_end(const std::string& error);
   void note_camera();
   bool take(Captured&& item);
@@ -145,15 +141,9 @@ void MonocularPipeline::Impl::fail(ErrorKind kind, const std::string& what) {
 }
 
 void MonocularPipeline::Impl::capture() {
-  stages.camera->start();
-  for (const FurtherCamera& one : stages.further_cameras) {
-    one.camera->start();
-  }
+  stages.pictures->start();
   capture_until_end();
-  stages.camera->stop();
-  for (const FurtherCamera& one : stages.further_cameras) {
-    one.camera->stop();
-  }
+  stages.pictures->stop();
   captured.close();
 }
 
@@ -162,59 +152,36 @@ void MonocularPipeline::Impl::capture_until_end() {
     workers.beat(kCapture);
     Captured item;
     const Clock::time_point begun = Clock::now();
-    const CaptureOutcome outcome = stages.camera->next(item.frame, kCaptureTimeout);
+    const CaptureOutcome outcome = stages.pictures->next(item.set, kCaptureTimeout);
     note_camera();
     if (outcome == CaptureOutcome::Failed) {
-      source_failure.emplace(ErrorKind::UnreadableInput, stages.camera->last_error());
+      source_failure.emplace(ErrorKind::UnreadableInput, stages.pictures->last_error());
       return;
     }
     if (outcome == CaptureOutcome::EndOfStream) {
-      note_early_end(stages.camera->last_error());
+      note_early_end(stages.pictures->last_error());
       return;
     }
     if (outcome == CaptureOutcome::Timeout) {
       continue;
     }
-    if (!add_further(item)) {
-      return;
-    }
-    if (item.frame.sequence < options.frames.first) {
+    if (item.set.slot < options.frames.first) {
       continue;
     }
-    if (item.frame.sequence >= options.frames.end) {
+    if (item.set.slot >= options.frames.end) {
       return;
     }
     item.delivered = Clock::now();
     // Of a live source this time is mostly that of waiting for the next exposure.
     item.capture_ms =
         source.live ? 0.0F : std::chrono::duration<float, std::milli>(item.delivered - begun).count();
-    board.change([so_far = item.frame.sequence + 1 - options.frames.first](PipelineStatus& shown) {
+    board.change([so_far = item.set.slot + 1 - options.frames.first](PipelineStatus& shown) {
       shown.captured = so_far;
     });
     if (!take(std::move(item))) {
       return;
     }
   }
-}
-
-/// The other cameras' frames of the same moment. False where one has none, or the pipeline stops.
-bool MonocularPipeline::Impl::add_further(Captured& item) {
-  if (stages.further_cameras.empty()) {
-    return true;
-  }
-  std::string error;
-  const auto go_on = [this] {
-    workers.beat(kCapture);
-    return !stopping;
-  };
-  if (!read_in_step(stages.further_cameras, item.frame.sequence, item.all, go_on, error)) {
-    if (!error.empty()) {
-      source_failure.emplace(ErrorKind::UnreadableInput, error);
-    }
-    return false;
-  }
-  item.all.insert(item.all.begin(), item.frame);
-  return true;
 }
 
 /// error: of the source, empty where it is simply at its end.
@@ -230,7 +197,7 @@ void MonocularPipeline::Impl::note_camera() {
   if (!source.live) {
     return;
   }
-  const CameraStatus now = stages.camera->status();
+  const CameraStatus now = stages.pictures->status();
   if (now.state == camera_state && now.reason == camera_reason) {
     return;
   }
@@ -274,13 +241,12 @@ void MonocularPipeline::Impl::track() {
 
 void MonocularPipeline::Impl::track_one(Captured&& item) {
   // What a recorded source leaves out was not there.
-  if (source.live && item.frame.sequence > next_sequence) {
-    board.change([left_out = item.frame.sequence - next_sequence](PipelineStatus& shown) {
-      shown.dropped += left_out;
-    });
+  if (source.live && item.set.slot > next_sequence) {
+    board.change(
+        [left_out = item.set.slot - next_sequence](PipelineStatus& shown) { shown.dropped += left_out; });
   }
-  next_sequence = item.frame.sequence + 1;
-  const track::TrackResult& result = stages.coarse->process(item.views());
+  next_sequence = item.set.slot + 1;
+  const track::TrackResult& result = stages.coarse->process(item.set.frames);
   if (identity == nullptr || identity_count != result.subject) {
     identity = std::make_shared<const std::vector<float>>(result.identity);
     identity_count = result.subject;
@@ -289,7 +255,7 @@ void MonocularPipeline::Impl::track_one(Captured&& item) {
   tracked_item.mesh = pool.take();
   tracked_item.subject_count = result.subject;
   tracked_item.identity = identity;
-  if (!item.all.empty()) {
+  if (item.several()) {
     tracked_item.view_used = result.view_used;
   }
   fill(*tracked_item.mesh, item, result);
@@ -299,9 +265,9 @@ void MonocularPipeline::Impl::track_one(Captured&& item) {
 
 void MonocularPipeline::Impl::fill(mesh::MeshFrame& mesh, const Captured& item,
                                    const track::TrackResult& result) const {
-  mesh.sequence = item.frame.sequence;
-  mesh.timestamp_ns = item.frame.timestamp_ns;
-  mesh.media_time_ns = item.frame.media_time_ns;
+  mesh.sequence = item.set.slot;
+  mesh.timestamp_ns = item.set.trigger_ns;
+  mesh.media_time_ns = item.set.media_time_ns;
   mesh.state = result.state;
   mesh.camera = result.camera;
   mesh.landmarks_px.assign(result.landmarks_px.begin(), result.landmarks_px.end());
@@ -309,13 +275,12 @@ void MonocularPipeline::Impl::fill(mesh::MeshFrame& mesh, const Captured& item,
   mesh.stage_ms.detect_ms = result.detect_ms;
   mesh.stage_ms.landmarks_ms = result.landmarks_ms;
   mesh.stage_ms.fit_ms = result.fit_ms;
-  if (item.frame.corrupt) {
+  if (item.reference().corrupt) {
     degrade(mesh, "the source says that the image is damaged");
   }
-  const std::span<const Frame> views = item.views();
-  for (std::size_t v = 0; v < views.size(); ++v) {
-    if (views[v].empty()) {
-      degrade(mesh, "no picture of camera " + camera_names[v]);
+  for (std::size_t i = 0; i < item.set.frames.size(); ++i) {
+    if (item.set.frames[i].empty()) {
+      degrade(mesh, "no picture of camera " + cameras[i].info.name);
     }
   }
   if (!result.has_mesh) {
@@ -362,7 +327,7 @@ void MonocularPipeline::Impl::refine_one(Tracked& item) {
   }
   face_was_away = false;
   item.mesh->subject = subject;
-  if (!item.captured.frame.corrupt || !further_views.empty()) {
+  if (!item.captured.reference().corrupt || !further_views.empty()) {
     add_displacements(item);
   }
 }
@@ -398,13 +363,14 @@ void MonocularPipeline::Impl::follow_subject(const Tracked& item) {
 void MonocularPipeline::Impl::add_displacements(Tracked& item) {
   mesh::MeshFrame& mesh = *item.mesh;
   refine::RefineInput input;
-  input.image = item.captured.frame.corrupt ? Frame{} : item.captured.frame;
+  const std::vector<Frame>& pictures = item.captured.set.frames;
+  input.image = pictures.front().corrupt ? Frame{} : pictures.front();
   input.camera = mesh.camera;
   input.camera_from_head = mesh.camera_from_head;
   input.control_vertices_mm = &mesh.control_vertices_mm;
   for (std::size_t v = 0; v < further_views.size(); ++v) {
     // Where the landmarks were not believed something may stand before the face.
-    const Frame& picture = item.captured.all[v + 1];
+    const Frame& picture = pictures[v + 1];
     further_views[v].image = item.view_used[v + 1] != 0 && !picture.corrupt ? picture : Frame{};
   }
   input.further_views = further_views;
@@ -483,7 +449,7 @@ bool MonocularPipeline::finished() const {
 
 PipelineStatus MonocularPipeline::status() const {
   PipelineStatus status = impl_->board.status();
-  status.camera = impl_->stages.camera->status();
+  status.camera = impl_->stages.pictures->status();
   status.queued_captured = impl_->captured.size();
   status.queued_tracked = impl_->tracked.size();
   return status;

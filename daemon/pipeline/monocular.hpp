@@ -15,7 +15,8 @@ namespace facet::pipeline {
 /// refine (GPU) -> sinks.
 ///
 /// Threads, what each does and what it may block on:
-/// * `facet-capture`: Camera::start, next, stop. The source; where it is recorded also room in a queue.
+/// * `facet-capture`: PictureSource::start, next, stop. The source; where it is recorded also room in a
+/// queue.
 /// * `facet-track`: CoarseStage. An empty queue, and until refine takes a frame.
 /// * `facet-refine`: the hierarchy of a new subject, refine::RefineStage, MeshSink::deliver. An empty queue,
 /// the GPU,

@@ -8,7 +8,6 @@
 #include <vector>
 
 #include "facet/error.hpp"
-#include "pipeline/calibrated_camera.hpp"
 
 namespace facet::pipeline {
 namespace {
@@ -16,85 +15,30 @@ namespace {
 /// Frames of a recording that are looked at ahead for the subject: beyond these it is estimated on the way.
 constexpr std::uint64_t kMostFramesAhead = 3000;
 
-/// The cameras of a configuration.
-struct Cameras {
-  std::unique_ptr<Camera> first;
-  std::vector<FurtherCamera> further;
-
-  void start() {
-    first->start();
-    for (FurtherCamera& one : further) {
-      one.camera->start();
-    }
-  }
-};
-
-using OpenCameras = std::function<Cameras()>;
-
-/// Takes the lenses' distortion out of the pictures, and sees that the cameras go together.
-Cameras in_step(std::vector<CalibratedView> views) {
-  Cameras cameras;
-  const capture::RigCamera& reference = views.front().camera;
-  const Eigen::Isometry3d rig_from_reference = reference.lens.camera_from_rig.inverse();
-  for (CalibratedView& view : views) {
-    auto camera = calibrated(std::move(view.source), view.camera, view.rig_file);
-    if (cameras.first == nullptr) {
-      cameras.first = std::move(camera);
-      continue;
-    }
-    const auto wanted = cameras.first->info().frame_count;
-    const auto there = camera->info().frame_count;
-    if (wanted && there && *wanted != *there) {
-      throw Error(
-          ErrorKind::Usage,
-          fmt::format("camera '{}' has {} frames, camera '{}' {}: frame n of each must be of the same "
-                      "moment; cut the videos to the frames that they share",
-                      view.camera.name, *there, reference.name, *wanted));
-    }
-    const capture::Lens& lens = view.camera.lens;
-    cameras.further.push_back(
-        {std::move(camera), {capture::pinhole_of(lens), lens.camera_from_rig * rig_from_reference}});
-  }
-  return cameras;
-}
-
-std::vector<CalibratedView> open_videos(const std::vector<ViewConfig>& configs) {
-  std::vector<CalibratedView> views;
-  views.reserve(configs.size());
-  for (const ViewConfig& view : configs) {
-    views.push_back({view.camera, view.rig_file, camera::open_camera(view.source)});
-  }
-  return views;
-}
-
 class TrackerStage final : public CoarseStage {
  public:
   /// open: a recorded source once more, to look ahead; empty for others.
-  TrackerStage(std::shared_ptr<const face::FaceModel> model, const MonocularConfig& config, OpenCameras open)
+  TrackerStage(std::shared_ptr<const face::FaceModel> model, const MonocularConfig& config, OpenPictures open)
       : model_(std::move(model)), config_(config), open_(std::move(open)), tracker_(make_tracker()) {}
 
   void prepare(const std::function<bool()>& go_on) override {
     if (!open_) {
       return;
     }
-    Cameras cameras = open_();
-    cameras.start();
+    const std::unique_ptr<PictureSource> pictures = open_();
+    pictures->start();
     const auto ahead = make_tracker();
-    Frame frame;
-    std::vector<Frame> views;
-    std::string error;
+    FrameSet set;
     for (std::uint64_t seen = 0; seen < kMostFramesAhead && !ahead->person() && go_on();) {
-      const CaptureOutcome outcome = cameras.first->next(frame, std::chrono::milliseconds(100));
+      const CaptureOutcome outcome = pictures->next(set, std::chrono::milliseconds(100));
       if (outcome == CaptureOutcome::Timeout) {
         continue;
       }
-      if (outcome != CaptureOutcome::Delivered || frame.sequence >= config_.frames.end ||
-          !read_in_step(cameras.further, frame.sequence, views, go_on, error)) {
+      if (outcome != CaptureOutcome::Delivered || set.slot >= config_.frames.end) {
         break;
       }
-      if (frame.sequence >= config_.frames.first) {
-        views.insert(views.begin(), frame);
-        ahead->process(views);
+      if (set.slot >= config_.frames.first) {
+        ahead->process(set.frames);
         ++seen;
       }
     }
@@ -103,7 +47,7 @@ class TrackerStage final : public CoarseStage {
     }
     ahead->settle_subject();
     if (const std::optional<track::Person> subject = ahead->person()) {
-      tracker_->adopt(*subject, frame.width_px, frame.height_px);
+      tracker_->adopt(*subject, set.frames.front().width_px, set.frames.front().height_px);
     }
   }
 
@@ -119,7 +63,7 @@ class TrackerStage final : public CoarseStage {
 
   std::shared_ptr<const face::FaceModel> model_;
   MonocularConfig config_;
-  OpenCameras open_;
+  OpenPictures open_;
   std::unique_ptr<track::Tracker> tracker_;
 };
 
@@ -139,6 +83,19 @@ std::shared_ptr<const face::FaceModel> load_model(const MonocularConfig& config)
   return model;
 }
 
+std::unique_ptr<PictureSource> open_pictures(const MonocularConfig& config) {
+  if (config.views.empty()) {
+    return one_camera(camera::open_camera(config.source));
+  }
+  std::vector<std::unique_ptr<Camera>> cameras;
+  std::vector<capture::RigCamera> known;
+  for (const ViewConfig& view : config.views) {
+    cameras.push_back(camera::open_camera(view.source));
+    known.push_back(view.camera);
+  }
+  return calibrated(cameras_in_step(std::move(cameras)), known, config.views.front().rig_file);
+}
+
 }  // namespace
 
 track::TrackerConfig tracker_config(const MonocularConfig& config, const CameraInfo& source) {
@@ -149,83 +106,33 @@ track::TrackerConfig tracker_config(const MonocularConfig& config, const CameraI
   return tracker;
 }
 
-namespace {
-
-Stages open_with(const MonocularConfig& given, const OpenCameras& open) {
+Stages open_stages(const MonocularConfig& given, OpenPictures open) {
+  MonocularConfig config = given;
+  if (!open) {
+    open = [config] { return open_pictures(config); };
+  }
   Stages stages;
   // Cheap and likely mistakes first.
-  Cameras cameras = open();
-  stages.camera = std::move(cameras.first);
-  stages.further_cameras = std::move(cameras.further);
-  MonocularConfig config = given;
-  config.tracker = tracker_config(config, stages.camera->info());
-  for (const FurtherCamera& one : stages.further_cameras) {
-    config.tracker.further_views.push_back(one.view);
+  stages.pictures = open();
+  const std::vector<PictureCamera> cameras = stages.pictures->cameras();
+  const PictureCamera& reference = cameras.front();
+  if (reference.camera_from_reference) {
+    config.tracker.intrinsics.reset();  // the rig file knows
+  }
+  config.tracker = tracker_config(config, reference.info);
+  for (std::size_t i = 1; i < cameras.size(); ++i) {
+    config.tracker.further_views.push_back(
+        {cameras[i].info.intrinsics.value(), cameras[i].camera_from_reference.value()});
   }
   stages.model = load_model(config);
-  const bool recorded = !stages.camera->info().live && !config.source.loop;
-  stages.coarse = std::make_unique<TrackerStage>(stages.model, config, recorded ? open : OpenCameras());
+  const bool recorded = !reference.info.live && !config.source.loop;
+  stages.coarse =
+      std::make_unique<TrackerStage>(stages.model, config, recorded ? std::move(open) : OpenPictures());
   if (config.gpu_device != kNoDevice) {
     stages.open_refiner = refine::refiner_opener(config.gpu_device, config.refiner);
     stages.refiner = stages.open_refiner();
   }
   return stages;
-}
-
-}  // namespace
-
-std::vector<CalibratedView> calibrated_views(const std::vector<capture::RigCamera>& known,
-                                             const std::filesystem::path& rig_file,
-                                             std::vector<std::unique_ptr<Camera>> cameras) {
-  std::vector<CalibratedView> views;
-  views.reserve(known.size());
-  for (std::size_t i = 0; i < known.size(); ++i) {
-    views.push_back({known[i], rig_file, std::move(cameras[i])});
-  }
-  return views;
-}
-
-bool read_in_step(std::span<FurtherCamera> cameras, std::uint64_t sequence, std::vector<Frame>& out,
-                  const std::function<bool()>& go_on, std::string& error) {
-  out.clear();
-  for (FurtherCamera& one : cameras) {
-    for (;;) {
-      Frame frame;
-      const CaptureOutcome outcome = one.camera->next(frame, std::chrono::milliseconds(100));
-      if (outcome == CaptureOutcome::Timeout ||
-          (outcome == CaptureOutcome::Delivered && frame.sequence < sequence)) {
-        if (!go_on()) {
-          return false;
-        }
-        continue;
-      }
-      if (outcome != CaptureOutcome::Delivered || frame.sequence != sequence) {
-        const std::string why = one.camera->last_error();
-        error = fmt::format(
-            "'{}' has no frame {}, which the first camera has{}: every camera needs a picture of "
-            "every moment",
-            one.camera->info().name, sequence, why.empty() ? "" : " (" + why + ")");
-        return false;
-      }
-      out.push_back(std::move(frame));
-      break;
-    }
-  }
-  return true;
-}
-
-Stages open_stages(const MonocularConfig& config) {
-  if (!config.views.empty()) {
-    return open_stages(config, [views = config.views] { return open_videos(views); });
-  }
-  return open_with(config, [source = config.source] { return Cameras{camera::open_camera(source), {}}; });
-}
-
-Stages open_stages(const MonocularConfig& given, const OpenViews& open) {
-  MonocularConfig config = given;
-  config.tracker.intrinsics.reset();  // the rig file knows
-  config.source.loop = false;
-  return open_with(config, [open] { return in_step(open()); });
 }
 
 }  // namespace facet::pipeline

@@ -68,7 +68,7 @@ void check_monocular(const Config& config) {
 
 OpenedPipeline open_one_source(const Config& config) {
   const auto stages = std::make_shared<pipeline::Stages>(pipeline::open_stages(config.pipeline));
-  const CameraInfo source = stages->camera->info();
+  const CameraInfo source = stages->pictures->cameras().front().info;
   const camera::CameraConfig& given = config.pipeline.source;
   OpenedPipeline opened;
   // A take tells where its video is, from whatever folder the daemon was started.

@@ -317,7 +317,7 @@ TEST_F(LiveCameras, ATakeOfFrameSetsGivesTheVideosMeshes) {
     known.push_back(camera);
   }
   const auto views_of = [&](const std::filesystem::path& take, const FrameRange& slots = {}) {
-    return [&, take, slots] { return calibrated_views(known, rig_file(), take_cameras(take, names, slots)); };
+    return [&, take, slots] { return calibrated(take_sets(take, names, slots), known, rig_file()); };
   };
   const auto take = record_sets(kFirst, kGone);
   const Frames of_take = run(open_stages(config_, views_of(take)));
@@ -342,16 +342,16 @@ TEST_F(LiveCameras, ATakeOfFrameSetsGivesTheVideosMeshes) {
   }
 
   const FrameRange range{kFirst + 4, kFirst + 6};
-  EXPECT_EQ(take_cameras(take, names, range).front()->info().frame_count, 2U);
-  EXPECT_EQ(take_cameras(take, names, range).back()->info().width_px, 480);
+  EXPECT_EQ(take_sets(take, names, range)->cameras().front().info.frame_count, 2U);
+  EXPECT_EQ(take_sets(take, names, range)->cameras().back().info.width_px, 480);
   expect_refused(
       [&] {
-        take_cameras(take, names, {0, kFirst});
+        take_sets(take, names, {0, kFirst});
       },
       ErrorKind::UnreadableInput, AllOf(HasSubstr(take.string()), HasSubstr("no picture of camera 'video'")));
   expect_refused(
       [&] {
-        take_cameras(take, {"video", "top"}, {});
+        take_sets(take, {"video", "top"}, {});
       },
       ErrorKind::Usage, AllOf(HasSubstr("'top'"), HasSubstr("video, view-2, view-3")));
 }

@@ -180,7 +180,7 @@ Script::Script()
 
 pipeline::Stages Script::stages() {
   pipeline::Stages stages;
-  stages.camera = std::make_unique<ScriptedCamera>(*this);
+  stages.pictures = pipeline::one_camera(std::make_unique<ScriptedCamera>(*this));
   stages.model = model;
   stages.coarse = std::make_unique<ScriptedTracker>(*this);
   if (has_refiner) {

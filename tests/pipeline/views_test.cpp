@@ -3,7 +3,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "pipeline/calibrated_camera.hpp"
 #include "views_fixture.hpp"
 
 namespace facet::pipeline {
@@ -81,12 +80,16 @@ TEST(Calibrated, TheLensIsTakenOutOfThePictures) {
   lens.cx_px = 31.5;
   lens.cy_px = 23.5;
   lens.distortion.k1 = -0.3;
-  const auto camera = calibrated(camera::open_camera({.kind = "file", .path = folder.path() / "a.mkv"}),
-                                 {"a", lens}, "rig.toml");
-  EXPECT_FLOAT_EQ(camera->info().intrinsics.value().fx, 60);
-  camera->start();
-  Frame frame;
-  ASSERT_EQ(camera->next(frame, std::chrono::seconds(10)), CaptureOutcome::Delivered);
+  const auto pictures =
+      calibrated(one_camera(camera::open_camera({.kind = "file", .path = folder.path() / "a.mkv"})),
+                 {{"a", lens}}, "rig.toml");
+  const PictureCamera camera = pictures->cameras().at(0);
+  EXPECT_FLOAT_EQ(camera.info.intrinsics.value().fx, 60);
+  EXPECT_TRUE(camera.camera_from_reference.value().isApprox(Eigen::Isometry3d::Identity()));
+  pictures->start();
+  FrameSet set;
+  ASSERT_EQ(pictures->next(set, std::chrono::seconds(10)), CaptureOutcome::Delivered);
+  const Frame& frame = set.frames.at(0);
   // A barrel lens draws the mark nearer to the middle than it is.
   const auto direction = lens.direction({55.5, 23.5});
   ASSERT_TRUE(direction.has_value());

@@ -23,7 +23,6 @@
 #include "gpu/context.hpp"
 #include "landmark/landmark_assets.hpp"
 #include "options.hpp"
-#include "pipeline/calibrated_camera.hpp"
 #include "pipeline/frames.hpp"
 #include "pipeline/live_views.hpp"
 #include "service/config.hpp"

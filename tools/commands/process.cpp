@@ -21,9 +21,8 @@
 #include "facet/error.hpp"
 #include "options.hpp"
 #include "pipeline/booth_meshes.hpp"
-#include "pipeline/calibrated_camera.hpp"
 #include "pipeline/monocular.hpp"
-#include "pipeline/set_cameras.hpp"
+#include "pipeline/picture_source.hpp"
 #include "pipeline/take_sink.hpp"
 #include "progress.hpp"
 #include "report/depth_folder.hpp"
@@ -123,7 +122,7 @@ std::vector<pipeline::ViewConfig> views_of(const Options& options) {
 
 /// The cameras of a take of frame sets that --cameras names. Throws Error(Usage) where they do not agree with
 /// the rig's.
-pipeline::OpenViews views_of_take(const Options& options, const pipeline::FrameRange& slots) {
+pipeline::OpenPictures views_of_take(const Options& options, const pipeline::FrameRange& slots) {
   const capture::Rig rig = capture::read_rig(options.rig);
   std::vector<capture::RigCamera> known;
   for (const std::string& name : options.cameras) {
@@ -133,8 +132,8 @@ pipeline::OpenViews views_of_take(const Options& options, const pipeline::FrameR
     }
   }
   return [options, known, slots] {
-    auto cameras = pipeline::take_cameras(options.input, options.cameras, slots);
-    return pipeline::calibrated_views(known, options.rig, std::move(cameras));
+    return pipeline::calibrated(pipeline::take_sets(options.input, options.cameras, slots), known,
+                                options.rig);
   };
 }
 
@@ -274,10 +273,9 @@ void run_monocular(const Options& options) {
   }
   const StopSignals signals;
   const bool of_take = !options.cameras.empty();
-  pipeline::Stages stages =
-      of_take ? pipeline::open_stages(config.pipeline, views_of_take(options, config.pipeline.frames))
-              : pipeline::open_stages(config.pipeline);
-  const CameraInfo source = stages.camera->info();
+  pipeline::Stages stages = pipeline::open_stages(
+      config.pipeline, of_take ? views_of_take(options, config.pipeline.frames) : pipeline::OpenPictures());
+  const CameraInfo source = stages.pictures->cameras().front().info;
   // Of a take the slots of the range alone are counted.
   const std::uint64_t expected =
       of_take ? source.frame_count.value_or(0) : expected_frames(source, config.pipeline.frames);
