@@ -18,6 +18,7 @@
 #include "booth/rig_check.hpp"
 #include "booth/template_subject.hpp"
 #include "booth/vertex_texture.hpp"
+#include "camera/simulated_rig.hpp"
 #include "capture/epipolar.hpp"
 #include "capture/rig_file.hpp"
 #include "facet/error.hpp"

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <utility>
 
+#include "camera/simulated_rig.hpp"
 #include "take/recorder.hpp"
 #include "views_fixture.hpp"
 
