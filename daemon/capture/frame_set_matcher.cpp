@@ -131,6 +131,7 @@ FrameSetMatcher::Place FrameSetMatcher::place_of(std::size_t camera, std::int64_
   while (nearest > oldest && distance_ns(nearest - 1) < distance_ns(nearest)) {
     --nearest;
   }
+  FACET_ASSERT(nearest < firings_ && firings_ - nearest <= kHistory, nearest, firings_);
   if (distance_ns(nearest) <= tolerance_ns_) {
     return {Place::Kind::Found, nearest};
   }
@@ -169,6 +170,7 @@ void FrameSetMatcher::push(std::size_t camera, Frame frame, std::int64_t now_ns)
   if (!triggered() && camera == reference_) {
     follow_reference(frame.timestamp_ns);
   }
+  FACET_ASSERT(state.pending_count < kPending, camera, state.pending_count);
   state.pending[state.pending_count++] = {std::move(frame), now_ns};
   if (!triggered() && camera == reference_) {
     for (std::size_t other = 0; other < cameras_.size(); ++other) {
@@ -205,6 +207,8 @@ std::optional<Refusal> FrameSetMatcher::judge_sequence(std::size_t camera, const
                                                        std::uint64_t firing_number) {
   CameraTrack& state = cameras_[camera];
   CameraMatch& match = statistics_.cameras[camera];
+  FACET_ASSERT(!match.in_step || state.trusted, camera, firing_number);
+  FACET_ASSERT(firing_number < firings_, camera, firing_number, firings_);
   const Step step = {pending.frame.sequence, firing_number};
   const auto follows = [&](const std::optional<Step>& before) {
     return before && firing_number > before->firing &&
@@ -299,6 +303,7 @@ void FrameSetMatcher::learn(std::size_t camera, const Pending& pending, std::uin
   match.offset_ns = std::clamp(wanted_ns, nominal_ns - reach_ns, nominal_ns + reach_ns);
   match.offset_odd = match.offset_ns != wanted_ns;
   state.variance_ns2 += kMean * (residual_ns * residual_ns - state.variance_ns2);
+  FACET_ASSERT(state.variance_ns2 >= 0, camera, state.variance_ns2, residual_ns);
   match.jitter_ns = std::sqrt(state.variance_ns2);
   match.worst_ns = std::max(match.worst_ns, std::abs(residual_ns));
   const auto transport_ns = static_cast<double>(pending.arrival_ns - pending.frame.timestamp_ns);
@@ -320,6 +325,7 @@ void FrameSetMatcher::set_streaming(std::size_t camera, bool streaming) {
 }
 
 void FrameSetMatcher::advance(std::int64_t now_ns) {
+  FACET_ASSERT(reference_ < cameras_.size(), reference_, cameras_.size());
   for (std::size_t camera = 0; camera < cameras_.size(); ++camera) {
     CameraTrack& state = cameras_[camera];
     // Free-running: where the reference is silent, the first camera that waits for it takes its place.
@@ -400,6 +406,7 @@ bool FrameSetMatcher::take(FrameSet& out, std::int64_t now_ns) {
   std::swap(out, open_set(0).set);
   first_open_ = (first_open_ + 1) % open_.size();
   --open_count_;
+  FACET_ASSERT(open_count_ == 0 || open_set(0).set.slot > out.slot, open_set(0).set.slot, out.slot);
   out.camera_names = camera_names_;
   finish(out);
   return true;

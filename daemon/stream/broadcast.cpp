@@ -106,6 +106,7 @@ void Broadcast::announce(Reader& reader) {
   if (reader.last_number >= current_number_) {
     return;
   }
+  FACET_ASSERT(reader.wake && reader.wake_far_end, reader.statistics.id, reader.ring_generation);
   const std::uint64_t missed = current_number_ - reader.last_number - 1;
   reader.last_number = current_number_;
   int unseen = 0;
@@ -176,6 +177,7 @@ std::shared_ptr<const Packet> Broadcast::next_packet(Reader& reader) {
     reader.albedo_version = 0;
     auto& cached = subject_packets_[static_cast<std::size_t>(profile)];
     if (cached == nullptr) {
+      FACET_ASSERT(subject_fault(*subject_).empty(), subject_number_);
       cached = packet(encoder_.subject(*subject_, profile));
     }
     return cached;

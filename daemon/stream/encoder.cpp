@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "facet/assert.hpp"
 #include "facet_generated.h"
 #include "stream/image_codec.hpp"
 
@@ -385,6 +386,8 @@ void Encoder::Impl::geometry_parts(const mesh::MeshFrame& frame, Profile profile
   if (profile == Profile::Displacements) {
     parts.control_vertices =
         fixed_point(FACET_RING_CONTROL_VERTICES, flat(frame.control_vertices_mm), kPositionStepMm);
+    FACET_ASSERT(frame.control_vertices_mm.cols() == frame.subject->hierarchy->control_vertex_count,
+                 frame.control_vertices_mm.cols());
     if (!frame.displacements_mm.empty()) {
       parts.displacements =
           fixed_point(FACET_RING_DISPLACEMENTS, frame.displacements_mm, kDisplacementStepMm);
@@ -393,6 +396,9 @@ void Encoder::Impl::geometry_parts(const mesh::MeshFrame& frame, Profile profile
   }
   mesh::rebuild_finest(*frame.subject->hierarchy, frame.control_vertices_mm, frame.displacements_mm,
                        vertices_mm, normals);
+  FACET_ASSERT(vertices_mm.cols() == normals.cols() &&
+                   vertices_mm.cols() == frame.subject->hierarchy->finest().vertex_count,
+               vertices_mm.cols(), normals.cols());
   parts.vertices = fixed_point(FACET_RING_VERTICES, flat(vertices_mm), kPositionStepMm);
   parts.normals = scaled(FACET_RING_NORMALS, flat(normals), kInt16Max);
 }

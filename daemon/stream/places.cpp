@@ -25,6 +25,7 @@ bool Places::may_connect(const std::string& peer, Clock::time_point now) {
   std::erase_if(connects_, [&](const auto& entry) { return regained(entry.second) >= most; });
   Connects& own = connects_.try_emplace(peer, Connects{most, now}).first->second;
   own = {regained(own), now};
+  FACET_ASSERT(own.left >= 0 && own.left <= most, own.left, most);
   if (own.left < 1) {
     return false;
   }

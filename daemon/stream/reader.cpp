@@ -53,6 +53,8 @@ ssize_t send_some(int fd, std::span<iovec> parts, const std::vector<FileDescript
 }  // namespace
 
 void Reader::set_outgoing(std::shared_ptr<const Packet> message) {
+  FACET_ASSERT(outgoing == nullptr, statistics.id, sent_bytes);
+  FACET_ASSERT(message != nullptr && message->bytes.size() >= kHeaderBytes, statistics.id);
   sent_bytes = 0;
   if (web) {
     web->answer_goes_out = false;

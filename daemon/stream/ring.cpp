@@ -97,6 +97,7 @@ RingWriter::RingWriter(Profile profile, std::uint32_t slot_count, std::size_t sl
     : memory_(::memfd_create("facet-ring", MFD_CLOEXEC | MFD_ALLOW_SEALING)),
       slot_count_(slot_count),
       slot_bytes_(aligned(slot_bytes)) {
+  FACET_ASSERT(slot_count_ >= 2 && slot_count_ <= FACET_RING_MAX_SLOTS, slot_count_);
   if (!memory_) {
     fail("memfd_create");
   }

@@ -183,6 +183,7 @@ void StreamServer::Impl::admit_adopted() {
     const Lock lock(adopted_mutex);
     waiting.swap(adopted);
   }
+  FACET_ASSERT(waiting.size() <= kMostWaiting, waiting.size());
   for (AdoptedConnection& entry : waiting) {
     auto reader = std::make_unique<Reader>(std::move(entry.connection));
     reader->web.emplace();
@@ -396,6 +397,8 @@ void StreamServer::Impl::accept_request(Reader& reader, std::span<const std::uin
     reader.subject_number = 0;
     reader.albedo_version = 0;
   }
+  FACET_ASSERT(reader.last_number <= broadcast.current_number(), reader.last_number,
+               broadcast.current_number());
   used(reader);
   reader.subscription = wanted;
   reader.statistics.subscribed = true;
@@ -472,6 +475,8 @@ void StreamServer::Impl::remove_gone() {
     }
     return reader->gone;
   });
+  FACET_ASSERT(places.size() + places_of_web.size() == readers.size(), places.size(), places_of_web.size(),
+               readers.size());  // each has one
 }
 
 void StreamServer::Impl::show_statistics() {

@@ -8,6 +8,7 @@
 #include <bit>
 #include <cstring>
 
+#include "facet/assert.hpp"
 #include "stream/base64.hpp"
 
 namespace facet::stream {
@@ -171,6 +172,7 @@ WebSocketAssembler::Outcome WebSocketAssembler::feed(std::span<const std::uint8_
     }
     taken_ += count;
     bytes = bytes.subspan(count);
+    FACET_ASSERT(taken_ <= length_ && message_.size() <= limit_bytes_, taken_, length_, message_.size());
     if (taken_ < length_) {
       return Outcome::Incomplete;
     }

@@ -8,6 +8,7 @@
 #include <cstring>
 #include <string>
 
+#include "facet/assert.hpp"
 #include "facet/error.hpp"
 #include "stream/pixel_packing.hpp"
 #include "stream/protocol.hpp"
@@ -95,6 +96,8 @@ PictureWriter::~PictureWriter() = default;
 void PictureWriter::Impl::append(const Frame& frame, PictureRecord record, std::vector<std::uint8_t>& out) {
   const std::size_t channels = stream::channel_count(frame);
   const std::size_t bytes = pixel_count(frame) * channels;
+  // What a reader demands of a record.
+  FACET_ASSERT((channels == 1 || channels == 3) && bytes <= kMaxSetBytes, channels, bytes, record.camera);
   pixels.resize(std::max(pixels.size(), bytes));
   differences.resize(std::max(differences.size(), bytes));
   stream::pack_pixels(frame, channels, pixels.data());

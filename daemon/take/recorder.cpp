@@ -196,6 +196,7 @@ class TakeWriter {
   /// The pictures first: no index ever names what is not on the disk. Throws where the files are no longer
   /// there under their names, too: what is written into them then is for nobody.
   void commit() {
+    FACET_ASSERT(database_.in_transaction(), subject_id_);
     if (segments_) {
       segments_->sync();
     }
@@ -286,6 +287,7 @@ bool TakeWriter::make_schema(const TakeRecorderConfig& config) {
 }
 
 void TakeWriter::write(const PackedFrame& frame) {
+  FACET_ASSERT(database_.in_transaction(), frame.number);
   if (!frame.fault.empty()) {
     throw Error(ErrorKind::Internal, frame.fault);
   }
@@ -344,6 +346,7 @@ void TakeWriter::mark_closed(std::uint64_t dropped, std::uint64_t mesh_frames, s
 }
 
 void TakeWriter::close_log() {
+  FACET_ASSERT(!database_.in_transaction(), subject_id_);
   try {
     database_.set_busy_timeout_ms(static_cast<int>(kCloseTimeout.count()));
     database_.execute("PRAGMA wal_checkpoint(TRUNCATE)");
@@ -520,6 +523,7 @@ std::unique_ptr<PackedFrame> TakeRecorder::Impl::wait_for_frame(bool& at_end) {
   if (!pack_fault.empty()) {
     throw Error(ErrorKind::Internal, pack_fault);
   }
+  FACET_ASSERT(written <= packing && packing <= taken, written, packing, taken);
   at_end = stopping && queued() == 0;
   if (queued() == 0) {
     return nullptr;
@@ -601,6 +605,7 @@ void TakeRecorder::Impl::fail(std::string reason) {
   shown.reason = std::move(reason);
   FACET_ASSERT(shown.frames <= taken, shown.frames, taken);
   shown.dropped += taken - shown.frames;
+  FACET_ASSERT(queued() <= ring.size(), taken, written, ring.size());
   for (Place& place : ring) {
     place.frame = nullptr;
   }

@@ -232,6 +232,7 @@ void SegmentWriter::Impl::sync() {
   if (!file || synced == file.size()) {
     return;
   }
+  FACET_ASSERT(synced < file.size(), number, synced, file.size());
   file.sync();
   synced = file.size();
   if (new_name) {
@@ -276,6 +277,7 @@ void SegmentWriter::close() {
   if (std::exchange(impl.closed, true)) {
     return;
   }
+  FACET_ASSERT(!impl.file || impl.synced <= impl.file.size(), impl.number, impl.synced, impl.file.size());
   // What follows the last sync is in no index; should it stay, it is only a waste.
   if (impl.file && impl.synced == 0) {
     ::unlink(impl.named.path.c_str());
