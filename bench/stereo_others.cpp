@@ -130,6 +130,73 @@ std::vector<std::vector<float>> match_windows(const StereoFootage& footage) {
   return out;
 }
 
+namespace {
+
+/// Of a window's pixels, seen through the disparity p . (1, x, y, t).
+struct WindowSums {
+  Eigen::Matrix4d m = Eigen::Matrix4d::Zero();   ///< slope^2 v v^T
+  Eigen::Vector4d h = Eigen::Vector4d::Zero();   ///< slope v
+  Eigen::Vector4d hw = Eigen::Vector4d::Zero();  ///< slope there v
+  Eigen::Vector4d hl = Eigen::Vector4d::Zero();  ///< slope own v
+  double n = 0, l = 0, w = 0, ll = 0, lw = 0, ww = 0;
+};
+
+WindowSums sums_of(const stereo::StereoMatcher& matcher, const stereo::SpacetimeOptions& options,
+                   const stereo::VolumeSize& size, const std::array<int, 3>& centre,
+                   const Eigen::Vector4d& p) {
+  const auto [x0, y0, t0] = centre;
+  const auto [width, height, slots] = size;
+  const std::span<const float> left = matcher.left_grey();
+  const std::span<const float> right = matcher.right_grey();
+  const int rx = options.window_x / 2;
+  const int ry = options.window_y / 2;
+  const int rt = options.window_t / 2;
+  WindowSums sums;
+  auto& [m, h, hw, hl, n, l, w, ll, lw, ww] = sums;
+  for (int t = std::max(0, t0 - rt); t <= std::min(slots - 1, t0 + rt); ++t) {
+    for (int y = std::max(0, y0 - ry); y <= std::min(height - 1, y0 + ry); ++y) {
+      const std::size_t row = size.voxel(0, y, t);
+      for (int x = std::max(1, x0 - rx); x <= std::min(width - 2, x0 + rx); ++x) {
+        const Eigen::Vector4d v(1, x - x0, y - y0, t - t0);
+        const double from = x - p.dot(v);
+        const double corner = std::floor(from);
+        if (!(corner >= 1 && corner + 2 < width)) {
+          continue;
+        }
+        const double f = from - corner;
+        const float* r = right.data() + row + static_cast<std::size_t>(corner) - 1;
+        const float* o = left.data() + row + static_cast<std::size_t>(x) - 1;
+        if (std::min({r[0], r[1], r[2], r[3], o[0], o[1], o[2]}) < 0) {
+          continue;
+        }
+        const double own =
+            (static_cast<double>(o[0]) + 4 * static_cast<double>(o[1]) + static_cast<double>(o[2])) / 6;
+        const double f2 = f * f;
+        const double f3 = f2 * f;
+        const Eigen::Vector4d taps = Eigen::Map<const Eigen::Vector4f>(r).cast<double>();
+        const double there = taps.dot(Eigen::Vector4d(1 - 3 * f + 3 * f2 - f3, 4 - 6 * f2 + 3 * f3,
+                                                      1 + 3 * f + 3 * f2 - 3 * f3, f3)) /
+                             6;
+        const double slope =
+            -taps.dot(Eigen::Vector4d(-1 + 2 * f - f2, -4 * f + 3 * f2, 1 + 2 * f - 3 * f2, f2)) / 2;
+        n += 1;
+        l += own;
+        w += there;
+        ll += own * own;
+        lw += own * there;
+        ww += there * there;
+        h += slope * v;
+        hw += slope * there * v;
+        hl += slope * own * v;
+        m += slope * slope * v * v.transpose();
+      }
+    }
+  }
+  return sums;
+}
+
+}  // namespace
+
 std::vector<std::vector<float>> match_local_direct(const StereoFootage& footage,
                                                    const stereo::StereoMatcher& matcher,
                                                    const stereo::SpacetimeOptions& options) {
@@ -137,12 +204,7 @@ std::vector<std::vector<float>> match_local_direct(const StereoFootage& footage,
   const int height = footage.height_px;
   const auto slots = static_cast<int>(footage.slots.size());
   const stereo::VolumeSize size{width, height, slots};
-  const std::span<const float> left = matcher.left_grey();
-  const std::span<const float> right = matcher.right_grey();
   const std::span<const float> start = matcher.start_px();
-  const int rx = options.window_x / 2;
-  const int ry = options.window_y / 2;
-  const int rt = options.window_t / 2;
 
   const auto solve = [&](int x0, int y0, int t0) -> float {
     const float first = start[size.voxel(x0, y0, t0)];
@@ -151,50 +213,8 @@ std::vector<std::vector<float>> match_local_direct(const StereoFootage& footage,
     }
     Eigen::Vector4d p(static_cast<double>(first), 0, 0, 0);
     for (int step = 0; step < 2 * options.steps; ++step) {
-      Eigen::Matrix4d m = Eigen::Matrix4d::Zero();
-      Eigen::Vector4d h = Eigen::Vector4d::Zero();
-      Eigen::Vector4d hw = h;
-      Eigen::Vector4d hl = h;
-      double n = 0, l = 0, w = 0, ll = 0, lw = 0, ww = 0;
-      for (int t = std::max(0, t0 - rt); t <= std::min(slots - 1, t0 + rt); ++t) {
-        for (int y = std::max(0, y0 - ry); y <= std::min(height - 1, y0 + ry); ++y) {
-          const std::size_t row = size.voxel(0, y, t);
-          for (int x = std::max(1, x0 - rx); x <= std::min(width - 2, x0 + rx); ++x) {
-            const Eigen::Vector4d v(1, x - x0, y - y0, t - t0);
-            const double from = x - p.dot(v);
-            const double corner = std::floor(from);
-            if (!(corner >= 1 && corner + 2 < width)) {
-              continue;
-            }
-            const double f = from - corner;
-            const float* r = right.data() + row + static_cast<std::size_t>(corner) - 1;
-            const float* o = left.data() + row + static_cast<std::size_t>(x) - 1;
-            if (std::min({r[0], r[1], r[2], r[3], o[0], o[1], o[2]}) < 0) {
-              continue;
-            }
-            const double own =
-                (static_cast<double>(o[0]) + 4 * static_cast<double>(o[1]) + static_cast<double>(o[2])) / 6;
-            const double f2 = f * f;
-            const double f3 = f2 * f;
-            const Eigen::Vector4d taps = Eigen::Map<const Eigen::Vector4f>(r).cast<double>();
-            const double there = taps.dot(Eigen::Vector4d(1 - 3 * f + 3 * f2 - f3, 4 - 6 * f2 + 3 * f3,
-                                                          1 + 3 * f + 3 * f2 - 3 * f3, f3)) /
-                                 6;
-            const double slope =
-                -taps.dot(Eigen::Vector4d(-1 + 2 * f - f2, -4 * f + 3 * f2, 1 + 2 * f - 3 * f2, f2)) / 2;
-            n += 1;
-            l += own;
-            w += there;
-            ll += own * own;
-            lw += own * there;
-            ww += there * there;
-            h += slope * v;
-            hw += slope * there * v;
-            hl += slope * own * v;
-            m += slope * slope * v * v.transpose();
-          }
-        }
-      }
+      const WindowSums sums = sums_of(matcher, options, size, {x0, y0, t0}, p);
+      const auto& [m, h, hw, hl, n, l, w, ll, lw, ww] = sums;
       if (2 * n < options.window_x * options.window_y) {
         return 0;
       }

@@ -50,6 +50,54 @@ std::vector<animate::KeyControl> controls_at(double time_s) {
           {"brow-left", How::Move, {0, 3 * swing(1.7), 0}}};
 }
 
+/// A reader of the stream, on a thread of its own.
+class StreamReader {
+ public:
+  explicit StreamReader(const std::filesystem::path& socket) : thread_([this, socket] { read(socket); }) {}
+
+  void stop() {
+    done_ = true;
+    thread_.join();
+    std::sort(to_reader_ms_.begin(), to_reader_ms_.end());
+  }
+  /// From the command to here; once stopped.
+  double quantile_ms(double part) const {
+    return to_reader_ms_.empty() ? 0.0
+                                 : to_reader_ms_[static_cast<std::size_t>(
+                                       part * static_cast<double>(to_reader_ms_.size() - 1))];
+  }
+
+  std::atomic<int> received{0};        ///< frames
+  std::atomic<double> processor_s{0};  ///< once stopped
+
+ private:
+  void read(const std::filesystem::path& socket) {
+    stream::Subscription subscription;
+    subscription.profile = stream::Profile::Displacements;
+    stream::StreamClient client(socket, subscription);
+    stream::DecodedFrame got;
+    while (!done_) {
+      if (client.next(got, std::chrono::milliseconds(200)) == stream::ReceiveOutcome::Received) {
+        // From the command: the frame carries when it was handed out and how long it took until then.
+        const double now_ms =
+            std::chrono::duration<double, std::milli>(Clock::now().time_since_epoch()).count();
+        if (got.frame.stage_ms.latency_ms > 0) {
+          to_reader_ms_.push_back(now_ms - static_cast<double>(got.frame.timestamp_ns) * 1e-6 +
+                                  static_cast<double>(got.frame.stage_ms.latency_ms));
+        }
+        ++received;
+      }
+    }
+    timespec used{};
+    ::clock_gettime(CLOCK_THREAD_CPUTIME_ID, &used);
+    processor_s = static_cast<double>(used.tv_sec) + 1e-9 * static_cast<double>(used.tv_nsec);
+  }
+
+  std::atomic<bool> done_{false};
+  std::vector<double> to_reader_ms_;
+  std::thread thread_;
+};
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -78,36 +126,12 @@ int main(int argc, char** argv) {
     await(studio, studio::StudioState::Ready);
     studio.set_controls(controls_at(0), false, false);  // influence maps are made once
 
-    std::atomic<bool> done{false};
-    std::atomic<int> received{0};
-    std::vector<double> to_reader_ms;
-    std::atomic<double> reader_s{0};
-    std::thread reader([&] {
-      stream::Subscription subscription;
-      subscription.profile = stream::Profile::Displacements;
-      stream::StreamClient client(config.socket, subscription);
-      stream::DecodedFrame got;
-      timespec used{};
-      while (!done) {
-        if (client.next(got, std::chrono::milliseconds(200)) == stream::ReceiveOutcome::Received) {
-          // From the command: the frame carries when it was handed out and how long it took until then.
-          const double now_ms =
-              std::chrono::duration<double, std::milli>(Clock::now().time_since_epoch()).count();
-          if (got.frame.stage_ms.latency_ms > 0) {
-            to_reader_ms.push_back(now_ms - static_cast<double>(got.frame.timestamp_ns) * 1e-6 +
-                                   static_cast<double>(got.frame.stage_ms.latency_ms));
-          }
-          ++received;
-        }
-      }
-      ::clock_gettime(CLOCK_THREAD_CPUTIME_ID, &used);
-      reader_s = static_cast<double>(used.tv_sec) + 1e-9 * static_cast<double>(used.tv_nsec);
-    });
-    while (received == 0 || studio.status().solved < 2) {
+    StreamReader reader(config.socket);
+    while (reader.received == 0 || studio.status().solved < 2) {
       std::this_thread::sleep_for(std::chrono::milliseconds(5));
     }
     const studio::StudioStatus before = studio.status();
-    const int received_before = received;
+    const int received_before = reader.received;
     const double processor_before_s = processor_s();
     const Clock::time_point began = Clock::now();
     double time_s = 0;
@@ -129,15 +153,8 @@ int main(int argc, char** argv) {
     std::this_thread::sleep_for(std::chrono::milliseconds(100));
     const studio::StudioStatus after = studio.status();
     const double used_s = processor_s() - processor_before_s;
-    const int got = received - received_before;
-    done = true;
-    reader.join();
-    std::sort(to_reader_ms.begin(), to_reader_ms.end());
-    const auto quantile = [&](double part) {
-      return to_reader_ms.empty() ? 0.0
-                                  : to_reader_ms[static_cast<std::size_t>(
-                                        part * static_cast<double>(to_reader_ms.size() - 1))];
-    };
+    const int got = reader.received - received_before;
+    reader.stop();
     fmt::print("events/s asked {:.1f}, solved {:.1f}, superseded {}, received {:.1f}\n",
                static_cast<double>(after.events - before.events) / wall_s,
                static_cast<double>(after.solved - before.solved) / wall_s,
@@ -145,10 +162,10 @@ int main(int argc, char** argv) {
     fmt::print(
         "work ms: mean {:.2f}, p95 {:.2f}; to the stream: mean {:.2f}, p95 {:.2f}; to a reader: median "
         "{:.2f}, p95 {:.2f}\n",
-        after.work.mean, after.work.p95, after.latency.mean, after.latency.p95, quantile(0.5),
-        quantile(0.95));
+        after.work.mean, after.work.p95, after.latency.mean, after.latency.p95, reader.quantile_ms(0.5),
+        reader.quantile_ms(0.95));
     fmt::print("processor: {:.0f} % of a core, of it the reader {:.1f} %\n", 100 * used_s / wall_s,
-               100 * reader_s / wall_s);
+               100 * reader.processor_s / wall_s);
     server.request_stop();
     studio.stop();
     server.stop();

@@ -193,6 +193,7 @@ class ScriptedCamera final : public Camera {
     return CaptureOutcome::Delivered;
   }
 
+  std::map<std::string, std::function<void()>> actions() const;
   CaptureOutcome misbehave(Frame& out, std::chrono::milliseconds timeout);
 
   camera::CameraConfig config_;
@@ -204,8 +205,9 @@ class ScriptedCamera final : public Camera {
   CameraStatus status_;
 };
 
-CaptureOutcome ScriptedCamera::misbehave(Frame& out, std::chrono::milliseconds timeout) {
-  const std::map<std::string, std::function<void()>> actions = {
+/// What the process does in place of an answer; of most of it no answer comes.
+std::map<std::string, std::function<void()>> ScriptedCamera::actions() const {
+  return {
       {"segv", [] { crash(); }},
       {"abort", [] { std::abort(); }},
       {"exit", [] { std::_Exit(3); }},
@@ -284,7 +286,11 @@ CaptureOutcome ScriptedCamera::misbehave(Frame& out, std::chrono::milliseconds t
          }
        }},
   };
-  if (const auto found = actions.find(action_); found != actions.end()) {
+}
+
+CaptureOutcome ScriptedCamera::misbehave(Frame& out, std::chrono::milliseconds timeout) {
+  const auto all = actions();
+  if (const auto found = all.find(action_); found != all.end()) {
     found->second();
   }
   if (action_ == "silent") {
