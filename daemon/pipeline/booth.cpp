@@ -9,7 +9,7 @@
 
 namespace facet::pipeline {
 
-void check(const RigConfig& devices, const BoothConfig& booth) {
+void check(const DevicesConfig& devices, const BoothConfig& booth) {
   check(devices);
   check(booth);
   if (devices.trigger == TriggerKind::None) {
@@ -19,13 +19,13 @@ void check(const RigConfig& devices, const BoothConfig& booth) {
   }
 }
 
-Booth open_booth(const RigConfig& devices, const BoothConfig& config) {
+Booth open_booth(const DevicesConfig& devices, const BoothConfig& config) {
   check(devices, config);
   Booth booth;
   booth.stages = open_booth(config, 1);
   for (const capture::RigCamera& camera : booth.stages.rig->cameras) {
     const bool known = std::any_of(devices.cameras.begin(), devices.cameras.end(),
-                                   [&](const RigCamera& device) { return device.name == camera.name; });
+                                   [&](const DeviceCamera& device) { return device.name == camera.name; });
     if (!known) {
       throw Error(
           ErrorKind::Usage,
@@ -33,7 +33,7 @@ Booth open_booth(const RigConfig& devices, const BoothConfig& config) {
                       config.rig_file.string(), camera.name));
     }
   }
-  booth.devices = open_rig(devices);
+  booth.devices = open_devices(devices);
   return booth;
 }
 

@@ -11,16 +11,16 @@ namespace facet::pipeline {
 
 /// The devices and stages of a live booth, opened.
 struct Booth {
-  Rig devices;
-  BoothStages stages;
+  Devices devices;
+  BoothParts stages;
 };
 
 /// Throws Error(Usage) where the cameras and the trigger are none that a booth's meshes can be made of.
-void check(const RigConfig& devices, const BoothConfig& booth);
+void check(const DevicesConfig& devices, const BoothConfig& booth);
 
-/// Opens both; see open_rig and open_booth. Throws Error(Usage) where the rig file names a camera that is not
-/// among the devices.
-Booth open_booth(const RigConfig& devices, const BoothConfig& config);
+/// Opens both; see open_devices and open_booth. Throws Error(Usage) where the rig file names a camera that is
+/// not among the devices.
+Booth open_booth(const DevicesConfig& devices, const BoothConfig& config);
 
 /// A live booth: frame sets as FramesPipeline makes them, and meshes as BoothMeshes makes
 /// them; their threads. Slots for which the stages are too slow have no mesh, and are counted as

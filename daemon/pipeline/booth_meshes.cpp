@@ -63,7 +63,7 @@ struct Seen {
 };
 
 /// From the first slot that gets a mesh by a run to the last.
-std::size_t reach_of_run(const BoothStages& stages) {
+std::size_t reach_of_run(const BoothParts& stages) {
   const auto blanks = static_cast<std::size_t>(stages.blanks_per_run);
   return stages.every_slot ? blanks * stages.stripes.size() - 1 : (blanks - 1) * stages.stripes.size();
 }
@@ -89,9 +89,9 @@ void check(const BoothConfig& config) {
   }
 }
 
-BoothStages open_booth(const BoothConfig& config, int blanks_per_run) {
+BoothParts open_booth(const BoothConfig& config, int blanks_per_run) {
   check(config);
-  BoothStages stages;
+  BoothParts stages;
   stages.rig = std::make_shared<const capture::Rig>(capture::read_rig(config.rig_file));
   stages.stripes = config.stripes;
   stages.every_slot = config.every_slot;
@@ -113,7 +113,7 @@ BoothStages open_booth(const BoothConfig& config, int blanks_per_run) {
 }
 
 struct BoothMeshes::Impl {
-  Impl(BoothStages given, WhenBusy busy, std::vector<MeshSink*> given_sinks, DepthTaker taker)
+  Impl(BoothParts given, WhenBusy busy, std::vector<MeshSink*> given_sinks, DepthTaker taker)
       : stages(std::move(given)),
         when_busy(busy),
         sinks(std::move(given_sinks)),
@@ -128,7 +128,7 @@ struct BoothMeshes::Impl {
   }
 
   // Set before the threads start.
-  BoothStages stages;
+  BoothParts stages;
   WhenBusy when_busy;
   std::vector<MeshSink*> sinks;
   DepthTaker take_depth;
@@ -452,7 +452,7 @@ void BoothMeshes::Impl::tell(const mesh::MeshFrame& frame) {
   state = frame.state;
 }
 
-BoothMeshes::BoothMeshes(BoothStages stages, WhenBusy when_busy, std::vector<MeshSink*> sinks,
+BoothMeshes::BoothMeshes(BoothParts stages, WhenBusy when_busy, std::vector<MeshSink*> sinks,
                          DepthTaker take_depth)
     : impl_(std::make_unique<Impl>(std::move(stages), when_busy, std::move(sinks), std::move(take_depth))) {}
 

@@ -20,7 +20,7 @@
 namespace facet::pipeline {
 
 /// What makes a booth's meshes.
-struct BoothStages {
+struct BoothParts {
   std::shared_ptr<const capture::Rig> rig;
   std::vector<std::uint8_t> stripes;  ///< BoothConfig::stripes
   bool every_slot = false;            ///< BoothConfig::every_slot
@@ -33,7 +33,7 @@ struct BoothStages {
 /// Opens rig file, model, landmark nets and device. Seconds. blanks_per_run: blank slots whose depth is found
 /// together; more are cheaper a slot (their windows share slots) and come later. Throws Error: Usage for the
 /// rig and the configuration, UnreadableInput for files, NoDevice.
-BoothStages open_booth(const BoothConfig& config, int blanks_per_run);
+BoothParts open_booth(const BoothConfig& config, int blanks_per_run);
 
 /// Frame sets in, one mesh for every blank slot, or for every slot, out, in their order. Threads, what each
 /// does and what it may block on:
@@ -51,7 +51,7 @@ class BoothMeshes final : public FrameSetSink {
   /// `facet-perform`.
   using DepthTaker = std::function<void(std::uint64_t slot, std::span<const capture::DepthMap> maps)>;
 
-  BoothMeshes(BoothStages stages, WhenBusy when_busy, std::vector<MeshSink*> sinks,
+  BoothMeshes(BoothParts stages, WhenBusy when_busy, std::vector<MeshSink*> sinks,
               DepthTaker take_depth = {});
   ~BoothMeshes() override;
 

@@ -15,7 +15,7 @@
 #include <string>
 #include <utility>
 
-#include "camera/simulated_rig.hpp"
+#include "camera/simulated_devices.hpp"
 #include "capture/frame_set_assembler.hpp"
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
@@ -64,12 +64,12 @@ std::int64_t period_ns(double rate_hz) {
 }
 
 [[noreturn]] void refuse(const std::string& what) {
-  throw Error(ErrorKind::Usage, "rig: " + what);
+  throw Error(ErrorKind::Usage, "cameras: " + what);
 }
 
-capture::CaptureConfig capture_config(const RigConfig& config, double free_rate_hz) {
+capture::CaptureConfig capture_config(const DevicesConfig& config, double free_rate_hz) {
   capture::CaptureConfig capture;
-  for (const RigCamera& camera : config.cameras) {
+  for (const DeviceCamera& camera : config.cameras) {
     capture.cameras.push_back({camera.name, camera.latency_ns});
   }
   const bool triggered = config.trigger != TriggerKind::None;
@@ -83,7 +83,7 @@ capture::CaptureConfig capture_config(const RigConfig& config, double free_rate_
 }
 
 /// Whole periods of a take of pictures; null where none is configured.
-std::shared_ptr<const simulated::Footage> read_footage(const RigConfig& config) {
+std::shared_ptr<const simulated::Footage> read_footage(const DevicesConfig& config) {
   if (config.footage.empty()) {
     return nullptr;
   }
@@ -115,7 +115,7 @@ std::shared_ptr<const simulated::Footage> read_footage(const RigConfig& config) 
   return footage;
 }
 
-void check_camera(const RigCamera& camera, TriggerKind trigger) {
+void check_camera(const DeviceCamera& camera, TriggerKind trigger) {
   const bool plain = std::all_of(camera.name.begin(), camera.name.end(),
                                  [](char c) { return c > ' ' && c <= '~' && c != '/'; });
   if (camera.name.empty() || camera.name.size() > 64 || !plain) {
@@ -134,22 +134,22 @@ void check_camera(const RigCamera& camera, TriggerKind trigger) {
 }
 
 /// The rate of free-running cameras.
-double common_rate_hz(const Rig& rig) {
-  const double rate_hz = rig.cameras.front()->info().rate_hz;
-  for (std::size_t i = 0; i < rig.cameras.size(); ++i) {
-    const double other_hz = rig.cameras[i]->info().rate_hz;
+double common_rate_hz(const Devices& devices) {
+  const double rate_hz = devices.cameras.front()->info().rate_hz;
+  for (std::size_t i = 0; i < devices.cameras.size(); ++i) {
+    const double other_hz = devices.cameras[i]->info().rate_hz;
     if (!(other_hz > 0) || std::abs(other_hz - rate_hz) > kRateTolerance * rate_hz) {
-      refuse(
-          fmt::format("camera '{}' runs at {:.2f} Hz, camera '{}' at {:.2f} Hz: cameras without a trigger "
-                      "need one rate",
-                      rig.config.cameras[i].name, other_hz, rig.config.cameras.front().name, rate_hz));
+      refuse(fmt::format(
+          "camera '{}' runs at {:.2f} Hz, camera '{}' at {:.2f} Hz: cameras without a trigger "
+          "need one rate",
+          devices.config.cameras[i].name, other_hz, devices.config.cameras.front().name, rate_hz));
     }
   }
   return rate_hz;
 }
 
-capture::CaptureConfig capture_config(const Rig& rig) {
-  return capture_config(rig.config, rig.open_trigger ? 0 : common_rate_hz(rig));
+capture::CaptureConfig capture_config(const Devices& devices) {
+  return capture_config(devices.config, devices.open_trigger ? 0 : common_rate_hz(devices));
 }
 
 /// Writes what the lines do, up to the most that a log holds.
@@ -213,12 +213,12 @@ class EdgeLogFile {
 
 }  // namespace
 
-void check(const RigConfig& config) {
+void check(const DevicesConfig& config) {
   if (config.cameras.empty()) {
     refuse("there is no camera: add a section [[camera]]");
   }
   std::set<std::string> names;
-  for (const RigCamera& camera : config.cameras) {
+  for (const DeviceCamera& camera : config.cameras) {
     check_camera(camera, config.trigger);
     if (!names.insert(camera.name).second) {
       refuse(fmt::format("two cameras are named '{}'", camera.name));
@@ -230,31 +230,31 @@ void check(const RigConfig& config) {
   }
 }
 
-Rig open_rig(const RigConfig& config) {
+Devices open_devices(const DevicesConfig& config) {
   check(config);
-  Rig rig;
-  rig.config = config;
+  Devices devices;
+  devices.config = config;
   const TriggerProgram& program = config.program;
   const bool triggered = config.trigger != TriggerKind::None;
-  const auto room = std::make_shared<simulated::SimulatedRig>(trigger::lines_of(program, LineRole::Camera),
-                                                              trigger::lines_of(program, LineRole::Projector),
-                                                              read_footage(config));
-  for (const RigCamera& camera : config.cameras) {
+  const auto room = std::make_shared<simulated::SimulatedDevices>(
+      trigger::lines_of(program, LineRole::Camera), trigger::lines_of(program, LineRole::Projector),
+      read_footage(config));
+  for (const DeviceCamera& camera : config.cameras) {
     if (camera.source.kind == camera::kSimulatedCamera.name) {
       const camera::LiveConfig& size = camera.source.live;
-      rig.cameras.push_back(
+      devices.cameras.push_back(
           room->camera({camera.name, size.width_px, size.height_px, size.rate_hz}, triggered));
     } else {
       camera::CameraConfig source = camera.source;
       source.paced = true;  // a file takes the place of a live camera here
-      rig.cameras.push_back(camera::open_camera(source));
+      devices.cameras.push_back(camera::open_camera(source));
     }
   }
   switch (config.trigger) {
     case TriggerKind::None:
       break;
     case TriggerKind::Virtual:
-      rig.open_trigger = [config, room] {
+      devices.open_trigger = [config, room] {
         trigger::VirtualTriggerOptions options;
         options.thread = config.gpio.thread;
         options.on_change = [room](LineMask active, std::int64_t time_ns) {
@@ -264,25 +264,25 @@ Rig open_rig(const RigConfig& config) {
       };
       break;
     case TriggerKind::Gpio:
-      rig.open_trigger = [config] { return trigger::open_gpio_trigger(config.program, config.gpio); };
+      devices.open_trigger = [config] { return trigger::open_gpio_trigger(config.program, config.gpio); };
       break;
   }
-  return rig;
+  return devices;
 }
 
 struct FramesPipeline::Impl {
-  Impl(Rig given, std::vector<FrameSetSink*> given_sinks)
-      : rig(std::move(given)),
+  Impl(Devices given, std::vector<FrameSetSink*> given_sinks)
+      : devices(std::move(given)),
         sinks(std::move(given_sinks)),
-        capture(capture_config(rig)),
+        capture(capture_config(devices)),
         assembler(capture),
-        workers(worker_names(rig.cameras.size()),
+        workers(worker_names(devices.cameras.size()),
                 [this](ErrorKind kind, const std::string& what) { fail(kind, what); }),
-        watched(rig.cameras.size()),
-        edge_log(rig.config.edge_log, rig.config.program) {}
+        watched(devices.cameras.size()),
+        edge_log(devices.config.edge_log, devices.config.program) {}
 
   // Set before the threads start.
-  Rig rig;
+  Devices devices;
   std::vector<FrameSetSink*> sinks;
   capture::CaptureConfig capture;
 
@@ -346,12 +346,12 @@ void FramesPipeline::Impl::fail(ErrorKind kind, const std::string& what) {
 
 /// False where there is no trigger.
 bool FramesPipeline::Impl::not_fired_for(std::int64_t time_ns) const {
-  return rig.open_trigger && Clock::now_ns() - last_firing_ns > time_ns;
+  return devices.open_trigger && Clock::now_ns() - last_firing_ns > time_ns;
 }
 
 /// What the camera says of itself, and whether it waits for the trigger, which it can't know.
 CameraStatus FramesPipeline::Impl::status_of(std::size_t index) const {
-  CameraStatus status = rig.cameras[index]->status();
+  CameraStatus status = devices.cameras[index]->status();
   if (watched[index].ended) {
     status.state = CameraState::Ended;  // it is stopped, too
   }
@@ -372,7 +372,7 @@ void FramesPipeline::Impl::watch_camera(std::size_t index, CameraState& state, s
   state = now.state;
   reason = now.reason;
   assembler.set_streaming(index, state == CameraState::Streaming || state == CameraState::Waiting);
-  const std::string& name = rig.config.cameras[index].name;
+  const std::string& name = devices.config.cameras[index].name;
   if (reason.empty()) {
     messages.info(fmt::format("camera {} {}", name, to_string(state)));
   } else {
@@ -381,7 +381,7 @@ void FramesPipeline::Impl::watch_camera(std::size_t index, CameraState& state, s
 }
 
 void FramesPipeline::Impl::run_camera(std::size_t index) {
-  Camera& camera = *rig.cameras[index];
+  Camera& camera = *devices.cameras[index];
   CameraState state = CameraState::Idle;
   std::string reason;
   assembler.set_streaming(index, false);
@@ -474,7 +474,7 @@ void FramesPipeline::Impl::run_trigger() {
   while (!stopping) {
     std::string reason;
     try {
-      const std::shared_ptr<Trigger> lines = rig.open_trigger();
+      const std::shared_ptr<Trigger> lines = devices.open_trigger();
       show_trigger(lines, "");
       messages.info("trigger running");
       const Clock::time_point begun = Clock::now();
@@ -522,8 +522,8 @@ void FramesPipeline::Impl::look_after_steps() {
   const capture::CaptureStatistics statistics = assembler.statistics();
   for (std::size_t i = 0; i < watched.size(); ++i) {
     Watched& camera = watched[i];
-    const std::string& name = rig.config.cameras[i].name;
-    const bool streams = rig.cameras[i]->status().state == CameraState::Streaming;
+    const std::string& name = devices.config.cameras[i].name;
+    const bool streams = devices.cameras[i]->status().state == CameraState::Streaming;
     if (!streams || statistics.cameras[i].in_step) {
       if (!camera.in_step && streams) {
         messages.info(fmt::format("camera {} is in step again", name));
@@ -573,8 +573,8 @@ void FramesPipeline::Impl::hand_out_sets() {
   board.set_state(PipelineState::Stopped);
 }
 
-FramesPipeline::FramesPipeline(Rig rig, std::vector<FrameSetSink*> sinks)
-    : impl_(std::make_unique<Impl>(std::move(rig), std::move(sinks))) {}
+FramesPipeline::FramesPipeline(Devices devices, std::vector<FrameSetSink*> sinks)
+    : impl_(std::make_unique<Impl>(std::move(devices), std::move(sinks))) {}
 
 FramesPipeline::~FramesPipeline() {
   FramesPipeline::stop();
@@ -583,13 +583,13 @@ FramesPipeline::~FramesPipeline() {
 void FramesPipeline::start() {
   Impl& impl = *impl_;
   impl.board.set_state(PipelineState::Preparing);
-  impl.cameras_at_work = impl.rig.cameras.size();
+  impl.cameras_at_work = impl.devices.cameras.size();
   impl.last_firing_ns = Clock::now_ns();
   std::vector<Workers::Work> works = {{kSets, [&impl] { impl.hand_out_sets(); }}};
-  for (std::size_t i = 0; i < impl.rig.cameras.size(); ++i) {
+  for (std::size_t i = 0; i < impl.devices.cameras.size(); ++i) {
     works.push_back({kFirstCamera + i, [&impl, i] { impl.run_camera(i); }});
   }
-  if (impl.rig.open_trigger) {
+  if (impl.devices.open_trigger) {
     works.push_back({kEdges, [&impl] { impl.run_trigger(); }});
   }
   impl.workers.begin(works);
@@ -615,10 +615,10 @@ bool FramesPipeline::finished() const {
 
 PipelineStatus FramesPipeline::status() const {
   Impl& impl = *impl_;
-  RigStatus rig;
-  for (std::size_t i = 0; i < impl.rig.cameras.size(); ++i) {
-    const Camera& camera = *impl.rig.cameras[i];
-    rig.cameras.push_back({impl.rig.config.cameras[i].name, camera.info(), impl.status_of(i)});
+  DevicesStatus rig;
+  for (std::size_t i = 0; i < impl.devices.cameras.size(); ++i) {
+    const Camera& camera = *impl.devices.cameras[i];
+    rig.cameras.push_back({impl.devices.config.cameras[i].name, camera.info(), impl.status_of(i)});
   }
   rig.sets = impl.assembler.statistics();
   std::shared_ptr<Trigger> trigger;
@@ -627,7 +627,7 @@ PipelineStatus FramesPipeline::status() const {
     const std::lock_guard lock(impl.mutex);
     trigger = impl.trigger;
     rig.triggers_opened = impl.triggers_opened;
-    if (impl.rig.open_trigger) {
+    if (impl.devices.open_trigger) {
       rig.trigger.emplace();
       rig.trigger->state = impl.trigger_reason.empty() ? TriggerState::Idle : TriggerState::Failing;
       rig.trigger->reason = impl.trigger_reason;

@@ -6,25 +6,25 @@
 
 #include "facet/camera.hpp"
 #include "facet/trigger.hpp"
+#include "pipeline/devices_config.hpp"
 #include "pipeline/frame_set_sink.hpp"
-#include "pipeline/frames_config.hpp"
 #include "pipeline/pipeline.hpp"
 
 namespace facet::pipeline {
 
-/// Opens the lines of a rig's program. Throws Error(Unavailable) where they can't be had now.
+/// Opens the lines of a trigger program. Throws Error(Unavailable) where they can't be had now.
 using OpenTrigger = std::function<std::unique_ptr<Trigger>()>;
 
-/// The devices of a rig, opened.
-struct Rig {
-  RigConfig config;
+/// The devices, opened.
+struct Devices {
+  DevicesConfig config;
   std::vector<std::unique_ptr<Camera>> cameras;  ///< [camera_count]
   OpenTrigger open_trigger;                      ///< empty: the cameras run freely
 };
 
 /// Opens the cameras. Throws Error: Usage where the configuration or a camera can't be so, UnreadableInput
 /// for a file. Cameras that are absent and lines that are busy are states.
-Rig open_rig(const RigConfig& config);
+Devices open_devices(const DevicesConfig& config);
 
 /// Several cameras in, frame sets out, no meshes: what the cameras of one trigger slot saw goes to the sinks.
 ///
@@ -41,7 +41,7 @@ Rig open_rig(const RigConfig& config);
 /// where every camera is at its end.
 class FramesPipeline final : public Pipeline {
  public:
-  FramesPipeline(Rig rig, std::vector<FrameSetSink*> sinks);
+  FramesPipeline(Devices devices, std::vector<FrameSetSink*> sinks);
   ~FramesPipeline() override;
 
   void start() override;

@@ -67,15 +67,15 @@ struct Histogram {
   }
 };
 
-struct RigCameraStatus {
+struct DeviceCameraStatus {
   std::string name;  ///< in the rig
   CameraInfo info;
   CameraStatus status;
 };
 
 /// Several cameras and what fires them.
-struct RigStatus {
-  std::vector<RigCameraStatus> cameras;
+struct DevicesStatus {
+  std::vector<DeviceCameraStatus> cameras;
   std::optional<TriggerStatus> trigger;  ///< none where the cameras run freely
   std::uint64_t triggers_opened = 0;     ///< more than 1: lines were lost and taken again
   capture::CaptureStatistics sets;
@@ -88,7 +88,7 @@ struct PipelineStatus {
   ErrorKind failure_kind = ErrorKind::Internal;  ///< where Failed; UnreadableInput: it was the source
   CameraInfo source;
   CameraStatus camera;                      ///< how the source does now
-  std::optional<RigStatus> rig;             ///< in place of source and camera where there are several
+  std::optional<DevicesStatus> rig;         ///< in place of source and camera where there are several
   std::vector<booth::RigPairStatus> pairs;  ///< of a booth: whether its cameras stand as they were calibrated
   std::string device;                       ///< of the refinement, for people; empty while there is none
   std::uint64_t captured = 0;               ///< frames that the source produced, within the range asked for

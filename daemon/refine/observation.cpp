@@ -162,7 +162,8 @@ OcclusionMap::OcclusionMap(gpu::Context& context, const mesh::Triangles& corners
   gpu::upload(context, triangles.buffer, std::as_bytes(std::span(packed)));
 }
 
-FurtherView::FurtherView(gpu::Context& context, int width_px, int height_px, const mesh::Triangles& triangles)
+FurtherCameraState::FurtherCameraState(gpu::Context& context, int width_px, int height_px,
+                                       const mesh::Triangles& triangles)
     : pyramid(context, width_px, height_px),
       frame(context, sizeof(shaders::refine::FrameParameters), gpu::Memory::Upload, "frame parameters"),
       depth(context, triangles),
@@ -245,7 +246,7 @@ void ObservationKernels::record_observe(gpu::Batch& batch, const LevelTopology& 
 }
 
 void ObservationKernels::record_view(gpu::Batch& batch, const LevelTopology& topology,
-                                     const LevelState& state, const FurtherView& view,
+                                     const LevelState& state, const FurtherCameraState& view,
                                      const DeviceArray& view_colours, bool learn_gain, bool last) const {
   record_observe(batch, topology, state, view_colours.buffer, view.pyramid, view.depth, view.frame);
   const shaders::refine::ViewPush push{topology.vertex_count, last ? 1U : 0U};

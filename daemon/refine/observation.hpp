@@ -68,9 +68,9 @@ struct OcclusionMap {
 };
 
 /// A camera beside the reference camera: its picture, where it stands, and how its colours differ.
-struct FurtherView {
+struct FurtherCameraState {
   /// triangles: of M0
-  FurtherView(gpu::Context& context, int width_px, int height_px, const mesh::Triangles& triangles);
+  FurtherCameraState(gpu::Context& context, int width_px, int height_px, const mesh::Triangles& triangles);
 
   ImagePyramid pyramid;
   gpu::Buffer frame;  ///< FrameParameters: those that record_image, record_depth and record_observe read
@@ -120,7 +120,7 @@ class ObservationKernels {
   /// view_colours: room for the level's vertices. learn_gain: on M0, before the finer levels. last: there is
   /// no further camera.
   void record_view(gpu::Batch& batch, const LevelTopology& topology, const LevelState& state,
-                   const FurtherView& view, const DeviceArray& view_colours, bool learn_gain,
+                   const FurtherCameraState& view, const DeviceArray& view_colours, bool learn_gain,
                    bool last) const;
 
  private:

@@ -199,7 +199,7 @@ struct SubjectBuffers {
   gpu::Buffer light_out;
   gpu::Buffer albedo_out;
   std::optional<ImagePyramid> pyramid;
-  std::vector<std::unique_ptr<FurtherView>> further_views;
+  std::vector<std::unique_ptr<FurtherCameraState>> further_views;
   std::optional<DeviceArray> view_colours;  ///< [finest vertex_count] of one further view at a time
   /// Recorded frames, the last used at the end.
   struct Recorded {
@@ -256,8 +256,8 @@ struct Refiner::Impl {
   bool albedo_known = false;  ///< the subject came with one: it is held
   std::shared_ptr<const mesh::Albedo> albedo;
 
-  void fit_views(std::span<const RefineView> views);
-  void write_views(std::span<const RefineView> views, std::span<const vec4> control) const;
+  void fit_views(std::span<const FurtherCamera> views);
+  void write_views(std::span<const FurtherCamera> views, std::span<const vec4> control) const;
   void read(RefineOutput& output);
   void read_albedo();
   const SubjectBuffers::Recorded& recorded_frame(const StepPlan& plan, bool learn);
@@ -319,7 +319,7 @@ void Kernels::record(gpu::Batch& batch, const RefinerConfig& config, const Subje
                              coarsest.state, subject.frame,
                              {refine_coarsest, config.given_prior ? Prior::Given : Prior::None});
   observation.record_depth(batch, coarsest.state, subject.depth, subject.frame);
-  for (const std::unique_ptr<FurtherView>& view : subject.further_views) {
+  for (const std::unique_ptr<FurtherCameraState>& view : subject.further_views) {
     observation.record_image(batch, view->pyramid, view->frame);
     observation.record_depth(batch, coarsest.state, view->depth, view->frame);
   }
@@ -349,7 +349,7 @@ void Kernels::record(gpu::Batch& batch, const RefinerConfig& config, const Subje
 void Kernels::record_observe(gpu::Batch& batch, const SubjectBuffers& subject, const Level& level) const {
   observation.record_observe(batch, level.topology, level.state, *subject.pyramid, subject.depth,
                              subject.frame);
-  for (const std::unique_ptr<FurtherView>& view : subject.further_views) {
+  for (const std::unique_ptr<FurtherCameraState>& view : subject.further_views) {
     observation.record_view(batch, level.topology, level.state, *view, *subject.view_colours,
                             &level == subject.levels.front().get(), view == subject.further_views.back());
   }
@@ -479,7 +479,7 @@ void Refiner::submit(const RefineInput& input) {
     throw Error(ErrorKind::Usage, fmt::format("refinement was given {} displacements for {} control vertices",
                                               given, subject.control_vertex_count));
   }
-  for (const RefineView& view : input.further_views) {
+  for (const FurtherCamera& view : input.further_views) {
     if (!view.image.empty() &&
         (view.image.width_px != view.camera.width_px || view.image.height_px != view.camera.height_px)) {
       throw Error(ErrorKind::Usage,
@@ -525,10 +525,10 @@ void Refiner::submit(const RefineInput& input) {
 }
 
 /// Makes room for the further views where their number or sizes changed.
-void Refiner::Impl::fit_views(std::span<const RefineView> views) {
-  std::vector<std::unique_ptr<FurtherView>>& there = subject->further_views;
+void Refiner::Impl::fit_views(std::span<const FurtherCamera> views) {
+  std::vector<std::unique_ptr<FurtherCameraState>>& there = subject->further_views;
   const bool fit = std::equal(views.begin(), views.end(), there.begin(), there.end(),
-                              [](const RefineView& view, const std::unique_ptr<FurtherView>& room) {
+                              [](const FurtherCamera& view, const std::unique_ptr<FurtherCameraState>& room) {
                                 return view.camera.width_px == room->pyramid.width_px &&
                                        view.camera.height_px == room->pyramid.height_px;
                               });
@@ -537,9 +537,9 @@ void Refiner::Impl::fit_views(std::span<const RefineView> views) {
   }
   subject->recorded.clear();
   there.clear();
-  for (const RefineView& view : views) {
-    there.push_back(std::make_unique<FurtherView>(context, view.camera.width_px, view.camera.height_px,
-                                                  hierarchy->levels.front().triangles));
+  for (const FurtherCamera& view : views) {
+    there.push_back(std::make_unique<FurtherCameraState>(context, view.camera.width_px, view.camera.height_px,
+                                                         hierarchy->levels.front().triangles));
   }
   if (!subject->view_colours) {
     subject->view_colours.emplace(context, subject->levels.back()->topology.vertex_count,
@@ -549,9 +549,9 @@ void Refiner::Impl::fit_views(std::span<const RefineView> views) {
 }
 
 /// control: shading frame of the reference camera, mm.
-void Refiner::Impl::write_views(std::span<const RefineView> views, std::span<const vec4> control) const {
+void Refiner::Impl::write_views(std::span<const FurtherCamera> views, std::span<const vec4> control) const {
   for (std::size_t v = 0; v < views.size(); ++v) {
-    FurtherView& room = *subject->further_views[v];
+    FurtherCameraState& room = *subject->further_views[v];
     FrameParameters& frame = room.frame.mapped_as<FrameParameters>().front();
     const FaceRegion region =
         set_frame_parameters(room.pyramid, views[v].camera, control, frame, views[v].view_from_reference);

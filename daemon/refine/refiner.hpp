@@ -65,7 +65,7 @@ struct SubjectSetup {
 };
 
 /// What a camera beside the reference camera adds to a frame.
-struct RefineView {
+struct FurtherCamera {
   Frame image;              ///< of the camera's size; empty: it says nothing of this frame
   CameraIntrinsics camera;  ///< with the size of its images, always
   Eigen::Isometry3f view_from_reference = Eigen::Isometry3f::Identity();  ///< camera frames, mm
@@ -81,7 +81,7 @@ struct RefineInput {
   /// empty. Read during submit only.
   std::span<const float> prior_displacements_mm = {};
   /// Cameras beside `camera`, whose frame everything stands in; the same ones in every frame.
-  std::span<const RefineView> further_views = {};
+  std::span<const FurtherCamera> further_views = {};
   /// false: `image` does not show the face well enough to be believed, the other cameras' do.
   bool image_counts = true;
   /// Budget::Auto thins the solve out until submit to collect takes no longer; 0: no limit.

@@ -120,7 +120,7 @@ void read_kind(Section& section, camera::CameraConfig& source) {
 }
 
 void read_source(Section section, Config& config) {
-  pipeline::MonocularConfig& pipeline = config.pipeline;
+  pipeline::ShadingConfig& pipeline = config.pipeline;
   read_kind(section, pipeline.source);
   read_settings(section, pipeline.source);
   if (const toml::node* node = section.find("frames")) {
@@ -146,8 +146,8 @@ void read_us(Section& section, const std::string& key, std::int64_t& value_ns, s
 }
 
 /// Values that depend on one another are checked by pipeline::check, once all of them are known.
-void read_camera(Section section, std::vector<pipeline::RigCamera>& cameras) {
-  pipeline::RigCamera camera;
+void read_camera(Section section, std::vector<pipeline::DeviceCamera>& cameras) {
+  pipeline::DeviceCamera camera;
   camera.source.kind = "v4l2";
   section.read("name", camera.name);
   read_kind(section, camera.source);
@@ -164,7 +164,7 @@ void read_camera(Section section, std::vector<pipeline::RigCamera>& cameras) {
   cameras.push_back(std::move(camera));
 }
 
-void read_trigger_line(Section section, pipeline::RigConfig& rig) {
+void read_trigger_line(Section section, pipeline::DevicesConfig& devices) {
   constexpr std::array kRoles = {"camera", "projector"};
   constexpr std::array kDrives = {"push-pull", "open-drain", "open-source"};
   TriggerLine line;
@@ -190,14 +190,14 @@ void read_trigger_line(Section section, pipeline::RigConfig& rig) {
     return;
   }
   output.name = read_back.name = line.name;
-  if (rig.trigger == pipeline::TriggerKind::Gpio && (output.chip.empty() || output.line.empty())) {
+  if (devices.trigger == pipeline::TriggerKind::Gpio && (output.chip.empty() || output.line.empty())) {
     section.fail(section.node(), "chip", "a line of a GPIO trigger needs chip and line");
   }
-  rig.program.lines.push_back(line);
-  rig.gpio.outputs.push_back(output);
+  devices.program.lines.push_back(line);
+  devices.gpio.outputs.push_back(output);
   if (!read_back.line.empty()) {
     read_back.chip = read_back.chip.empty() ? output.chip : read_back.chip;
-    rig.gpio.read_backs.push_back(read_back);
+    devices.gpio.read_backs.push_back(read_back);
   }
 }
 
@@ -227,24 +227,24 @@ void read_patterns(Section& section, TriggerProgram& program) {
   }
 }
 
-void read_trigger(Section section, pipeline::RigConfig& rig) {
+void read_trigger(Section section, pipeline::DevicesConfig& devices) {
   constexpr std::array kKinds = {"none", "virtual", "gpio"};
   if (const auto kind = section.read_choice("kind", kKinds)) {
-    rig.trigger = static_cast<pipeline::TriggerKind>(*kind);
+    devices.trigger = static_cast<pipeline::TriggerKind>(*kind);
   }
-  TriggerProgram& program = rig.program;
+  TriggerProgram& program = devices.program;
   program.exposure_ns = 5'000'000;
   section.read_number("slots_per_second", program.slots_per_second, 1, 1000);
   read_us(section, "settle_us", program.settle_ns, 0, 1'000'000);
   read_us(section, "exposure_us", program.exposure_ns, 1, 1'000'000);
   read_us(section, "tolerance_us", program.tolerance_ns, 1, 1'000'000);
-  section.read("real_time", rig.gpio.thread.real_time);
-  section.read_integer("priority", rig.gpio.thread.priority, 1, 99);
-  section.read("edge_log", rig.edge_log);
+  section.read("real_time", devices.gpio.thread.real_time);
+  section.read_integer("priority", devices.gpio.thread.priority, 1, 99);
+  section.read("edge_log", devices.edge_log);
   for (Section& line : section.sections("line")) {
-    read_trigger_line(line, rig);
+    read_trigger_line(line, devices);
   }
-  if (rig.program.lines.size() > kMaxTriggerLines) {
+  if (devices.program.lines.size() > kMaxTriggerLines) {
     section.fail(section.node(), "line", fmt::format("there are more than {}", kMaxTriggerLines));
   }
   read_patterns(section, program);
@@ -253,14 +253,14 @@ void read_trigger(Section section, pipeline::RigConfig& rig) {
 
 void read_rig(Section& root, Config& config) {
   for (Section& camera : root.sections("camera")) {
-    read_camera(camera, config.rig.cameras);
+    read_camera(camera, config.devices.cameras);
   }
-  read_trigger(root.section("trigger"), config.rig);
+  read_trigger(root.section("trigger"), config.devices);
   Section simulation = root.section("simulation");
-  simulation.read("footage", config.rig.footage);
+  simulation.read("footage", config.devices.footage);
   simulation.finish();
   Section sets = root.section("sets");
-  sets.read_integer("deadline_ms", config.rig.deadline_ms, 0, 60'000);
+  sets.read_integer("deadline_ms", config.devices.deadline_ms, 0, 60'000);
   sets.finish();
 }
 
@@ -527,17 +527,17 @@ pipeline::BoothConfig booth_config(const Config& config) {
   booth.model_file = config.pipeline.model_file;
   booth.landmark_assets = config.pipeline.tracker.landmark_assets;
   booth.gpu_device = config.pipeline.gpu_device;
-  if (config.rig.trigger != pipeline::TriggerKind::None) {
+  if (config.devices.trigger != pipeline::TriggerKind::None) {
     booth.stripes.clear();
-    for (const LineMask active : config.rig.program.patterns) {
+    for (const LineMask active : config.devices.program.patterns) {
       booth.stripes.push_back(active != 0 ? 1 : 0);
     }
   }
   return booth;
 }
 
-bool has_live_views(const Config& config) {
-  return config.mode == Mode::Monocular && !config.rig.cameras.empty();
+bool has_live_cameras(const Config& config) {
+  return config.mode == Mode::Monocular && !config.devices.cameras.empty();
 }
 
 std::vector<std::string> config_keys() {

@@ -9,8 +9,8 @@
 
 #include "avatar/bridge.hpp"
 #include "pipeline/booth_config.hpp"
-#include "pipeline/frames_config.hpp"
-#include "pipeline/monocular_config.hpp"
+#include "pipeline/devices_config.hpp"
+#include "pipeline/shading_config.hpp"
 #include "service/log.hpp"
 #include "stream/server.hpp"
 
@@ -63,12 +63,12 @@ enum class BoothRecord {
 /// config/facet.toml. Running state is elsewhere (Service).
 struct Config {
   Mode mode = Mode::Monocular;
-  pipeline::MonocularConfig pipeline;  ///< source.path or source.live.device empty: not given
-  pipeline::RigConfig rig;             ///< modes Frames and Booth; Monocular where it has cameras
-  stereo::DepthRange booth_depths;     ///< BoothConfig::depths
-  std::filesystem::path rig_file;      ///< modes Booth, and Monocular with cameras
-  bool booth_every_slot = false;       ///< BoothConfig::every_slot
-  bool booth_shading = false;          ///< BoothConfig::shading
+  pipeline::ShadingConfig pipeline;  ///< source.path or source.live.device empty: not given
+  pipeline::DevicesConfig devices;   ///< modes Frames and Booth; Monocular where it has cameras
+  stereo::DepthRange booth_depths;   ///< BoothConfig::depths
+  std::filesystem::path rig_file;    ///< modes Booth, and Monocular with cameras
+  bool booth_every_slot = false;     ///< BoothConfig::every_slot
+  bool booth_shading = false;        ///< BoothConfig::shading
   BoothRecord booth_record = BoothRecord::Pictures;
   bool exit_at_end = false;  ///< or where the source fails
   bool wait_for_reader = false;
@@ -93,7 +93,7 @@ Config load_config(const std::filesystem::path& file);
 Config parse_config(std::string_view text, const std::filesystem::path& file);
 
 /// Whether meshes are made of several calibrated cameras: mode Monocular with [[camera]]s.
-bool has_live_views(const Config& config);
+bool has_live_cameras(const Config& config);
 
 /// What mode Booth asks of the meshes; the slots are those of the trigger's program, where it has one.
 pipeline::BoothConfig booth_config(const Config& config);

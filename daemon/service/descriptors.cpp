@@ -38,7 +38,7 @@ std::size_t of_places(const Config& config) {
 }
 
 std::size_t of_our_own(const Config& config) {
-  return kOwn + (kPerCamera * std::max<std::size_t>(1, config.rig.cameras.size()));
+  return kOwn + (kPerCamera * std::max<std::size_t>(1, config.devices.cameras.size()));
 }
 
 }  // namespace

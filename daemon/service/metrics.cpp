@@ -99,7 +99,7 @@ std::vector<NamedCamera> cameras_of(const MetricsSnapshot& now) {
   }
   std::vector<NamedCamera> cameras;
   cameras.reserve(status.rig->cameras.size());
-  for (const pipeline::RigCameraStatus& camera : status.rig->cameras) {
+  for (const pipeline::DeviceCameraStatus& camera : status.rig->cameras) {
     cameras.push_back({camera.name, &camera.status});
   }
   return cameras;

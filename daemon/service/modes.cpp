@@ -8,9 +8,9 @@
 #include "facet/error.hpp"
 #include "pipeline/booth.hpp"
 #include "pipeline/frames.hpp"
-#include "pipeline/live_views.hpp"
-#include "pipeline/monocular.hpp"
-#include "pipeline/stages.hpp"
+#include "pipeline/live_cameras.hpp"
+#include "pipeline/shading.hpp"
+#include "pipeline/shading_parts.hpp"
 
 namespace facet::service {
 namespace {
@@ -19,7 +19,7 @@ void tell(OpenedPipeline& opened, std::string line) {
   opened.lines.push_back({false, std::move(line)});
 }
 
-void tell_refiner(OpenedPipeline& opened, const pipeline::Stages& stages) {
+void tell_refiner(OpenedPipeline& opened, const pipeline::ShadingParts& stages) {
   if (stages.refiner != nullptr) {
     tell(opened, fmt::format("refining on {}", stages.refiner->device()));
   } else {
@@ -28,21 +28,21 @@ void tell_refiner(OpenedPipeline& opened, const pipeline::Stages& stages) {
   }
 }
 
-void tell_devices(OpenedPipeline& opened, const pipeline::Rig& rig) {
+void tell_devices(OpenedPipeline& opened, const pipeline::Devices& devices) {
   opened.live = true;
-  for (std::size_t i = 0; i < rig.cameras.size(); ++i) {
-    const CameraInfo camera = rig.cameras[i]->info();
-    opened.source_name += (i == 0 ? "" : ", ") + rig.config.cameras[i].name;
-    tell(opened, fmt::format("camera {}: {}, {} x {} px, {:.2f} Hz", rig.config.cameras[i].name, camera.name,
-                             camera.width_px, camera.height_px, camera.rate_hz));
+  for (std::size_t i = 0; i < devices.cameras.size(); ++i) {
+    const CameraInfo camera = devices.cameras[i]->info();
+    opened.source_name += (i == 0 ? "" : ", ") + devices.config.cameras[i].name;
+    tell(opened, fmt::format("camera {}: {}, {} x {} px, {:.2f} Hz", devices.config.cameras[i].name,
+                             camera.name, camera.width_px, camera.height_px, camera.rate_hz));
   }
-  tell(opened, rig.open_trigger
-                   ? fmt::format("trigger: {} lines, {:.2f} slots a second", rig.config.program.lines.size(),
-                                 rig.config.program.slots_per_second)
+  tell(opened, devices.open_trigger
+                   ? fmt::format("trigger: {} lines, {:.2f} slots a second",
+                                 devices.config.program.lines.size(), devices.config.program.slots_per_second)
                    : std::string("no trigger: the cameras run freely"));
 }
 
-pipeline::MonocularPipeline::Options monocular_options(const Config& config) {
+pipeline::ShadingPipeline::Options monocular_options(const Config& config) {
   return {config.pipeline.hierarchy, config.pipeline.frames, {}};
 }
 
@@ -54,7 +54,7 @@ void check_one_source(const camera::CameraConfig& source) {
 }
 
 void check_monocular(const Config& config) {
-  if (!has_live_views(config)) {
+  if (!has_live_cameras(config)) {
     check_one_source(config.pipeline.source);
     return;
   }
@@ -63,11 +63,11 @@ void check_monocular(const Config& config) {
                 "mode \"monocular\" takes pictures from one [source] or from [[camera]]s: leave out "
                 "source.kind and source.path, or the [[camera]]s");
   }
-  pipeline::check(config.rig, config.rig_file);
+  pipeline::check(config.devices, config.rig_file);
 }
 
 OpenedPipeline open_one_source(const Config& config) {
-  const auto stages = std::make_shared<pipeline::Stages>(pipeline::open_stages(config.pipeline));
+  const auto stages = std::make_shared<pipeline::ShadingParts>(pipeline::open_shading(config.pipeline));
   const CameraInfo source = stages->pictures->cameras().front().info;
   const camera::CameraConfig& given = config.pipeline.source;
   OpenedPipeline opened;
@@ -79,7 +79,7 @@ OpenedPipeline open_one_source(const Config& config) {
                            source.height_px, source.rate_hz, source.live ? ", live" : ""));
   tell_refiner(opened, *stages);
   opened.make = [stages, options = monocular_options(config)](const Sinks& sinks) {
-    return std::make_unique<pipeline::MonocularPipeline>(
+    return std::make_unique<pipeline::ShadingPipeline>(
         std::move(*stages), options,
         std::vector<pipeline::MeshSink*>{&sinks.stream, &sinks.bridges, &sinks.take});
   };
@@ -87,15 +87,15 @@ OpenedPipeline open_one_source(const Config& config) {
 }
 
 OpenedPipeline open_several_cameras(const Config& config) {
-  const auto views = std::make_shared<pipeline::LiveViews>(
-      pipeline::open_live_views(config.rig, config.rig_file, config.pipeline));
+  const auto views = std::make_shared<pipeline::LiveCameras>(
+      pipeline::open_live_cameras(config.devices, config.rig_file, config.pipeline));
   OpenedPipeline opened;
   tell_devices(opened, views->devices);
   tell(opened,
        fmt::format("meshes are in the frame of camera {}", views->devices.config.cameras.front().name));
   tell_refiner(opened, views->stages);
   opened.make = [views, options = monocular_options(config)](const Sinks& sinks) {
-    return std::make_unique<pipeline::LiveViewsPipeline>(
+    return std::make_unique<pipeline::LiveCamerasPipeline>(
         std::move(*views), options,
         std::vector<pipeline::MeshSink*>{&sinks.stream, &sinks.bridges, &sinks.take});
   };
@@ -103,23 +103,23 @@ OpenedPipeline open_several_cameras(const Config& config) {
 }
 
 OpenedPipeline open_monocular(const Config& config) {
-  return has_live_views(config) ? open_several_cameras(config) : open_one_source(config);
+  return has_live_cameras(config) ? open_several_cameras(config) : open_one_source(config);
 }
 
 OpenedPipeline open_frames(const Config& config) {
-  const auto rig = std::make_shared<pipeline::Rig>(pipeline::open_rig(config.rig));
+  const auto devices = std::make_shared<pipeline::Devices>(pipeline::open_devices(config.devices));
   OpenedPipeline opened;
-  tell_devices(opened, *rig);
-  opened.make = [rig](const Sinks& sinks) {
+  tell_devices(opened, *devices);
+  opened.make = [devices](const Sinks& sinks) {
     return std::make_unique<pipeline::FramesPipeline>(
-        std::move(*rig), std::vector<pipeline::FrameSetSink*>{&sinks.sets_shown});
+        std::move(*devices), std::vector<pipeline::FrameSetSink*>{&sinks.sets_shown});
   };
   return opened;
 }
 
 OpenedPipeline open_booth(const Config& config) {
   const auto booth =
-      std::make_shared<pipeline::Booth>(pipeline::open_booth(config.rig, booth_config(config)));
+      std::make_shared<pipeline::Booth>(pipeline::open_booth(config.devices, booth_config(config)));
   OpenedPipeline opened;
   tell_devices(opened, booth->devices);
   tell(opened, fmt::format("depth maps on {}", booth->stages.depth->device()));
@@ -139,8 +139,8 @@ OpenedPipeline open_booth(const Config& config) {
 
 constexpr std::array kRows = {
     ModeRow{check_monocular, open_monocular},
-    ModeRow{[](const Config& config) { pipeline::check(config.rig); }, open_frames},
-    ModeRow{[](const Config& config) { pipeline::check(config.rig, booth_config(config)); }, open_booth},
+    ModeRow{[](const Config& config) { pipeline::check(config.devices); }, open_frames},
+    ModeRow{[](const Config& config) { pipeline::check(config.devices, booth_config(config)); }, open_booth},
 };
 static_assert(kRows.size() == kModes.size());
 

@@ -33,9 +33,9 @@
 #include "service/memory_reserve.hpp"
 #include "service/metrics.hpp"
 #include "service/modes.hpp"
+#include "service/pipeline_opener.hpp"
 #include "service/recording.hpp"
 #include "service/service_manager.hpp"
-#include "service/stage_opener.hpp"
 #include "service/status_report.hpp"
 #include "service/studio_methods.hpp"
 #include "service/take_index.hpp"
@@ -150,7 +150,7 @@ struct Service::Impl {
   Recording recording;
   std::atomic<bool> looking_ends{false};  ///< tells an errand of `looking` that takes long
   Errands looking{"facet-look"};          ///< what looking methods leave: files, and what is much to compute
-  std::optional<StageOpener> opener;
+  std::optional<PipelineOpener> opener;
   std::unique_ptr<pipeline::Pipeline> pipeline;
   std::string source_name;
   bool live = false;                     ///< the source goes on while nobody reads
@@ -660,7 +660,7 @@ void Service::Impl::tell_manager() {
     text += fmt::format(": {}{:.1f} sets/s, {} of {} incomplete",
                         config.mode == Mode::Frames ? "" : fmt::format("{}, ", mesh::to_string(now.tracking)),
                         now.frames_per_second, now.rig->sets.incomplete, now.processed);
-    for (const pipeline::RigCameraStatus& camera : now.rig->cameras) {
+    for (const pipeline::DeviceCameraStatus& camera : now.rig->cameras) {
       if (!camera.status.reason.empty()) {
         text += fmt::format("; camera {}: {}", camera.name, camera.status.reason);
       }

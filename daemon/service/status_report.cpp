@@ -67,7 +67,7 @@ json to_json(const TriggerStatus& trigger) {
           {"events_lost", trigger.events_lost}};
 }
 
-json to_json(const pipeline::RigStatus& rig, const std::vector<booth::RigPairStatus>& known) {
+json to_json(const pipeline::DevicesStatus& rig, const std::vector<booth::RigPairStatus>& known) {
   json cameras = json::array();
   for (std::size_t i = 0; i < rig.cameras.size(); ++i) {
     json camera = to_json(rig.cameras[i].status);

@@ -17,7 +17,7 @@ constexpr double kLargestFocalFactor = 4.0;
 
 IdentityFit::IdentityFit(const LandmarkModel& model, const ExpressionPrior& prior, const LandmarkTrust& trust,
                          const IdentityPriorStrength& strength, double longer_side_px, double fixed_focal_px,
-                         std::vector<ViewCamera> cameras)
+                         std::vector<FitCamera> cameras)
     : model_(&model),
       prior_(&prior),
       trust_(trust),
@@ -236,7 +236,7 @@ Eigen::VectorXd IdentityFit::landmark_bias_mm() {
           !landmark_term_.residuals_px(basis_, view, shape_.focal_px, frame.state, true, residuals_px)) {
         continue;
       }
-      const ViewCamera& camera = view.camera;
+      const FitCamera& camera = view.camera;
       const Eigen::Matrix3d rotation = camera.view_from_reference.linear() * frame.state.pose.rotation;
       const double mm_per_px = (camera.view_from_reference * frame.state.pose.translation_mm).z() /
                                (camera.focal_ratio * shape_.focal_px);

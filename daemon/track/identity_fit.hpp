@@ -44,7 +44,7 @@ class IdentityFit {
   /// view, the reference camera first.
   IdentityFit(const LandmarkModel& model, const ExpressionPrior& prior, const LandmarkTrust& trust,
               const IdentityPriorStrength& strength, double longer_side_px, double fixed_focal_px,
-              std::vector<ViewCamera> cameras);
+              std::vector<FitCamera> cameras);
 
   /// Takes a frame into the batch. faces: of each view, null where it shows none that counts; at least one is
   /// there. `start` is the frame's pose and expression so far.
@@ -103,7 +103,7 @@ class IdentityFit {
   IdentityPriorStrength strength_;
   double log_focal_prior_;
   bool focal_is_fixed_;
-  std::vector<ViewCamera> cameras_;
+  std::vector<FitCamera> cameras_;
   SubjectShape shape_;
   SubjectShape trial_shape_;
   LandmarkTerm landmark_term_;

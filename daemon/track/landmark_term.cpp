@@ -31,7 +31,7 @@ void apply_step(const FrameState& from, const Eigen::VectorXd& step, FrameState&
 }
 
 void observe(const LandmarkModel& model, const LandmarkTrust& trust, const landmark::FaceLandmarks& face,
-             const Eigen::Vector3d& place_mm, double focal_px, const ViewCamera& camera, Observation& out) {
+             const Eigen::Vector3d& place_mm, double focal_px, const FitCamera& camera, Observation& out) {
   const auto count = static_cast<std::size_t>(model.count());
   out.points_px.resize(2, model.count());
   out.whitening.resize(count);
@@ -114,7 +114,7 @@ void LandmarkTerm::place(const LandmarkBasis& basis, const FrameState& state, bo
   }
 }
 
-bool LandmarkTerm::project_landmark(Eigen::Index l, const ViewCamera& camera, double focal_px,
+bool LandmarkTerm::project_landmark(Eigen::Index l, const FitCamera& camera, double focal_px,
                                     const FrameState& state, Projection& at) const {
   const Eigen::Vector3d reference_mm = rotated_mm_.col(l) + state.pose.translation_mm;
   return project(camera.view_from_reference * reference_mm, camera.focal_ratio * focal_px, camera.centre_px,

@@ -7,9 +7,9 @@
 
 #include "landmark/landmarker.hpp"
 #include "track/camera_pose.hpp"
+#include "track/further_camera.hpp"
 #include "track/landmark_model.hpp"
 #include "track/normal_equations.hpp"
-#include "track/view.hpp"
 
 namespace facet::track {
 
@@ -50,7 +50,7 @@ void apply_step(const FrameState& from, const Eigen::VectorXd& step, FrameState&
 struct Observation {
   Eigen::Matrix2Xd points_px;              ///< [2][LandmarkModel::count()]
   std::vector<Eigen::Matrix2d> whitening;  ///< [count] residual in standard deviations = whitening * px
-  ViewCamera camera;
+  FitCamera camera;
   bool seen = true;   ///< false: this view shows no face that can be believed; it says nothing
   double weight = 1;  ///< of its data term, see weigh_views
 };
@@ -59,7 +59,7 @@ struct Observation {
 /// the reference camera's frame: sigma in pixels, group strength, confidence, contour anisotropy. focal_px:
 /// of the reference camera; camera: the one that measured. Resizes `out` at its first use only.
 void observe(const LandmarkModel& model, const LandmarkTrust& trust, const landmark::FaceLandmarks& face,
-             const Eigen::Vector3d& place_mm, double focal_px, const ViewCamera& camera, Observation& out);
+             const Eigen::Vector3d& place_mm, double focal_px, const FitCamera& camera, Observation& out);
 
 /// Gives the seen views of a frame equal weights that sum to 1. The net errs on one face much alike from
 /// every side: more views say where the face is, but make its shape and expression no more certain against
@@ -97,7 +97,7 @@ class LandmarkTerm {
  private:
   void place(const LandmarkBasis& basis, const FrameState& state, bool with_bias);
   /// Of a placed landmark; false where it lies behind the camera.
-  bool project_landmark(Eigen::Index l, const ViewCamera& camera, double focal_px, const FrameState& state,
+  bool project_landmark(Eigen::Index l, const FitCamera& camera, double focal_px, const FrameState& state,
                         Projection& at) const;
 
   double huber_sigmas_;

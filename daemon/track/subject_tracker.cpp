@@ -140,7 +140,7 @@ void SubjectTracker::place_cameras() {
   views_.front().camera.centre_px = centre_px();
   views_.front().longer_side_px = static_cast<float>(std::max(width_px_, height_px_));
   for (std::size_t v = 1; v < views_.size(); ++v) {
-    const View& view = config_.further_views[v - 1];
+    const FurtherCamera& view = config_.further_views[v - 1];
     const CameraIntrinsics& lens = view.intrinsics;
     views_[v].camera.centre_px = {lens.cx, lens.cy};
     views_[v].camera.focal_ratio = 0.5 * static_cast<double>(lens.fx + lens.fy) / fixed_focal_px();
@@ -227,7 +227,7 @@ bool SubjectTracker::start_pose() {
     }
   }
   const landmark::FaceLandmarks& face = *views_[best].face;
-  const ViewCamera& camera = views_[best].camera;
+  const FitCamera& camera = views_[best].camera;
   for (Eigen::Index l = 0; l < model_->count(); ++l) {
     start_head_mm_.col(l) = basis_.neutral_mm.segment<3>(3 * l);
     const int landmark = model_->landmarks()[static_cast<std::size_t>(l)];
@@ -269,7 +269,7 @@ std::optional<double> SubjectTracker::median_residual_px(std::size_t view, bool 
   return maths::median_of(sorted_);
 }
 
-Pose SubjectTracker::pose_in(const ViewCamera& camera) const {
+Pose SubjectTracker::pose_in(const FitCamera& camera) const {
   return {camera.view_from_reference.linear() * candidate_.pose.rotation,
           camera.view_from_reference * candidate_.pose.translation_mm};
 }
@@ -596,7 +596,7 @@ bool SubjectTracker::worth_adding() const {
 
 bool SubjectTracker::acquire() {
   if (!identity_fit_) {
-    std::vector<ViewCamera> cameras;
+    std::vector<FitCamera> cameras;
     for (const ViewState& view : views_) {
       cameras.push_back(view.camera);
     }

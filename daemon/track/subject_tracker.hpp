@@ -21,7 +21,7 @@ struct SubjectTrackerConfig {
   /// the tracker.
   const face::FaceModel* shading_model = nullptr;
   std::optional<CameraIntrinsics> intrinsics;  ///< known camera: the focal length is then not estimated
-  std::vector<View> further_views{};           ///< beside the camera above, which is then known
+  std::vector<FurtherCamera> further_views{};  ///< beside the camera above, which is then known
   LandmarkTrust trust;
   TemporalPriorStrength temporal;
   IdentityPriorStrength identity;
@@ -111,7 +111,7 @@ class SubjectTracker {
  private:
   /// One camera and what it shows in this frame.
   struct ViewState {
-    ViewCamera camera;
+    FitCamera camera;
     float longer_side_px = 0;
     const landmark::FaceLandmarks* face = nullptr;  ///< null where it shows none that is usable
     double reprojection_px = 0;                     ///< of the mesh, at candidate_
@@ -131,7 +131,7 @@ class SubjectTracker {
   bool measure_view(std::size_t view);
   bool measure_residual();
   bool plausible(double largest_residual) const;
-  Pose pose_in(const ViewCamera& camera) const;
+  Pose pose_in(const FitCamera& camera) const;
   bool jumped(double elapsed_s) const;
   double facing(const ViewState& view) const;
   bool turned() const;

@@ -47,7 +47,7 @@ std::vector<CameraIntrinsics> lenses_of(const TrackerConfig& config) {
     throw Error(ErrorKind::Usage, "several views are tracked with a calibrated reference camera alone");
   }
   std::vector<CameraIntrinsics> lenses{*config.intrinsics};
-  for (const View& view : config.further_views) {
+  for (const FurtherCamera& view : config.further_views) {
     lenses.push_back(view.intrinsics);
   }
   return lenses;

@@ -11,8 +11,8 @@
 #include "face/face_model.hpp"
 #include "facet/frame.hpp"
 #include "mesh/mesh_frame.hpp"
+#include "track/further_camera.hpp"
 #include "track/person.hpp"
-#include "track/view.hpp"
 
 namespace facet::track {
 
@@ -21,7 +21,7 @@ struct TrackerConfig {
   int acquisition_frames = 15;            ///< good frames over which identity and focal length are estimated
   std::optional<CameraIntrinsics> intrinsics;  ///< known camera: the focal length is then not estimated
   /// Calibrated cameras beside that one, which then is the reference camera and must be known.
-  std::vector<View> further_views{};
+  std::vector<FurtherCamera> further_views{};
   bool identity_shading = true;   ///< the pictures' shading tells of the identity, too (IdentityShading)
   float expression_prior = 1.0F;  ///< scales the default weight
   float temporal_prior = 1.0F;    ///< scales the default weight

@@ -6,7 +6,7 @@
 #include <algorithm>
 
 #include "camera/contained_camera.hpp"
-#include "camera/simulated_rig.hpp"
+#include "camera/simulated_devices.hpp"
 #include "camera/v4l2_camera.hpp"
 #include "camera/video_file.hpp"
 #include "facet/error.hpp"

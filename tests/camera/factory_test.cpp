@@ -8,7 +8,7 @@
 #include <string_view>
 
 #include "camera/contained_camera.hpp"
-#include "camera/simulated_rig.hpp"
+#include "camera/simulated_devices.hpp"
 #include "facet/error.hpp"
 
 namespace facet::camera {

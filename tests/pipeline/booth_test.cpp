@@ -18,7 +18,7 @@
 #include "booth/rig_check.hpp"
 #include "booth/template_subject.hpp"
 #include "booth/vertex_texture.hpp"
-#include "camera/simulated_rig.hpp"
+#include "camera/simulated_devices.hpp"
 #include "capture/epipolar.hpp"
 #include "capture/rig_file.hpp"
 #include "facet/error.hpp"
@@ -335,7 +335,7 @@ class Booth : public ::testing::Test {
   }
 
   /// Nothing where there is no Vulkan device.
-  static std::optional<BoothStages> open(const BoothConfig& config) {
+  static std::optional<BoothParts> open(const BoothConfig& config) {
     try {
       return open_booth(config, 2);
     } catch (const Error& error) {
@@ -348,7 +348,7 @@ class Booth : public ::testing::Test {
 
   /// Runs some sets through; what came out, and how it ended.
   void run(const std::vector<FrameSet>& sets) {
-    std::optional<BoothStages> stages = open(config_);
+    std::optional<BoothParts> stages = open(config_);
     if (!stages) {
       GTEST_SKIP() << "no Vulkan device";
     }
@@ -812,10 +812,10 @@ TEST_F(Booth, LiveDevicesGiveSetsAndMeshes) {
     }
     ASSERT_EQ(recorder.stop().state, take::RecorderState::Finished);
   }
-  RigConfig devices;
+  DevicesConfig devices;
   devices.footage = take;
   for (const capture::RigCamera& camera : footage_->booth.rig().cameras) {
-    RigCamera device;
+    DeviceCamera device;
     device.name = camera.name;
     device.source.kind = camera::kSimulatedCamera.name;
     devices.cameras.push_back(device);

@@ -113,7 +113,7 @@ TEST_F(Faces, AStopWhileLookingAheadEstimatesNobody) {
        [&](render::Picture& onto, int f) { render::paste(onto, person[static_cast<std::size_t>(f)], 0, 0); });
   config_.gpu_device = kNoDevice;
   const auto state_after = [&](int looks) {
-    const Stages stages = open_stages(config_);
+    const ShadingParts stages = open_shading(config_);
     stages.coarse->prepare([&] { return looks-- > 0; });
     stages.camera->start();
     Frame first;

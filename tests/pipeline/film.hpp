@@ -6,7 +6,7 @@
 #include <thread>
 
 #include "facet/error.hpp"
-#include "pipeline/monocular.hpp"
+#include "pipeline/shading.hpp"
 #include "render/renderer.hpp"
 #include "scripted_stages.hpp"
 #include "simulation/lossless_video.hpp"
@@ -63,18 +63,18 @@ class Film : public ::testing::Test {
 
   /// The whole way of the film's frames; with coarse meshes where there is no Vulkan device.
   Frames run() {
-    Stages stages;
+    ShadingParts stages;
     try {
-      stages = open_stages(config_);
+      stages = open_shading(config_);
     } catch (const Error& error) {
       if (error.kind() != ErrorKind::NoDevice) {
         throw;
       }
       config_.gpu_device = kNoDevice;
-      stages = open_stages(config_);
+      stages = open_shading(config_);
     }
     test::CollectingSink sink;
-    MonocularPipeline pipeline(std::move(stages), {config_.hierarchy, config_.frames, {}}, {&sink});
+    ShadingPipeline pipeline(std::move(stages), {config_.hierarchy, config_.frames, {}}, {&sink});
     pipeline.start();
     while (!pipeline.finished()) {
       std::this_thread::sleep_for(std::chrono::milliseconds(5));
@@ -115,7 +115,7 @@ class Film : public ::testing::Test {
   static constexpr int kFaceHalf_px = 60;
   static constexpr float config_bound_mm = 6.001F;  ///< RefinerConfig::displacement_bound_mm
   test::TemporaryFolder folder_;
-  MonocularConfig config_;
+  ShadingConfig config_;
   PipelineStatus status_;
 };
 

@@ -9,7 +9,7 @@
 #include <fstream>
 #include <thread>
 
-#include "camera/simulated_rig.hpp"
+#include "camera/simulated_devices.hpp"
 #include "facet/error.hpp"
 #include "pipeline/sets_on_stream.hpp"
 #include "scripted_stages.hpp"
@@ -47,10 +47,10 @@ TriggerProgram counting_program(int bits, double slots_per_second) {
   return program;
 }
 
-RigConfig simulated_rig(std::size_t cameras, double slots_per_second) {
-  RigConfig config;
+DevicesConfig simulated_rig(std::size_t cameras, double slots_per_second) {
+  DevicesConfig config;
   for (std::size_t i = 0; i < cameras; ++i) {
-    RigCamera camera;
+    DeviceCamera camera;
     camera.name = "cam" + std::to_string(i);
     camera.source.kind = camera::kSimulatedCamera.name;
     camera.source.live.width_px = 128;
@@ -149,7 +149,7 @@ class CrookedCamera final : public Camera {
 
 TEST(FramesPipeline, EverySetShowsThePatternOfItsSlot) {
   test::CollectingSets sink;
-  FramesPipeline pipeline(open_rig(simulated_rig(3, 100)), {&sink});
+  FramesPipeline pipeline(open_devices(simulated_rig(3, 100)), {&sink});
   EXPECT_EQ(pipeline.status().state, PipelineState::Idle);
   pipeline.start();
   ASSERT_TRUE(eventually([&] { return pipeline.status().rig->sets.complete >= 100; }));
@@ -206,7 +206,7 @@ TEST(SetsOnStream, ASetIsAFrameWithoutAMesh) {
 
 TEST(FramesPipeline, ACameraThatComesLateFillsItsPlace) {
   std::atomic<bool> present = false;
-  Rig rig = open_rig(simulated_rig(2, 100));
+  Devices rig = open_devices(simulated_rig(2, 100));
   rig.cameras[1] = std::make_unique<LateCamera>(std::move(rig.cameras[1]), present);
   test::CollectingSets sink;
   FramesPipeline pipeline(std::move(rig), {&sink});
@@ -228,7 +228,7 @@ TEST(FramesPipeline, ACameraThatComesLateFillsItsPlace) {
 
 TEST(FramesPipeline, ACameraOutOfStepIsLeftOutAndStartedAnew) {
   std::atomic<int> restarts = 0;
-  Rig rig = open_rig(simulated_rig(2, 100));
+  Devices rig = open_devices(simulated_rig(2, 100));
   rig.cameras[1] = std::make_unique<CrookedCamera>(std::move(rig.cameras[1]), restarts);
   test::CollectingSets sink;
   FramesPipeline pipeline(std::move(rig), {&sink});
@@ -294,7 +294,7 @@ struct TroubledTrigger {
 };
 
 TEST(FramesPipeline, ATriggerThatCannotBeOpenedIsAStateUntilItCan) {
-  Rig rig = open_rig(simulated_rig(1, 100));
+  Devices rig = open_devices(simulated_rig(1, 100));
   TroubledTrigger trouble{rig.open_trigger};
   trouble.refusals = 1;
   rig.open_trigger = [&] { return trouble.open(); };
@@ -314,7 +314,7 @@ TEST(FramesPipeline, ATriggerThatCannotBeOpenedIsAStateUntilItCan) {
 
 TEST(FramesPipeline, CamerasWaitForATriggerThatStandsStill) {
   std::atomic<int> stalls = 0;
-  Rig rig = open_rig(simulated_rig(1, 100));
+  Devices rig = open_devices(simulated_rig(1, 100));
   rig.cameras[0] = std::make_unique<WatchfulCamera>(std::move(rig.cameras[0]), stalls);
   TroubledTrigger trouble{rig.open_trigger};
   trouble.refusals = 2;  // for three seconds
@@ -337,10 +337,10 @@ TEST(FramesPipeline, CamerasWaitForATriggerThatStandsStill) {
 
 TEST(FramesPipeline, ASilentCameraOfATriggerThatFiresIsStalled) {
   std::atomic<int> stalls = 0;
-  const RigConfig config = simulated_rig(2, 100);
-  Rig rig = open_rig(config);
+  const DevicesConfig config = simulated_rig(2, 100);
+  Devices rig = open_devices(config);
   // The second camera hangs on no line of this rig.
-  simulated::SimulatedRig elsewhere(1, 0);
+  simulated::SimulatedDevices elsewhere(1, 0);
   rig.cameras[1] = std::make_unique<WatchfulCamera>(elsewhere.camera({"cam1", 128, 64, 100}, true), stalls);
   FramesPipeline pipeline(std::move(rig), {});
   pipeline.start();
@@ -349,7 +349,7 @@ TEST(FramesPipeline, ASilentCameraOfATriggerThatFiresIsStalled) {
 }
 
 TEST(FramesPipeline, AFaultThatIsOursEndsItWithAReason) {
-  Rig rig = open_rig(simulated_rig(1, 100));
+  Devices rig = open_devices(simulated_rig(1, 100));
   rig.open_trigger = []() -> std::unique_ptr<Trigger> {
     throw Error(ErrorKind::Usage, "wiring does not fit");
   };
@@ -362,10 +362,10 @@ TEST(FramesPipeline, AFaultThatIsOursEndsItWithAReason) {
 }
 
 TEST(FramesPipeline, FreeRunningCamerasAreMatchedByTime) {
-  RigConfig config = simulated_rig(2, 100);
+  DevicesConfig config = simulated_rig(2, 100);
   config.trigger = TriggerKind::None;
   test::CollectingSets sink;
-  FramesPipeline pipeline(open_rig(config), {&sink});
+  FramesPipeline pipeline(open_devices(config), {&sink});
   pipeline.start();
   ASSERT_TRUE(eventually([&] { return pipeline.status().rig->sets.complete >= 50; }));
   EXPECT_FALSE(pipeline.status().rig->trigger.has_value());
@@ -377,14 +377,14 @@ TEST(FramesPipeline, FreeRunningCamerasAreMatchedByTime) {
     }
   }
   config.cameras[1].source.live.rate_hz = 50;
-  EXPECT_THROW(FramesPipeline(open_rig(config), {}), Error);
+  EXPECT_THROW(FramesPipeline(open_devices(config), {}), Error);
 }
 
 TEST(FramesPipeline, FilesTakeTheirTimeAndEnd) {
   const test::TemporaryFolder folder;
-  RigConfig config;
+  DevicesConfig config;
   for (const char* name : {"a", "b"}) {
-    RigCamera camera;
+    DeviceCamera camera;
     camera.name = name;
     camera.source.kind = "file";
     camera.source.path = folder.path() / (std::string(name) + ".mkv");
@@ -392,7 +392,7 @@ TEST(FramesPipeline, FilesTakeTheirTimeAndEnd) {
     config.cameras.push_back(camera);
   }
   test::CollectingSets sink;
-  FramesPipeline pipeline(open_rig(config), {&sink});
+  FramesPipeline pipeline(open_devices(config), {&sink});
   pipeline.start();
   ASSERT_TRUE(eventually([&] { return pipeline.finished(); }));
   EXPECT_EQ(pipeline.status().state, PipelineState::Ended);
@@ -401,9 +401,9 @@ TEST(FramesPipeline, FilesTakeTheirTimeAndEnd) {
 
 TEST(FramesPipeline, TheEdgeLogHoldsWhatTheLinesDid) {
   const test::TemporaryFolder folder;
-  RigConfig config = simulated_rig(1, 100);
+  DevicesConfig config = simulated_rig(1, 100);
   config.edge_log = folder.path() / "edges.log";
-  FramesPipeline pipeline(open_rig(config), {});
+  FramesPipeline pipeline(open_devices(config), {});
   pipeline.start();
   ASSERT_TRUE(eventually([&] { return pipeline.status().rig->sets.slots >= 10; }));
   pipeline.stop();
@@ -417,9 +417,9 @@ TEST(FramesPipeline, TheEdgeLogHoldsWhatTheLinesDid) {
 }
 
 TEST(FramesPipeline, AnEdgeLogThatCannotBeWrittenIsToldOnce) {
-  RigConfig config = simulated_rig(1, 100);
+  DevicesConfig config = simulated_rig(1, 100);
   config.edge_log = "/no/such/folder/edges.log";
-  FramesPipeline pipeline(open_rig(config), {});
+  FramesPipeline pipeline(open_devices(config), {});
   pipeline.start();
   ASSERT_TRUE(eventually([&] { return pipeline.status().rig->sets.complete >= 10; }));
   pipeline.stop();
@@ -429,7 +429,7 @@ TEST(FramesPipeline, AnEdgeLogThatCannotBeWrittenIsToldOnce) {
   EXPECT_EQ(log.find("can't be written", first + 60), std::string::npos);
 }
 
-std::string refusal(const RigConfig& config) {
+std::string refusal(const DevicesConfig& config) {
   try {
     check(config);
   } catch (const Error& error) {
@@ -439,9 +439,9 @@ std::string refusal(const RigConfig& config) {
   return "";
 }
 
-TEST(RigConfig, SaysWhatCannotBe) {
+TEST(DevicesConfig, SaysWhatCannotBe) {
   EXPECT_THAT(refusal({}), HasSubstr("there is no camera"));
-  RigConfig config = simulated_rig(2, 100);
+  DevicesConfig config = simulated_rig(2, 100);
   EXPECT_EQ(refusal(config), "");
   config.cameras[1].name = "cam0";
   EXPECT_THAT(refusal(config), HasSubstr("two cameras are named 'cam0'"));

@@ -6,7 +6,7 @@
 
 #include "facet/assets.hpp"
 #include "facet/error.hpp"
-#include "pipeline/monocular.hpp"
+#include "pipeline/shading.hpp"
 #include "scripted_stages.hpp"
 #include "support/paths.hpp"
 
@@ -27,13 +27,13 @@ class RealStages : public ::testing::Test {
       }
     }
   }
-  MonocularConfig config_;
+  ShadingConfig config_;
 };
 
 TEST_F(RealStages, EveryFrameOfAClipBecomesARefinedMesh) {
-  Stages stages;
+  ShadingParts stages;
   try {
-    stages = open_stages(config_);
+    stages = open_shading(config_);
   } catch (const Error& error) {
     if (error.kind() == ErrorKind::NoDevice) {
       GTEST_SKIP() << error.what();
@@ -41,7 +41,7 @@ TEST_F(RealStages, EveryFrameOfAClipBecomesARefinedMesh) {
     throw;
   }
   test::CollectingSink sink;
-  MonocularPipeline pipeline(std::move(stages), {config_.hierarchy, config_.frames, {}}, {&sink});
+  ShadingPipeline pipeline(std::move(stages), {config_.hierarchy, config_.frames, {}}, {&sink});
   pipeline.start();
   while (!pipeline.finished()) {
     std::this_thread::sleep_for(std::chrono::milliseconds(5));
@@ -60,7 +60,7 @@ TEST_F(RealStages, EveryFrameOfAClipBecomesARefinedMesh) {
 
 TEST(TrackerConfig, TheSourcesIntrinsicsCountUnlessOthersAreGiven) {
   CameraInfo source;
-  MonocularConfig config;
+  ShadingConfig config;
   EXPECT_FALSE(tracker_config(config, source).intrinsics.has_value());
   source.intrinsics = CameraIntrinsics{900, 900, 640, 360, 1280, 720};
   EXPECT_FLOAT_EQ(tracker_config(config, source).intrinsics.value().fx, 900);
@@ -69,24 +69,24 @@ TEST(TrackerConfig, TheSourcesIntrinsicsCountUnlessOthersAreGiven) {
 }
 
 TEST_F(RealStages, WhatIsMissingIsNamed) {
-  const auto kind_of = [](const MonocularConfig& config) {
+  const auto kind_of = [](const ShadingConfig& config) {
     try {
-      open_stages(config);
+      open_shading(config);
     } catch (const Error& error) {
       return error.kind();
     }
     return ErrorKind::Internal;
   };
-  MonocularConfig no_video = config_;
+  ShadingConfig no_video = config_;
   no_video.source.path = "/nowhere/video.mp4";
   EXPECT_EQ(kind_of(no_video), ErrorKind::UnreadableInput);
-  MonocularConfig no_model = config_;
+  ShadingConfig no_model = config_;
   no_model.model_file = "/nowhere/model";
   EXPECT_EQ(kind_of(no_model), ErrorKind::UnreadableInput);
-  MonocularConfig no_nets = config_;
+  ShadingConfig no_nets = config_;
   no_nets.tracker.landmark_assets = "/nowhere/nets";
   EXPECT_EQ(kind_of(no_nets), ErrorKind::UnreadableInput);
-  MonocularConfig no_device = config_;
+  ShadingConfig no_device = config_;
   no_device.gpu_device = "No Such Device";
   EXPECT_EQ(kind_of(no_device), ErrorKind::NoDevice);
 }

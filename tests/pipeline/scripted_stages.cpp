@@ -178,8 +178,8 @@ Script::Script()
       outcome_of([](std::uint64_t) { return refine::RefineOutcome::Refined; }),
       model(std::make_shared<const face::FaceModel>(synthetic_model(17))) {}
 
-pipeline::Stages Script::stages() {
-  pipeline::Stages stages;
+pipeline::ShadingParts Script::stages() {
+  pipeline::ShadingParts stages;
   stages.pictures = pipeline::one_camera(std::make_unique<ScriptedCamera>(*this));
   stages.model = model;
   stages.coarse = std::make_unique<ScriptedTracker>(*this);

@@ -11,7 +11,7 @@
 
 #include "pipeline/frame_set_sink.hpp"
 #include "pipeline/mesh_sink.hpp"
-#include "pipeline/stages.hpp"
+#include "pipeline/shading_parts.hpp"
 
 namespace facet::test {
 
@@ -77,7 +77,7 @@ struct Script {
 
   std::shared_ptr<const face::FaceModel> model;
 
-  pipeline::Stages stages();
+  pipeline::ShadingParts stages();
 };
 
 /// What arrived, in order. Keeps the frames unless told not to.

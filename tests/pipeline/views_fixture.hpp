@@ -13,7 +13,7 @@
 
 #include "capture/rig_file.hpp"
 #include "facet/error.hpp"
-#include "pipeline/monocular.hpp"
+#include "pipeline/shading.hpp"
 #include "scripted_stages.hpp"
 #include "simulation/lossless_video.hpp"
 #include "simulation/sequence.hpp"
@@ -48,7 +48,7 @@ class Views : public ::testing::Test {
                                folder_.path(), [](int) {});
     rig_ = capture::read_rig(rig_file());
     for (const capture::RigCamera& camera : rig_.cameras) {
-      ViewConfig view;
+      RecordedCamera view;
       view.camera = camera;
       view.rig_file = rig_file();
       view.source.path = video(camera.name);
@@ -81,9 +81,9 @@ class Views : public ::testing::Test {
     }
   }
 
-  Frames run(Stages stages) {
+  Frames run(ShadingParts stages) {
     test::CollectingSink sink;
-    MonocularPipeline pipeline(std::move(stages), {config_.hierarchy, {}, {}}, {&sink});
+    ShadingPipeline pipeline(std::move(stages), {config_.hierarchy, {}, {}}, {&sink});
     pipeline.start();
     while (!pipeline.finished()) {
       std::this_thread::sleep_for(std::chrono::milliseconds(5));
@@ -92,7 +92,7 @@ class Views : public ::testing::Test {
     return sink.frames();
   }
   Frames run() {
-    return run(opened([this] { return open_stages(config_); }));
+    return run(opened([this] { return open_shading(config_); }));
   }
 
   /// Of the head's place, over all frames, as a part of its distance. first: the sequence's frame that the
@@ -126,7 +126,7 @@ class Views : public ::testing::Test {
   int cameras_;
   int frames_;
   test::TemporaryFolder folder_;
-  MonocularConfig config_;
+  ShadingConfig config_;
   capture::Rig rig_;
   PipelineStatus status_;
 };

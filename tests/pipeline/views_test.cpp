@@ -42,7 +42,7 @@ TEST_F(Views, WhatDoesNotGoTogetherIsTold) {
   const auto fine = config_.views;
   film("small.mkv", 320, 240, frames_);
   config_.views[1].source.path = folder_.path() / "small.mkv";
-  const auto open = [this] { open_stages(config_); };
+  const auto open = [this] { open_shading(config_); };
   expect_refused(open, ErrorKind::Usage,
                  AllOf(HasSubstr("view-2"), HasSubstr("320 x 240"), HasSubstr("480 x 360"),
                        HasSubstr(rig_file().string())));

@@ -414,7 +414,7 @@ TEST_F(RefineObservation, ViewsAreMergedAsByTheScalarSums) {
   const gpu::Buffer uniform = upload_parameters(context(), parameters);
   const mesh::Triangles& triangles = scene.small.hierarchy->levels[1].triangles;
   const OcclusionMap map(context(), triangles);
-  FurtherView view(context(), 301, 357, triangles);
+  FurtherCameraState view(context(), 301, 357, triangles);
   scene.upload_image(context(), view.pyramid);
   // A camera to the right, turned back towards the face.
   Eigen::Isometry3f view_from_reference = Eigen::Isometry3f::Identity();

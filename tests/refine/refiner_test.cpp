@@ -49,7 +49,7 @@ class Session {
   }
 
   /// What a further camera shows.
-  RefineView view(float camera_yaw_rad, const std::array<float, 3>& exposure) const {
+  FurtherCamera view(float camera_yaw_rad, const std::array<float, 3>& exposure) const {
     synthetic::Scene there = scene;
     there.camera_yaw_rad = camera_yaw_rad;
     there.exposure = exposure;
@@ -72,7 +72,7 @@ class Session {
   void run_two(int frames, const std::array<float, 3>& exposure, First first = First::Seen) {
     for (int k = 0; k < frames; ++k) {
       pose(k);
-      const RefineView beside = view(beside_rad, exposure);
+      const FurtherCamera beside = view(beside_rad, exposure);
       RefineInput both = input();
       both.further_views = {&beside, 1};
       both.image_counts = first != First::Hidden;
@@ -156,7 +156,7 @@ TEST_F(RefinerTest, ACameraThatShowsNothingChangesNothing) {
     one.pose(k);
     two.pose(k);
     ASSERT_EQ(one.refine(), RefineOutcome::Refined);
-    RefineView nothing = two.view(two.beside_rad, {1, 1, 1});
+    FurtherCamera nothing = two.view(two.beside_rad, {1, 1, 1});
     nothing.image = {};
     RefineInput input = two.input();
     input.further_views = {&nothing, 1};
@@ -507,7 +507,7 @@ TEST_F(RefinerTest, MisuseIsRefused) {
   input.prior_displacements_mm = unasked;
   EXPECT_THROW(session.refiner.submit(input), Error);
   input = session.input();
-  RefineView larger = session.view(0, {1, 1, 1});
+  FurtherCamera larger = session.view(0, {1, 1, 1});
   larger.camera.width_px += 1;
   input.further_views = {&larger, 1};
   EXPECT_THROW(session.refiner.submit(input), Error);

@@ -149,26 +149,26 @@ TEST(Config, SampleOfARigIsOneThatRuns) {
   const Config config = parse_config(sample("booth.toml"), "/sample/booth.toml");
   EXPECT_EQ(config.mode, Mode::Frames);
   require_source(config, "/sample/booth.toml");
-  ASSERT_EQ(config.rig.cameras.size(), 2U);
-  EXPECT_EQ(config.rig.cameras[1].name, "right");
-  EXPECT_EQ(config.rig.cameras[1].source.kind, "simulated");
-  EXPECT_EQ(config.rig.trigger, pipeline::TriggerKind::Virtual);
-  EXPECT_EQ(config.rig.program.patterns, (std::vector<LineMask>{0b010, 0b100, 0}));
+  ASSERT_EQ(config.devices.cameras.size(), 2U);
+  EXPECT_EQ(config.devices.cameras[1].name, "right");
+  EXPECT_EQ(config.devices.cameras[1].source.kind, "simulated");
+  EXPECT_EQ(config.devices.trigger, pipeline::TriggerKind::Virtual);
+  EXPECT_EQ(config.devices.program.patterns, (std::vector<LineMask>{0b010, 0b100, 0}));
   // What it shows is the default.
   const Config bare = parse_config(
       "mode = \"frames\"\n[[camera]]\nname = \"a\"\ndevice = \"/dev/video0\"\n"
       "[trigger]\n[[trigger.line]]\nname = \"x\"",
       "f.toml");
-  EXPECT_EQ(config.rig.cameras[0].latency_ns, bare.rig.cameras[0].latency_ns);
-  EXPECT_EQ(config.rig.program.slots_per_second, bare.rig.program.slots_per_second);
-  EXPECT_EQ(config.rig.program.settle_ns, bare.rig.program.settle_ns);
-  EXPECT_EQ(config.rig.program.exposure_ns, bare.rig.program.exposure_ns);
-  EXPECT_EQ(config.rig.program.tolerance_ns, bare.rig.program.tolerance_ns);
-  EXPECT_EQ(config.rig.gpio.thread.real_time, bare.rig.gpio.thread.real_time);
-  EXPECT_EQ(config.rig.gpio.thread.priority, bare.rig.gpio.thread.priority);
-  EXPECT_EQ(config.rig.deadline_ms, bare.rig.deadline_ms);
-  EXPECT_EQ(config.rig.program.lines[0].role, bare.rig.program.lines[0].role);
-  EXPECT_EQ(config.rig.program.lines[0].pulse_ns, bare.rig.program.lines[0].pulse_ns);
+  EXPECT_EQ(config.devices.cameras[0].latency_ns, bare.rig.cameras[0].latency_ns);
+  EXPECT_EQ(config.devices.program.slots_per_second, bare.rig.program.slots_per_second);
+  EXPECT_EQ(config.devices.program.settle_ns, bare.rig.program.settle_ns);
+  EXPECT_EQ(config.devices.program.exposure_ns, bare.rig.program.exposure_ns);
+  EXPECT_EQ(config.devices.program.tolerance_ns, bare.rig.program.tolerance_ns);
+  EXPECT_EQ(config.devices.gpio.thread.real_time, bare.rig.gpio.thread.real_time);
+  EXPECT_EQ(config.devices.gpio.thread.priority, bare.rig.gpio.thread.priority);
+  EXPECT_EQ(config.devices.deadline_ms, bare.rig.deadline_ms);
+  EXPECT_EQ(config.devices.program.lines[0].role, bare.rig.program.lines[0].role);
+  EXPECT_EQ(config.devices.program.lines[0].pulse_ns, bare.rig.program.lines[0].pulse_ns);
 }
 
 TEST(Config, ReadsARigOnGpioLines) {
@@ -212,7 +212,7 @@ deadline_ms = 200
 )",
                                      "/etc/facet/facet.toml");
   require_source(config, "facet.toml");
-  const pipeline::RigConfig& rig = config.rig;
+  const pipeline::DevicesConfig& rig = config.devices;
   EXPECT_EQ(rig.cameras[0].source.live.format, "GREY");
   EXPECT_EQ(rig.cameras[0].latency_ns, -300'000);
   EXPECT_EQ(rig.cameras[1].source.live.device, "/dev/video2");
@@ -302,10 +302,10 @@ TEST(Config, SeveralCamerasCanMakeMeshes) {
   const std::string rig = "[booth]\nrig = \"r.toml\"\n";
   const Config config = parse_config(cameras + rig, "/folder/f.toml");
   EXPECT_EQ(config.mode, Mode::Monocular);
-  EXPECT_TRUE(has_live_views(config));
+  EXPECT_TRUE(has_live_cameras(config));
   EXPECT_EQ(config.rig_file, "/folder/r.toml");
-  EXPECT_FALSE(has_live_views(parse_config("[source]\npath = \"v\"\n", "f.toml")));
-  EXPECT_FALSE(has_live_views(parse_config("mode = \"frames\"\n" + cameras, "f.toml")));
+  EXPECT_FALSE(has_live_cameras(parse_config("[source]\npath = \"v\"\n", "f.toml")));
+  EXPECT_FALSE(has_live_cameras(parse_config("mode = \"frames\"\n" + cameras, "f.toml")));
   EXPECT_EQ(refusal(cameras + rig), "");
   EXPECT_THAT(refusal(cameras),
               AllOf(HasSubstr("f.toml: booth.rig is missing"), HasSubstr("facet calibrate")));
@@ -334,7 +334,7 @@ TEST(Config, ReadsABooth) {
       "/folder/f.toml");
   EXPECT_EQ(config.mode, Mode::Booth);
   EXPECT_EQ(config.booth_record, BoothRecord::Meshes);
-  EXPECT_EQ(config.rig.footage, "/folder/x.take");
+  EXPECT_EQ(config.devices.footage, "/folder/x.take");
   const pipeline::BoothConfig booth = booth_config(config);
   EXPECT_EQ(booth.rig_file, "/folder/rig.toml");
   EXPECT_EQ(booth.depths.nearest_mm, 700);
@@ -422,14 +422,14 @@ device = "/dev/video1"
   ASSERT_EQ(one.size(), 1U);
   EXPECT_EQ(one[0].name, "Power Line Frequency");
   EXPECT_EQ(std::get<std::string>(one[0].value), "50 Hz");
-  const auto& left = config.rig.cameras.at(0).source.live.controls;
+  const auto& left = config.devices.cameras.at(0).source.live.controls;
   ASSERT_EQ(left.size(), 3U);
   EXPECT_EQ(left[0].name, "trigger_source");
   EXPECT_EQ(std::get<std::string>(left[0].value), "Line 1");
   EXPECT_EQ(left[1].name, "Trigger Mode");
   EXPECT_EQ(std::get<bool>(left[1].value), true);
   EXPECT_EQ(std::get<std::int64_t>(left[2].value), -5'000'000'000);
-  EXPECT_TRUE(config.rig.cameras.at(1).source.live.controls.empty());
+  EXPECT_TRUE(config.devices.cameras.at(1).source.live.controls.empty());
 }
 
 TEST(Config, ErrorsOfControls) {

@@ -13,7 +13,7 @@
 #include <regex>
 #include <set>
 
-#include "camera/simulated_rig.hpp"
+#include "camera/simulated_devices.hpp"
 #include "daemon_fixture.hpp"
 #include "facet/error.hpp"
 #include "gpu/context.hpp"

@@ -65,8 +65,8 @@ MetricsSnapshot snapshot() {
   now.pipeline.histograms[3].add(1.5F);
   now.pipeline.histograms[3].add(30);
   now.pipeline.histograms[3].add(9000);
-  pipeline::RigStatus rig;
-  pipeline::RigCameraStatus camera;
+  pipeline::DevicesStatus rig;
+  pipeline::DeviceCameraStatus camera;
   camera.name = "left";
   camera.status.state = CameraState::Stalled;
   camera.status.counters.lost = 7;

@@ -25,9 +25,9 @@ const char* __tsan_default_suppressions() {
          "deadlock:libVkLayer_khronos_validation.so\n"
          "deadlock:libgdal.so\n"
          "thread:Workers::begin\n"
-         "thread:MonocularPipeline::start\n"
+         "thread:ShadingPipeline::start\n"
          "thread:FramesPipeline::start\n"
-         "thread:StageOpener\n";
+         "thread:PipelineOpener\n";
 }
 
 // NOLINTEND(bugprone-reserved-identifier)

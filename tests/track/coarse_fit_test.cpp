@@ -81,7 +81,7 @@ TEST_F(CoarseFitTest, GradientMatchesDifferences) {
 
 TEST_F(CoarseFitTest, GradientOfTwoViewsMatchesDifferences) {
   const auto view = test::random_view(model, test::random_identity(model, random), random);
-  const View side = test::side_view(view, -0.4);
+  const FurtherCamera side = test::side_view(view, -0.4);
   std::array<Observation, 2> views;
   views[0] = observation_of(view, test::synthetic_landmarks(model, view, 1.0, random));
   observe(model, trust, test::synthetic_landmarks(model, test::seen_by(side, view), 1.0, random),

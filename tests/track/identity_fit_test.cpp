@@ -146,7 +146,7 @@ TEST_F(IdentityFitTest, PersistentOffsetsBecomeBias) {
 
 TEST_F(IdentityFitTest, TwoViewsAreOneEnergy) {
   test::SyntheticView any;
-  const View side = test::side_view(any, 0.4);
+  const FurtherCamera side = test::side_view(any, 0.4);
   IdentityFit fit(model, prior, {}, {}, any.width_px, any.focal_px,
                   {{.centre_px = any.centre_px()}, test::camera_of(side, any)});
   const Eigen::VectorXd identity = test::random_identity(model, random);

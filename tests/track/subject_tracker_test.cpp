@@ -385,7 +385,7 @@ class TwoViewsTest : public SubjectTrackerTest {
     return (result.face.pose.translation_mm - truth.translation_mm).norm();
   }
 
-  View side;
+  FurtherCamera side;
   SubjectTracker both;
   Pose truth;
 };

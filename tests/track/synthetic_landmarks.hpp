@@ -6,8 +6,8 @@
 #include "face/face_model.hpp"
 #include "landmark/landmarker.hpp"
 #include "track/camera_pose.hpp"
+#include "track/further_camera.hpp"
 #include "track/landmark_model.hpp"
-#include "track/view.hpp"
 
 namespace facet::test {
 
@@ -88,9 +88,9 @@ inline landmark::FaceLandmarks synthetic_landmarks(const track::LandmarkModel& m
 }
 
 /// A camera like that of `like`, turned by yaw_rad round a point half a metre before it.
-inline track::View side_view(const SyntheticView& like, double yaw_rad) {
+inline track::FurtherCamera side_view(const SyntheticView& like, double yaw_rad) {
   constexpr double kDistanceMm = 520;
-  track::View view;
+  track::FurtherCamera view;
   view.intrinsics = {.fx = static_cast<float>(like.focal_px),
                      .fy = static_cast<float>(like.focal_px),
                      .cx = static_cast<float>(like.centre_px().x()),
@@ -103,14 +103,14 @@ inline track::View side_view(const SyntheticView& like, double yaw_rad) {
   return view;
 }
 
-inline track::ViewCamera camera_of(const track::View& view, const SyntheticView& reference) {
+inline track::FitCamera camera_of(const track::FurtherCamera& view, const SyntheticView& reference) {
   return {.centre_px = {view.intrinsics.cx, view.intrinsics.cy},
           .focal_ratio = static_cast<double>(view.intrinsics.fx) / reference.focal_px,
           .view_from_reference = view.view_from_reference};
 }
 
 /// The same face as another camera sees it.
-inline SyntheticView seen_by(const track::View& camera, const SyntheticView& view) {
+inline SyntheticView seen_by(const track::FurtherCamera& camera, const SyntheticView& view) {
   SyntheticView out = view;
   out.focal_px = camera.intrinsics.fx;
   out.pose.rotation = camera.view_from_reference.linear() * view.pose.rotation;

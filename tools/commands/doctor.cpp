@@ -24,7 +24,7 @@
 #include "landmark/landmark_assets.hpp"
 #include "options.hpp"
 #include "pipeline/frames.hpp"
-#include "pipeline/live_views.hpp"
+#include "pipeline/live_cameras.hpp"
 #include "service/config.hpp"
 #include "service/control_client.hpp"
 #include "service/default_paths.hpp"
@@ -148,9 +148,9 @@ void say_open(Report& report, const std::string& what, const Camera& camera, con
 }
 
 /// Takes the lines for a moment, unless the daemon has them.
-void check_trigger(Report& report, const pipeline::Rig& rig, bool daemon_runs) {
-  const pipeline::RigConfig& config = rig.config;
-  if (!rig.open_trigger) {
+void check_trigger(Report& report, const pipeline::Devices& devices, bool daemon_runs) {
+  const pipeline::DevicesConfig& config = devices.config;
+  if (!devices.open_trigger) {
     report.say(Verdict::Good, "trigger", "none: the cameras run freely");
     return;
   }
@@ -161,33 +161,33 @@ void check_trigger(Report& report, const pipeline::Rig& rig, bool daemon_runs) {
     return;
   }
   try {
-    rig.open_trigger();
+    devices.open_trigger();
     report.say(Verdict::Good, "trigger", program + "; they can be had");
   } catch (const Error& error) {
     report.bad(error.kind(), "trigger", error.what(), "facetd tries again until it works");
   }
 }
 
-void check_rig(Report& report, const service::Config& config) {
+void check_devices(Report& report, const service::Config& config) {
   std::error_code ignored;
   const bool daemon_runs = std::filesystem::exists(config.control.socket, ignored);
   try {
-    const pipeline::Rig rig = pipeline::open_rig(config.rig);
-    for (std::size_t i = 0; i < rig.cameras.size(); ++i) {
-      say_open(report, "camera " + config.rig.cameras[i].name, *rig.cameras[i], "its device");
+    const pipeline::Devices devices = pipeline::open_devices(config.devices);
+    for (std::size_t i = 0; i < devices.cameras.size(); ++i) {
+      say_open(report, "camera " + config.devices.cameras[i].name, *devices.cameras[i], "its device");
     }
-    check_trigger(report, rig, daemon_runs);
-    if (service::has_live_views(config)) {
-      const auto known = pipeline::calibration_of(config.rig, config.rig_file);
+    check_trigger(report, devices, daemon_runs);
+    if (service::has_live_cameras(config)) {
+      const auto known = pipeline::calibration_of(config.devices, config.rig_file);
       for (std::size_t i = 0; i < known.size(); ++i) {
-        capture::check_size(rig.cameras[i]->info(), known[i], config.rig_file);
+        capture::check_size(devices.cameras[i]->info(), known[i], config.rig_file);
       }
       report.say(Verdict::Good, "rig file",
                  fmt::format("{}: has all cameras; meshes are in the frame of '{}'", config.rig_file.string(),
                              known.front().name));
     }
   } catch (const Error& error) {
-    report.bad(error.kind(), "rig", error.what());
+    report.bad(error.kind(), "cameras", error.what());
   }
 }
 
@@ -196,7 +196,7 @@ void check_rig_file(Report& report, const service::Config& config) {
   try {
     const capture::Rig rig = capture::read_rig(config.rig_file);
     for (const capture::RigCamera& camera : rig.cameras) {
-      const auto& devices = config.rig.cameras;
+      const auto& devices = config.devices.cameras;
       if (std::none_of(devices.begin(), devices.end(),
                        [&](const auto& device) { return device.name == camera.name; })) {
         report.bad(ErrorKind::Usage, "rig file",
@@ -311,8 +311,8 @@ void run(const std::string& given_file) {
   report.say(Verdict::Good, "processor",
              fmt::format("{} cores", std::max(1U, std::thread::hardware_concurrency())));
   list_cameras(report);
-  if (config.mode != service::Mode::Monocular || service::has_live_views(config)) {
-    check_rig(report, config);
+  if (config.mode != service::Mode::Monocular || service::has_live_cameras(config)) {
+    check_devices(report, config);
   }
   if (config.mode == service::Mode::Booth) {
     check_vulkan(report, config.pipeline.gpu_device);
@@ -321,7 +321,7 @@ void run(const std::string& given_file) {
   } else if (config.mode == service::Mode::Monocular) {
     check_vulkan(report, config.pipeline.gpu_device);
     check_model(report, config);
-    if (!service::has_live_views(config)) {
+    if (!service::has_live_cameras(config)) {
       check_source(report, config);
     }
   }

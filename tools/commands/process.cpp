@@ -21,8 +21,8 @@
 #include "facet/error.hpp"
 #include "options.hpp"
 #include "pipeline/booth_meshes.hpp"
-#include "pipeline/monocular.hpp"
 #include "pipeline/picture_source.hpp"
+#include "pipeline/shading.hpp"
 #include "pipeline/take_sink.hpp"
 #include "progress.hpp"
 #include "report/depth_folder.hpp"
@@ -93,7 +93,7 @@ bool has_views(const Options& options) {
 }
 
 /// The rig's cameras whose videos were given. Throws Error(Usage) where they do not agree.
-std::vector<pipeline::ViewConfig> views_of(const Options& options) {
+std::vector<pipeline::RecordedCamera> views_of(const Options& options) {
   if (options.rig.empty()) {
     throw Error(
         ErrorKind::Usage,
@@ -101,15 +101,15 @@ std::vector<pipeline::ViewConfig> views_of(const Options& options) {
         "--rig (facet calibrate makes one)");
   }
   const capture::Rig rig = capture::read_rig(options.rig);
-  std::vector<pipeline::ViewConfig> views;
+  std::vector<pipeline::RecordedCamera> views;
   for (const std::string& given : options.inputs) {
     const NamedVideo video = named_video(given);
-    for (const pipeline::ViewConfig& other : views) {
+    for (const pipeline::RecordedCamera& other : views) {
       if (other.camera.name == video.camera) {
         throw Error(ErrorKind::Usage, fmt::format("camera '{}' is given twice", video.camera));
       }
     }
-    pipeline::ViewConfig view;
+    pipeline::RecordedCamera view;
     view.camera = capture::camera_named(
         rig, options.rig, video.camera,
         fmt::format("name the video's camera, as in {}={}", rig.cameras.front().name, video.file));
@@ -140,7 +140,7 @@ pipeline::OpenPictures views_of_take(const Options& options, const pipeline::Fra
 service::Config configure(const Options& options) {
   service::Config config =
       options.config.empty() ? service::default_config() : service::load_config(options.config);
-  pipeline::MonocularConfig& monocular = config.pipeline;
+  pipeline::ShadingConfig& monocular = config.pipeline;
   monocular.source = {};
   monocular.source.path = options.input;
   if (!options.frames.empty()) {
@@ -173,7 +173,7 @@ std::string note(const pipeline::PipelineStatus& status) {
 }
 
 /// Runs the pipeline to its end; returns the signal that broke it off, or 0.
-int run_to_end(pipeline::MonocularPipeline& pipeline, const StopSignals& signals, std::uint64_t expected) {
+int run_to_end(pipeline::ShadingPipeline& pipeline, const StopSignals& signals, std::uint64_t expected) {
   Progress progress("Processing", expected);
   int broken_off_by = 0;
   pipeline.start();
@@ -273,7 +273,7 @@ void run_monocular(const Options& options) {
   }
   const StopSignals signals;
   const bool of_take = !options.cameras.empty();
-  pipeline::Stages stages = pipeline::open_stages(
+  pipeline::ShadingParts stages = pipeline::open_shading(
       config.pipeline, of_take ? views_of_take(options, config.pipeline.frames) : pipeline::OpenPictures());
   const CameraInfo source = stages.pictures->cameras().front().info;
   // Of a take the slots of the range alone are counted.
@@ -281,8 +281,8 @@ void run_monocular(const Options& options) {
       of_take ? source.frame_count.value_or(0) : expected_frames(source, config.pipeline.frames);
   pipeline::TakeSink take;
   take.begin(recorder_of(options, config));
-  pipeline::MonocularPipeline pipeline(std::move(stages),
-                                       {config.pipeline.hierarchy, config.pipeline.frames, {}}, {&take});
+  pipeline::ShadingPipeline pipeline(std::move(stages),
+                                     {config.pipeline.hierarchy, config.pipeline.frames, {}}, {&take});
   const int broken_off_by = run_to_end(pipeline, signals, expected);
   const std::optional<take::RecorderStatus> written =
       take.end(broken_off_by != 0 ? "broken off by a signal" : "");
@@ -344,7 +344,7 @@ pipeline::BoothConfig booth_of(const Options& options, const service::Config& co
 
 /// What tells one computation of depth maps from another.
 std::string made_of(const take::TakeReader& take, const pipeline::BoothConfig& booth,
-                    const pipeline::BoothStages& stages, const Options& options) {
+                    const pipeline::BoothParts& stages, const Options& options) {
   nlohmann::ordered_json text = {
       {"take", take.info().source},
       {"created_utc", take.info().created_utc},
@@ -428,7 +428,7 @@ void help_booth(const Options& options, Team& team, const StopSignals& signals) 
   const std::vector<std::int64_t> slots = slots_of(input, config.pipeline.frames);
   pipeline::BoothConfig booth = booth_of(options, config, input, slots);
   booth.shading = false;
-  pipeline::BoothStages stages = pipeline::open_booth(booth, kBlanksPerRun);
+  pipeline::BoothParts stages = pipeline::open_booth(booth, kBlanksPerRun);
   stages.tracker.reset();
   stages.depth = std::make_unique<SharedDepth>(std::move(stages.depth), team, nullptr);
   pipeline::BoothMeshes meshes(std::move(stages), pipeline::BoothMeshes::WhenBusy::Wait, {});
@@ -455,7 +455,7 @@ void lead_booth(const Options& options, Team& team, const StopSignals& signals) 
       static_cast<std::uint64_t>(std::count_if(slots.begin(), slots.end(), [&](std::int64_t i) {
         return booth.every_slot || booth.stripes[input.entry(i).sequence % booth.stripes.size()] == 0;
       }));
-  pipeline::BoothStages stages = pipeline::open_booth(booth, kBlanksPerRun);
+  pipeline::BoothParts stages = pipeline::open_booth(booth, kBlanksPerRun);
   std::shared_ptr<report::DepthFolder> folder;
   pipeline::BoothMeshes::DepthTaker keep;
   if (!options.depth.empty()) {

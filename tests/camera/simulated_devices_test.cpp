@@ -1,4 +1,4 @@
-#include "camera/simulated_rig.hpp"
+#include "camera/simulated_devices.hpp"
 
 #include <gtest/gtest.h>
 
@@ -24,8 +24,8 @@ std::int64_t now_ns() {
       .count();
 }
 
-TEST(SimulatedRig, ACameraSeesWhatTheProjectorsShowWhenItIsFired) {
-  SimulatedRig rig(kCameras, kProjectors);
+TEST(SimulatedDevices, ACameraSeesWhatTheProjectorsShowWhenItIsFired) {
+  SimulatedDevices rig(kCameras, kProjectors);
   const auto camera = rig.camera({"left", 640, 480, 30}, true);
   EXPECT_TRUE(camera->info().live);
   Frame frame;
@@ -52,8 +52,8 @@ TEST(SimulatedRig, ACameraSeesWhatTheProjectorsShowWhenItIsFired) {
   EXPECT_EQ(camera->next(frame, 1ms), CaptureOutcome::EndOfStream);
 }
 
-TEST(SimulatedRig, AllCameraLinesMustBeActive) {
-  SimulatedRig rig(0b0011, 0);
+TEST(SimulatedDevices, AllCameraLinesMustBeActive) {
+  SimulatedDevices rig(0b0011, 0);
   const auto camera = rig.camera({"left", 64, 16, 30}, true);
   camera->start();
   Frame frame;
@@ -67,8 +67,8 @@ TEST(SimulatedRig, AllCameraLinesMustBeActive) {
   EXPECT_EQ(read_marker(frame, Marker::Count), 1U);
 }
 
-TEST(SimulatedRig, ASlowReaderLosesTheOldestAndTheNumbersSaySo) {
-  SimulatedRig rig(kCameras, 0);
+TEST(SimulatedDevices, ASlowReaderLosesTheOldestAndTheNumbersSaySo) {
+  SimulatedDevices rig(kCameras, 0);
   const auto camera = rig.camera({"left", 64, 16, 30}, true);
   camera->start();
   for (int shot = 0; shot < 10; ++shot) {
@@ -81,8 +81,8 @@ TEST(SimulatedRig, ASlowReaderLosesTheOldestAndTheNumbersSaySo) {
   EXPECT_EQ(camera->status().counters.lost, 6U);
 }
 
-TEST(SimulatedRig, ACameraThatNobodyTriggersRunsByItself) {
-  SimulatedRig rig(kCameras, 0);
+TEST(SimulatedDevices, ACameraThatNobodyTriggersRunsByItself) {
+  SimulatedDevices rig(kCameras, 0);
   const auto camera = rig.camera({"free", 64, 16, 200}, false);
   camera->start();
   Frame first;
@@ -93,7 +93,7 @@ TEST(SimulatedRig, ACameraThatNobodyTriggersRunsByItself) {
   EXPECT_EQ(second.sequence, 1U);
 }
 
-TEST(SimulatedRig, OtherPicturesHaveNoMarker) {
+TEST(SimulatedDevices, OtherPicturesHaveNoMarker) {
   Frame frame;
   frame.width_px = 64;
   frame.height_px = 16;
@@ -135,8 +135,8 @@ std::shared_ptr<const Footage> six_slots() {
   return footage;
 }
 
-TEST(SimulatedRig, FootageIsChosenByLinesAndClock) {
-  SimulatedRig rig(kCameras, kProjectors, six_slots());
+TEST(SimulatedDevices, FootageIsChosenByLinesAndClock) {
+  SimulatedDevices rig(kCameras, kProjectors, six_slots());
   const auto grey = rig.camera({"grey", 1, 1, 30}, true);
   const auto colour = rig.camera({"colour", 1, 1, 30}, true);
   EXPECT_EQ(grey->info().width_px, 64);
@@ -166,8 +166,8 @@ TEST(SimulatedRig, FootageIsChosenByLinesAndClock) {
   EXPECT_EQ(shot(0b0010, 60), 3) << "after its end the last period is seen";
 }
 
-TEST(SimulatedRig, LinesThatTheFootageDoesNotKnowShowNothing) {
-  SimulatedRig rig(kCameras, kProjectors, six_slots());
+TEST(SimulatedDevices, LinesThatTheFootageDoesNotKnowShowNothing) {
+  SimulatedDevices rig(kCameras, kProjectors, six_slots());
   const auto camera = rig.camera({"grey", 1, 1, 30}, true);
   camera->start();
   rig.on_change(kProjectors | kCameras, now_ns());

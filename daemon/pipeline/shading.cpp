@@ -1,4 +1,4 @@
-#include "pipeline/monocular.hpp"
+#include "pipeline/shading.hpp"
 
 #include <fmt/format.h>
 
@@ -54,8 +54,8 @@ void degrade(mesh::MeshFrame& mesh, const std::string& reason) {
 
 }  // namespace
 
-struct MonocularPipeline::Impl {
-  Impl(Stages given, const Options& given_options, std::vector<MeshSink*> given_sinks)
+struct ShadingPipeline::Impl {
+  Impl(ShadingParts given, const Options& given_options, std::vector<MeshSink*> given_sinks)
       : stages(std::move(given)),
         options(given_options),
         sinks(std::move(given_sinks)),
@@ -75,7 +75,7 @@ struct MonocularPipeline::Impl {
   }
 
   // Set before the threads start.
-  Stages stages;
+  ShadingParts stages;
   Options options;
   std::vector<MeshSink*> sinks;
   std::vector<PictureCamera> cameras;
@@ -107,7 +107,7 @@ struct MonocularPipeline::Impl {
   // facet-refine only.
   refine::RecoveringRefiner refiner;
   refine::RefineOutput refined;
-  std::vector<refine::RefineView> further_views;
+  std::vector<refine::FurtherCamera> further_views;
   std::shared_ptr<const mesh::Subject> provisional_subject;  ///< of everybody who is not known yet
   std::shared_ptr<const mesh::Subject> subject;
   std::uint32_t subject_count = 0;  ///< TrackResult::subject that `subject` was built for
@@ -133,21 +133,21 @@ struct MonocularPipeline::Impl {
   void hand_out(Tracked& item);
 };
 
-void MonocularPipeline::Impl::fail(ErrorKind kind, const std::string& what) {
+void ShadingPipeline::Impl::fail(ErrorKind kind, const std::string& what) {
   board.fail(kind, what);
   stopping = true;
   captured.close();
   tracked.close();
 }
 
-void MonocularPipeline::Impl::capture() {
+void ShadingPipeline::Impl::capture() {
   stages.pictures->start();
   capture_until_end();
   stages.pictures->stop();
   captured.close();
 }
 
-void MonocularPipeline::Impl::capture_until_end() {
+void ShadingPipeline::Impl::capture_until_end() {
   while (!stopping) {
     workers.beat(kCapture);
     Captured item;
@@ -185,7 +185,7 @@ void MonocularPipeline::Impl::capture_until_end() {
 }
 
 /// error: of the source, empty where it is simply at its end.
-void MonocularPipeline::Impl::note_early_end(const std::string& error) {
+void ShadingPipeline::Impl::note_early_end(const std::string& error) {
   if (!error.empty()) {
     messages.warning(error);
     board.change([&](PipelineStatus& shown) { shown.reason = error; });
@@ -193,7 +193,7 @@ void MonocularPipeline::Impl::note_early_end(const std::string& error) {
 }
 
 /// Says in the log what became of a live source.
-void MonocularPipeline::Impl::note_camera() {
+void ShadingPipeline::Impl::note_camera() {
   if (!source.live) {
     return;
   }
@@ -210,12 +210,12 @@ void MonocularPipeline::Impl::note_camera() {
   }
 }
 
-bool MonocularPipeline::Impl::take(Captured&& item) {
+bool ShadingPipeline::Impl::take(Captured&& item) {
   return source.live ? captured.push_newest(std::move(item))
                      : captured.push(std::move(item), [this] { workers.beat(kCapture); });
 }
 
-void MonocularPipeline::Impl::track() {
+void ShadingPipeline::Impl::track() {
   board.set_state(PipelineState::Preparing);
   const auto beat = [this] { workers.beat(kTrack); };
   stages.coarse->prepare([&] {
@@ -239,7 +239,7 @@ void MonocularPipeline::Impl::track() {
   tracked.close();
 }
 
-void MonocularPipeline::Impl::track_one(Captured&& item) {
+void ShadingPipeline::Impl::track_one(Captured&& item) {
   // What a recorded source leaves out was not there.
   if (source.live && item.set.slot > next_sequence) {
     board.change(
@@ -263,8 +263,8 @@ void MonocularPipeline::Impl::track_one(Captured&& item) {
   tracked.push(std::move(tracked_item), [this] { workers.beat(kTrack); });
 }
 
-void MonocularPipeline::Impl::fill(mesh::MeshFrame& mesh, const Captured& item,
-                                   const track::TrackResult& result) const {
+void ShadingPipeline::Impl::fill(mesh::MeshFrame& mesh, const Captured& item,
+                                 const track::TrackResult& result) const {
   mesh.sequence = item.set.slot;
   mesh.timestamp_ns = item.set.trigger_ns;
   mesh.media_time_ns = item.set.media_time_ns;
@@ -293,7 +293,7 @@ void MonocularPipeline::Impl::fill(mesh::MeshFrame& mesh, const Captured& item,
   mesh.control_vertices_mm = result.vertices_mm;
 }
 
-void MonocularPipeline::Impl::refine() {
+void ShadingPipeline::Impl::refine() {
   Tracked item;
   const auto beat = [this] { workers.beat(kRefine); };
   while (tracked.pop(item, beat)) {
@@ -312,7 +312,7 @@ void MonocularPipeline::Impl::refine() {
   board.set_state(stopping ? PipelineState::Stopped : PipelineState::Ended);
 }
 
-void MonocularPipeline::Impl::refine_one(Tracked& item) {
+void ShadingPipeline::Impl::refine_one(Tracked& item) {
   if (item.mesh->state != mesh::TrackingState::Tracking) {
     face_was_away = true;
     if (item.mesh->control_vertices_mm.cols() > 0) {
@@ -334,7 +334,7 @@ void MonocularPipeline::Impl::refine_one(Tracked& item) {
 
 /// While the identity is being estimated the mesh is coarse and its topology M0, which is the same for
 /// everybody.
-void MonocularPipeline::Impl::add_provisional_subject(mesh::MeshFrame& mesh) {
+void ShadingPipeline::Impl::add_provisional_subject(mesh::MeshFrame& mesh) {
   if (provisional_subject == nullptr) {
     mesh::HierarchyOptions control_alone = options.hierarchy;
     control_alone.max_levels = 1;
@@ -344,7 +344,7 @@ void MonocularPipeline::Impl::add_provisional_subject(mesh::MeshFrame& mesh) {
   mesh.subject = provisional_subject;
 }
 
-void MonocularPipeline::Impl::follow_subject(const Tracked& item) {
+void ShadingPipeline::Impl::follow_subject(const Tracked& item) {
   subject =
       face::build_subject(*stages.model, options.hierarchy, *item.mesh, *item.identity, item.subject_count);
   subject_count = item.subject_count;
@@ -360,7 +360,7 @@ void MonocularPipeline::Impl::follow_subject(const Tracked& item) {
   refiner.set_subject({subject->hierarchy, stages.model->mean_albedo, stages.model->control.refinable});
 }
 
-void MonocularPipeline::Impl::add_displacements(Tracked& item) {
+void ShadingPipeline::Impl::add_displacements(Tracked& item) {
   mesh::MeshFrame& mesh = *item.mesh;
   refine::RefineInput input;
   const std::vector<Frame>& pictures = item.captured.set.frames;
@@ -397,7 +397,7 @@ void MonocularPipeline::Impl::add_displacements(Tracked& item) {
 }
 
 /// Says in the log what refinement leaves out from now on to hold the camera's rate.
-void MonocularPipeline::Impl::note_given_up() {
+void ShadingPipeline::Impl::note_given_up() {
   if (refined.given_up == given_up) {
     return;
   }
@@ -406,7 +406,7 @@ void MonocularPipeline::Impl::note_given_up() {
   board.change([&](PipelineStatus& shown) { shown.given_up = given_up; });
 }
 
-void MonocularPipeline::Impl::hand_out(Tracked& item) {
+void ShadingPipeline::Impl::hand_out(Tracked& item) {
   mesh::MeshFrame& mesh = *item.mesh;
   mesh.stage_ms.latency_ms = ms_since(item.captured.delivered);
   for (MeshSink* sink : sinks) {
@@ -416,14 +416,14 @@ void MonocularPipeline::Impl::hand_out(Tracked& item) {
   board.count(mesh, !mesh.landmarks_px.empty());
 }
 
-MonocularPipeline::MonocularPipeline(Stages stages, const Options& options, std::vector<MeshSink*> sinks)
+ShadingPipeline::ShadingPipeline(ShadingParts stages, const Options& options, std::vector<MeshSink*> sinks)
     : impl_(std::make_unique<Impl>(std::move(stages), options, std::move(sinks))) {}
 
-MonocularPipeline::~MonocularPipeline() {
+ShadingPipeline::~ShadingPipeline() {
   stop();
 }
 
-void MonocularPipeline::start() {
+void ShadingPipeline::start() {
   impl_->board.set_state(PipelineState::Preparing);
   Impl& impl = *impl_;
   impl.workers.begin({{kRefine, [&impl] { impl.refine(); }},
@@ -431,23 +431,23 @@ void MonocularPipeline::start() {
                       {kCapture, [&impl] { impl.capture(); }}});
 }
 
-void MonocularPipeline::request_stop() {
+void ShadingPipeline::request_stop() {
   impl_->stopping = true;
   impl_->captured.close();
   impl_->tracked.close();
   impl_->refiner.request_stop();
 }
 
-void MonocularPipeline::stop() {
+void ShadingPipeline::stop() {
   request_stop();
   impl_->workers.join();
 }
 
-bool MonocularPipeline::finished() const {
+bool ShadingPipeline::finished() const {
   return impl_->workers.finished();
 }
 
-PipelineStatus MonocularPipeline::status() const {
+PipelineStatus ShadingPipeline::status() const {
   PipelineStatus status = impl_->board.status();
   status.camera = impl_->stages.pictures->status();
   status.queued_captured = impl_->captured.size();
@@ -455,15 +455,15 @@ PipelineStatus MonocularPipeline::status() const {
   return status;
 }
 
-std::optional<Progress::Silence> MonocularPipeline::longest_silence() const {
+std::optional<Progress::Silence> ShadingPipeline::longest_silence() const {
   return impl_->workers.progress().longest_silence();
 }
 
-void MonocularPipeline::reset_identity() {
+void ShadingPipeline::reset_identity() {
   impl_->wants_new_identity = true;
 }
 
-std::vector<Messages::Message> MonocularPipeline::take_messages() {
+std::vector<Messages::Message> ShadingPipeline::take_messages() {
   return impl_->messages.take();
 }
 

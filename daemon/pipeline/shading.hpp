@@ -6,7 +6,7 @@
 
 #include "pipeline/mesh_sink.hpp"
 #include "pipeline/pipeline.hpp"
-#include "pipeline/stages.hpp"
+#include "pipeline/shading_parts.hpp"
 #include "refine/recovering_refiner.hpp"
 
 namespace facet::pipeline {
@@ -28,7 +28,7 @@ namespace facet::pipeline {
 /// and a recorded source waits; one tracked frame. The hierarchy is built inline on `facet-refine` at the
 /// first frame in state Tracking of a subject: a recorded source waits for it, of a live one some frames are
 /// dropped.
-class MonocularPipeline final : public Pipeline {
+class ShadingPipeline final : public Pipeline {
  public:
   struct Options {
     mesh::HierarchyOptions hierarchy;
@@ -36,8 +36,8 @@ class MonocularPipeline final : public Pipeline {
     refine::RecoveringRefiner::Pauses pauses;
   };
 
-  MonocularPipeline(Stages stages, const Options& options, std::vector<MeshSink*> sinks);
-  ~MonocularPipeline() override;
+  ShadingPipeline(ShadingParts stages, const Options& options, std::vector<MeshSink*> sinks);
+  ~ShadingPipeline() override;
 
   void start() override;
   void request_stop() override;

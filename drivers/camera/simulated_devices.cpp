@@ -1,4 +1,4 @@
-#include "camera/simulated_rig.hpp"
+#include "camera/simulated_devices.hpp"
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -71,7 +71,8 @@ int column_of(int cell, int width_px) {
   return cell * width_px / kCells;
 }
 
-void paint_marker(std::uint8_t* pixels, const RigCameraConfig& config, Marker marker, std::uint64_t bits) {
+void paint_marker(std::uint8_t* pixels, const SimulatedCameraConfig& config, Marker marker,
+                  std::uint64_t bits) {
   const auto [top, bottom] = rows_of(marker, config.height_px);
   const auto stride = static_cast<std::size_t>(config.width_px) * 4;
   std::uint8_t* first = pixels + static_cast<std::size_t>(top) * stride;
@@ -89,7 +90,7 @@ void paint_marker(std::uint8_t* pixels, const RigCameraConfig& config, Marker ma
 }
 
 /// A horizontal ramp that wanders with every picture, the same in all rows.
-void paint_ramp(std::uint8_t* pixels, const RigCameraConfig& config, std::uint64_t sequence) {
+void paint_ramp(std::uint8_t* pixels, const SimulatedCameraConfig& config, std::uint64_t sequence) {
   const int top = rows_of(Marker::Count, config.height_px).second;
   const auto stride = static_cast<std::size_t>(config.width_px) * 4;
   std::uint8_t* first = pixels + static_cast<std::size_t>(top) * stride;
@@ -117,7 +118,7 @@ const Footage::Picture* select(const Footage& footage, std::size_t camera, const
 }
 
 /// picture: null for black.
-void paint(std::uint8_t* pixels, const Footage::Picture* picture, const RigCameraConfig& config) {
+void paint(std::uint8_t* pixels, const Footage::Picture* picture, const SimulatedCameraConfig& config) {
   const auto count = static_cast<std::size_t>(config.width_px) * static_cast<std::size_t>(config.height_px);
   const auto channels = static_cast<std::size_t>(picture != nullptr ? picture->channels : 1);
   constexpr std::uint8_t kNothing[] = {kBlack};
@@ -131,10 +132,10 @@ void paint(std::uint8_t* pixels, const Footage::Picture* picture, const RigCamer
   }
 }
 
-class RigCamera final : public Camera {
+class SimulatedCamera final : public Camera {
  public:
-  RigCamera(RigCameraConfig config, std::shared_ptr<Sensor> sensor, bool triggered,
-            std::shared_ptr<const Footage> footage, std::size_t footage_camera)
+  SimulatedCamera(SimulatedCameraConfig config, std::shared_ptr<Sensor> sensor, bool triggered,
+                  std::shared_ptr<const Footage> footage, std::size_t footage_camera)
       : config_(std::move(config)),
         sensor_(std::move(sensor)),
         triggered_(triggered),
@@ -238,7 +239,7 @@ class RigCamera final : public Camera {
     return exposure;
   }
 
-  RigCameraConfig config_;
+  SimulatedCameraConfig config_;
   std::shared_ptr<Sensor> sensor_;
   bool triggered_;
   std::shared_ptr<const Footage> footage_;  ///< null: markers
@@ -253,7 +254,7 @@ class RigCamera final : public Camera {
 
 }  // namespace
 
-struct SimulatedRig::Wires {
+struct SimulatedDevices::Wires {
   LineMask cameras = 0;
   LineMask projectors = 0;
   std::shared_ptr<const Footage> footage;  ///< null: none
@@ -319,15 +320,15 @@ void Footage::add(const FrameSet& set) {
   }
 }
 
-SimulatedRig::SimulatedRig(LineMask camera_lines, LineMask projector_lines,
-                           std::shared_ptr<const Footage> footage)
+SimulatedDevices::SimulatedDevices(LineMask camera_lines, LineMask projector_lines,
+                                   std::shared_ptr<const Footage> footage)
     : wires_(std::make_shared<Wires>()) {
   wires_->cameras = camera_lines;
   wires_->projectors = projector_lines;
   wires_->footage = std::move(footage);
 }
 
-void SimulatedRig::on_change(LineMask active, std::int64_t time_ns) {
+void SimulatedDevices::on_change(LineMask active, std::int64_t time_ns) {
   const Lock lock(wires_->mutex);
   const LineMask cameras = wires_->cameras;
   const bool fires = cameras != 0 && (active & cameras) == cameras && (wires_->level & cameras) != cameras;
@@ -341,10 +342,10 @@ void SimulatedRig::on_change(LineMask active, std::int64_t time_ns) {
   }
 }
 
-std::unique_ptr<Camera> SimulatedRig::camera(const RigCameraConfig& config, bool triggered) const {
+std::unique_ptr<Camera> SimulatedDevices::camera(const SimulatedCameraConfig& config, bool triggered) const {
   auto sensor = std::make_shared<Sensor>();
   const std::shared_ptr<const Footage> footage = wires_->footage;
-  RigCameraConfig seen = config;
+  SimulatedCameraConfig seen = config;
   std::size_t at = 0;
   if (footage != nullptr) {
     at = static_cast<std::size_t>(std::find(footage->cameras.begin(), footage->cameras.end(), config.name) -
@@ -362,7 +363,7 @@ std::unique_ptr<Camera> SimulatedRig::camera(const RigCameraConfig& config, bool
     const Lock lock(wires_->mutex);
     wires_->sensors.push_back(sensor);
   }
-  return std::make_unique<RigCamera>(seen, std::move(sensor), triggered, footage, at);
+  return std::make_unique<SimulatedCamera>(seen, std::move(sensor), triggered, footage, at);
 }
 
 std::uint64_t read_marker(const Frame& frame, Marker marker) {
@@ -391,7 +392,7 @@ namespace {
 constexpr CameraSetting kSettings[] = {kWidthSetting, kHeightSetting, kRateSetting};
 
 std::unique_ptr<Camera> open_alone(const CameraConfig& config) {
-  return simulated::SimulatedRig(0, 0).camera(
+  return simulated::SimulatedDevices(0, 0).camera(
       {"", config.live.width_px, config.live.height_px, config.live.rate_hz}, false);
 }
 

@@ -12,7 +12,7 @@
 
 namespace facet::pipeline {
 
-struct RigCamera {
+struct DeviceCamera {
   std::string name;  ///< unique
   camera::CameraConfig source;
   std::int64_t latency_ns = 0;  ///< capture::CaptureCamera::latency_ns
@@ -25,10 +25,10 @@ enum class TriggerKind {
 };
 
 /// Several cameras, and what fires them.
-struct RigConfig {
-  std::vector<RigCamera> cameras;  ///< 1 to 64
-  double rate_hz = 30;             ///< of cameras that run freely; all of them
-  int deadline_ms = 0;             ///< for a set to become complete; 0: six periods, 100 ms at least
+struct DevicesConfig {
+  std::vector<DeviceCamera> cameras;  ///< 1 to 64
+  double rate_hz = 30;                ///< of cameras that run freely; all of them
+  int deadline_ms = 0;                ///< for a set to become complete; 0: six periods, 100 ms at least
   TriggerKind trigger = TriggerKind::None;
   TriggerProgram program;
   trigger::GpioTriggerConfig gpio;  ///< kind Gpio; its thread options count for Virtual too
@@ -38,6 +38,6 @@ struct RigConfig {
 };
 
 /// Throws Error(Usage) where no rig is like that.
-void check(const RigConfig& config);
+void check(const DevicesConfig& config);
 
 }  // namespace facet::pipeline

@@ -1,4 +1,4 @@
-#include "pipeline/live_views.hpp"
+#include "pipeline/live_cameras.hpp"
 
 #include <algorithm>
 #include <utility>
@@ -28,7 +28,7 @@ CaptureOutcome LiveSets::next(FrameSet& out, std::chrono::milliseconds timeout) 
   return CaptureOutcome::Delivered;
 }
 
-void check(const RigConfig& devices, const std::filesystem::path& rig_file) {
+void check(const DevicesConfig& devices, const std::filesystem::path& rig_file) {
   check(devices);
   if (rig_file.empty()) {
     throw Error(ErrorKind::Usage,
@@ -44,23 +44,23 @@ void check(const RigConfig& devices, const std::filesystem::path& rig_file) {
   }
 }
 
-std::vector<capture::RigCamera> calibration_of(const RigConfig& devices,
+std::vector<capture::RigCamera> calibration_of(const DevicesConfig& devices,
                                                const std::filesystem::path& rig_file) {
   const capture::Rig rig = capture::read_rig(rig_file);
   std::vector<capture::RigCamera> known;
-  for (const RigCamera& device : devices.cameras) {
+  for (const DeviceCamera& device : devices.cameras) {
     known.push_back(capture::camera_named(rig, rig_file, device.name,
                                           "name the configuration's [[camera]]s as they are named there"));
   }
   return known;
 }
 
-LiveViews open_live_views(const RigConfig& devices, const std::filesystem::path& rig_file,
-                          const MonocularConfig& config) {
+LiveCameras open_live_cameras(const DevicesConfig& devices, const std::filesystem::path& rig_file,
+                              const ShadingConfig& config) {
   check(devices, rig_file);
   const std::vector<capture::RigCamera> known = calibration_of(devices, rig_file);
-  LiveViews views;
-  views.devices = open_rig(devices);
+  LiveCameras views;
+  views.devices = open_devices(devices);
   std::vector<PictureCamera> cameras;
   for (std::size_t i = 0; i < known.size(); ++i) {
     CameraInfo info = views.devices.cameras[i]->info();
@@ -73,7 +73,7 @@ LiveViews open_live_views(const RigConfig& devices, const std::filesystem::path&
     cameras.push_back({info, std::nullopt});
   }
   // Called once, here: what is live is not looked at ahead.
-  views.stages = open_stages(config, [&] {
+  views.stages = open_shading(config, [&] {
     auto sets = std::make_unique<LiveSets>(cameras);
     views.sets = sets.get();
     return calibrated(std::move(sets), known, rig_file);
@@ -81,9 +81,9 @@ LiveViews open_live_views(const RigConfig& devices, const std::filesystem::path&
   return views;
 }
 
-LiveViewsPipeline::LiveViewsPipeline(LiveViews views, const MonocularPipeline::Options& options,
-                                     std::vector<MeshSink*> sinks) {
-  meshes_ = std::make_unique<MonocularPipeline>(std::move(views.stages), options, std::move(sinks));
+LiveCamerasPipeline::LiveCamerasPipeline(LiveCameras views, const ShadingPipeline::Options& options,
+                                         std::vector<MeshSink*> sinks) {
+  meshes_ = std::make_unique<ShadingPipeline>(std::move(views.stages), options, std::move(sinks));
   frames_ =
       std::make_unique<FramesPipeline>(std::move(views.devices), std::vector<FrameSetSink*>{views.sets});
   views.sets->set_ended([&frames = *frames_] {
@@ -92,7 +92,7 @@ LiveViewsPipeline::LiveViewsPipeline(LiveViews views, const MonocularPipeline::O
   });
 }
 
-PipelineStatus LiveViewsPipeline::status() const {
+PipelineStatus LiveCamerasPipeline::status() const {
   PipelineStatus status = meshes_->status();
   PipelineStatus frames = frames_->status();
   if (frames.state == PipelineState::Failed && status.state != PipelineState::Failed) {

@@ -9,13 +9,13 @@
 
 #include "pipeline/bounded_queue.hpp"
 #include "pipeline/frames.hpp"
-#include "pipeline/monocular.hpp"
 #include "pipeline/picture_source.hpp"
 #include "pipeline/sets_pipeline.hpp"
+#include "pipeline/shading.hpp"
 
 namespace facet::pipeline {
 
-/// Frame sets on their way from FramesPipeline to MonocularPipeline: the newest, older ones are dropped. How
+/// Frame sets on their way from FramesPipeline to ShadingPipeline: the newest, older ones are dropped. How
 /// the devices do is FramesPipeline's to know.
 class LiveSets final : public FrameSetSink, public PictureSource {
  public:
@@ -40,32 +40,33 @@ class LiveSets final : public FrameSetSink, public PictureSource {
 };
 
 /// The devices and stages of several calibrated cameras that see one face, opened.
-struct LiveViews {
-  Rig devices;
-  Stages stages;
+struct LiveCameras {
+  Devices devices;
+  ShadingParts stages;
   LiveSets* sets = nullptr;  ///< whose pictures the stages are given; theirs
 };
 
 /// Throws Error(Usage) where no face can be followed with these cameras.
-void check(const RigConfig& devices, const std::filesystem::path& rig_file);
+void check(const DevicesConfig& devices, const std::filesystem::path& rig_file);
 
 /// What the rig file knows of the devices' cameras, in their order; it may have others, too. Throws
 /// Error(Usage) where it lacks one, UnreadableInput where it can't be read.
-std::vector<capture::RigCamera> calibration_of(const RigConfig& devices,
+std::vector<capture::RigCamera> calibration_of(const DevicesConfig& devices,
                                                const std::filesystem::path& rig_file);
 
-/// Opens cameras, rig file and stages; see open_rig and open_stages. The first camera is the reference
+/// Opens cameras, rig file and stages; see open_devices and open_shading. The first camera is the reference
 /// camera. Throws Error(Usage), too, where the rig file does not have a camera, or in another size.
-LiveViews open_live_views(const RigConfig& devices, const std::filesystem::path& rig_file,
-                          const MonocularConfig& config);
+LiveCameras open_live_cameras(const DevicesConfig& devices, const std::filesystem::path& rig_file,
+                              const ShadingConfig& config);
 
 /// Several calibrated cameras live, refined meshes out: frame sets as FramesPipeline makes them, meshes as
-/// MonocularPipeline makes them of each; their threads. Sets for which the stages are too slow are dropped
+/// ShadingPipeline makes them of each; their threads. Sets for which the stages are too slow are dropped
 /// and counted. A camera that is gone is missing in the sets: the meshes go on with the others and are marked
 /// as degraded, the status says what became of it.
-class LiveViewsPipeline final : public SetsPipeline<MonocularPipeline> {
+class LiveCamerasPipeline final : public SetsPipeline<ShadingPipeline> {
  public:
-  LiveViewsPipeline(LiveViews views, const MonocularPipeline::Options& options, std::vector<MeshSink*> sinks);
+  LiveCamerasPipeline(LiveCameras views, const ShadingPipeline::Options& options,
+                      std::vector<MeshSink*> sinks);
 
   PipelineStatus status() const override;
 };

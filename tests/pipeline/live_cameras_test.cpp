@@ -1,13 +1,13 @@
 // Several calibrated cameras live, and as a take of frame sets: what they make of the virtual actor, and what
 // becomes of it when one is not there.
 
-#include "pipeline/live_views.hpp"
+#include "pipeline/live_cameras.hpp"
 
 #include <atomic>
 #include <cmath>
 #include <utility>
 
-#include "camera/simulated_rig.hpp"
+#include "camera/simulated_devices.hpp"
 #include "take/recorder.hpp"
 #include "views_fixture.hpp"
 
@@ -51,10 +51,10 @@ class LiveCameras : public Views {
   }
 
   /// The videos as cameras that run freely.
-  RigConfig video_cameras(bool loop = true) const {
-    RigConfig devices;
-    for (const ViewConfig& view : config_.views) {
-      RigCamera camera;
+  DevicesConfig video_cameras(bool loop = true) const {
+    DevicesConfig devices;
+    for (const RecordedCamera& view : config_.views) {
+      DeviceCamera camera;
       camera.name = view.camera.name;
       camera.source = view.source;
       camera.source.loop = loop;
@@ -73,7 +73,7 @@ class LiveCameras : public Views {
     recorder.start();
     const auto names = std::make_shared<std::vector<std::string>>();
     std::vector<std::unique_ptr<Camera>> cameras;
-    for (const ViewConfig& view : config_.views) {
+    for (const RecordedCamera& view : config_.views) {
       names->push_back(view.camera.name);
       cameras.push_back(camera::open_camera(view.source));
       cameras.back()->start();
@@ -103,7 +103,7 @@ class LiveCameras : public Views {
     return recording.file;
   }
 
-  LiveViewsPipeline pipeline_of(LiveViews views, test::CollectingSink& sink) const {
+  LiveCamerasPipeline pipeline_of(LiveCameras views, test::CollectingSink& sink) const {
     return {std::move(views), {config_.hierarchy, {}, {}}, {&sink}};
   }
 
@@ -142,7 +142,7 @@ TEST_F(LiveCameras, AreAsNearToTheTruthAsTheVideos) {
   const double recorded = worst_distance_error(run());
   EXPECT_LT(recorded, kLargestError);
   test::CollectingSink sink;
-  auto pipeline = pipeline_of(open_live_views(video_cameras(), rig_file(), config_), sink);
+  auto pipeline = pipeline_of(open_live_cameras(video_cameras(), rig_file(), config_), sink);
   EXPECT_EQ(pipeline.status().state, PipelineState::Idle);
   pipeline.start();
   int meshes = 0;
@@ -170,11 +170,11 @@ TEST_F(LiveCameras, GoOnWithTheOthersWhereACameraEnds) {
   // The reference camera, too: meshes stay in its frame.
   for (const std::size_t ends : {std::size_t{1}, std::size_t{0}}) {
     SCOPED_TRACE(ends);
-    RigConfig devices = video_cameras();
+    DevicesConfig devices = video_cameras();
     devices.cameras[ends].source.loop = false;
     const std::string& name = devices.cameras[ends].name;
     test::CollectingSink sink;
-    auto pipeline = pipeline_of(open_live_views(devices, rig_file(), config_), sink);
+    auto pipeline = pipeline_of(open_live_cameras(devices, rig_file(), config_), sink);
     pipeline.start();
     int meshes = 0;
     sink.wait_for([&](const mesh::MeshFrame& frame) { return lacks(frame, name) && ++meshes > 10; });
@@ -193,7 +193,7 @@ TEST_F(LiveCameras, GoOnWithTheOthersWhereACameraEnds) {
 
 TEST_F(LiveCameras, UseACameraAgainThatComesBack) {
   std::atomic<bool> held = false;
-  auto views = opened([&] { return open_live_views(video_cameras(), rig_file(), config_); });
+  auto views = opened([&] { return open_live_cameras(video_cameras(), rig_file(), config_); });
   const std::string name = views.devices.config.cameras[0].name;
   views.devices.cameras[0] = std::make_unique<HeldCamera>(std::move(views.devices.cameras[0]), held);
   test::CollectingSink sink;
@@ -225,7 +225,7 @@ TEST_F(LiveCameras, UseACameraAgainThatComesBack) {
 TEST_F(LiveCameras, EndWithTheLastCamera) {
   config_.gpu_device = kNoDevice;
   test::CollectingSink sink;
-  auto pipeline = pipeline_of(open_live_views(video_cameras(false), rig_file(), config_), sink);
+  auto pipeline = pipeline_of(open_live_cameras(video_cameras(false), rig_file(), config_), sink);
   pipeline.start();
   while (!pipeline.finished()) {
     std::this_thread::sleep_for(5ms);
@@ -240,10 +240,10 @@ TEST_F(LiveCameras, EndWithTheLastCamera) {
 /// A trigger fires the cameras: every slot shows the next of the sequence's frames, the last one stays.
 TEST_F(LiveCameras, ATriggersSlotsAreTheFramesNumbers) {
   config_.gpu_device = kNoDevice;
-  RigConfig devices;
+  DevicesConfig devices;
   devices.footage = record_sets(0);
-  for (const ViewConfig& view : config_.views) {
-    RigCamera camera;
+  for (const RecordedCamera& view : config_.views) {
+    DeviceCamera camera;
     camera.name = view.camera.name;
     camera.source.kind = camera::kSimulatedCamera.name;
     camera.source.live.width_px = view.camera.lens.width_px;
@@ -259,7 +259,7 @@ TEST_F(LiveCameras, ATriggersSlotsAreTheFramesNumbers) {
   devices.program.patterns = {0};
   config_.tracker.acquisition_frames = 2;
   test::CollectingSink sink;
-  auto pipeline = pipeline_of(open_live_views(devices, rig_file(), config_), sink);
+  auto pipeline = pipeline_of(open_live_cameras(devices, rig_file(), config_), sink);
   EXPECT_EQ(pipeline.status().source.rate_hz, 4);
   pipeline.start();
   const auto last = static_cast<std::uint64_t>(frames_ - 1);
@@ -278,8 +278,8 @@ TEST_F(LiveCameras, ATriggersSlotsAreTheFramesNumbers) {
 
 TEST_F(LiveCameras, WhatDoesNotFitTheRigFileIsTold) {
   config_.gpu_device = kNoDevice;
-  RigConfig devices = video_cameras();
-  const auto open = [&] { open_live_views(devices, rig_file(), config_); };
+  DevicesConfig devices = video_cameras();
+  const auto open = [&] { open_live_cameras(devices, rig_file(), config_); };
   devices.cameras[1].name = "left";
   expect_refused(open, ErrorKind::Usage,
                  AllOf(HasSubstr(rig_file().string()), HasSubstr("no camera 'left'"),
@@ -321,7 +321,7 @@ TEST_F(LiveCameras, ATakeOfFrameSetsGivesTheVideosMeshes) {
     return [&, take, slots] { return calibrated(take_sets(take, names, slots), known, rig_file()); };
   };
   const auto take = record_sets(kFirst, kGone);
-  const Frames of_take = run(open_stages(config_, views_of(take)));
+  const Frames of_take = run(open_shading(config_, views_of(take)));
   ASSERT_EQ(of_take.size(), of_videos.size()) << status_.reason;
   EXPECT_EQ(status_.dropped, 0U);
   for (std::size_t i = 0; i < of_take.size(); ++i) {
@@ -335,7 +335,7 @@ TEST_F(LiveCameras, ATakeOfFrameSetsGivesTheVideosMeshes) {
     }
   }
   // Without the gap they are the same to the bit.
-  const Frames same = run(open_stages(config_, views_of(record_sets(0))));
+  const Frames same = run(open_shading(config_, views_of(record_sets(0))));
   ASSERT_EQ(same.size(), of_videos.size());
   for (std::size_t i = 0; i < same.size(); ++i) {
     EXPECT_EQ(same[i]->control_vertices_mm, of_videos[i]->control_vertices_mm) << i;

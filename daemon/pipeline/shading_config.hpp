@@ -13,22 +13,22 @@
 
 namespace facet::pipeline {
 
-/// Value of MonocularConfig::gpu_device for "coarse meshes only".
+/// Value of ShadingConfig::gpu_device for "coarse meshes only".
 inline constexpr const char* kNoDevice = "none";
 
 /// A calibrated camera and where its pictures come from.
-struct ViewConfig {
+struct RecordedCamera {
   capture::RigCamera camera;
   std::filesystem::path rig_file;  ///< that it is from, for messages
   camera::CameraConfig source;
 };
 
-/// What the monocular pipeline is asked to do; MonocularPipeline is the running of it.
-struct MonocularConfig {
+/// What the monocular pipeline is asked to do; ShadingPipeline is the running of it.
+struct ShadingConfig {
   camera::CameraConfig source;
   /// Recorded calibrated cameras instead of `source`: frame n of each was exposed at the same moment. The
   /// first one is the reference camera, in whose frame the meshes are; one is enough.
-  std::vector<ViewConfig> views;
+  std::vector<RecordedCamera> views;
   FrameRange frames;  ///< of the source; others are read and thrown away
   std::filesystem::path model_file;
   track::TrackerConfig tracker;

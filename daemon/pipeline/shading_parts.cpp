@@ -1,4 +1,4 @@
-#include "pipeline/stages.hpp"
+#include "pipeline/shading_parts.hpp"
 
 #include <fmt/format.h>
 
@@ -18,7 +18,7 @@ constexpr std::uint64_t kMostFramesAhead = 3000;
 class TrackerStage final : public CoarseStage {
  public:
   /// open: a recorded source once more, to look ahead; empty for others.
-  TrackerStage(std::shared_ptr<const face::FaceModel> model, const MonocularConfig& config, OpenPictures open)
+  TrackerStage(std::shared_ptr<const face::FaceModel> model, const ShadingConfig& config, OpenPictures open)
       : model_(std::move(model)), config_(config), open_(std::move(open)), tracker_(make_tracker()) {}
 
   void prepare(const std::function<bool()>& go_on) override {
@@ -62,12 +62,12 @@ class TrackerStage final : public CoarseStage {
   }
 
   std::shared_ptr<const face::FaceModel> model_;
-  MonocularConfig config_;
+  ShadingConfig config_;
   OpenPictures open_;
   std::unique_ptr<track::Tracker> tracker_;
 };
 
-std::shared_ptr<const face::FaceModel> load_model(const MonocularConfig& config) {
+std::shared_ptr<const face::FaceModel> load_model(const ShadingConfig& config) {
   auto model = std::make_shared<const face::FaceModel>(face::FaceModel::load(config.model_file));
   // A control mesh that can't be subdivided must be found now, not with the first face.
   mesh::HierarchyOptions coarse_only;
@@ -83,13 +83,13 @@ std::shared_ptr<const face::FaceModel> load_model(const MonocularConfig& config)
   return model;
 }
 
-std::unique_ptr<PictureSource> open_pictures(const MonocularConfig& config) {
+std::unique_ptr<PictureSource> open_pictures(const ShadingConfig& config) {
   if (config.views.empty()) {
     return one_camera(camera::open_camera(config.source));
   }
   std::vector<std::unique_ptr<Camera>> cameras;
   std::vector<capture::RigCamera> known;
-  for (const ViewConfig& view : config.views) {
+  for (const RecordedCamera& view : config.views) {
     cameras.push_back(camera::open_camera(view.source));
     known.push_back(view.camera);
   }
@@ -98,7 +98,7 @@ std::unique_ptr<PictureSource> open_pictures(const MonocularConfig& config) {
 
 }  // namespace
 
-track::TrackerConfig tracker_config(const MonocularConfig& config, const CameraInfo& source) {
+track::TrackerConfig tracker_config(const ShadingConfig& config, const CameraInfo& source) {
   track::TrackerConfig tracker = config.tracker;
   if (!tracker.intrinsics) {
     tracker.intrinsics = source.intrinsics;
@@ -106,12 +106,12 @@ track::TrackerConfig tracker_config(const MonocularConfig& config, const CameraI
   return tracker;
 }
 
-Stages open_stages(const MonocularConfig& given, OpenPictures open) {
-  MonocularConfig config = given;
+ShadingParts open_shading(const ShadingConfig& given, OpenPictures open) {
+  ShadingConfig config = given;
   if (!open) {
     open = [config] { return open_pictures(config); };
   }
-  Stages stages;
+  ShadingParts stages;
   // Cheap and likely mistakes first.
   stages.pictures = open();
   const std::vector<PictureCamera> cameras = stages.pictures->cameras();

@@ -1,4 +1,4 @@
-#include "service/stage_opener.hpp"
+#include "service/pipeline_opener.hpp"
 
 #include <pthread.h>
 #include <sys/eventfd.h>
@@ -11,14 +11,14 @@
 
 namespace facet::service {
 
-struct StageOpener::Result {
+struct PipelineOpener::Result {
   stream::FileDescriptor wake{::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)};
   std::atomic<bool> done{false};
   std::exception_ptr error;  ///< written before done
   OpenedPipeline opened;     ///< written before done
 };
 
-StageOpener::StageOpener(const Config& config) : result_(std::make_shared<Result>()) {
+PipelineOpener::PipelineOpener(const Config& config) : result_(std::make_shared<Result>()) {
   if (!result_->wake) {
     throw Error(ErrorKind::Internal, "cannot make an eventfd: too many open files");
   }
@@ -36,15 +36,15 @@ StageOpener::StageOpener(const Config& config) : result_(std::make_shared<Result
   });
 }
 
-int StageOpener::fd() const {
+int PipelineOpener::fd() const {
   return result_->wake.get();
 }
 
-bool StageOpener::done() const {
+bool PipelineOpener::done() const {
   return result_->done;
 }
 
-OpenedPipeline StageOpener::take() {
+OpenedPipeline PipelineOpener::take() {
   if (result_->error != nullptr) {
     std::rethrow_exception(result_->error);
   }

@@ -12,7 +12,7 @@
 
 namespace facet::simulated {
 
-struct RigCameraConfig {
+struct SimulatedCameraConfig {
   std::string name;
   int width_px = 640;   ///< at least 64
   int height_px = 480;  ///< at least 16
@@ -44,11 +44,11 @@ struct Footage {
 /// With footage a picture is the camera's own of a period of it: of the slot in the period that the projector
 /// lines select, black where none is like that. The performance begins once all cameras run, and goes on with
 /// the clock whether they are fired or not; before and after it the first and the last period are seen.
-class SimulatedRig {
+class SimulatedDevices {
  public:
   /// The masks are those of the trigger's program.
-  SimulatedRig(LineMask camera_lines, LineMask projector_lines,
-               std::shared_ptr<const Footage> footage = nullptr);
+  SimulatedDevices(LineMask camera_lines, LineMask projector_lines,
+                   std::shared_ptr<const Footage> footage = nullptr);
 
   /// For VirtualTriggerOptions::on_change.
   void on_change(LineMask active, std::int64_t time_ns);
@@ -56,7 +56,7 @@ class SimulatedRig {
   /// A live camera; it may outlive the rig. Throws Error(Usage) where the footage lacks a camera of that
   /// name; with footage sizes are those of its pictures. `triggered`: exposes with the lines, else by itself.
   /// Its time stamps are those of the exposure, its pictures come 2 ms later.
-  std::unique_ptr<Camera> camera(const RigCameraConfig& config, bool triggered) const;
+  std::unique_ptr<Camera> camera(const SimulatedCameraConfig& config, bool triggered) const;
 
  private:
   struct Wires;
@@ -74,7 +74,7 @@ std::uint64_t read_marker(const Frame& frame, Marker marker);
 
 namespace facet::camera {
 
-/// One that runs by itself and shows markers. FramesPipeline hangs its own on the trigger (SimulatedRig).
+/// One that runs by itself and shows markers. FramesPipeline hangs its own on the trigger (SimulatedDevices).
 extern const CameraKind kSimulatedCamera;
 
 }  // namespace facet::camera

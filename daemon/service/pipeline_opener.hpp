@@ -14,12 +14,12 @@ namespace facet::service {
 /// Opens the pipeline's stages or devices on the thread `facet-open`, which can't be broken off: models are
 /// read, drivers loaded and kernels compiled meanwhile. The destructor waits for it. One thread uses this
 /// object.
-class StageOpener {
+class PipelineOpener {
  public:
   /// Begins at once.
-  explicit StageOpener(const Config& config);
-  StageOpener(const StageOpener&) = delete;
-  StageOpener& operator=(const StageOpener&) = delete;
+  explicit PipelineOpener(const Config& config);
+  PipelineOpener(const PipelineOpener&) = delete;
+  PipelineOpener& operator=(const PipelineOpener&) = delete;
 
   /// Readable once there is a result.
   int fd() const;

@@ -1,4 +1,4 @@
-#include "pipeline/monocular.hpp"
+#include "pipeline/shading.hpp"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -22,8 +22,8 @@ using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 
-MonocularPipeline::Options options() {
-  MonocularPipeline::Options options;
+ShadingPipeline::Options options() {
+  ShadingPipeline::Options options;
   options.hierarchy.min_edge_px = 4;
   options.pauses.first = std::chrono::milliseconds(1);
   options.pauses.longest = std::chrono::milliseconds(2);
@@ -31,14 +31,14 @@ MonocularPipeline::Options options() {
 }
 
 /// A pipeline of scripted stages with one sink.
-class Monocular : public ::testing::Test {
+class Shading : public ::testing::Test {
  protected:
-  MonocularPipeline& make(const MonocularPipeline::Options& given = options()) {
-    pipeline_ = std::make_unique<MonocularPipeline>(script_.stages(), given, std::vector<MeshSink*>{&sink_});
+  ShadingPipeline& make(const ShadingPipeline::Options& given = options()) {
+    pipeline_ = std::make_unique<ShadingPipeline>(script_.stages(), given, std::vector<MeshSink*>{&sink_});
     return *pipeline_;
   }
   /// Runs until the pipeline ends by itself.
-  PipelineStatus run(const MonocularPipeline::Options& given = options()) {
+  PipelineStatus run(const ShadingPipeline::Options& given = options()) {
     make(given).start();
     await_end();
     pipeline_->stop();
@@ -52,10 +52,10 @@ class Monocular : public ::testing::Test {
 
   Script script_;
   CollectingSink sink_;
-  std::unique_ptr<MonocularPipeline> pipeline_;
+  std::unique_ptr<ShadingPipeline> pipeline_;
 };
 
-TEST_F(Monocular, ARecordingLosesNoFrame) {
+TEST_F(Shading, ARecordingLosesNoFrame) {
   script_.frame_count = 50;
   const PipelineStatus status = run();
   EXPECT_EQ(status.state, PipelineState::Ended);
@@ -86,7 +86,7 @@ TEST_F(Monocular, ARecordingLosesNoFrame) {
   }
 }
 
-TEST_F(Monocular, ALiveSourceDropsOldFramesAndCountsThem) {
+TEST_F(Shading, ALiveSourceDropsOldFramesAndCountsThem) {
   script_.live = true;
   script_.frame_count = 40;
   script_.tracker_gate.set(false);
@@ -104,12 +104,12 @@ TEST_F(Monocular, ALiveSourceDropsOldFramesAndCountsThem) {
   EXPECT_EQ(sink_.frames().back()->sequence, 39U) << "the newest wins";
 }
 
-TEST_F(Monocular, OnlyALiveCamerasRateLimitsRefinement) {
+TEST_F(Shading, OnlyALiveCamerasRateLimitsRefinement) {
   run();
   EXPECT_EQ(script_.time_limit_ms, 0);
 }
 
-TEST_F(Monocular, WhatTheRateTakesIsSaidOnce) {
+TEST_F(Shading, WhatTheRateTakesIsSaidOnce) {
   script_.live = true;
   script_.frame_count = ~0ULL;
   script_.hurried = true;
@@ -132,7 +132,7 @@ TEST_F(Monocular, WhatTheRateTakesIsSaidOnce) {
   EXPECT_THAT(said, testing::ElementsAre("refinement: scripted hurry", "refinement: all levels again"));
 }
 
-TEST_F(Monocular, FramesThatTheDriverSkippedCountAsDropped) {
+TEST_F(Shading, FramesThatTheDriverSkippedCountAsDropped) {
   script_.frame_count = 10;
   script_.sequence_step = 3;
   EXPECT_EQ(run().dropped, 0U) << "what a recording leaves out was not there";
@@ -142,7 +142,7 @@ TEST_F(Monocular, FramesThatTheDriverSkippedCountAsDropped) {
   EXPECT_EQ(status.processed + status.dropped, 28U);
 }
 
-TEST_F(Monocular, TheTrackerWorksOnTheNextFrameWhileTheGpuIsBusy) {
+TEST_F(Shading, TheTrackerWorksOnTheNextFrameWhileTheGpuIsBusy) {
   script_.frame_count = 3;
   script_.refiner_gate.set(false);
   script_.tracker_gate.set(true);
@@ -162,7 +162,7 @@ TEST_F(Monocular, TheTrackerWorksOnTheNextFrameWhileTheGpuIsBusy) {
   EXPECT_EQ(sink_.frames().size(), 3U);
 }
 
-TEST_F(Monocular, FramesWithoutAMeshAreHandedOutToo) {
+TEST_F(Shading, FramesWithoutAMeshAreHandedOutToo) {
   script_.state_of = [](std::uint64_t sequence) {
     return sequence < 3   ? TrackingState::Searching
            : sequence < 6 ? TrackingState::Acquiring
@@ -181,7 +181,7 @@ TEST_F(Monocular, FramesWithoutAMeshAreHandedOutToo) {
   }
 }
 
-TEST_F(Monocular, AFaceThatIsNotKnownYetHasAProvisionalMesh) {
+TEST_F(Shading, AFaceThatIsNotKnownYetHasAProvisionalMesh) {
   script_.mesh_while_acquiring = true;
   script_.state_of = [](std::uint64_t sequence) {
     return sequence < 3 || sequence == 6 ? TrackingState::Acquiring : TrackingState::Tracking;
@@ -208,7 +208,7 @@ TEST_F(Monocular, AFaceThatIsNotKnownYetHasAProvisionalMesh) {
   EXPECT_EQ(frames[7]->subject, frames[3]->subject);
 }
 
-TEST_F(Monocular, ANewSubjectGetsItsOwnHierarchy) {
+TEST_F(Shading, ANewSubjectGetsItsOwnHierarchy) {
   script_.subject_of = [](std::uint64_t sequence) { return sequence < 4 ? 1U : 2U; };
   const PipelineStatus status = run();
   EXPECT_EQ(status.subjects, 2U);
@@ -220,7 +220,7 @@ TEST_F(Monocular, ANewSubjectGetsItsOwnHierarchy) {
   EXPECT_NE(frames[0]->subject->id, 0U);
 }
 
-TEST_F(Monocular, DisplacementsOfBeforeAreForgottenWhenTheFaceComesBack) {
+TEST_F(Shading, DisplacementsOfBeforeAreForgottenWhenTheFaceComesBack) {
   script_.state_of = [](std::uint64_t sequence) {
     return sequence == 0                    ? TrackingState::Acquiring
            : sequence == 4 || sequence == 5 ? TrackingState::Lost
@@ -232,7 +232,7 @@ TEST_F(Monocular, DisplacementsOfBeforeAreForgottenWhenTheFaceComesBack) {
   EXPECT_THAT(script_.restarted_before, ElementsAre(6U)) << "a new subject starts anew by itself";
 }
 
-TEST_F(Monocular, WithoutRefinementFramesAreCoarseAndSaySo) {
+TEST_F(Shading, WithoutRefinementFramesAreCoarseAndSaySo) {
   script_.has_refiner = false;
   const PipelineStatus status = run();
   EXPECT_EQ(status.degraded_frames, 10U);
@@ -246,7 +246,7 @@ TEST_F(Monocular, WithoutRefinementFramesAreCoarseAndSaySo) {
   }
 }
 
-TEST_F(Monocular, ANumericalFailureCostsTheDetailOfOneFrame) {
+TEST_F(Shading, ANumericalFailureCostsTheDetailOfOneFrame) {
   script_.outcome_of = [](std::uint64_t sequence) {
     return sequence == 4 ? RefineOutcome::NumericalFailure : RefineOutcome::Refined;
   };
@@ -261,7 +261,7 @@ TEST_F(Monocular, ANumericalFailureCostsTheDetailOfOneFrame) {
   EXPECT_FALSE(frames[5]->degraded);
 }
 
-TEST_F(Monocular, APictureTooLargeForTheDeviceGivesACoarseMesh) {
+TEST_F(Shading, APictureTooLargeForTheDeviceGivesACoarseMesh) {
   script_.no_room_from = 7;
   const PipelineStatus status = run();
   EXPECT_EQ(status.state, PipelineState::Ended);
@@ -277,7 +277,7 @@ TEST_F(Monocular, APictureTooLargeForTheDeviceGivesACoarseMesh) {
   EXPECT_EQ(warnings, 1) << "said once, not with every frame";
 }
 
-TEST_F(Monocular, ALostDeviceIsReopenedWhileFramesStayCoarse) {
+TEST_F(Shading, ALostDeviceIsReopenedWhileFramesStayCoarse) {
   script_.live = true;
   script_.frame_count = ~0ULL;
   script_.failing_opens = 3;
@@ -313,7 +313,7 @@ TEST_F(Monocular, ALostDeviceIsReopenedWhileFramesStayCoarse) {
   EXPECT_THAT(said, HasSubstr("scripted GPU is back"));
 }
 
-TEST_F(Monocular, StopsWhileTheDeviceCannotBeReopened) {
+TEST_F(Shading, StopsWhileTheDeviceCannotBeReopened) {
   script_.live = true;
   script_.frame_count = ~0ULL;
   script_.failing_opens = 1'000'000;
@@ -325,7 +325,7 @@ TEST_F(Monocular, StopsWhileTheDeviceCannotBeReopened) {
   EXPECT_EQ(script_.refiners_alive, 0);
 }
 
-TEST_F(Monocular, ADamagedImageIsNotRefined) {
+TEST_F(Shading, ADamagedImageIsNotRefined) {
   script_.corrupt_at = 2;
   const PipelineStatus status = run();
   EXPECT_EQ(status.degraded_frames, 1U);
@@ -335,8 +335,8 @@ TEST_F(Monocular, ADamagedImageIsNotRefined) {
   EXPECT_TRUE(frames[2]->displacements_mm.empty());
 }
 
-TEST_F(Monocular, OnlyFramesOfTheRangeAreProcessed) {
-  MonocularPipeline::Options given = options();
+TEST_F(Shading, OnlyFramesOfTheRangeAreProcessed) {
+  ShadingPipeline::Options given = options();
   given.frames = {3, 7};
   const PipelineStatus status = run(given);
   EXPECT_EQ(status.captured, 4U);
@@ -347,7 +347,7 @@ TEST_F(Monocular, OnlyFramesOfTheRangeAreProcessed) {
   EXPECT_EQ(frames.back()->sequence, 6U);
 }
 
-TEST_F(Monocular, ABrokenSourceIsAFailureWithItsReason) {
+TEST_F(Shading, ABrokenSourceIsAFailureWithItsReason) {
   script_.fails_at = 5;
   const PipelineStatus status = run();
   EXPECT_EQ(status.state, PipelineState::Failed);
@@ -357,7 +357,7 @@ TEST_F(Monocular, ABrokenSourceIsAFailureWithItsReason) {
   EXPECT_TRUE(script_.camera_stopped);
 }
 
-TEST_F(Monocular, ASourceThatEndsEarlySaysWhy) {
+TEST_F(Shading, ASourceThatEndsEarlySaysWhy) {
   script_.end_note = "scripted: cut off";
   const PipelineStatus status = run();
   EXPECT_EQ(status.state, PipelineState::Ended);
@@ -365,7 +365,7 @@ TEST_F(Monocular, ASourceThatEndsEarlySaysWhy) {
   EXPECT_EQ(status.reason, "scripted: cut off");
 }
 
-TEST_F(Monocular, ASourceThatCannotStartIsAFailureWithItsReason) {
+TEST_F(Shading, ASourceThatCannotStartIsAFailureWithItsReason) {
   script_.throws_at_start = true;
   const PipelineStatus status = run();
   EXPECT_EQ(status.state, PipelineState::Failed);
@@ -374,7 +374,7 @@ TEST_F(Monocular, ASourceThatCannotStartIsAFailureWithItsReason) {
   EXPECT_EQ(status.processed, 0U);
 }
 
-TEST_F(Monocular, AFaultInAStageEndsThePipelineNotTheProcess) {
+TEST_F(Shading, AFaultInAStageEndsThePipelineNotTheProcess) {
   script_.tracker_throws_at = 4;
   const PipelineStatus status = run();
   EXPECT_EQ(status.state, PipelineState::Failed);
@@ -382,14 +382,14 @@ TEST_F(Monocular, AFaultInAStageEndsThePipelineNotTheProcess) {
   EXPECT_THAT(status.reason, HasSubstr("scripted tracker fault"));
 }
 
-TEST_F(Monocular, AnEmptySourceEnds) {
+TEST_F(Shading, AnEmptySourceEnds) {
   script_.frame_count = 0;
   const PipelineStatus status = run();
   EXPECT_EQ(status.state, PipelineState::Ended);
   EXPECT_EQ(status.processed, 0U);
 }
 
-TEST_F(Monocular, IdentityIsResetBetweenFrames) {
+TEST_F(Shading, IdentityIsResetBetweenFrames) {
   script_.live = true;
   script_.frame_count = ~0ULL;
   make().start();
@@ -399,7 +399,7 @@ TEST_F(Monocular, IdentityIsResetBetweenFrames) {
   EXPECT_EQ(script_.identity_resets, 1);
 }
 
-TEST_F(Monocular, FramesAreRecycled) {
+TEST_F(Shading, FramesAreRecycled) {
   script_.frame_count = 200;
   sink_.keep = false;
   run();
@@ -408,13 +408,13 @@ TEST_F(Monocular, FramesAreRecycled) {
   EXPECT_LE(std::set(sink_.addresses.begin(), sink_.addresses.end()).size(), 4U);
 }
 
-TEST_F(Monocular, StopsBeforeItStarted) {
+TEST_F(Shading, StopsBeforeItStarted) {
   make().stop();
   EXPECT_TRUE(pipeline_->finished());
   EXPECT_EQ(pipeline_->status().state, PipelineState::Idle);
 }
 
-TEST_F(Monocular, StopsWhilePreparing) {
+TEST_F(Shading, StopsWhilePreparing) {
   script_.prepare_waits_for_stop = true;
   make().start();
   while (!script_.preparing) {
@@ -426,7 +426,7 @@ TEST_F(Monocular, StopsWhilePreparing) {
   EXPECT_TRUE(sink_.frames().empty());
 }
 
-TEST_F(Monocular, StopsWhileNothingComes) {
+TEST_F(Shading, StopsWhileNothingComes) {
   script_.silent = true;
   make().start();
   pipeline_->stop();
@@ -434,7 +434,7 @@ TEST_F(Monocular, StopsWhileNothingComes) {
   EXPECT_TRUE(script_.camera_stopped);
 }
 
-TEST_F(Monocular, SaysWhatBecomesOfALiveCamera) {
+TEST_F(Shading, SaysWhatBecomesOfALiveCamera) {
   script_.live = true;
   script_.camera_changes = {{0, {CameraState::Absent, "scripted: unplugged", {}}},
                             {4, {CameraState::Streaming, "", {}}}};
@@ -451,7 +451,7 @@ TEST_F(Monocular, SaysWhatBecomesOfALiveCamera) {
   EXPECT_THAT(said, testing::ElementsAre("camera absent: scripted: unplugged", "camera streaming"));
 }
 
-TEST_F(Monocular, StopsWhileEveryStageIsBusy) {
+TEST_F(Shading, StopsWhileEveryStageIsBusy) {
   script_.frame_count = ~0ULL;
   script_.refiner_gate.set(false);
   make().start();
@@ -465,7 +465,7 @@ TEST_F(Monocular, StopsWhileEveryStageIsBusy) {
   EXPECT_EQ(sink_.frames().size(), 1U) << "the frame at the GPU comes out, the others are let go";
 }
 
-TEST_F(Monocular, StopsTwiceAndFromSeveralThreads) {
+TEST_F(Shading, StopsTwiceAndFromSeveralThreads) {
   script_.frame_count = ~0ULL;
   make().start();
   sink_.wait_for([](const mesh::MeshFrame& frame) { return frame.sequence > 5; });
@@ -478,7 +478,7 @@ TEST_F(Monocular, StopsTwiceAndFromSeveralThreads) {
 }
 
 /// Waits until some worker was silent for longer than any wait for another one may be.
-Progress::Silence await_silence(const MonocularPipeline& pipeline) {
+Progress::Silence await_silence(const ShadingPipeline& pipeline) {
   for (;;) {
     const auto silence = pipeline.longest_silence();
     if (silence && silence->length > 4 * BoundedQueue<int>::kIdlePeriod) {
@@ -488,14 +488,14 @@ Progress::Silence await_silence(const MonocularPipeline& pipeline) {
   }
 }
 
-TEST_F(Monocular, AHungThreadIsSilentAndThoseThatWaitForItAreNot) {
+TEST_F(Shading, AHungThreadIsSilentAndThoseThatWaitForItAreNot) {
   const std::array<std::pair<std::string, test::Gate*>, 3> hangs{{{"facet-capture", &script_.camera_gate},
                                                                   {"facet-track", &script_.tracker_gate},
                                                                   {"facet-refine", &script_.refiner_gate}}};
   script_.frame_count = 1000;
   for (const auto& [worker, gate] : hangs) {
     script_.live = worker != "facet-refine";  // a recorded source waits for room meanwhile
-    MonocularPipeline& pipeline = make();
+    ShadingPipeline& pipeline = make();
     EXPECT_FALSE(pipeline.longest_silence());
     gate->set(false);
     pipeline.start();
@@ -506,10 +506,10 @@ TEST_F(Monocular, AHungThreadIsSilentAndThoseThatWaitForItAreNot) {
   }
 }
 
-TEST_F(Monocular, ASilentCameraIsNotAHungThread) {
+TEST_F(Shading, ASilentCameraIsNotAHungThread) {
   script_.live = true;
   script_.silent = true;
-  MonocularPipeline& pipeline = make();
+  ShadingPipeline& pipeline = make();
   pipeline.start();
   const auto begun = std::chrono::steady_clock::now();
   while (std::chrono::steady_clock::now() - begun < 6 * BoundedQueue<int>::kIdlePeriod) {
@@ -520,9 +520,9 @@ TEST_F(Monocular, ASilentCameraIsNotAHungThread) {
   pipeline.stop();
 }
 
-TEST_F(Monocular, ALookAheadGetsOn) {
+TEST_F(Shading, ALookAheadGetsOn) {
   script_.prepare_waits_for_stop = true;
-  MonocularPipeline& pipeline = make();
+  ShadingPipeline& pipeline = make();
   pipeline.start();
   std::this_thread::sleep_for(6 * BoundedQueue<int>::kIdlePeriod);
   EXPECT_LT(pipeline.longest_silence()->length, 4 * BoundedQueue<int>::kIdlePeriod);

@@ -5,8 +5,8 @@
 #include <span>
 
 #include "face/face_model.hpp"
-#include "pipeline/monocular_config.hpp"
 #include "pipeline/picture_source.hpp"
+#include "pipeline/shading_config.hpp"
 #include "refine/refine_stage.hpp"
 #include "track/tracker.hpp"
 
@@ -31,7 +31,7 @@ class CoarseStage {
 };
 
 /// What the pipeline connects.
-struct Stages {
+struct ShadingParts {
   std::unique_ptr<PictureSource> pictures;
   std::shared_ptr<const face::FaceModel> model;
   std::unique_ptr<CoarseStage> coarse;
@@ -41,11 +41,11 @@ struct Stages {
 
 /// The tracker's configuration for a source: where the configuration gives no intrinsics, those that the
 /// source knows of itself count.
-track::TrackerConfig tracker_config(const MonocularConfig& config, const CameraInfo& source);
+track::TrackerConfig tracker_config(const ShadingConfig& config, const CameraInfo& source);
 
 /// Opens pictures, model, tracker and device. Seconds, for the kernels are compiled. open: empty for the
 /// configuration's source, or its recorded views. Throws Error: what opening the pictures throws,
 /// UnreadableInput for model and landmark nets, NoDevice where no Vulkan device is usable.
-Stages open_stages(const MonocularConfig& config, OpenPictures open = {});
+ShadingParts open_shading(const ShadingConfig& config, OpenPictures open = {});
 
 }  // namespace facet::pipeline
