@@ -22,7 +22,6 @@
 namespace {
 
 using namespace facet;
-using Clock = std::chrono::steady_clock;
 
 double processor_s() {
   timespec now{};
