@@ -138,7 +138,20 @@ static class CheckClient
         float[] vertices_mm, normals;
         Check(client.Next(Patience_ms) != null && client.Mesh(out vertices_mm, out normals), "a mesh");
         Subject subject = client.Subject;
-        var waiting = new Thread(() => client.Next(-1));
+        var waiting = new Thread(() =>
+        {
+            while (true)
+            {
+                try
+                {
+                    client.Next(-1);
+                    return;
+                }
+                catch (InvalidOperationException)  // the other thread was looking
+                {
+                }
+            }
+        });
         waiting.Start();
         while (true)
         {
