@@ -23,25 +23,31 @@ if(FACET_SANITIZE)
   target_compile_definitions(facet_options INTERFACE FACET_SANITIZED=1)
 endif()
 
-# Clang reads the outside headers once for all files (the release build has no such help, so that each file names what
-# it includes). One set for libraries and one for programs, whose code is positioned differently.
+# Outside headers read once for all files: where a whole tree is built from nothing (packaging/prepare, the sanitizers). A build
+# without it holds each file to including what it names, and has objects that ccache knows in every checkout. One set for
+# libraries and one for programs, whose code is positioned differently. GCC maps its set into memory and refuses one where a
+# definition differs, as GoogleTest's do; Clang's may hold everything.
 if(FACET_PRECOMPILE)
-  find_package(CLI11 REQUIRED)
   find_package(Eigen3 3.4 REQUIRED NO_MODULE)
   find_package(fmt REQUIRED)
-  find_package(GTest REQUIRED)
-  find_package(nlohmann_json REQUIRED)
   target_link_libraries(facet_options INTERFACE fmt::fmt)  # its definitions are part of the headers
-  set(FACET_OUTSIDE_HEADERS <algorithm> <array> <atomic> <bit> <chrono> <cmath> <condition_variable> <filesystem> <fstream>
-      <functional> <map> <memory> <mutex> <numeric> <optional> <random> <set> <span> <sstream> <string> <thread> <unordered_map>
-      <vector> <Eigen/Dense> <Eigen/SparseCholesky> <fmt/format.h> <fmt/ranges.h> <nlohmann/json.hpp> <CLI/CLI.hpp>
-      <gmock/gmock.h> <gtest/gtest.h>)
+  set(outside <algorithm> <array> <atomic> <bit> <chrono> <cmath> <condition_variable> <filesystem> <fstream> <functional> <map>
+      <memory> <mutex> <numeric> <optional> <random> <set> <span> <sstream> <string> <thread> <unordered_map> <vector>
+      <Eigen/Core> <Eigen/Geometry> <fmt/format.h>)
+  set(linked facet_options Eigen3::Eigen)
+  if(CMAKE_CXX_COMPILER_ID MATCHES "Clang")
+    find_package(CLI11 REQUIRED)
+    find_package(GTest REQUIRED)
+    find_package(nlohmann_json REQUIRED)
+    list(APPEND outside <Eigen/Dense> <Eigen/SparseCholesky> <fmt/ranges.h> <nlohmann/json.hpp> <CLI/CLI.hpp> <gmock/gmock.h> <gtest/gtest.h>)
+    list(APPEND linked nlohmann_json::nlohmann_json CLI11::CLI11 GTest::gmock GTest::gtest)
+  endif()
   file(WRITE "${CMAKE_BINARY_DIR}/precompiled/empty.cpp" "int main() {}\n")
   add_library(facet_precompiled_library STATIC "${CMAKE_BINARY_DIR}/precompiled/empty.cpp")
   add_executable(facet_precompiled_program "${CMAKE_BINARY_DIR}/precompiled/empty.cpp")
   foreach(target facet_precompiled_library facet_precompiled_program)
-    target_link_libraries(${target} PRIVATE facet_options Eigen3::Eigen nlohmann_json::nlohmann_json CLI11::CLI11 GTest::gmock GTest::gtest)
-    target_precompile_headers(${target} PRIVATE ${FACET_OUTSIDE_HEADERS})
+    target_link_libraries(${target} PRIVATE ${linked})
+    target_precompile_headers(${target} PRIVATE ${outside})
   endforeach()
 endif()
 
