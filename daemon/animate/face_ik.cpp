@@ -2,8 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
@@ -12,6 +10,7 @@
 #include <optional>
 
 #include "facet/error.hpp"
+#include "maths/solve.hpp"
 
 namespace facet::animate {
 namespace {
@@ -332,7 +331,7 @@ void FaceIk::rebuild(std::span<const ControlTarget> targets) {
     }
     const Eigen::MatrixXd square =
         influences.transpose() * influences + kInverseDamping * Eigen::MatrixXd::Identity(count, count);
-    const Eigen::MatrixXd inverse = square.ldlt().solve(influences.transpose());
+    const Eigen::MatrixXd inverse = maths::solve_symmetric_columns(square, influences.transpose());
     const Eigen::MatrixXd average = Eigen::MatrixXd::Constant(count, count, 1.0 / static_cast<double>(count));
     const Eigen::MatrixXd centred = Eigen::MatrixXd::Identity(count, count) - average;
     region_from_group_ = average + inverse * centred;
@@ -364,7 +363,7 @@ void FaceIk::solve_group(Group& group) {
     FaceSums::Result sums = group.faces->at(target);
     sums.covariance.diagonal().array() += kNoise * kNoise;
     group.mean = std::move(sums.mean);
-    group.precision = sums.covariance.ldlt().solve(Eigen::MatrixXd::Identity(size, size));
+    group.precision = maths::solve_symmetric_columns(sums.covariance, Eigen::MatrixXd::Identity(size, size));
     group.average = std::move(sums.average);
     group.response = sums.moments * group.precision.cast<float>();
     group.solved = true;
@@ -519,7 +518,7 @@ void FaceIk::correct(Pose& pose) {
   for (int step = 0; step < kMostSteps && !good && damping < kMostDamping; ++step) {
     Eigen::MatrixXd square = moves.transpose() * moves;
     square.diagonal().array() += damping;
-    const Eigen::VectorXd change = square.ldlt().solve(moves.transpose() * misses);
+    const Eigen::VectorXd change = maths::solve_symmetric(square, moves.transpose() * misses);
     std::vector<Eigen::VectorXd> before;
     Eigen::Index at = 0;
     for (Group& group : groups_) {

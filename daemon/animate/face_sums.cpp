@@ -1,11 +1,12 @@
 #include "animate/face_sums.hpp"
 
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <unordered_map>
 #include <utility>
 #include <vector>
+
+#include "maths/solve.hpp"
 
 namespace facet::animate {
 namespace {
@@ -27,8 +28,7 @@ FaceSums::FaceSums(Eigen::MatrixXd captured, const TakeBasis::MatrixView& coeffi
   }
   origin_ = captured_.rowwise().mean();
   const Eigen::MatrixXd apart = captured_.colwise() - origin_;
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(apart * apart.transpose());
-  axes_ = eigen.eigenvectors();
+  axes_ = maths::symmetric_eigen(apart * apart.transpose()).vectors;
   const double reach = apart.cwiseAbs().maxCoeff() * std::sqrt(static_cast<double>(kMostDimensions));
   double spacing = std::max(kFinestSpacing, 2 * reach / static_cast<double>(kMostCells));
   while (!find_nodes(spacing)) {

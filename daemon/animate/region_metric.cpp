@@ -1,8 +1,9 @@
 #include "animate/region_metric.hpp"
 
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
+
+#include "maths/solve.hpp"
 
 namespace facet::animate {
 namespace {
@@ -41,9 +42,9 @@ Eigen::MatrixXf root_of_gram(const TakeBasis::MatrixView& directions, const Eige
     }
   }
   add();
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(gram / std::max(total, 1e-12));
+  const maths::SymmetricEigen eigen = maths::symmetric_eigen(gram / std::max(total, 1e-12));
   const Eigen::MatrixXd root =
-      eigen.eigenvalues().cwiseMax(0.0).cwiseSqrt().asDiagonal() * eigen.eigenvectors().transpose();
+      eigen.values.cwiseMax(0.0).cwiseSqrt().asDiagonal() * eigen.vectors.transpose();
   return root.cast<float>();
 }
 

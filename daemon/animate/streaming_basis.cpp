@@ -1,9 +1,10 @@
 #include "animate/streaming_basis.hpp"
 
 #include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
+
+#include "maths/solve.hpp"
 
 namespace facet::animate {
 namespace {
@@ -42,28 +43,27 @@ void StreamingBasis::add(const Eigen::Ref<const Eigen::MatrixXf>& block) {
 
   // outside = new directions * sqrt(weight) * mix^T, from its Gram matrix.
   const Eigen::MatrixXd gram = gram_of(outside);
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(gram);
+  const maths::SymmetricEigen eigen = maths::symmetric_eigen(gram);
   const double scale =
-      std::max(strengths_.size() > 0 ? strengths_[0] * strengths_[0] : 0.0, eigen.eigenvalues().maxCoeff());
-  const Eigen::Index added =
-      (eigen.eigenvalues().array() > std::max(scale * kRounding * kRounding, 1e-30)).count();
+      std::max(strengths_.size() > 0 ? strengths_[0] * strengths_[0] : 0.0, eigen.values.maxCoeff());
+  const Eigen::Index added = (eigen.values.array() > std::max(scale * kRounding * kRounding, 1e-30)).count();
   if (rank + added == 0) {
     return;  // all zeros so far
   }
-  const Eigen::MatrixXd mix = eigen.eigenvectors().rightCols(added);
-  const Eigen::VectorXd weight = eigen.eigenvalues().tail(added).cwiseSqrt();
+  const Eigen::MatrixXd mix = eigen.vectors.rightCols(added);
+  const Eigen::VectorXd weight = eigen.values.tail(added).cwiseSqrt();
 
   // [directions * strengths, block] = [directions, new directions] * core
   Eigen::MatrixXd core = Eigen::MatrixXd::Zero(rank + added, rank + block.cols());
   core.topLeftCorner(rank, rank) = strengths_.asDiagonal();
   core.topRightCorner(rank, block.cols()) = inside.cast<double>();
   core.bottomRightCorner(added, block.cols()) = weight.asDiagonal() * mix.transpose();
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> turned(core * core.transpose());
-  const Eigen::VectorXd values = turned.eigenvalues().cwiseMax(0.0).cwiseSqrt();
+  const maths::SymmetricEigen turned = maths::symmetric_eigen(core * core.transpose());
+  const Eigen::VectorXd values = turned.values.cwiseMax(0.0).cwiseSqrt();
   const double strongest = values.size() > 0 ? values[values.size() - 1] : 0.0;
   const Eigen::Index kept =
       std::min(max_rank_, (values.array() > std::max(strongest * kRounding, 1e-15)).count());
-  const Eigen::MatrixXd turn = turned.eigenvectors().rightCols(kept).rowwise().reverse();
+  const Eigen::MatrixXd turn = turned.vectors.rightCols(kept).rowwise().reverse();
 
   const Eigen::MatrixXf new_mix =
       (mix * weight.cwiseInverse().asDiagonal() * turn.bottomRows(added)).cast<float>();

@@ -6,6 +6,8 @@
 #include <cmath>
 #include <limits>
 
+#include "maths/solve.hpp"
+
 namespace facet::calibration {
 namespace {
 
@@ -128,7 +130,7 @@ Step solve(const NormalEquations& normal, const std::vector<Eigen::Index>& free,
     const Eigen::VectorXd scale = reduced.matrix.diagonal().cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
     const Eigen::MatrixXd scaled = scale.asDiagonal() * reduced.matrix * scale.asDiagonal();
     step.cameras(free) =
-        -(scale.asDiagonal() * scaled.ldlt().solve(scale.asDiagonal() * reduced.right)).eval();
+        -(scale.asDiagonal() * maths::solve_symmetric(scaled, scale.asDiagonal() * reduced.right));
   }
   for (std::size_t view = 0; view < normal.views.size(); ++view) {
     const auto column = static_cast<Eigen::Index>(view);
@@ -160,17 +162,16 @@ void fill_sigmas(const BundleProblem& problem, const BundleOptions& options, Bun
     return;
   }
   const Eigen::VectorXd scale = reduced.matrix.diagonal().cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(scale.asDiagonal() * reduced.matrix *
-                                                             scale.asDiagonal());
-  const double floor = 1e-14 * eigen.eigenvalues().maxCoeff();
+  const maths::SymmetricEigen eigen =
+      maths::symmetric_eigen(scale.asDiagonal() * reduced.matrix * scale.asDiagonal());
+  const double floor = 1e-14 * eigen.values.maxCoeff();
   for (std::size_t i = 0; i < free.size(); ++i) {
     const auto camera = static_cast<std::size_t>(free[i] / kCamera);
     const auto which = static_cast<std::size_t>(free[i] % kCamera);
     if (which < kIntrinsicCount) {
       const auto row = static_cast<Eigen::Index>(i);
-      const double variance = (eigen.eigenvectors().row(row).array().square().transpose() /
-                               eigen.eigenvalues().array().max(floor))
-                                  .sum();
+      const double variance =
+          (eigen.vectors.row(row).array().square().transpose() / eigen.values.array().max(floor)).sum();
       result.intrinsic_sigma[camera].at(which) = result.sigma_px * scale[row] * std::sqrt(variance);
     }
   }

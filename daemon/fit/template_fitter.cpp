@@ -12,6 +12,7 @@
 #include "facet/error.hpp"
 #include "fit/conjugate_gradients.hpp"
 #include "fit/depth_pull.hpp"
+#include "maths/solve.hpp"
 
 namespace facet::fit {
 
@@ -787,7 +788,7 @@ double TemplateFitter::Impl::model_step(mesh::Vertices& vertices_mm) {
                           kExpressionMisfitMm / (kModelChange * kModelChange);
   matrix.diagonal().head(3).array() += 1e-3;
   matrix.diagonal().tail(known).array() += firmness;
-  const auto solve = [&] { return Eigen::VectorXd(-matrix.ldlt().solve(slope.cast<double>())); };
+  const auto solve = [&] { return Eigen::VectorXd(-maths::solve_symmetric(matrix, slope.cast<double>())); };
   Eigen::VectorXd change = solve();
   // |x| <= x^2 / (2 |x0|) + |x0| / 2: few large changes rather than many small ones.
   for (Eigen::Index e = 0; e < known; ++e) {

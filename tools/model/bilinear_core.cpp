@@ -1,11 +1,11 @@
 #include "model/bilinear_core.hpp"
 
-#include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <numeric>
 #include <utility>
+
+#include "maths/solve.hpp"
 
 namespace facet::model {
 namespace {
@@ -78,16 +78,16 @@ BilinearCore truncate_identity_mode(std::vector<TensorSlice> slices, const Mirro
     odd_gram += Eigen::MatrixXf(halves.odd.transpose() * halves.odd).cast<double>();
     tick();
   }
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> even(even_gram);
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> odd(odd_gram);
+  const maths::SymmetricEigen even = maths::symmetric_eigen(even_gram);
+  const maths::SymmetricEigen odd = maths::symmetric_eigen(odd_gram);
   std::vector<Component> components;
   for (Eigen::Index column = 0; column < count; ++column) {
-    components.push_back({even.eigenvalues()[column], true, column});
-    components.push_back({odd.eigenvalues()[column], false, column});
+    components.push_back({even.values[column], true, column});
+    components.push_back({odd.values[column], false, column});
   }
   std::stable_sort(components.begin(), components.end(),
                    [](const Component& a, const Component& b) { return a.eigenvalue > b.eigenvalue; });
-  const double total = even.eigenvalues().sum() + odd.eigenvalues().sum();
+  const double total = even.values.sum() + odd.values.sum();
   std::size_t kept = 0;
   double explained = 0;
   while (kept < components.size() && static_cast<int>(kept) < options.max_modes &&
@@ -100,8 +100,8 @@ BilinearCore truncate_identity_mode(std::vector<TensorSlice> slices, const Mirro
   Eigen::MatrixXf odd_mix = even_mix;
   for (std::size_t k = 0; k < kept; ++k) {
     const Component& component = components[k];
-    const Eigen::VectorXd mix = (component.even ? even : odd).eigenvectors().col(component.column) /
-                                std::sqrt(static_cast<double>(count));
+    const Eigen::VectorXd mix =
+        (component.even ? even : odd).vectors.col(component.column) / std::sqrt(static_cast<double>(count));
     (component.even ? even_mix : odd_mix).col(static_cast<Eigen::Index>(k)) = mix.cast<float>();
   }
   BilinearCore core;
@@ -134,7 +134,7 @@ std::array<double, 2> approximation_error_mm(const BilinearCore& core, const Ten
   const Eigen::VectorXf wanted = roots.cwiseProduct(stacked(slice[0] - core.rows[0][0]));
   const Eigen::MatrixXd normal = (basis.transpose() * basis).cast<double>();
   const Eigen::VectorXf identity =
-      normal.ldlt().solve((basis.transpose() * wanted).cast<double>()).cast<float>();
+      maths::solve_symmetric(normal, (basis.transpose() * wanted).cast<double>()).cast<float>();
   std::array<double, 2> error{};
   for (std::size_t mode = 0; mode < slice.size(); ++mode) {
     Eigen::Matrix3Xf rest = slice[mode] - core.rows[0][mode];
