@@ -154,10 +154,12 @@ class TomlMeasure {
 
 }  // namespace
 
+std::string TomlDocument::place(const toml::node* node) const {
+  return node != nullptr ? fmt::format("{}:{}", file_.string(), node->source().begin.line) : file_.string();
+}
+
 void TomlDocument::fail(const toml::node* node, const std::string& key, const std::string& what) const {
-  const std::string where =
-      node != nullptr ? fmt::format("{}:{}", file_.string(), node->source().begin.line) : file_.string();
-  throw Error(ErrorKind::Usage, fmt::format("{}: {}: {}", where, key, what));
+  throw Error(ErrorKind::Usage, fmt::format("{}: {}: {}", place(node), key, what));
 }
 
 TomlSection TomlSection::section(const std::string& key) {
@@ -297,7 +299,7 @@ std::vector<std::pair<std::string, const toml::node*>> TomlSection::entries() {
 const toml::node* TomlSection::find(const std::string& key, bool is_value) {
   known_.push_back(key);
   if (is_value) {
-    document_.keys.push_back({.name = full(key), .value = {}});
+    document_.keys.push_back({.name = full(key), .value = std::nullopt});
   }
   return table_ != nullptr ? table_->get(key) : nullptr;
 }

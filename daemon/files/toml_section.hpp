@@ -34,10 +34,10 @@ inline constexpr const char* kAnyText = "a text in quotes";
 
 /// A key that was asked for.
 struct TomlKey {
-  std::string name;   ///< "section.key"
-  double least = 0;   ///< of a Setting that is a number; else both 0
-  double most = 0;    ///< the same
-  std::string value;  ///< what a Setting came to
+  std::string name;                  ///< "section.key"
+  double least = 0;                  ///< of a Setting that is a number; else both 0
+  double most = 0;                   ///< the same
+  std::optional<std::string> value;  ///< what a Setting came to; none: it was read in another way
 };
 
 /// A TOML file as a whole: where messages point, and the keys that were asked for.
@@ -51,7 +51,11 @@ class TomlDocument {
 
   const toml::table& root() const { return root_; }
   std::filesystem::path folder() const { return file_.parent_path(); }
+  /// Where a node is, for messages: "FILE:LINE"; null: the file.
+  std::string place(const toml::node* node) const;
+
   std::vector<TomlKey> keys;
+  std::vector<std::string> warnings;
 
  private:
   const toml::table& root_;
@@ -110,6 +114,21 @@ class TomlSection {
   void read(std::span<const Setting<std::type_identity_t<Struct>>> settings, Struct& values) {
     for (const Setting<Struct>& setting : settings) {
       read(setting, values);
+    }
+  }
+
+  /// The same of keys that have a new place, of which a file that has them is warned.
+  template <typename Struct>
+  void read_moved(std::span<const Setting<std::type_identity_t<Struct>>> settings, Struct& values,
+                  const std::string& new_place) {
+    for (const Setting<Struct>& setting : settings) {
+      if (const toml::node* node = table_ != nullptr ? table_->get(setting.key) : nullptr) {
+        document_.warnings.push_back(
+            fmt::format("{}: {}: has moved to {}; here it is read for one release more",
+                        document_.place(node), full(setting.key), new_place));
+      }
+      read(setting, values);
+      document_.keys.pop_back();
     }
   }
 

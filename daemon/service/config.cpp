@@ -14,6 +14,7 @@
 #include "files/text_file.hpp"
 #include "files/toml_section.hpp"
 #include "service/listen_address.hpp"
+#include "service/settings.hpp"
 #include "stream/protocol.hpp"
 #include "stream/unix_socket.hpp"
 
@@ -23,16 +24,18 @@ namespace {
 using Section = files::TomlSection;
 using Document = files::TomlDocument;
 
+/// Settings of [expert.NAME]. Where they stood before, in [NAME], they still count.
+template <std::size_t Count, typename Struct>
+void read_expert(Section& section, Section expert, const std::string& name,
+                 const Setting<Struct> (&settings)[Count], Struct& values) {
+  expert.read(settings, values);
+  expert.finish();
+  section.read_moved(settings, values, fmt::format("[expert.{}]", name));
+}
+
 void read_intrinsics(Section section, std::optional<CameraIntrinsics>& intrinsics) {
-  // A focal length or picture beyond these bounds is a slip of the pen, not a camera.
-  constexpr double kMost = 1e6;
   CameraIntrinsics given;
-  section.read_number("fx", given.fx, 1, kMost);
-  section.read_number("fy", given.fy, 1, kMost);
-  section.read_number("cx", given.cx, -kMost, kMost);
-  section.read_number("cy", given.cy, -kMost, kMost);
-  section.read_integer("width_px", given.width_px, 16, 65536);
-  section.read_integer("height_px", given.height_px, 16, 65536);
+  section.read(kIntrinsicsSettings, given);
   section.finish();
   if (!section.given()) {
     return;
@@ -64,6 +67,12 @@ void read_controls(Section section, std::vector<camera::ControlSetting>& control
   }
 }
 
+bool is_for_experts(const camera::CameraSetting& setting) {
+  return std::any_of(
+      std::begin(expert::kCamera), std::end(expert::kCamera),
+      [&](const camera::CameraSetting& other) { return std::string_view(other.key) == setting.key; });
+}
+
 /// The settings of a source of its kind; those of other kinds are refused. What a camera can do is checked
 /// when it is opened; here, what no camera can. left_out: a setting that this section does not have.
 void read_settings(Section& section, camera::CameraConfig& source, std::string_view left_out = {}) {
@@ -86,13 +95,15 @@ void read_settings(Section& section, camera::CameraConfig& source, std::string_v
       if (kind.find(key) != nullptr || !seen.insert(key).second) {
         continue;
       }
-      if (const toml::node* node = section.find(setting.key)) {
+      if (const toml::node* node = section.find(setting.key, !is_for_experts(setting))) {
         refuse(node, setting.key, [&](const camera::CameraKind& one) { return one.find(key) != nullptr; });
       }
     }
   }
   for (const camera::CameraSetting& setting : kind.settings) {
-    if (setting.key != left_out) {
+    if (is_for_experts(setting)) {
+      section.read_moved({&setting, 1}, source, "[expert.camera]");
+    } else if (setting.key != left_out) {
       section.read(setting, source);
     }
   }
@@ -130,29 +141,20 @@ void read_source(Section section, Config& config) {
       section.fail(node, "frames", error.what());
     }
   }
-  section.read("exit_at_end", config.exit_at_end);
-  section.read("wait_for_reader", config.wait_for_reader);
+  section.read(kSourceSettings, config);
   read_intrinsics(section.section("intrinsics"), pipeline.tracker.intrinsics);
   section.finish();
 }
 
-constexpr std::int64_t kMicrosecond_ns = 1000;
-
-void read_us(Section& section, const std::string& key, std::int64_t& value_ns, std::int64_t least_us,
-             std::int64_t most_us) {
-  std::int64_t value_us = value_ns / kMicrosecond_ns;
-  section.read_integer(key, value_us, least_us, most_us);
-  value_ns = value_us * kMicrosecond_ns;
-}
-
 /// Values that depend on one another are checked by pipeline::check, once all of them are known.
-void read_camera(Section section, std::vector<pipeline::DeviceCamera>& cameras) {
+void read_camera(Section section, const camera::LiveConfig& live,
+                 std::vector<pipeline::DeviceCamera>& cameras) {
   pipeline::DeviceCamera camera;
   camera.source.kind = "v4l2";
-  section.read("name", camera.name);
+  camera.source.live = live;
+  section.read(kCameraSettings, camera);
   read_kind(section, camera.source);
   read_settings(section, camera.source, "paced");  // a file takes the place of a live camera here
-  read_us(section, "latency_us", camera.latency_ns, -1'000'000, 1'000'000);
   section.finish();
   if (!section.given()) {
     return;
@@ -170,21 +172,15 @@ void read_trigger_line(Section section, pipeline::DevicesConfig& devices) {
   TriggerLine line;
   trigger::GpioOutput output;
   trigger::GpioReadBack read_back;
-  section.read("name", line.name);
+  section.read(kTriggerLineSettings, line);
+  section.read(kOutputSettings, output);
+  section.read(kReadBackSettings, read_back);
   if (const auto role = section.read_choice("role", kRoles)) {
     line.role = static_cast<LineRole>(*role);
   }
-  section.read("active_low", line.active_low);
-  section.read("rest_active", line.safe_active);
-  read_us(section, "pulse_us", line.pulse_ns, 0, 1'000'000);
-  section.read("chip", output.chip);
-  section.read("line", output.line);
   if (const auto drive = section.read_choice("drive", kDrives)) {
     output.drive = static_cast<trigger::LineDrive>(*drive);
   }
-  section.read("read_back_chip", read_back.chip);
-  section.read("read_back_line", read_back.line);
-  section.read("read_back_active_low", read_back.active_low);
   section.finish();
   if (!section.given()) {
     return;
@@ -227,20 +223,15 @@ void read_patterns(Section& section, TriggerProgram& program) {
   }
 }
 
-void read_trigger(Section section, pipeline::DevicesConfig& devices) {
+void read_trigger(Section section, Section& expert, pipeline::DevicesConfig& devices) {
   constexpr std::array kKinds = {"none", "virtual", "gpio"};
   if (const auto kind = section.read_choice("kind", kKinds)) {
     devices.trigger = static_cast<pipeline::TriggerKind>(*kind);
   }
   TriggerProgram& program = devices.program;
   program.exposure_ns = 5'000'000;
-  section.read_number("slots_per_second", program.slots_per_second, 1, 1000);
-  read_us(section, "settle_us", program.settle_ns, 0, 1'000'000);
-  read_us(section, "exposure_us", program.exposure_ns, 1, 1'000'000);
-  read_us(section, "tolerance_us", program.tolerance_ns, 1, 1'000'000);
-  section.read("real_time", devices.gpio.thread.real_time);
-  section.read_integer("priority", devices.gpio.thread.priority, 1, 99);
-  section.read("edge_log", devices.edge_log);
+  section.read(kTriggerSettings, devices);
+  read_expert(section, expert.section("trigger"), "trigger", expert::kTrigger, devices);
   for (Section& line : section.sections("line")) {
     read_trigger_line(line, devices);
   }
@@ -251,21 +242,21 @@ void read_trigger(Section section, pipeline::DevicesConfig& devices) {
   section.finish();
 }
 
-void read_rig(Section& root, Config& config) {
+void read_rig(Section& root, Section& expert, const camera::LiveConfig& live, Config& config) {
   for (Section& camera : root.sections("camera")) {
-    read_camera(camera, config.devices.cameras);
+    read_camera(camera, live, config.devices.cameras);
   }
-  read_trigger(root.section("trigger"), config.devices);
+  read_trigger(root.section("trigger"), expert, config.devices);
   Section simulation = root.section("simulation");
-  simulation.read("footage", config.devices.footage);
+  simulation.read(kSimulationSettings, config.devices);
   simulation.finish();
   Section sets = root.section("sets");
-  sets.read_integer("deadline_ms", config.devices.deadline_ms, 0, 60'000);
+  read_expert(sets, expert.section("sets"), "sets", expert::kSets, config.devices);
   sets.finish();
 }
 
 void read_booth(Section section, Config& config) {
-  section.read("rig", config.rig_file);
+  section.read(kBoothSettings, config);
   if (const toml::node* node = section.find("depth_mm")) {
     const toml::array* range = node->as_array();
     const bool automatic = node->value_exact<std::string>() == "auto";
@@ -281,8 +272,6 @@ void read_booth(Section section, Config& config) {
     }
     config.booth_depths = {static_cast<float>(nearest), static_cast<float>(farthest)};
   }
-  section.read("every_slot", config.booth_every_slot);
-  section.read("shading", config.booth_shading);
   constexpr std::array kRecords = {"pictures", "meshes"};
   if (const auto record = section.read_choice("record", kRecords)) {
     config.booth_record = static_cast<BoothRecord>(*record);
@@ -290,21 +279,7 @@ void read_booth(Section section, Config& config) {
   section.finish();
 }
 
-void read_tracker(Section section, track::TrackerConfig& tracker) {
-  section.read_integer("acquisition_frames", tracker.acquisition_frames, 1, 1000);
-  section.read_number("expression_prior", tracker.expression_prior, 0, 1000);
-  section.read_number("temporal_prior", tracker.temporal_prior, 0, 1000);
-  section.finish();
-}
-
-void read_hierarchy(Section section, mesh::HierarchyOptions& hierarchy) {
-  section.read_number("min_edge_px", hierarchy.min_edge_px, 0.1, 1000);
-  section.read_integer("max_levels", hierarchy.max_levels, 1, 12);
-  section.read_integer("max_vertices", hierarchy.max_vertices, 1000, static_cast<int>(stream::kMaxVertices));
-  section.finish();
-}
-
-void read_refiner(Section section, refine::RefinerConfig& refiner) {
+void read_refiner(Section section, Section expert, refine::RefinerConfig& refiner) {
   if (const toml::node* node = section.find("budget")) {
     const std::optional<std::int64_t> steps = node->value_exact<std::int64_t>();
     const std::optional<std::string> word = node->value_exact<std::string>();
@@ -318,24 +293,14 @@ void read_refiner(Section section, refine::RefinerConfig& refiner) {
                    "must be \"auto\", \"paper\" or a whole number of Gauss-Newton steps from 1 to 100");
     }
   }
-  section.read_integer("pcg_iterations", refiner.pcg_iterations, 1, 1000);
-  section.read_integer("albedo_frames", refiner.albedo_frames, 1, 10'000);
-  section.read_number("robust_scale", refiner.robust_scale, 0, 1000);
-  section.read_number("fold_slope", refiner.fold_slope, 0, 1000);
-  section.read_number("displacement_bound_mm", refiner.displacement_bound_mm, 0.01, 1000);
   Section weights = section.section("weights");
-  constexpr double kMostWeight = 1e9;
-  weights.read_number("lighting_temporal", refiner.weights.lighting_temporal, 0, kMostWeight);
-  weights.read_number("albedo_smooth", refiner.weights.albedo_smooth, 0, kMostWeight);
-  weights.read_number("displacement_smooth", refiner.weights.displacement_smooth, 0, kMostWeight);
-  weights.read_number("displacement_hierarchy", refiner.weights.displacement_hierarchy, 0, kMostWeight);
-  weights.read_number("displacement_coarse", refiner.weights.displacement_coarse, 0, kMostWeight);
+  read_expert(weights, expert.section("weights"), "refiner.weights", expert::kWeights, refiner.weights);
   weights.finish();
+  read_expert(section, expert, "refiner", expert::kRefiner, refiner);
   section.finish();
 }
 
-void read_socket(Section& section, std::filesystem::path& socket) {
-  section.read("socket", socket);
+void check_socket(Section& section, const std::filesystem::path& socket) {
   const std::size_t bytes = socket.native().size();
   if (bytes > stream::kMaxSocketPathBytes) {
     section.fail(
@@ -346,33 +311,29 @@ void read_socket(Section& section, std::filesystem::path& socket) {
   }
 }
 
-void read_stream(Section section, stream::StreamServerConfig& stream) {
-  read_socket(section, stream.socket);
-  section.read("group", stream.access.group);
+void read_stream(Section section, Section& expert, stream::StreamServerConfig& stream) {
+  section.read(kStreamSettings, stream);
+  check_socket(section, stream.socket);
   section.read_mode("mode", stream.access.mode);
-  section.read_integer("max_readers", stream.max_readers, 1, 1000);
+  read_expert(section, expert.section("stream"), "stream", expert::kStream, stream);
   section.finish();
 }
 
 void read_control(Section section, const std::filesystem::path& stream_socket, ControlConfig& control) {
-  read_socket(section, control.socket);
+  section.read(kControlSettings, control);
+  check_socket(section, control.socket);
   if (control.socket.lexically_normal() == stream_socket.lexically_normal()) {
     section.fail(section.find("socket"), "socket",
                  fmt::format("'{}' is stream.socket, too: choose another path for one of them",
                              control.socket.string()));
   }
-  section.read("group", control.access.group);
   section.read_mode("mode", control.access.mode);
   section.finish();
 }
 
-void read_takes(Section section, TakesConfig& takes) {
-  section.read("folder", takes.folder);
-  std::uint64_t reserve_mb = takes.disk_reserve_bytes >> 20;
-  section.read_integer("disk_reserve_mb", reserve_mb, 0, 1 << 30);
-  takes.disk_reserve_bytes = reserve_mb << 20;
-  section.read_integer("compression_level", takes.compression_level, 1, 19);
-  section.read("record_at_start", takes.record_at_start);
+void read_takes(Section section, Section& expert, TakesConfig& takes) {
+  section.read(kTakesSettings, takes);
+  read_expert(section, expert.section("takes"), "takes", expert::kTakes, takes);
   section.finish();
 }
 
@@ -413,7 +374,7 @@ bool same_listener(const std::string& one, const std::string& other) {
          (a.host == b.host || every_address(a.host) || every_address(b.host));
 }
 
-void read_web(Section section, const MetricsConfig& metrics, WebConfig& web) {
+void read_web(Section section, Section& expert, const MetricsConfig& metrics, WebConfig& web) {
   read_listen(section, web.listen, 8420);
   if (same_listener(web.listen, metrics.listen)) {
     section.fail(
@@ -422,7 +383,7 @@ void read_web(Section section, const MetricsConfig& metrics, WebConfig& web) {
                     "them",
                     web.listen, metrics.listen));
   }
-  section.read("page", web.page);
+  section.read(kWebSettings, web);
   if (const toml::node* node = section.find("token_file")) {
     if (section.text(*node, "token_file", files::kAnyText).empty()) {
       web.token_file.clear();
@@ -430,9 +391,7 @@ void read_web(Section section, const MetricsConfig& metrics, WebConfig& web) {
       section.read("token_file", web.token_file);
     }
   }
-  section.read("hosts", web.hosts);
-  section.read("origins", web.origins);
-  section.read_integer("max_clients", web.max_clients, 1, 1000);
+  read_expert(section, expert.section("web"), "web", expert::kWeb, web);
   section.finish();
 }
 
@@ -453,10 +412,7 @@ void read_bridges(Section section, avatar::BridgeConfig& bridges) {
       bridges.targets.push_back(*target);
     }
   }
-  section.read_number("rate_hz", bridges.rate_hz, 1, 240);
-  section.read_number("smoothing_ms", bridges.smoothing_ms, 0, 10'000);
-  section.read("subject", bridges.subject);
-  section.read("neutral", bridges.neutral_file);
+  section.read(kBridgesSettings, bridges);
   if (bridges.subject.empty() || bridges.subject.size() > 64) {
     section.fail(section.find("subject"), "subject", "must be a name of 1 to 64 bytes");
   }
@@ -468,25 +424,34 @@ void read_all(Document& document, Config& config) {
   if (const auto mode = root.read_choice("mode", kModes)) {
     config.mode = static_cast<Mode>(*mode);
   }
+  Section expert = root.section("expert");
+  Section cameras = expert.section("camera");
+  cameras.read(expert::kCamera, config.pipeline.source);
+  cameras.finish();
+  const camera::LiveConfig live = config.pipeline.source.live;
   read_source(root.section("source"), config);
-  read_rig(root, config);
+  read_rig(root, expert, live, config);
   read_booth(root.section("booth"), config);
   Section model = root.section("model");
-  model.read("path", config.pipeline.model_file);
-  model.read("landmark_assets", config.pipeline.tracker.landmark_assets);
+  model.read(kModelSettings, config.pipeline);
   model.finish();
-  read_tracker(root.section("tracker"), config.pipeline.tracker);
-  read_hierarchy(root.section("hierarchy"), config.pipeline.hierarchy);
-  read_refiner(root.section("refiner"), config.pipeline.refiner);
+  Section tracker = root.section("tracker");
+  read_expert(tracker, expert.section("tracker"), "tracker", expert::kTracker, config.pipeline.tracker);
+  tracker.finish();
+  Section hierarchy = root.section("hierarchy");
+  read_expert(hierarchy, expert.section("hierarchy"), "hierarchy", expert::kHierarchy,
+              config.pipeline.hierarchy);
+  hierarchy.finish();
+  read_refiner(root.section("refiner"), expert.section("refiner"), config.pipeline.refiner);
   Section gpu = root.section("gpu");
-  gpu.read("device", config.pipeline.gpu_device);
+  gpu.read(kGpuSettings, config.pipeline);
   gpu.finish();
-  read_stream(root.section("stream"), config.stream);
+  read_stream(root.section("stream"), expert, config.stream);
   read_control(root.section("control"), config.stream.socket, config.control);
-  read_takes(root.section("takes"), config.takes);
+  read_takes(root.section("takes"), expert, config.takes);
   read_bridges(root.section("bridges"), config.bridges);
   read_metrics(root.section("metrics"), config.metrics);
-  read_web(root.section("web"), config.metrics, config.web);
+  read_web(root.section("web"), expert, config.metrics, config.web);
   config.stream.max_web_readers = config.web.listen.empty() ? 0 : config.web.max_clients;
   Section log = root.section("log");
   constexpr std::array kLevels = {"error", "warning", "info", "debug"};
@@ -494,6 +459,7 @@ void read_all(Document& document, Config& config) {
     config.log_level = static_cast<LogLevel>(*level);
   }
   log.finish();
+  expert.finish();
   root.finish();
 }
 
@@ -510,7 +476,10 @@ Config default_config() {
 
 Config parse_config(std::string_view text, const std::filesystem::path& file) {
   Config config = default_config();
-  files::read_toml(text, file, [&](Document& document) { read_all(document, config); });
+  files::read_toml(text, file, [&](Document& document) {
+    read_all(document, config);
+    config.warnings = std::move(document.warnings);
+  });
   return config;
 }
 
@@ -540,16 +509,14 @@ bool has_live_cameras(const Config& config) {
   return config.mode == Mode::Monocular && !config.devices.cameras.empty();
 }
 
-std::vector<std::string> config_keys() {
-  const toml::table empty;
-  Document document(empty, {});
-  Config config;
-  read_all(document, config);
-  std::vector<std::string> keys;
-  for (const files::TomlKey& key : document.keys) {
-    keys.push_back(key.name);
-  }
-  return keys;
+std::vector<files::TomlKey> config_values(std::string_view text, const std::filesystem::path& file) {
+  Config config = default_config();
+  std::vector<files::TomlKey> values;
+  files::read_toml(text, file, [&](Document& document) {
+    read_all(document, config);
+    values = std::move(document.keys);
+  });
+  return values;
 }
 
 }  // namespace facet::service

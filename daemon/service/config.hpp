@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "avatar/bridge.hpp"
+#include "files/toml_section.hpp"
 #include "pipeline/booth_config.hpp"
 #include "pipeline/devices_config.hpp"
 #include "pipeline/shading_config.hpp"
@@ -79,6 +80,8 @@ struct Config {
   MetricsConfig metrics;
   WebConfig web;
   LogLevel log_level = LogLevel::Info;
+  std::vector<std::string>
+      warnings;  ///< of the file: keys that stand where they will not be read much longer
 };
 
 /// The configuration of an empty file.
@@ -98,8 +101,8 @@ bool has_live_cameras(const Config& config);
 /// What mode Booth asks of the meshes; the slots are those of the trigger's program, where it has one.
 pipeline::BoothConfig booth_config(const Config& config);
 
-/// Every key that a configuration file may have, as "section.key".
-std::vector<std::string> config_keys();
+/// Every key that a configuration file may have, what a text makes of it and its bounds.
+std::vector<files::TomlKey> config_values(std::string_view text, const std::filesystem::path& file);
 
 /// A configuration file larger than this is refused, bytes.
 inline constexpr std::size_t kMaxConfigBytes = 1U << 20;

@@ -27,10 +27,16 @@ int run(const std::string& file, bool check_only) {
   facet::service::Config config = facet::service::load_config(file);
   facet::service::require_source(config, file);
   if (check_only) {
+    for (const std::string& warning : config.warnings) {
+      fmt::print(stderr, "facetd: warning: {}\n", facet::printable(warning));
+    }
     fmt::print("{}: good\n", facet::printable(file));
     return 0;
   }
   facet::service::Log log(config.log_level);
+  for (const std::string& warning : config.warnings) {
+    log.warning(warning);
+  }
   if (const std::string lowered =
           facet::service::fit_descriptors(config, facet::service::raise_descriptor_limit());
       !lowered.empty()) {

@@ -6,7 +6,7 @@ import { join } from 'node:path';
 import { Service, drawnBy, kPatience_ms, runTest } from './service.mjs';
 
 const [facetd, facet, pageFolder, output, assets, chromiumFile] = process.argv.slice(2);
-const service = await Service.prepare({ facetd, page: pageFolder, assets, log: join(output, 'facetd.log'), source: 'path = "clip.mp4"\nloop = true', more: '[tracker]\nacquisition_frames = 3' });
+const service = await Service.prepare({ facetd, page: pageFolder, assets, log: join(output, 'facetd.log'), source: 'path = "clip.mp4"\nloop = true', more: '[expert.tracker]\nacquisition_frames = 3' });
 const { folder, origin } = service;
 const ask = (method) => service.ask(method);
 const eventually = (what, holds) => service.eventually(what, holds);

@@ -1,5 +1,6 @@
 #include "service/config.hpp"
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -7,7 +8,9 @@
 #include <chrono>
 #include <fstream>
 #include <iterator>
+#include <map>
 #include <regex>
+#include <set>
 #include <sstream>
 
 #include "facet/error.hpp"
@@ -56,93 +59,137 @@ std::string camera_sample(const std::string& kind = "v4l2",
   return std::regex_replace(text, std::regex("\n(path|paced|loop|" + others + ") = [^\n]*"), "");
 }
 
-/// The sample shows every key, and what it shows is the default.
-TEST(Config, SampleShowsEveryKeyWithItsDefault) {
-  const std::string text = sample();
-  const Config shown = parse_config(text, "/sample/facet.toml");
-  const Config defaults = parse_config("", "/sample/facet.toml");
-  EXPECT_EQ(shown.pipeline.source.path, "/sample/video.mp4");
-  EXPECT_EQ(shown.pipeline.source.kind, defaults.pipeline.source.kind);
-  EXPECT_EQ(shown.pipeline.source.paced, defaults.pipeline.source.paced);
-  EXPECT_EQ(shown.pipeline.source.loop, defaults.pipeline.source.loop);
-  EXPECT_EQ(shown.pipeline.frames.first, defaults.pipeline.frames.first);
-  EXPECT_EQ(shown.pipeline.frames.end, defaults.pipeline.frames.end);
-  EXPECT_EQ(shown.exit_at_end, defaults.exit_at_end);
-  EXPECT_EQ(shown.wait_for_reader, defaults.wait_for_reader);
-  EXPECT_EQ(shown.pipeline.tracker.acquisition_frames, defaults.pipeline.tracker.acquisition_frames);
-  EXPECT_EQ(shown.pipeline.tracker.expression_prior, defaults.pipeline.tracker.expression_prior);
-  EXPECT_EQ(shown.pipeline.tracker.temporal_prior, defaults.pipeline.tracker.temporal_prior);
-  EXPECT_EQ(shown.pipeline.hierarchy.min_edge_px, defaults.pipeline.hierarchy.min_edge_px);
-  EXPECT_EQ(shown.pipeline.hierarchy.max_levels, defaults.pipeline.hierarchy.max_levels);
-  EXPECT_EQ(shown.pipeline.hierarchy.max_vertices, defaults.pipeline.hierarchy.max_vertices);
-  const refine::RefinerConfig& refiner = shown.pipeline.refiner;
-  const refine::RefinerConfig& expected = defaults.pipeline.refiner;
-  EXPECT_EQ(refiner.budget, expected.budget);
-  EXPECT_EQ(refiner.gauss_newton_steps, expected.gauss_newton_steps);
-  EXPECT_EQ(refiner.pcg_iterations, expected.pcg_iterations);
-  EXPECT_EQ(refiner.albedo_frames, expected.albedo_frames);
-  EXPECT_EQ(refiner.robust_scale, expected.robust_scale);
-  EXPECT_EQ(refiner.fold_slope, expected.fold_slope);
-  EXPECT_EQ(refiner.displacement_bound_mm, expected.displacement_bound_mm);
-  EXPECT_EQ(refiner.weights.lighting_temporal, expected.weights.lighting_temporal);
-  EXPECT_EQ(refiner.weights.albedo_smooth, expected.weights.albedo_smooth);
-  EXPECT_EQ(refiner.weights.displacement_smooth, expected.weights.displacement_smooth);
-  EXPECT_EQ(refiner.weights.displacement_hierarchy, expected.weights.displacement_hierarchy);
-  EXPECT_EQ(refiner.weights.displacement_coarse, expected.weights.displacement_coarse);
-  EXPECT_EQ(shown.pipeline.gpu_device, defaults.pipeline.gpu_device);
-  EXPECT_EQ(shown.stream.socket, defaults.stream.socket);
-  EXPECT_EQ(shown.stream.access.group, defaults.stream.access.group);
-  EXPECT_EQ(shown.stream.access.mode, defaults.stream.access.mode);
-  EXPECT_EQ(shown.stream.max_readers, defaults.stream.max_readers);
-  EXPECT_EQ(shown.control.socket, defaults.control.socket);
-  EXPECT_EQ(shown.control.access.group, defaults.control.access.group);
-  EXPECT_EQ(shown.control.access.mode, defaults.control.access.mode);
-  EXPECT_EQ(shown.takes.folder, defaults.takes.folder);
-  EXPECT_EQ(shown.takes.disk_reserve_bytes, defaults.takes.disk_reserve_bytes);
-  EXPECT_EQ(shown.takes.compression_level, defaults.takes.compression_level);
-  EXPECT_EQ(shown.takes.record_at_start, defaults.takes.record_at_start);
-  EXPECT_EQ(shown.web.listen, defaults.web.listen);
-  EXPECT_EQ(shown.web.token_file, defaults.web.token_file);
-  EXPECT_EQ(shown.web.hosts, defaults.web.hosts);
-  EXPECT_EQ(shown.web.origins, defaults.web.origins);
-  EXPECT_EQ(shown.web.max_clients, defaults.web.max_clients);
-  EXPECT_EQ(shown.log_level, defaults.log_level);
+using Values = std::map<std::string, files::TomlKey>;
 
-  // The sections of a rig have a sample of their own.
-  const std::string both = text + sample("booth.toml");
-  for (const std::string& key : config_keys()) {
-    const std::size_t dot = key.rfind('.');
-    const std::regex line("(^|\n)#?" + key.substr(dot + 1) + " = ");
-    const std::size_t section = dot == std::string::npos ? 0 : both.find("[" + key.substr(0, dot) + "]");
-    ASSERT_NE(section, std::string::npos) << key;
-    EXPECT_TRUE(std::regex_search(both.substr(section), line)) << key << " is in no sample";
+/// What a text makes of the keys; of sections that stand more than once, the first.
+Values values_of(const std::string& text) {
+  Values values;
+  for (files::TomlKey& key : config_values(text, "/sample/facet.toml")) {
+    values.emplace(key.name, std::move(key));
+  }
+  return values;
+}
+
+std::string of_kind(const camera::CameraKind& kind) {
+  return fmt::format("[source]\nkind = \"{}\"\n", kind.name);
+}
+
+/// The part of a sample that shows a key: the comment above it, with the keys that share it, and its line.
+/// Empty: the sample has none.
+std::string shown_part(const std::string& text, const std::string& key) {
+  const std::size_t dot = key.rfind('.');
+  const std::string section = dot == std::string::npos ? "" : key.substr(0, dot);
+  const std::regex header("#?\\[+([a-z_.]+)\\]+");
+  const std::regex assignment("#?([a-z0-9_]+) = .*");
+  std::istringstream lines(text);
+  std::string now;
+  std::string part;
+  bool keys_begun = true;
+  std::smatch match;
+  for (std::string line; std::getline(lines, line);) {
+    if (std::regex_match(line, match, header)) {
+      now = match[1];
+      part.clear();
+    } else if (std::regex_match(line, match, assignment)) {
+      keys_begun = true;
+      if (now == section && match[1] == key.substr(dot + 1)) {
+        return part + line;
+      }
+    } else {
+      part = keys_begun ? line : part + " " + line;
+      keys_begun = false;
+    }
+  }
+  return "";
+}
+
+/// A sample shows the defaults but of what has none, and an example's own.
+void expect_defaults(const std::string& text, const std::string& bare, const std::set<std::string>& others) {
+  const Values shown = values_of(text);
+  for (const auto& [name, key] : values_of(bare)) {
+    const auto found = shown.find(name);
+    ASSERT_NE(found, shown.end()) << name;
+    if (key.value && found->second.value && !others.contains(name)) {
+      EXPECT_EQ(*found->second.value, *key.value) << name;
+    }
   }
 }
 
-TEST(Config, SampleShowsEveryKeyOfACameraWithItsDefault) {
-  const Config config = parse_config(camera_sample(), "/sample/facet.toml");
-  EXPECT_EQ(config.pipeline.source.kind, "v4l2");
-  const camera::LiveConfig& shown = config.pipeline.source.live;
-  const camera::LiveConfig defaults;
-  EXPECT_THAT(shown.device.string(), StartsWith("/dev/v4l/by-path/"));
-  EXPECT_EQ(shown.format, defaults.format);
-  EXPECT_EQ(shown.width_px, defaults.width_px);
-  EXPECT_EQ(shown.height_px, defaults.height_px);
-  EXPECT_EQ(shown.rate_hz, defaults.rate_hz);
-  EXPECT_EQ(shown.exposure_us, defaults.exposure_us);
-  EXPECT_EQ(shown.gain, defaults.gain);
-  EXPECT_EQ(shown.white_balance_k, defaults.white_balance_k);
-  EXPECT_EQ(shown.buffers, defaults.buffers);
-  EXPECT_EQ(shown.stall_after, defaults.stall_after);
+TEST(Config, SamplesShowTheDefaults) {
+  expect_defaults(sample(), "", {"source.path"});
+  EXPECT_EQ(parse_config(sample(), "/sample/facet.toml").pipeline.source.path, "/sample/video.mp4");
+  expect_defaults(sample("expert.toml"), "", {});
+  expect_defaults(
+      sample("booth.toml"), "[[camera]]\nname = \"a\"\nkind = \"simulated\"\n[[trigger.line]]\n",
+      {"camera.name", "camera.width_px", "camera.height_px", "camera.rate_hz", "trigger.line.name"});
+  expect_defaults(camera_sample(), "[source]\nkind = \"v4l2\"\n", {"source.device"});
+  expect_defaults(camera_sample("libcamera", "device"), "[source]\nkind = \"libcamera\"\n", {"source.id"});
+  const Config shown = parse_config(sample(), "/sample/facet.toml");
+  const Config defaults = parse_config("", "/sample/facet.toml");
+  EXPECT_EQ(shown.pipeline.refiner.budget, defaults.pipeline.refiner.budget);
+  EXPECT_EQ(shown.pipeline.frames.end, defaults.pipeline.frames.end);
+  EXPECT_EQ(shown.stream.access.mode, defaults.stream.access.mode);
+  EXPECT_EQ(shown.control.access.mode, defaults.control.access.mode);
+  EXPECT_EQ(shown.web.listen, defaults.web.listen);
+  EXPECT_EQ(shown.metrics.listen, defaults.metrics.listen);
+  EXPECT_EQ(shown.web.token_file, defaults.web.token_file);
+  EXPECT_EQ(shown.log_level, defaults.log_level);
+}
 
-  const camera::CameraConfig other =
-      parse_config(camera_sample("libcamera", "device"), "/sample/facet.toml").pipeline.source;
-  EXPECT_EQ(other.kind, "libcamera");
-  EXPECT_THAT(other.libcamera.id, StartsWith("/base/soc/"));
-  EXPECT_EQ(other.libcamera.gain, std::nullopt);
-  EXPECT_EQ(other.libcamera.red_gain, std::nullopt);
-  EXPECT_EQ(other.libcamera.blue_gain, std::nullopt);
-  EXPECT_EQ(other.live.width_px, defaults.width_px);
+/// Each key stands in one sample, those for experts in expert.toml, and what a sample says of its bounds is
+/// so.
+TEST(Config, SamplesShowEveryKeyWithItsBounds) {
+  const std::string experts = sample("expert.toml");
+  const std::string others = sample() + sample("booth.toml");
+  for (const camera::CameraKind* kind : camera::camera_kinds()) {
+    for (const auto& [name, key] : values_of(of_kind(*kind))) {
+      const bool expert = name.starts_with("expert.");
+      const std::string part = shown_part(expert ? experts : others, name);
+      EXPECT_FALSE(part.empty()) << name << " is in no sample";
+      EXPECT_EQ(shown_part(expert ? others : experts, name), "") << name;
+      // A [[camera]] is described as [source] is.
+      if (key.least != key.most && !(name.starts_with("camera.") && kind->find(name.substr(7)) != nullptr)) {
+        const std::regex bounds(fmt::format("{}( \\([a-z ]+\\))? to {}(?![0-9])", key.least, key.most));
+        EXPECT_TRUE(std::regex_search(part, bounds))
+            << name << " is from " << key.least << " to " << key.most << "; its sample says: " << part;
+      }
+    }
+  }
+}
+
+/// A key that has moved is read at its old place, with a warning that names file, line and the new one.
+TEST(Config, KeysForExpertsHaveMoved) {
+  const Config moved = parse_config(
+      "[source]\nkind = \"v4l2\"\nbuffers = 9\n[tracker]\nacquisition_frames = 3\n[refiner]\npcg_iterations "
+      "= 4\n"
+      "[refiner.weights]\nalbedo_smooth = 5\n[stream]\nmax_readers = 6\n[sets]\ndeadline_ms = 7\n",
+      "f.toml");
+  EXPECT_EQ(moved.pipeline.source.live.buffers, 9U);
+  EXPECT_EQ(moved.pipeline.tracker.acquisition_frames, 3);
+  EXPECT_EQ(moved.pipeline.refiner.pcg_iterations, 4);
+  EXPECT_EQ(moved.pipeline.refiner.weights.albedo_smooth, 5);
+  EXPECT_EQ(moved.stream.max_readers, 6);
+  EXPECT_EQ(moved.devices.deadline_ms, 7);
+  ASSERT_EQ(moved.warnings.size(), 6U);
+  EXPECT_THAT(moved.warnings, ::testing::Contains("f.toml:5: tracker.acquisition_frames: has moved to "
+                                                  "[expert.tracker]; here it is read for one release more"));
+  EXPECT_THAT(moved.warnings, ::testing::Contains(HasSubstr("source.buffers: has moved to [expert.camera]")));
+  EXPECT_THAT(moved.warnings, ::testing::Contains(HasSubstr("has moved to [expert.refiner.weights]")));
+
+  const Config now = parse_config(
+      "[source]\nkind = \"v4l2\"\n[[camera]]\nname = \"a\"\ndevice = "
+      "\"/dev/video0\"\n[expert.camera]\nbuffers = 9\n"
+      "[expert.tracker]\nacquisition_frames = 3\n[expert.refiner]\nweights = { albedo_smooth = 5 }\n",
+      "f.toml");
+  EXPECT_EQ(now.pipeline.source.live.buffers, 9U);
+  EXPECT_EQ(now.devices.cameras.at(0).source.live.buffers, 9U);
+  EXPECT_EQ(now.pipeline.tracker.acquisition_frames, 3);
+  EXPECT_EQ(now.pipeline.refiner.weights.albedo_smooth, 5);
+  EXPECT_TRUE(now.warnings.empty());
+  EXPECT_TRUE(parse_config(sample() + sample("expert.toml"), "f.toml").warnings.empty());
+  EXPECT_THAT(error_of("[expert.tracker]\nacquisition_frames = 0"),
+              HasSubstr("expert.tracker.acquisition_frames: must be a whole number from 1 to 1000"));
+  EXPECT_THAT(error_of("[expert.traker]\n"), HasSubstr("did you mean 'tracker'?"));
 }
 
 TEST(Config, SampleOfARigIsOneThatRuns) {
@@ -154,21 +201,7 @@ TEST(Config, SampleOfARigIsOneThatRuns) {
   EXPECT_EQ(config.devices.cameras[1].source.kind, "simulated");
   EXPECT_EQ(config.devices.trigger, pipeline::TriggerKind::Virtual);
   EXPECT_EQ(config.devices.program.patterns, (std::vector<LineMask>{0b010, 0b100, 0}));
-  // What it shows is the default.
-  const Config bare = parse_config(
-      "mode = \"frames\"\n[[camera]]\nname = \"a\"\ndevice = \"/dev/video0\"\n"
-      "[trigger]\n[[trigger.line]]\nname = \"x\"",
-      "f.toml");
-  EXPECT_EQ(config.devices.cameras[0].latency_ns, bare.rig.cameras[0].latency_ns);
-  EXPECT_EQ(config.devices.program.slots_per_second, bare.rig.program.slots_per_second);
-  EXPECT_EQ(config.devices.program.settle_ns, bare.rig.program.settle_ns);
-  EXPECT_EQ(config.devices.program.exposure_ns, bare.rig.program.exposure_ns);
-  EXPECT_EQ(config.devices.program.tolerance_ns, bare.rig.program.tolerance_ns);
-  EXPECT_EQ(config.devices.gpio.thread.real_time, bare.rig.gpio.thread.real_time);
-  EXPECT_EQ(config.devices.gpio.thread.priority, bare.rig.gpio.thread.priority);
-  EXPECT_EQ(config.devices.deadline_ms, bare.rig.deadline_ms);
-  EXPECT_EQ(config.devices.program.lines[0].role, bare.rig.program.lines[0].role);
-  EXPECT_EQ(config.devices.program.lines[0].pulse_ns, bare.rig.program.lines[0].pulse_ns);
+  EXPECT_EQ(config.devices.program.lines[0].role, LineRole::Camera);
 }
 
 TEST(Config, ReadsARigOnGpioLines) {

@@ -177,7 +177,7 @@ TEST_F(DaemonWithAssets, SeveralCamerasMakeOneMesh) {
       text += fmt::format("[[camera]]\nname = \"{}\"\nkind = \"file\"\npath = \"{}.mkv\"\nloop = {}\n", name,
                           name == third ? "view-3" : name, name != third);
     }
-    return text + "[booth]\nrig = \"rig.toml\"\n[tracker]\nacquisition_frames = 5\n";
+    return text + "[booth]\nrig = \"rig.toml\"\n[expert.tracker]\nacquisition_frames = 5\n";
   };
   const std::string config = configure("exit_at_end = true", "record_at_start = \"smile\"");
   std::ofstream(config, std::ios::app) << cameras("view-3");
@@ -418,7 +418,7 @@ TEST_F(DaemonWithAssets, AFullDiskEndsTheTakeAndNothingElse) {
   if (!disk.mounted()) {
     GTEST_SKIP() << "mounting a small tmpfs needs root";
   }
-  const auto daemon = start(configure(looped() + "\n[hierarchy]\nmax_levels = 1"));
+  const auto daemon = start(configure(looped() + "\n[expert.hierarchy]\nmax_levels = 1"));
   await(*daemon, is_running);
   ask("record.start", {{"name", "full"}});
   const json status = await(*daemon, [](const json& now) {
@@ -470,7 +470,7 @@ TEST_F(DaemonWithAssets, ALostDeviceIsReopenedAndAStopDoesNotWaitForIt) {
   // The loss comes from below the loader, as a driver would report it.
   const auto fault = folder_.path() / "lose-device";
   const auto daemon =
-      start(configure(looped() + "\n[hierarchy]\nmin_edge_px = 10", "", "auto"),
+      start(configure(looped() + "\n[expert.hierarchy]\nmin_edge_px = 10", "", "auto"),
             {.environment = {"VK_LAYER_PATH=" FAULT_LAYER_FOLDER, "VK_INSTANCE_LAYERS=VK_LAYER_FACET_fault",
                              "FACET_LOSE_DEVICE=" + fault.string()},
              .pending_signal = 0});

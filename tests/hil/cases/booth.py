@@ -55,7 +55,7 @@ class Rig:
         for i, name in enumerate([*bits, "cameras"]):
             lines += ["[[trigger.line]]", f'name = "{name}"', f'role = "{"camera" if name == "cameras" else "projector"}"',
                       f'chip = "{self.chip.label}"', f'line = "{i}"']
-        lines += ['read_back_line = "9"', "[sets]", "deadline_ms = 500", "[stream]", f'socket = "{self.sockets}/stream.sock"',
+        lines += ['read_back_line = "9"', "[expert.sets]", "deadline_ms = 500", "[stream]", f'socket = "{self.sockets}/stream.sock"',
                   "[control]", f'socket = "{self.sockets}/control.sock"', "[takes]", f'folder = "{self.takes}"', "disk_reserve_mb = 1"]
         return "\n".join(lines) + "\n"
 
