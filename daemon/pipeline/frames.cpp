@@ -6,9 +6,7 @@
 #include <atomic>
 #include <chrono>
 #include <cmath>
-#include <condition_variable>
 #include <exception>
-#include <mutex>
 #include <optional>
 #include <set>
 #include <span>
@@ -19,6 +17,7 @@
 #include "capture/frame_set_assembler.hpp"
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
+#include "facet/mutex.hpp"
 #include "files/append_file.hpp"
 #include "pipeline/frame_pool.hpp"
 #include "pipeline/pipeline_board.hpp"
@@ -294,12 +293,12 @@ struct FramesPipeline::Impl {
   capture::FrameSetAssembler assembler;
   Workers workers;
   PipelineBoard board;
-  mutable std::mutex mutex;
-  std::condition_variable stop_asked;  ///< for the pause between two attempts
-  std::shared_ptr<Trigger> trigger;    ///< null while it can't be opened; guarded by mutex, as all below
-  std::string trigger_reason;          ///< why
-  std::uint64_t triggers_opened = 0;
-  std::optional<Error> source_failure;
+  mutable Mutex mutex;
+  Condition stop_asked;                                      ///< for the pause between two attempts
+  std::shared_ptr<Trigger> trigger FACET_GUARDED_BY(mutex);  ///< null while it can't be opened
+  std::string trigger_reason FACET_GUARDED_BY(mutex);        ///< why
+  std::uint64_t triggers_opened FACET_GUARDED_BY(mutex) = 0;
+  std::optional<Error> source_failure FACET_GUARDED_BY(mutex);
 
   // facet-sets only.
   struct Watched {
@@ -337,7 +336,7 @@ struct FramesPipeline::Impl {
 void FramesPipeline::Impl::fail(ErrorKind kind, const std::string& what) {
   board.fail(kind, what);
   {
-    const std::lock_guard lock(mutex);
+    const Lock lock(mutex);
     stopping = true;
   }
   stop_asked.notify_all();
@@ -401,7 +400,7 @@ void FramesPipeline::Impl::run_camera(std::size_t index) {
     }
   }
   if (outcome == CaptureOutcome::Failed) {
-    const std::lock_guard lock(mutex);
+    const Lock lock(mutex);
     source_failure.emplace(ErrorKind::UnreadableInput, camera.last_error());
   } else if (outcome == CaptureOutcome::EndOfStream && !camera.last_error().empty()) {
     messages.warning(camera.last_error());
@@ -414,7 +413,7 @@ void FramesPipeline::Impl::run_camera(std::size_t index) {
 }
 
 void FramesPipeline::Impl::show_trigger(std::shared_ptr<Trigger> now, const std::string& reason) {
-  const std::lock_guard lock(mutex);
+  const Lock lock(mutex);
   triggers_opened += now != nullptr ? 1 : 0;
   trigger = std::move(now);
   trigger_reason = reason;
@@ -423,10 +422,10 @@ void FramesPipeline::Impl::show_trigger(std::shared_ptr<Trigger> now, const std:
 /// False where a stop was asked for.
 bool FramesPipeline::Impl::pause(Clock::duration duration) {
   const Clock::time_point end = Clock::now() + duration;
-  std::unique_lock lock(mutex);
+  const Lock lock(mutex);
   while (!stopping && Clock::now() < end) {
     workers.beat(kEdges);
-    stop_asked.wait_until(lock, Clock::wake(std::min(end, Clock::now() + kLookPeriod)));
+    stop_asked.wait_until(mutex, Clock::wake(std::min(end, Clock::now() + kLookPeriod)));
   }
   return !stopping;
 }
@@ -557,7 +556,7 @@ void FramesPipeline::Impl::hand_out_sets() {
         break;
       case capture::FrameSetAssembler::Outcome::Timeout:
         if (cameras_at_work == 0 && Clock::now() - last_set > last_wait) {
-          const std::lock_guard lock(mutex);
+          const Lock lock(mutex);
           if (source_failure) {
             throw Error(*source_failure);
           }
@@ -597,7 +596,7 @@ void FramesPipeline::start() {
 
 void FramesPipeline::request_stop() {
   {
-    const std::lock_guard lock(impl_->mutex);
+    const Lock lock(impl_->mutex);
     impl_->stopping = true;
   }
   impl_->stop_asked.notify_all();
@@ -624,7 +623,7 @@ PipelineStatus FramesPipeline::status() const {
   std::shared_ptr<Trigger> trigger;
   PipelineStatus status = impl.board.status();
   {
-    const std::lock_guard lock(impl.mutex);
+    const Lock lock(impl.mutex);
     trigger = impl.trigger;
     rig.triggers_opened = impl.triggers_opened;
     if (impl.devices.open_trigger) {

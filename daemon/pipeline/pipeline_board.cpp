@@ -1,11 +1,12 @@
 #include "pipeline/pipeline_board.hpp"
 
 #include "facet/clock.hpp"
+#include "facet/mutex.hpp"
 
 namespace facet::pipeline {
 
 void PipelineBoard::fail(ErrorKind kind, const std::string& what) {
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   if (shown_.state != PipelineState::Failed) {
     shown_.state = PipelineState::Failed;
     shown_.failure_kind = kind;
@@ -14,7 +15,7 @@ void PipelineBoard::fail(ErrorKind kind, const std::string& what) {
 }
 
 void PipelineBoard::set_state(PipelineState state) {
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   if (shown_.state != PipelineState::Failed && shown_.state != PipelineState::Ended &&
       shown_.state != PipelineState::Stopped) {
     shown_.state = state;
@@ -27,7 +28,7 @@ void PipelineBoard::count_degraded(const std::string& reason) {
 }
 
 void PipelineBoard::count(const mesh::MeshFrame& frame, bool has_face) {
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   ++shown_.processed;
   shown_.tracking = frame.state;
   shown_.mesh_frames += frame.state == mesh::TrackingState::Tracking ? 1 : 0;
@@ -40,7 +41,7 @@ void PipelineBoard::count(const mesh::MeshFrame& frame, bool has_face) {
 }
 
 void PipelineBoard::count(const mesh::StageTimes& times, const std::string& missing) {
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   ++shown_.processed;
   if (!missing.empty()) {
     count_degraded(missing);
@@ -49,7 +50,7 @@ void PipelineBoard::count(const mesh::StageTimes& times, const std::string& miss
 }
 
 PipelineStatus PipelineBoard::status() const {
-  const std::lock_guard lock(mutex_);
+  const Lock lock(mutex_);
   PipelineStatus status = shown_;
   figures_.fill(status);
   return status;

@@ -1,8 +1,8 @@
 #pragma once
 
-#include <mutex>
 #include <string>
 
+#include "facet/mutex.hpp"
 #include "pipeline/figures.hpp"
 #include "pipeline/status.hpp"
 
@@ -20,7 +20,7 @@ class PipelineBoard {
   /// change(PipelineStatus&): of what is counted nowhere below.
   template <typename Change>
   void change(const Change& change) {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     change(shown_);
   }
 
@@ -33,11 +33,11 @@ class PipelineBoard {
   PipelineStatus status() const;
 
  private:
-  void count_degraded(const std::string& reason);
+  void count_degraded(const std::string& reason) FACET_REQUIRES(mutex_);
 
-  mutable std::mutex mutex_;
-  PipelineStatus shown_;   ///< guarded by mutex_
-  MovingFigures figures_;  ///< guarded by mutex_
+  mutable Mutex mutex_;
+  PipelineStatus shown_ FACET_GUARDED_BY(mutex_);
+  MovingFigures figures_ FACET_GUARDED_BY(mutex_);
 };
 
 }  // namespace facet::pipeline

@@ -14,7 +14,6 @@
 #include <csignal>
 #include <cstring>
 #include <exception>
-#include <mutex>
 #include <new>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -23,6 +22,7 @@
 
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
+#include "facet/mutex.hpp"
 #include "pipeline/bridge_sink.hpp"
 #include "pipeline/pipeline.hpp"
 #include "pipeline/sets_on_stream.hpp"
@@ -103,9 +103,9 @@ void check_takes_folder(const std::filesystem::path& folder) {
 
 /// Of takes.record_at_start: the pipeline starts once it is known.
 struct FirstTake {
-  std::mutex mutex;  ///< guards the others
-  bool begun = false;
-  std::exception_ptr fault;
+  Mutex mutex;
+  bool begun FACET_GUARDED_BY(mutex) = false;
+  std::exception_ptr fault FACET_GUARDED_BY(mutex);
 };
 
 stream::StreamServerConfig named(stream::StreamServerConfig config) {
@@ -155,10 +155,10 @@ struct Service::Impl {
   std::string source_name;
   bool live = false;                     ///< the source goes on while nobody reads
   std::optional<MetricsServer> metrics;  ///< once there is a pipeline; closed before it is freed
-  mutable std::mutex web_mutex;          ///< guards `web`, held for a pointer's copy
-  std::shared_ptr<WebServer> web;        ///< where it could be opened
-  std::atomic<bool> web_opens{false};    ///< `looking` tries
-  std::string web_fault;                 ///< why it could not, as told
+  mutable Mutex web_mutex;               ///< held for a pointer's copy
+  std::shared_ptr<WebServer> web FACET_GUARDED_BY(web_mutex);  ///< where it could be opened
+  std::atomic<bool> web_opens{false};                          ///< `looking` tries
+  std::string web_fault;                                       ///< why it could not, as told
   Clock::time_point web_tried;
   std::string metrics_fault;      ///< why there are none, as told
   Clock::time_point metrics_due;  ///< next attempt
@@ -368,7 +368,7 @@ void Service::Impl::open_web() {
     if (!opened->token_fault().empty()) {
       log.warning(opened->token_fault());
     }
-    const std::lock_guard lock(web_mutex);
+    const Lock lock(web_mutex);
     if (!looking_ends) {
       web = opened;
     }
@@ -381,7 +381,7 @@ void Service::Impl::open_web() {
 }
 
 std::shared_ptr<WebServer> Service::Impl::opened_web() const {
-  const std::lock_guard lock(web_mutex);
+  const Lock lock(web_mutex);
   return web;
 }
 
@@ -488,7 +488,7 @@ void Service::Impl::begin_first_take() {
     } catch (const std::exception&) {
       fault = std::current_exception();
     }
-    const std::lock_guard lock(first_take->mutex);
+    const Lock lock(first_take->mutex);
     first_take->begun = true;
     first_take->fault = fault;
   });
@@ -499,7 +499,7 @@ bool Service::Impl::first_take_begun() {
   if (!first_take) {
     return true;
   }
-  const std::lock_guard lock(first_take->mutex);
+  const Lock lock(first_take->mutex);
   if (first_take->fault != nullptr) {
     std::rethrow_exception(std::exchange(first_take->fault, nullptr));
   }
@@ -777,7 +777,7 @@ void Service::Impl::finish() {
 void Service::Impl::close_servers() {
   std::shared_ptr<WebServer> page;
   {
-    const std::lock_guard lock(web_mutex);
+    const Lock lock(web_mutex);
     page.swap(web);
   }
   page.reset();
