@@ -8,9 +8,11 @@
 
 #include <algorithm>
 #include <array>
+#include <exception>
 #include <new>
 
 #include "facet/clock.hpp"
+#include "facet/error.hpp"
 #include "facet/mutex.hpp"
 #include "service/listen_address.hpp"
 #include "stream/web_socket.hpp"
@@ -236,6 +238,41 @@ std::size_t HttpConnections::size() const {
 std::uint64_t HttpConnections::broken_off() const {
   const Lock lock(mutex_);
   return broken_off_;
+}
+
+namespace {
+
+MHD_Result on_request(void* answer, MHD_Connection* connection, const char* path, const char* method,
+                      const char* /*version*/, const char* /*upload*/, std::size_t* /*upload_size*/,
+                      void** /*state*/) {
+  try {
+    return (*static_cast<const HttpAnswer*>(answer))(connection, path, method);
+  } catch (const std::exception&) {
+    return MHD_NO;  // closes the connection
+  }
+}
+
+}  // namespace
+
+HttpServer start_http(const std::string& listen, HttpConnections& connections, const HttpAnswer& answer,
+                      std::string_view key, std::string_view what, unsigned flags) {
+  if (const auto address = resolve_listen(listen)) {
+    flags |= MHD_USE_AUTO_INTERNAL_THREAD | (address->ai_family == AF_INET6 ? MHD_USE_IPv6 : 0U);
+    if (HttpServer server{MHD_start_daemon(
+            flags, 0, nullptr, nullptr, &on_request, const_cast<HttpAnswer*>(&answer), MHD_OPTION_SOCK_ADDR,
+            address->ai_addr, MHD_OPTION_ARRAY, connections.options(), MHD_OPTION_END)}) {
+      return server;
+    }
+  }
+  throw Error(ErrorKind::Unavailable,
+              fmt::format("{0} = \"{1}\": can't listen there: is the port in use, or the address not one of "
+                          "this machine? {0} = \"\" turns {2} off",
+                          key, listen, what));
+}
+
+int port_of(const HttpServer& server) {
+  const MHD_DaemonInfo* info = MHD_get_daemon_info(server.get(), MHD_DAEMON_INFO_BIND_PORT);
+  return info != nullptr ? info->port : 0;
 }
 
 }  // namespace facet::service

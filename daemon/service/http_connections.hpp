@@ -4,7 +4,9 @@
 
 #include <chrono>
 #include <cstdint>
+#include <functional>
 #include <map>
+#include <memory>
 #include <optional>
 #include <set>
 #include <string>
@@ -99,5 +101,23 @@ class HttpConnections {
   stream::Places::Id next_id_ FACET_GUARDED_BY(mutex_) = 1;
   std::uint64_t broken_off_ FACET_GUARDED_BY(mutex_) = 0;
 };
+
+/// Answers a request; what it throws closes the connection.
+using HttpAnswer =
+    std::function<MHD_Result(MHD_Connection* connection, const char* path, std::string_view method)>;
+
+/// A running server. Destroying it ends its thread.
+struct HttpStop {
+  void operator()(MHD_Daemon* daemon) const { MHD_stop_daemon(daemon); }
+};
+using HttpServer = std::unique_ptr<MHD_Daemon, HttpStop>;
+
+/// Serves "ADDRESS:PORT" by one thread, which calls `answer`. Throws Error(Unavailable) where it can't
+/// listen: `key` is the configuration's for the address, `what` is off without it. Connections and answer
+/// outlive the server.
+HttpServer start_http(const std::string& listen, HttpConnections& connections, const HttpAnswer& answer,
+                      std::string_view key, std::string_view what, unsigned flags = 0);
+
+int port_of(const HttpServer& server);
 
 }  // namespace facet::service

@@ -4,10 +4,8 @@
 #include <microhttpd.h>
 #include <prometheus/metric_family.h>
 #include <prometheus/text_serializer.h>
-#include <sys/socket.h>
 
 #include <algorithm>
-#include <exception>
 #include <filesystem>
 #include <fstream>
 #include <initializer_list>
@@ -18,9 +16,7 @@
 #include <utility>
 #include <vector>
 
-#include "facet/error.hpp"
 #include "service/http_connections.hpp"
-#include "service/listen_address.hpp"
 
 namespace facet::service {
 
@@ -405,7 +401,6 @@ struct MetricsServer::Impl {
   std::function<MetricsSnapshot()> snapshot;
   const std::set<std::string> hosts;
   HttpConnections connections;
-  MHD_Daemon* daemon = nullptr;
 
   /// On the server's one thread.
   MHD_Result answer(MHD_Connection* connection, std::string_view path, std::string_view method) {
@@ -433,43 +428,22 @@ struct MetricsServer::Impl {
     return result;
   }
 
-  static MHD_Result on_request(void* impl, MHD_Connection* connection, const char* path, const char* method,
-                               const char* /*version*/, const char* /*upload*/, std::size_t* /*upload_size*/,
-                               void** /*state*/) {
-    try {
-      return static_cast<Impl*>(impl)->answer(connection, path, method);
-    } catch (const std::exception&) {
-      return MHD_NO;  // closes the connection
-    }
-  }
+  const HttpAnswer on_request = [this](MHD_Connection* connection, const char* path,
+                                       std::string_view method) { return answer(connection, path, method); };
+  HttpServer server;  ///< ends before what it uses
 };
 
 MetricsServer::MetricsServer(const MetricsConfig& config, std::function<MetricsSnapshot()> snapshot,
                              const std::vector<std::string>& hosts)
     : impl_(std::make_unique<Impl>(config, std::move(snapshot), hosts)) {
-  if (const auto address = resolve_listen(config.listen)) {
-    const unsigned ipv6 = address->ai_family == AF_INET6 ? MHD_USE_IPv6 : 0;
-    impl_->daemon = MHD_start_daemon(MHD_USE_AUTO_INTERNAL_THREAD | ipv6, 0, nullptr, nullptr,
-                                     &Impl::on_request, impl_.get(), MHD_OPTION_SOCK_ADDR, address->ai_addr,
-                                     MHD_OPTION_ARRAY, impl_->connections.options(), MHD_OPTION_END);
-  }
-  if (impl_->daemon == nullptr) {
-    throw Error(ErrorKind::Unavailable,
-                fmt::format("metrics.listen = \"{}\": can't listen there: is the port in use, or the address "
-                            "not one of this machine? metrics.listen = \"\" turns metrics off",
-                            config.listen));
-  }
+  impl_->server =
+      start_http(config.listen, impl_->connections, impl_->on_request, "metrics.listen", "metrics");
 }
 
-MetricsServer::~MetricsServer() {
-  if (impl_->daemon != nullptr) {
-    MHD_stop_daemon(impl_->daemon);
-  }
-}
+MetricsServer::~MetricsServer() = default;
 
 int MetricsServer::port() const {
-  const MHD_DaemonInfo* info = MHD_get_daemon_info(impl_->daemon, MHD_DAEMON_INFO_BIND_PORT);
-  return info != nullptr ? info->port : 0;
+  return port_of(impl_->server);
 }
 
 }  // namespace facet::service

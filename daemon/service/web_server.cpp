@@ -32,7 +32,6 @@
 #include "files/output_file.hpp"
 #include "files/text_file.hpp"
 #include "service/http_connections.hpp"
-#include "service/listen_address.hpp"
 #include "service/thumbnails.hpp"
 #include "stream/web_socket.hpp"
 #include "take/database.hpp"
@@ -407,7 +406,6 @@ struct WebServer::Impl {
   const std::set<std::string> hosts;
   HttpConnections connections;
   std::array<Passage, static_cast<std::size_t>(Door::Count)> passages{};
-  MHD_Daemon* daemon = nullptr;
 
   mutable Mutex statistics_mutex;
   WebStatistics shown FACET_GUARDED_BY(statistics_mutex);
@@ -429,17 +427,12 @@ struct WebServer::Impl {
   Door door_of_token(std::string_view shown_token);
   void hand_over(Door door, stream::FileDescriptor connection, std::vector<std::uint8_t> early);
 
-  static MHD_Result on_request(void* impl, MHD_Connection* connection, const char* path, const char* method,
-                               const char* /*version*/, const char* /*upload*/, std::size_t* /*upload_size*/,
-                               void** /*state*/) {
-    try {
-      return static_cast<Impl*>(impl)->answer(connection, path, method);
-    } catch (const std::exception&) {
-      return MHD_NO;  // closes the connection
-    }
-  }
   static void on_upgrade(void* passage, MHD_Connection* connection, void* state, const char* early,
                          std::size_t early_size, MHD_socket socket, MHD_UpgradeResponseHandle* handle);
+
+  const HttpAnswer on_request = [this](MHD_Connection* connection, const char* path,
+                                       std::string_view method) { return answer(connection, path, method); };
+  HttpServer server;  ///< ends before what it uses
 };
 
 MHD_Result WebServer::Impl::refuse(MHD_Connection* connection, unsigned status, const std::string& why) {
@@ -762,31 +755,14 @@ void WebServer::Impl::hand_over(Door door, stream::FileDescriptor connection,
 WebServer::WebServer(const WebConfig& config, std::filesystem::path takes, FindTake find_take,
                      stream::StreamServer& stream, ControlServer& control)
     : impl_(std::make_unique<Impl>(config, std::move(takes), std::move(find_take), stream, control)) {
-  if (const auto address = resolve_listen(config.listen)) {
-    const unsigned ipv6 = address->ai_family == AF_INET6 ? MHD_USE_IPv6 : 0;
-    impl_->daemon =
-        MHD_start_daemon(MHD_USE_AUTO_INTERNAL_THREAD | MHD_ALLOW_UPGRADE | ipv6, 0, nullptr, nullptr,
-                         &Impl::on_request, impl_.get(), MHD_OPTION_SOCK_ADDR, address->ai_addr,
-                         MHD_OPTION_ARRAY, impl_->connections.options(), MHD_OPTION_END);
-  }
-  if (impl_->daemon == nullptr) {
-    throw Error(
-        ErrorKind::Unavailable,
-        fmt::format("web.listen = \"{}\": can't listen there: is the port in use, or the address not one "
-                    "of this machine? web.listen = \"\" turns the page off",
-                    config.listen));
-  }
+  impl_->server = start_http(config.listen, impl_->connections, impl_->on_request, "web.listen", "the page",
+                             MHD_ALLOW_UPGRADE);
 }
 
-WebServer::~WebServer() {
-  if (impl_->daemon != nullptr) {
-    MHD_stop_daemon(impl_->daemon);
-  }
-}
+WebServer::~WebServer() = default;
 
 int WebServer::port() const {
-  const MHD_DaemonInfo* info = MHD_get_daemon_info(impl_->daemon, MHD_DAEMON_INFO_BIND_PORT);
-  return info != nullptr ? info->port : 0;
+  return port_of(impl_->server);
 }
 
 std::string WebServer::url() const {
