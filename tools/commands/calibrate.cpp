@@ -15,8 +15,8 @@
 
 #include "calibration/board.hpp"
 #include "calibration/calibrator.hpp"
+#include "calibration/footage.hpp"
 #include "calibration/report_pictures.hpp"
-#include "calibration/view_picker.hpp"
 #include "capture/rig_file.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
@@ -33,7 +33,8 @@ namespace {
 
 using namespace std::chrono_literals;
 using calibration::Board;
-using calibration::BoardView;
+using calibration::Footage;
+using calibration::SetCollector;
 
 struct BoardArguments {
   std::string kind = "charuco";
@@ -84,39 +85,6 @@ Board board_of(const BoardArguments& arguments) {
   board.dictionary = arguments.dictionary;
   calibration::check(board);
   return board;
-}
-
-/// What the pictures of one camera have in common.
-struct Footage {
-  std::vector<calibration::CalibrationCamera> cameras;
-  std::vector<calibration::CalibrationView> views;
-};
-
-bool is_colour(const Frame& frame) {
-  for (int y = 0; y < frame.height_px; ++y) {
-    const std::uint8_t* pixel = frame.row(y);
-    for (int x = 0; x < frame.width_px; ++x, pixel += 4) {
-      // JPEG makes a monochrome picture's channels differ by one here and there.
-      if (std::abs(pixel[0] - pixel[1]) > 4 || std::abs(pixel[2] - pixel[1]) > 4) {
-        return true;
-      }
-    }
-  }
-  return false;
-}
-
-/// Takes a picture's size and colour into account; `where` names it in the error.
-void admit(calibration::CalibrationCamera& camera, const Frame& frame, const std::string& where) {
-  if (camera.width_px == 0) {
-    camera.width_px = frame.width_px;
-    camera.height_px = frame.height_px;
-  }
-  if (camera.width_px != frame.width_px || camera.height_px != frame.height_px) {
-    throw Error(ErrorKind::UnreadableInput,
-                fmt::format("{}: has {}x{} px, earlier pictures of camera '{}' have {}x{}", where,
-                            frame.width_px, frame.height_px, camera.name, camera.width_px, camera.height_px));
-  }
-  camera.colour = camera.colour || is_colour(frame);
 }
 
 /// Pictures of a folder by name without extension.
@@ -190,7 +158,7 @@ Footage read_folders(const Arguments& arguments, const calibration::BoardDetecto
       Frame frame;
       if (at != pictures[camera].end()) {
         frame = render::to_frame(render::read_image(at->second));
-        admit(footage.cameras[camera], frame, at->second.string());
+        calibration::admit(footage.cameras[camera], frame, at->second.string());
         progress.advance();
       }
       footage.views.back().seen.push_back(detector.detect(frame));
@@ -199,80 +167,6 @@ Footage read_folders(const Arguments& arguments, const calibration::BoardDetecto
   progress.finish();
   return footage;
 }
-
-/// Whether every camera's picture is there: the first set must tell their sizes.
-bool has_all_pictures(const FrameSet& set) {
-  return !set.frames.empty() &&
-         std::none_of(set.frames.begin(), set.frames.end(), [](const Frame& frame) { return frame.empty(); });
-}
-
-/// Frame sets as they come, from a take or a daemon, of which some are kept.
-class SetCollector {
- public:
-  SetCollector(const calibration::BoardDetector& detector, std::string save)
-      : detector_(detector), save_(std::move(save)) {}
-
-  /// The first one has all pictures. Throws Error(UnreadableInput) where the cameras are others than before.
-  calibration::ViewPicker::Verdict offer(const FrameSet& set) {
-    begin(set);
-    calibration::CalibrationView view{fmt::format("slot {}", set.slot), {}};
-    for (std::size_t camera = 0; camera < set.frames.size(); ++camera) {
-      view.seen.push_back(detector_.detect(set.frames[camera]));
-    }
-    const calibration::ViewPicker::Verdict verdict = picker_->offer(view.seen);
-    if (verdict == calibration::ViewPicker::Verdict::Kept) {
-      for (std::size_t camera = 0; camera < set.frames.size(); ++camera) {
-        keep(set, camera, view.seen[camera]);
-      }
-      footage_.views.push_back(std::move(view));
-    }
-    return verdict;
-  }
-
-  const std::vector<calibration::Coverage>& coverage() const { return coverage_; }
-  Footage& footage() { return footage_; }
-  std::size_t kept() const { return footage_.views.size(); }
-
- private:
-  void begin(const FrameSet& set) {
-    if (footage_.cameras.empty()) {
-      std::vector<int> widths;
-      for (std::size_t camera = 0; camera < set.frames.size(); ++camera) {
-        const Frame& frame = set.frames[camera];
-        footage_.cameras.push_back({set.camera_names->at(camera), frame.width_px, frame.height_px, false});
-        coverage_.emplace_back(frame.width_px, frame.height_px);
-        widths.push_back(frame.width_px);
-      }
-      picker_ = std::make_unique<calibration::ViewPicker>(widths);
-    }
-    if (set.frames.size() != footage_.cameras.size()) {
-      throw Error(ErrorKind::UnreadableInput, "the cameras changed while views were taken");
-    }
-  }
-
-  void keep(const FrameSet& set, std::size_t camera, const BoardView& seen) {
-    const Frame& frame = set.frames[camera];
-    if (frame.empty()) {
-      return;
-    }
-    admit(footage_.cameras[camera], frame, fmt::format("slot {}", set.slot));
-    if (seen.usable()) {
-      coverage_[camera].add(seen);
-    }
-    if (!save_.empty()) {
-      const std::filesystem::path folder = save_ / footage_.cameras[camera].name;
-      std::error_code ignored;  // write_png says what is wrong
-      std::filesystem::create_directories(folder, ignored);
-      render::write_png(render::to_picture(frame), folder / fmt::format("{:08}.png", set.slot));
-    }
-  }
-
-  const calibration::BoardDetector& detector_;
-  std::filesystem::path save_;
-  Footage footage_;
-  std::vector<calibration::Coverage> coverage_;
-  std::unique_ptr<calibration::ViewPicker> picker_;
-};
 
 std::string coverage_text(const SetCollector& collector) {
   std::vector<std::string> parts;
@@ -299,7 +193,7 @@ Footage read_take(const Arguments& arguments, const calibration::BoardDetector& 
   std::int64_t with_pictures = 0;
   for (std::int64_t i = 0; i < take.frame_count() && collector.kept() < arguments.views; ++i) {
     const auto frame = take.frame(i);
-    if (frame->images != nullptr && (with_pictures > 0 || has_all_pictures(*frame->images))) {
+    if (frame->images != nullptr && (with_pictures > 0 || calibration::has_all_pictures(*frame->images))) {
       ++with_pictures;
       collector.offer(*frame->images);
     }
@@ -357,7 +251,7 @@ Footage watch_daemon(const Arguments& arguments, const calibration::BoardDetecto
       throw Error(ErrorKind::Unavailable,
                   "facetd sends no pictures: it must run in mode \"frames\" (config/booth.toml)");
     }
-    if (begun || has_all_pictures(*got.frame.images)) {
+    if (begun || calibration::has_all_pictures(*got.frame.images)) {
       begun = true;
       const auto verdict = collector.offer(*got.frame.images);
       progress.set(collector.kept(), fmt::format("{}, {}", coverage_text(collector), advice(verdict)));
