@@ -131,8 +131,7 @@ PerformanceTracker::Impl::Impl(std::shared_ptr<const face::FaceModel> given_mode
                 "no camera of the rig is marked as colour = true: one at least must see the face's texture");
   }
   for (const FacePoints::Camera& camera : points ? points->cameras : std::vector<FacePoints::Camera>()) {
-    if (std::none_of(rig->cameras.begin(), rig->cameras.end(),
-                     [&](const capture::RigCamera& one) { return one.name == camera.name; })) {
+    if (!capture::find_camera(*rig, camera.name)) {
       throw Error(
           ErrorKind::Usage,
           fmt::format("the face points are of a camera '{}', which the rig does not have", camera.name));
@@ -162,9 +161,8 @@ std::vector<SeenLandmarks> PerformanceTracker::Impl::find_landmarks(mesh::MeshFr
 std::vector<SeenLandmarks> PerformanceTracker::Impl::pointed_at() const {
   std::vector<SeenLandmarks> seen;
   for (const FacePoints::Camera& camera : points->cameras) {
-    const auto at = std::find_if(rig->cameras.begin(), rig->cameras.end(),
-                                 [&](const capture::RigCamera& one) { return one.name == camera.name; });
-    seen.push_back({&at->lens, &camera.face});
+    const std::size_t at = capture::find_camera(*rig, camera.name).value();  // looked for at the start
+    seen.push_back({&rig->cameras[at].lens, &camera.face});
   }
   return seen;
 }

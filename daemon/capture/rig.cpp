@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <Eigen/LU>
+#include <algorithm>
 #include <cmath>
 
 #include "facet/error.hpp"
@@ -64,13 +65,20 @@ CameraIntrinsics pinhole_of(const Lens& lens) {
           lens.height_px};
 }
 
+std::optional<std::size_t> find_camera(const Rig& rig, std::string_view name) {
+  const auto at = std::find_if(rig.cameras.begin(), rig.cameras.end(),
+                               [&](const RigCamera& camera) { return camera.name == name; });
+  return at != rig.cameras.end() ? std::optional(static_cast<std::size_t>(at - rig.cameras.begin()))
+                                 : std::nullopt;
+}
+
 const RigCamera& camera_named(const Rig& rig, const std::filesystem::path& rig_file, const std::string& name,
                               const std::string& advice) {
+  if (const auto at = find_camera(rig, name)) {
+    return rig.cameras[*at];
+  }
   std::string known;
   for (const RigCamera& camera : rig.cameras) {
-    if (camera.name == name) {
-      return camera;
-    }
     known += (known.empty() ? "" : ", ") + camera.name;
   }
   throw Error(ErrorKind::Usage, fmt::format("the rig file '{}' has no camera '{}'; it has {}: {}",

@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "facet/camera.hpp"
@@ -69,7 +70,10 @@ struct Rig {
 /// The pinhole of a lens, its distortion left out.
 CameraIntrinsics pinhole_of(const Lens& lens);
 
-/// The camera of that name. Throws Error(Usage), which names the file, the cameras that there are and what to
+/// The index of the camera of that name; none where there is none.
+std::optional<std::size_t> find_camera(const Rig& rig, std::string_view name);
+
+/// The same camera. Throws Error(Usage), which names the file, the cameras that there are and what to
 /// do (`advice`), where there is none.
 const RigCamera& camera_named(const Rig& rig, const std::filesystem::path& rig_file, const std::string& name,
                               const std::string& advice);

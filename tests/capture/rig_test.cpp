@@ -4,6 +4,8 @@
 
 #include <cmath>
 
+#include "facet/error.hpp"
+
 namespace {
 
 using facet::capture::Lens;
@@ -60,6 +62,21 @@ TEST(Lens, WhereTheModelTurnsBackThereIsNoDirection) {
   lens.distortion = {-0.5, 0, 0, 0, 0};  // no point is seen beyond 0.54 of the focal length
   EXPECT_TRUE(lens.direction({lens.cx_px + 0.5 * lens.fx_px, lens.cy_px}));
   EXPECT_FALSE(lens.direction({lens.cx_px + 0.6 * lens.fx_px, lens.cy_px}));
+}
+
+TEST(Rig, ACameraIsFoundByItsName) {
+  facet::capture::Rig rig;
+  rig.cameras = {{"left", {}, false}, {"right", {}, true}};
+  EXPECT_EQ(facet::capture::find_camera(rig, "right"), 1U);
+  EXPECT_EQ(facet::capture::find_camera(rig, "Right"), std::nullopt);
+  EXPECT_EQ(&facet::capture::camera_named(rig, "rig.toml", "left", "name one"), rig.cameras.data());
+  try {
+    facet::capture::camera_named(rig, "rig.toml", "top", "name one");
+    FAIL();
+  } catch (const facet::Error& error) {
+    EXPECT_EQ(error.kind(), facet::ErrorKind::Usage);
+    EXPECT_STREQ(error.what(), "the rig file 'rig.toml' has no camera 'top'; it has left, right: name one");
+  }
 }
 
 }  // namespace

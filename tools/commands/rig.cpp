@@ -88,13 +88,12 @@ capture::StereoPair pair_of(const capture::Rig& rig, const std::string& text) {
   }
   const std::size_t colon = text.find(':');
   const auto index_of = [&](const std::string& name) {
-    const auto at = std::find_if(rig.cameras.begin(), rig.cameras.end(),
-                                 [&](const capture::RigCamera& camera) { return camera.name == name; });
-    if (colon == std::string::npos || at == rig.cameras.end()) {
+    const auto at = capture::find_camera(rig, name);
+    if (colon == std::string::npos || !at) {
       throw Error(ErrorKind::Usage,
                   fmt::format("--pair {}: must be LEFT:RIGHT, two of the rig's cameras", text));
     }
-    return static_cast<std::size_t>(at - rig.cameras.begin());
+    return *at;
   };
   return {index_of(text.substr(0, colon)),
           index_of(colon == std::string::npos ? "" : text.substr(colon + 1))};

@@ -71,12 +71,11 @@ std::vector<std::filesystem::path> pictures_in(const std::filesystem::path& fold
 }
 
 std::size_t camera_named(const capture::Rig& rig, const std::string& name, const std::string& rig_file) {
-  const auto found = std::find_if(rig.cameras.begin(), rig.cameras.end(),
-                                  [&](const capture::RigCamera& camera) { return camera.name == name; });
-  if (found == rig.cameras.end()) {
+  const auto found = capture::find_camera(rig, name);
+  if (!found) {
     throw Error(ErrorKind::Usage, fmt::format("{}: there is no camera '{}'", rig_file, name));
   }
-  return static_cast<std::size_t>(found - rig.cameras.begin());
+  return *found;
 }
 
 /// "FOLDER" or "CAMERA=FOLDER".
