@@ -115,10 +115,10 @@ TEST_F(Faces, AStopWhileLookingAheadEstimatesNobody) {
   const auto state_after = [&](int looks) {
     const ShadingParts stages = open_shading(config_);
     stages.coarse->prepare([&] { return looks-- > 0; });
-    stages.camera->start();
-    Frame first;
-    EXPECT_EQ(stages.camera->next(first, std::chrono::seconds(10)), CaptureOutcome::Delivered);
-    return stages.coarse->process({&first, 1}).state;
+    stages.pictures->start();
+    FrameSet first;
+    EXPECT_EQ(stages.pictures->next(first, std::chrono::seconds(10)), CaptureOutcome::Delivered);
+    return stages.coarse->process(first.frames).state;
   };
   config_.tracker.acquisition_frames = 1000;
   EXPECT_EQ(state_after(kSeen), TrackingState::Acquiring);

@@ -41,9 +41,9 @@ class HeldCamera final : public Camera {
   std::atomic<bool>& held_;
 };
 
-class LiveCameras : public Views {
+class FollowedLive : public Views {
  protected:
-  LiveCameras() : Views(3, 10) {}
+  FollowedLive() : Views(3, 10) {}
 
   void SetUp() override {
     Views::SetUp();
@@ -137,7 +137,7 @@ class LiveCameras : public Views {
   static constexpr double kLargestError = 0.015;  ///< as that of the recorded videos in Views
 };
 
-TEST_F(LiveCameras, AreAsNearToTheTruthAsTheVideos) {
+TEST_F(FollowedLive, AreAsNearToTheTruthAsTheVideos) {
   config_.gpu_device = kNoDevice;
   const double recorded = worst_distance_error(run());
   EXPECT_LT(recorded, kLargestError);
@@ -165,7 +165,7 @@ TEST_F(LiveCameras, AreAsNearToTheTruthAsTheVideos) {
   EXPECT_EQ(frames.back()->images, nullptr);
 }
 
-TEST_F(LiveCameras, GoOnWithTheOthersWhereACameraEnds) {
+TEST_F(FollowedLive, GoOnWithTheOthersWhereACameraEnds) {
   config_.gpu_device = kNoDevice;
   // The reference camera, too: meshes stay in its frame.
   for (const std::size_t ends : {std::size_t{1}, std::size_t{0}}) {
@@ -191,7 +191,7 @@ TEST_F(LiveCameras, GoOnWithTheOthersWhereACameraEnds) {
   }
 }
 
-TEST_F(LiveCameras, UseACameraAgainThatComesBack) {
+TEST_F(FollowedLive, UseACameraAgainThatComesBack) {
   std::atomic<bool> held = false;
   auto views = opened([&] { return open_live_cameras(video_cameras(), rig_file(), config_); });
   const std::string name = views.devices.config.cameras[0].name;
@@ -222,7 +222,7 @@ TEST_F(LiveCameras, UseACameraAgainThatComesBack) {
   EXPECT_LT(live_distance_error(frames), 2 * kLargestError);
 }
 
-TEST_F(LiveCameras, EndWithTheLastCamera) {
+TEST_F(FollowedLive, EndWithTheLastCamera) {
   config_.gpu_device = kNoDevice;
   test::CollectingSink sink;
   auto pipeline = pipeline_of(open_live_cameras(video_cameras(false), rig_file(), config_), sink);
@@ -238,7 +238,7 @@ TEST_F(LiveCameras, EndWithTheLastCamera) {
 }
 
 /// A trigger fires the cameras: every slot shows the next of the sequence's frames, the last one stays.
-TEST_F(LiveCameras, ATriggersSlotsAreTheFramesNumbers) {
+TEST_F(FollowedLive, ATriggersSlotsAreTheFramesNumbers) {
   config_.gpu_device = kNoDevice;
   DevicesConfig devices;
   devices.footage = record_sets(0);
@@ -276,7 +276,7 @@ TEST_F(LiveCameras, ATriggersSlotsAreTheFramesNumbers) {
   EXPECT_LT(worst_distance_error(shown), 2 * kLargestError);
 }
 
-TEST_F(LiveCameras, WhatDoesNotFitTheRigFileIsTold) {
+TEST_F(FollowedLive, WhatDoesNotFitTheRigFileIsTold) {
   config_.gpu_device = kNoDevice;
   DevicesConfig devices = video_cameras();
   const auto open = [&] { open_live_cameras(devices, rig_file(), config_); };
@@ -305,7 +305,7 @@ TEST_F(LiveCameras, WhatDoesNotFitTheRigFileIsTold) {
                  HasSubstr("none.toml"));
 }
 
-TEST_F(LiveCameras, ATakeOfFrameSetsGivesTheVideosMeshes) {
+TEST_F(FollowedLive, ATakeOfFrameSetsGivesTheVideosMeshes) {
   config_.gpu_device = kNoDevice;
   const Frames of_videos = run();
   ASSERT_EQ(of_videos.size(), static_cast<std::size_t>(frames_));
