@@ -257,7 +257,7 @@ MHD_Result on_request(void* answer, MHD_Connection* connection, const char* path
 HttpServer start_http(const std::string& listen, HttpConnections& connections, const HttpAnswer& answer,
                       std::string_view key, std::string_view what, unsigned flags) {
   if (const auto address = resolve_listen(listen)) {
-    flags |= MHD_USE_AUTO_INTERNAL_THREAD | (address->ai_family == AF_INET6 ? MHD_USE_IPv6 : 0U);
+    flags |= MHD_USE_AUTO_INTERNAL_THREAD | (address->ai_family == AF_INET6 ? MHD_USE_IPv6 : MHD_NO_FLAG);
     if (HttpServer server{MHD_start_daemon(
             flags, 0, nullptr, nullptr, &on_request, const_cast<HttpAnswer*>(&answer), MHD_OPTION_SOCK_ADDR,
             address->ai_addr, MHD_OPTION_ARRAY, connections.options(), MHD_OPTION_END)}) {
