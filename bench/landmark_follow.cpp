@@ -34,7 +34,7 @@ using facet::mesh::Vertices;
 
 struct Options {
   std::filesystem::path model = facet::default_model_file();
-  std::filesystem::path assets = facet::default_landmark_assets();
+  std::filesystem::path assets = facet::default_landmark_nets();
   std::filesystem::path predictor = "/usr/share/dlib/shape_predictor_68_face_landmarks.dat";
   std::vector<std::filesystem::path> inputs;
   int every = 15;
@@ -196,7 +196,7 @@ void measure(const facet::face::FaceModel& model, Detector& detector, const Opti
   const bool synthetic = std::filesystem::is_directory(input);
   const std::filesystem::path video = synthetic ? input / "video.mkv" : input;
   facet::track::TrackerConfig config;
-  config.landmark_assets = options.assets;
+  config.landmark_nets = options.assets;
 
   const auto each_frame = [&](const auto& work) {
     const auto camera = facet::camera::open_camera({.kind = "file", .path = video});
@@ -279,7 +279,7 @@ int main(int argc, char** argv) {
       "corners");
   Options options;
   app.add_option("--model", options.model, "face model")->capture_default_str();
-  app.add_option("--landmark-assets", options.assets, "MediaPipe's packed nets")->capture_default_str();
+  app.add_option("--landmark-nets", options.assets, "MediaPipe's packed nets")->capture_default_str();
   app.add_option("--predictor", options.predictor, "dlib's 68 landmarks (Debian: libdlib-data)")
       ->capture_default_str();
   app.add_option("--every", options.every, "frames from one measured frame to the next")

@@ -31,7 +31,7 @@ using facet::track::TrackResult;
 
 struct Options {
   std::filesystem::path model = facet::default_model_file();
-  std::filesystem::path assets = facet::default_landmark_assets();
+  std::filesystem::path assets = facet::default_landmark_nets();
   std::vector<std::filesystem::path> clips;
   std::filesystem::path sheet_folder;
   int sheet_tiles = 12;
@@ -175,7 +175,7 @@ class ClipRun {
 
   /// The subject of the clip from a first pass; nothing when none was acquired.
   std::optional<facet::track::Person> first_pass() {
-    Tracker tracker(model_, {.landmark_assets = options_.assets, .intrinsics = {}});
+    Tracker tracker(model_, {.landmark_nets = options_.assets, .intrinsics = {}});
     auto camera = facet::camera::open_camera({.kind = "file", .path = clip_});
     camera->start();
     Frame frame;
@@ -191,7 +191,7 @@ class ClipRun {
   }
 
   ClipFigures measure(const std::optional<facet::track::Person>& subject) {
-    Tracker tracker(model_, {.landmark_assets = options_.assets, .intrinsics = {}});
+    Tracker tracker(model_, {.landmark_nets = options_.assets, .intrinsics = {}});
     if (subject) {
       tracker.adopt(*subject, width_px_, height_px_);
     }
@@ -296,7 +296,7 @@ Absences measure_absences(const facet::face::FaceModel& model, const Options& op
   Absences out;
   std::optional<Tracker> tracker;
   const auto renew = [&] {
-    tracker.emplace(model, facet::track::TrackerConfig{.landmark_assets = options.assets, .intrinsics = {}});
+    tracker.emplace(model, facet::track::TrackerConfig{.landmark_nets = options.assets, .intrinsics = {}});
   };
   renew();
   auto camera = facet::camera::open_camera({.kind = "file", .path = clip});
@@ -388,7 +388,7 @@ int main(int argc, char** argv) {
   Options options;
   CLI::App app("Measures the tracker on video clips");
   app.add_option("--model", options.model, "face model")->capture_default_str();
-  app.add_option("--landmark-assets", options.assets, "MediaPipe's packed nets")->capture_default_str();
+  app.add_option("--landmark-nets", options.assets, "MediaPipe's packed nets")->capture_default_str();
   app.add_option("--sheets", options.sheet_folder, "folder for contact sheets of the wire over the frames");
   app.add_flag("--single-pass", options.single_pass, "as live: acquire while measuring");
   app.add_flag("--absences", options.absences, "also: how soon a face that appears or returns has a mesh");

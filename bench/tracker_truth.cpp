@@ -35,7 +35,7 @@ using facet::track::TrackResult;
 
 struct Options {
   std::filesystem::path model = facet::default_model_file();
-  std::filesystem::path assets = facet::default_landmark_assets();
+  std::filesystem::path assets = facet::default_landmark_nets();
   std::vector<std::filesystem::path> folders;
   std::filesystem::path curves;  ///< folder for a table of weights per sequence
   int measure_every = 15;
@@ -174,7 +174,7 @@ class TruthRun {
  public:
   TruthRun(const facet::face::FaceModel& model, const Options& options, Sequence sequence)
       : model_(model), options_(options), sequence_(std::move(sequence)) {
-    config_.landmark_assets = options.assets;
+    config_.landmark_nets = options.assets;
     for (std::size_t k = 1; k < static_cast<std::size_t>(options.cameras); ++k) {
       const facet::capture::Lens& lens = sequence_.rig.cameras.at(k).lens;
       config_.further_views.push_back(
@@ -527,7 +527,7 @@ int main(int argc, char** argv) {
   Options options;
   CLI::App app("Measures the coarse tracker against sequences of known geometry (facet synth)");
   app.add_option("--model", options.model, "face model")->capture_default_str();
-  app.add_option("--landmark-assets", options.assets, "MediaPipe's packed nets")->capture_default_str();
+  app.add_option("--landmark-nets", options.assets, "MediaPipe's packed nets")->capture_default_str();
   app.add_option("--measure-every", options.measure_every,
                  "frames from one measured surface to the next; 0: none")
       ->capture_default_str();

@@ -31,7 +31,7 @@ std::vector<Frame> read_frames(const std::filesystem::path& video) {
 void track(const face::FaceModel& model, const SequenceOptions& options, const std::vector<Frame>& frames,
            Sequence& sequence) {
   track::TrackerConfig config;
-  config.landmark_assets = options.landmark_assets;
+  config.landmark_nets = options.landmark_nets;
   track::Tracker first_pass(model, config);
   for (const Frame& frame : frames) {
     first_pass.process(frame);

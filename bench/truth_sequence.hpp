@@ -23,7 +23,7 @@ namespace facet::bench {
 /// How a sequence with known geometry is read.
 struct SequenceOptions {
   std::filesystem::path model = default_model_file();
-  std::filesystem::path landmark_assets = default_landmark_assets();
+  std::filesystem::path landmark_nets = default_landmark_nets();
   int measure_every = 4;           ///< frames from one measured frame to the next
   float min_edge_px = 3;           ///< of the hierarchy
   std::string coarse = "tracker";  ///< or "truth": the true shape inside the model's span, at the true pose

@@ -299,12 +299,12 @@ void PerformanceTracker::Impl::leave_out(const std::string& missing, mesh::MeshF
 }
 
 PerformanceTracker::PerformanceTracker(std::shared_ptr<const face::FaceModel> model,
-                                       const std::filesystem::path& landmark_assets,
+                                       const std::filesystem::path& landmark_nets,
                                        std::shared_ptr<const capture::Rig> rig,
                                        const fit::SkinTrackerOptions& options,
                                        std::optional<FacePoints> points,
                                        std::unique_ptr<BoothShading> shading)
-    : impl_(std::make_unique<Impl>(std::move(model), landmark_assets, std::move(rig), options,
+    : impl_(std::make_unique<Impl>(std::move(model), landmark_nets, std::move(rig), options,
                                    std::move(points), std::move(shading))) {}
 
 PerformanceTracker::~PerformanceTracker() = default;

@@ -24,7 +24,7 @@ struct BoothConfig {
   /// Shading of the colour pictures on top of the fine levels that depth gives.
   bool shading = false;
   std::filesystem::path model_file;
-  std::filesystem::path landmark_assets;
+  std::filesystem::path landmark_nets;
   std::filesystem::path points_file;  ///< FacePoints to begin with; empty: the landmark net finds the face
   std::string gpu_device = "auto";
   fit::SkinTrackerOptions skin;

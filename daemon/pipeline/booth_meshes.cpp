@@ -73,7 +73,7 @@ std::size_t reach_of_run(const BoothParts& stages) {
 void check(const BoothConfig& config) {
   if (config.rig_file.empty()) {
     throw Error(ErrorKind::Usage,
-                "booth.rig is missing: name the file that `facet calibrate` wrote (docs/booth.md)");
+                "rig.file is missing: name the file that `facet calibrate` wrote (docs/booth.md)");
   }
   const auto stripes = static_cast<std::size_t>(std::count_if(config.stripes.begin(), config.stripes.end(),
                                                               [](std::uint8_t slot) { return slot != 0; }));
@@ -104,7 +104,7 @@ BoothParts open_booth(const BoothConfig& config, int blanks_per_run) {
   auto shading =
       config.shading ? std::make_unique<booth::BoothShading>(config.gpu_device, *stages.rig) : nullptr;
   stages.tracker = std::make_unique<booth::PerformanceTracker>(
-      model, config.landmark_assets, stages.rig, config.skin, std::move(points), std::move(shading));
+      model, config.landmark_nets, stages.rig, config.skin, std::move(points), std::move(shading));
   const std::size_t most_slots = reach_of_run(stages) + 1 + 2 * booth::kDepthReach;
   stages.depth = std::make_unique<booth::BoothDepth>(config.gpu_device, stages.rig, config.depths,
                                                      static_cast<int>(most_slots));

@@ -32,7 +32,7 @@ void check(const DevicesConfig& devices, const std::filesystem::path& rig_file) 
   check(devices);
   if (rig_file.empty()) {
     throw Error(ErrorKind::Usage,
-                "booth.rig is missing: several cameras see one face only where they are calibrated; name the "
+                "rig.file is missing: several cameras see one face only where they are calibrated; name the "
                 "file that `facet calibrate` wrote (docs/cameras.md)");
   }
   const std::vector<LineMask>& patterns = devices.program.patterns;

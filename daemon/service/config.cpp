@@ -257,6 +257,7 @@ void read_rig(Section& root, Section& expert, const camera::LiveConfig& live, Co
 
 void read_booth(Section section, Config& config) {
   section.read(kBoothSettings, config);
+  section.read_moved(renamed::kBooth, config, "[rig] file");
   if (const toml::node* node = section.find("depth_mm")) {
     const toml::array* range = node->as_array();
     const bool automatic = node->value_exact<std::string>() == "auto";
@@ -392,6 +393,7 @@ void read_web(Section section, Section& expert, const MetricsConfig& metrics, We
     }
   }
   read_expert(section, expert.section("web"), "web", expert::kWeb, web);
+  section.read_moved(renamed::kWeb, web, "[expert.web] max_readers");
   section.finish();
 }
 
@@ -431,9 +433,13 @@ void read_all(Document& document, Config& config) {
   const camera::LiveConfig live = config.pipeline.source.live;
   read_source(root.section("source"), config);
   read_rig(root, expert, live, config);
+  Section rig = root.section("rig");
+  rig.read(kRigSettings, config);
+  rig.finish();
   read_booth(root.section("booth"), config);
   Section model = root.section("model");
   model.read(kModelSettings, config.pipeline);
+  model.read_moved(renamed::kModel, config.pipeline, "landmark_nets");
   model.finish();
   Section tracker = root.section("tracker");
   read_expert(tracker, expert.section("tracker"), "tracker", expert::kTracker, config.pipeline.tracker);
@@ -452,7 +458,7 @@ void read_all(Document& document, Config& config) {
   read_bridges(root.section("bridges"), config.bridges);
   read_metrics(root.section("metrics"), config.metrics);
   read_web(root.section("web"), expert, config.metrics, config.web);
-  config.stream.max_web_readers = config.web.listen.empty() ? 0 : config.web.max_clients;
+  config.stream.max_web_readers = config.web.listen.empty() ? 0 : config.web.max_readers;
   Section log = root.section("log");
   constexpr std::array kLevels = {"error", "warning", "info", "debug"};
   if (const auto level = log.read_choice("level", kLevels)) {
@@ -468,7 +474,7 @@ void read_all(Document& document, Config& config) {
 Config default_config() {
   Config config;
   config.pipeline.model_file = default_model_file();
-  config.pipeline.tracker.landmark_assets = default_landmark_assets();
+  config.pipeline.tracker.landmark_nets = default_landmark_nets();
   config.stream.socket = "/run/facet/stream.sock";
   config.web.page = FACET_KIOSK_FOLDER;
   return config;
@@ -494,7 +500,7 @@ pipeline::BoothConfig booth_config(const Config& config) {
   booth.every_slot = config.booth_every_slot;
   booth.shading = config.booth_shading;
   booth.model_file = config.pipeline.model_file;
-  booth.landmark_assets = config.pipeline.tracker.landmark_assets;
+  booth.landmark_nets = config.pipeline.tracker.landmark_nets;
   booth.gpu_device = config.pipeline.gpu_device;
   if (config.devices.trigger != pipeline::TriggerKind::None) {
     booth.stripes.clear();

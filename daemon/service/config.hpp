@@ -42,7 +42,7 @@ struct WebConfig {
   std::filesystem::path token_file = "/var/lib/facet/web-token";  ///< empty: nobody commands over the web
   std::vector<std::string> hosts;    ///< further names under which the page may be asked for
   std::vector<std::string> origins;  ///< further pages, "http://NAME[:PORT]", that may use the WebSockets
-  int max_clients = 16;              ///< readers of the stream over WebSockets
+  int max_readers = 16;              ///< readers of the stream over WebSockets
   std::size_t max_connections = 64;  ///< requests at a time, those of WebSockets not counted
   std::size_t max_downloads = 16;    ///< of them
 };

@@ -68,15 +68,18 @@ inline constexpr Setting<pipeline::DevicesConfig> kSimulationSettings[] = {
     {"footage", &at<&pipeline::DevicesConfig::footage>},
 };
 
+inline constexpr Setting<Config> kRigSettings[] = {
+    {"file", &at<&Config::rig_file>},
+};
+
 inline constexpr Setting<Config> kBoothSettings[] = {
-    {"rig", &at<&Config::rig_file>},
     {"every_slot", &at<&Config::booth_every_slot>},
     {"shading", &at<&Config::booth_shading>},
 };
 
 inline constexpr Setting<pipeline::ShadingConfig> kModelSettings[] = {
     {"path", &at<&pipeline::ShadingConfig::model_file>},
-    {"landmark_assets", &at<&pipeline::ShadingConfig::tracker, &track::TrackerConfig::landmark_assets>},
+    {"landmark_nets", &at<&pipeline::ShadingConfig::tracker, &track::TrackerConfig::landmark_nets>},
 };
 
 inline constexpr Setting<pipeline::ShadingConfig> kGpuSettings[] = {
@@ -167,9 +170,21 @@ inline constexpr Setting<TakesConfig> kTakes[] = {
 };
 
 inline constexpr Setting<WebConfig> kWeb[] = {
-    {"max_clients", &at<&WebConfig::max_clients>, 1, 1000},
+    {"max_readers", &at<&WebConfig::max_readers>, 1, 1000},
 };
 
 }  // namespace expert
+
+/// Old spellings, read for one release more.
+namespace renamed {
+
+inline constexpr Setting<Config> kBooth[] = {{"rig", &at<&Config::rig_file>}};
+
+inline constexpr Setting<pipeline::ShadingConfig> kModel[] = {
+    {"landmark_assets", &at<&pipeline::ShadingConfig::tracker, &track::TrackerConfig::landmark_nets>}};
+
+inline constexpr Setting<WebConfig> kWeb[] = {{"max_clients", &at<&WebConfig::max_readers>, 1, 1000}};
+
+}  // namespace renamed
 
 }  // namespace facet::service

@@ -17,8 +17,8 @@
 namespace facet::track {
 
 struct TrackerConfig {
-  std::filesystem::path landmark_assets;  ///< face_mesh_solution_packed_assets.data
-  int acquisition_frames = 15;            ///< good frames over which identity and focal length are estimated
+  std::filesystem::path landmark_nets;  ///< face_mesh_solution_packed_assets.data
+  int acquisition_frames = 15;          ///< good frames over which identity and focal length are estimated
   std::optional<CameraIntrinsics> intrinsics;  ///< known camera: the focal length is then not estimated
   /// Calibrated cameras beside that one, which then is the reference camera and must be known.
   std::vector<FurtherCamera> further_views{};

@@ -42,7 +42,7 @@ export class Service {
 ${rig}
 [model]
 path = "${assets}/default.facemodel"
-landmark_assets = "${assets}/mediapipe/face_mesh_solution_packed_assets.data"
+landmark_nets = "${assets}/mediapipe/face_mesh_solution_packed_assets.data"
 ${more}
 [gpu]
 device = "none"

@@ -54,7 +54,7 @@ TEST(LandmarkAssets, SaysWhatIsWrongWithAFile) {
 }
 
 TEST(LandmarkAssets, OneFlippedBitIsFound) {
-  const auto source = test::landmark_assets();
+  const auto source = test::landmark_nets();
   if (!std::filesystem::exists(source)) {
     GTEST_SKIP() << source << " is missing (packaging/fetch-assets)";
   }
@@ -137,7 +137,7 @@ TEST(CanonicalFace, RefusesDamage) {
 }
 
 TEST(CanonicalFace, TheRealOneIsAFace) {
-  const auto file = test::landmark_assets();
+  const auto file = test::landmark_nets();
   if (!std::filesystem::exists(file)) {
     GTEST_SKIP() << file << " is missing (packaging/fetch-assets)";
   }

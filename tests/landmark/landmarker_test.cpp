@@ -22,15 +22,15 @@ constexpr double quarter = std::numbers::pi / 2;
 class LandmarkerTest : public testing::Test {
  protected:
   void SetUp() override {
-    if (!std::filesystem::exists(test::landmark_assets())) {
-      GTEST_SKIP() << test::landmark_assets() << " is missing (packaging/fetch-assets)";
+    if (!std::filesystem::exists(test::landmark_nets())) {
+      GTEST_SKIP() << test::landmark_nets() << " is missing (packaging/fetch-assets)";
     }
     photo = test::read_photo("sample3.jpg");
     if (photo.empty()) {
       GTEST_SKIP() << "assets/photos/sample3.jpg is missing (packaging/fetch-assets)";
     }
     solo = photo(cv::Rect(470, 180, 450, 600)).clone();
-    landmarker = std::make_unique<Landmarker>(test::landmark_assets());
+    landmarker = std::make_unique<Landmarker>(test::landmark_nets());
   }
 
   /// The left face alone, seen through a similarity that carries its centre to the canvas's.
@@ -108,7 +108,7 @@ TEST_F(LandmarkerTest, FollowsTheImageThroughScaleAndRotation) {
 TEST_F(LandmarkerTest, AStillImageStandsStill) {
   const Frame frame = frame_of(solo);
   for (const bool smooth : {false, true}) {
-    Landmarker still(test::landmark_assets(), {.smooth = smooth});
+    Landmarker still(test::landmark_nets(), {.smooth = smooth});
     for (int i = 0; i < 40; ++i) {
       still.process(frame);
     }

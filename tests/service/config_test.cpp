@@ -120,7 +120,7 @@ TEST(Config, SamplesShowTheDefaults) {
   EXPECT_EQ(parse_config(sample(), "/sample/facet.toml").pipeline.source.path, "/sample/video.mp4");
   expect_defaults(sample("expert.toml"), "", {});
   expect_defaults(
-      sample("booth.toml"), "[[camera]]\nname = \"a\"\nkind = \"simulated\"\n[[trigger.line]]\n",
+      sample("devices.toml"), "[[camera]]\nname = \"a\"\nkind = \"simulated\"\n[[trigger.line]]\n",
       {"camera.name", "camera.width_px", "camera.height_px", "camera.rate_hz", "trigger.line.name"});
   expect_defaults(camera_sample(), "[source]\nkind = \"v4l2\"\n", {"source.device"});
   expect_defaults(camera_sample("libcamera", "device"), "[source]\nkind = \"libcamera\"\n", {"source.id"});
@@ -140,7 +140,7 @@ TEST(Config, SamplesShowTheDefaults) {
 /// so.
 TEST(Config, SamplesShowEveryKeyWithItsBounds) {
   const std::string experts = sample("expert.toml");
-  const std::string others = sample() + sample("booth.toml");
+  const std::string others = sample() + sample("devices.toml");
   for (const camera::CameraKind* kind : camera::camera_kinds()) {
     for (const auto& [name, key] : values_of(of_kind(*kind))) {
       const bool expert = name.starts_with("expert.");
@@ -193,10 +193,24 @@ TEST(Config, KeysForExpertsHaveMoved) {
   EXPECT_THAT(error_of("[expert.traker]\n"), HasSubstr("did you mean 'tracker'?"));
 }
 
+/// The same of keys that are spelled otherwise.
+TEST(Config, OldSpellingsAreReadWithAWarning) {
+  const Config old = parse_config(
+      "[model]\nlandmark_assets = \"nets\"\n[booth]\nrig = \"r.toml\"\n[web]\nmax_clients = 7\n", "f.toml");
+  EXPECT_EQ(old.pipeline.tracker.landmark_nets.filename(), "nets");
+  EXPECT_EQ(old.rig_file.filename(), "r.toml");
+  EXPECT_EQ(old.web.max_readers, 7);
+  EXPECT_THAT(old.warnings,
+              ::testing::UnorderedElementsAre(
+                  HasSubstr("f.toml:2: model.landmark_assets: has moved to landmark_nets"),
+                  HasSubstr("f.toml:4: booth.rig: has moved to [rig] file"),
+                  HasSubstr("f.toml:6: web.max_clients: has moved to [expert.web] max_readers")));
+}
+
 TEST(Config, SampleOfARigIsOneThatRuns) {
-  const Config config = parse_config(sample("booth.toml"), "/sample/booth.toml");
+  const Config config = parse_config(sample("devices.toml"), "/sample/devices.toml");
   EXPECT_EQ(config.mode, Mode::Frames);
-  require_source(config, "/sample/booth.toml");
+  require_source(config, "/sample/devices.toml");
   ASSERT_EQ(config.devices.cameras.size(), 2U);
   EXPECT_EQ(config.devices.cameras[1].name, "right");
   EXPECT_EQ(config.devices.cameras[1].source.kind, "simulated");
@@ -333,7 +347,7 @@ std::string refusal(const std::string& text) {
 TEST(Config, SeveralCamerasCanMakeMeshes) {
   const std::string cameras =
       "[[camera]]\nname = \"a\"\nkind = \"simulated\"\n[[camera]]\nname = \"b\"\nkind = \"simulated\"\n";
-  const std::string rig = "[booth]\nrig = \"r.toml\"\n";
+  const std::string rig = "[rig]\nfile = \"r.toml\"\n";
   const Config config = parse_config(cameras + rig, "/folder/f.toml");
   EXPECT_EQ(config.mode, Mode::Monocular);
   EXPECT_TRUE(has_live_cameras(config));
@@ -342,7 +356,7 @@ TEST(Config, SeveralCamerasCanMakeMeshes) {
   EXPECT_FALSE(has_live_cameras(parse_config("mode = \"frames\"\n" + cameras, "f.toml")));
   EXPECT_EQ(refusal(cameras + rig), "");
   EXPECT_THAT(refusal(cameras),
-              AllOf(HasSubstr("f.toml: booth.rig is missing"), HasSubstr("facet calibrate")));
+              AllOf(HasSubstr("f.toml: rig.file is missing"), HasSubstr("facet calibrate")));
   EXPECT_THAT(refusal("[source]\npath = \"v\"\n" + cameras + rig),
               AllOf(HasSubstr("f.toml: "), HasSubstr("one [source] or from [[camera]]s")));
   EXPECT_THAT(refusal(cameras + rig +
@@ -362,7 +376,7 @@ std::string booth_text(const std::string& more) {
 TEST(Config, ReadsABooth) {
   const Config config = parse_config(
       booth_text(
-          "[booth]\nrig = \"rig.toml\"\ndepth_mm = [700, 1100.5]\n"
+          "[rig]\nfile = \"rig.toml\"\n[booth]\ndepth_mm = [700, 1100.5]\n"
           "record = \"meshes\"\nevery_slot = true\nshading = true\n[simulation]\nfootage = \"x.take\"\n"
           "[model]\npath = \"m\"\n[gpu]\ndevice = \"llvm\"\n"),
       "/folder/f.toml");
@@ -389,17 +403,18 @@ TEST(Config, ReadsABooth) {
 }
 
 TEST(Config, ABoothThatCannotBeIsToldByKey) {
-  EXPECT_THAT(refusal(booth_text("")), HasSubstr("booth.rig is missing"));
+  EXPECT_THAT(refusal(booth_text("")), HasSubstr("rig.file is missing"));
   for (const char* range : {"[1100, 700]", "[700]", "[10, 700]", "[\"a\", 3]", "\"far\"", "700"}) {
-    EXPECT_THAT(refusal(booth_text("[booth]\nrig = \"r\"\ndepth_mm = " + std::string(range) + "\n")),
+    EXPECT_THAT(refusal(booth_text("[rig]\nfile = \"r\"\n[booth]\ndepth_mm = " + std::string(range) + "\n")),
                 AllOf(HasSubstr("f.toml:"), HasSubstr("booth.depth_mm"), HasSubstr("[nearest, farthest]")))
         << range;
   }
-  EXPECT_THAT(refusal(booth_text("[booth]\nrig = \"r\"\nrecord = \"both\"\n")), HasSubstr("\"meshes\""));
+  EXPECT_THAT(refusal(booth_text("[rig]\nfile = \"r\"\n[booth]\nrecord = \"both\"\n")),
+              HasSubstr("\"meshes\""));
   EXPECT_THAT(
-      refusal("mode = \"booth\"\n[[camera]]\nname = \"a\"\nkind = \"simulated\"\n[booth]\nrig = \"r\"\n"),
+      refusal("mode = \"booth\"\n[[camera]]\nname = \"a\"\nkind = \"simulated\"\n[rig]\nfile = \"r\"\n"),
       HasSubstr("needs a trigger"));
-  std::string no_blank = booth_text("[booth]\nrig = \"r\"\n");
+  std::string no_blank = booth_text("[rig]\nfile = \"r\"\n");
   no_blank.replace(no_blank.find("[[\"p\"], [], [\"p\"], []]"), 22, "[[\"p\"]]");
   EXPECT_THAT(refusal(no_blank), HasSubstr("trigger.patterns"));
 }

@@ -43,7 +43,7 @@ class Daemon : public ::testing::Test {
                         const std::filesystem::path& model = test::default_model()) {
     const auto file = folder_.path() / "facet.toml";
     std::ofstream(file) << fmt::format(
-        "[source]\n{}\n[model]\npath = \"{}\"\nlandmark_assets = \"{}\"\n[gpu]\ndevice = "
+        "[source]\n{}\n[model]\npath = \"{}\"\nlandmark_nets = \"{}\"\n[gpu]\ndevice = "
         "\"{}\"\n[stream]\nsocket = "
         "\"stream.sock\"\n[control]\nsocket = \"control.sock\"\n[takes]\nfolder = \"takes\"\ndisk_reserve_mb "
         "= 1\n{}\n[metrics]\nlisten = \"\"\n",

@@ -33,7 +33,7 @@ namespace {
 TEST_F(Daemon, BrokenOffTakeIsClosedAtTheNextStart) {
   const auto config = folder_.path() / "facet.toml";
   const auto write_config = [&config](const std::string& takes) {
-    std::filesystem::copy_file(std::filesystem::path(FACET_SOURCE_DIR) / "config" / "booth.toml", config,
+    std::filesystem::copy_file(std::filesystem::path(FACET_SOURCE_DIR) / "config" / "devices.toml", config,
                                std::filesystem::copy_options::overwrite_existing);
     std::ofstream(config, std::ios::app)
         << "[stream]\nsocket = \"stream.sock\"\n[control]\nsocket = "
@@ -116,7 +116,7 @@ TEST_F(Daemon, EveryMethodAndParamIsDocumented) {
 
 /// The sample of a rig runs as it is: simulated cameras on a virtual trigger, streamed and recorded.
 TEST_F(Daemon, ModeFramesHandsOutAndRecordsFrameSets) {
-  const auto sample = std::filesystem::path(FACET_SOURCE_DIR) / "config" / "booth.toml";
+  const auto sample = std::filesystem::path(FACET_SOURCE_DIR) / "config" / "devices.toml";
   const auto config = folder_.path() / "facet.toml";
   std::filesystem::copy_file(sample, config);
   std::ofstream(config, std::ios::app)
@@ -177,7 +177,7 @@ TEST_F(DaemonWithAssets, SeveralCamerasMakeOneMesh) {
       text += fmt::format("[[camera]]\nname = \"{}\"\nkind = \"file\"\npath = \"{}.mkv\"\nloop = {}\n", name,
                           name == third ? "view-3" : name, name != third);
     }
-    return text + "[booth]\nrig = \"rig.toml\"\n[expert.tracker]\nacquisition_frames = 5\n";
+    return text + "[rig]\nfile = \"rig.toml\"\n[expert.tracker]\nacquisition_frames = 5\n";
   };
   const std::string config = configure("exit_at_end = true", "record_at_start = \"smile\"");
   std::ofstream(config, std::ios::app) << cameras("view-3");

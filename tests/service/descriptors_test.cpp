@@ -16,7 +16,7 @@ namespace {
 Config with_page() {
   Config config = default_config();
   config.web.listen = "127.0.0.1:8420";
-  config.stream.max_web_readers = config.web.max_clients;
+  config.stream.max_web_readers = config.web.max_readers;
   return config;
 }
 

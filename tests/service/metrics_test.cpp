@@ -207,7 +207,7 @@ TEST(Metrics, AStateIsOneSeriesForEachThatThereIs) {
 
 TEST_F(Daemon, ServesMetrics) {
   const auto config = folder_.path() / "facet.toml";
-  std::filesystem::copy_file(std::filesystem::path(FACET_SOURCE_DIR) / "config" / "booth.toml", config);
+  std::filesystem::copy_file(std::filesystem::path(FACET_SOURCE_DIR) / "config" / "devices.toml", config);
   std::ofstream(config, std::ios::app)
       << "[stream]\nsocket = \"stream.sock\"\n[control]\nsocket = \"control.sock\"\n[takes]\nfolder = "
          "\"takes\"\n[metrics]\nlisten = \"127.0.0.1:0\"\n";

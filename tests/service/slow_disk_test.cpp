@@ -28,7 +28,7 @@ class SlowDisk : public Daemon {
     GTEST_SKIP() << "a sanitizer's library wants to be the first that is loaded";
 #endif
     Daemon::SetUp();
-    std::filesystem::copy_file(std::filesystem::path(FACET_SOURCE_DIR) / "config" / "booth.toml", config_);
+    std::filesystem::copy_file(std::filesystem::path(FACET_SOURCE_DIR) / "config" / "devices.toml", config_);
     std::ofstream(config_, std::ios::app)
         << "[stream]\nsocket = \"stream.sock\"\n[control]\nsocket = \"control.sock\"\n"
            "[takes]\nfolder = \"takes\"\ndisk_reserve_mb = 1\n[metrics]\nlisten = \"\"\n"

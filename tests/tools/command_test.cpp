@@ -384,7 +384,7 @@ TEST_F(CommandWithAssets, ForeignModelOrNetsAreStatus3) {
   EXPECT_EQ(process(clip(), {"--config", file("a.toml", fmt::format("[model]\npath = \"{}\"\n", foreign))}),
             3);
   EXPECT_THAT(output_, HasSubstr(foreign));
-  EXPECT_EQ(process(clip(), {"--config", file("b.toml", "[model]\nlandmark_assets = \"a.toml\"\n")}), 3);
+  EXPECT_EQ(process(clip(), {"--config", file("b.toml", "[model]\nlandmark_nets = \"a.toml\"\n")}), 3);
   EXPECT_THAT(output_, HasSubstr(file("a.toml")));
   EXPECT_FALSE(take_exists());
 }
@@ -647,7 +647,7 @@ TEST_F(BoothDemo, GoesItsWholeWay) {
   const std::string demo = file("demo");
   ASSERT_EQ(
       run({"booth-demo", "--slots", "9", "--samples", "1", "--resolution", "0.625", "--model",
-           test::default_model().string(), "--landmark-assets",
+           test::default_model().string(), "--landmark-nets",
            (test::assets() / "mediapipe" / "face_mesh_solution_packed_assets.data").string(), "-o", demo}),
       0)
       << output_;

@@ -18,9 +18,8 @@ namespace {
 class IdentityShadingTest : public testing::Test {
  protected:
   void SetUp() override {
-    if (!std::filesystem::exists(test::landmark_assets()) ||
-        !std::filesystem::exists(test::default_model())) {
-      GTEST_SKIP() << test::landmark_assets() << " or " << test::default_model()
+    if (!std::filesystem::exists(test::landmark_nets()) || !std::filesystem::exists(test::default_model())) {
+      GTEST_SKIP() << test::landmark_nets() << " or " << test::default_model()
                    << " is missing: run packaging/prepare";
     }
     model = std::make_unique<face::FaceModel>(face::FaceModel::load(test::default_model()));
@@ -60,7 +59,7 @@ TEST_F(IdentityShadingTest, FindsThePersonNearerThanLandmarksAlone) {
     config.frame_count = 60;
     config.rays_per_pixel = 1;
     const simulation::ActorSequence sequence(*model, config);
-    TrackerConfig tracking{.landmark_assets = test::landmark_assets(), .intrinsics = {}};
+    TrackerConfig tracking{.landmark_nets = test::landmark_nets(), .intrinsics = {}};
     Tracker shaded(*model, tracking);
     tracking.identity_shading = false;
     Tracker plain(*model, tracking);

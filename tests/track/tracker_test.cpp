@@ -19,8 +19,8 @@ using mesh::TrackingState;
 class TrackerTest : public testing::Test {
  protected:
   void SetUp() override {
-    if (!std::filesystem::exists(test::landmark_assets())) {
-      GTEST_SKIP() << test::landmark_assets() << " is missing: run packaging/fetch-assets";
+    if (!std::filesystem::exists(test::landmark_nets())) {
+      GTEST_SKIP() << test::landmark_nets() << " is missing: run packaging/fetch-assets";
     }
     if (!std::filesystem::exists(test::default_model())) {
       GTEST_SKIP() << test::default_model() << " is missing: run `facet model build`";
@@ -30,7 +30,7 @@ class TrackerTest : public testing::Test {
       GTEST_SKIP() << "the model has no landmark map";
     }
     tracker = std::make_unique<Tracker>(
-        *model, TrackerConfig{.landmark_assets = test::landmark_assets(), .intrinsics = {}});
+        *model, TrackerConfig{.landmark_nets = test::landmark_nets(), .intrinsics = {}});
   }
 
   static Frame grey(int width, int height) {
@@ -62,9 +62,9 @@ TEST_F(TrackerTest, FollowsARealFaceCloselyFromTheFirstFrameOnOnceAdopted) {
   }
   ASSERT_TRUE(tracker->person().has_value()) << "not acquired within 150 frames";
 
-  Tracker second(*model, {.landmark_assets = test::landmark_assets(), .intrinsics = {}});
+  Tracker second(*model, {.landmark_nets = test::landmark_nets(), .intrinsics = {}});
   second.adopt(*tracker->person(), frame.width_px, frame.height_px);
-  Tracker slow(*model, {.landmark_assets = test::landmark_assets(), .intrinsics = {}});
+  Tracker slow(*model, {.landmark_nets = test::landmark_nets(), .intrinsics = {}});
   slow.adopt(*tracker->person(), frame.width_px, frame.height_px);
   camera = open();
   for (int f = 0; f < 60; ++f) {
@@ -112,24 +112,24 @@ TEST_F(TrackerTest, FramesWithoutAFaceAreSearchedNotFeared) {
 TEST(TrackerStart, ErrorsSayWhatToDo) {
   const face::FaceModel model = test::synthetic_model();
   try {
-    Tracker tracker(model, {.landmark_assets = "no/such.data", .intrinsics = {}});
+    Tracker tracker(model, {.landmark_nets = "no/such.data", .intrinsics = {}});
     FAIL() << "missing nets were accepted";
   } catch (const Error& error) {
     EXPECT_EQ(error.kind(), ErrorKind::UnreadableInput);
     EXPECT_NE(std::string(error.what()).find("no/such.data"), std::string::npos) << error.what();
   }
-  if (!std::filesystem::exists(test::landmark_assets())) {
-    GTEST_SKIP() << test::landmark_assets() << " is missing: run packaging/fetch-assets";
+  if (!std::filesystem::exists(test::landmark_nets())) {
+    GTEST_SKIP() << test::landmark_nets() << " is missing: run packaging/fetch-assets";
   }
   face::FaceModel without_map = model;
   without_map.landmarks.clear();
   try {
-    Tracker tracker(without_map, {.landmark_assets = test::landmark_assets(), .intrinsics = {}});
+    Tracker tracker(without_map, {.landmark_nets = test::landmark_nets(), .intrinsics = {}});
     FAIL() << "a model without landmarks was accepted";
   } catch (const Error& error) {
     EXPECT_NE(std::string(error.what()).find("facet model build"), std::string::npos) << error.what();
   }
-  Tracker tracker(model, {.landmark_assets = test::landmark_assets(), .intrinsics = {}});
+  Tracker tracker(model, {.landmark_nets = test::landmark_nets(), .intrinsics = {}});
   EXPECT_FALSE(tracker.person().has_value());
   EXPECT_THROW(tracker.adopt(Person{}, 640, 480), Error);
 }

@@ -51,7 +51,7 @@ struct DemoOptions {
   int samples = 2;
   double resolution = 1;
   std::string model = default_model_file().string();
-  std::string landmark_assets = default_landmark_assets().string();
+  std::string landmark_nets = default_landmark_nets().string();
   std::string device = "auto";
   std::string folder;
 };
@@ -219,13 +219,13 @@ class Demo {
                           std::strcmp(line, "cameras") == 0 ? "camera" : "projector");
     }
     text += fmt::format(
-        "[simulation]\nfootage = \"booth/capture.take\"\n[booth]\nrig = \"booth/rig.toml\"\n"
-        "[model]\npath = '{}'\nlandmark_assets = '{}'\n[gpu]\ndevice = '{}'\n[stream]\nsocket = '{}'\n"
+        "[simulation]\nfootage = \"booth/capture.take\"\n[rig]\nfile = \"booth/rig.toml\"\n"
+        "[model]\npath = '{}'\nlandmark_nets = '{}'\n[gpu]\ndevice = '{}'\n[stream]\nsocket = '{}'\n"
         "[control]\nsocket = '{}'\n[takes]\nfolder = \".\"\nrecord_at_start = "
         "\"pictures\"\n[metrics]\nlisten = "
         "\"\"\n",
         std::filesystem::absolute(options_.model).string(),
-        std::filesystem::absolute(options_.landmark_assets).string(), options_.device,
+        std::filesystem::absolute(options_.landmark_nets).string(), options_.device,
         (sockets / "stream.sock").string(), (sockets / "control.sock").string());
     files::OutputFile file(folder_ / "booth.toml");
     file.write(text);
@@ -366,7 +366,8 @@ void add_booth_demo_command(Command app) {
       .range(0.25, 4.0);
   command.option("--samples", options->samples, "Rays a pixel").shows_default().range(1, 64);
   command.option("--model", options->model, "Face model").shows_default();
-  command.option("--landmark-assets", options->landmark_assets, "MediaPipe's landmark nets").shows_default();
+  command.option("--landmark-nets,--landmark-assets", options->landmark_nets, "MediaPipe's landmark nets")
+      .shows_default();
   command.option("--device", options->device, "Vulkan device: auto or part of its name").shows_default();
   command.option("-o,--output", options->folder, "Folder to write into; must not hold an earlier demo")
       .required();

@@ -249,7 +249,7 @@ Footage watch_daemon(const Arguments& arguments, const calibration::BoardDetecto
     }
     if (got.frame.images == nullptr) {
       throw Error(ErrorKind::Unavailable,
-                  "facetd sends no pictures: it must run in mode \"frames\" (config/booth.toml)");
+                  "facetd sends no pictures: it must run in mode \"frames\" (config/devices.toml)");
     }
     if (begun || calibration::has_all_pictures(*got.frame.images)) {
       begun = true;

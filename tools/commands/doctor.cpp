@@ -103,8 +103,8 @@ void check_model(Report& report, const service::Config& config) {
                fmt::format("facet model build -o {}", config.pipeline.model_file.string()));
   }
   try {
-    landmark::LandmarkAssets::load(config.pipeline.tracker.landmark_assets);
-    report.say(Verdict::Good, "landmark nets", config.pipeline.tracker.landmark_assets.string());
+    landmark::LandmarkAssets::load(config.pipeline.tracker.landmark_nets);
+    report.say(Verdict::Good, "landmark nets", config.pipeline.tracker.landmark_nets.string());
   } catch (const Error& error) {
     report.bad(error.kind(), "landmark nets", error.what());
   }

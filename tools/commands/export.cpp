@@ -34,7 +34,7 @@ struct ExportOptions {
   std::string level = "finest";
   std::string space = "camera";
   std::string compress = "none";
-  std::string pictures = "exr";
+  std::string map_format = "exr";
   int size_px = 2048;
   std::string model;
   std::string output;
@@ -265,7 +265,7 @@ int export_sequence(take::TakeReader& reader, const Selection& selection, const 
 int export_maps(take::TakeReader& reader, const Selection& selection, const ExportOptions& options,
                 exports::MapKind kind, const StopSignals& signals) {
   const Selection meshes = with_mesh(reader, selection);
-  const auto format = options.pictures == "png" ? exports::PictureFormat::Png : exports::PictureFormat::Exr;
+  const auto format = options.map_format == "png" ? exports::PictureFormat::Png : exports::PictureFormat::Exr;
   const std::filesystem::path folder = options.output;
   exports::MapBaker baker(options.size_px);
   files::make_folder(folder);
@@ -283,7 +283,7 @@ int export_maps(take::TakeReader& reader, const Selection& selection, const Expo
                          std::exchange(albedo_version, frame->albedo->version) != frame->albedo->version);
     if (wanted) {
       exports::write_map(baker.bake(*frame, kind), kind, format,
-                         folder / fmt::format("frame_{:06}.{}", frame->sequence, options.pictures));
+                         folder / fmt::format("frame_{:06}.{}", frame->sequence, options.map_format));
       ++written;
     }
     progress.advance();
@@ -436,7 +436,7 @@ void add_export_command(Command app) {
       .shows_default()
       .one_of({"none", "meshopt"});
   command
-      .option("--pictures", options->pictures,
+      .option("--map-format,--pictures", options->map_format,
               "Maps: exr has the values themselves as 32-bit floats, png 16 bits a channel")
       .shows_default()
       .one_of({"png", "exr"});

@@ -30,14 +30,14 @@ struct BuildArguments {
 struct ImportArguments {
   model::IctOptions options;
   std::string output;
-  std::string landmark_assets = default_landmark_assets().string();
+  std::string landmark_nets = default_landmark_nets().string();
   std::string albedo_from = default_model_file().string();
 };
 
 struct FileArguments {
   std::string model = default_model_file().string();
   std::string output;
-  std::string landmark_assets = default_landmark_assets().string();
+  std::string landmark_nets = default_landmark_nets().string();
   std::string sheet;
   model::SheetOptions sheet_options;
 };
@@ -66,8 +66,8 @@ class NamedProgress {
   std::unique_ptr<Progress> bar_;
 };
 
-void find_and_check_landmarks(face::FaceModel& model, const std::filesystem::path& landmark_assets) {
-  landmark::Landmarker landmarker(landmark_assets);
+void find_and_check_landmarks(face::FaceModel& model, const std::filesystem::path& landmark_nets) {
+  landmark::Landmarker landmarker(landmark_nets);
   NamedProgress finding("Finding the landmarks", "pictures");
   model.landmarks = model::find_landmarks(model, landmarker, [&](int done, int total) {
     finding(static_cast<std::uint64_t>(done), static_cast<std::uint64_t>(total), "");
@@ -127,7 +127,7 @@ void run_import_ict(const ImportArguments& arguments) {
   if (!report.missing.empty()) {
     tell("no shape for  {}\n", fmt::format("{}", fmt::join(report.missing, ", ")));
   }
-  find_and_check_landmarks(model, arguments.landmark_assets);
+  find_and_check_landmarks(model, arguments.landmark_nets);
   if (!arguments.albedo_from.empty()) {
     model::borrow_albedo(face::FaceModel::load(arguments.albedo_from), model);
   }
@@ -138,10 +138,10 @@ void run_import_ict(const ImportArguments& arguments) {
 
 void run_landmarks(const FileArguments& arguments) {
   face::FaceModel model = face::FaceModel::load(arguments.model);
-  find_and_check_landmarks(model, arguments.landmark_assets);
+  find_and_check_landmarks(model, arguments.landmark_nets);
   if (!arguments.sheet.empty()) {
     constexpr int kSheetTilePx = 500;
-    landmark::Landmarker landmarker(arguments.landmark_assets);
+    landmark::Landmarker landmarker(arguments.landmark_nets);
     render::write_png(model::landmark_sheet(model, landmarker, kSheetTilePx), arguments.sheet);
     tell("{}\n", arguments.sheet);
   }
@@ -226,7 +226,7 @@ void add_import_ict(Command parent) {
               "Identity modes at most; each takes about 8 MB of memory")
       .shows_default()
       .range(0, 500);
-  command.option("--landmark-assets", arguments->landmark_assets, "File of the landmark nets")
+  command.option("--landmark-nets,--landmark-assets", arguments->landmark_nets, "File of the landmark nets")
       .shows_default();
   command
       .option("--albedo-from", arguments->albedo_from,
@@ -248,7 +248,8 @@ void add_model_command(Command app) {
       "landmarks", "Find where the landmark net's points lie on a model, by rendering it; any model file");
   find.option("model", landmarks->model, "Model file").shows_default();
   find.option("-o,--output", landmarks->output, "Model file to write (default: the same file)");
-  find.option("--landmark-assets", landmarks->landmark_assets, "MediaPipe's packed assets").shows_default();
+  find.option("--landmark-nets,--landmark-assets", landmarks->landmark_nets, "MediaPipe's packed assets")
+      .shows_default();
   find.option("--sheet", landmarks->sheet, "Also draw what was found, as a PNG");
   find.callback([landmarks] { run_landmarks(*landmarks); });
 

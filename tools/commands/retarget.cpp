@@ -28,7 +28,7 @@ namespace {
 
 struct RetargetOptions {
   std::string take;
-  std::string rig;
+  std::string avatar;
   std::string frames;
   std::optional<std::uint64_t> neutral;
   std::string head;
@@ -36,7 +36,7 @@ struct RetargetOptions {
   bool allow_missing = false;
   std::string displacement_maps;
   std::string normal_maps;
-  std::string pictures = "exr";
+  std::string map_format = "exr";
   int size_px = 2048;
   std::string model;
   std::string output;
@@ -136,7 +136,7 @@ void check_shapes(const RetargetOptions& options, const avatar::Avatar& found,
     return;
   }
   const std::string what = fmt::format(
-      "'{}' lacks {} shapes that '{}' moves: {}; its morph targets (targetNames) are: {}", options.rig,
+      "'{}' lacks {} shapes that '{}' moves: {}; its morph targets (targetNames) are: {}", options.avatar,
       missing.size(), options.take, shape_list(missing), name_list(found.shape_names));
   if (!options.allow_missing || found.meshes.empty()) {
     throw Error(ErrorKind::Usage,
@@ -224,7 +224,7 @@ int write_maps(const RetargetOptions& options, const avatar::GlbDocument& glb, c
   const std::vector<std::int64_t> selection = frames_in_range(reader, options.frames);
   std::optional<exports::MapBaker> baker;
   std::shared_ptr<const mesh::Hierarchy> hierarchy;
-  const auto format = options.pictures == "png" ? exports::PictureFormat::Png : exports::PictureFormat::Exr;
+  const auto format = options.map_format == "png" ? exports::PictureFormat::Png : exports::PictureFormat::Exr;
   Progress progress("Maps", selection.size());
   for (const std::int64_t index : selection) {
     if (const int signal = signals.pending(); signal != 0) {
@@ -250,7 +250,7 @@ int write_maps(const RetargetOptions& options, const avatar::GlbDocument& glb, c
     }
     for (const auto& [kind, folder] : wanted) {
       exports::write_map(baker->bake(*frame, kind), kind, format,
-                         folder / fmt::format("frame_{:06}.{}", frame->sequence, options.pictures));
+                         folder / fmt::format("frame_{:06}.{}", frame->sequence, options.map_format));
     }
   }
   return 0;
@@ -258,14 +258,14 @@ int write_maps(const RetargetOptions& options, const avatar::GlbDocument& glb, c
 
 void run_retarget(const RetargetOptions& options) {
   const StopSignals signals;
-  avatar::GlbDocument glb = avatar::read_glb(options.rig);
+  avatar::GlbDocument glb = avatar::read_glb(options.avatar);
   const avatar::Avatar found =
       avatar::inspect_avatar(glb, options.head.empty() ? std::nullopt : std::optional(options.head));
   if (!options.no_head && !found.head) {
     throw Error(ErrorKind::Usage,
                 fmt::format("'{}' has no node that is named like a head: name it with --head, or "
                             "leave the head still with --no-head",
-                            options.rig));
+                            options.avatar));
   }
   Performance performance;
   if (const int signal = read_performance(options, signals, performance); signal != 0) {
@@ -296,7 +296,9 @@ void add_retarget_command(Command app) {
   const Command command =
       app.subcommand("retarget", "Put a take's expressions and head turns on an avatar (GLB, VRM)");
   command.option("TAKE", options->take, "Take file").required();
-  command.option("--rig", options->rig, "The avatar: a GLB file whose morph targets have ARKit's names")
+  command
+      .option("--avatar,--rig", options->avatar,
+              "The avatar: a GLB file whose morph targets have ARKit's names")
       .required();
   command.option("--frames", options->frames, kFramesHelp);
   command.option(
@@ -314,7 +316,7 @@ void add_retarget_command(Command app) {
       "Folder: the take's displacements in the avatar's texture coordinates, a picture for each frame");
   command.option("--normal-maps", options->normal_maps,
                  "Folder: the same as normals against the avatar's surface");
-  command.option("--pictures", options->pictures, "Format of the maps: exr, png")
+  command.option("--map-format,--pictures", options->map_format, "Format of the maps: exr, png")
       .one_of({"exr", "png"})
       .shows_default();
   command.option("--size", options->size_px, "Width and height of the maps, pixels")

@@ -19,7 +19,7 @@ inline std::filesystem::path assets_folder() {
 inline std::filesystem::path default_model_file() {
   return assets_folder() / "default.facemodel";
 }
-inline std::filesystem::path default_landmark_assets() {
+inline std::filesystem::path default_landmark_nets() {
   return assets_folder() / "mediapipe" / "face_mesh_solution_packed_assets.data";
 }
 

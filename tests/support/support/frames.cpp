@@ -65,7 +65,7 @@ cv::Matx23d similarity(cv::Point2d about, cv::Point2d to, double scale, double r
   return {c, -s, to.x - c * about.x + s * about.y, s, c, to.y - s * about.x - c * about.y};
 }
 
-std::filesystem::path landmark_assets() {
+std::filesystem::path landmark_nets() {
   return assets() / "mediapipe" / "face_mesh_solution_packed_assets.data";
 }
 

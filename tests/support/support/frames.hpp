@@ -28,6 +28,6 @@ cv::Mat warped(const cv::Mat& bgr, const cv::Matx23d& canvas_from_picture, cv::S
 cv::Matx23d similarity(cv::Point2d about, cv::Point2d to, double scale, double rotation_rad);
 
 /// The MediaPipe assets, which may be missing.
-std::filesystem::path landmark_assets();
+std::filesystem::path landmark_nets();
 
 }  // namespace facet::test
