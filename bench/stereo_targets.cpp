@@ -149,7 +149,7 @@ double point_noise(const facet::capture::DepthMap& map) {
     }
   }
   // The median of absolute values, so that a bent rim does not count.
-  return 1.4826 * maths::median_of(values) / std::sqrt(8.0 / 9);
+  return 1.4826 * facet::maths::median_of(values) / std::sqrt(8.0 / 9);
 }
 
 struct Method {
