@@ -15,16 +15,15 @@
 namespace facet::service {
 namespace {
 
-void tell(OpenedPipeline& opened, std::string line) {
-  opened.lines.push_back({false, std::move(line)});
+void tell(OpenedPipeline& opened, std::string line, bool warns = false) {
+  opened.lines.push_back({warns, std::move(line)});
 }
 
 void tell_refiner(OpenedPipeline& opened, const pipeline::ShadingParts& stages) {
   if (stages.refiner != nullptr) {
     tell(opened, fmt::format("refining on {}", stages.refiner->device()));
   } else {
-    opened.lines.push_back(
-        {true, "refinement off (gpu.device = \"none\"): meshes are coarse and marked as degraded"});
+    tell(opened, "refinement off (gpu.device = \"none\"): meshes are coarse and marked as degraded", true);
   }
 }
 
