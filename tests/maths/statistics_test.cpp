@@ -34,7 +34,8 @@ TEST(Statistics, NthIsThatOfTheSortedValues) {
 
 TEST(Srgb, MeetsAtItsKnees) {
   EXPECT_NEAR(decode_srgb(0.5), 0.214041, 1e-6);  // IEC 61966-2-1
-  EXPECT_FLOAT_EQ(encode_srgb(decode_srgb(0.04045F)), 0.04045F);
+  // The standard's two knees differ by so much.
+  EXPECT_NEAR(encode_srgb(decode_srgb(0.04045F)), 0.04045F, 1e-7F);
   for (float value = 0; value <= 1; value += 1.0F / 64) {
     EXPECT_NEAR(encode_srgb(decode_srgb(value)), value, 2e-6F) << value;
   }

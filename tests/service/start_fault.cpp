@@ -92,6 +92,11 @@ int open_next(const char* name, const char* path, int flags, mode_t mode) {
   return fails("open", path) ? -1 : next<int (*)(const char*, int, ...)>(name)(path, flags, mode);
 }
 
+int openat_next(const char* name, int folder, const char* path, int flags, mode_t mode) {
+  return fails("open", path) ? -1
+                             : next<int (*)(int, const char*, int, ...)>(name)(folder, path, flags, mode);
+}
+
 FILE* fopen_next(const char* name, const char* path, const char* mode) {
   return fails("open", path) ? nullptr : next<FILE* (*)(const char*, const char*)>(name)(path, mode);
 }
@@ -127,6 +132,22 @@ int open64(const char* path, int flags, ...) {
   const auto mode = static_cast<mode_t>((flags & O_CREAT) != 0 ? va_arg(rest, int) : 0);
   va_end(rest);
   return open_next("open64", path, flags, mode);
+}
+
+int openat(int folder, const char* path, int flags, ...) {
+  va_list rest;
+  va_start(rest, flags);
+  const auto mode = static_cast<mode_t>((flags & O_CREAT) != 0 ? va_arg(rest, int) : 0);
+  va_end(rest);
+  return openat_next("openat", folder, path, flags, mode);
+}
+
+int openat64(int folder, const char* path, int flags, ...) {
+  va_list rest;
+  va_start(rest, flags);
+  const auto mode = static_cast<mode_t>((flags & O_CREAT) != 0 ? va_arg(rest, int) : 0);
+  va_end(rest);
+  return openat_next("openat64", folder, path, flags, mode);
 }
 
 FILE* fopen(const char* path, const char* mode) {
