@@ -123,7 +123,7 @@ TEST_F(TwoCameras, MoreRefusedThanFiredIsNoNegativeLoss) {
   settle();
   fire(10);
   fire(11);
-  for (const std::uint64_t wrong : {15, 16, 17}) {
+  for (const std::uint64_t wrong : {15U, 16U, 17U}) {
     frame(0, 11, wrong);
   }
   fire(12);
