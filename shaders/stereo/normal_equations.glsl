@@ -87,7 +87,7 @@ Window window_of(int at_window, int voxel, int slot) {
   window.correlation = lw * inversesqrt(ll * ww);
   window.variance = residual * inverse_count;
   float weight = 1 / (window.variance + push.noise * push.noise);
-  window.energy = weight * residual;
+  window.energy = weight * residual;  // a window of G, the energy of [SF04 eq. 5], weighed by the noise
 
   vec4 p = vec4(texelFetch(disparities, voxel).x, slope_of(voxel, 1, axis_bits(word, 0)),
                 slope_of(voxel, push.volume.x, axis_bits(word, 1)),
