@@ -29,7 +29,8 @@ GlbDocument read_glb(const std::filesystem::path& file);
 std::size_t append_floats(GlbDocument& glb, std::span<const float> values, const char* type,
                           std::size_t count, const nlohmann::ordered_json& extra);
 
-/// Writes it whole or not at all. Throws Error(Storage) naming the file, Error(Usage) beyond 4 GiB.
+/// Writes it whole or not at all. Throws Error(Storage) naming the file, Error(Usage) beyond 4 GiB,
+/// Error(UnreadableInput) where a name in it is no UTF-8.
 void write_glb(const GlbDocument& glb, const std::filesystem::path& file);
 
 }  // namespace facet::avatar

@@ -13,10 +13,10 @@
 
 namespace facet::booth {
 
-/// Points that both cameras of a pair see, found without relying on the calibration to more than a few
-/// degrees: corners of the left picture [ST94] looked for in the right one around where their
-/// lines of sight lie (normalised correlation, the peak's parabola). For blank slots: stripes look alike
-/// along themselves. Empty where a picture is. 0.1 s; any thread.
+/// Points that both cameras of a pair see, found where the calibration is right within a degree: corners of
+/// the left picture [ST94] looked for in the right one around where their lines of sight lie (normalised
+/// correlation, the peak's parabola). For blank slots: a stripe looks the same all along its length. No
+/// matches where a picture is empty or damaged, or has another size than its lens. 0.1 s; any thread.
 std::vector<capture::PointMatch> match_corners(const capture::Lens& left, const capture::Lens& right,
                                                const Frame& left_picture, const Frame& right_picture,
                                                const stereo::DepthRange& depths);
@@ -33,8 +33,8 @@ struct RigPairStatus {
   double median_px = 0;     ///< of their epipolar errors (capture::epipolar_error_px), absolute
   double p95_px = 0;
   std::string wrong;  ///< for people; empty where all is well or nothing is known
-  /// Mean absolute error where the left camera saw points, without those that miss by far while the pair
-  /// is fine (wrong matches), px; below 0: none were seen there. Row by row, from the top left.
+  /// Mean absolute error where the left camera saw points, px; matches that miss by far are left out as wrong
+  /// ones, unless the pair is judged wrong; below 0: none were seen there. Row by row, from the top left.
   std::array<float, std::size_t{kColumns} * kRows> error_px;
 
   RigPairStatus() { error_px.fill(-1); }
