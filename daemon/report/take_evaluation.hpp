@@ -29,12 +29,21 @@ struct TakeEvaluation {
   render::Picture heat_map;  ///< of four frames
 };
 
-/// A take of a synthetic sequence against its truth (docs/evaluation.md).
+struct EvaluationOptions {
+  Alignment alignment = Alignment::Similarity;
+  float mm_per_unit = 1;  ///< of the truth's lengths
+  /// Indices in the take, ascending; empty: all, and then every frame of the truth must be one of the take's.
+  std::vector<std::int64_t> frames;
+};
+
+/// A take against the truth in a folder (docs/evaluation.md), which may be of every frame or of some.
 ///
-/// folder     that `facet synth` wrote; the photometric error needs its video.mkv
+/// folder     as TruthFolder; the photometric error needs its video.mkv
 /// progress   is told how many of how many frames are done
-/// Throws Error(UnreadableInput) where no frame has both a mesh and a truth, and for damaged files.
-TakeEvaluation evaluate_take(take::TakeReader& take, const std::filesystem::path& folder, Alignment alignment,
+/// Throws Error(UnreadableInput) where no frame has both a mesh and a truth, where the truth is of frames
+/// that the take has not, and for what TruthFolder and its meshes refuse.
+TakeEvaluation evaluate_take(take::TakeReader& take, const std::filesystem::path& folder,
+                             const EvaluationOptions& options,
                              const std::function<void(std::uint64_t done, std::uint64_t total)>& progress);
 
 }  // namespace facet::report

@@ -25,8 +25,8 @@ struct TruthMesh {
 /// Throws Error(Storage).
 void write_truth_ply(const TruthMesh& mesh, const std::filesystem::path& file);
 
-/// Reads a PLY of this kind: binary little-endian, vertex properties in any order and number of which x y z
-/// are needed, faces of three corners. Missing normals are computed from the faces, missing albedo is grey.
+/// Reads any PLY that files::parse_ply reads with x y z and faces. Normals are brought to length 1; where the
+/// file lacks them, or one of them, they are computed from the faces. Missing albedo is grey.
 /// Throws Error(UnreadableInput) naming the file and what is wrong.
 TruthMesh read_truth_ply(const std::filesystem::path& file);
 

@@ -1,4 +1,4 @@
-// `facet eval`: a take of a synthetic sequence against its truth.
+// `facet eval`: a take against its truth.
 
 #include <fmt/format.h>
 
@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
@@ -15,6 +16,7 @@
 #include "progress.hpp"
 #include "report/take_evaluation.hpp"
 #include "take/reader.hpp"
+#include "take_frames.hpp"
 #include "tell.hpp"
 
 namespace facet::tools {
@@ -26,6 +28,8 @@ struct EvalOptions {
   std::string take;
   std::string truth;
   std::string align = "similarity";
+  std::string unit = "mm";
+  std::string frames;
   std::string output;
   std::string heat_map;
 };
@@ -34,6 +38,10 @@ report::Alignment alignment_of(const std::string& name) {
   return name == "none"    ? report::Alignment::None
          : name == "rigid" ? report::Alignment::Rigid
                            : report::Alignment::Similarity;
+}
+
+float mm_per_unit(const std::string& unit) {
+  return unit == "m" ? 1000.0F : unit == "cm" ? 10.0F : 1.0F;
 }
 
 ordered_json number(double value) {
@@ -53,13 +61,18 @@ ordered_json figures_json(const report::AccuracyFigures& figures) {
 void run_eval(const EvalOptions& options) {
   take::TakeReader take(options.take);
   std::optional<Progress> progress;
-  const report::TakeEvaluation evaluation = report::evaluate_take(
-      take, options.truth, alignment_of(options.align), [&](std::uint64_t done, std::uint64_t total) {
-        if (!progress) {
-          progress.emplace("Measuring", total);
-        }
-        progress->set(done);
-      });
+  const report::TakeEvaluation evaluation =
+      report::evaluate_take(take, options.truth,
+                            {.alignment = alignment_of(options.align),
+                             .mm_per_unit = mm_per_unit(options.unit),
+                             .frames = options.frames.empty() ? std::vector<std::int64_t>()
+                                                              : frames_in_range(take, options.frames)},
+                            [&](std::uint64_t done, std::uint64_t total) {
+                              if (!progress) {
+                                progress.emplace("Measuring", total);
+                              }
+                              progress->set(done);
+                            });
   progress.reset();
   const report::AccuracyFigures& coarse = evaluation.coarse;
   const report::AccuracyFigures& refined = evaluation.refined;
@@ -103,14 +116,17 @@ void run_eval(const EvalOptions& options) {
 void add_eval_command(Command app) {
   auto options = std::make_shared<EvalOptions>();
   const Command command = app.subcommand(
-      "eval", "Measure a take of a synthetic sequence against its truth (JSON and a heat map)");
+      "eval", "Measure a take against its truth, rendered or from elsewhere (JSON and a heat map)");
   command.option("take", options->take, "Take file").required();
-  command.option("--truth", options->truth, "Folder that `facet synth` wrote").required();
+  command.option("--truth", options->truth, "Folder with truth/frame_NNNNNN.ply, as `facet synth` writes it")
+      .required();
   command
       .option("--align", options->align,
               "What to take out of every frame first: none, rigid, or similarity (rigid and scale)")
       .shows_default()
       .one_of({"none", "rigid", "similarity"});
+  command.option("--unit", options->unit, "Of the truth's lengths").shows_default().one_of({"mm", "cm", "m"});
+  command.option("--frames", options->frames, kFramesHelp);
   command.option("-o,--output", options->output, "JSON to write; default: standard output");
   command.option("--heat-map", options->heat_map, "PNG to write; default: TAKE with .eval.png");
   command.callback([options] { run_eval(*options); });

@@ -384,8 +384,8 @@ void run_report(const ReportOptions& options) {
 
   if (!options.truth.empty()) {
     std::optional<Progress> progress;
-    const report::TakeEvaluation evaluation = report::evaluate_take(
-        take, options.truth, report::Alignment::Similarity, [&](std::uint64_t done, std::uint64_t total) {
+    const report::TakeEvaluation evaluation =
+        report::evaluate_take(take, options.truth, {}, [&](std::uint64_t done, std::uint64_t total) {
           if (!progress) {
             progress.emplace("Measuring", total);
           }
