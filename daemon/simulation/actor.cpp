@@ -24,7 +24,6 @@ using face::Region;
 
 constexpr float kIdentitySigma = 0.8F;  // of the coefficients inside the span, in the model's own sigmas
 constexpr float kMaxIdentity = 2.0F;
-constexpr float kOutsideSpan_mm = 1.2F;     // rms aimed at, varied by 20 % between actors
 constexpr float kExpressionSpread = 0.25F;  // how far an actor's expressions differ from the model's
 constexpr std::int32_t kMaxVertices = 200'000;
 constexpr float kHairVolume_mm = 9;
@@ -68,7 +67,8 @@ VirtualActor::~VirtualActor() = default;
 
 /// A random identity inside the model's span, and a smooth, asymmetric deformation from which everything that
 /// the span could explain is taken away; expressions that move a bit differently from the model's.
-void VirtualActor::make_identity(const face::FaceModel& model, std::uint64_t seed) {
+void VirtualActor::make_identity(const face::FaceModel& model, const ActorTraits& traits) {
+  const std::uint64_t seed = traits.seed;
   Random random(seed, 71);
   identity_.resize(static_cast<std::size_t>(model.identity_count()));
   for (float& coefficient : identity_) {
@@ -124,7 +124,7 @@ void VirtualActor::make_identity(const face::FaceModel& model, std::uint64_t see
     return std::sqrt(on_skin(field).squaredNorm() /
                      static_cast<float>(std::max<std::size_t>(1, skin.size())));
   };
-  field *= kOutsideSpan_mm * random.uniform(0.8F, 1.2F) / std::max(rms(), 1e-6F);
+  field *= static_cast<float>(traits.outside_span_mm) * random.uniform(0.8F, 1.2F) / std::max(rms(), 1e-6F);
   outside_span_rms_mm_ = rms();
   basis_.neutral_mm += field;
 
@@ -276,9 +276,10 @@ void VirtualActor::grow_hair(const mesh::Vertices& resting_mm, const Eigen::Vect
   }
 }
 
-VirtualActor::VirtualActor(const face::FaceModel& model, std::uint64_t seed, bool glasses)
+VirtualActor::VirtualActor(const face::FaceModel& model, const ActorTraits& traits)
     : expression_names_(model.expression_names) {
-  make_identity(model, seed);
+  const std::uint64_t seed = traits.seed;
+  make_identity(model, traits);
   anatomy_ = find_anatomy(model, basis_.neutral_mm);
   find_eyeballs(model);
   make_surface(model);
@@ -312,7 +313,7 @@ VirtualActor::VirtualActor(const face::FaceModel& model, std::uint64_t seed, boo
   upper_teeth_ = make_teeth(anatomy_, true);
   lower_teeth_ = make_teeth(anatomy_, false);
   torso_ = make_torso(anatomy_, complexion, seed);
-  if (glasses) {
+  if (traits.glasses) {
     glasses_ = make_glasses(anatomy_, seed);
   }
 }

@@ -71,6 +71,7 @@ Eigen::Matrix3Xf make_background(const ActorSequenceConfig& config) {
 
 struct ActorSequence::Impl {
   ActorSequenceConfig config;
+  std::string model_name;
   PlacedActor placed;
   CameraIntrinsics camera;
   Lighting lighting;
@@ -86,8 +87,14 @@ struct ActorSequence::Impl {
 
   Impl(const face::FaceModel& model, const ActorSequenceConfig& given)
       : config(given),
-        placed(model, given.seed, given.glasses, static_cast<double>(given.frame_count) / given.rate_hz + 1) {
-  }
+        model_name(model.name),
+        placed(model,
+               {.seed = given.seed, .glasses = given.glasses, .outside_span_mm = given.outside_span_mm},
+               {.seed = given.seed,
+                .duration_s = static_cast<double>(given.frame_count) / given.rate_hz + (given.curves ? 0 : 1),
+                .start_s = given.start_s,
+                .calm_turn = given.calm_turn,
+                .curves = given.curves}) {}
 
   double time_s(int index) const { return static_cast<double>(index) / config.rate_hz; }
 
@@ -246,8 +253,9 @@ ActorSequence::ActorSequence(const face::FaceModel& model, const ActorSequenceCo
   constexpr int kMaxSide_px = 8192;
   constexpr int kMaxCameras = 8;
   if (config.width_px < 16 || config.height_px < 16 || config.width_px > kMaxSide_px ||
-      config.height_px > kMaxSide_px || config.frame_count < 1 || config.rate_hz < 1 ||
-      config.rays_per_pixel < 1 || config.camera_count < 1 || config.camera_count > kMaxCameras) {
+      config.height_px > kMaxSide_px || config.frame_count < 1 || config.rate_hz < 1 || config.start_s < 0 ||
+      config.outside_span_mm < 0 || config.rays_per_pixel < 1 || config.camera_count < 1 ||
+      config.camera_count > kMaxCameras) {
     throw Error(
         ErrorKind::Usage,
         fmt::format("a synthetic sequence of {} frames of {}x{} px at {} Hz cannot be made: sides are 16 to "
@@ -273,6 +281,9 @@ const CameraIntrinsics& ActorSequence::camera() const {
 const capture::Rig& ActorSequence::rig() const {
   return impl_->rig;
 }
+const std::string& ActorSequence::model_name() const {
+  return impl_->model_name;
+}
 const std::vector<std::string>& ActorSequence::expression_names() const {
   return impl_->placed.actor().expression_names();
 }
@@ -281,6 +292,9 @@ const std::vector<float>& ActorSequence::identity() const {
 }
 float ActorSequence::outside_span_rms_mm() const {
   return impl_->placed.actor().outside_span_rms_mm();
+}
+TruthMesh ActorSequence::neutral() const {
+  return impl_->placed.neutral();
 }
 const Lighting& ActorSequence::lighting() const {
   return impl_->lighting;

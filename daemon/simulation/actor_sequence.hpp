@@ -10,6 +10,7 @@
 #include "face/face_model.hpp"
 #include "facet/frame.hpp"
 #include "render/renderer.hpp"
+#include "simulation/actor.hpp"
 #include "simulation/light.hpp"
 #include "simulation/truth_mesh.hpp"
 
@@ -24,6 +25,11 @@ struct ActorSequenceConfig {
   LightKind light = LightKind::SphericalHarmonics;
   bool highlights = false;  ///< skin shines (GGX)
   bool glasses = false;
+  double outside_span_mm = ActorTraits{}.outside_span_mm;
+  /// What the actor does; as in PerformanceConfig.
+  double start_s = 0;
+  bool calm_turn = false;
+  std::shared_ptr<const RecordedCurves> curves = nullptr;
   double turn_deg = 0;  ///< besides its own motion the head turns to the subject's left by so much and back
   /// More than one: further cameras stand to both sides of the first one, each with an exposure and a white
   /// balance of its own.
@@ -45,8 +51,9 @@ struct SyntheticFrame {
 /// may be rendered in any order and come out the same. One thread (it uses two inside).
 class ActorSequence {
  public:
-  /// Throws Error(Usage) where the configuration makes no sense, Error(UnreadableInput) where the model has
-  /// no landmark map. The model is not needed afterwards.
+  /// Throws Error(Usage) where the configuration makes no sense or recorded curves are too short for it,
+  /// Error(UnreadableInput) where the model has no landmark map or lacks an expression that they move. The
+  /// model is not needed afterwards.
   ActorSequence(const face::FaceModel& model, const ActorSequenceConfig& config);
   ~ActorSequence();
 
@@ -54,9 +61,12 @@ class ActorSequence {
   const CameraIntrinsics& camera() const;
   /// All cameras as calibrated, in the first one's frame: "video", "view-2", "view-3", ...
   const capture::Rig& rig() const;
+  const std::string& model_name() const;  ///< of the face model that the actor is made of
   const std::vector<std::string>& expression_names() const;
   const std::vector<float>& identity() const;  ///< the part inside the model's span
   float outside_span_rms_mm() const;
+  /// The head at rest, without any expression, in its head frame; in the topology of every frame's truth.
+  TruthMesh neutral() const;
   /// Exposed: coefficients that give the linear picture values. Area light: its ambient part.
   const Lighting& lighting() const;
 

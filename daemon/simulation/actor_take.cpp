@@ -54,8 +54,8 @@ Eigen::Isometry3f camera_from_head(const HeadMotion& motion) {
 
 ActorTake::ActorTake(const face::FaceModel& model, const ActorTakeConfig& config)
     : config_(config),
-      performance_(config.seed,
-                   static_cast<double>(config.frame_count) / static_cast<double>(config.rate_hz)) {
+      performance_(
+          {.seed = config.seed, .duration_s = static_cast<double>(config.frame_count) / config.rate_hz}) {
   Random random(config.seed, 91);
   std::vector<float> identity(static_cast<std::size_t>(model.identity_count()));
   for (float& coefficient : identity) {

@@ -2,7 +2,10 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <functional>
+#include <memory>
 #include <string>
+#include <string_view>
 #include <vector>
 
 namespace facet::simulation {
@@ -21,15 +24,34 @@ struct Gaze {
   float pitch_rad = 0;
 };
 
-/// What the virtual actor does over time: talks in phrases, smiles, raises and knits the brows, squints,
-/// puckers, sneers, blinks, moves the eyes and turns the head up to 25 degrees. A function of the seed and
-/// the time alone. It begins near rest and frontal, so that a tracker can get hold. Any thread once built.
+class RecordedCurves;
+
+struct PerformanceConfig {
+  std::uint64_t seed = 1;
+  double duration_s = 10;  ///< after it an acted face rests; the head goes on moving
+  /// The moment of the performance at which time 0 lies: the actor is met in the middle of it.
+  double start_s = 0;
+  /// Instead of acting: the face rests but for blinks while the head turns to both sides, up and down
+  /// (kCalmTurn_s), as somebody does who is asked to.
+  bool calm_turn = false;
+  /// Instead of the acted expressions; the head's turns, too, where they are recorded.
+  std::shared_ptr<const RecordedCurves> curves = nullptr;
+};
+
+/// A calm turn's length, s: 30 degrees to the subject's left and to the right, then 10 up and 10 down.
+inline constexpr double kCalmTurn_s = 10;
+
+/// What the virtual actor does over time. Acted: it talks in phrases, smiles, raises and knits the brows,
+/// squints, puckers, sneers, blinks, moves the eyes and turns the head up to 25 degrees; a function of the
+/// seed and the time alone. It begins near rest and frontal, so that a tracker can get hold. Or as recorded,
+/// or a calm turn. Any thread once built.
 class Performance {
  public:
-  /// duration_s: after it the face rests; the head goes on moving.
-  Performance(std::uint64_t seed, double duration_s);
+  /// Throws Error(Usage) where recorded curves end before start_s + duration_s.
+  explicit Performance(PerformanceConfig config);
 
-  /// Weights 0 to 1 for the given ARKit names; names that the performance does not use stay 0.
+  /// Weights 0 to 1 for the given ARKit names; names that the performance does not use stay 0. time_s: from
+  /// the start on, here and below.
   std::vector<float> expression(double time_s, const std::vector<std::string>& names) const;
   HeadMotion head(double time_s) const;
   Gaze gaze(double time_s) const;
@@ -53,11 +75,19 @@ class Performance {
     Gaze offset;
   };
 
+  using AddWeight = std::function<void(std::string_view name, float weight)>;
+
+  void write_script(double end_s);
+  // at_s: from the beginning of the performance.
+  void act(double at_s, const AddWeight& add) const;
+  HeadMotion acted_head(double at_s) const;
+  HeadMotion calmly_turned_head(double at_s) const;
+
+  PerformanceConfig config_;
   std::vector<Event> events_;
   std::vector<Syllable> syllables_;
   std::vector<double> blinks_s_;
   std::vector<Fixation> fixations_;
-  std::uint64_t seed_;
 };
 
 }  // namespace facet::simulation

@@ -1,8 +1,14 @@
 #include "simulation/placed_actor.hpp"
 
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
 #include <algorithm>
 #include <cmath>
 #include <numbers>
+
+#include "facet/error.hpp"
+#include "simulation/recorded_curves.hpp"
 
 namespace facet::simulation {
 namespace {
@@ -17,10 +23,34 @@ Eigen::Matrix3f turn(const HeadMotion& motion) {
       .toRotationMatrix();
 }
 
+/// Throws Error(UnreadableInput) where curves move what the model has no shape for.
+void check_names(const face::FaceModel& model, const RecordedCurves& curves) {
+  constexpr float kMoves = 0.1F;
+  std::vector<std::string> lacking;
+  for (std::size_t k = 0; k < curves.largest().size(); ++k) {
+    const std::string name = mesh::arkit_name(k);
+    if (curves.largest()[k] > kMoves &&
+        std::find(model.expression_names.begin(), model.expression_names.end(), name) ==
+            model.expression_names.end()) {
+      lacking.push_back(name);
+    }
+  }
+  if (!lacking.empty()) {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("{} moves {}, for which the face model '{}' has no expression; leave it out, or "
+                            "take another model",
+                            curves.source(), fmt::join(lacking, ", "), model.name));
+  }
+}
+
 }  // namespace
 
-PlacedActor::PlacedActor(const face::FaceModel& model, std::uint64_t seed, bool glasses, double duration_s)
-    : actor_(model, seed, glasses), performance_(seed, duration_s) {
+PlacedActor::PlacedActor(const face::FaceModel& model, const ActorTraits& traits,
+                         const PerformanceConfig& performance)
+    : actor_(model, traits), performance_(performance) {
+  if (performance.curves) {
+    check_names(model, *performance.curves);
+  }
   const Anatomy& face = actor_.anatomy();
   middle_mm_ = 0.5F * (face.forehead + face.chin);
   pivot_mm_ = Vector3f(0, face.chin.y() + 25, face.nasion.z() - 95);
@@ -104,6 +134,12 @@ void PlacedActor::build_scene(double time_s, Scene& scene) const {
   if (actor_.glasses().vertices_mm.cols() > 0) {
     add(head * actor_.glasses().vertices_mm, actor_.glasses());
   }
+}
+
+TruthMesh PlacedActor::neutral() const {
+  ActorShape shape;
+  actor_.shape(std::vector<float>(actor_.expression_names().size(), 0.0F), {}, shape);
+  return {shape.head_mm, shape.head_normals, actor_.head_albedo(), actor_.head_triangles()};
 }
 
 TruthMesh PlacedActor::head_of(const Scene& scene) const {

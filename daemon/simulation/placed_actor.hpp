@@ -16,8 +16,9 @@ namespace facet::simulation {
 /// that can be seen of it, at any time. Everything follows from seed, place and time. Any thread once placed.
 class PlacedActor {
  public:
-  /// duration_s: after it the face rests. Throws Error(UnreadableInput) where the model has no landmark map.
-  PlacedActor(const face::FaceModel& model, std::uint64_t seed, bool glasses, double duration_s);
+  /// Throws Error(UnreadableInput) where the model has no landmark map or lacks an expression that recorded
+  /// curves move, Error(Usage) as Performance does.
+  PlacedActor(const face::FaceModel& model, const ActorTraits& traits, const PerformanceConfig& performance);
 
   /// Where and how the head rests, and how much of the performance's head motion it makes.
   /// axes             turns head axes to the place's for a head that looks straight ahead
@@ -36,6 +37,8 @@ class PlacedActor {
   void build_scene(double time_s, Scene& scene) const;
   /// The head's surface of a scene made by build_scene, without eyeballs, teeth, neck and glasses.
   TruthMesh head_of(const Scene& scene) const;
+  /// The same surface without any expression, head frame.
+  TruthMesh neutral() const;
 
  private:
   Eigen::Isometry3f pose(const HeadMotion& motion) const;

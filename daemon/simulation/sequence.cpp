@@ -8,6 +8,7 @@
 #include "capture/rig_file.hpp"
 #include "files/output_file.hpp"
 #include "simulation/lossless_video.hpp"
+#include "simulation/recorded_curves.hpp"
 
 namespace facet::simulation {
 namespace {
@@ -53,9 +54,11 @@ std::filesystem::path truth_file(const std::filesystem::path& folder, std::uint6
   return folder / "truth" / fmt::format("frame_{:06}.ply", index);
 }
 
-void write_sequence(const ActorSequence& sequence, const std::filesystem::path& folder,
+void write_sequence(const ActorSequence& sequence, const std::filesystem::path& folder, int truth_every,
                     const std::function<void(int)>& done) {
   files::make_folder(folder / "truth");
+  write_truth_ply(sequence.neutral(), folder / "truth" / "neutral.ply",
+                  "head frame, mm, x to the subject's left, y up, z out of the face");
   const ActorSequenceConfig& config = sequence.config();
   const CameraIntrinsics& camera = sequence.camera();
   json document = {{"fx", camera.fx},
@@ -69,6 +72,10 @@ void write_sequence(const ActorSequence& sequence, const std::filesystem::path& 
                    {"light", light_json(sequence.lighting())},
                    {"highlights", config.highlights},
                    {"glasses", config.glasses},
+                   {"model", sequence.model_name()},
+                   {"curves", config.curves ? json(config.curves->source()) : json(nullptr)},
+                   {"start_s", config.start_s},
+                   {"calm_turn", config.calm_turn},
                    {"identity", sequence.identity()},
                    {"outside_span_rms_mm", sequence.outside_span_rms_mm()},
                    {"frames", json::array()}};
@@ -79,12 +86,15 @@ void write_sequence(const ActorSequence& sequence, const std::filesystem::path& 
   }
   TruthMesh truth;
   for (int index = 0; index < config.frame_count; ++index) {
-    const SyntheticFrame frame = sequence.render(index, &truth);
+    const bool with_truth = index % truth_every == 0;
+    const SyntheticFrame frame = sequence.render(index, with_truth ? &truth : nullptr);
     videos.front()->append(frame.picture);
     for (std::size_t k = 1; k < videos.size(); ++k) {
       videos[k]->append(frame.further_pictures[k - 1]);
     }
-    write_truth_ply(truth, truth_file(folder, static_cast<std::uint64_t>(index)));
+    if (with_truth) {
+      write_truth_ply(truth, truth_file(folder, static_cast<std::uint64_t>(index)));
+    }
     document["frames"].push_back(frame_json(index, frame, sequence.expression_names()));
     done(index + 1);
   }

@@ -67,7 +67,7 @@ bool read_normals(const files::PlySurface& surface, Eigen::Matrix3Xf& normals) {
 
 }  // namespace
 
-void write_truth_ply(const TruthMesh& mesh, const std::filesystem::path& file) {
+void write_truth_ply(const TruthMesh& mesh, const std::filesystem::path& file, std::string_view frame) {
   std::vector<PlyVertex> vertices(static_cast<std::size_t>(mesh.vertices_mm.cols()));
   for (std::size_t v = 0; v < vertices.size(); ++v) {
     const auto column = static_cast<Eigen::Index>(v);
@@ -80,8 +80,7 @@ void write_truth_ply(const TruthMesh& mesh, const std::filesystem::path& file) {
     }
   }
   files::write_ply(
-      {.comments =
-           {"Facet truth mesh: camera frame, mm, x right, y down, z forward; albedo linear, colours sRGB"},
+      {.comments = {fmt::format("Facet truth mesh: {}; albedo linear, colours sRGB", frame)},
        .fields = {"float x", "float y", "float z", "float nx", "float ny", "float nz", "float albedo_red",
                   "float albedo_green", "float albedo_blue", "uchar red", "uchar green", "uchar blue"},
        .vertices = std::as_bytes(std::span(vertices)),

@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <span>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "mesh/mesh.hpp"
@@ -22,8 +23,10 @@ struct TruthMesh {
 
 /// Writes binary little-endian PLY: x y z nx ny nz as float, albedo_red/green/blue as float (linear), red
 /// green blue as uchar (the albedo in sRGB, for viewers), faces as triangles. Through a temporary name.
+/// frame: what the positions are, for the file's comment.
 /// Throws Error(Storage).
-void write_truth_ply(const TruthMesh& mesh, const std::filesystem::path& file);
+void write_truth_ply(const TruthMesh& mesh, const std::filesystem::path& file,
+                     std::string_view frame = "camera frame, mm, x right, y down, z forward");
 
 /// Reads any PLY that files::parse_ply reads with x y z and faces. Normals are brought to length 1; where the
 /// file lacks them, or one of them, they are computed from the faces. Missing albedo is grey.

@@ -18,6 +18,7 @@
 #include "simulation/light.hpp"
 #include "simulation/placed_actor.hpp"
 #include "simulation/random.hpp"
+#include "simulation/recorded_curves.hpp"
 #include "simulation/sensor.hpp"
 #include "simulation/shading.hpp"
 
@@ -365,8 +366,14 @@ struct VirtualBooth::Impl {
                 (0.8F * distant_light_sh(Vector3f(0, 0.6F, 0.8F))[k] + (k == 0 ? 0.4F : 0));
     }
     if (config.scene == BoothScene::Actor) {
-      placed = std::make_unique<PlacedActor>(*model, config.actor_seed.value_or(config.seed), false,
-                                             kPerformance_s);
+      const std::uint64_t seed = config.actor_seed.value_or(config.seed);
+      PerformanceConfig performance{.seed = seed, .duration_s = kPerformance_s, .start_s = config.start_s};
+      if (config.curves) {
+        performance.curves = config.curves;
+        performance.duration_s = std::max(0.0, config.curves->duration_s() - config.start_s);
+      }
+      placed = std::make_unique<PlacedActor>(
+          *model, ActorTraits{.seed = seed, .outside_span_mm = config.outside_span_mm}, performance);
       placed->put(Eigen::Matrix3f::Identity(), Vector3f::Zero(), static_cast<float>(config.head_motion));
       skin = placed->actor().face_skin();
     } else {

@@ -11,6 +11,7 @@
 #include "capture/rig.hpp"
 #include "face/face_model.hpp"
 #include "facet/frame_set.hpp"
+#include "simulation/actor.hpp"
 #include "simulation/truth_mesh.hpp"
 
 namespace facet::simulation {
@@ -24,6 +25,10 @@ enum class BoothScene : std::uint8_t {
 struct VirtualBoothConfig {
   std::uint64_t seed = 1;                   ///< of rig, actor, performance, targets, noise
   std::optional<std::uint64_t> actor_seed;  ///< of somebody else, and another performance, in the same booth
+  /// The actor's; as in ActorTraits and PerformanceConfig.
+  double outside_span_mm = ActorTraits{}.outside_span_mm;
+  double start_s = 0;
+  std::shared_ptr<const RecordedCurves> curves = nullptr;
   BoothScene scene = BoothScene::Actor;
   double resolution = 1;  ///< of the cameras, of 640x480 px; 0.25 to 4 (make_booth_rig)
   double slots_per_second = 60;

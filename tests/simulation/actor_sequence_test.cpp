@@ -209,13 +209,31 @@ TEST(ActorSequence, RefusesConfigurationsWithoutSense) {
   }
 }
 
+TEST(Sequence, WritesEveryNthTruthAndTheHeadAtRest) {
+  const test::TemporaryFolder folder;
+  ActorSequenceConfig config = small();
+  config.rays_per_pixel = 1;
+  config.outside_span_mm = 0;
+  const ActorSequence sequence(model(), config);
+  EXPECT_EQ(sequence.outside_span_rms_mm(), 0);
+  write_sequence(sequence, folder.path(), 2, [](int) {});
+  EXPECT_TRUE(std::filesystem::exists(truth_file(folder.path(), 0)));
+  EXPECT_FALSE(std::filesystem::exists(truth_file(folder.path(), 1)));
+  EXPECT_TRUE(std::filesystem::exists(truth_file(folder.path(), 2)));
+  const TruthMesh neutral = read_truth_ply(folder.path() / "truth" / "neutral.ply");
+  const TruthMesh frame = read_truth_ply(truth_file(folder.path(), 0));
+  EXPECT_EQ(neutral.triangles, frame.triangles);
+  EXPECT_GT(neutral.vertices_mm.row(1).maxCoeff(), 50);  // upright, in the head's frame
+  EXPECT_LT(neutral.vertices_mm.rowwise().mean().norm(), 100);
+}
+
 TEST(Sequence, WritesVideoTruthAndCamera) {
   const test::TemporaryFolder folder;
   ActorSequenceConfig config = small();
   config.frame_count = 2;
   const ActorSequence sequence(model(), config);
   int last = 0;
-  write_sequence(sequence, folder.path() / "out", [&](int done) { last = done; });
+  write_sequence(sequence, folder.path() / "out", 1, [&](int done) { last = done; });
   EXPECT_EQ(last, 2);
   TruthMesh truth;
   const SyntheticFrame expected = sequence.render(1, &truth);

@@ -19,7 +19,7 @@ const face::FaceModel& model() {
 }
 
 const VirtualActor& actor() {
-  static const VirtualActor made(model(), 3, false);
+  static const VirtualActor made(model(), {.seed = 3});
   return made;
 }
 
@@ -36,7 +36,7 @@ TEST(VirtualActor, IsFineEnoughAndPainted) {
   EXPECT_LT(actor().head_albedo().maxCoeff(), 1);
   EXPECT_LT(actor().head_triangles().maxCoeff(), actor().head_albedo().cols());
   EXPECT_TRUE(actor().glasses().vertices_mm.size() == 0);
-  EXPECT_GT(VirtualActor(model(), 3, true).glasses().vertices_mm.cols(), 1000);
+  EXPECT_GT(VirtualActor(model(), {.seed = 3, .glasses = true}).glasses().vertices_mm.cols(), 1000);
 }
 
 TEST(VirtualActor, LiesOutsideTheModelsSpan) {
@@ -80,10 +80,10 @@ TEST(VirtualActor, MovesWithTheExpression) {
 }
 
 TEST(VirtualActor, SeedsGiveDifferentPeople) {
-  const VirtualActor other(model(), 4, false);
+  const VirtualActor other(model(), {.seed = 4});
   EXPECT_NE(other.identity(), actor().identity());
   EXPECT_FALSE(other.head_albedo().isApprox(actor().head_albedo(), 0.01F));
-  const VirtualActor same(model(), 3, false);
+  const VirtualActor same(model(), {.seed = 3});
   EXPECT_EQ(same.identity(), actor().identity());
   EXPECT_EQ(same.head_albedo(), actor().head_albedo());
 }
@@ -91,7 +91,7 @@ TEST(VirtualActor, SeedsGiveDifferentPeople) {
 TEST(VirtualActor, NeedsLandmarks) {
   face::FaceModel without = test::synthetic_model(9);
   without.landmarks.clear();
-  EXPECT_THROW(VirtualActor(without, 1, false), Error);
+  EXPECT_THROW(VirtualActor(without, {}), Error);
 }
 
 TEST(Wrinkles, DeepenWithTheirExpressionAndKeepTheirSize) {

@@ -16,7 +16,7 @@ const std::vector<std::string> kNames{"jawOpen",      "mouthSmileLeft", "mouthSm
 
 TEST(Performance, WeightsStayInRangeAndMoveSmoothly) {
   for (std::uint64_t seed = 1; seed <= 10; ++seed) {
-    const Performance performance(seed, 10);
+    const Performance performance({.seed = seed, .duration_s = 10});
     auto last = performance.expression(0, kNames);
     for (int frame = 1; frame < 330; ++frame) {
       const auto weights = performance.expression(frame / 30.0, kNames);
@@ -35,7 +35,7 @@ TEST(Performance, WeightsStayInRangeAndMoveSmoothly) {
 
 TEST(Performance, ActsEarly) {
   for (std::uint64_t seed = 1; seed <= 20; ++seed) {
-    const Performance performance(seed, 5);
+    const Performance performance({.seed = seed, .duration_s = 5});
     std::vector<float> largest(kNames.size(), 0);
     for (int frame = 0; frame < 120; ++frame) {
       const auto weights = performance.expression(frame / 30.0, kNames);
@@ -58,7 +58,7 @@ TEST(Performance, HeadStartsFrontalAndStaysWithinItsLimits) {
   constexpr float kDegree = std::numbers::pi_v<float> / 180;
   float widest = 0;
   for (std::uint64_t seed = 1; seed <= 20; ++seed) {
-    const Performance performance(seed, 20);
+    const Performance performance({.seed = seed, .duration_s = 20});
     EXPECT_LT(std::abs(performance.head(0).yaw_rad), 6 * kDegree);
     for (int frame = 0; frame < 600; ++frame) {
       const HeadMotion motion = performance.head(frame / 30.0);
@@ -72,9 +72,9 @@ TEST(Performance, HeadStartsFrontalAndStaysWithinItsLimits) {
 }
 
 TEST(Performance, IsAFunctionOfTheSeed) {
-  const Performance one(4, 5);
-  const Performance same(4, 5);
-  const Performance other(5, 5);
+  const Performance one({.seed = 4, .duration_s = 5});
+  const Performance same({.seed = 4, .duration_s = 5});
+  const Performance other({.seed = 5, .duration_s = 5});
   EXPECT_EQ(one.expression(2.5, kNames), same.expression(2.5, kNames));
   EXPECT_EQ(one.head(2.5).yaw_rad, same.head(2.5).yaw_rad);
   EXPECT_NE(one.head(2.5).yaw_rad, other.head(2.5).yaw_rad);
@@ -109,6 +109,49 @@ TEST(Noise, IsSmoothBoundedAndBalanced) {
   EXPECT_NEAR(sum / 20'000, 0, 0.02);
   EXPECT_GT(largest, 0.7F);
   EXPECT_LT(largest, 1.7F);
+}
+
+TEST(Performance, BeginsInTheMiddle) {
+  const Performance whole({.seed = 4, .duration_s = 10});
+  const Performance later({.seed = 4, .duration_s = 4, .start_s = 6});
+  bool moved = false;
+  for (int frame = 0; frame < 120; ++frame) {
+    const auto weights = later.expression(frame / 30.0, kNames);
+    moved = moved || weights[0] > 0.1F;
+    EXPECT_EQ(weights, whole.expression(6 + frame / 30.0, kNames));
+    EXPECT_EQ(later.head(frame / 30.0).yaw_rad, whole.head(6 + frame / 30.0).yaw_rad);
+  }
+  EXPECT_TRUE(moved);
+}
+
+TEST(Performance, ACalmTurnShowsBothSidesOfAFaceAtRest) {
+  constexpr float kDegree = std::numbers::pi_v<float> / 180;
+  for (std::uint64_t seed = 1; seed <= 10; ++seed) {
+    const Performance turn({.seed = seed, .duration_s = kCalmTurn_s, .calm_turn = true});
+    HeadMotion least;
+    HeadMotion most;
+    float shut = 0;
+    HeadMotion last = turn.head(0);
+    for (int frame = 0; frame < 300; ++frame) {
+      const HeadMotion head = turn.head(frame / 30.0);
+      least.yaw_rad = std::min(least.yaw_rad, head.yaw_rad);
+      most.yaw_rad = std::max(most.yaw_rad, head.yaw_rad);
+      least.pitch_rad = std::min(least.pitch_rad, head.pitch_rad);
+      most.pitch_rad = std::max(most.pitch_rad, head.pitch_rad);
+      EXPECT_LT(std::abs(head.yaw_rad - last.yaw_rad), 2 * kDegree);  // 60 degrees a second
+      last = head;
+      const auto weights = turn.expression(frame / 30.0, kNames);
+      shut = std::max(shut, weights[4]);
+      for (const std::size_t name : {0U, 1U, 2U, 3U, 6U}) {
+        EXPECT_EQ(weights[name], 0) << kNames[name];
+      }
+    }
+    EXPECT_NEAR(most.yaw_rad, 30 * kDegree, 3 * kDegree) << seed;
+    EXPECT_NEAR(least.yaw_rad, -30 * kDegree, 3 * kDegree) << seed;
+    EXPECT_NEAR(most.pitch_rad, 10 * kDegree, 2 * kDegree) << seed;
+    EXPECT_NEAR(least.pitch_rad, -10 * kDegree, 2 * kDegree) << seed;
+    EXPECT_GT(shut, 0.9F) << seed;  // blinks
+  }
 }
 
 }  // namespace

@@ -2,11 +2,13 @@
 
 #include <fmt/format.h>
 
+#include <cmath>
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <string>
 
-#include "facet/assets.hpp"
+#include "actor_options.hpp"
 #include "facet/error.hpp"
 #include "options.hpp"
 #include "picture_size.hpp"
@@ -23,7 +25,9 @@ struct SynthOptions {
   simulation::ActorSequenceConfig studio;
   std::string size = "1280x720";
   std::string light = "sh";
-  std::string model = default_model_file().string();
+  ActorChoice actor;
+  std::optional<std::uint64_t> frames;
+  int truth_every = 1;
   std::string folder;
   std::int32_t max_vertices = simulation::ActorTakeConfig{}.max_vertices;
 };
@@ -54,8 +58,12 @@ void write_take(const face::FaceModel& model, const SynthOptions& options) {
 }
 
 void run_synth(SynthOptions options) {
+  constexpr double kActed_s = 10.0 / 3;
+  const double duration_s = options.studio.calm_turn ? simulation::kCalmTurn_s : kActed_s;
+  options.studio.frame_count = static_cast<int>(
+      options.frames.value_or(static_cast<std::uint64_t>(std::lround(duration_s * options.studio.rate_hz))));
   if (std::filesystem::path(options.folder).extension() == ".take") {
-    write_take(face::FaceModel::load(options.model), options);
+    write_take(face::FaceModel::load(options.actor.model), options);
     return;
   }
   const PictureSize size = parse_picture_size("--size", options.size);
@@ -63,10 +71,13 @@ void run_synth(SynthOptions options) {
   options.studio.height_px = size.height_px;
   options.studio.light =
       options.light == "area" ? simulation::LightKind::Area : simulation::LightKind::SphericalHarmonics;
-  const face::FaceModel model = face::FaceModel::load(options.model);
+  options.studio.outside_span_mm = options.actor.outside_span_mm;
+  options.studio.start_s = options.actor.start_s;
+  options.studio.curves = read_curves(options.actor);
+  const face::FaceModel model = face::FaceModel::load(options.actor.model);
   const simulation::ActorSequence studio(model, options.studio);
   Progress progress("Rendering", static_cast<std::uint64_t>(options.studio.frame_count));
-  simulation::write_sequence(studio, options.folder,
+  simulation::write_sequence(studio, options.folder, options.truth_every,
                              [&](int done) { progress.set(static_cast<std::uint64_t>(done)); });
   progress.finish();
   if (options.studio.camera_count > 1) {
@@ -87,8 +98,9 @@ void add_synth_command(Command app) {
       "synth", "Render a sequence of a virtual actor with known geometry (video, truth meshes, camera)");
   command.option("--seed", options->studio.seed, "Actor, performance, camera and light follow from it")
       .shows_default();
-  command.option("--frames", options->studio.frame_count, "Number of frames at 30 per second")
-      .shows_default()
+  command
+      .option("--frames", options->frames,
+              "Number of frames at 30 per second; default: 100, of a calm turn its 10 s")
       .range(1, 1'000'000);
   command.option("--size", options->size, "WIDTHxHEIGHT in pixels").shows_default();
   command.option("--light", options->light, "sh: distant, smooth; area: lamps with soft shadows")
@@ -98,9 +110,13 @@ void add_synth_command(Command app) {
   command.flag("--glasses", options->studio.glasses, "The actor wears spectacles");
   command
       .option("--turn", options->studio.turn_deg,
-              "Of a video: the head also turns by so many degrees and back")
+              "Of a video: the head also turns by so many degrees and back, while the actor acts")
       .range(-90.0, 90.0)
       .shows_default();
+  command.flag(
+      "--calm-turn", options->studio.calm_turn,
+      "Of a video: instead of acting the head turns by 30 degrees to both sides and by 10 up and down, "
+      "in 10 s, the face at rest but for blinks");
   command
       .option("--cameras", options->studio.camera_count,
               "Of a video: so many calibrated cameras see the actor, the first one as without this; one "
@@ -110,7 +126,12 @@ void add_synth_command(Command app) {
   command.option("--spread", options->studio.spread_deg, "Degrees from one of those cameras to the next")
       .shows_default()
       .range(1.0, 60.0);
-  command.option("--model", options->model, "Face model file whose topology the actor uses").shows_default();
+  add_actor_options(command, options->actor);
+  command
+      .option("--truth-every", options->truth_every,
+              "Of a video: a truth mesh (12 MB) for every so many frames")
+      .shows_default()
+      .range(1, 1000);
   command.option("--vertices", options->max_vertices, "Of a take's finest meshes, at most")
       .shows_default()
       .range(1'000, 200'000);

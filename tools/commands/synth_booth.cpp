@@ -11,8 +11,8 @@
 #include <string>
 #include <system_error>
 
+#include "actor_options.hpp"
 #include "capture/rig_file.hpp"
-#include "facet/assets.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
 #include "files/pfm.hpp"
@@ -40,7 +40,7 @@ struct SynthBoothOptions {
   std::uint64_t slots = 90;
   std::string meshes = "blank";
   bool quiet_sensor = false;
-  std::string model = default_model_file().string();
+  ActorChoice actor;
   std::string folder;
 };
 
@@ -115,7 +115,10 @@ void run_synth_booth(SynthBoothOptions options) {
   options.booth.sensor_noise = !options.quiet_sensor;
   std::optional<face::FaceModel> model;
   if (options.booth.scene == BoothScene::Actor) {
-    model = face::FaceModel::load(options.model);
+    model = face::FaceModel::load(options.actor.model);
+    options.booth.outside_span_mm = options.actor.outside_span_mm;
+    options.booth.start_s = options.actor.start_s;
+    options.booth.curves = read_curves(options.actor);
   }
   const VirtualBooth booth(model ? &*model : nullptr, options.booth);
   const std::filesystem::path folder = options.folder;
@@ -198,7 +201,7 @@ void add_synth_booth_command(Command app) {
   command.option("--meshes", options->meshes, "Slots whose surface is written, 12 MB each")
       .shows_default()
       .one_of({"all", "blank", "none"});
-  command.option("--model", options->model, "Face model file whose topology the actor uses").shows_default();
+  add_actor_options(command, options->actor);
   command.option("-o,--output", options->folder, "Folder to write into").required();
   command.callback([options] { run_synth_booth(*options); });
 }
