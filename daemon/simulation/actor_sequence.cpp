@@ -89,7 +89,7 @@ struct ActorSequence::Impl {
       : config(given),
         model_name(model.name),
         placed(model,
-               {.seed = given.seed, .glasses = given.glasses, .outside_span_mm = given.outside_span_mm},
+               {.seed = given.person.value_or(given.seed), .glasses = given.glasses, .outside_span_mm = given.outside_span_mm},
                {.seed = given.seed,
                 .duration_s = static_cast<double>(given.frame_count) / given.rate_hz + (given.curves ? 0 : 1),
                 .start_s = given.start_s,

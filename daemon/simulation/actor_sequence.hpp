@@ -3,6 +3,7 @@
 #include <Eigen/Geometry>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -18,6 +19,7 @@ namespace facet::simulation {
 
 struct ActorSequenceConfig {
   std::uint64_t seed = 1;
+  std::optional<std::uint64_t> person;  ///< who the actor is; nothing: the seed says
   int width_px = 1280;
   int height_px = 720;
   int frame_count = 100;

@@ -69,6 +69,7 @@ void write_sequence(const ActorSequence& sequence, const std::filesystem::path& 
                    {"height", camera.height_px},
                    {"fps", config.rate_hz},
                    {"seed", config.seed},
+                   {"person", config.person.value_or(config.seed)},
                    {"light", light_json(sequence.lighting())},
                    {"highlights", config.highlights},
                    {"glasses", config.glasses},

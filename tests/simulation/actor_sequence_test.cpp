@@ -209,6 +209,19 @@ TEST(ActorSequence, RefusesConfigurationsWithoutSense) {
   }
 }
 
+TEST(ActorSequence, ThePersonStaysInAnotherPerformance) {
+  ActorSequenceConfig config = small();
+  const ActorSequence one(model(), config);
+  config.seed = 6;
+  EXPECT_NE(ActorSequence(model(), config).neutral().vertices_mm, one.neutral().vertices_mm);
+  config.person = 5;
+  const ActorSequence other(model(), config);
+  EXPECT_EQ(other.neutral().vertices_mm, one.neutral().vertices_mm);
+  EXPECT_EQ(other.neutral().albedo, one.neutral().albedo);
+  EXPECT_NE(other.camera().fx, one.camera().fx);
+  EXPECT_NE(other.lighting().spherical_harmonics, one.lighting().spherical_harmonics);
+}
+
 TEST(Sequence, WritesEveryNthTruthAndTheHeadAtRest) {
   const test::TemporaryFolder folder;
   ActorSequenceConfig config = small();

@@ -98,6 +98,8 @@ void add_synth_command(Command app) {
       "synth", "Render a sequence of a virtual actor with known geometry (video, truth meshes, camera)");
   command.option("--seed", options->studio.seed, "Actor, performance, camera and light follow from it")
       .shows_default();
+  command.option("--person", options->studio.person,
+                 "Who the actor is, whatever the seed: the same person in another performance and light");
   command
       .option("--frames", options->frames,
               "Number of frames at 30 per second; default: 100, of a calm turn its 10 s")
