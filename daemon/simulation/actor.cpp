@@ -276,9 +276,50 @@ void VirtualActor::grow_hair(const mesh::Vertices& resting_mm, const Eigen::Vect
   }
 }
 
+namespace {
+
+/// A quarter of the area of each quad that a vertex belongs to. [vertex_count] mm^2
+Eigen::VectorXf vertex_areas(const mesh::Quads& quads, const mesh::Vertices& vertices_mm) {
+  Eigen::VectorXf areas = Eigen::VectorXf::Zero(vertices_mm.cols());
+  for (Eigen::Index q = 0; q < quads.cols(); ++q) {
+    const Vector3f one = vertices_mm.col(quads(2, q)) - vertices_mm.col(quads(0, q));
+    const Vector3f other = vertices_mm.col(quads(3, q)) - vertices_mm.col(quads(1, q));
+    for (Eigen::Index corner = 0; corner < 4; ++corner) {
+      areas[quads(corner, q)] += one.cross(other).norm() / 8;
+    }
+  }
+  return areas;
+}
+
+}  // namespace
+
+/// Blood stays where it is below a piece of skin: its density goes with the inverse of the piece's area, so
+/// that stretched skin pales and compressed skin reddens.
+Eigen::VectorXf VirtualActor::blood_flow(const mesh::Vertices& control_mm) const {
+  constexpr float kPalest = 0.5F;
+  constexpr float kReddest = 1.8F;
+  constexpr int kSmoothing = 3;
+  const Eigen::VectorXf before = vertex_areas(quads_, basis_.neutral_mm);
+  const Eigen::VectorXf after = vertex_areas(quads_, control_mm);
+  Eigen::VectorXf density = (before.array() / after.array().max(1e-3F)).min(kReddest).max(kPalest).matrix();
+  for (int round = 0; round < kSmoothing; ++round) {
+    Eigen::VectorXf sum = density;
+    Eigen::VectorXf weight = Eigen::VectorXf::Ones(density.size());
+    for (Eigen::Index q = 0; q < quads_.cols(); ++q) {
+      for (Eigen::Index corner = 0; corner < 4; ++corner) {
+        sum[quads_(corner, q)] += density[quads_((corner + 1) % 4, q)] + density[quads_((corner + 3) % 4, q)];
+        weight[quads_(corner, q)] += 2;
+      }
+    }
+    density = sum.cwiseQuotient(weight);
+  }
+  return push_to_finest(*hierarchy_, density.transpose()).row(0).transpose();
+}
+
 VirtualActor::VirtualActor(const face::FaceModel& model, const ActorTraits& traits)
-    : expression_names_(model.expression_names) {
+    : look_(traits.look), quads_(model.control.quads), expression_names_(model.expression_names) {
   const std::uint64_t seed = traits.seed;
+  const Look& look = traits.look;
   make_identity(model, traits);
   anatomy_ = find_anatomy(model, basis_.neutral_mm);
   find_eyeballs(model);
@@ -286,14 +327,24 @@ VirtualActor::VirtualActor(const face::FaceModel& model, const ActorTraits& trai
 
   std::vector<mesh::Vertices> levels;
   mesh::push_positions(*hierarchy_, basis_.neutral_mm, levels);
-  const mesh::Vertices& resting_mm = levels.back();
+  resting_mm_ = levels.back();
+  const mesh::Vertices& resting_mm = resting_mm_;
   Eigen::Matrix3Xf resting_normals;
   mesh::vertex_normals(resting_mm, head_triangles_, resting_normals);
 
   const SkinZones zones = skin_zones(model);
-  const Complexion complexion = make_complexion(seed);
-  head_albedo_ = paint_albedo(anatomy_, complexion, zones, resting_mm,
-                              push_to_finest(*hierarchy_, model.mean_albedo), seed);
+  Complexion complexion;
+  if (look.painted()) {
+    complexion = make_complexion(seed);
+    head_albedo_ = paint_albedo(anatomy_, complexion, zones, resting_mm,
+                                push_to_finest(*hierarchy_, model.mean_albedo), seed);
+  } else {
+    const Person person = make_person(look, seed);
+    complexion = person.complexion;
+    skin_maps_ = map_skin(anatomy_, person, look, zones, resting_mm, seed);
+    head_albedo_ = skin_albedo(skin_maps_, {});
+  }
+  skin_ = complexion.skin;
   openness_ = zones.openness;
   face_skin_ = zones.skin;
   grow_hair(resting_mm, zones.skin, seed);
@@ -347,6 +398,8 @@ void VirtualActor::shape(std::span<const float> expression, const Gaze& gaze, Ac
   }
   shape.lower_teeth_mm = maths::best_similarity(before, after, false).apply(lower_teeth_.vertices_mm);
   shape.gaze = gaze;
+  shape.albedo =
+      look_.painted() || !look_.blood ? head_albedo_ : skin_albedo(skin_maps_, blood_flow(control_mm));
 }
 
 }  // namespace facet::simulation

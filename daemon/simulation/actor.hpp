@@ -9,12 +9,12 @@
 
 #include "face/face_model.hpp"
 #include "mesh/mesh.hpp"
+#include "simulation/look.hpp"
 #include "simulation/performance.hpp"
 #include "simulation/props.hpp"
+#include "simulation/skin_maps.hpp"
 
 namespace facet::simulation {
-
-struct SkinZones;
 
 /// An actor's shape at one moment. Head frame, mm.
 struct ActorShape {
@@ -22,6 +22,7 @@ struct ActorShape {
   Eigen::Matrix3Xf head_normals;  ///< [3][head vertex_count]
   mesh::Vertices lower_teeth_mm;
   Gaze gaze;
+  Eigen::Matrix3Xf albedo;  ///< [3][head vertex_count] linear RGB, with the blood where the face has put it
 };
 
 /// Who is made.
@@ -31,6 +32,7 @@ struct ActorTraits {
   /// How far the identity lies outside of the model's span, rms over the face, mm; varied by 20 % between
   /// actors. 0 for models whose own faces are people's, of which the tracker knows nothing.
   double outside_span_mm = 1.2;
+  Look look = {};  ///< of skin and hair
 };
 
 /// A virtual person: a face model's topology with an identity that the model cannot express, expressions
@@ -44,8 +46,12 @@ class VirtualActor {
 
   /// The head's surface: skin, lips, inner mouth, sockets, hair; without eyeballs, teeth and props.
   const mesh::Triangles& head_triangles() const { return head_triangles_; }
-  const Eigen::Matrix3Xf& head_albedo() const { return head_albedo_; }  ///< [3][vertex_count] linear RGB
+  const Eigen::Matrix3Xf& head_albedo() const { return head_albedo_; }  ///< at rest, linear RGB
   const std::vector<Material>& head_materials() const { return head_materials_; }
+  const mesh::Vertices& resting_mm() const { return resting_mm_; }  ///< the head's, without relief and hair
+  const Look& look() const { return look_; }
+  const Eigen::Vector3f& skin() const { return skin_; }            ///< its albedo where nothing is special
+  const SkinMaps& skin_maps() const { return skin_maps_; }         ///< empty where the skin is painted
   const Eigen::VectorXf& openness() const { return openness_; }    ///< [vertex_count] 0 to 1
   const Eigen::VectorXf& face_skin() const { return face_skin_; }  ///< [vertex_count] 1 on face skin
   const std::vector<std::string>& expression_names() const { return expression_names_; }
@@ -68,9 +74,16 @@ class VirtualActor {
   void make_identity(const face::FaceModel& model, const ActorTraits& traits);
   void find_eyeballs(const face::FaceModel& model);
   void make_surface(const face::FaceModel& model);
+  /// [head vertex_count] what the blood of a pose is multiplied by.
+  Eigen::VectorXf blood_flow(const mesh::Vertices& control_mm) const;
   SkinZones skin_zones(const face::FaceModel& model) const;
   void grow_hair(const mesh::Vertices& resting_mm, const Eigen::VectorXf& skin, std::uint64_t seed);
 
+  Look look_;
+  SkinMaps skin_maps_;
+  mesh::Vertices resting_mm_;
+  Eigen::Vector3f skin_{0, 0, 0};
+  mesh::Quads quads_;  ///< of the control mesh
   std::vector<std::string> expression_names_;
   std::vector<float> identity_;
   float outside_span_rms_mm_ = 0;

@@ -89,7 +89,10 @@ struct ActorSequence::Impl {
       : config(given),
         model_name(model.name),
         placed(model,
-               {.seed = given.person.value_or(given.seed), .glasses = given.glasses, .outside_span_mm = given.outside_span_mm},
+               {.seed = given.person.value_or(given.seed),
+                .glasses = given.glasses,
+                .outside_span_mm = given.outside_span_mm,
+                .look = given.look},
                {.seed = given.seed,
                 .duration_s = static_cast<double>(given.frame_count) / given.rate_hz + (given.curves ? 0 : 1),
                 .start_s = given.start_s,
@@ -165,12 +168,22 @@ struct ActorSequence::Impl {
     }
   }
 
-  /// Sets the light so that the face's brightest skin comes out as kSkinExposure in the first frame.
+  /// A camera's metering brightens dark skin by a part of what it lacks, no more.
+  float skin_exposure() const {
+    if (config.look.painted()) {
+      return kSkinExposure;
+    }
+    constexpr float kFairSkin = 0.42F;
+    const float skin = placed.actor().skin().y();
+    return kSkinExposure * std::min(1.0F, std::pow(skin / kFairSkin, 0.45F));
+  }
+
+  /// Sets the light so that the face's brightest skin comes out as skin_exposure() in the first frame.
   void expose() {
     Scene scene;
     placed.build_scene(0, scene);
     const render::Raycaster caster(scene.vertices_mm, scene.triangles);
-    const Eigen::Matrix3Xf colours = shade_vertices(scene, caster, lighting, false);
+    const Eigen::Matrix3Xf colours = shade_vertices(scene, caster, lighting_of_frame(lighting, 0), false);
     const Eigen::VectorXf& skin = placed.actor().face_skin();
     std::vector<float> values;
     for (Eigen::Index v = 0; v < skin.size(); ++v) {
@@ -184,7 +197,7 @@ struct ActorSequence::Impl {
     }
     const float brightest =
         maths::nth_of(values, static_cast<std::size_t>(0.97 * static_cast<double>(values.size())));
-    const float exposure = kSkinExposure / brightest;
+    const float exposure = skin_exposure() / brightest;
     for (float& coefficient : lighting.spherical_harmonics) {
       coefficient *= exposure;
     }
@@ -311,14 +324,17 @@ SyntheticFrame ActorSequence::render(int index, TruthMesh* truth) const {
     *truth = impl_->placed.head_of(scene);
   }
   const ActorSequenceConfig& config = impl_->config;
+  const Lighting lighting = lighting_of_frame(impl_->lighting, index);
+  if (lighting.kind == LightKind::Strobe) {
+    frame.lamp = index % static_cast<int>(impl_->lighting.area_lights.size());
+  }
   const render::Raycaster caster(scene.vertices_mm, scene.triangles);
   Sensor webcam;  // a small one
   webcam.noise = config.sensor_noise;
   for (std::size_t k = 0; k < impl_->views.size(); ++k) {
     const Impl::View& view = impl_->views[k];
     const Vector3f eye_mm = view.view_from_first.inverse().translation();
-    const Eigen::Matrix3Xf colours =
-        shade_vertices(scene, caster, impl_->lighting, config.highlights, eye_mm);
+    const Eigen::Matrix3Xf colours = shade_vertices(scene, caster, lighting, config.highlights, eye_mm);
     render::Picture picture;
     picture.width_px = config.width_px;
     picture.height_px = config.height_px;

@@ -13,6 +13,7 @@
 #include "render/renderer.hpp"
 #include "simulation/actor.hpp"
 #include "simulation/light.hpp"
+#include "simulation/look.hpp"
 #include "simulation/truth_mesh.hpp"
 
 namespace facet::simulation {
@@ -25,7 +26,8 @@ struct ActorSequenceConfig {
   int frame_count = 100;
   int rate_hz = 30;
   LightKind light = LightKind::SphericalHarmonics;
-  bool highlights = false;  ///< skin shines (GGX)
+  bool highlights = false;  ///< painted skin shines (GGX)
+  Look look = {};           ///< of skin and hair
   bool glasses = false;
   double outside_span_mm = ActorTraits{}.outside_span_mm;
   /// What the actor does; as in PerformanceConfig.
@@ -47,6 +49,7 @@ struct SyntheticFrame {
   std::vector<render::Picture> further_pictures;  ///< [camera_count - 1]
   Eigen::Isometry3f camera_from_head = Eigen::Isometry3f::Identity();
   std::vector<float> expression;  ///< [expression_count]
+  int lamp = -1;                  ///< of a strobe: which of the area lights fired
 };
 
 /// A virtual sequence: one actor, a camera or several, a light and a performance, all from one seed. Frames
@@ -69,7 +72,8 @@ class ActorSequence {
   float outside_span_rms_mm() const;
   /// The head at rest, without any expression, in its head frame; in the topology of every frame's truth.
   TruthMesh neutral() const;
-  /// Exposed: coefficients that give the linear picture values. Area light: its ambient part.
+  /// Exposed: coefficients that give the linear picture values. Other than SH: its ambient part and the
+  /// lamps.
   const Lighting& lighting() const;
 
   /// Renders frame `index` (0 <= index < frame_count). truth: the head's surface in the camera frame, without

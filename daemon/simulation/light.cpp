@@ -1,9 +1,14 @@
 #include "simulation/light.hpp"
 
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <cmath>
 #include <numbers>
 
+#include "facet/error.hpp"
 #include "simulation/random.hpp"
 
 namespace facet::simulation {
@@ -27,7 +32,153 @@ void add(std::array<float, 9>& sum, const std::array<float, 9>& light, float str
   }
 }
 
+/// A rectangle that faces the head from a direction (camera frame).
+AreaLight rectangle(const Vector3f& head_mm, const Vector3f& direction, float distance_mm,
+                    float half_width_mm, float half_height_mm) {
+  AreaLight light;
+  light.reference_distance_mm = distance_mm;
+  light.centre_mm = head_mm + distance_mm * direction;
+  light.normal = -direction;
+  const Vector3f u = direction.cross(Vector3f(0, 1, 0)).normalized();
+  light.half_u_mm = half_width_mm * u;
+  light.half_v_mm = half_height_mm * u.cross(direction).normalized();
+  return light;
+}
+
+Vector3f to_camera(const Vector3f& direction) {
+  return {direction.x(), -direction.y(), -direction.z()};
+}
+
+/// Small lamps near the head: bright side, dark side, hard shadows.
+void add_lamps(Random& random, const Vector3f& head_mm, Lighting& lighting) {
+  const int count = 2 + random.below(2);
+  float side = random.uniform() < 0.5F ? -1.0F : 1.0F;
+  for (int k = 0; k < count; ++k) {
+    const Vector3f direction =
+        to_camera(direction_of(side * random.uniform(18, 75), random.uniform(-10, 50)));
+    const float half_mm = random.uniform(25, 90);
+    AreaLight light = rectangle(head_mm, direction, random.uniform(400, 800), half_mm, half_mm);
+    const float warmth = random.uniform();
+    light.irradiance = (k == 0 ? 1.0F : random.uniform(0.25F, 0.7F)) *
+                       Vector3f(1 + 0.06F * warmth, 1 - 0.03F * warmth, 1 - 0.18F * warmth);
+    lighting.area_lights.push_back(light);
+    side = -side;
+  }
+}
+
+/// A window at one side, 1 to 2 m away; what the room throws back is weak and warm.
+void add_window(Random& random, const Vector3f& head_mm, Lighting& lighting) {
+  const float side = random.uniform() < 0.5F ? -1.0F : 1.0F;
+  const Vector3f direction = to_camera(direction_of(side * random.uniform(25, 80), random.uniform(5, 25)));
+  AreaLight window = rectangle(head_mm, direction, random.uniform(1000, 2000), random.uniform(350, 600),
+                               random.uniform(450, 700));
+  window.irradiance = Vector3f(0.96F, 1.0F, 1.05F);
+  lighting.area_lights.push_back(window);
+  const Vector3f room = to_camera(direction_of(-side * random.uniform(40, 70), random.uniform(10, 40)));
+  AreaLight wall = rectangle(head_mm, room, random.uniform(1200, 1800), 600, 500);
+  wall.irradiance = random.uniform(0.1F, 0.25F) * Vector3f(1.08F, 0.98F, 0.86F);
+  lighting.area_lights.push_back(wall);
+}
+
+/// Diodes evenly on a circle round the camera, which stands at the origin.
+void add_ring(Random& random, const Vector3f& head_mm, Lighting& lighting) {
+  constexpr int kDiodes = 10;
+  const float radius_mm = random.uniform(120, 230);
+  const float half_mm = 0.2F * radius_mm;
+  for (int k = 0; k < kDiodes; ++k) {
+    const float turn = 2 * std::numbers::pi_v<float> * (static_cast<float>(k) + 0.5F) / kDiodes;
+    const Vector3f at_mm(radius_mm * std::cos(turn), radius_mm * std::sin(turn), 0);
+    const Vector3f away = at_mm - head_mm;
+    AreaLight light = rectangle(head_mm, away.normalized(), away.norm(), half_mm, half_mm);
+    light.irradiance = Vector3f(1.0F, 0.98F, 0.95F) / kDiodes;
+    lighting.area_lights.push_back(light);
+  }
+}
+
+/// Lamps of an active photometric rig: known places, small, all equally bright at the head.
+void add_strobe(const Vector3f& head_mm, Lighting& lighting) {
+  constexpr std::array<std::array<float, 2>, 6> kFrom{
+      {{-50, 20}, {50, 20}, {0, 45}, {-28, -18}, {28, -18}, {0, 8}}};  // azimuth, elevation; degrees
+  constexpr float kDistance_mm = 700;
+  constexpr float kHalf_mm = 12;
+  for (const auto& [azimuth_deg, elevation_deg] : kFrom) {
+    AreaLight light = rectangle(head_mm, to_camera(direction_of(azimuth_deg, elevation_deg)), kDistance_mm,
+                                kHalf_mm, kHalf_mm);
+    light.irradiance = Vector3f(1, 1, 1);
+    lighting.area_lights.push_back(light);
+  }
+}
+
+Lighting make_near_lighting(LightKind kind, std::uint64_t seed, const Vector3f& head_mm) {
+  Random random(seed, 32);
+  Lighting lighting;
+  lighting.kind = kind;
+  // Of the room, over a main light of 1.
+  const float ambient = kind == LightKind::Strobe  ? 0.02F
+                        : kind == LightKind::Lamps ? random.uniform(0.06F, 0.16F)
+                                                   : random.uniform(0.12F, 0.22F);
+  lighting.spherical_harmonics[0] = ambient;
+  add(lighting.spherical_harmonics, distant_light_sh({0, 1, 0}), 0.5F * ambient);
+  add(lighting.spherical_harmonics, distant_light_sh({0, -1, 0}), 0.2F * ambient);
+  switch (kind) {
+    case LightKind::Lamps:
+      add_lamps(random, head_mm, lighting);
+      break;
+    case LightKind::Window:
+      add_window(random, head_mm, lighting);
+      break;
+    case LightKind::Ring:
+      add_ring(random, head_mm, lighting);
+      break;
+    case LightKind::Strobe:
+      add_strobe(head_mm, lighting);
+      break;
+    case LightKind::SphericalHarmonics:
+    case LightKind::Area:
+      break;
+  }
+  for (const AreaLight& light : lighting.area_lights) {
+    lighting.main_directions.emplace_back(-light.normal);
+    lighting.main_strengths.push_back(light.irradiance.y());
+  }
+  return lighting;
+}
+
+struct NamedLight {
+  const char* name;
+  LightKind kind;
+};
+constexpr std::array<NamedLight, 6> kNames{{{"sh", LightKind::SphericalHarmonics},
+                                            {"area", LightKind::Area},
+                                            {"lamps", LightKind::Lamps},
+                                            {"window", LightKind::Window},
+                                            {"ring", LightKind::Ring},
+                                            {"strobe", LightKind::Strobe}}};
+
 }  // namespace
+
+std::string light_name(LightKind kind) {
+  return std::find_if(kNames.begin(), kNames.end(), [&](const NamedLight& one) { return one.kind == kind; })
+      ->name;
+}
+
+std::vector<std::string> light_names() {
+  std::vector<std::string> names;
+  for (const NamedLight& one : kNames) {
+    names.emplace_back(one.name);
+  }
+  return names;
+}
+
+LightKind parse_light(const std::string& name) {
+  const auto found =
+      std::find_if(kNames.begin(), kNames.end(), [&](const NamedLight& one) { return one.name == name; });
+  if (found == kNames.end()) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("--light '{}': the lights are {}", name, fmt::join(light_names(), ", ")));
+  }
+  return found->kind;
+}
 
 std::array<float, 9> distant_light_sh(const Eigen::Vector3f& direction) {
   const float x = direction.x();
@@ -48,6 +199,9 @@ std::array<float, 9> distant_light_sh(const Eigen::Vector3f& direction) {
 }
 
 Lighting make_lighting(LightKind kind, std::uint64_t seed, const Eigen::Vector3f& head_mm) {
+  if (kind != LightKind::SphericalHarmonics && kind != LightKind::Area) {
+    return make_near_lighting(kind, seed, head_mm);
+  }
   Random random(seed, 31);
   const float side = random.uniform() < 0.5F ? -1.0F : 1.0F;
   const float key_azimuth_deg = side * random.uniform(22, 58);
@@ -64,9 +218,6 @@ Lighting make_lighting(LightKind kind, std::uint64_t seed, const Eigen::Vector3f
   lighting.spherical_harmonics[0] = ambient;
   add(lighting.spherical_harmonics, distant_light_sh({0, 1, 0}), 0.5F * ambient);   // sky
   add(lighting.spherical_harmonics, distant_light_sh({0, -1, 0}), 0.2F * ambient);  // floor
-  const auto to_camera = [](const Vector3f& direction) {
-    return Vector3f(direction.x(), -direction.y(), -direction.z());
-  };
   lighting.main_directions = {to_camera(key), to_camera(fill)};
   lighting.main_strengths = {1.0F, fill_strength};
   if (kind == LightKind::SphericalHarmonics) {
@@ -88,6 +239,18 @@ Lighting make_lighting(LightKind kind, std::uint64_t seed, const Eigen::Vector3f
     lighting.area_lights.push_back(light);
   }
   return lighting;
+}
+
+Lighting lighting_of_frame(const Lighting& lighting, int frame) {
+  if (lighting.kind != LightKind::Strobe) {
+    return lighting;
+  }
+  const std::size_t lamp = static_cast<std::size_t>(frame) % lighting.area_lights.size();
+  Lighting now = lighting;
+  now.area_lights = {lighting.area_lights[lamp]};
+  now.main_directions = {lighting.main_directions[lamp]};
+  now.main_strengths = {lighting.main_strengths[lamp]};
+  return now;
 }
 
 std::vector<Eigen::Vector3f> light_points_mm(const AreaLight& light, int count) {

@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <array>
 #include <cstdint>
+#include <string>
 #include <vector>
 
 namespace facet::simulation {
@@ -11,7 +12,18 @@ enum class LightKind {
   SphericalHarmonics,  ///< distant, one for all channels: exactly the model of [MD19 eq. 1], no
                        ///< shadows
   Area,                ///< rectangles near the head with soft shadows, a little tinted, over an ambient
+  Lamps,               ///< two or three small desk lamps 0.4 to 0.8 m away
+  Window,              ///< a large bluish rectangle at one side, a warm room
+  Ring,                ///< a ring of diodes round the camera
+  Strobe,              ///< six small lamps all round, of which one fires in each frame, in turn
 };
+
+/// "sh", "area", "lamps", "window", "ring", "strobe": the command line's and camera.json's word.
+std::string light_name(LightKind kind);
+/// All of them, in order.
+std::vector<std::string> light_names();
+/// The other way round. Throws Error(Usage).
+LightKind parse_light(const std::string& name);
 
 /// A one-sided light-giving rectangle, camera frame.
 struct AreaLight {
@@ -30,7 +42,7 @@ struct Lighting {
   /// Coefficients of [MD19 eq. 1], camera frame with y up and z towards the camera. Area light: the ambient
   /// part.
   std::array<float, 9> spherical_harmonics{};
-  std::vector<AreaLight> area_lights;  ///< empty for SphericalHarmonics
+  std::vector<AreaLight> area_lights;  ///< empty for SphericalHarmonics; of a strobe in firing order
   /// Unit directions from the head to the main lights, camera frame; what highlights reflect.
   std::vector<Eigen::Vector3f> main_directions;
   std::vector<float> main_strengths;  ///< [main_directions.size()] irradiance
@@ -44,6 +56,9 @@ std::array<float, 9> distant_light_sh(const Eigen::Vector3f& direction);
 /// A plausible light for a seed: a key from one side and above, a weaker fill from the other, sky and floor.
 /// head_mm: where the head is, camera frame.
 Lighting make_lighting(LightKind kind, std::uint64_t seed, const Eigen::Vector3f& head_mm);
+
+/// The light of one frame: of a strobe the lamp that fires then, of all others all that there is.
+Lighting lighting_of_frame(const Lighting& lighting, int frame);
 
 /// Where shadow rays go: count^2 points spread over the rectangle.
 std::vector<Eigen::Vector3f> light_points_mm(const AreaLight& light, int count);

@@ -101,8 +101,8 @@ void PlacedActor::build_scene(double time_s, Scene& scene) const {
   actor_.shape(expression(time_s), performance_.gaze(time_s), shape);
   const Isometry3f head = place_from_head(time_s);
   scene.clear();
-  scene.add(head * shape.head_mm, head.linear() * shape.head_normals, actor_.head_albedo(),
-            actor_.head_materials(), actor_.head_triangles(), actor_.openness());
+  scene.add(head * shape.head_mm, head.linear() * shape.head_normals, shape.albedo, actor_.head_materials(),
+            actor_.head_triangles(), actor_.openness());
   const auto add = [&](const mesh::Vertices& part_mm, const Surface& surface) {
     Eigen::Matrix3Xf normals;
     mesh::vertex_normals(part_mm, surface.triangles, normals);
@@ -144,7 +144,7 @@ TruthMesh PlacedActor::neutral() const {
 
 TruthMesh PlacedActor::head_of(const Scene& scene) const {
   const Eigen::Index count = actor_.head_albedo().cols();
-  return {scene.vertices_mm.leftCols(count), scene.normals.leftCols(count), actor_.head_albedo(),
+  return {scene.vertices_mm.leftCols(count), scene.normals.leftCols(count), scene.albedo.leftCols(count),
           actor_.head_triangles()};
 }
 

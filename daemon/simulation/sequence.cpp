@@ -27,9 +27,17 @@ json light_json(const Lighting& lighting) {
                      {"half_v_mm", vector_json(light.half_v_mm)},
                      {"irradiance", vector_json(light.irradiance)}});
   }
-  return {{"kind", lighting.kind == LightKind::Area ? "area" : "sh"},
+  return {{"kind", light_name(lighting.kind)},
           {"spherical_harmonics", lighting.spherical_harmonics},
           {"area_lights", areas}};
+}
+
+json look_json(const Look& look) {
+  json made = {{"skin", skin_type_name(look.skin_type)}};
+  if (!look.painted()) {
+    made["effects"] = effects_of(look);
+  }
+  return made;
 }
 
 json frame_json(int index, const SyntheticFrame& frame, const std::vector<std::string>& names) {
@@ -45,7 +53,11 @@ json frame_json(int index, const SyntheticFrame& frame, const std::vector<std::s
   for (std::size_t k = 0; k < names.size(); ++k) {
     expression[names[k]] = frame.expression[k];
   }
-  return {{"index", index}, {"camera_from_head", pose}, {"expression", expression}};
+  json made = {{"index", index}, {"camera_from_head", pose}, {"expression", expression}};
+  if (frame.lamp >= 0) {
+    made["lamp"] = frame.lamp;
+  }
+  return made;
 }
 
 }  // namespace
@@ -73,6 +85,7 @@ void write_sequence(const ActorSequence& sequence, const std::filesystem::path& 
                    {"light", light_json(sequence.lighting())},
                    {"highlights", config.highlights},
                    {"glasses", config.glasses},
+                   {"look", look_json(config.look)},
                    {"model", sequence.model_name()},
                    {"curves", config.curves ? json(config.curves->source()) : json(nullptr)},
                    {"start_s", config.start_s},

@@ -4,20 +4,15 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <numbers>
+
+#include "simulation/gloss.hpp"
 
 namespace facet::simulation {
 namespace {
 
 using Eigen::Vector3f;
 
-constexpr float kPi = std::numbers::pi_v<float>;
 constexpr float kLift_mm = 0.3F;  // shadow rays start off the surface by less than a wrinkle's depth
-
-struct Gloss {
-  float reflectance = 0;  ///< at normal incidence
-  float roughness = 1;
-};
 
 Gloss gloss_of(Material material, bool highlights) {
   switch (material) {
@@ -34,29 +29,6 @@ Gloss gloss_of(Material material, bool highlights) {
       return {};
   }
   return {};
-}
-
-/// The mirrored part of a light of unit irradiance: Torrance-Sparrow with the GGX distribution, Smith's
-/// masking and Schlick's reflectance, times cosine and pi (the convention of [MD19 eq. 1]: a white surface
-/// facing a light of irradiance 1 shows 1).
-float mirrored(const Vector3f& normal, const Vector3f& to_light, const Vector3f& to_eye, const Gloss& gloss) {
-  const float cos_light = normal.dot(to_light);
-  const float cos_eye = std::max(normal.dot(to_eye), 0.05F);
-  if (cos_light <= 0) {
-    return 0;
-  }
-  const Vector3f half = (to_light + to_eye).normalized();
-  const float alpha = gloss.roughness * gloss.roughness;
-  const float alpha2 = alpha * alpha;
-  const float cos_half = std::max(normal.dot(half), 0.0F);
-  const float spread = cos_half * cos_half * (alpha2 - 1) + 1;
-  const float distribution = alpha2 / (kPi * spread * spread);
-  const auto masking = [&](float cosine) {
-    return 2 * cosine / (cosine + std::sqrt(alpha2 + (1 - alpha2) * cosine * cosine));
-  };
-  const float fresnel =
-      gloss.reflectance + (1 - gloss.reflectance) * std::pow(1 - std::max(half.dot(to_eye), 0.0F), 5.0F);
-  return distribution * masking(cos_light) * masking(cos_eye) * fresnel / (4 * cos_eye) * kPi;
 }
 
 /// Part of the hemisphere that is free within reach_mm, by 16 cosine-weighted rays.
@@ -117,11 +89,14 @@ Eigen::Matrix3Xf shade_vertices(const Scene& scene, const render::Raycaster& cas
   constexpr float kPropReach_mm = 60;  // of what may darken an eye, a tooth or the neck
   std::vector<LightSamples> lights;
   for (const AreaLight& light : lighting.area_lights) {
-    lights.push_back({&light, light_points_mm(light, lights.empty() ? kKeySamples : kFillSamples)});
+    const bool many = lighting.area_lights.size() > 3;  // as a ring's diodes: together they are spread out
+    lights.push_back({&light, light_points_mm(light, many             ? 1
+                                                     : lights.empty() ? kKeySamples
+                                                                      : kFillSamples)});
   }
   const Eigen::Index count = scene.vertices_mm.cols();
   Eigen::Matrix3Xf colours = Eigen::Matrix3Xf::Zero(3, count);
-  const bool area = lighting.kind == LightKind::Area;
+  const bool area = lighting.kind != LightKind::SphericalHarmonics;
 
   render::for_each_row(static_cast<int>((count + kBlock - 1) / kBlock), [&](int block) {
     const Eigen::Index end = std::min<Eigen::Index>(count, static_cast<Eigen::Index>(block + 1) * kBlock);

@@ -4,8 +4,6 @@
 #include <cmath>
 #include <vector>
 
-#include "simulation/random.hpp"
-
 namespace facet::simulation {
 namespace {
 
@@ -16,9 +14,9 @@ Vector3f mixed(const Vector3f& from, const Vector3f& to, float part) {
   return from + part * (to - from);
 }
 
-/// How much a point of the brow is covered by hair, 0 to 1: a band that narrows outwards, made of slanting
-/// strands.
-float brow_cover(const Anatomy& face, std::size_t index, const Vector3f& at, const Noise& strands) {
+}  // namespace
+
+float brow_cover(const Anatomy& face, std::size_t index, const Eigen::Vector3f& at, const Noise& strands) {
   const float side = Anatomy::side(index);
   const Vector3f& brow = face.brow[index];
   const float inner_x = face.eye_inner[index].x() - side * 1.0F;
@@ -38,8 +36,7 @@ float brow_cover(const Anatomy& face, std::size_t index, const Vector3f& at, con
   return band * std::clamp(0.85F + 0.4F * strand, 0.0F, 1.0F);
 }
 
-/// Where stubble grows: upper lip, chin, jaw and lower cheeks.
-float beard_zone(const Anatomy& face, const Vector3f& at) {
+float beard_zone(const Anatomy& face, const Eigen::Vector3f& at) {
   const float nose_base_y = face.nose_tip.y() - 11;
   const float out = std::abs(at.x() - face.nose_tip.x());
   // The upper border runs from under the nose down round the mouth's corners and up again to the ears.
@@ -47,8 +44,6 @@ float beard_zone(const Anatomy& face, const Vector3f& at) {
       nose_base_y - 14 * std::exp(-(out - 36) * (out - 36) / 300) + 0.55F * std::max(0.0F, out - 42);
   return smooth_step(border_y + 3, border_y - 6, at.y());
 }
-
-}  // namespace
 
 Complexion make_complexion(std::uint64_t seed) {
   Random random(seed, 41);

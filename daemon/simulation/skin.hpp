@@ -4,6 +4,7 @@
 #include <cstdint>
 
 #include "simulation/anatomy.hpp"
+#include "simulation/random.hpp"
 
 namespace facet::simulation {
 
@@ -27,6 +28,13 @@ struct Complexion {
 
 /// Light to dark skins, blond to black hair.
 Complexion make_complexion(std::uint64_t seed);
+
+/// How much a point of the brow is covered by hair, 0 to 1: a band that narrows outwards, made of slanting
+/// strands. index: the brow's, as in Anatomy.
+float brow_cover(const Anatomy& face, std::size_t index, const Eigen::Vector3f& at_mm, const Noise& strands);
+
+/// Where a beard grows, 0 to 1: upper lip, chin, jaw and lower cheeks.
+float beard_zone(const Anatomy& face, const Eigen::Vector3f& at_mm);
 
 /// How far a point lies above the hairline, mm; negative on the face, the ears and the neck. skin:
 /// SkinZones::skin there: the face skin is free of hair, for hair would hide it from every method.

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "facet/error.hpp"
 #include "maths/harmonics.hpp"
 #include "render/renderer.hpp"
 #include "simulation/random.hpp"
@@ -77,6 +78,47 @@ TEST(MakeLighting, AreaLightsFaceTheHead) {
       EXPECT_LT((mean - light.centre_mm).norm(), 0.2F * light.half_u_mm.norm());
     }
   }
+}
+
+TEST(MakeLighting, NearLightsStandWhereTheyAreSaidToAndFaceTheHead) {
+  const Eigen::Vector3f head(20, -10, 620);
+  for (std::uint64_t seed = 0; seed < 20; ++seed) {
+    for (const LightKind kind : {LightKind::Lamps, LightKind::Window, LightKind::Ring, LightKind::Strobe}) {
+      const Lighting lighting = make_lighting(kind, seed, head);
+      EXPECT_EQ(lighting.kind, kind);
+      EXPECT_EQ(parse_light(light_name(kind)), kind);
+      ASSERT_FALSE(lighting.area_lights.empty());
+      Eigen::Vector3f sum = Eigen::Vector3f::Zero();
+      for (const AreaLight& light : lighting.area_lights) {
+        EXPECT_NEAR((head - light.centre_mm).normalized().dot(light.normal), 1, 1e-4F);
+        EXPECT_NEAR((head - light.centre_mm).norm(), light.reference_distance_mm, 0.1F);
+        EXPECT_LT(light.centre_mm.z(), head.z() + 100);  // none behind the head
+        sum += light.irradiance;
+        if (kind == LightKind::Lamps) {
+          EXPECT_GE(light.reference_distance_mm, 400);
+          EXPECT_LE(light.reference_distance_mm, 800);
+        }
+        if (kind == LightKind::Ring) {
+          EXPECT_NEAR(light.centre_mm.z(), 0, 1e-3F);
+          EXPECT_GT(light.centre_mm.norm(), 100);
+        }
+      }
+      EXPECT_GT(sum.minCoeff(), 0.9F);
+    }
+  }
+}
+
+TEST(MakeLighting, AStrobeFiresOneLampAFrameInTurn) {
+  const Lighting all = make_lighting(LightKind::Strobe, 3, {0, 0, 600});
+  ASSERT_EQ(all.area_lights.size(), 6U);
+  for (int frame = 0; frame < 13; ++frame) {
+    const Lighting now = lighting_of_frame(all, frame);
+    ASSERT_EQ(now.area_lights.size(), 1U);
+    EXPECT_EQ(now.area_lights[0].centre_mm, all.area_lights[static_cast<std::size_t>(frame % 6)].centre_mm);
+  }
+  const Lighting window = make_lighting(LightKind::Window, 3, {0, 0, 600});
+  EXPECT_EQ(lighting_of_frame(window, 4).area_lights.size(), window.area_lights.size());
+  EXPECT_THROW(parse_light("sun"), Error);
 }
 
 }  // namespace

@@ -1,6 +1,7 @@
 // `facet synth`: sequences of the virtual actor with known geometry.
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <cmath>
 #include <filesystem>
@@ -28,6 +29,8 @@ struct SynthOptions {
   ActorChoice actor;
   std::optional<std::uint64_t> frames;
   int truth_every = 1;
+  std::string skin = "painted";
+  std::string without;
   std::string folder;
   std::int32_t max_vertices = simulation::ActorTakeConfig{}.max_vertices;
 };
@@ -69,8 +72,9 @@ void run_synth(SynthOptions options) {
   const PictureSize size = parse_picture_size("--size", options.size);
   options.studio.width_px = size.width_px;
   options.studio.height_px = size.height_px;
-  options.studio.light =
-      options.light == "area" ? simulation::LightKind::Area : simulation::LightKind::SphericalHarmonics;
+  options.studio.light = simulation::parse_light(options.light);
+  options.studio.look.skin_type = simulation::parse_skin_type(options.skin);
+  options.studio.look = simulation::without(options.studio.look, options.without);
   options.studio.outside_span_mm = options.actor.outside_span_mm;
   options.studio.start_s = options.actor.start_s;
   options.studio.curves = read_curves(options.actor);
@@ -105,10 +109,23 @@ void add_synth_command(Command app) {
               "Number of frames at 30 per second; default: 100, of a calm turn its 10 s")
       .range(1, 1'000'000);
   command.option("--size", options->size, "WIDTHxHEIGHT in pixels").shows_default();
-  command.option("--light", options->light, "sh: distant, smooth; area: lamps with soft shadows")
+  command
+      .option(
+          "--light", options->light,
+          "sh: distant, smooth; area: lamps with soft shadows; lamps: small near ones; window; ring: round "
+          "the camera; strobe: one of six in turn")
       .shows_default()
-      .one_of({"sh", "area"});
-  command.flag("--highlights", options->studio.highlights, "The skin shines");
+      .one_of(simulation::light_names());
+  command.flag("--highlights", options->studio.highlights, "The painted skin shines");
+  command
+      .option(
+          "--skin", options->skin,
+          "painted; or made of melanin and blood, with strands for hair: a Fitzpatrick type, 1 (palest) to "
+          "6, or any: one that follows from the seed")
+      .shows_default();
+  command.option("--without", options->without,
+                 fmt::format("Of a skin that is not painted: leave out some of {}",
+                             fmt::join(simulation::look_effects(), ",")));
   command.flag("--glasses", options->studio.glasses, "The actor wears spectacles");
   command
       .option("--turn", options->studio.turn_deg,
