@@ -8,12 +8,11 @@
 #include <utility>
 
 #include "facet/error.hpp"
+#include "render/embree_device.hpp"
 #include "render/renderer.hpp"
 
 namespace facet::render {
-namespace {
 
-/// Embree's device: one for the process, made at first use, freed with the last caster.
 std::shared_ptr<RTCDeviceTy> shared_device() {
   static const std::shared_ptr<RTCDeviceTy> device = [] {
     // Two build threads: the appliance's picture making must leave the other cores to the pipeline.
@@ -27,11 +26,12 @@ std::shared_ptr<RTCDeviceTy> shared_device() {
   return device;
 }
 
-/// Debian's Embree checks its rays with assertions: what it would stop the program for must not reach it.
 bool usable(const Eigen::Vector3f& vector) {
   constexpr float kLargest = 1e18F;
   return vector.allFinite() && vector.cwiseAbs().maxCoeff() < kLargest;
 }
+
+namespace {
 
 void pass_back_faces(const RTCFilterFunctionNArguments* arguments) {
   // Single rays only: N is 1, and the N-wide structures have the layout of RTCRay and RTCHit.

@@ -343,11 +343,23 @@ VirtualActor::VirtualActor(const face::FaceModel& model, const ActorTraits& trai
     complexion = person.complexion;
     skin_maps_ = map_skin(anatomy_, person, look, zones, resting_mm, seed);
     head_albedo_ = skin_albedo(skin_maps_, {});
+    if (look.strands) {
+      const HairLines lines = find_hair_lines(model, basis_.neutral_mm);
+      Eigen::VectorXf scalp_hair(resting_mm.cols());
+      for (Eigen::Index v = 0; v < resting_mm.cols(); ++v) {
+        scalp_hair[v] = smooth_step(-5, 14, above_hairline_mm(anatomy_, resting_mm.col(v), zones.skin[v]));
+      }
+      hair_ = grow_strands({resting_mm, resting_normals, head_triangles_, zones, scalp_hair}, anatomy_, lines,
+                           person, seed);
+    }
   }
   skin_ = complexion.skin;
   openness_ = zones.openness;
   face_skin_ = zones.skin;
   grow_hair(resting_mm, zones.skin, seed);
+  if (!look.painted() && look.scattering) {
+    scattering_ = std::make_unique<const Scattering>(resting_mm, head_triangles_);
+  }
   relief_ = std::make_unique<const Relief>(
       Relief{Wrinkles(anatomy_, {resting_mm, resting_normals, head_triangles_, face_skin_, zones.lips}, seed,
                       expression_names_)});

@@ -12,7 +12,9 @@
 #include "simulation/look.hpp"
 #include "simulation/performance.hpp"
 #include "simulation/props.hpp"
+#include "simulation/scattering.hpp"
 #include "simulation/skin_maps.hpp"
+#include "simulation/strands.hpp"
 
 namespace facet::simulation {
 
@@ -50,8 +52,11 @@ class VirtualActor {
   const std::vector<Material>& head_materials() const { return head_materials_; }
   const mesh::Vertices& resting_mm() const { return resting_mm_; }  ///< the head's, without relief and hair
   const Look& look() const { return look_; }
-  const Eigen::Vector3f& skin() const { return skin_; }            ///< its albedo where nothing is special
-  const SkinMaps& skin_maps() const { return skin_maps_; }         ///< empty where the skin is painted
+  const Eigen::Vector3f& skin() const { return skin_; }     ///< its albedo where nothing is special
+  const SkinMaps& skin_maps() const { return skin_maps_; }  ///< empty where the skin is painted
+  const HairStrands& hair() const { return hair_; }         ///< empty where the look has no strands
+  /// Of the head's vertices; null where the look has no scattering.
+  const Scattering* scattering() const { return scattering_.get(); }
   const Eigen::VectorXf& openness() const { return openness_; }    ///< [vertex_count] 0 to 1
   const Eigen::VectorXf& face_skin() const { return face_skin_; }  ///< [vertex_count] 1 on face skin
   const std::vector<std::string>& expression_names() const { return expression_names_; }
@@ -82,6 +87,8 @@ class VirtualActor {
   Look look_;
   SkinMaps skin_maps_;
   mesh::Vertices resting_mm_;
+  HairStrands hair_;
+  std::unique_ptr<const Scattering> scattering_;
   Eigen::Vector3f skin_{0, 0, 0};
   mesh::Quads quads_;  ///< of the control mesh
   std::vector<std::string> expression_names_;

@@ -9,6 +9,8 @@
 
 #include "facet/error.hpp"
 #include "maths/statistics.hpp"
+#include "simulation/look_picture.hpp"
+#include "simulation/look_shading.hpp"
 #include "simulation/placed_actor.hpp"
 #include "simulation/random.hpp"
 #include "simulation/sensor.hpp"
@@ -209,6 +211,44 @@ struct ActorSequence::Impl {
     }
   }
 
+  /// The linear picture of a painted actor. [3][pixels]
+  /// scene, caster: in the first camera's frame.
+  Eigen::Matrix3Xf painted_picture(const View& view, const Scene& scene, const render::Raycaster& caster,
+                                   const Lighting& now) const {
+    const Vector3f eye_mm = view.view_from_first.inverse().translation();
+    const Eigen::Matrix3Xf colours = shade_vertices(scene, caster, now, config.highlights, eye_mm);
+    if (&view == &views.front()) {
+      return expose_picture(view, scene.vertices_mm, scene.triangles, caster, colours);
+    }
+    const mesh::Vertices vertices_mm = view.view_from_first * scene.vertices_mm;
+    const render::Raycaster from_there(vertices_mm, scene.triangles);
+    return view.gain.asDiagonal() * expose_picture(view, vertices_mm, scene.triangles, from_there, colours);
+  }
+
+  /// The linear picture of an actor that is not painted. [3][pixels]
+  /// scene, strands, caster: in the first camera's frame.
+  Eigen::Matrix3Xf look_picture(const View& view, const Scene& scene, const render::StrandCaster& strands,
+                                const render::Raycaster& caster, const Lighting& now) const {
+    const VirtualActor& actor = placed.actor();
+    const Vector3f eye_mm = view.view_from_first.inverse().translation();
+    const LookScene lit{scene, caster, actor.hair(), strands, actor.scattering(), actor.skin_maps().oil};
+    const auto picture_of = [&](const render::Raycaster& surfaces, const render::StrandCaster& hairs) {
+      const PictureRays rays(view.camera, surfaces, hairs, config.rays_per_pixel);
+      const Eigen::Matrix3Xf colours = shade_look(
+          lit, now, config.look, rays.seen_vertices(scene.triangles, scene.vertices_mm.cols()), eye_mm);
+      const Eigen::Matrix3Xf strand_colours =
+          shade_strands(lit, now, rays.seen_strands(hairs.strands(), actor.hair().first), eye_mm);
+      return rays.picture(scene.triangles, colours, hairs.strands(), strand_colours, view.background);
+    };
+    if (&view == &views.front()) {
+      return picture_of(caster, strands);
+    }
+    const render::Raycaster surfaces(view.view_from_first * scene.vertices_mm, scene.triangles);
+    render::Strands turned = strands.strands();
+    turned.points.topRows<3>() = view.view_from_first * Eigen::Matrix3Xf(turned.points.topRows<3>());
+    return view.gain.asDiagonal() * picture_of(surfaces, render::StrandCaster(std::move(turned)));
+  }
+
   /// The linear picture: the scene over the background, averaged over the rays of each pixel. [3][pixels]
   /// vertices_mm, caster: in the view's frame.
   Eigen::Matrix3Xf expose_picture(const View& view, const mesh::Vertices& vertices_mm,
@@ -328,25 +368,18 @@ SyntheticFrame ActorSequence::render(int index, TruthMesh* truth) const {
   if (lighting.kind == LightKind::Strobe) {
     frame.lamp = index % static_cast<int>(impl_->lighting.area_lights.size());
   }
+  const bool painted = config.look.painted();
   const render::Raycaster caster(scene.vertices_mm, scene.triangles);
+  const render::StrandCaster strands(painted ? render::Strands{} : impl_->placed.strands_of(scene));
   Sensor webcam;  // a small one
   webcam.noise = config.sensor_noise;
   for (std::size_t k = 0; k < impl_->views.size(); ++k) {
     const Impl::View& view = impl_->views[k];
-    const Vector3f eye_mm = view.view_from_first.inverse().translation();
-    const Eigen::Matrix3Xf colours = shade_vertices(scene, caster, lighting, config.highlights, eye_mm);
     render::Picture picture;
     picture.width_px = config.width_px;
     picture.height_px = config.height_px;
-    Eigen::Matrix3Xf light;
-    if (k == 0) {
-      light = impl_->expose_picture(view, scene.vertices_mm, scene.triangles, caster, colours);
-    } else {
-      const mesh::Vertices vertices_mm = view.view_from_first * scene.vertices_mm;
-      const render::Raycaster from_there(vertices_mm, scene.triangles);
-      light = view.gain.asDiagonal() *
-              impl_->expose_picture(view, vertices_mm, scene.triangles, from_there, colours);
-    }
+    const Eigen::Matrix3Xf light = painted ? impl_->painted_picture(view, scene, caster, lighting)
+                                           : impl_->look_picture(view, scene, strands, caster, lighting);
     picture.rgb = develop(light, config.width_px, config.height_px, webcam,
                           mix(config.seed * 0x10001ULL + static_cast<std::uint64_t>(index) + (k << 40U)));
     if (k == 0) {

@@ -8,6 +8,7 @@
 #include <numbers>
 
 #include "facet/error.hpp"
+#include "simulation/random.hpp"
 #include "simulation/recorded_curves.hpp"
 
 namespace facet::simulation {
@@ -21,6 +22,25 @@ Eigen::Matrix3f turn(const HeadMotion& motion) {
           Eigen::AngleAxisf(motion.pitch_rad, Vector3f::UnitX()) *
           Eigen::AngleAxisf(motion.roll_rad, Vector3f::UnitZ()))
       .toRotationMatrix();
+}
+
+/// Normals of an eyeball whose cornea is rounder than the rest, as its mirror images show, though the ball is
+/// drawn as one sphere. from_centre_mm [3][vertex_count]; axis: unit, where the eye looks.
+Eigen::Matrix3Xf cornea_normals(const Eigen::Matrix3Xf& from_centre_mm, const Vector3f& axis) {
+  constexpr float kCornea_mm = 7.8F;  // its radius of curvature
+  constexpr float kEdge_mm = 6.0F;    // of the cornea, from the axis
+  Eigen::Matrix3Xf normals = from_centre_mm.colwise().normalized();
+  for (Eigen::Index v = 0; v < normals.cols(); ++v) {
+    const Vector3f sideways = from_centre_mm.col(v) - from_centre_mm.col(v).dot(axis) * axis;
+    const float off_mm = sideways.norm();
+    if (from_centre_mm.col(v).dot(axis) > 0 && off_mm > 0 && off_mm < kEdge_mm) {
+      const float sine = std::min(off_mm / kCornea_mm, 0.9F);
+      const Vector3f bent = sine / off_mm * sideways + std::sqrt(1 - sine * sine) * axis;
+      const float rim = smooth_step(kEdge_mm, kEdge_mm - 0.8F, off_mm);
+      normals.col(v) = (normals.col(v) + rim * (bent - normals.col(v))).normalized();
+    }
+  }
+  return normals;
 }
 
 /// Throws Error(UnreadableInput) where curves move what the model has no shape for.
@@ -112,7 +132,15 @@ void PlacedActor::build_scene(double time_s, Scene& scene) const {
     const Surface& surface = actor_.eyeball_surface();
     const mesh::Vertices turned_mm =
         (gaze_rotation(shape.gaze) * surface.vertices_mm).colwise() + eyeball.centre_mm;
-    add(head * turned_mm, surface);
+    if (actor_.look().painted()) {
+      add(head * turned_mm, surface);
+      continue;
+    }
+    const Vector3f axis = head.linear() * gaze_rotation(shape.gaze) * Vector3f::UnitZ();
+    const Eigen::Matrix3Xf normals =
+        cornea_normals((head * turned_mm).colwise() - head * eyeball.centre_mm, axis);
+    constexpr float kShaded = 0.8F;  // a white that does not outshine the skin
+    scene.add(head * turned_mm, normals, kShaded * surface.albedo, surface.materials, surface.triangles, {});
   }
   add(head * actor_.upper_teeth().vertices_mm, actor_.upper_teeth());
   add(head * shape.lower_teeth_mm, actor_.lower_teeth());
@@ -140,6 +168,10 @@ TruthMesh PlacedActor::neutral() const {
   ActorShape shape;
   actor_.shape(std::vector<float>(actor_.expression_names().size(), 0.0F), {}, shape);
   return {shape.head_mm, shape.head_normals, actor_.head_albedo(), actor_.head_triangles()};
+}
+
+render::Strands PlacedActor::strands_of(const Scene& scene) const {
+  return place_strands(actor_.hair(), scene.vertices_mm, scene.normals, actor_.head_triangles());
 }
 
 TruthMesh PlacedActor::head_of(const Scene& scene) const {

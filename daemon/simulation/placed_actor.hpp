@@ -35,6 +35,8 @@ class PlacedActor {
 
   /// Everything that can be seen at a time, in the place's frame; the head comes first.
   void build_scene(double time_s, Scene& scene) const;
+  /// The hairs of a scene made by build_scene.
+  render::Strands strands_of(const Scene& scene) const;
   /// The head's surface of a scene made by build_scene, without eyeballs, teeth, neck and glasses.
   TruthMesh head_of(const Scene& scene) const;
   /// The same surface without any expression, head frame.

@@ -58,7 +58,7 @@ float blood_of_place(const Anatomy& face, const Vector3f& at) {
   float factor = 1;
   for (std::size_t side = 0; side < 2; ++side) {
     const Vector3f cheek(face.eye_outer[side].x() * 0.85F, face.nose_tip.y() - 1, face.nose_tip.z() - 28);
-    factor += 0.85F * std::exp(-(at - cheek).squaredNorm() / (20 * 20));
+    factor += 0.55F * std::exp(-(at - cheek).squaredNorm() / (20 * 20));
     const float beyond = Anatomy::side(side) * (at.x() - 1.45F * face.eye_outer[side].x());
     factor += 0.9F * smooth_step(0, 12, beyond);  // ears
     const Vector3f below_eye = 0.5F * (face.eye_outer[side] + face.eye_inner[side]) + Vector3f(0, -11, 2);
@@ -219,8 +219,8 @@ SkinMaps map_skin(const Anatomy& anatomy, const Person& person, const Look& look
         melanin *= 1 + 0.16F * blotches.fractal(at / 26.0F, 3) + 0.07F * fine.fractal(at / 3.4F, 2);
         blood *= std::max(0.3F, 1 + 0.35F * mottle.fractal(at / 12.0F, 3) + 0.2F * fine.at(at / 1.9F));
         const float sunny = std::exp(-(at - bridge).cwiseQuotient(Vector3f(48, 26, 40)).squaredNorm());
-        const float rare = 0.62F - 0.4F * person.freckles * sunny;
-        melanin += 0.035F * person.freckles * smooth_step(rare, rare + 0.18F, freckle.at(at / 2.3F));
+        const float rare = 0.85F - 0.5F * person.freckles * sunny;
+        melanin += 0.02F * sunny * smooth_step(rare, rare + 0.25F, freckle.at(at / 2.0F));
         for (const Spot& mole : moles) {
           const float distance = (at - mole.at_mm).norm() / mole.radius_mm;
           melanin += distance < 1.4F ? mole.melanin * smooth_step(1.3F, 0.6F, distance) : 0.0F;
@@ -229,12 +229,16 @@ SkinMaps map_skin(const Anatomy& anatomy, const Person& person, const Look& look
       // Lips have a thin epidermis, so that blood shows; in dark skins melanin stays.
       const float creases = 1 + 0.14F * fine.at({at.x() / 1.4F, at.y() / 7.0F, at.z() / 7.0F});
       melanin *= 1 - 0.25F * lips;
-      blood += lips * creases * (6.5F * person.skin.blood - blood);
+      blood += lips * creases * (12.0F * person.skin.blood - blood);
       const float margin = smooth_step(0.05F, 0.3F, zones.eye[v]);
       melanin *= 1 - 0.5F * margin;
       blood *= 1 + 2.0F * margin;
 
+      // The red of the lips scatters little, which two layers of skin do not know: what lies deep stays
+      // there.
       Cover cover;
+      const Vector3f deep = skin_optics().albedo({0.6F * melanin, 12.0F * person.skin.blood});
+      cover.add(creases * deep.cwiseProduct(Vector3f(0.92F, 0.6F, 0.64F)), 0.8F * lips);
       if (person.makeup) {
         put_makeup(anatomy, paint, at, zones.lips[v], cover);
       }

@@ -1,0 +1,117 @@
+#include "render/strand_caster.hpp"
+
+#include <embree3/rtcore.h>
+#include <fmt/format.h>
+
+#include <cmath>
+#include <utility>
+
+#include "facet/error.hpp"
+#include "render/embree_device.hpp"
+
+namespace facet::render {
+
+struct StrandCaster::Impl {
+  std::shared_ptr<RTCDeviceTy> device;
+  RTCScene scene = nullptr;
+  Strands strands;
+
+  Impl() = default;
+  Impl(const Impl&) = delete;
+  Impl& operator=(const Impl&) = delete;
+  ~Impl() {
+    if (scene != nullptr) {
+      rtcReleaseScene(scene);
+    }
+  }
+};
+
+StrandCaster::StrandCaster(Strands strands) : impl_(std::make_unique<Impl>()) {
+  if (!strands.points.allFinite()) {
+    throw Error(ErrorKind::UnreadableInput, "strands to be rendered have a point that is not finite");
+  }
+  for (const std::uint32_t first : strands.segments) {
+    if (static_cast<Eigen::Index>(first) + 1 >= strands.points.cols()) {
+      throw Error(ErrorKind::UnreadableInput, fmt::format("a strand to be rendered names point {} of {}",
+                                                          first + 1, strands.points.cols()));
+    }
+  }
+  impl_->strands = std::move(strands);
+  if (impl_->strands.segments.empty()) {
+    return;
+  }
+  impl_->device = shared_device();
+  impl_->scene = rtcNewScene(impl_->device.get());
+  RTCGeometry geometry = rtcNewGeometry(impl_->device.get(), RTC_GEOMETRY_TYPE_FLAT_LINEAR_CURVE);
+  rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT4,
+                             impl_->strands.points.data(), 0, 4 * sizeof(float),
+                             static_cast<std::size_t>(impl_->strands.points.cols()));
+  rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT,
+                             impl_->strands.segments.data(), 0, sizeof(std::uint32_t),
+                             impl_->strands.segments.size());
+  rtcCommitGeometry(geometry);
+  rtcAttachGeometry(impl_->scene, geometry);
+  rtcReleaseGeometry(geometry);
+  rtcCommitScene(impl_->scene);
+  const RTCError error = rtcGetDeviceError(impl_->device.get());
+  if (error != RTC_ERROR_NONE) {
+    throw Error(ErrorKind::Internal,
+                fmt::format("the ray caster (Embree) refused {} segments of strands, error {}",
+                            impl_->strands.segments.size(), static_cast<int>(error)));
+  }
+}
+
+StrandCaster::~StrandCaster() = default;
+StrandCaster::StrandCaster(StrandCaster&& other) noexcept = default;
+StrandCaster& StrandCaster::operator=(StrandCaster&& other) noexcept = default;
+
+const Strands& StrandCaster::strands() const {
+  return impl_->strands;
+}
+
+StrandCaster::Hit StrandCaster::first_hit(const Eigen::Vector3f& origin_mm, const Eigen::Vector3f& direction,
+                                          float max_depth) const {
+  if (impl_->scene == nullptr || !usable(origin_mm) || !usable(direction) || direction.isZero() ||
+      !(max_depth > 0)) {
+    return {};
+  }
+  RTCIntersectContext context;
+  rtcInitIntersectContext(&context);
+  RTCRayHit query{};
+  query.ray.org_x = origin_mm.x();
+  query.ray.org_y = origin_mm.y();
+  query.ray.org_z = origin_mm.z();
+  query.ray.dir_x = direction.x();
+  query.ray.dir_y = direction.y();
+  query.ray.dir_z = direction.z();
+  query.ray.tfar = max_depth;
+  query.ray.mask = ~0U;
+  query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+  rtcIntersect1(impl_->scene, &context, &query);
+  if (query.hit.geomID == RTC_INVALID_GEOMETRY_ID) {
+    return {};
+  }
+  return {static_cast<std::int32_t>(query.hit.primID), query.hit.u, query.ray.tfar};
+}
+
+bool StrandCaster::occluded(const Eigen::Vector3f& from_mm, const Eigen::Vector3f& to_mm) const {
+  const Eigen::Vector3f between = to_mm - from_mm;
+  if (impl_->scene == nullptr || !usable(from_mm) || !usable(to_mm) || between.isZero()) {
+    return false;
+  }
+  RTCIntersectContext context;
+  rtcInitIntersectContext(&context);
+  RTCRay ray{};
+  ray.org_x = from_mm.x();
+  ray.org_y = from_mm.y();
+  ray.org_z = from_mm.z();
+  ray.dir_x = between.x();
+  ray.dir_y = between.y();
+  ray.dir_z = between.z();
+  ray.tfar = 1;
+  ray.mask = ~0U;
+  rtcOccluded1(impl_->scene, &context, &ray);
+  return ray.tfar < 0;  // Embree's sign of a hit: minus infinity
+}
+
+}  // namespace facet::render
