@@ -14,9 +14,10 @@ namespace facet::animate {
 /// three numbers s_f) they are gathered on the nodes x_j of a lattice along the principal axes of s_f, each
 /// on the corners N_j of its cell, and the proximity is interpolated linearly between nodes:
 ///   1 / (1 + |s_f - p|)  ~  sum_j N_j(s_f) / (1 + |x_j - p|).
-/// These are weights as good as the others, positive and with the sum 1, used the same way in every sum: what
-/// [SF04 eq. 17] promises of control points and sums holds of them as well. They differ where proximity bends
-/// within a cell, that is next to p; docs/animation.md says by how much the faces do.
+/// The weights that follow are positive and sum to 1, as the exact ones do, and every sum uses the same ones.
+/// What [SF04 eq. 17] promises of weighted sums and control points holds with them as well. They differ from
+/// the exact ones where proximity is not linear within a cell, which is next to p; docs/animation.md says how
+/// far the faces then differ.
 ///
 /// Immutable; any thread.
 class FaceSums {
@@ -42,7 +43,8 @@ class FaceSums {
   bool is_gathered() const { return nodes_.cols() > 0; }
 
   static constexpr Eigen::Index kMostNodes = 4096;
-  /// A node costs what a face does.
+  /// More faces than these are gathered on nodes. A node costs as much time as a face: with fewer faces
+  /// nothing would be gained.
   static constexpr Eigen::Index kMostFaces = kMostNodes;
 
  private:
@@ -54,14 +56,17 @@ class FaceSums {
   TakeBasis::MatrixView coefficients_;
   Eigen::VectorXd origin_;  ///< mean of s_f
   Eigen::MatrixXd axes_;    ///< principal, columns
-  // Of gathered faces; corners c of a cell in the order of their bits.
+  // Filled where faces are gathered. Of its cell's two ends along axis a, corner c is at the upper one where
+  // bit a of c is 1.
   Eigen::MatrixXi corners_;         ///< [2^dimensions][frame_count] nodes
   Eigen::MatrixXf shares_;          ///< [2^dimensions][frame_count] N_j(s_f)
   Eigen::MatrixXd nodes_;           ///< [dimensions][node count] along the axes
   Eigen::VectorXd counts_;          ///< [node count] sum over faces of N_j
   Eigen::MatrixXd first_moments_;   ///< [dimensions][node count] of s_f along the axes
   Eigen::MatrixXd second_moments_;  ///< [dimensions^2][node count]
-  Eigen::MatrixXf node_sums_;  ///< [(1 + dimensions) * coefficient_count][node count] of y_f, then times s_f
+  /// [(1 + dimensions) * coefficient_count][node count] First the sum over faces of N_j y_f; then, for each
+  /// axis, the sum of N_j y_f times where s_f lies along that axis.
+  Eigen::MatrixXf node_sums_;
 };
 
 }  // namespace facet::animate

@@ -33,8 +33,14 @@ void add_row(RegionWeights& rows, const Eigen::VectorXd& weights) {
   rows.offsets.push_back(static_cast<std::int32_t>(rows.weights.size()));
 }
 
-/// Numerators and denominator of B in double precision, the exponents shifted so that the largest is 0: far
-/// from all control points nothing underflows.
+/// [region_count] B of [SF04 eq. 22] of every control point at one place; the sum is 1.
+///
+/// at       the place, mm
+/// centres  [3][region_count] of the control points, mm
+/// radii    [region_count] mm
+///
+/// The largest exponent is subtracted from all of them, which leaves the quotients as they are. Otherwise,
+/// far from all control points, every exponential would underflow and each quotient be 0 / 0.
 Eigen::VectorXd influences(const Eigen::Vector3d& at, const Eigen::Matrix3Xd& centres,
                            const Eigen::VectorXd& radii) {
   Eigen::VectorXd exponents(centres.cols());

@@ -10,7 +10,8 @@
 
 namespace facet::animate {
 
-/// Control points of one pose, at most: beyond, regions are smaller than what a face moves in.
+/// The most control points that one pose may have. With more of them a region would be smaller than the parts
+/// of a face that move as one.
 inline constexpr int kMostControls = 64;
 
 /// How much of each region every vertex has: compressed rows, one per vertex, whose weights sum to 1.
@@ -23,12 +24,18 @@ struct RegionWeights {
   Eigen::VectorXf region(int index) const;
 };
 
-/// Soft regions around control points: the normalised radial basis functions of [SF04 eq. 22],
-/// B(s_n; s_l) = exp(-|s_n - s_l|^2 / r_l^2) / sum over l' of the same, r_l the distance to the nearest other
-/// control point. Distances are taken on the take's mean face, so that regions depend on which control points
-/// there are and not on where they are dragged: an animation keeps its regions. Evaluated at the control
-/// vertices and pushed to the finest level through the stencils, whose rows sum to 1, as positions are. One
-/// control point, or none: one region, the whole face. Immutable; any thread.
+/// Soft regions, one around each control point. The weight of region l at a vertex is a normalised radial
+/// basis function, [SF04 eq. 22]:
+///
+///   B(s_n; s_l) = exp(-|s_n - s_l|^2 / r_l^2) / sum over all l' of exp(-|s_n - s_l'|^2 / r_l'^2)
+///
+/// s_n is the vertex's place and s_l that of control point l, mm; r_l is the distance from s_l to the nearest
+/// other control point, mm. All places are those of the take's mean face. Regions depend therefore on which
+/// control points there are and not on where they are dragged: an animation keeps its regions. B is computed
+/// at the control vertices. The finest level's weights follow from these through the stencils, as positions
+/// do; since a stencil's weights sum to 1, those of a vertex do on the finest level, too.
+///
+/// Where there is one control point, or none, the whole face is one region. Immutable; any thread.
 class InfluenceMaps {
  public:
   /// vertices: of the finest level, each once; see check_controls. whole: one region whatever their number.
@@ -63,9 +70,10 @@ void check_controls(const TakeBasis& basis, std::span<const std::int32_t> vertic
 /// A face between the captured ones: each region's coefficients.
 struct Pose {
   std::shared_ptr<const InfluenceMaps> maps;
-  /// Column per region: the coefficients of TakeBasis, then the detail coefficients that the folds are made
-  /// of, which need not be those that the broader detail is made of. [coefficient_count + detail_rank]
-  /// [region_count]
+  /// [coefficient_count + detail_rank][region_count] One column per region. Its first rows are the
+  /// coefficients of TakeBasis, in their order. Its last detail_rank rows are a second set of detail
+  /// coefficients: the folds (TakeBasis::folds) are made of these; detail broader than folds is made of the
+  /// first set.
   Eigen::MatrixXf state;
 };
 

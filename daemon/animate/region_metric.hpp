@@ -19,13 +19,18 @@ class RegionMetric {
   /// Every vertex counts the same.
   explicit RegionMetric(const TakeBasis& basis);
 
-  /// Numbers whose Euclidean distance is the metric's. coefficients [>= those of shape][any]
+  /// Brings faces into a space in which the Euclidean distance of two of them is the metric's, mm. One column
+  /// per face.
+  ///
+  /// coefficients  [expression_offset or more][face_count] of TakeBasis in their order; what comes after the
+  ///               eyes is not looked at
+  /// returns       [expression_offset][face_count] mm
   Eigen::MatrixXf coordinates(const Eigen::Ref<const Eigen::MatrixXf>& coefficients) const {
     return transform_ * coefficients.topRows(transform_.cols());
   }
 
  private:
-  Eigen::MatrixXf transform_;  ///< [any][expression_offset]
+  Eigen::MatrixXf transform_;  ///< [expression_offset][expression_offset]
 };
 
 }  // namespace facet::animate

@@ -35,14 +35,18 @@ using BasisProgress = std::function<bool(std::int64_t done, std::int64_t total)>
 ///   eyes        [eye_count][6]      rotation vector, rad, and shift of the middle, mm; minus eye_means
 ///   expression  [expression_count]  minus expression_means
 ///
-/// All have mean 0 over the frames. Eyeballs are pieces of the control mesh wholly inside the eye region:
-/// they move rigidly and are in none of the coarse directions. Immutable; any thread.
+/// Each coefficient has the mean 0 over all frames. An eyeball is a piece of the control mesh that is joined
+/// to no other and lies wholly in the face model's eye region. It moves as a rigid body; in the coarse
+/// directions its vertices have zeros. Immutable; any thread.
 class TakeBasis {
  public:
-  /// Reads the basis kept for this take or, where there is none that belongs to the take as it is, makes one
-  /// by two readings of the take in blocks. Throws Error(UnreadableInput) where the take can't be read, has
-  /// fewer than 3 meshes, meshes of more than one topology, or changes meanwhile; Error(Usage) where options
-  /// make no sense; Error(Unavailable) where progress returned false.
+  /// The basis of a take. The kept one is read where it was made with these options and of the take as it is
+  /// now. Otherwise a basis is made, for which the take is read twice, in blocks of frames, and kept where
+  /// the options say.
+  ///
+  /// errors  Error(UnreadableInput) where the take can't be read, has fewer than 3 meshes or meshes of more
+  ///         than one topology, or changes while it is read; Error(Usage) where the options make no sense;
+  ///         Error(Unavailable) where progress returned false
   static std::shared_ptr<const TakeBasis> open(const std::filesystem::path& take,
                                                const BasisOptions& options = {},
                                                const BasisProgress& progress = {});
@@ -86,12 +90,14 @@ class TakeBasis {
   }
   double frame_period_s() const { return header().frame_period_s; }
 
-  /// Topology, camera, albedo, lighting, confidence of the meshes that are made from this take.
+  /// A frame from the middle of the take. The meshes that are made from this take have its topology, camera,
+  /// albedo, lighting and confidence.
   const mesh::MeshFrame& sample() const { return *sample_; }
   const mesh::Hierarchy& hierarchy() const { return *sample_->subject->hierarchy; }
   /// The mean face at the finest level, without displacements, mm. [3][finest_count]
   const mesh::Vertices& rest_mm() const { return rest_mm_; }
-  /// Which row of which control vertices a finest vertex is made of: pairs of control vertex and weight.
+  /// The control vertices whose weighted sum is the place of a finest vertex (without its displacement), as
+  /// pairs of control vertex and weight. The weights sum to 1.
   std::vector<std::pair<std::int32_t, float>> stencil(std::int32_t finest_vertex) const;
 
  private:

@@ -19,12 +19,13 @@ namespace {
 using nlohmann::json;
 
 constexpr float kMetresPerMillimetre = 0.001F;
-/// A value that rests so near to its end has no range left.
+/// The most that counts as a value's rest, 0 to 1. The range above rest is stretched to 0 to 1 (subtract); a
+/// value that rests nearer to 1 has too little range left for that.
 constexpr float kMostRest = 0.95F;
 
 /// Throws std::exception saying what is wrong.
 NeutralPose parse(std::string_view text) {
-  constexpr std::size_t kMostValues = 1000;  // of 59
+  constexpr std::size_t kMostValues = 1000;  // as JsonLimits counts; a neutral pose has 59 numbers
   const json document = files::parse_json(text, {kMostNeutralBytes, kMostValues}, "its text");
   if (document.at("facet_neutral") != 1) {
     throw std::runtime_error("it is of another version");

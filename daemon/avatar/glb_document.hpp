@@ -9,11 +9,11 @@
 
 namespace facet::avatar {
 
-/// A GLB file (glTF 2.0) in memory: the document, of which only what is named here is understood and
-/// everything else kept as it is, and the bytes of its first buffer.
+/// A GLB file (glTF 2.0) in memory. The functions below understand its lists of buffers, buffer views and
+/// accessors; whatever else the document holds is kept and written again as it was.
 struct GlbDocument {
-  nlohmann::ordered_json json;
-  std::vector<std::byte> binary;
+  nlohmann::ordered_json json;    ///< the document, names in the file's order
+  std::vector<std::byte> binary;  ///< the first buffer
 };
 
 /// A larger GLB is refused, bytes.
@@ -24,8 +24,14 @@ GlbDocument parse_glb(std::span<const std::byte> bytes, const std::string& sourc
 /// Throws Error(UnreadableInput) naming the file.
 GlbDocument read_glb(const std::filesystem::path& file);
 
-/// Appends an accessor of floats to the first buffer; returns its index. type: "SCALAR", "VEC4" ...; extra:
-/// further members. Throws Error(UnreadableInput) where the document's lists are none.
+/// Appends floats to the first buffer, which is made where there is none, and to the document a buffer view
+/// and an accessor of them. Returns the accessor's index.
+///
+/// values  [count][numbers of one element]
+/// type    glTF's name for an element: "SCALAR", "VEC4" ...
+/// count   elements
+/// extra   further members of the accessor
+/// errors  Error(UnreadableInput) where "buffers", "bufferViews" or "accessors" of the document is no list
 std::size_t append_floats(GlbDocument& glb, std::span<const float> values, const char* type,
                           std::size_t count, const nlohmann::ordered_json& extra);
 

@@ -83,7 +83,9 @@ std::vector<std::ptrdiff_t> parents_of(const Json& nodes) {
   return parents;
 }
 
-/// The node that VRM 0 or VRM 1 names as the head.
+/// The index of the node that the document names as the head's bone, by its extension "VRMC_vrm" (VRM 1) or
+/// "VRM" (VRM 0); nothing where it has neither. Sets faces_backwards where it is VRM 0, whose avatars look
+/// along -z.
 std::optional<std::size_t> vrm_head(const Json& json, bool& faces_backwards) {
   const auto extensions = json.find("extensions");
   if (extensions == json.end()) {

@@ -45,9 +45,14 @@ class RigCheck {
  public:
   RigCheck(std::shared_ptr<const capture::Rig> rig, const stereo::DepthRange& depths);
 
-  /// A blank slot, frames in the rig's order. Looks at one pair a call, in turn, and judges it once enough
-  /// points were gathered; most slots it has been told of before count for nothing. Returns what is wrong
-  /// with a pair, for people, as long as it is; empty where all is well or nothing is known yet.
+  /// Looks at one pair of cameras in the pictures of a blank slot, each call at the next pair in turn. A
+  /// pair's points are gathered over several slots, until there are enough of them or the slots are many.
+  /// Then the pair is judged by these points, unless they are too few to tell, and gathering begins anew
+  /// without them.
+  ///
+  /// set      [camera_count] frames, in the rig's order
+  /// returns  for people, what is wrong with the first pair whose last judgement was bad; empty where there
+  ///          is no such pair, and while nothing is known yet
   std::string look(const FrameSet& set);
   /// [pair_count] as the rig has them.
   const std::vector<RigPairStatus>& pairs() const { return known_; }

@@ -64,7 +64,8 @@ cv::Ptr<cv::aruco::CharucoBoard> charuco_of(const Board& board) {
                                          static_cast<float>(board.marker_mm), dictionary_of(board));
 }
 
-/// From OpenCV's board frame, whose y points up until version 4.6 and down later, to ours.
+/// A point of OpenCV's board frame in ours (calibration::Board), mm. Our y points down. OpenCV's points up
+/// until version 4.6 and down in later ones; the corners of a marker tell which.
 Eigen::Vector3d from_opencv(const Board& board, const cv::aruco::CharucoBoard& charuco,
                             const cv::Point3f& point) {
   const std::vector<cv::Point3f>& marker = charuco.objPoints.front();  // clockwise from its top left
@@ -94,8 +95,11 @@ double sample(const cv::Mat& grey, const Eigen::Vector2d& at) {
          v * ((1 - u) * value(x, y + 1) + u * value(x + 1, y + 1));
 }
 
-/// Contrast over steepest slope across the edge that runs from one corner to the next: its width. Looks a
-/// quarter of a square to either side. 0 where there is no contrast.
+/// The width of an edge between black and white in a picture, px. Grey levels are read along a line that
+/// crosses the edge at its middle and reaches a quarter of a square to either side. The width is the greatest
+/// level less the least one, divided by the steepest slope, levels per px. 0 where there is no contrast.
+///
+/// a, b  px, two neighbouring corners of the board, between which the edge runs
 double edge_width_px(const cv::Mat& grey, const Eigen::Vector2d& a, const Eigen::Vector2d& b) {
   constexpr double kStep = 0.5;
   const Eigen::Vector2d along = b - a;
@@ -131,13 +135,15 @@ double edge_width_px(const cv::Mat& grey, const Board& board, const BoardView& v
   return widths.empty() ? 0 : maths::median_of(widths);
 }
 
-/// The print as a picture sees it: about its resolution, blurred.
+/// What is printed, as a camera sees it: drawn with about as many px a mm as the board has in the camera's
+/// picture, and blurred.
 struct Print {
-  cv::Mat grey;  // CV_32FC3: the grey level, its slopes to the right and down
+  cv::Mat grey;  // CV_32FC3: the grey level, 0 to 255, and its slopes to the right and down, levels per px
   double px_per_mm = 1;
   double margin_mm = 0;
 
-  /// Bilinear, px of `grey`; beyond its edge what is there.
+  /// The three values of `grey` at a place between its pixels, px: interpolated bilinearly. Beyond the edge
+  /// of `grey` they are those at the edge.
   Eigen::Vector3d at(const Eigen::Vector2d& px) const {
     const int x = std::clamp(static_cast<int>(std::floor(px.x())), 0, grey.cols - 2);
     const int y = std::clamp(static_cast<int>(std::floor(px.y())), 0, grey.rows - 2);

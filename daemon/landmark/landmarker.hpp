@@ -31,8 +31,8 @@ struct FaceLandmarks {
   /// 0 where only one net looked. 0.01 to 0.04 on faces that both nets see well; more on heads that are
   /// turned further than the nets can follow, where each guesses in its own way.
   float contradiction = 0;
-  float shape_error =
-      0;  ///< rms distance to the canonical face after the best similarity, in interocular distances
+  /// rms distance to the canonical face after the best similarity, in interocular distances.
+  float shape_error = 0;
   Eigen::Matrix3f camera_from_canonical = Eigen::Matrix3f::Identity();  ///< rotation of that similarity
   float interocular_px = 0;  ///< distance of the outer eye corners by that similarity: not foreshortened
   Region window;             ///< where the net looked

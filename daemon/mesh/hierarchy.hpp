@@ -42,8 +42,8 @@ std::uint64_t topology_id(const Hierarchy& hierarchy);
 bool same_topology(const Hierarchy& a, const Hierarchy& b);
 
 struct HierarchyOptions {
-  float min_edge_px =
-      2.0F;  ///< epsilon of [MD19 alg. 1]: a block whose interior edge projects to fewer px stays whole
+  /// Epsilon of [MD19 alg. 1]: a block whose interior edge projects to fewer px stays whole.
+  float min_edge_px = 2.0F;
   int max_levels = 6;                   ///< level 0 counted
   std::int32_t max_vertices = 200'000;  ///< of the finest level; the sweep that would pass it is not made
 };

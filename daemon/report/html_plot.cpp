@@ -41,14 +41,15 @@ Axis round_axis(double least, double most, int ticks) {
   return axis;
 }
 
-/// The least and the greatest value of every column that has one.
+/// One of the kColumns strips, side by side, that a plot is cut into: the least and the greatest value of the
+/// points in it.
 struct Column {
-  double at = 0;
+  double at = 0;  ///< of the first of these points, as Plot::at
   float least = std::numeric_limits<float>::infinity();
   float most = -std::numeric_limits<float>::infinity();
 };
 
-/// Runs of columns without a gap between them.
+/// The columns that hold values, from left to right: one list for each piece of the line between two gaps.
 std::vector<std::vector<Column>> columns_of(const Plot& plot, const std::vector<float>& values) {
   std::vector<std::vector<Column>> runs;
   if (plot.at.empty()) {
@@ -80,7 +81,8 @@ std::vector<std::vector<Column>> columns_of(const Plot& plot, const std::vector<
   return runs;
 }
 
-/// Sums from the first line to each.
+/// The lines that bound the areas of a stacked plot from above: line l has at each point the sum of the
+/// values of lines 0 to l there.
 std::vector<PlotLine> stacked(const Plot& plot) {
   std::vector<PlotLine> sums = plot.lines;
   for (std::size_t l = 1; l < sums.size(); ++l) {

@@ -21,7 +21,8 @@ constexpr int kCellHeight_px = 480;
 constexpr int kGap_px = 6;
 constexpr int kHeader_px = 46;
 constexpr float kWireOpacity = 0.55F;
-constexpr float kLargestError = 0.12F;  // of the error's colours: as in the paper's figures
+/// The photometric error, linear 0 to 1, that has the last colour of the scale, as in the paper's figures.
+constexpr float kLargestError = 0.12F;
 constexpr std::array<const char*, 6> kColumns{"input",           "coarse mesh", "refined normals",
                                               "refined, shaded", "albedo",      "photometric error"};
 

@@ -10,12 +10,12 @@ namespace facet {
 /// row first. A driver with another pixel format converts at its door. The pixels are shared and never change
 /// after delivery, so a Frame may be copied cheaply and read on any thread.
 struct Frame {
-  std::uint64_t sequence =
-      0;  ///< counts the frames that the source produced, dropped ones included; starts at 0
-  std::int64_t timestamp_ns =
-      0;  ///< CLOCK_MONOTONIC at the start of exposure (paced file: when the frame was due)
-  std::int64_t media_time_ns =
-      0;  ///< position in a recorded source, 0 at its first frame; live: since the first frame
+  /// Counts the frames that the source produced, dropped ones included; starts at 0.
+  std::uint64_t sequence = 0;
+  /// CLOCK_MONOTONIC at the start of exposure (paced file: when the frame was due).
+  std::int64_t timestamp_ns = 0;
+  /// Position in a recorded source, 0 at its first frame; live: since the first frame.
+  std::int64_t media_time_ns = 0;
   int width_px = 0;
   int height_px = 0;
   std::size_t stride_bytes = 0;                  ///< from one row to the next, >= 4 * width_px
@@ -26,8 +26,7 @@ struct Frame {
   const std::uint8_t* row(int y) const { return pixels.get() + static_cast<std::size_t>(y) * stride_bytes; }
 };
 
-/// Pinhole intrinsics of an undistorted image, OpenCV convention: u = fx x/z + cx, pixel centres at integer +
-/// 0.
+/// Pinhole intrinsics of an undistorted image, OpenCV convention: u = fx x/z + cx, pixel centres at integers.
 struct CameraIntrinsics {
   float fx = 0;
   float fy = 0;
