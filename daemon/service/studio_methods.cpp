@@ -110,35 +110,8 @@ json controls_json(const studio::StudioStatus& status) {
   return controls;
 }
 
-}  // namespace
-
-json to_json(const studio::StudioStatus& status) {
-  json places = json::object();
-  for (const auto& [name, vertex] : status.places) {
-    places[name] = vertex;
-  }
-  return {{"state", to_string(status.state)},
-          {"take", status.take},
-          {"reason", status.reason},
-          {"done", status.done},
-          {"total", status.total},
-          {"posing", status.posing},
-          {"shown", to_string(status.shown)},
-          {"time_s", status.time_s},
-          {"duration_s", status.duration_s},
-          {"frame", status.frame},
-          {"events", status.events},
-          {"superseded", status.superseded},
-          {"solved", status.solved},
-          {"latency_ms", times_json(status.latency)},
-          {"work_ms", times_json(status.work)},
-          {"controls", controls_json(status)},
-          {"places", std::move(places)},
-          {"warnings", status.warnings},
-          {"exported", status.exported.string()}};
-}
-
-ControlMethods studio_methods(studio::Studio& studio, Errands& errands) {
+/// studio.*: a take is opened, shown and closed.
+ControlMethods take_methods(studio::Studio& studio, Errands& errands) {
   using Type = ControlParam::Type;
   return {
       {"studio.open",
@@ -187,6 +160,13 @@ ControlMethods studio_methods(studio::Studio& studio, Errands& errands) {
           studio.cancel();
           return json::object();
         }}},
+  };
+}
+
+/// pose.*: control points.
+ControlMethods pose_methods(studio::Studio& studio, Errands& errands) {
+  using Type = ControlParam::Type;
+  return {
       {"pose.set",
        {true,
         {{"controls", Type::Any, true}, {"whole"}, {"clamp"}},
@@ -218,6 +198,13 @@ ControlMethods studio_methods(studio::Studio& studio, Errands& errands) {
                             {"rgb", stream::base64(regions.rgb)}});
           });
         }}},
+  };
+}
+
+/// keys.*: the animation's key frames.
+ControlMethods key_methods(studio::Studio& studio, Errands& errands) {
+  using Type = ControlParam::Type;
+  return {
       {"keys.get",
        {false,
         {},
@@ -253,6 +240,41 @@ ControlMethods studio_methods(studio::Studio& studio, Errands& errands) {
           });
         }}},
   };
+}
+
+}  // namespace
+
+json to_json(const studio::StudioStatus& status) {
+  json places = json::object();
+  for (const auto& [name, vertex] : status.places) {
+    places[name] = vertex;
+  }
+  return {{"state", to_string(status.state)},
+          {"take", status.take},
+          {"reason", status.reason},
+          {"done", status.done},
+          {"total", status.total},
+          {"posing", status.posing},
+          {"shown", to_string(status.shown)},
+          {"time_s", status.time_s},
+          {"duration_s", status.duration_s},
+          {"frame", status.frame},
+          {"events", status.events},
+          {"superseded", status.superseded},
+          {"solved", status.solved},
+          {"latency_ms", times_json(status.latency)},
+          {"work_ms", times_json(status.work)},
+          {"controls", controls_json(status)},
+          {"places", std::move(places)},
+          {"warnings", status.warnings},
+          {"exported", status.exported.string()}};
+}
+
+ControlMethods studio_methods(studio::Studio& studio, Errands& errands) {
+  ControlMethods all = take_methods(studio, errands);
+  all.merge(pose_methods(studio, errands));
+  all.merge(key_methods(studio, errands));
+  return all;
 }
 
 }  // namespace facet::service
