@@ -11,6 +11,8 @@ from guest import BIN, Camera, Path, check, figure, full, run, test, wait_until
 CAMERA = guest.USB_CAMERA
 ASSETS = Path("/host/assets")
 FOLDER = Path("/tmp/facet")
+SEARCHED_FRAMES = 16  # by then the search for a face has been everywhere in a picture of 320x240
+MOST_LEAK_KB = 100  # each time the camera is unplugged; one of its pictures has 300
 
 
 class Daemon:
@@ -39,7 +41,7 @@ class Daemon:
         done = subprocess.run([BIN / "facet", "status", "--json", f"--config={self.config}"], capture_output=True, text=True, check=False)
         return json.loads(done.stdout) if done.returncode == 0 else None
 
-    def wait_camera(self, state, timeout_s=30):
+    def wait_camera(self, state, timeout_s=120):
         """Waits for a state of the camera; the status."""
         last = {}
 
@@ -55,6 +57,13 @@ class Daemon:
         before = self.status()["camera"]["frames"]["delivered"]
         return wait_until(lambda: (status := self.status())["camera"]["frames"]["delivered"] >= before + more and status, timeout_s,
                           lambda: f"no frames: {self.status()}")
+
+    def wait_processed(self, frames, timeout_s=240):
+        """Waits until so many frames were processed since the start. Asks seldom, for that takes time from the tracker."""
+        def there():
+            time.sleep(1)
+            return self.status()["frames"]["processed"] >= frames
+        wait_until(there, timeout_s, lambda: f"too few frames: {self.status()}")
 
     def said(self):
         return Path(self.log.name).read_text()[-1500:]
@@ -98,6 +107,12 @@ def starts_without_a_camera():
 
 
 def unplug_and_plug(times):
+    """Each time is noticed and recovered from; after the first one neither descriptors nor memory leak.
+
+    What is resident must not depend on how busy the machine is. It is read first when what grows once has grown: the first unplugging
+    has touched what faults alone need, and the nets and the search for a face have touched theirs, for which frames are waited for,
+    however long they take. Huge pages, which grow with time, are off (guest.main). From then on it stays the same to some kB, unless
+    each time leaves something behind."""
     noticed_s = []
     recovered_s = []
     with Camera() as camera, Daemon() as daemon:
@@ -111,7 +126,8 @@ def unplug_and_plug(times):
             daemon.wait_camera("streaming")
             recovered_s.append((guest.now_ns() - start) / 1e9)
             daemon.wait_frames(3)
-            if i == 1:
+            if i == 0:
+                daemon.wait_processed(SEARCHED_FRAMES)
                 before = (daemon.descriptors(), daemon.resident_kb())
         after = (daemon.descriptors(), daemon.resident_kb())
         status = daemon.status()
@@ -121,7 +137,7 @@ def unplug_and_plug(times):
     figure("descriptors and memory in kB: then, now", [before, after])
     check(status["camera"]["frames"]["reopened"] == times, status["camera"])
     check(after[0] == before[0], f"descriptors: {before[0]}, then {after[0]}")
-    check(after[1] < before[1] + 8000, f"memory: {before[1]} kB, then {after[1]} kB")
+    check(after[1] - before[1] < (times - 1) * MOST_LEAK_KB, f"memory: {before[1]} kB, then {after[1]} kB after {times - 1} times more")
 
 
 @test

@@ -303,6 +303,9 @@ def come_and_go(probe, leave, come, times, gone=("absent",)):
 
 def main():
     """Runs the tests of the file: those of the short set, or with --full all; only those named, where names are given."""
+    # Else the kernel makes huge pages of small ones by and by, and what a process holds resident grows by itself, the more the longer
+    # a test takes.
+    Path("/sys/kernel/mm/transparent_hugepage/enabled").write_text("never")
     everything = "--full" in sys.argv
     names = [argument for argument in sys.argv[1:] if argument != "--full"]
     for function, kind in _tests:
