@@ -68,6 +68,7 @@ int main(int argc, char** argv) {
   app.add_option("--video", options.video, "the video that the take was made from, where it has moved");
   app.add_option("--frames", options.frames, "frames by their number in the source")
       ->delimiter(',')
+      ->allow_extra_args(false)
       ->capture_default_str();
   app.add_option("--side", options.side_px, "of the square, px")
       ->check(CLI::Range(8, 4096))

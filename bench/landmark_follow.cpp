@@ -38,6 +38,7 @@ struct Options {
   std::filesystem::path predictor = "/usr/share/dlib/shape_predictor_68_face_landmarks.dat";
   std::vector<std::filesystem::path> inputs;
   int every = 15;
+  std::size_t frames = 0;  // 0: all
 };
 
 constexpr int kLandmarks = 68;
@@ -204,7 +205,7 @@ void measure(const facet::face::FaceModel& model, Detector& detector, const Opti
     Frame frame;
     for (std::size_t f = 0; camera->next(frame, std::chrono::seconds(10)) == facet::CaptureOutcome::Delivered;
          ++f) {
-      if (!work(frame, f)) {
+      if ((options.frames > 0 && f >= options.frames) || !work(frame, f)) {
         break;
       }
     }
@@ -284,6 +285,8 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--every", options.every, "frames from one measured frame to the next")
       ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  app.add_option("--frames", options.frames, "of each input, from its first on; 0: all")
       ->capture_default_str();
   app.add_option("inputs", options.inputs, "video clips, and folders that facet synth wrote")->required();
   CLI11_PARSE(app, argc, argv);

@@ -23,7 +23,8 @@ Picture covered_part(const Picture& picture, const render::HitImage& hits, Pictu
   return background;
 }
 
-/// albedo [3][vertex_count] under the light [MD19 eq. 1], linear.
+}  // namespace
+
 mesh::Vertices lit_colours(const mesh::Vertices& albedo, const Eigen::Matrix3Xf& normals,
                            const std::array<float, 9>& lighting) {
   mesh::Vertices colours = albedo;
@@ -32,8 +33,6 @@ mesh::Vertices lit_colours(const mesh::Vertices& albedo, const Eigen::Matrix3Xf&
   }
   return colours;
 }
-
-}  // namespace
 
 std::vector<FaceView> face_views(const mesh::MeshFrame& frame, const Frame& image, int side_px) {
   const report::FrameGeometry geometry = report::geometry_of(frame);

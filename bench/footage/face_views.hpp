@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <string>
 #include <vector>
 
@@ -25,5 +26,10 @@ struct FaceView {
 /// side_px  of the square; 8 at least
 /// Any thread.
 std::vector<FaceView> face_views(const mesh::MeshFrame& frame, const Frame& image, int side_px);
+
+/// Colours of an albedo under a light [MD19 eq. 1], linear; albedo and what it returns [3][vertex_count],
+/// normals [3][vertex_count] unit, camera frame. Any thread.
+mesh::Vertices lit_colours(const mesh::Vertices& albedo, const Eigen::Matrix3Xf& normals,
+                           const std::array<float, 9>& lighting);
 
 }  // namespace facet::footage
