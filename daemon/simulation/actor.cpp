@@ -316,6 +316,22 @@ Eigen::VectorXf VirtualActor::blood_flow(const mesh::Vertices& control_mm) const
   return push_to_finest(*hierarchy_, density.transpose()).row(0).transpose();
 }
 
+namespace {
+
+/// The neck of a head that has one of its own lies inside the torso's, and both have one skin.
+void fit_neck(Torso& torso) {
+  constexpr float kWider = 0.09F;
+  constexpr float kSkin = 1 / 0.85F;  // what make_torso darkens it by
+  Surface& surface = torso.surface;
+  for (std::size_t v = 0; v < torso.hold.size(); ++v) {
+    const auto at = static_cast<Eigen::Index>(v);
+    surface.vertices_mm(0, at) *= 1 + kWider * torso.hold[v];
+    surface.albedo.col(at) *= 1 + (kSkin - 1) * torso.hold[v];
+  }
+}
+
+}  // namespace
+
 VirtualActor::VirtualActor(const face::FaceModel& model, const ActorTraits& traits)
     : look_(traits.look), quads_(model.control.quads), expression_names_(model.expression_names) {
   const std::uint64_t seed = traits.seed;
@@ -341,15 +357,17 @@ VirtualActor::VirtualActor(const face::FaceModel& model, const ActorTraits& trai
   } else {
     const Person person = make_person(look, seed);
     complexion = person.complexion;
-    skin_maps_ = map_skin(anatomy_, person, look, zones, resting_mm, seed);
+    const FaceLines lines = find_face_lines(model, basis_.neutral_mm);
+    SkinZones worn = zones;
+    worn.lips = zones.lips.cwiseMax(lip_cover(lines.lips, resting_mm));
+    skin_maps_ = map_skin(anatomy_, person, look, worn, resting_mm, seed);
     head_albedo_ = skin_albedo(skin_maps_, {});
     if (look.strands) {
-      const HairLines lines = find_hair_lines(model, basis_.neutral_mm);
       Eigen::VectorXf scalp_hair(resting_mm.cols());
       for (Eigen::Index v = 0; v < resting_mm.cols(); ++v) {
         scalp_hair[v] = smooth_step(-5, 14, above_hairline_mm(anatomy_, resting_mm.col(v), zones.skin[v]));
       }
-      hair_ = grow_strands({resting_mm, resting_normals, head_triangles_, zones, scalp_hair}, anatomy_, lines,
+      hair_ = grow_strands({resting_mm, resting_normals, head_triangles_, worn, scalp_hair}, anatomy_, lines,
                            person, seed);
     }
   }
@@ -376,6 +394,9 @@ VirtualActor::VirtualActor(const face::FaceModel& model, const ActorTraits& trai
   upper_teeth_ = make_teeth(anatomy_, true);
   lower_teeth_ = make_teeth(anatomy_, false);
   torso_ = make_torso(anatomy_, complexion, seed);
+  if (!look.painted()) {
+    fit_neck(torso_);
+  }
   if (traits.glasses) {
     glasses_ = make_glasses(anatomy_, seed);
   }

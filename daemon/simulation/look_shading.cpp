@@ -98,7 +98,7 @@ class Shader {
       float diffuse = 0;
       int free = 0;
       for (int k = 0; k < lamp.rays; ++k) {
-        const Eigen::Vector2f uv = 2 * spread(static_cast<std::uint64_t>(v), ray++).array() - 1;
+        const Eigen::Vector2f uv = 2 * spread(pattern(v), ray++).array() - 1;
         const Vector3f point = light.centre_mm + uv.x() * light.half_u_mm + uv.y() * light.half_v_mm;
         const float cosine = normal.dot((point - at).normalized());
         if (cosine <= 0 || hidden(from, point)) {
@@ -151,7 +151,7 @@ class Shader {
       const Vector3f from = Vector3f(on_.scene.vertices_mm.col(v)) + kLift_mm * normal;
       int free = 0;
       for (int k = 0; k < rays; ++k) {
-        const Eigen::Vector2f uv = spread(static_cast<std::uint64_t>(v) + 0x100000000ULL, k);
+        const Eigen::Vector2f uv = spread(pattern(v) + 0x100000000ULL, k);
         const float turn = 2 * kPi * uv.y();
         const Vector3f direction =
             std::sqrt(uv.x()) * (std::cos(turn) * u + std::sin(turn) * w) + std::sqrt(1 - uv.x()) * normal;
@@ -179,6 +179,14 @@ class Shader {
       result.mirror = open * fresnel * oil(v) * ambient(towards.normalized());
     }
     return result;
+  }
+
+  /// Which rays a vertex sends: skin's own each, for its light spreads; on coarse surfaces all the same, for
+  /// there a change from vertex to vertex shows as grain.
+  std::uint64_t pattern(Eigen::Index v) const {
+    return on_.scene.materials[static_cast<std::size_t>(v)] == Material::Cloth
+               ? 0
+               : static_cast<std::uint64_t>(v);
   }
 
   float oil(Eigen::Index v) const { return v < on_.oil.size() ? on_.oil[v] : 1.0F; }

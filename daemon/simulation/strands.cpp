@@ -296,7 +296,41 @@ void Barber::scatter(int count, const Density& density, const Grow& grow) {
 
 }  // namespace
 
-HairLines find_hair_lines(const face::FaceModel& model, const mesh::Vertices& neutral_mm) {
+Eigen::VectorXf lip_cover(const std::vector<Eigen::Vector3f>& outline, const mesh::Vertices& resting_mm) {
+  constexpr float kSoft_mm = 1.0F;
+  constexpr float kDepth_mm = 14;  // behind the outline's frontmost point begins the mouth
+  Eigen::VectorXf cover = Eigen::VectorXf::Zero(resting_mm.cols());
+  if (outline.size() < 3) {
+    return cover;
+  }
+  float front_mm = outline[0].z();
+  for (const Vector3f& point : outline) {
+    front_mm = std::max(front_mm, point.z());
+  }
+  for (Eigen::Index v = 0; v < resting_mm.cols(); ++v) {
+    const Vector2f at = resting_mm.col(v).head<2>();
+    // Seen from in front: the nearest edge's distance, and whether a ray to one side crosses an odd number.
+    float nearest_mm = 1e6F;
+    bool inside = false;
+    for (std::size_t k = 0; k < outline.size(); ++k) {
+      const Vector2f a = outline[k].head<2>();
+      const Vector2f b = outline[(k + 1) % outline.size()].head<2>();
+      const Vector2f edge = b - a;
+      const float part = std::clamp((at - a).dot(edge) / std::max(edge.squaredNorm(), 1e-6F), 0.0F, 1.0F);
+      nearest_mm = std::min(nearest_mm, (at - a - part * edge).norm());
+      if ((a.y() > at.y()) != (b.y() > at.y()) &&
+          at.x() < a.x() + (at.y() - a.y()) / (b.y() - a.y()) * edge.x()) {
+        inside = !inside;
+      }
+    }
+    const float in_mm = inside ? nearest_mm : -nearest_mm;
+    cover[v] = smooth_step(-kSoft_mm, kSoft_mm, in_mm) *
+               smooth_step(front_mm - 1.6F * kDepth_mm, front_mm - kDepth_mm, resting_mm(2, v));
+  }
+  return cover;
+}
+
+FaceLines find_face_lines(const face::FaceModel& model, const mesh::Vertices& neutral_mm) {
   // Numbers of MediaPipe's face mesh; the subject's right, then left.
   static constexpr std::array<std::array<int, 9>, 2> kUpper{
       {{133, 173, 157, 158, 159, 160, 161, 246, 33}, {362, 398, 384, 385, 386, 387, 388, 466, 263}}};
@@ -316,7 +350,10 @@ HairLines find_hair_lines(const face::FaceModel& model, const mesh::Vertices& ne
     }
     return points;
   };
-  HairLines lines;
+  static constexpr std::array<int, 20> kLips{61,  185, 40,  39,  37,  0,  267, 269, 270, 409,
+                                             291, 375, 321, 405, 314, 17, 84,  181, 91,  146};
+  FaceLines lines;
+  lines.lips = line(kLips);
   for (std::size_t side = 0; side < 2; ++side) {
     lines.lid_upper.at(side) = line(kUpper.at(side));
     lines.lid_lower.at(side) = line(kLower.at(side));
@@ -326,7 +363,7 @@ HairLines find_hair_lines(const face::FaceModel& model, const mesh::Vertices& ne
   return lines;
 }
 
-HairStrands grow_strands(const Scalp& scalp, const Anatomy& anatomy, const HairLines& lines,
+HairStrands grow_strands(const Scalp& scalp, const Anatomy& anatomy, const FaceLines& lines,
                          const Person& person, std::uint64_t seed) {
   Barber barber(scalp, anatomy, person, seed);
   for (std::size_t side = 0; side < 2; ++side) {

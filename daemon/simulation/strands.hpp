@@ -13,15 +13,20 @@
 
 namespace facet::simulation {
 
-/// Where a face's hairs begin: lines of the resting face, head frame, mm; of each eye and brow from the nose
-/// outwards. Read off a model's landmark map.
-struct HairLines {
+/// Where hairs and the red of the lips begin: lines of the resting face, head frame, mm; of each eye and brow
+/// from the nose outwards. Read off a model's landmark map; what it lacks is left out.
+struct FaceLines {
   std::array<std::vector<Eigen::Vector3f>, 2> lid_upper;  ///< the margin, corner to corner
   std::array<std::vector<Eigen::Vector3f>, 2> lid_lower;
   std::array<std::vector<Eigen::Vector3f>, 2> brow_upper;  ///< the brow's upper edge
   std::array<std::vector<Eigen::Vector3f>, 2> brow_lower;
+  std::vector<Eigen::Vector3f> lips;  ///< once round their outer edge
 };
-HairLines find_hair_lines(const face::FaceModel& model, const mesh::Vertices& neutral_mm);
+FaceLines find_face_lines(const face::FaceModel& model, const mesh::Vertices& neutral_mm);
+
+/// How far a point belongs to the lips inside an outline, 0 to 1, [vertex_count]; models differ in what
+/// they call lips.
+Eigen::VectorXf lip_cover(const std::vector<Eigen::Vector3f>& outline, const mesh::Vertices& resting_mm);
 
 /// A resting head to grow hair on: what belongs to the finest mesh, head frame.
 struct Scalp {
@@ -45,7 +50,7 @@ struct HairStrands {
 };
 
 /// Grows brows, lashes, the beard that the person has, and hair of the head.
-HairStrands grow_strands(const Scalp& scalp, const Anatomy& anatomy, const HairLines& lines,
+HairStrands grow_strands(const Scalp& scalp, const Anatomy& anatomy, const FaceLines& lines,
                          const Person& person, std::uint64_t seed);
 
 /// The strands on a head that has moved: its vertices and unit normals, any frame. Segments come in the

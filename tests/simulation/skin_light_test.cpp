@@ -1,7 +1,11 @@
+#include <fmt/format.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
+#include <memory>
+#include <string>
 
 #include "facet/error.hpp"
 #include "render/strand_caster.hpp"
@@ -10,8 +14,10 @@
 #include "simulation/look_picture.hpp"
 #include "simulation/look_shading.hpp"
 #include "simulation/random.hpp"
+#include "simulation/recorded_curves.hpp"
 #include "simulation/scattering.hpp"
 #include "simulation/strands.hpp"
+#include "support/paths.hpp"
 #include "support/synthetic_model.hpp"
 
 namespace facet::simulation {
@@ -245,6 +251,64 @@ TEST(LookPicture, AStrobesFramesDifferInLight) {
     return left / right;
   };
   EXPECT_GT(balance(first.picture), 1.05 * balance(second.picture));
+}
+
+/// Both eyes closed throughout.
+std::shared_ptr<const RecordedCurves> closed_eyes() {
+  std::string header = "Timecode,BlendShapeCount";
+  std::string values;
+  for (const std::string_view name : mesh::kArkitNames) {
+    header += fmt::format(",{}", name);
+    values += name == "EyeBlinkLeft" || name == "EyeBlinkRight" ? ",1" : ",0";
+  }
+  return std::make_shared<const RecordedCurves>(RecordedCurves::parse(
+      fmt::format("{0}\n00:00:00:00.000,52{1}\n00:00:02:00.000,52{1}\n", header, values), "closed"));
+}
+
+TEST(LookPicture, AClosedEyeHasADarkLine) {
+  if (!std::filesystem::exists(test::assets() / "default.facemodel")) {
+    GTEST_SKIP() << "no default.facemodel (packaging/prepare)";
+  }
+  const auto people = face::FaceModel::load(test::assets() / "default.facemodel");
+  ActorSequenceConfig config = small();
+  config.width_px = 640;
+  config.height_px = 480;
+  config.light = LightKind::Ring;
+  config.look = without(config.look, "makeup");
+  config.curves = closed_eyes();
+  const ActorSequence sequence(people, config);
+  TruthMesh truth;
+  const SyntheticFrame frame = sequence.render(0, &truth);
+  const VirtualActor same(people, {.seed = config.seed, .look = config.look});
+  const CameraIntrinsics& camera = sequence.camera();
+  for (std::size_t side = 0; side < 2; ++side) {
+    // Points of the upper lid, by their places at rest.
+    const auto place_px = [&](const Eigen::Vector3f& at_rest) {
+      Eigen::Index nearest = 0;
+      (same.resting_mm().colwise() - at_rest).colwise().squaredNorm().minCoeff(&nearest);
+      const Eigen::Vector3f at = truth.vertices_mm.col(nearest);
+      return Eigen::Vector2f(camera.fx * at.x() / at.z() + camera.cx,
+                             camera.fy * at.y() / at.z() + camera.cy);
+    };
+    const auto light_at = [&](int x, int y) {
+      const auto at = 3 * (static_cast<std::size_t>(y) * 640 + static_cast<std::size_t>(x));
+      return render::srgb8_to_linear(frame.picture.rgb[at + 1]);
+    };
+    const Eigen::Vector2f margin = place_px(same.anatomy().lid_upper.at(side));
+    const int x = static_cast<int>(std::lround(margin.x()));
+    const int y = static_cast<int>(std::lround(margin.y()));
+    float line = 0;
+    float lid = 0;
+    for (int column = x - 4; column <= x + 4; ++column) {
+      float darkest = 1;
+      for (int row = y - 4; row <= y + 4; ++row) {
+        darkest = std::min(darkest, light_at(column, row));
+      }
+      line += darkest / 9;
+      lid += light_at(column, y - 10) / 9;
+    }
+    EXPECT_LT(line, 0.6F * lid) << "side " << side;
+  }
 }
 
 }  // namespace
