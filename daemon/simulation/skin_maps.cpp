@@ -237,7 +237,7 @@ SkinMaps map_skin(const Anatomy& anatomy, const Person& person, const Look& look
       // The red of the lips scatters little, which two layers of skin do not know: what lies deep stays
       // there.
       Cover cover;
-      const Vector3f deep = skin_optics().albedo({0.6F * melanin, 12.0F * person.skin.blood});
+      const Vector3f deep = skin_optics().albedo({0.9F * melanin, 12.0F * person.skin.blood});
       cover.add(creases * deep.cwiseProduct(Vector3f(0.92F, 0.6F, 0.62F)), 0.65F * lips);
       if (person.makeup) {
         put_makeup(anatomy, paint, at, zones.lips[v], cover);
