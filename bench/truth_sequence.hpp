@@ -16,6 +16,7 @@
 #include "maths/alignment.hpp"
 #include "mesh/mesh_frame.hpp"
 #include "refine/refiner.hpp"
+#include "report/bands.hpp"
 #include "report/evaluation.hpp"
 
 namespace facet::bench {

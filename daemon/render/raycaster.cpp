@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "facet/error.hpp"
+#include "render/closest.hpp"
 #include "render/embree_device.hpp"
 #include "render/renderer.hpp"
 
@@ -43,8 +44,8 @@ void pass_back_faces(const RTCFilterFunctionNArguments* arguments) {
   }
 }
 
-/// Barycentric weights (second, third vertex) of the point of triangle a b c nearest to p: the nearest point
-/// of the plane where it lies inside, else the nearest point of the three edges.
+}  // namespace
+
 Eigen::Vector2f closest_barycentric(const Eigen::Vector3f& a, const Eigen::Vector3f& b,
                                     const Eigen::Vector3f& c, const Eigen::Vector3f& p) {
   const Eigen::Vector3f ab = b - a;
@@ -70,16 +71,15 @@ Eigen::Vector2f closest_barycentric(const Eigen::Vector3f& a, const Eigen::Vecto
   const float on_ab = along(pb, bb);
   const float on_ac = along(pc, cc);
   const float on_bc = along((p - b).dot(edge_bc), edge_bc.squaredNorm());
-  const std::array<Eigen::Vector2f, 3> candidates{Eigen::Vector2f{on_ab, 0}, Eigen::Vector2f{0, on_ac},
-                                                  Eigen::Vector2f{1 - on_bc, on_bc}};
-  return *std::min_element(candidates.begin(), candidates.end(),
-                           [&](const Eigen::Vector2f& one, const Eigen::Vector2f& other) {
-                             return (one.x() * ab + one.y() * ac - ap).squaredNorm() <
-                                    (other.x() * ab + other.y() * ac - ap).squaredNorm();
-                           });
+  // The nearest point of the plane where it lies inside, else the nearest of three edges' nearest points.
+  const float off_ab = (on_ab * ab - ap).squaredNorm();
+  const float off_ac = (on_ac * ac - ap).squaredNorm();
+  const float off_bc = (ab + on_bc * edge_bc - ap).squaredNorm();
+  if (off_ab <= off_ac && off_ab <= off_bc) {
+    return {on_ab, 0};
+  }
+  return off_ac <= off_bc ? Eigen::Vector2f{0, on_ac} : Eigen::Vector2f{1 - on_bc, on_bc};
 }
-
-}  // namespace
 
 struct Raycaster::Impl {
   std::shared_ptr<RTCDeviceTy> device;

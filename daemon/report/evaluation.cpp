@@ -3,13 +3,17 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <iterator>
 #include <limits>
 #include <numbers>
+#include <numeric>
 #include <utility>
 
 #include "face/face_model.hpp"
 #include "facet/error.hpp"
+#include "render/closest.hpp"
 
 namespace facet::report {
 namespace {
@@ -22,6 +26,7 @@ constexpr float kReach_mm = 50;  // a vertex farther from the truth than this co
 constexpr std::size_t kAlignmentPoints = 2500;
 constexpr int kAlignmentSteps = 40;
 constexpr float kSteepest = 0.2588F;  // cosine of 75 degrees
+constexpr float kMostWalk_mm = 0.5F;  // a point that moved less finds the nearest truth by walking
 
 /// The transform after `step`.
 maths::Similarity compose(const maths::Similarity& step, const maths::Similarity& first) {
@@ -33,57 +38,97 @@ Vector3f normal_at(const simulation::TruthMesh& mesh, std::int32_t triangle,
   return render::interpolate(mesh.triangles, triangle, barycentric, mesh.normals).normalized();
 }
 
+/// Points of a mesh that its alignment rests on, and the truth that they are brought to.
+struct AlignedPart {
+  std::vector<Vector3f> points_mm;
+  std::vector<std::int32_t>
+      nearest;  ///< [points_mm] triangle that was nearest last time; -1: none yet, or none
+  const Truth* truth = nullptr;
+};
+
+std::vector<AlignedPart> parts_of(const std::vector<PosedPair>& frames) {
+  std::vector<AlignedPart> parts;
+  for (const PosedPair& frame : frames) {
+    const std::vector<std::int32_t>& measured = frame.reconstruction->measured;
+    AlignedPart part;
+    part.truth = frame.truth;
+    const std::size_t stride = measured.size() * frames.size() / kAlignmentPoints + 1;
+    for (std::size_t k = 0; k < measured.size(); k += stride) {
+      part.points_mm.emplace_back(frame.reconstruction->vertices_mm.col(measured[k]));
+    }
+    part.nearest.assign(part.points_mm.size(), -1);
+    parts.push_back(std::move(part));
+  }
+  return parts;
+}
+
 /// Pairs a vertex with the truth that the camera sees through it, which is near whatever the depth and scale
 /// are.
-maths::Similarity start_of_alignment(const std::vector<Vector3f>& points, const Truth& truth,
-                                     bool with_scale) {
+maths::Similarity start_of_alignment(const std::vector<AlignedPart>& parts, bool with_scale) {
   std::vector<Vector3f> from;
   std::vector<Vector3f> to;
-  for (const Vector3f& point : points) {
-    const Vector3f direction = point.normalized();
-    const auto hit = truth.caster().first_hit({0, 0, 0}, direction, 1, true);
-    if (hit.triangle >= 0) {
-      from.push_back(point);
-      to.emplace_back(hit.distance_mm * direction);
+  for (const AlignedPart& part : parts) {
+    for (const Vector3f& point : part.points_mm) {
+      const Vector3f direction = point.normalized();
+      const auto hit = part.truth->caster().first_hit({0, 0, 0}, direction, 1, true);
+      if (hit.triangle >= 0) {
+        from.push_back(point);
+        to.emplace_back(hit.distance_mm * direction);
+      }
     }
   }
-  Eigen::Matrix3Xf from_mm(3, static_cast<Eigen::Index>(from.size()));
-  Eigen::Matrix3Xf to_mm(3, static_cast<Eigen::Index>(to.size()));
-  for (std::size_t k = 0; k < from.size(); ++k) {
-    from_mm.col(static_cast<Eigen::Index>(k)) = from[k];
-    to_mm.col(static_cast<Eigen::Index>(k)) = to[k];
+  if (from.empty()) {
+    return {};
   }
-  return maths::best_similarity(from_mm, to_mm, with_scale);
+  const auto count = static_cast<Eigen::Index>(from.size());
+  return maths::best_similarity(Eigen::Map<const Eigen::Matrix3Xf>(from.data()->data(), 3, count),
+                                Eigen::Map<const Eigen::Matrix3Xf>(to.data()->data(), 3, count), with_scale);
+}
+
+/// The nearest truth, no farther than what is found by walking from a triangle of it.
+render::Raycaster::Closest closest_near(const Truth& truth, std::int32_t triangle, const Vector3f& at) {
+  constexpr float kRounding_mm = 1e-3F;
+  const float reach_mm = truth.closest_from(triangle, at).distance_mm + kRounding_mm;
+  return truth.caster().closest_point(at, std::min(reach_mm, kReach_mm));
 }
 
 /// One point-to-plane step [CM92]: small rotation, shift and scale about the points' centre
 /// that minimise the distances to the tangent planes at the closest points. False where nothing is near.
-bool point_to_plane_step(const std::vector<Vector3f>& points, const Truth& truth, bool with_scale,
-                         maths::Similarity& transform, float& moved_mm) {
+bool point_to_plane_step(std::vector<AlignedPart>& parts, bool with_scale, maths::Similarity& transform,
+                         float& moved_mm) {
   Eigen::Matrix<double, 7, 7> normal_matrix = Eigen::Matrix<double, 7, 7>::Zero();
   Eigen::Matrix<double, 7, 1> right_side = Eigen::Matrix<double, 7, 1>::Zero();
   Vector3f centre = Vector3f::Zero();
-  for (const Vector3f& point : points) {
-    centre += transform * point;
+  std::size_t count = 0;
+  for (const AlignedPart& part : parts) {
+    for (const Vector3f& point : part.points_mm) {
+      centre += transform * point;
+    }
+    count += part.points_mm.size();
   }
-  centre /= static_cast<float>(points.size());
+  centre /= static_cast<float>(count);
   float radius2_mm2 = 0;
   int used = 0;
-  for (const Vector3f& point : points) {
-    const Vector3f at = transform * point;
-    const auto closest = truth.caster().closest_point(at, kReach_mm);
-    if (closest.triangle < 0) {
-      continue;
+  for (AlignedPart& part : parts) {
+    for (std::size_t k = 0; k < part.points_mm.size(); ++k) {
+      const Vector3f at = transform * part.points_mm[k];
+      std::int32_t& last = part.nearest[k];
+      const auto nearest =
+          last < 0 ? part.truth->caster().closest_point(at, kReach_mm) : closest_near(*part.truth, last, at);
+      last = nearest.triangle;
+      if (nearest.triangle < 0) {
+        continue;
+      }
+      const Vector3f normal = normal_at(part.truth->mesh(), nearest.triangle, nearest.barycentric);
+      const Vector3f arm = at - centre;
+      Eigen::Matrix<double, 7, 1> row;
+      row << arm.cross(normal).cast<double>(), normal.cast<double>(),
+          with_scale ? static_cast<double>(arm.dot(normal)) : 0.0;
+      normal_matrix += row * row.transpose();
+      right_side += row * static_cast<double>((nearest.point_mm - at).dot(normal));
+      radius2_mm2 += arm.squaredNorm();
+      ++used;
     }
-    const Vector3f normal = normal_at(truth.mesh(), closest.triangle, closest.barycentric);
-    const Vector3f arm = at - centre;
-    Eigen::Matrix<double, 7, 1> row;
-    row << arm.cross(normal).cast<double>(), normal.cast<double>(),
-        with_scale ? static_cast<double>(arm.dot(normal)) : 0.0;
-    normal_matrix += row * row.transpose();
-    right_side += row * static_cast<double>((closest.point_mm - at).dot(normal));
-    radius2_mm2 += arm.squaredNorm();
-    ++used;
   }
   if (used < 7) {
     return false;
@@ -107,17 +152,11 @@ bool point_to_plane_step(const std::vector<Vector3f>& points, const Truth& truth
   return true;
 }
 
-maths::Similarity align(const Reconstruction& reconstruction, const Truth& truth, bool with_scale) {
-  std::vector<Vector3f> points;
-  const std::size_t stride = reconstruction.measured.size() / kAlignmentPoints + 1;
-  for (std::size_t k = 0; k < reconstruction.measured.size(); k += stride) {
-    points.emplace_back(reconstruction.vertices_mm.col(reconstruction.measured[k]));
-  }
-  maths::Similarity transform = start_of_alignment(points, truth, with_scale);
+maths::Similarity align(std::vector<AlignedPart> parts, bool with_scale, maths::Similarity transform) {
   constexpr float kStill_mm = 1e-4F;
   float moved_mm = kReach_mm;
   for (int step = 0; step < kAlignmentSteps && moved_mm > kStill_mm; ++step) {
-    if (!point_to_plane_step(points, truth, with_scale, transform, moved_mm)) {
+    if (!point_to_plane_step(parts, with_scale, transform, moved_mm)) {
       break;
     }
   }
@@ -127,40 +166,148 @@ maths::Similarity align(const Reconstruction& reconstruction, const Truth& truth
 }  // namespace
 
 Truth::Truth(simulation::TruthMesh mesh)
-    : mesh_(std::move(mesh)), caster_(mesh_.vertices_mm, mesh_.triangles) {}
+    : mesh_(std::move(mesh)), caster_(mesh_.vertices_mm, mesh_.triangles) {
+  offsets_.assign(static_cast<std::size_t>(mesh_.vertices_mm.cols()) + 1, 0);
+  for (const std::int32_t corner : mesh_.triangles.reshaped()) {
+    ++offsets_[static_cast<std::size_t>(corner) + 1];
+  }
+  std::partial_sum(offsets_.begin(), offsets_.end(), offsets_.begin());
+  triangles_.resize(static_cast<std::size_t>(mesh_.triangles.size()));
+  std::vector<std::int32_t> next(offsets_.begin(), offsets_.end() - 1);
+  for (Eigen::Index t = 0; t < mesh_.triangles.cols(); ++t) {
+    for (const std::int32_t corner : mesh_.triangles.col(t)) {
+      triangles_[static_cast<std::size_t>(next[static_cast<std::size_t>(corner)]++)] =
+          static_cast<std::int32_t>(t);
+    }
+  }
+}
+
+render::Raycaster::Closest Truth::closest_from(std::int32_t triangle, const Vector3f& query_mm) const {
+  render::Raycaster::Closest best;
+  best.distance_mm = std::numeric_limits<float>::max();
+  const auto look_at = [&](std::int32_t t) {
+    const auto corners = mesh_.triangles.col(t);
+    const Vector3f a = mesh_.vertices_mm.col(corners[0]);
+    const Vector3f b = mesh_.vertices_mm.col(corners[1]);
+    const Vector3f c = mesh_.vertices_mm.col(corners[2]);
+    const Eigen::Vector2f at = render::closest_barycentric(a, b, c, query_mm);
+    const Vector3f point = a + at.x() * (b - a) + at.y() * (c - a);
+    const float distance = (point - query_mm).norm();
+    if (distance < best.distance_mm) {
+      best = {t, at, point, distance};
+      return true;
+    }
+    return false;
+  };
+  look_at(triangle);
+  for (bool nearer = true; nearer;) {
+    nearer = false;
+    const auto corners = mesh_.triangles.col(best.triangle);
+    const std::array<float, 3> weights{1 - best.barycentric.sum(), best.barycentric.x(),
+                                       best.barycentric.y()};
+    // Inside of a triangle the surface is nowhere nearer around; on its border the neighbours there may be.
+    constexpr float kOnBorder = 1e-6F;
+    if (*std::min_element(weights.begin(), weights.end()) > kOnBorder) {
+      break;
+    }
+    const std::array<std::int32_t, 3> around{corners[0], corners[1], corners[2]};
+    for (std::size_t corner = 0; corner < 3; ++corner) {
+      const auto v = static_cast<std::size_t>(around[corner]);
+      for (std::int32_t k = weights[corner] > kOnBorder ? offsets_[v] : offsets_[v + 1]; k < offsets_[v + 1];
+           ++k) {
+        nearer = look_at(triangles_[static_cast<std::size_t>(k)]) || nearer;
+      }
+    }
+  }
+  return best;
+}
+
+maths::Similarity align_together(const std::vector<PosedPair>& frames, Alignment alignment) {
+  std::vector<PosedPair> filled;
+  std::copy_if(frames.begin(), frames.end(), std::back_inserter(filled),
+               [](const PosedPair& frame) { return !frame.reconstruction->measured.empty(); });
+  if (alignment == Alignment::None || filled.empty()) {
+    return {};
+  }
+  const bool with_scale = alignment == Alignment::Similarity;
+  std::vector<AlignedPart> parts = parts_of(filled);
+  const maths::Similarity start = start_of_alignment(parts, with_scale);
+  return align(std::move(parts), with_scale, start);
+}
+
+maths::Similarity align_from(const PosedPair& frame, Alignment alignment, const maths::Similarity& start) {
+  if (alignment == Alignment::None || frame.reconstruction->measured.empty()) {
+    return start;
+  }
+  return align(parts_of({frame}), alignment == Alignment::Similarity, start);
+}
 
 Comparison compare(const Reconstruction& reconstruction, const Truth& truth, Alignment alignment) {
+  return measure(reconstruction, truth, align_together({{&reconstruction, &truth}}, alignment));
+}
+
+namespace {
+
+/// Fills a comparison by a search for the nearest truth: closest(k, at), at the place of measured vertex k.
+template <typename Search>
+Comparison measure_by(const Reconstruction& reconstruction, const Truth& truth,
+                      const maths::Similarity& transform, const Search& closest) {
   Comparison comparison;
-  if (alignment != Alignment::None && !reconstruction.measured.empty()) {
-    comparison.truth_from_reconstruction = align(reconstruction, truth, alignment == Alignment::Similarity);
-  }
-  const maths::Similarity& transform = comparison.truth_from_reconstruction;
+  comparison.truth_from_reconstruction = transform;
   const std::size_t count = reconstruction.measured.size();
   comparison.signed_distance_mm.assign(count, kNaN);
   comparison.normal_error_deg.assign(count, kNaN);
+  comparison.triangle.assign(count, -1);
+  comparison.barycentric.assign(count, Eigen::Vector2f::Zero());
   constexpr std::size_t kBlock = 256;
   render::for_each_row(static_cast<int>((count + kBlock - 1) / kBlock), [&](int block) {
     const std::size_t end = std::min(count, (static_cast<std::size_t>(block) + 1) * kBlock);
     for (std::size_t k = static_cast<std::size_t>(block) * kBlock; k < end; ++k) {
       const std::int32_t vertex = reconstruction.measured[k];
       const Vector3f at = transform * Vector3f(reconstruction.vertices_mm.col(vertex));
-      const auto closest = truth.caster().closest_point(at, kReach_mm);
-      if (closest.triangle < 0) {
+      const render::Raycaster::Closest nearest = closest(k, at);
+      if (nearest.triangle < 0 || nearest.distance_mm > kReach_mm) {
         continue;
       }
-      const Vector3f normal = normal_at(truth.mesh(), closest.triangle, closest.barycentric);
-      const bool outside = (at - closest.point_mm).dot(normal) >= 0;
-      comparison.signed_distance_mm[k] = outside ? closest.distance_mm : -closest.distance_mm;
+      const Vector3f normal = normal_at(truth.mesh(), nearest.triangle, nearest.barycentric);
+      const bool outside = (at - nearest.point_mm).dot(normal) >= 0;
+      comparison.signed_distance_mm[k] = outside ? nearest.distance_mm : -nearest.distance_mm;
       const float cosine = normal.dot(transform.rotation * reconstruction.normals.col(vertex));
       comparison.normal_error_deg[k] =
           std::acos(std::clamp(cosine, -1.0F, 1.0F)) * 180 / std::numbers::pi_v<float>;
+      comparison.triangle[k] = nearest.triangle;
+      comparison.barycentric[k] = nearest.barycentric;
     }
   });
   return comparison;
 }
 
-std::vector<std::int32_t> measured_vertices(const mesh::Subject& subject, const mesh::Vertices& coarse_mm,
-                                            const Eigen::Matrix3Xf& coarse_normals) {
+}  // namespace
+
+Comparison measure(const Reconstruction& reconstruction, const Truth& truth,
+                   const maths::Similarity& truth_from_reconstruction, const Comparison* nearby) {
+  return measure_by(reconstruction, truth, truth_from_reconstruction, [&](std::size_t k, const Vector3f& at) {
+    const bool is_known = nearby != nullptr && nearby->triangle[k] >= 0;
+    return is_known ? closest_near(truth, nearby->triangle[k], at)
+                    : truth.caster().closest_point(at, kReach_mm);
+  });
+}
+
+Comparison measure_again(const Reconstruction& reconstruction, const Truth& truth,
+                         const maths::Similarity& truth_from_reconstruction, const Comparison& before) {
+  return measure_by(reconstruction, truth, truth_from_reconstruction, [&](std::size_t k, const Vector3f& at) {
+    const std::int32_t triangle = before.triangle[k];
+    if (triangle < 0) {
+      return truth.caster().closest_point(at, kReach_mm);
+    }
+    const Vector3f was_at = before.truth_from_reconstruction *
+                            Vector3f(reconstruction.vertices_mm.col(reconstruction.measured[k]));
+    return (at - was_at).norm() < kMostWalk_mm ? truth.closest_from(triangle, at)
+                                               : closest_near(truth, triangle, at);
+  });
+}
+
+std::vector<std::int32_t> face_skin(const mesh::Subject& subject) {
   const mesh::Hierarchy& hierarchy = *subject.hierarchy;
   if (subject.regions.size() != static_cast<std::size_t>(hierarchy.control_vertex_count)) {
     throw Error(ErrorKind::UnreadableInput,
@@ -180,16 +327,30 @@ std::vector<std::int32_t> measured_vertices(const mesh::Subject& subject, const 
     skin.swap(finer);
   }
   constexpr float kWholly = 0.999F;
-  constexpr float kMargin_mm = 1;
-  const render::Raycaster caster(coarse_mm, hierarchy.finest().triangles);
   std::vector<std::int32_t> vertices;
-  for (Eigen::Index v = 0; v < coarse_mm.cols(); ++v) {
-    const Vector3f at = coarse_mm.col(v);
-    if (skin(0, v) > kWholly && at.z() > 0 && -at.normalized().dot(coarse_normals.col(v)) > kSteepest &&
-        !caster.occluded({0, 0, 0}, at, kMargin_mm)) {
+  for (Eigen::Index v = 0; v < skin.cols(); ++v) {
+    if (skin(0, v) > kWholly) {
       vertices.push_back(static_cast<std::int32_t>(v));
     }
   }
+  return vertices;
+}
+
+std::vector<std::int32_t> measured_vertices(const mesh::Subject& subject, const mesh::Vertices& coarse_mm,
+                                            const Eigen::Matrix3Xf& coarse_normals) {
+  constexpr float kMargin_mm = 1;
+  std::vector<std::int32_t> vertices = face_skin(subject);
+  const auto turned_away = [&](std::int32_t v) {
+    const Vector3f at = coarse_mm.col(v);
+    return !(at.z() > 0 && -at.normalized().dot(coarse_normals.col(v)) > kSteepest);
+  };
+  vertices.erase(std::remove_if(vertices.begin(), vertices.end(), turned_away), vertices.end());
+  const render::Raycaster caster(coarse_mm, subject.hierarchy->finest().triangles,
+                                 render::Raycaster::Build::Quick);
+  const auto hidden = [&](std::int32_t v) {
+    return caster.occluded({0, 0, 0}, coarse_mm.col(v), kMargin_mm);
+  };
+  vertices.erase(std::remove_if(vertices.begin(), vertices.end(), hidden), vertices.end());
   return vertices;
 }
 
@@ -268,130 +429,6 @@ AccuracyFigures FigureSum::figures() const {
   figures.photometric_rms =
       photometric_count_ > 0 ? std::sqrt(sum_photometric2_ / static_cast<double>(photometric_count_)) : kNone;
   return figures;
-}
-
-std::vector<float> true_displacements_mm(const Reconstruction& mesh, const maths::Similarity& truth_from_mesh,
-                                         const Truth& truth) {
-  constexpr float kDeepest_mm = 6;
-  std::vector<float> out(static_cast<std::size_t>(mesh.vertices_mm.cols()), kNaN);
-  for (const std::int32_t v : mesh.measured) {
-    const Vector3f at = truth_from_mesh * Vector3f(mesh.vertices_mm.col(v));
-    const Vector3f normal = truth_from_mesh.rotation * mesh.normals.col(v);
-    const auto outwards = truth.caster().first_hit(at, normal);
-    const auto inwards = truth.caster().first_hit(at, -normal);
-    const bool is_inside =
-        outwards.triangle >= 0 && (inwards.triangle < 0 || outwards.distance_mm < inwards.distance_mm);
-    if (is_inside || inwards.triangle >= 0) {
-      const float reach_mm =
-          (is_inside ? outwards.distance_mm : -inwards.distance_mm) / truth_from_mesh.scale;
-      if (std::abs(reach_mm) < kDeepest_mm) {
-        out[static_cast<std::size_t>(v)] = reach_mm;
-      }
-    }
-  }
-  return out;
-}
-
-namespace {
-
-/// The half-ring average of a field and of its weights, `rounds` times; vertices of weight 0 are left out.
-void smooth(const mesh::OneRings& rings, const std::vector<std::int32_t>& vertices,
-            const std::vector<float>& weights, int rounds, std::vector<float>& field) {
-  std::vector<float> next = field;
-  for (int round = 0; round < rounds; ++round) {
-    for (const std::int32_t vertex : vertices) {
-      const auto v = static_cast<std::size_t>(vertex);
-      float sum = 0;
-      float weight = 0;
-      for (std::int32_t k = rings.offsets[v]; k < rings.offsets[v + 1]; ++k) {
-        const auto j = static_cast<std::size_t>(rings.neighbours[static_cast<std::size_t>(k)]);
-        sum += weights[j] * field[j];
-        weight += weights[j];
-      }
-      next[v] = weight > 0 ? 0.5F * field[v] + 0.5F * sum / weight : field[v];
-    }
-    field.swap(next);
-  }
-}
-
-}  // namespace
-
-void WrinkleSum::add(const mesh::OneRings& rings, const Reconstruction& mesh, std::vector<float> true_mm,
-                     std::span<const float> recovered_mm) {
-  constexpr float kNarrow_mm = 0.6F;
-  constexpr float kWide_mm = 4;
-  constexpr float kFold_mm = 0.08F;
-  std::vector<float> weights(true_mm.size(), 0.0F);
-  std::vector<float> recovered(true_mm.size(), 0.0F);
-  std::vector<std::int32_t> vertices;
-  double spacing_mm = 0;
-  std::int64_t edges = 0;
-  for (const std::int32_t vertex : mesh.measured) {
-    const auto v = static_cast<std::size_t>(vertex);
-    if (std::isnan(true_mm[v])) {
-      continue;
-    }
-    vertices.push_back(vertex);
-    weights[v] = 1;
-    recovered[v] = recovered_mm[v];
-    for (std::int32_t k = rings.offsets[v]; k < rings.offsets[v + 1]; ++k) {
-      const std::int32_t j = rings.neighbours[static_cast<std::size_t>(k)];
-      spacing_mm += static_cast<double>((mesh.vertices_mm.col(vertex) - mesh.vertices_mm.col(j)).norm());
-      ++edges;
-    }
-  }
-  if (vertices.empty()) {
-    return;
-  }
-  spacing_mm /= static_cast<double>(edges);
-  for (float& value : true_mm) {
-    value = std::isnan(value) ? 0 : value;
-  }
-  // One round moves half the weight by one spacing: a variance of spacing^2 / 4 along either axis.
-  const auto rounds = [&](float width_mm) {
-    const double ratio = static_cast<double>(width_mm) / spacing_mm;
-    return static_cast<int>(std::lround(4 * ratio * ratio));
-  };
-  const auto band = [&](std::vector<float>& field) {
-    smooth(rings, vertices, weights, rounds(kNarrow_mm), field);
-    std::vector<float> wide = field;
-    smooth(rings, vertices, weights, rounds(kWide_mm) - rounds(kNarrow_mm), wide);
-    for (std::size_t v = 0; v < field.size(); ++v) {
-      field[v] -= wide[v];
-    }
-  };
-  band(true_mm);
-  band(recovered);
-  std::vector<float> power(true_mm.size());
-  for (std::size_t v = 0; v < power.size(); ++v) {
-    power[v] = true_mm[v] * true_mm[v];
-  }
-  smooth(rings, vertices, weights, rounds(kWide_mm), power);
-  for (const std::int32_t vertex : vertices) {
-    const auto v = static_cast<std::size_t>(vertex);
-    if (power[v] > kFold_mm * kFold_mm) {
-      const auto t = static_cast<double>(true_mm[v]);
-      const auto r = static_cast<double>(recovered[v]);
-      ++count_;
-      sums_[0] += t;
-      sums_[1] += r;
-      sums_[2] += t * t;
-      sums_[3] += r * r;
-      sums_[4] += t * r;
-    }
-  }
-}
-
-double WrinkleSum::correlation() const {
-  const auto count = static_cast<double>(count_);
-  const double true_variance = sums_[2] - sums_[0] * sums_[0] / count;
-  const double recovered_variance = sums_[3] - sums_[1] * sums_[1] / count;
-  return (sums_[4] - sums_[0] * sums_[1] / count) / std::sqrt(true_variance * recovered_variance);
-}
-
-double WrinkleSum::depth() const {
-  const auto count = static_cast<double>(count_);
-  return (sums_[4] - sums_[0] * sums_[1] / count) / (sums_[2] - sums_[0] * sums_[0] / count);
 }
 
 std::vector<float> vertex_errors(const mesh::Vertices& vertices_mm, const Eigen::Matrix3Xf& normals,

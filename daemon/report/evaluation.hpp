@@ -31,7 +31,9 @@ struct Comparison {
   maths::Similarity truth_from_reconstruction;
   std::vector<float>
       signed_distance_mm;  ///< [measured] to the nearest truth, positive outside of it; NaN: none near
-  std::vector<float> normal_error_deg;  ///< [measured] NaN where the distance is
+  std::vector<float> normal_error_deg;       ///< [measured] NaN where the distance is
+  std::vector<std::int32_t> triangle;        ///< [measured] of the truth, where it is nearest; -1: none near
+  std::vector<Eigen::Vector2f> barycentric;  ///< [measured] weights of its second and third corner
 };
 
 /// The truth of one frame, ready for queries.
@@ -42,15 +44,47 @@ class Truth {
   const simulation::TruthMesh& mesh() const { return mesh_; }
   const render::Raycaster& caster() const { return caster_; }
 
+  /// The nearest point that is reached by walking over the surface from one of its triangles, always nearer:
+  /// where a point has moved little since that triangle was nearest, the nearest of all, in a quarter of the
+  /// time of the caster's search.
+  render::Raycaster::Closest closest_from(std::int32_t triangle, const Eigen::Vector3f& query_mm) const;
+
  private:
   simulation::TruthMesh mesh_;
   render::Raycaster caster_;
+  std::vector<std::int32_t> offsets_;    ///< [vertex_count + 1] into triangles_
+  std::vector<std::int32_t> triangles_;  ///< of each vertex
 };
 
 /// Measures a mesh: aligns it (start: the truth point at the same pixel; then iterated closest points with
 /// point-to-plane steps on up to 2,500 vertices [CM92]), then takes each vertex's distance to
 /// the nearest point of the truth surface and the angle to its normal there.
 Comparison compare(const Reconstruction& reconstruction, const Truth& truth, Alignment alignment);
+
+/// The same under an alignment that is known.
+///
+/// nearby   of the same measured vertices, not far from here: spares time; null: none
+Comparison measure(const Reconstruction& reconstruction, const Truth& truth,
+                   const maths::Similarity& truth_from_reconstruction, const Comparison* nearby = nullptr);
+/// The same under another alignment than before; vertices that it moves by less than 0.5 mm find the truth by
+/// Truth::closest_from.
+Comparison measure_again(const Reconstruction& reconstruction, const Truth& truth,
+                         const maths::Similarity& truth_from_reconstruction, const Comparison& before);
+
+/// A mesh and its truth, of one frame; both outlive their use.
+struct PosedPair {
+  const Reconstruction* reconstruction = nullptr;
+  const Truth* truth = nullptr;
+};
+/// compare()'s alignment, one for all frames together; with Alignment::None the identity.
+maths::Similarity align_together(const std::vector<PosedPair>& frames, Alignment alignment);
+/// The same for one frame, from a given start instead of the truth at the same pixel. For meshes that no
+/// camera sees.
+maths::Similarity align_from(const PosedPair& frame, Alignment alignment, const maths::Similarity& start);
+
+/// Refinable face skin of the finest level, seen or not: every control vertex that the vertex depends on is
+/// marked Refinable and none is on the open edge. Ascending. Throws as measured_vertices.
+std::vector<std::int32_t> face_skin(const mesh::Subject& subject);
 
 /// Vertices to measure, the same for coarse and refined meshes: refinable face skin (every control vertex
 /// that a finest vertex depends on is marked Refinable, not on the open edge), turned to the camera by at
@@ -109,43 +143,6 @@ class FigureSum {
   std::int64_t last_index_ = -2;
   std::vector<float> last_;  ///< [vertex] signed distance of the last frame, NaN where not measured
   std::vector<float> last_but_one_;
-};
-
-/// How far along its normals each measured vertex of an aligned mesh stands from the truth: the displacement
-/// that the refinement should have found there.
-///
-/// mesh               without displacements, as measured
-/// truth_from_mesh    of its Comparison
-/// returns            [vertex_count] mm at the mesh's scale; NaN where not measured or not within 6 mm
-std::vector<float> true_displacements_mm(const Reconstruction& mesh, const maths::Similarity& truth_from_mesh,
-                                         const Truth& truth);
-
-/// Compares recovered with true displacements at the width of wrinkles, where the truth has some. One thread.
-///
-/// Band: of a field x over the mesh, B(x) = G_0.6 x - G_4 x, with G_s the half-ring average repeated until it
-/// is as wide as a Gaussian of s mm at the mesh's mean spacing, over measured vertices alone. What is wider
-/// (the coarse mesh's own error) and narrower (noise) drops out; creases of 2 to 6 mm stay.
-/// Folds: vertices where sqrt(G_4 B(truth)^2) is above 0.08 mm: a crease and its banks.
-class WrinkleSum {
- public:
-  /// Adds a frame.
-  ///
-  /// rings            of the finest level
-  /// mesh             without displacements, as measured
-  /// true_mm          [vertex_count] true_displacements_mm
-  /// recovered_mm     [vertex_count] the refinement's
-  void add(const mesh::OneRings& rings, const Reconstruction& mesh, std::vector<float> true_mm,
-           std::span<const float> recovered_mm);
-
-  /// Pearson's correlation of B(recovered) with B(truth) over all folds of all frames. NaN without folds.
-  double correlation() const;
-  /// Of the regression of B(recovered) on B(truth): 1 where folds come out as deep as they are.
-  double depth() const;
-  std::uint64_t point_count() const { return count_; }
-
- private:
-  std::uint64_t count_ = 0;
-  std::array<double, 5> sums_{};  ///< of t, r, t t, r r, t r
 };
 
 /// |I - R| of [MD19 eq. 2] at every finest vertex: rms over the channels, linear 0 to 1; NaN

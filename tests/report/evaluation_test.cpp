@@ -10,6 +10,7 @@
 #include <random>
 
 #include "facet/error.hpp"
+#include "report/bands.hpp"
 #include "report/take_pictures.hpp"
 #include "support/mesh_frames.hpp"
 

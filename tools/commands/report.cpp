@@ -301,15 +301,18 @@ std::string truth_html(const report::TakeEvaluation& evaluation, const Series& s
   normals.lines.assign(angles.begin(), angles.end());
   std::string html =
       "<h2>Against the truth</h2>\n<table><thead><tr><th></th><th>mean mm</th><th>standard deviation</th>"
-      "<th>median</th><th>95 %</th><th>normals, degrees</th><th>flicker mm</th></tr></thead><tbody>\n";
-  for (const auto& [name, figures] :
-       {std::pair<const char*, const report::AccuracyFigures&>("coarse", evaluation.coarse),
-        {"refined", evaluation.refined}}) {
+      "<th>median</th><th>95 %</th><th>same skin point mm</th><th>drift mm</th><th>normals, degrees</th>"
+      "<th>flicker mm</th></tr></thead><tbody>\n";
+  const auto known = [](double mm) { return std::isfinite(mm) ? fmt::format("{:.3f}", mm) : "-"; };
+  for (const auto& [name, mesh] :
+       {std::pair<const char*, const report::MeshFigures&>("coarse", evaluation.by_frame.coarse),
+        {"refined", evaluation.by_frame.refined}}) {
+    const report::AccuracyFigures& figures = mesh.whole;
     html += fmt::format(
-        "<tr><td>{}</td><td>{:.3f}</td><td>{:.3f}</td><td>{:.3f}</td><td>{:.3f}</td><td>{:.2f}</td>"
-        "<td>{}</td></tr>\n",
-        name, figures.mean_mm, figures.std_mm, figures.median_mm, figures.p95_mm, figures.normal_error_deg,
-        std::isfinite(figures.flicker_mm) ? fmt::format("{:.3f}", figures.flicker_mm) : "-");
+        "<tr><td>{}</td><td>{:.3f}</td><td>{:.3f}</td><td>{:.3f}</td><td>{:.3f}</td><td>{}</td><td>{}</td>"
+        "<td>{:.2f}</td><td>{}</td></tr>\n",
+        name, figures.mean_mm, figures.std_mm, figures.median_mm, figures.p95_mm, known(mesh.skin.mean_mm),
+        known(mesh.skin.drift_mm()), figures.normal_error_deg, known(figures.flicker_mm));
   }
   html += fmt::format(
       "</tbody></table>\n<p>{} frames, {} with a truth but without a mesh; each mesh aligned by "
