@@ -84,7 +84,8 @@ Eigen::Vector2f closest_barycentric(const Eigen::Vector3f& a, const Eigen::Vecto
 struct Raycaster::Impl {
   std::shared_ptr<RTCDeviceTy> device;
   RTCScene scene = nullptr;
-  mesh::Vertices vertices_mm;  // with one column more than vertices: Embree reads 16 bytes per vertex
+  /// Each with one column more than vertices: Embree reads 16 bytes per vertex.
+  std::vector<mesh::Vertices> keys_mm;
   mesh::Triangles triangles;
 
   Impl() = default;
@@ -98,19 +99,31 @@ struct Raycaster::Impl {
 };
 
 Raycaster::Raycaster(const mesh::Vertices& vertices_mm, const mesh::Triangles& triangles, Build build)
+    : Raycaster(std::vector<mesh::Vertices>{vertices_mm}, triangles, build) {}
+
+Raycaster::Raycaster(const std::vector<mesh::Vertices>& keys_mm, const mesh::Triangles& triangles,
+                     Build build)
     : impl_(std::make_unique<Impl>()) {
-  if (!vertices_mm.allFinite()) {
-    throw Error(ErrorKind::UnreadableInput, "a mesh to be rendered has a position that is not finite");
+  const Eigen::Index vertex_count = keys_mm.empty() ? 0 : keys_mm.front().cols();
+  for (const mesh::Vertices& key_mm : keys_mm) {
+    if (!key_mm.allFinite()) {
+      throw Error(ErrorKind::UnreadableInput, "a mesh to be rendered has a position that is not finite");
+    }
+    if (key_mm.cols() != vertex_count) {
+      throw Error(ErrorKind::Internal, "a mesh in motion has another number of vertices later on");
+    }
+    impl_->keys_mm.emplace_back(mesh::Vertices::Zero(3, vertex_count + 1)).leftCols(vertex_count) = key_mm;
+  }
+  if (keys_mm.empty()) {
+    throw Error(ErrorKind::Internal, "a mesh in motion is nowhere at any time");
   }
   if (triangles.size() > 0 &&
-      (triangles.minCoeff() < 0 || triangles.maxCoeff() >= static_cast<std::int32_t>(vertices_mm.cols()))) {
-    throw Error(ErrorKind::UnreadableInput,
-                fmt::format("a mesh to be rendered names vertex {} of {}",
-                            triangles.minCoeff() < 0 ? triangles.minCoeff() : triangles.maxCoeff(),
-                            vertices_mm.cols()));
+      (triangles.minCoeff() < 0 || triangles.maxCoeff() >= static_cast<std::int32_t>(vertex_count))) {
+    throw Error(
+        ErrorKind::UnreadableInput,
+        fmt::format("a mesh to be rendered names vertex {} of {}",
+                    triangles.minCoeff() < 0 ? triangles.minCoeff() : triangles.maxCoeff(), vertex_count));
   }
-  impl_->vertices_mm = mesh::Vertices::Zero(3, vertices_mm.cols() + 1);
-  impl_->vertices_mm.leftCols(vertices_mm.cols()) = vertices_mm;
   impl_->triangles = triangles;
   impl_->device = shared_device();
   impl_->scene = rtcNewScene(impl_->device.get());
@@ -121,9 +134,12 @@ Raycaster::Raycaster(const mesh::Vertices& vertices_mm, const mesh::Triangles& t
   if (triangles.cols() > 0) {
     RTCGeometry geometry = rtcNewGeometry(impl_->device.get(), RTC_GEOMETRY_TYPE_TRIANGLE);
     rtcSetGeometryBuildQuality(geometry, quality);
-    rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
-                               impl_->vertices_mm.data(), 0, 3 * sizeof(float),
-                               static_cast<std::size_t>(vertices_mm.cols()));
+    rtcSetGeometryTimeStepCount(geometry, static_cast<unsigned>(impl_->keys_mm.size()));
+    for (std::size_t key = 0; key < impl_->keys_mm.size(); ++key) {
+      rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, static_cast<unsigned>(key),
+                                 RTC_FORMAT_FLOAT3, impl_->keys_mm[key].data(), 0, 3 * sizeof(float),
+                                 static_cast<std::size_t>(vertex_count));
+    }
     rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, impl_->triangles.data(),
                                0, 3 * sizeof(std::int32_t), static_cast<std::size_t>(triangles.cols()));
     rtcCommitGeometry(geometry);
@@ -206,9 +222,9 @@ Raycaster::Closest Raycaster::closest_point(const Eigen::Vector3f& query_mm, flo
       [](RTCPointQueryFunctionArguments* arguments) {
         auto& found = *static_cast<Search*>(arguments->userPtr);
         const auto corners = found.impl->triangles.col(arguments->primID);
-        const Eigen::Vector3f a = found.impl->vertices_mm.col(corners[0]);
-        const Eigen::Vector3f b = found.impl->vertices_mm.col(corners[1]);
-        const Eigen::Vector3f c = found.impl->vertices_mm.col(corners[2]);
+        const Eigen::Vector3f a = found.impl->keys_mm.front().col(corners[0]);
+        const Eigen::Vector3f b = found.impl->keys_mm.front().col(corners[1]);
+        const Eigen::Vector3f c = found.impl->keys_mm.front().col(corners[2]);
         const Eigen::Vector2f at = closest_barycentric(a, b, c, found.query_mm);
         const Eigen::Vector3f point = a + at.x() * (b - a) + at.y() * (c - a);
         const float distance = (point - found.query_mm).norm();
@@ -228,8 +244,9 @@ Raycaster::Closest Raycaster::closest_point(const Eigen::Vector3f& query_mm, flo
 }
 
 Raycaster::Hit Raycaster::first_hit(const Eigen::Vector3f& origin_mm, const Eigen::Vector3f& direction,
-                                    float min_distance_mm, bool cull_back) const {
-  if (!usable(origin_mm) || !usable(direction) || direction.isZero() || !std::isfinite(min_distance_mm)) {
+                                    float min_distance_mm, bool cull_back, float time) const {
+  if (!usable(origin_mm) || !usable(direction) || direction.isZero() || !std::isfinite(min_distance_mm) ||
+      std::isnan(time)) {
     return {};
   }
   RTCIntersectContext context;
@@ -243,6 +260,7 @@ Raycaster::Hit Raycaster::first_hit(const Eigen::Vector3f& origin_mm, const Eige
   query.ray.dir_y = direction.y();
   query.ray.dir_z = direction.z();
   query.ray.tnear = min_distance_mm;
+  query.ray.time = std::clamp(time, 0.0F, 1.0F);
   query.ray.tfar = std::numeric_limits<float>::infinity();
   query.ray.mask = ~0U;
   query.hit.geomID = RTC_INVALID_GEOMETRY_ID;

@@ -41,6 +41,12 @@ class Raycaster {
   /// finite, Error(Internal) where Embree cannot start.
   Raycaster(const mesh::Vertices& vertices_mm, const mesh::Triangles& triangles,
             Build build = Build::Thorough);
+  /// A mesh in motion: positions at evenly spaced times from 0 to 1, straight lines between. Only `first_hit`
+  /// knows other times than 0.
+  /// keys_mm  at least one, all [3][vertex_count]
+  /// Throws as above, Error(Internal) where the keys differ in size or there is none.
+  Raycaster(const std::vector<mesh::Vertices>& keys_mm, const mesh::Triangles& triangles,
+            Build build = Build::Thorough);
   ~Raycaster();
   Raycaster(Raycaster&& other) noexcept;
   Raycaster& operator=(Raycaster&& other) noexcept;
@@ -64,9 +70,9 @@ class Raycaster {
     float distance_mm = 0;
   };
   /// First hit along a ray (unit direction); triangle -1 where there is none. cull_back: passes through
-  /// triangles seen from behind.
+  /// triangles seen from behind. time: of a mesh in motion, clamped to 0 to 1.
   Hit first_hit(const Eigen::Vector3f& origin_mm, const Eigen::Vector3f& direction, float min_distance_mm = 0,
-                bool cull_back = false) const;
+                bool cull_back = false, float time = 0) const;
 
   /// Whether anything lies between the two points, both ends pulled in by margin_mm.
   bool occluded(const Eigen::Vector3f& from_mm, const Eigen::Vector3f& to_mm, float margin_mm) const;

@@ -9,6 +9,7 @@
 
 #include "facet/error.hpp"
 #include "maths/statistics.hpp"
+#include "simulation/lens_rays.hpp"
 #include "simulation/look_picture.hpp"
 #include "simulation/look_shading.hpp"
 #include "simulation/placed_actor.hpp"
@@ -85,6 +86,13 @@ struct ActorSequence::Impl {
     Eigen::Matrix3Xf background;
   };
   std::vector<View> views;
+  /// Of each camera.
+  struct Equipment {
+    Webcam webcam;
+    std::unique_ptr<LensRays> rays;          ///< of a webcam's lens or shutter; null: a pinhole's one moment
+    std::unique_ptr<AutoControls> controls;  ///< null: none
+  };
+  std::vector<Equipment> equipment;
   capture::Rig rig;
 
   Impl(const face::FaceModel& model, const ActorSequenceConfig& given)
@@ -168,6 +176,63 @@ struct ActorSequence::Impl {
       made.lens.camera_from_rig.translation() = view.view_from_first.translation().cast<double>();
       rig.cameras.push_back(made);
     }
+  }
+
+  /// Gives each camera its webcam, and its lens in the rig the distortion.
+  void equip() {
+    const WebcamEffects& effects = config.webcam;
+    for (std::size_t k = 0; k < views.size(); ++k) {
+      Equipment& made = equipment.emplace_back();
+      capture::Lens& lens = rig.cameras[k].lens;
+      const std::uint64_t seed = config.seed + (k << 40U);
+      made.webcam = draw_webcam(effects, seed, lens, config.rate_hz);
+      lens.distortion = made.webcam.distortion;
+      if (effects.distortion || made.webcam.span_s() > 0) {
+        made.rays = std::make_unique<LensRays>(lens);
+      }
+      if (effects.exposure || effects.white_balance) {
+        made.controls = std::make_unique<AutoControls>(
+            effects, seed, config.rate_hz, [this, k](double time_s) { return meter(views[k], time_s); });
+      }
+    }
+  }
+
+  /// What a view's sensor gets, by a few rays over the picture.
+  Metering meter(const View& view, double time_s) const {
+    constexpr int kColumns = 32;
+    constexpr int kRows = 18;
+    Scene scene;
+    placed.build_scene(time_s, scene);
+    const render::Raycaster caster(scene.vertices_mm, scene.triangles, render::Raycaster::Build::Quick);
+    const Isometry3f first_from_view = view.view_from_first.inverse();
+    const Eigen::Matrix3Xf colours = shade_vertices(
+        scene, caster, lighting_of_frame(lighting, static_cast<int>(std::lround(time_s * config.rate_hz))),
+        config.highlights, first_from_view.translation());
+    Metering metering;
+    int centre_count = 0;
+    for (int row = 0; row < kRows; ++row) {
+      for (int column = 0; column < kColumns; ++column) {
+        const int x = (2 * column + 1) * config.width_px / (2 * kColumns);
+        const int y = (2 * row + 1) * config.height_px / (2 * kRows);
+        const Vector3f direction((static_cast<float>(x) - view.camera.cx) / view.camera.fx,
+                                 (static_cast<float>(y) - view.camera.cy) / view.camera.fy, 1);
+        const auto hit = caster.first_hit(first_from_view.translation(),
+                                          first_from_view.linear() * direction.normalized());
+        const Vector3f light =
+            hit.triangle < 0
+                ? Vector3f(view.background.col(static_cast<Eigen::Index>(y) * config.width_px + x))
+                : render::interpolate(scene.triangles, hit.triangle, hit.barycentric, colours);
+        metering.whole += light;
+        if (std::abs(2 * column + 1 - kColumns) <= kColumns / 3 &&
+            std::abs(2 * row + 1 - kRows) <= kRows / 2) {
+          metering.centre += light;
+          ++centre_count;
+        }
+      }
+    }
+    metering.whole = view.gain.cwiseProduct(metering.whole) / (kColumns * kRows);
+    metering.centre = view.gain.cwiseProduct(metering.centre) / static_cast<float>(centre_count);
+    return metering;
   }
 
   /// A camera's metering brightens dark skin by a part of what it lacks, no more.
@@ -300,6 +365,102 @@ struct ActorSequence::Impl {
     });
     return image;
   }
+
+  /// The scene's positions at moments from the first row's first light to the last row's last, a view's
+  /// frame. middle: the scene at the frame's time
+  std::vector<mesh::Vertices> moments_mm(std::size_t k, const Scene& middle, double time_s) const {
+    const View& view = views[k];
+    const double span_s = equipment[k].webcam.span_s();
+    std::vector<mesh::Vertices> keys_mm;
+    for (const double part : {-0.5, 0.0, 0.5}) {
+      if (part == 0) {
+        keys_mm.emplace_back(view.view_from_first * middle.vertices_mm);
+      } else if (span_s > 0) {
+        Scene scene;
+        placed.build_scene(time_s + part * span_s, scene);
+        keys_mm.emplace_back(view.view_from_first * scene.vertices_mm);
+      }
+    }
+    return keys_mm;
+  }
+
+  /// As expose_picture, through a webcam's lens and shutter: each ray at its own place and time. Colours stay
+  /// those of the frame's time.
+  /// keys_mm  as moments_mm gives them
+  Eigen::Matrix3Xf expose_webcam(std::size_t camera_index, const std::vector<mesh::Vertices>& keys_mm,
+                                 const mesh::Triangles& triangles, const Eigen::Matrix3Xf& colours,
+                                 std::uint64_t noise_seed) const {
+    constexpr int kBlurRays = 8;  // at least, or a moving edge has steps
+    const render::Raycaster caster(keys_mm, triangles, render::Raycaster::Build::Quick);
+    const Webcam& webcam = equipment[camera_index].webcam;
+    const LensRays& rays = *equipment[camera_index].rays;
+    const int ray_count =
+        webcam.exposure_s > 0 ? std::max(kBlurRays, config.rays_per_pixel) : config.rays_per_pixel;
+    const std::vector<Eigen::Vector2f> offsets_px = render::sample_offsets_px(ray_count);
+    const Eigen::AlignedBox2i seen = box_px(rig.cameras[camera_index].lens, keys_mm);
+    Eigen::Matrix3Xf image = views[camera_index].background;
+    const double span_s = std::max(webcam.span_s(), 1e-9);
+    const auto share = 1 / static_cast<float>(ray_count);
+    render::for_each_row(config.height_px, [&](int y) {
+      for (int x = 0; x < config.width_px; ++x) {
+        if (!seen.contains(Eigen::Vector2i(x, y))) {
+          continue;
+        }
+        const Eigen::Index at = static_cast<Eigen::Index>(y) * config.width_px + x;
+        Random dice(noise_seed, static_cast<std::uint64_t>(at));
+        const int turn = dice.below(ray_count);  // pairs parts of the exposure with parts of the pixel
+        auto pixel = image.col(at);
+        Vector3f sum = Vector3f::Zero();
+        for (int k = 0; k < ray_count; ++k) {
+          const Eigen::Vector2f& offset_px = offsets_px[static_cast<std::size_t>(k)];
+          const double row_part = (y + static_cast<double>(offset_px.y())) / (config.height_px - 1) - 0.5;
+          const double blur_part =
+              ((k + turn) % ray_count + static_cast<double>(dice.uniform())) * static_cast<double>(share) -
+              0.5;
+          const double late_s = row_part * webcam.readout_s + blur_part * webcam.exposure_s;
+          const auto hit = caster.first_hit(Vector3f::Zero(), rays.direction(x, y, offset_px).normalized(), 0,
+                                            false, static_cast<float>(0.5 + late_s / span_s));
+          sum += hit.triangle < 0 ? Vector3f(pixel)
+                                  : render::interpolate(triangles, hit.triangle, hit.barycentric, colours);
+        }
+        pixel = share * sum;
+      }
+    });
+    return image;
+  }
+
+  /// Pixels outside of which nothing of the scene is seen.
+  static Eigen::AlignedBox2i box_px(const capture::Lens& lens, const std::vector<mesh::Vertices>& keys_mm) {
+    Eigen::AlignedBox2d box;
+    for (const mesh::Vertices& key_mm : keys_mm) {
+      for (Eigen::Index v = 0; v < key_mm.cols(); ++v) {
+        // Pinhole and distorted place: far outside the picture a distortion's polynomial means nothing.
+        const Vector3f at = key_mm.col(v);
+        constexpr float kNear_mm = 20;
+        if (at.z() > kNear_mm) {
+          const Eigen::Vector2d part = (at.head<2>() / at.z()).cast<double>();
+          box.extend(Eigen::Vector2d(lens.fx_px * part.x() + lens.cx_px, lens.fy_px * part.y() + lens.cy_px));
+          if (const auto px = lens.project(lens.camera_from_rig.inverse() * at.cast<double>())) {
+            box.extend(*px);
+          }
+        }
+      }
+    }
+    const Eigen::Vector2d low = box.min().cwiseMax(-1.0) - Eigen::Vector2d::Ones();
+    const Eigen::Vector2d high =
+        box.max().cwiseMin(Eigen::Vector2d(lens.width_px, lens.height_px)) + Eigen::Vector2d::Ones();
+    return {low.cast<int>(), high.cast<int>()};
+  }
+
+  /// The linear picture of a painted actor through a webcam's lens or shutter. [3][pixels]
+  /// scene, caster: at the frame's time, in the first camera's frame.
+  Eigen::Matrix3Xf webcam_picture(std::size_t k, const Scene& scene, const render::Raycaster& caster,
+                                  const Lighting& now, double time_s, std::uint64_t noise_seed) const {
+    const Vector3f eye_mm = views[k].view_from_first.inverse().translation();
+    const Eigen::Matrix3Xf colours = shade_vertices(scene, caster, now, config.highlights, eye_mm);
+    return views[k].gain.asDiagonal() *
+           expose_webcam(k, moments_mm(k, scene, time_s), scene.triangles, colours, mix(noise_seed));
+  }
 };
 
 ActorSequence::ActorSequence(const face::FaceModel& model, const ActorSequenceConfig& config) {
@@ -316,10 +477,18 @@ ActorSequence::ActorSequence(const face::FaceModel& model, const ActorSequenceCo
                     config.frame_count, config.width_px, config.height_px, config.rate_hz, kMaxSide_px,
                     kMaxCameras));
   }
+  if (!config.look.painted() &&
+      (config.webcam.rolling_shutter || config.webcam.motion_blur || config.webcam.distortion)) {
+    throw Error(
+        ErrorKind::Usage,
+        "a webcam's lens and shutter see painted actors only, for hairs are rendered at one moment: choose "
+        "the skin 'painted', or a camera of h264 or mjpeg, exposure, white-balance");
+  }
   impl_ = std::make_unique<Impl>(model, config);
   impl_->place_camera();
   impl_->lighting = make_lighting(config.light, config.seed, impl_->placed.resting_pivot_mm());
   impl_->place_further_cameras();
+  impl_->equip();
   impl_->expose();
 }
 
@@ -336,6 +505,9 @@ const capture::Rig& ActorSequence::rig() const {
 }
 const std::string& ActorSequence::model_name() const {
   return impl_->model_name;
+}
+const Webcam& ActorSequence::webcam() const {
+  return impl_->equipment.front().webcam;
 }
 const std::vector<std::string>& ActorSequence::expression_names() const {
   return impl_->placed.actor().expression_names();
@@ -371,17 +543,27 @@ SyntheticFrame ActorSequence::render(int index, TruthMesh* truth) const {
   const bool painted = config.look.painted();
   const render::Raycaster caster(scene.vertices_mm, scene.triangles);
   const render::StrandCaster strands(painted ? render::Strands{} : impl_->placed.strands_of(scene));
-  Sensor webcam;  // a small one
-  webcam.noise = config.sensor_noise;
   for (std::size_t k = 0; k < impl_->views.size(); ++k) {
-    const Impl::View& view = impl_->views[k];
+    const std::uint64_t noise_seed =
+        mix(config.seed * 0x10001ULL + static_cast<std::uint64_t>(index) + (k << 40U));
+    Eigen::Matrix3Xf light =
+        impl_->equipment[k].rays ? impl_->webcam_picture(k, scene, caster, lighting, time_s, noise_seed)
+        : painted                ? impl_->painted_picture(impl_->views[k], scene, caster, lighting)
+                                 : impl_->look_picture(impl_->views[k], scene, strands, caster, lighting);
+    Sensor sensor;  // a small one
+    sensor.noise = config.sensor_noise;
+    if (const auto& controls = impl_->equipment[k].controls) {
+      const CameraSettings& settings = controls->at(index);
+      light = (settings.gain * settings.white_balance).asDiagonal() * light;
+      sensor.full_well_e /= settings.gain;  // white is fewer electrons
+      if (k == 0) {
+        frame.settings = settings;
+      }
+    }
     render::Picture picture;
     picture.width_px = config.width_px;
     picture.height_px = config.height_px;
-    const Eigen::Matrix3Xf light = painted ? impl_->painted_picture(view, scene, caster, lighting)
-                                           : impl_->look_picture(view, scene, strands, caster, lighting);
-    picture.rgb = develop(light, config.width_px, config.height_px, webcam,
-                          mix(config.seed * 0x10001ULL + static_cast<std::uint64_t>(index) + (k << 40U)));
+    picture.rgb = develop(light, config.width_px, config.height_px, sensor, noise_seed);
     if (k == 0) {
       frame.picture = std::move(picture);
     } else {

@@ -15,6 +15,7 @@
 #include "simulation/light.hpp"
 #include "simulation/look.hpp"
 #include "simulation/truth_mesh.hpp"
+#include "simulation/webcam.hpp"
 
 namespace facet::simulation {
 
@@ -41,15 +42,18 @@ struct ActorSequenceConfig {
   double spread_deg = 25;  ///< from one camera to the next, as the head sees it
   int rays_per_pixel = 4;
   bool sensor_noise = true;
+  WebcamEffects webcam;  ///< of all cameras, each with constants of its own
 };
 
-/// One rendered frame and what is true of it.
+/// One rendered frame and what is true of it at its time: the middle of the exposure of the picture's middle
+/// row.
 struct SyntheticFrame {
   render::Picture picture;
   std::vector<render::Picture> further_pictures;  ///< [camera_count - 1]
   Eigen::Isometry3f camera_from_head = Eigen::Isometry3f::Identity();
   std::vector<float> expression;  ///< [expression_count]
   int lamp = -1;                  ///< of a strobe: which of the area lights fired
+  CameraSettings settings;        ///< the first camera's
 };
 
 /// A virtual sequence: one actor, a camera or several, a light and a performance, all from one seed. Frames
@@ -66,6 +70,8 @@ class ActorSequence {
   const CameraIntrinsics& camera() const;
   /// All cameras as calibrated, in the first one's frame: "video", "view-2", "view-3", ...
   const capture::Rig& rig() const;
+  /// The first camera's constants.
+  const Webcam& webcam() const;
   const std::string& model_name() const;  ///< of the face model that the actor is made of
   const std::vector<std::string>& expression_names() const;
   const std::vector<float>& identity() const;  ///< the part inside the model's span

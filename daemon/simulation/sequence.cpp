@@ -7,8 +7,8 @@
 
 #include "capture/rig_file.hpp"
 #include "files/output_file.hpp"
-#include "simulation/lossless_video.hpp"
 #include "simulation/recorded_curves.hpp"
+#include "simulation/video_writer.hpp"
 
 namespace facet::simulation {
 namespace {
@@ -38,6 +38,14 @@ json look_json(const Look& look) {
     made["effects"] = effects_of(look);
   }
   return made;
+}
+
+json webcam_json(const WebcamEffects& effects, const Webcam& webcam) {
+  const capture::LensDistortion& lens = webcam.distortion;
+  return {{"effects", names_of(effects)},
+          {"readout_ms", 1e3 * webcam.readout_s},
+          {"exposure_ms", 1e3 * webcam.exposure_s},
+          {"distortion", {lens.k1, lens.k2, lens.p1, lens.p2, lens.k3}}};
 }
 
 json frame_json(int index, const SyntheticFrame& frame, const std::vector<std::string>& names) {
@@ -93,10 +101,13 @@ void write_sequence(const ActorSequence& sequence, const std::filesystem::path& 
                    {"identity", sequence.identity()},
                    {"outside_span_rms_mm", sequence.outside_span_rms_mm()},
                    {"frames", json::array()}};
-  std::vector<std::unique_ptr<LosslessVideo>> videos;
+  std::vector<std::unique_ptr<VideoWriter>> videos;
   for (const capture::RigCamera& one : sequence.rig().cameras) {
-    videos.push_back(std::make_unique<LosslessVideo>(folder / (one.name + ".mkv"), one.lens.width_px,
-                                                     one.lens.height_px, config.rate_hz));
+    videos.push_back(std::make_unique<VideoWriter>(folder / (one.name + ".mkv"), one.lens.width_px,
+                                                   one.lens.height_px, config.rate_hz, config.webcam.codec));
+  }
+  if (config.webcam.any()) {
+    document["webcam"] = webcam_json(config.webcam, sequence.webcam());
   }
   TruthMesh truth;
   for (int index = 0; index < config.frame_count; ++index) {
@@ -109,13 +120,17 @@ void write_sequence(const ActorSequence& sequence, const std::filesystem::path& 
     if (with_truth) {
       write_truth_ply(truth, truth_file(folder, static_cast<std::uint64_t>(index)));
     }
-    document["frames"].push_back(frame_json(index, frame, sequence.expression_names()));
+    json& described = document["frames"].emplace_back(frame_json(index, frame, sequence.expression_names()));
+    if (config.webcam.exposure || config.webcam.white_balance) {
+      described["gain"] = frame.settings.gain;
+      described["white_balance"] = vector_json(frame.settings.white_balance);
+    }
     done(index + 1);
   }
-  for (const std::unique_ptr<LosslessVideo>& video : videos) {
+  for (const std::unique_ptr<VideoWriter>& video : videos) {
     video->finish();
   }
-  if (videos.size() > 1) {
+  if (videos.size() > 1 || config.webcam.distortion) {
     capture::write_rig(sequence.rig(), folder / "rig.toml");
   }
   files::OutputFile output(folder / "camera.json");

@@ -15,6 +15,7 @@
 #include "maths/statistics.hpp"
 #include "render/renderer.hpp"
 #include "simulation/booth_rig.hpp"
+#include "simulation/lens_rays.hpp"
 #include "simulation/light.hpp"
 #include "simulation/placed_actor.hpp"
 #include "simulation/random.hpp"
@@ -182,45 +183,13 @@ struct CameraView {
   float gain = 1;
   Vector3f centre_mm{0, 0, 0};
   Eigen::Matrix3f rig_from_camera = Eigen::Matrix3f::Identity();
-  /// x and y of the directions (z = 1, camera frame) of all pixels' centres and one more on every side,
-  /// [height_px + 2][width_px + 2]; NaN where the lens sees nothing.
-  std::vector<Vector2f> directions;
+  LensRays rays;
 
   CameraView(const capture::RigCamera& camera, float given_gain)
-      : lens(camera.lens), colour(camera.colour), gain(given_gain) {
+      : lens(camera.lens), colour(camera.colour), gain(given_gain), rays(camera.lens) {
     const Eigen::Isometry3d pose = lens.camera_from_rig.inverse();
     centre_mm = pose.translation().cast<float>();
     rig_from_camera = pose.linear().cast<float>();
-    const int width = lens.width_px + 2;
-    directions.resize(static_cast<std::size_t>(width) * static_cast<std::size_t>(lens.height_px + 2));
-    render::for_each_row(lens.height_px + 2, [&](int row) {
-      for (int column = 0; column < width; ++column) {
-        const auto seen = lens.direction({column - 1.0, row - 1.0});
-        constexpr float kNowhere = std::numeric_limits<float>::quiet_NaN();
-        directions[static_cast<std::size_t>(row) * static_cast<std::size_t>(width) +
-                   static_cast<std::size_t>(column)] =
-            seen ? Vector2f(seen->head<2>().cast<float>()) : Vector2f(kNowhere, kNowhere);
-      }
-    });
-  }
-
-  /// Direction with z = 1, camera frame, at a pixel and an offset of less than one. Distortion bends so
-  /// little within a pixel that directions between the centres may be interpolated.
-  Vector3f direction(int x, int y, const Vector2f& offset_px) const {
-    const Vector2f at = Vector2f(static_cast<float>(x + 1), static_cast<float>(y + 1)) + offset_px;
-    const Vector2f low(std::floor(at.x()), std::floor(at.y()));
-    const Vector2f part = at - low;
-    const auto width = static_cast<std::size_t>(lens.width_px + 2);
-    const Vector2f* corner =
-        &directions[static_cast<std::size_t>(low.y()) * width + static_cast<std::size_t>(low.x())];
-    // A pixel's own centre needs no neighbour, which may not be there.
-    const Vector2f top = part.x() > 0 ? (1 - part.x()) * corner[0] + part.x() * corner[1] : corner[0];
-    if (!(part.y() > 0)) {
-      return top.homogeneous();
-    }
-    const Vector2f bottom =
-        part.x() > 0 ? (1 - part.x()) * corner[width] + part.x() * corner[width + 1] : corner[width];
-    return ((1 - part.y()) * top + part.y() * bottom).homogeneous();
   }
 
   /// Pixels outside of which no point is seen; some more for what the lens bends. vertices_mm: rig frame
@@ -588,7 +557,7 @@ struct BoothSlot::Impl {
         if (missed == 0) {
           const float share = 1 / static_cast<float>(offsets_px.size());
           for (std::size_t k = 0; k < offsets_px.size(); ++k) {
-            if (const auto colour = shade(*each_moment[k], view, view.direction(x, y, offsets_px[k]))) {
+            if (const auto colour = shade(*each_moment[k], view, view.rays.direction(x, y, offsets_px[k]))) {
               sum += share * view.gain * *colour;
             } else {
               missed += share;
@@ -596,7 +565,7 @@ struct BoothSlot::Impl {
           }
         }
         // Natural vignetting: the fourth power of the cosine to the axis.
-        const float cosine2 = 1 / view.direction(x, y, {0, 0}).squaredNorm();
+        const float cosine2 = 1 / view.rays.direction(x, y, {0, 0}).squaredNorm();
         sum = cosine2 * cosine2 * (sum.array() + missed * kBackdrop);
         const Eigen::Index pixel = static_cast<Eigen::Index>(y) * width + x;
         if (view.colour) {
@@ -682,7 +651,7 @@ DepthTruth BoothSlot::depth(std::size_t camera, std::optional<std::size_t> other
   truth.shared.assign(count, 0);
   render::for_each_row(truth.height_px, [&](int y) {
     for (int x = 0; x < truth.width_px; ++x) {
-      const Vector3f direction = view.rig_from_camera * view.direction(x, y, {0, 0});
+      const Vector3f direction = view.rig_from_camera * view.rays.direction(x, y, {0, 0});
       const auto hit = moment.caster.first_hit(view.centre_mm, direction.normalized());
       if (hit.triangle < 0) {
         continue;

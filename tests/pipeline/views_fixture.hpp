@@ -15,7 +15,7 @@
 #include "facet/error.hpp"
 #include "pipeline/shading.hpp"
 #include "scripted_stages.hpp"
-#include "simulation/lossless_video.hpp"
+#include "simulation/video_writer.hpp"
 #include "simulation/sequence.hpp"
 #include "support/paths.hpp"
 
@@ -60,7 +60,7 @@ class Views : public ::testing::Test {
   std::filesystem::path video(const std::string& camera) const { return folder_.path() / (camera + ".mkv"); }
 
   void film(const std::string& name, int width_px, int height_px, int frames) const {
-    simulation::LosslessVideo video(folder_.path() / name, width_px, height_px, 30);
+    simulation::VideoWriter video(folder_.path() / name, width_px, height_px, 30);
     for (int f = 0; f < frames; ++f) {
       video.append(render::plain_picture(width_px, height_px, {40, 40, 40}));
     }

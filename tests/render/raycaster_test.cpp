@@ -233,6 +233,34 @@ TEST(Raycaster, EmptyMeshHitsNothing) {
   EXPECT_EQ(caster.cast({10, 10, 4, 4, 9, 9}).triangle, std::vector<std::int32_t>(81, -1));
 }
 
+TEST(Raycaster, AMeshInMotionIsHitWhereItIsAtTheRaysTime) {
+  // A square that faces the eye goes away by 10 mm, then by 40 mm.
+  mesh::Vertices key_mm(3, 4);
+  key_mm << -50, 50, 50, -50, -50, -50, 50, 50, 100, 100, 100, 100;
+  std::vector<mesh::Vertices> keys_mm(3, key_mm);
+  keys_mm[1].row(2).setConstant(110);
+  keys_mm[2].row(2).setConstant(150);
+  mesh::Triangles triangles(3, 2);
+  triangles << 0, 0, 1, 2, 2, 3;
+  for (const auto build : {Raycaster::Build::Thorough, Raycaster::Build::Quick}) {
+    const Raycaster caster(keys_mm, triangles, build);
+    for (const auto& [time, depth_mm] : {std::pair{0.0F, 100.0F},
+                                         {0.25F, 105.0F},
+                                         {0.5F, 110.0F},
+                                         {0.75F, 130.0F},
+                                         {1.0F, 150.0F},
+                                         {2.0F, 150.0F}}) {
+      EXPECT_NEAR(caster.first_hit({0, 1, 0}, {0, 0, 1}, 0, false, time).distance_mm, depth_mm, 1e-3F)
+          << time;
+    }
+    EXPECT_EQ(caster.first_hit({0, 1, 0}, {0, 0, 1}, 0, false, std::nanf("")).triangle, -1);
+    EXPECT_NEAR(caster.closest_point({0, 1, 0}, 200).distance_mm, 100, 1e-3F);  // at time 0
+  }
+  keys_mm[1] = mesh::Vertices::Zero(3, 3);
+  EXPECT_THROW(Raycaster(keys_mm, triangles), Error);
+  EXPECT_THROW(Raycaster(std::vector<mesh::Vertices>{}, triangles), Error);
+}
+
 TEST(Raycaster, RefusesBrokenMeshes) {
   const mesh::Vertices vertices = mesh::Vertices::Zero(3, 3);
   mesh::Triangles triangles(3, 1);

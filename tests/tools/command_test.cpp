@@ -24,7 +24,7 @@
 #include "files/pfm.hpp"
 #include "gpu/context.hpp"
 #include "render/renderer.hpp"
-#include "simulation/lossless_video.hpp"
+#include "simulation/video_writer.hpp"
 #include "simulation/virtual_booth.hpp"
 #include "stream/client.hpp"
 #include "stream/ring_layout.h"
@@ -320,7 +320,7 @@ TEST_F(CommandWithAssets, ATruncatedVideoGivesWhatItHoldsAndStatus3) {
   {
     const auto source = camera::open_camera({.kind = "file", .path = clip()});
     source->start();
-    simulation::LosslessVideo video(cut, 400, 300, 25);
+    simulation::VideoWriter video(cut, 400, 300, 25);
     Frame frame;
     for (int f = 0; f < 40 && source->next(frame, std::chrono::seconds(10)) == CaptureOutcome::Delivered;
          ++f) {

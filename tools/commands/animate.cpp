@@ -21,7 +21,7 @@
 #include "mesh/hierarchy.hpp"
 #include "progress.hpp"
 #include "report/take_pictures.hpp"
-#include "simulation/lossless_video.hpp"
+#include "simulation/video_writer.hpp"
 #include "stop_signals.hpp"
 #include "take/recorder.hpp"
 #include "tell.hpp"
@@ -151,7 +151,7 @@ CameraIntrinsics film_camera(Frames& frames) {
 
 bool write_video(Frames& frames, const AnimateOptions& options, double rate_hz, const StopSignals& signals) {
   const CameraIntrinsics camera = film_camera(frames);
-  simulation::LosslessVideo video(options.output, kVideoWidth_px, kVideoHeight_px,
+  simulation::VideoWriter video(options.output, kVideoWidth_px, kVideoHeight_px,
                                   static_cast<int>(std::lround(rate_hz)));
   const bool whole = for_each(frames, "Drawing", signals, [&](std::int64_t, const auto& frame) {
     video.append(draw_face(*frame, camera));

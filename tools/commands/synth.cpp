@@ -28,6 +28,7 @@ struct SynthOptions {
   std::string light = "sh";
   ActorChoice actor;
   std::optional<std::uint64_t> frames;
+  std::string camera = "clean";
   int truth_every = 1;
   std::string skin = "painted";
   std::string without;
@@ -78,6 +79,7 @@ void run_synth(SynthOptions options) {
   options.studio.outside_span_mm = options.actor.outside_span_mm;
   options.studio.start_s = options.actor.start_s;
   options.studio.curves = read_curves(options.actor);
+  options.studio.webcam = simulation::parse_webcam_effects(options.camera);
   const face::FaceModel model = face::FaceModel::load(options.actor.model);
   const simulation::ActorSequence studio(model, options.studio);
   Progress progress("Rendering", static_cast<std::uint64_t>(options.studio.frame_count));
@@ -145,6 +147,12 @@ void add_synth_command(Command app) {
   command.option("--spread", options->studio.spread_deg, "Degrees from one of those cameras to the next")
       .shows_default()
       .range(1.0, 60.0);
+  command
+      .option(
+          "--camera", options->camera,
+          "Of a video: clean; webcam: all of what follows with h264; or some of them, with commas between: "
+          "h264 or mjpeg, exposure, white-balance, rolling-shutter, motion-blur, distortion")
+      .shows_default();
   add_actor_options(command, options->actor);
   command
       .option("--truth-every", options->truth_every,
