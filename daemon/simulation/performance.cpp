@@ -321,9 +321,9 @@ Gaze Performance::gaze(double time_s) const {
                      value("eyeLookDownRight");
     return {0.5F * left * kGazeOfFullWeight_rad, 0.5F * up * kGazeOfFullWeight_rad};
   }
-  const auto next = std::find_if(fixations_.begin(), fixations_.end(),
+  const auto next = std::find_if(fixations_.begin() + 1, fixations_.end(),
                                  [&](const Fixation& fixation) { return fixation.time_s > at_s; });
-  const Fixation& last = *(next - 1);  // the first fixation is at 0
+  const Fixation& last = *(next - 1);  // the first one is at 0, and before it, where a shutter opens early
   const Gaze before = next - 1 == fixations_.begin() ? last.offset : (next - 2)->offset;
   const float part = ease((at_s - last.time_s) / kSaccade_s);
   // The eyes mostly stay on the camera while the head turns.

@@ -51,7 +51,7 @@ class Performance {
   explicit Performance(PerformanceConfig config);
 
   /// Weights 0 to 1 for the given ARKit names; names that the performance does not use stay 0. time_s: from
-  /// the start on, here and below.
+  /// the start on, here and below; before it, where a first picture's shutter opens, all goes on smoothly.
   std::vector<float> expression(double time_s, const std::vector<std::string>& names) const;
   HeadMotion head(double time_s) const;
   Gaze gaze(double time_s) const;

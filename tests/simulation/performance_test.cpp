@@ -71,6 +71,17 @@ TEST(Performance, HeadStartsFrontalAndStaysWithinItsLimits) {
   EXPECT_GT(widest, 20 * kDegree);
 }
 
+TEST(Performance, IsTheSameJustBeforeItsStart) {
+  for (std::uint64_t seed = 1; seed <= 10; ++seed) {
+    const Performance performance({.seed = seed});
+    const Gaze before = performance.gaze(-0.02);
+    const Gaze start = performance.gaze(0);
+    EXPECT_NEAR(before.yaw_rad, start.yaw_rad, 0.02F) << seed;
+    EXPECT_NEAR(before.pitch_rad, start.pitch_rad, 0.02F) << seed;
+    EXPECT_NEAR(performance.head(-0.02).yaw_rad, performance.head(0).yaw_rad, 0.02F) << seed;
+  }
+}
+
 TEST(Performance, IsAFunctionOfTheSeed) {
   const Performance one({.seed = 4, .duration_s = 5});
   const Performance same({.seed = 4, .duration_s = 5});
