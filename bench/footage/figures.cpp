@@ -12,6 +12,7 @@
 #include "facet/error.hpp"
 #include "footage/face_views.hpp"
 #include "maths/alignment.hpp"
+#include "report/bands.hpp"
 #include "report/evaluation.hpp"
 
 namespace facet::footage {
@@ -59,8 +60,7 @@ std::size_t add_pair(const mesh::MeshFrame& first, const mesh::MeshFrame& second
     for (const std::int32_t v : both) {
       true_mm[static_cast<std::size_t>(v)] = truth.displacements_mm[static_cast<std::size_t>(v)];
     }
-    sum.add(rings, {geometry.coarse_mm, geometry.coarse_normals, both}, std::move(true_mm),
-            recovered.displacements_mm);
+    sum.add(rings, {geometry.coarse_mm, geometry.coarse_normals, both}, true_mm, recovered.displacements_mm);
   };
   add(first, first_geometry, second);
   add(second, second_geometry, first);

@@ -274,7 +274,8 @@ TEST_F(Command, AReportIsOnePageThatNeedsNothingElse) {
   EXPECT_THAT(output_, HasSubstr("no-folder"));
   EXPECT_EQ(run({"report", file("some.take"), "-o", file("new.html"), "--truth", folder_.path().string()}),
             3);
-  EXPECT_THAT(output_, HasSubstr("no frame has both a mesh and a truth"));
+  EXPECT_THAT(output_, AllOf(HasSubstr("truth: cannot read this folder"),
+                             HasSubstr("--truth is the folder above it")));
   EXPECT_FALSE(std::filesystem::exists(file("new.html"))) << "nothing half written";
 }
 
