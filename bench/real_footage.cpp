@@ -57,9 +57,9 @@ void repeat(const Options& options) {
   for (const auto& [which, name] : {std::pair{facet::footage::Expressions::Alike, "alike"},
                                     std::pair{facet::footage::Expressions::Unlike, "unlike"}}) {
     int done = 0;
-    const auto found = facet::footage::repeatability(readers, which, options.min_gap_s, options.pairs, [&] {
-      fmt::print(stderr, "\r{}: {} pairs", name, ++done);
-    });
+    const auto found = facet::footage::repeatability(
+        readers, which, options.min_gap_s, options.pairs,
+        [&, called = name] { fmt::print(stderr, "\r{}: {} pairs", called, ++done); });
     fmt::print(stderr, "\n");
     fmt::print("{},{},{:.3f},{:.3f},{:.3f}\n", name, found.pairs, found.distance, found.correlation,
                found.share);

@@ -58,8 +58,9 @@ void add_noise(Frame& frame, std::mt19937_64& random) {
   const std::size_t size = frame.stride_bytes * static_cast<std::size_t>(frame.height_px);
   auto pixels = std::make_shared<std::uint8_t[]>(size);
   for (std::size_t i = 0; i < size; ++i) {
-    pixels[i] = static_cast<std::uint8_t>(
-        std::lround(std::clamp(static_cast<double>(frame.pixels[i]) + noise(random), 0.0, 255.0)));
+    const auto at = static_cast<std::ptrdiff_t>(i);
+    pixels[at] = static_cast<std::uint8_t>(
+        std::lround(std::clamp(static_cast<double>(frame.pixels[at]) + noise(random), 0.0, 255.0)));
   }
   frame.pixels = std::move(pixels);
 }

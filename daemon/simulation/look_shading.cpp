@@ -310,7 +310,7 @@ Eigen::Matrix3Xf shade_look(const LookScene& scene, const Lighting& lighting, co
   if (scene.scattering == nullptr || !look.scattering) {
     return albedo.cwiseProduct(diffuse + around) + mirror;
   }
-  std::vector<std::uint8_t> skin(scene.scattering->areas_mm2().size(), 0);
+  std::vector<std::uint8_t> skin(static_cast<std::size_t>(scene.scattering->areas_mm2().size()), 0);
   for (std::size_t v = 0; v < skin.size(); ++v) {
     skin[v] = seen[v] != 0 && scene.scene.materials[v] == Material::Skin ? 1 : 0;
   }

@@ -101,8 +101,8 @@ Timecode timecode_of(std::string_view cell, const std::string& source, std::size
     const std::size_t end = k + 1 < parts.size() ? rest.find(':') : rest.size();
     const auto [stop, error] =
         std::from_chars(rest.data(), rest.data() + std::min(end, rest.size()), parts[k]);
-    if (end == std::string_view::npos || error != std::errc() || stop != rest.data() + end || parts[k] < 0 ||
-        parts[k] >= 1000) {
+    if (end == std::string_view::npos || error != std::errc() || stop != rest.data() + end ||
+        !(parts[k] >= 0 && parts[k] < 1000)) {
       refuse(source, line, fmt::format("'{:.40}' is not a timecode HH:MM:SS:FF.fff", cell));
     }
     rest.remove_prefix(std::min(end + 1, rest.size()));
@@ -227,9 +227,9 @@ mesh::ArkitValues RecordedCurves::values(double time_s) const {
 }
 
 HeadMotion RecordedCurves::head(double time_s) const {
-  const auto [row, part] = place(time_s);
+  const Place at = place(time_s);
   const auto angle = [&](std::size_t axis) {
-    return between(rows_[row].head_rad[axis], rows_[row + 1].head_rad[axis], part);
+    return between(rows_[at.row].head_rad[axis], rows_[at.row + 1].head_rad[axis], at.part);
   };
   // Recorded: yaw to the subject's right, pitch down, roll towards the left shoulder
   // (mesh::live_link_angles).

@@ -84,6 +84,8 @@ TEST(RecordedCurves, SaysWhatIsWrongAndWhere) {
   EXPECT_NE(message_of(header() + good + row("00:00:00:30.000", 0)).find("line 4"), std::string::npos);
   EXPECT_NE(message_of(header() + row("soon", 0) + good).find("line 2: 'soon' is not a timecode"),
             std::string::npos);
+  EXPECT_NE(message_of(header() + row("00:00:00:nan", 0) + good).find("line 2: '00:00:00:nan' is not"),
+            std::string::npos);
   EXPECT_NE(message_of(header() + row("00:00:00:00.000", 0)).find("fewer than two rows"), std::string::npos);
   EXPECT_NE(message_of("frame,jaw\n1,2\n").find("line 1"), std::string::npos);
   EXPECT_NE(message_of("").find("fewer than two rows"), std::string::npos);
