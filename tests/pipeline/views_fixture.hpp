@@ -15,8 +15,8 @@
 #include "facet/error.hpp"
 #include "pipeline/shading.hpp"
 #include "scripted_stages.hpp"
-#include "simulation/video_writer.hpp"
 #include "simulation/sequence.hpp"
+#include "simulation/video_writer.hpp"
 #include "support/paths.hpp"
 
 namespace facet::pipeline {

@@ -152,7 +152,7 @@ CameraIntrinsics film_camera(Frames& frames) {
 bool write_video(Frames& frames, const AnimateOptions& options, double rate_hz, const StopSignals& signals) {
   const CameraIntrinsics camera = film_camera(frames);
   simulation::VideoWriter video(options.output, kVideoWidth_px, kVideoHeight_px,
-                                  static_cast<int>(std::lround(rate_hz)));
+                                static_cast<int>(std::lround(rate_hz)));
   const bool whole = for_each(frames, "Drawing", signals, [&](std::int64_t, const auto& frame) {
     video.append(draw_face(*frame, camera));
   });
