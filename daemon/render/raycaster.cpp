@@ -87,6 +87,8 @@ struct Raycaster::Impl {
   /// Each with one column more than vertices: Embree reads 16 bytes per vertex.
   std::vector<mesh::Vertices> keys_mm;
   mesh::Triangles triangles;
+  Eigen::Matrix4Xf
+      balls_mm;  ///< [4][triangles] centre and radius of one round each triangle of the first key
 
   Impl() = default;
   Impl(const Impl&) = delete;
@@ -125,6 +127,12 @@ Raycaster::Raycaster(const std::vector<mesh::Vertices>& keys_mm, const mesh::Tri
                     triangles.minCoeff() < 0 ? triangles.minCoeff() : triangles.maxCoeff(), vertex_count));
   }
   impl_->triangles = triangles;
+  impl_->balls_mm.resize(4, triangles.cols());
+  for (Eigen::Index t = 0; t < triangles.cols(); ++t) {
+    const Eigen::Matrix3f corners = impl_->keys_mm.front()(Eigen::all, triangles.col(t));
+    const Eigen::Vector3f centre = corners.rowwise().mean();
+    impl_->balls_mm.col(t) << centre, (corners.colwise() - centre).colwise().norm().maxCoeff();
+  }
   impl_->device = shared_device();
   impl_->scene = rtcNewScene(impl_->device.get());
   rtcSetSceneFlags(impl_->scene, static_cast<RTCSceneFlags>(RTC_SCENE_FLAG_ROBUST |
@@ -206,6 +214,7 @@ Raycaster::Closest Raycaster::closest_point(const Eigen::Vector3f& query_mm, flo
     Closest best;
   } search{impl_.get(), query_mm, {}};
   search.best.distance_mm = max_distance_mm;
+  constexpr float kRoundedUp = 1.0001F;  // what a ball's rounding may take from a triangle
   if (!usable(query_mm) || !(max_distance_mm >= 0)) {
     return {};
   }
@@ -221,6 +230,11 @@ Raycaster::Closest Raycaster::closest_point(const Eigen::Vector3f& query_mm, flo
       impl_->scene, &query, &context,
       [](RTCPointQueryFunctionArguments* arguments) {
         auto& found = *static_cast<Search*>(arguments->userPtr);
+        const Eigen::Vector4f ball = found.impl->balls_mm.col(arguments->primID);
+        const float reach_mm = found.best.distance_mm + ball.w();
+        if ((ball.head<3>() - found.query_mm).squaredNorm() > kRoundedUp * reach_mm * reach_mm) {
+          return false;
+        }
         const auto corners = found.impl->triangles.col(arguments->primID);
         const Eigen::Vector3f a = found.impl->keys_mm.front().col(corners[0]);
         const Eigen::Vector3f b = found.impl->keys_mm.front().col(corners[1]);

@@ -44,6 +44,7 @@ struct AlignedPart {
   std::vector<std::int32_t>
       nearest;  ///< [points_mm] triangle that was nearest last time; -1: none yet, or none
   const Truth* truth = nullptr;
+  float focal_ratio = 0;  ///< the points' focal length by the true one; 0: unknown
 };
 
 std::vector<AlignedPart> parts_of(const std::vector<PosedPair>& frames) {
@@ -52,6 +53,9 @@ std::vector<AlignedPart> parts_of(const std::vector<PosedPair>& frames) {
     const std::vector<std::int32_t>& measured = frame.reconstruction->measured;
     AlignedPart part;
     part.truth = frame.truth;
+    if (frame.reconstruction->focal_px > 0 && frame.truth->focal_px() > 0) {
+      part.focal_ratio = frame.reconstruction->focal_px / frame.truth->focal_px();
+    }
     const std::size_t stride = measured.size() * frames.size() / kAlignmentPoints + 1;
     for (std::size_t k = 0; k < measured.size(); k += stride) {
       part.points_mm.emplace_back(frame.reconstruction->vertices_mm.col(measured[k]));
@@ -63,13 +67,15 @@ std::vector<AlignedPart> parts_of(const std::vector<PosedPair>& frames) {
 }
 
 /// Pairs a vertex with the truth that the camera sees through it, which is near whatever the depth and scale
-/// are.
-maths::Similarity start_of_alignment(const std::vector<AlignedPart>& parts, bool with_scale) {
+/// are. unknown_ratio   stands for a part's focal_ratio where that is unknown
+maths::Similarity start_of_alignment(const std::vector<AlignedPart>& parts, bool with_scale,
+                                     float unknown_ratio) {
   std::vector<Vector3f> from;
   std::vector<Vector3f> to;
   for (const AlignedPart& part : parts) {
+    const float ratio = part.focal_ratio > 0 ? part.focal_ratio : unknown_ratio;
     for (const Vector3f& point : part.points_mm) {
-      const Vector3f direction = point.normalized();
+      const Vector3f direction = Vector3f(ratio * point.x(), ratio * point.y(), point.z()).normalized();
       const auto hit = part.truth->caster().first_hit({0, 0, 0}, direction, 1, true);
       if (hit.triangle >= 0) {
         from.push_back(point);
@@ -92,10 +98,18 @@ render::Raycaster::Closest closest_near(const Truth& truth, std::int32_t triangl
   return truth.caster().closest_point(at, std::min(reach_mm, kReach_mm));
 }
 
+/// An alignment under way.
+struct Aligned {
+  maths::Similarity transform;
+  float moved_mm = kReach_mm;     ///< by the last step
+  float distance_mm = kReach_mm;  ///< mean to the truth before it, kReach_mm where nothing is near
+};
+
 /// One point-to-plane step [CM92]: small rotation, shift and scale about the points' centre
-/// that minimise the distances to the tangent planes at the closest points. False where nothing is near.
-bool point_to_plane_step(std::vector<AlignedPart>& parts, bool with_scale, maths::Similarity& transform,
-                         float& moved_mm) {
+/// that minimise the distances to the tangent planes at the closest points. Points whose nearest triangle is
+/// known find the next one by walking where `walks`. False where nothing is near.
+bool point_to_plane_step(std::vector<AlignedPart>& parts, bool with_scale, bool walks, Aligned& aligned) {
+  const maths::Similarity& transform = aligned.transform;
   Eigen::Matrix<double, 7, 7> normal_matrix = Eigen::Matrix<double, 7, 7>::Zero();
   Eigen::Matrix<double, 7, 1> right_side = Eigen::Matrix<double, 7, 1>::Zero();
   Vector3f centre = Vector3f::Zero();
@@ -108,17 +122,21 @@ bool point_to_plane_step(std::vector<AlignedPart>& parts, bool with_scale, maths
   }
   centre /= static_cast<float>(count);
   float radius2_mm2 = 0;
+  float distance_mm = 0;
   int used = 0;
   for (AlignedPart& part : parts) {
     for (std::size_t k = 0; k < part.points_mm.size(); ++k) {
       const Vector3f at = transform * part.points_mm[k];
       std::int32_t& last = part.nearest[k];
-      const auto nearest =
-          last < 0 ? part.truth->caster().closest_point(at, kReach_mm) : closest_near(*part.truth, last, at);
+      const auto nearest = last < 0 ? part.truth->caster().closest_point(at, kReach_mm)
+                           : walks  ? part.truth->closest_from(last, at)
+                                    : closest_near(*part.truth, last, at);
       last = nearest.triangle;
       if (nearest.triangle < 0) {
+        distance_mm += kReach_mm;
         continue;
       }
+      distance_mm += nearest.distance_mm;
       const Vector3f normal = normal_at(part.truth->mesh(), nearest.triangle, nearest.barycentric);
       const Vector3f arm = at - centre;
       Eigen::Matrix<double, 7, 1> row;
@@ -130,6 +148,7 @@ bool point_to_plane_step(std::vector<AlignedPart>& parts, bool with_scale, maths
       ++used;
     }
   }
+  aligned.distance_mm = distance_mm / static_cast<float>(count);
   if (used < 7) {
     return false;
   }
@@ -147,26 +166,35 @@ bool point_to_plane_step(std::vector<AlignedPart>& parts, bool with_scale, maths
     step.rotation = Eigen::AngleAxisf(turn.norm(), turn.normalized()).toRotationMatrix();
   }
   step.translation_mm = centre + solved.segment<3>(3) - step.scale * (step.rotation * centre);
-  transform = compose(step, transform);
-  moved_mm = solved.segment<3>(3).norm() + (turn.norm() + std::abs(solved[6])) * std::sqrt(radius2_mm2);
+  aligned.transform = compose(step, transform);
+  aligned.moved_mm =
+      solved.segment<3>(3).norm() + (turn.norm() + std::abs(solved[6])) * std::sqrt(radius2_mm2);
   return true;
 }
 
-maths::Similarity align(std::vector<AlignedPart> parts, bool with_scale, maths::Similarity transform) {
-  constexpr float kStill_mm = 1e-4F;
-  float moved_mm = kReach_mm;
-  for (int step = 0; step < kAlignmentSteps && moved_mm > kStill_mm; ++step) {
-    if (!point_to_plane_step(parts, with_scale, transform, moved_mm)) {
+Aligned align(std::vector<AlignedPart> parts, bool with_scale, const maths::Similarity& start) {
+  constexpr float kStill_mm = 1e-3F;
+  Aligned aligned;
+  aligned.transform = start;
+  bool walked = false;
+  for (int step = 0; step < kAlignmentSteps; ++step) {
+    // What was found by walking is searched for once more before it counts as the end.
+    const bool walks = aligned.moved_mm < kMostWalk_mm && aligned.moved_mm > kStill_mm;
+    if (aligned.moved_mm <= kStill_mm && !walked) {
       break;
     }
+    if (!point_to_plane_step(parts, with_scale, walks, aligned)) {
+      break;
+    }
+    walked = walks;
   }
-  return transform;
+  return aligned;
 }
 
 }  // namespace
 
-Truth::Truth(simulation::TruthMesh mesh)
-    : mesh_(std::move(mesh)), caster_(mesh_.vertices_mm, mesh_.triangles) {
+Truth::Truth(simulation::TruthMesh mesh, float focal_px)
+    : mesh_(std::move(mesh)), focal_px_(focal_px), caster_(mesh_.vertices_mm, mesh_.triangles) {
   offsets_.assign(static_cast<std::size_t>(mesh_.vertices_mm.cols()) + 1, 0);
   for (const std::int32_t corner : mesh_.triangles.reshaped()) {
     ++offsets_[static_cast<std::size_t>(corner) + 1];
@@ -230,16 +258,28 @@ maths::Similarity align_together(const std::vector<PosedPair>& frames, Alignment
     return {};
   }
   const bool with_scale = alignment == Alignment::Similarity;
-  std::vector<AlignedPart> parts = parts_of(filled);
-  const maths::Similarity start = start_of_alignment(parts, with_scale);
-  return align(std::move(parts), with_scale, start);
+  const std::vector<AlignedPart> parts = parts_of(filled);
+  Aligned best;
+  for (const float unknown_ratio : {1.0F, 1.4F, 0.7F}) {
+    Aligned aligned = align(parts, with_scale, start_of_alignment(parts, with_scale, unknown_ratio));
+    // Two ways to the same end differ by less than this.
+    constexpr float kNearer = 0.99F;
+    if (unknown_ratio == 1 || aligned.distance_mm < kNearer * best.distance_mm) {
+      best = aligned;
+    }
+    if (std::all_of(parts.begin(), parts.end(),
+                    [](const AlignedPart& part) { return part.focal_ratio > 0; })) {
+      break;
+    }
+  }
+  return best.transform;
 }
 
 maths::Similarity align_from(const PosedPair& frame, Alignment alignment, const maths::Similarity& start) {
   if (alignment == Alignment::None || frame.reconstruction->measured.empty()) {
     return start;
   }
-  return align(parts_of({frame}), alignment == Alignment::Similarity, start);
+  return align(parts_of({frame}), alignment == Alignment::Similarity, start).transform;
 }
 
 Comparison compare(const Reconstruction& reconstruction, const Truth& truth, Alignment alignment) {

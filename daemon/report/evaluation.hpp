@@ -24,6 +24,7 @@ struct Reconstruction {
   mesh::Vertices vertices_mm;          ///< [3][vertex_count]
   Eigen::Matrix3Xf normals;            ///< [3][vertex_count] unit
   std::vector<std::int32_t> measured;  ///< the vertices to be measured, ascending
+  float focal_px = 0;                  ///< of the camera that it was found with; 0: unknown
 };
 
 /// How each measured vertex of one mesh compares with the truth.
@@ -39,9 +40,11 @@ struct Comparison {
 /// The truth of one frame, ready for queries.
 class Truth {
  public:
-  explicit Truth(simulation::TruthMesh mesh);
+  /// focal_px   of the true camera; 0: unknown
+  explicit Truth(simulation::TruthMesh mesh, float focal_px = 0);
 
   const simulation::TruthMesh& mesh() const { return mesh_; }
+  float focal_px() const { return focal_px_; }
   const render::Raycaster& caster() const { return caster_; }
 
   /// The nearest point that is reached by walking over the surface from one of its triangles, always nearer:
@@ -51,14 +54,16 @@ class Truth {
 
  private:
   simulation::TruthMesh mesh_;
+  float focal_px_;
   render::Raycaster caster_;
   std::vector<std::int32_t> offsets_;    ///< [vertex_count + 1] into triangles_
   std::vector<std::int32_t> triangles_;  ///< of each vertex
 };
 
-/// Measures a mesh: aligns it (start: the truth point at the same pixel; then iterated closest points with
-/// point-to-plane steps on up to 2,500 vertices [CM92]), then takes each vertex's distance to
-/// the nearest point of the truth surface and the angle to its normal there.
+/// Measures a mesh: aligns it (start: the truth point at the same pixel, where a focal length is unknown as
+/// if the reconstruction's were right, 1.4 times and 0.7 times the true one, and the nearest end counts; then
+/// iterated closest points with point-to-plane steps on up to 2,500 vertices [CM92]), then takes each
+/// vertex's distance to the nearest point of the truth surface and the angle to its normal there.
 Comparison compare(const Reconstruction& reconstruction, const Truth& truth, Alignment alignment);
 
 /// The same under an alignment that is known.
@@ -79,7 +84,7 @@ struct PosedPair {
 /// compare()'s alignment, one for all frames together; with Alignment::None the identity.
 maths::Similarity align_together(const std::vector<PosedPair>& frames, Alignment alignment);
 /// The same for one frame, from a given start instead of the truth at the same pixel. For meshes that no
-/// camera sees.
+/// camera sees, and for one near another whose alignment is known.
 maths::Similarity align_from(const PosedPair& frame, Alignment alignment, const maths::Similarity& start);
 
 /// Refinable face skin of the finest level, seen or not: every control vertex that the vertex depends on is

@@ -75,11 +75,13 @@ struct PosedFrame {
 std::shared_ptr<const PosedFrame> pose_frame(std::shared_ptr<const mesh::MeshFrame> frame,
                                              const TruthFolder& truths) {
   auto posed = std::make_shared<PosedFrame>();
-  posed->truth = std::make_unique<Truth>(truths.mesh(frame->sequence));
+  posed->truth = std::make_unique<Truth>(truths.mesh(frame->sequence), truths.focal_px().value_or(0));
   FrameGeometry geometry = geometry_of(*frame);
   auto measured = measured_vertices(*frame->subject, geometry.coarse_mm, geometry.coarse_normals);
-  posed->coarse = {std::move(geometry.coarse_mm), std::move(geometry.coarse_normals), measured};
-  posed->refined = {std::move(geometry.refined_mm), std::move(geometry.refined_normals), std::move(measured)};
+  posed->coarse = {std::move(geometry.coarse_mm), std::move(geometry.coarse_normals), measured,
+                   frame->camera.fx};
+  posed->refined = {std::move(geometry.refined_mm), std::move(geometry.refined_normals), std::move(measured),
+                    frame->camera.fx};
   posed->frame = std::move(frame);
   return posed;
 }
@@ -120,9 +122,10 @@ void measure_frame(Measurement& out, const TruthFolder& truths, Alignment alignm
     const PosedFrame& posed = *out.posed;
     const Truth& truth = *posed.truth;
     out.coarse = compare(posed.coarse, truth, alignment);
-    // Refined vertices are near the coarse ones, and so are what they are nearest to.
-    out.refined =
-        measure(posed.refined, truth, align_together({{&posed.refined, &truth}}, alignment), &out.coarse);
+    // Refined vertices are near the coarse ones, and so are their alignment and what they are nearest to.
+    out.refined = measure(
+        posed.refined, truth,
+        align_from({&posed.refined, &truth}, alignment, out.coarse.truth_from_reconstruction), &out.coarse);
     out.coarse_by_sequence = measure_again(posed.coarse, truth, sequence, out.coarse);
     out.refined_by_sequence = measure_again(posed.refined, truth, sequence, out.refined);
     out.coarse_rms = rms_of(*out.frame, posed.coarse, out.image);

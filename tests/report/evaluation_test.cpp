@@ -122,6 +122,32 @@ TEST_F(Evaluation, AlignmentFindsTurnsAndScale) {
   EXPECT_LT(figures_of(larger, truth, Alignment::Similarity).mean_mm, 0.02);
 }
 
+TEST_F(Evaluation, AWrongFocalLengthDoesNotLeadTheAlignmentAstray) {
+  // A head before a wall, met as near as a focal length that is a third short makes it: at the same pixels,
+  // of which the outer ones are not its own but the wall's under the true focal length.
+  constexpr float kShort = 0.68F;
+  simulation::TruthMesh head = patch.truth;
+  Reconstruction nearer;
+  for (Eigen::Index v = 0; v < head.vertices_mm.cols(); ++v) {
+    const float x = 2.2F * head.vertices_mm(0, v);
+    const float y = 2.2F * head.vertices_mm(1, v);
+    const float inside = 1 - (x * x / (75 * 75)) - (y * y / (105 * 105));
+    const float nose = 22 * std::exp(-(x * x + (y - 8) * (y - 8)) / 300);
+    head.vertices_mm.col(v) =
+        Vector3f(x + 40, y + 20, inside > 0 ? 600 - 90 * std::sqrt(inside) - nose : 750);
+    if (inside > 0.2F) {
+      nearer.measured.push_back(static_cast<std::int32_t>(v));
+    }
+  }
+  mesh::vertex_normals(head.vertices_mm, head.triangles, head.normals);
+  nearer.vertices_mm = head.vertices_mm;
+  nearer.normals = head.normals;
+  nearer.vertices_mm.row(2).array() -= (1 - kShort) * 600;
+  EXPECT_LT(figures_of(nearer, Truth(head), Alignment::Similarity).mean_mm, 0.03) << "neither is known";
+  nearer.focal_px = kShort * 1000;
+  EXPECT_LT(figures_of(nearer, Truth(head, 1000), Alignment::Similarity).mean_mm, 0.03) << "both are known";
+}
+
 TEST_F(Evaluation, SignsPointOutwards) {
   Reconstruction inflated = patch.reconstruction;
   inflated.vertices_mm += 0.5F * inflated.normals;
