@@ -95,7 +95,6 @@ void AlbedoKernels::record(gpu::Batch& batch, const LevelTopology& topology, con
                     {"ring_indices", topology.ring_indices},
                     {"albedo_searches", albedo.searches.view},
                     {"albedo_changes", albedo.changes.view},
-                    {"sums_so_far", albedo.scalars.view},
                     {"albedo_bends", albedo.bends.buffer},
                     {"sums", albedo.scalars.buffer}},
                    groups, push);
@@ -103,7 +102,6 @@ void AlbedoKernels::record(gpu::Batch& batch, const LevelTopology& topology, con
                    {{"vertex_rings", topology.vertex_rings.view},
                     {"ring_indices", topology.ring_indices},
                     {"albedo_bends", albedo.bends.view},
-                    {"sums_so_far", albedo.scalars.view},
                     {"albedo_states", albedo.states},
                     {"albedo_changes", albedo.changes.buffer},
                     {"albedo_searches", albedo.searches.buffer},

@@ -28,16 +28,18 @@ SolverScratch::SolverScratch(gpu::Context& context, std::uint32_t capacity, std:
       bends(context, capacity, gpu::TexelFormat::Rg32f, "bends"),
       jacobian_rows(context, group_capacity, gpu::TexelFormat::Rgba16f, "jacobian_rows"),
       jacobian_columns(context, group_capacity, gpu::TexelFormat::Rgba16f, "jacobian_columns"),
-      solver_states(context, capacity, gpu::TexelFormat::Rgba32f, "solver_states"),
+      solver_states{DeviceArray(context, capacity, gpu::TexelFormat::Rgba32f, "solver_states 0"),
+                    DeviceArray(context, capacity, gpu::TexelFormat::Rgba32f, "solver_states 1")},
       preconditioned(context, capacity + 1, gpu::TexelFormat::R32f, "preconditioned"),
-      products(context, capacity + 1, gpu::TexelFormat::Rgba32f, "products"),
+      products{DeviceArray(context, capacity + 1, gpu::TexelFormat::Rgba32f, "products 0"),
+               DeviceArray(context, capacity + 1, gpu::TexelFormat::Rgba32f, "products 1")},
       sums(context,
            static_cast<std::size_t>(2 * pcg_iterations + 1) *
                static_cast<std::size_t>(context.info().workgroup_count),
            gpu::TexelFormat::R32f, "sums"),
       energies(context, sizeof(float) * energy_slots * context.info().workgroup_count, gpu::Memory::Readback,
                "energies") {
-  clear(context, {&preconditioned.buffer, &products.buffer, &sums.buffer});
+  clear(context, {&preconditioned.buffer, &products[0].buffer, &products[1].buffer, &sums.buffer});
 }
 
 double SolverScratch::energy(std::uint32_t slot, std::uint32_t workgroup_count) const {
@@ -94,33 +96,34 @@ void DisplacementKernels::record(gpu::Batch& batch, const LevelTopology& topolog
                     {"priors", state.priors.view},
                     {"jacobian_rows", scratch.jacobian_rows.buffer},
                     {"jacobian_columns", scratch.jacobian_columns.buffer},
-                    {"solver_states", scratch.solver_states.buffer},
+                    {"solver_states", scratch.solver_states[0].buffer},
                     {"preconditioned", scratch.preconditioned.buffer},
-                    {"products", scratch.products.buffer},
+                    {"products", scratch.products[0].buffer},
                     {"sums", scratch.sums.buffer}},
                    groups, push);
     for (int iteration = 0; iteration < options.pcg_iterations; ++iteration) {
       push.iteration = static_cast<std::uint32_t>(iteration);
       push.last = iteration + 1 == options.pcg_iterations ? 1 : 0;
+      // By turns: what a kernel reads as texels it does not write.
+      const std::size_t from = static_cast<std::size_t>(iteration) % 2;
+      const std::size_t to = 1 - from;
       batch.dispatch(direction_,
                      {{"vertex_rings", topology.vertex_rings.view},
                       {"ring_groups", topology.ring_groups.view},
                       {"bends", scratch.bends.view},
                       {"jacobian_rows", scratch.jacobian_rows.view},
                       {"preconditioned", scratch.preconditioned.view},
-                      {"sums_so_far", scratch.sums.view},
-                      {"products_before", scratch.products.view},
-                      {"products", scratch.products.buffer},
+                      {"products_before", scratch.products[from].view},
+                      {"products", scratch.products[to].buffer},
                       {"sums", scratch.sums.buffer}},
                      groups, push);
       batch.dispatch(update_,
                      {{"vertex_rings", topology.vertex_rings.view},
                       {"ring_groups", topology.ring_groups.view},
                       {"jacobian_columns", scratch.jacobian_columns.view},
-                      {"products", scratch.products.view},
-                      {"sums_so_far", scratch.sums.view},
-                      {"states_before", scratch.solver_states.view},
-                      {"solver_states", scratch.solver_states.buffer},
+                      {"products", scratch.products[to].view},
+                      {"states_before", scratch.solver_states[from].view},
+                      {"solver_states", scratch.solver_states[to].buffer},
                       {"preconditioned", scratch.preconditioned.buffer},
                       {"positions", state.positions.buffer},
                       {"sums", scratch.sums.buffer}},

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 
 #include "gpu/batch.hpp"
@@ -37,9 +38,9 @@ struct SolverScratch {
   DeviceArray bends;
   DeviceArray jacobian_rows;
   DeviceArray jacobian_columns;
-  DeviceArray solver_states;
+  std::array<DeviceArray, 2> solver_states;  ///< by turns: read in one iteration, written in the next
   DeviceArray preconditioned;
-  DeviceArray products;
+  std::array<DeviceArray, 2> products;  ///< the same
   DeviceArray sums;
   gpu::Buffer energies;  ///< [slot][workgroup], for the host
 };

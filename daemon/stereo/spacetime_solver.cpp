@@ -309,7 +309,6 @@ void SpacetimeSolver::Impl::record_block(std::size_t block, std::uint32_t energy
                     {"hessians", hessians.view},
                     {"links", links.view},
                     {"searches", searches.view},
-                    {"sums_so_far", sums.view},
                     {"products", products.buffer},
                     {"sums", sums.buffer}},
                    groups, push);
@@ -317,7 +316,6 @@ void SpacetimeSolver::Impl::record_block(std::size_t block, std::uint32_t energy
                    {{"boxes", boxes},
                     {"products", products.view},
                     {"links", links.view},
-                    {"sums_so_far", sums.view},
                     {"solver_states", solver_states.buffer},
                     {"searches", searches.buffer},
                     {"disparities", disparities.buffer},

@@ -91,6 +91,8 @@ struct Batch::Impl {
   VkDescriptorSet allocate_set(VkDescriptorSetLayout layout);
   void bind(const Kernel::Impl& kernel, std::span<const Binding> bindings, std::span<const std::byte> push,
             std::size_t push_alignment, std::vector<Access>& accesses);
+  void check_aliases(const Kernel::Impl& kernel, std::span<const Binding> bindings,
+                     std::span<const Access> accesses) const;
   [[noreturn]] void wrong_type(const Use& use) const;
   Descriptor describe_buffer(const Use& use) const;
   Descriptor describe_texels(const Use& use) const;
@@ -371,6 +373,21 @@ Access Batch::Impl::write_descriptor(const Use& use, VkDescriptorSet set) const 
 }
 
 /// Binds everything a kernel needs and notes what it will read and write.
+/// Compilers take a kernel's resources as apart: one that is written must not be bound by another name, too,
+/// or a read may be moved behind the write.
+///
+/// accesses   of the first of the bindings, the last one new
+void Batch::Impl::check_aliases(const Kernel::Impl& kernel, std::span<const Binding> bindings,
+                                std::span<const Access> accesses) const {
+  const Access& added = accesses.back();
+  for (std::size_t k = 0; k + 1 < accesses.size(); ++k) {
+    if (conflict(accesses[k], added)) {
+      misuse(fmt::format("'{}' and '{}' of kernel '{}' are the same memory, and it is written",
+                         bindings[k].name, bindings[accesses.size() - 1].name, kernel.name));
+    }
+  }
+}
+
 void Batch::Impl::bind(const Kernel::Impl& kernel, std::span<const Binding> bindings,
                        std::span<const std::byte> push, std::size_t push_alignment,
                        std::vector<Access>& accesses) {
@@ -383,6 +400,7 @@ void Batch::Impl::bind(const Kernel::Impl& kernel, std::span<const Binding> bind
   }
   const DeviceApi& api = device->api();
   const std::span<const BindingInfo> wanted = kernel.interface.bindings;
+  const std::size_t others = accesses.size();
   const VkDescriptorSet set = allocate_set(kernel.set_layout);
   std::vector<bool> given(wanted.size(), false);
   for (const Binding& binding : bindings) {
@@ -399,6 +417,7 @@ void Batch::Impl::bind(const Kernel::Impl& kernel, std::span<const Binding> bind
     }
     given[index] = true;
     accesses.push_back(write_descriptor({kernel.name, *info, binding}, set));
+    check_aliases(kernel, bindings, std::span(accesses).subspan(others));
   }
   if (const auto missing = std::ranges::find(given, false); missing != given.end()) {
     misuse(fmt::format("'{}' of kernel '{}' is not given",

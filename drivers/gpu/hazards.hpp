@@ -15,6 +15,11 @@ struct Access {
   bool writes = false;
 };
 
+/// Whether the order of two uses matters: of the same part, at least one of them writing.
+inline bool conflict(const Access& a, const Access& b) {
+  return a.resource == b.resource && a.begin < b.end && b.begin < a.end && (a.writes || b.writes);
+}
+
 /// Knows what the steps since the last barrier read and wrote, and so whether the next one needs a barrier:
 /// where it touches what was written, or writes what was read.
 class HazardTracker {
@@ -22,9 +27,7 @@ class HazardTracker {
   bool conflicts(std::span<const Access> step) const {
     for (const Access& next : step) {
       for (const Access& earlier : since_barrier_) {
-        const bool overlap =
-            next.resource == earlier.resource && next.begin < earlier.end && earlier.begin < next.end;
-        if (overlap && (next.writes || earlier.writes)) {
+        if (conflict(earlier, next)) {
           return true;
         }
       }

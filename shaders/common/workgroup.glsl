@@ -30,12 +30,3 @@ vec4 workgroup_sum(vec4 value) {
   }
   return sum;
 }
-
-// The sum of one value per workgroup that an earlier kernel left at view[first ...].
-float sum_of_groups(samplerBuffer view, uint first) {
-  float value = 0;
-  for (uint i = gl_LocalInvocationID.x; i < gl_NumWorkGroups.x; i += kGroupSize) {
-    value += texelFetch(view, int(first + i)).x;
-  }
-  return workgroup_sum(vec4(value, 0, 0, 0)).x;
-}

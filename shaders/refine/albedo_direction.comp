@@ -14,16 +14,12 @@ uniform isamplerBuffer vertex_rings;
 uniform isamplerBuffer ring_indices;
 uniform samplerBuffer albedo_searches;  // [2 * vertex_count] z, p
 uniform samplerBuffer albedo_changes;
-uniform samplerBuffer sums_so_far;
 layout(std430) writeonly buffer AlbedoBends {
   vec4 albedo_bends[];  // [vertex_count] w2 (L p)_i / ring size
 };
-layout(std430) writeonly buffer Sums {
-  float sums[];
-};
 
 void main() {
-  float beta = pcg_beta(sums_so_far, push.iteration);
+  float beta = pcg_beta(push.iteration);
   float curvature = 0;
   uvec2 block = block_of(push.vertex_count);
   for (uint i = block.x + gl_LocalInvocationID.x; i < block.y; i += kGroupSize) {

@@ -13,7 +13,6 @@ layout(push_constant) uniform Push {
 uniform isamplerBuffer vertex_rings;
 uniform isamplerBuffer ring_indices;
 uniform samplerBuffer albedo_bends;
-uniform samplerBuffer sums_so_far;
 layout(std430) buffer AlbedoStates {
   vec4 albedo_states[];
 };
@@ -23,13 +22,10 @@ layout(std430) buffer AlbedoChanges {
 layout(std430) buffer AlbedoSearches {
   vec4 albedo_searches[];
 };
-layout(std430) writeonly buffer Sums {
-  float sums[];
-};
 
 void main() {
-  float beta = pcg_beta(sums_so_far, push.iteration);
-  float alpha = pcg_alpha(sums_so_far, push.iteration);
+  float beta = pcg_beta(push.iteration);
+  float alpha = pcg_alpha(push.iteration);
   float rz = 0;
   uvec2 block = block_of(push.vertex_count);
   for (uint i = block.x + gl_LocalInvocationID.x; i < block.y; i += kGroupSize) {

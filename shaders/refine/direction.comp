@@ -17,18 +17,14 @@ uniform isamplerBuffer ring_groups;
 uniform samplerBuffer bends;
 uniform samplerBuffer jacobian_rows;  // [group_count] four entries
 uniform samplerBuffer preconditioned;  // [vertex_count + 1] z
-uniform samplerBuffer sums_so_far;
 uniform samplerBuffer products_before;  // of the iteration before
 layout(std430) writeonly buffer Products {
   vec4 products[];  // [vertex_count + 1] (J p)_i, w3 (L p)_i / (spacing^2 ring size), p,
                     // diagonal of the terms in d_i alone
 };
-layout(std430) writeonly buffer Sums {
-  float sums[];
-};
 
 void main() {
-  float beta = pcg_beta(sums_so_far, push.iteration);
+  float beta = pcg_beta(push.iteration);
   float curvature = 0;
   uvec2 block = block_of(push.vertex_count);
   for (uint i = block.x + gl_LocalInvocationID.x; i < block.y; i += kGroupSize) {

@@ -15,7 +15,6 @@ uniform isamplerBuffer vertex_rings;
 uniform isamplerBuffer ring_groups;
 uniform samplerBuffer jacobian_columns;  // [group_count] four entries
 uniform samplerBuffer products;          // [vertex_count + 1] J p, bend, p, own diagonal
-uniform samplerBuffer sums_so_far;
 uniform samplerBuffer states_before;     // [vertex_count] read ahead, so that memory's delay hides behind the ring
 layout(std430) writeonly buffer SolverStates {
   vec4 solver_states[];
@@ -26,12 +25,9 @@ layout(std430) writeonly buffer Preconditioned {
 layout(std430) buffer Positions {
   vec4 positions[];
 };
-layout(std430) writeonly buffer Sums {
-  float sums[];
-};
 
 void main() {
-  float alpha = pcg_alpha(sums_so_far, push.iteration);
+  float alpha = pcg_alpha(push.iteration);
   float rz = 0;
   uvec2 block = block_of(push.vertex_count);
   for (uint i = block.x + gl_LocalInvocationID.x; i < block.y; i += kGroupSize) {

@@ -11,12 +11,8 @@
 uniform samplerBuffer hessians;
 uniform usamplerBuffer links;
 uniform samplerBuffer searches;     // [t][y][x] of the search region
-uniform samplerBuffer sums_so_far;
 writeonly buffer Products {
   vec4 products[];  // [t][y][x] of the windows
-};
-writeonly buffer Sums {
-  float sums[];
 };
 
 float search_at(int at, float beta) {
@@ -31,7 +27,7 @@ float slope_of(int at, int stride, uint bits, float beta) {
 }
 
 void main() {
-  float beta = pcg_beta(sums_so_far, push.iteration);
+  float beta = pcg_beta(push.iteration);
   ivec3 extent = window_extent();
   ivec3 origin = window_origin();
   int plane = extent.x * extent.y * extent.z;

@@ -11,7 +11,6 @@
 
 uniform samplerBuffer products;  // [t][y][x] of the windows
 uniform usamplerBuffer links;
-uniform samplerBuffer sums_so_far;
 buffer SolverStates {
   vec4 solver_states[];
 };
@@ -21,13 +20,10 @@ buffer Searches {
 buffer Disparities {
   float disparities[];
 };
-writeonly buffer Sums {
-  float sums[];
-};
 
 void main() {
-  float beta = pcg_beta(sums_so_far, push.iteration);
-  float alpha = pcg_alpha(sums_so_far, push.iteration);
+  float beta = pcg_beta(push.iteration);
+  float alpha = pcg_alpha(push.iteration);
   ivec3 windows = window_extent();
   ivec3 region = search_extent();
   ivec2 cells = cells_of(box_extent, box_origin.z);

@@ -41,6 +41,24 @@ std::array<std::vector<std::int32_t>, 2> reference(std::array<std::vector<std::i
   return values;
 }
 
+TEST_F(BatchTest, WhatIsWrittenHasOneName) {
+  const Buffer both(context(), 64 * 4, Memory::Device, "both");
+  const Kernel kernel = accumulate();
+  Batch batch(context(), "aliased");
+  const auto dispatch = [&](const Buffer& previous) {
+    batch.dispatch(kernel, {{"previous", previous}, {"values", both}}, {1}, CountPush{64});
+  };
+  try {
+    dispatch(both);
+    FAIL() << "one buffer is read and written by two names";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::Internal);
+    EXPECT_THAT(error.what(), testing::AllOf(testing::HasSubstr("'previous' and 'values'"),
+                                             testing::HasSubstr("accumulate")));
+  }
+  EXPECT_NO_THROW(dispatch(Buffer(context(), 64 * 4, Memory::Device, "another")));
+}
+
 // Every step needs what all workgroups of the step before wrote; many of them, so that a missing barrier
 // shows.
 TEST_F(BatchTest, StepsSeeTheStepsBeforeAndABatchCanRunAgain) {

@@ -277,7 +277,9 @@ TEST_F(RefineLighting, DisplacementKernelsStayWithinTheirArrays) {
                                 level.topology.group_count + test::kTailCount, 3, 7);
     test::write(context(), scratch.slopes.buffer, std::vector<vec4>(count));
     test::write(context(), scratch.bends.buffer, std::vector<shaders::vec2>(count));
-    test::write(context(), scratch.solver_states.buffer, std::vector<vec4>(count));
+    for (const DeviceArray& states : scratch.solver_states) {
+      test::write(context(), states.buffer, std::vector<vec4>(count));
+    }
     test::write(context(), scratch.jacobian_rows.buffer,
                 std::vector<shaders::uvec2>(level.topology.group_count));
     test::write(context(), scratch.jacobian_columns.buffer,
@@ -294,14 +296,18 @@ TEST_F(RefineLighting, DisplacementKernelsStayWithinTheirArrays) {
     EXPECT_TRUE(level.tails_intact(context()));
     EXPECT_TRUE(test::tail_intact<vec4>(context(), scratch.slopes.buffer, count));
     EXPECT_TRUE(test::tail_intact<shaders::vec2>(context(), scratch.bends.buffer, count));
-    EXPECT_TRUE(test::tail_intact<vec4>(context(), scratch.solver_states.buffer, count));
+    for (const DeviceArray& states : scratch.solver_states) {
+      EXPECT_TRUE(test::tail_intact<vec4>(context(), states.buffer, count));
+    }
     EXPECT_TRUE(test::tail_intact<shaders::uvec2>(context(), scratch.jacobian_rows.buffer,
                                                   level.topology.group_count));
     EXPECT_TRUE(test::tail_intact<shaders::uvec2>(context(), scratch.jacobian_columns.buffer,
                                                   level.topology.group_count));
     // The dummy vertex stays 0, or padded rings would gather garbage.
     EXPECT_EQ(test::read<float>(context(), scratch.preconditioned.buffer).back(), 0);
-    EXPECT_EQ(test::read<shaders::vec4>(context(), scratch.products.buffer).back().x, 0);
+    for (const DeviceArray& products : scratch.products) {
+      EXPECT_EQ(test::read<shaders::vec4>(context(), products.buffer).back().x, 0);
+    }
   }
 }
 
