@@ -1,11 +1,11 @@
-#include "report/face_parts.hpp"
+#include "face/face_parts.hpp"
 
 #include <Eigen/Core>
 #include <algorithm>
 #include <limits>
 #include <span>
 
-namespace facet::report {
+namespace facet::face {
 namespace {
 
 using Eigen::Vector2f;
@@ -24,12 +24,11 @@ constexpr std::array kBrowLine{162, 46, 55, 8, 285, 276, 389};
 /// From the jaw's right angle over the corners of the mouth to the left one.
 constexpr std::array kMouthLine{58, 61, 291, 288};
 
-Vector2f seen_from_the_front(const face::FaceModel& model, const mesh::Vertices& mean_mm, int landmark) {
-  return face::FaceModel::anchor_point(model.landmarks[static_cast<std::size_t>(landmark)], mean_mm)
-      .head<2>();
+Vector2f seen_from_the_front(const FaceModel& model, const mesh::Vertices& mean_mm, int landmark) {
+  return FaceModel::anchor_point(model.landmarks[static_cast<std::size_t>(landmark)], mean_mm).head<2>();
 }
 
-Outline outline(const face::FaceModel& model, const mesh::Vertices& mean_mm, std::span<const int> landmarks) {
+Outline outline(const FaceModel& model, const mesh::Vertices& mean_mm, std::span<const int> landmarks) {
   Outline points;
   for (const int landmark : landmarks) {
     points.push_back(seen_from_the_front(model, mean_mm, landmark));
@@ -77,7 +76,7 @@ float height_at(Outline line, float x) {
 
 }  // namespace
 
-std::vector<FacePart> control_parts(const face::FaceModel& model) {
+std::vector<FacePart> control_parts(const FaceModel& model) {
   const mesh::Vertices mean_mm = model.core_row(0, 0);
   const auto of = [&](std::span<const int> landmarks) { return outline(model, mean_mm, landmarks); };
   const Outline nose = of(kNose);
@@ -117,6 +116,25 @@ std::vector<FacePart> control_parts(const face::FaceModel& model) {
   return parts;
 }
 
+std::vector<float> shading_trust(const FaceModel& model) {
+  const mesh::Vertices mean_mm = model.core_row(0, 0);
+  std::vector<float> trust(static_cast<std::size_t>(mean_mm.cols()), 1);
+  if (model.landmarks.empty()) {
+    return trust;
+  }
+  constexpr float kHair_mm = 4;
+  constexpr float kSkin_mm = 10;
+  for (const std::span<const int> brow :
+       {std::span<const int>(kRightBrow), std::span<const int>(kLeftBrow)}) {
+    const Outline around = outline(model, mean_mm, brow);
+    for (std::size_t v = 0; v < trust.size(); ++v) {
+      const float distance_mm = distance_to(around, mean_mm.col(static_cast<Eigen::Index>(v)).head<2>());
+      trust[v] = std::min(trust[v], std::clamp((distance_mm - kHair_mm) / (kSkin_mm - kHair_mm), 0.0F, 1.0F));
+    }
+  }
+  return trust;
+}
+
 std::vector<FacePart> finest_parts(const mesh::Hierarchy& hierarchy,
                                    const std::vector<FacePart>& control_parts) {
   Eigen::MatrixXf shares = Eigen::MatrixXf::Zero(static_cast<Eigen::Index>(kFacePartNames.size()),
@@ -138,4 +156,4 @@ std::vector<FacePart> finest_parts(const mesh::Hierarchy& hierarchy,
   return parts;
 }
 
-}  // namespace facet::report
+}  // namespace facet::face

@@ -7,9 +7,9 @@
 #include "face/face_model.hpp"
 #include "mesh/hierarchy.hpp"
 
-namespace facet::report {
+namespace facet::face {
 
-/// Parts of the face that figures are told apart by.
+/// Parts of the face.
 enum class FacePart : std::uint8_t { Forehead, Brows, Lids, Nose, Cheeks, Mouth, ChinAndJaw };
 inline constexpr std::array<const char*, 7> kFacePartNames{"forehead", "brows", "lids",        "nose",
                                                            "cheeks",   "mouth", "chin_and_jaw"};
@@ -22,7 +22,7 @@ inline constexpr std::array<const char*, 7> kFacePartNames{"forehead", "brows", 
 ///
 /// model     with landmarks
 /// returns   [vertex_count]
-std::vector<FacePart> control_parts(const face::FaceModel& model);
+std::vector<FacePart> control_parts(const FaceModel& model);
 
 /// The part of each finest vertex: the one that most of what it depends on is of.
 ///
@@ -31,4 +31,11 @@ std::vector<FacePart> control_parts(const face::FaceModel& model);
 std::vector<FacePart> finest_parts(const mesh::Hierarchy& hierarchy,
                                    const std::vector<FacePart>& control_parts);
 
-}  // namespace facet::report
+/// How far what shades the skin there is its shape: 0 on the brows and up to 4 mm around them, whose hair is
+/// darker than any fold, 1 from 10 mm on.
+///
+/// model     without landmarks: 1 everywhere
+/// returns   [vertex_count]
+std::vector<float> shading_trust(const FaceModel& model);
+
+}  // namespace facet::face

@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "face/face_parts.hpp"
 #include "face/subject_builder.hpp"
 #include "facet/clock.hpp"
 #include "pipeline/bounded_queue.hpp"
@@ -357,7 +358,10 @@ void ShadingPipeline::Impl::follow_subject(const Tracked& item) {
   messages.info(fmt::format("subject {}: hierarchy of {} levels, {} to {} vertices", item.subject_count,
                             hierarchy.levels.size(), hierarchy.levels.front().vertex_count,
                             hierarchy.finest().vertex_count));
-  refiner.set_subject({subject->hierarchy, stages.model->mean_albedo, stages.model->control.refinable});
+  refiner.set_subject({.hierarchy = subject->hierarchy,
+                       .mean_albedo = stages.model->mean_albedo,
+                       .refinable = stages.model->control.refinable,
+                       .trust = face::shading_trust(*stages.model)});
 }
 
 void ShadingPipeline::Impl::add_displacements(Tracked& item) {

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <bit>
+#include <cmath>
 #include <cstddef>
 #include <span>
 
@@ -12,6 +13,8 @@ namespace {
 // As in shaders/refine/topology.glsl.
 constexpr std::int32_t kFree = 0x10000;
 constexpr std::int32_t kClosed = 0x20000;
+constexpr int kTrustShift = 20;
+constexpr float kFullTrust = 255;
 constexpr std::size_t kLanes = 4;
 constexpr std::uint32_t kGroupSize = 64;
 
@@ -30,7 +33,8 @@ std::size_t count_groups(const mesh::OneRings& rings) {
 }  // namespace
 
 LevelTopology::LevelTopology(gpu::Context& context, const mesh::OneRings& rings,
-                             const std::vector<std::uint8_t>& free, std::int32_t dummy_vertex)
+                             const std::vector<std::uint8_t>& free, std::int32_t dummy_vertex,
+                             const std::vector<float>& trust)
     : vertex_count(static_cast<std::uint32_t>(rings.on_boundary.size())),
       group_count(static_cast<std::uint32_t>(count_groups(rings))),
       workgroup_count(std::min(context.info().workgroup_count, gpu::groups_for(vertex_count, kGroupSize))),
@@ -43,9 +47,10 @@ LevelTopology::LevelTopology(gpu::Context& context, const mesh::OneRings& rings,
   for (std::size_t v = 0; v < vertex_count; ++v) {
     const std::size_t size = ring_size(rings, v);
     const bool closed = rings.on_boundary[v] == 0;
-    packed_rings[v] = {static_cast<std::int32_t>(group), static_cast<std::int32_t>(size) |
-                                                             (closed ? kClosed : 0) |
-                                                             (closed && free[v] != 0 ? kFree : 0)};
+    const auto trusted = static_cast<std::int32_t>(std::lround(kFullTrust * (trust.empty() ? 1 : trust[v])));
+    packed_rings[v] = {static_cast<std::int32_t>(group),
+                       static_cast<std::int32_t>(size) | (closed ? kClosed : 0) |
+                           (closed && free[v] != 0 ? kFree : 0) | (trusted << kTrustShift)};
     std::copy_n(rings.neighbours.begin() + rings.offsets[v], size,
                 packed_groups.begin() + static_cast<std::ptrdiff_t>(kLanes * group));
     group += (size + kLanes - 1) / kLanes;
@@ -96,6 +101,23 @@ std::vector<std::vector<std::uint8_t>> free_vertices(const mesh::Hierarchy& hier
       free[v] = level.one_rings.on_boundary[v] == 0 && finer[v] >= kMostlyRefinable ? 1 : 0;
     }
     share = std::move(finer);
+  }
+  return out;
+}
+
+std::vector<std::vector<float>> trust_of_levels(const mesh::Hierarchy& hierarchy,
+                                                const std::vector<float>& trust) {
+  std::vector<std::vector<float>> out(hierarchy.levels.size());
+  if (trust.empty()) {
+    return out;
+  }
+  Eigen::MatrixXf coarser = Eigen::Map<const Eigen::RowVectorXf>(trust.data(), std::ssize(trust));
+  Eigen::MatrixXf finer;
+  for (std::size_t l = 0; l < out.size(); ++l) {
+    mesh::apply(hierarchy.levels[l].from_coarser, coarser, finer);
+    finer = finer.cwiseMax(0).cwiseMin(1);
+    out[l].assign(finer.data(), finer.data() + finer.size());
+    coarser.swap(finer);
   }
   return out;
 }

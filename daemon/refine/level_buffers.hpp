@@ -16,8 +16,9 @@ struct LevelTopology {
   /// free          [vertex_count] 1 where shading may move the vertex; boundary vertices never are
   /// dummy_vertex  index that fills up the last group of a ring; the arrays that PCG gathers from hold 0
   /// there
+  /// trust         [vertex_count] 0 to 1, kept in 8 bits: SubjectSetup::trust. Empty: 1
   LevelTopology(gpu::Context& context, const mesh::OneRings& rings, const std::vector<std::uint8_t>& free,
-                std::int32_t dummy_vertex);
+                std::int32_t dummy_vertex, const std::vector<float>& trust = {});
 
   std::uint32_t vertex_count;
   std::uint32_t group_count;      ///< groups of four ring entries
@@ -51,5 +52,9 @@ struct LevelState {
 /// [level][vertex].
 std::vector<std::vector<std::uint8_t>> free_vertices(const mesh::Hierarchy& hierarchy,
                                                      const std::vector<std::uint8_t>& refinable);
+
+/// SubjectSetup::trust of the control vertices prolonged to every level: [level][vertex], empty where it is.
+std::vector<std::vector<float>> trust_of_levels(const mesh::Hierarchy& hierarchy,
+                                                const std::vector<float>& trust);
 
 }  // namespace facet::refine

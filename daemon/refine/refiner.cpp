@@ -37,8 +37,8 @@ constexpr float kAlbedoNewsShare = 0.005F;
 
 struct Level {
   Level(gpu::Context& context, const mesh::Level& level, const std::vector<std::uint8_t>& free,
-        std::int32_t dummy_vertex)
-      : topology(context, level.one_rings, free, dummy_vertex),
+        std::int32_t dummy_vertex, const std::vector<float>& trust)
+      : topology(context, level.one_rings, free, dummy_vertex, trust),
         stencils(context, level.from_coarser),
         state(context, topology.vertex_count) {}
 
@@ -172,6 +172,10 @@ void check(const RefinerConfig& config, const SubjectSetup& subject) {
                             "flags; the three must be equal",
                             count, subject.mean_albedo.cols(), subject.refinable.size()));
   }
+  if (!subject.trust.empty() && subject.trust.size() != static_cast<std::size_t>(count)) {
+    throw Error(ErrorKind::Usage, fmt::format("the subject has {} control vertices and trust for {}", count,
+                                              subject.trust.size()));
+  }
   const auto finest = static_cast<std::size_t>(subject.hierarchy->finest().vertex_count);
   if (subject.albedo != nullptr && subject.albedo->linear_rgb.size() != 3 * finest) {
     throw Error(ErrorKind::Usage, fmt::format("the known albedo has {} numbers; the finest level needs {}",
@@ -188,7 +192,8 @@ struct SubjectBuffers {
   std::uint32_t control_vertex_count;
   std::vector<std::unique_ptr<Level>> levels;
   DeviceArray control;  ///< [control_vertex_count] shading frame, mm; the host writes it every frame
-  gpu::Buffer frame;    ///< FrameParameters
+  std::vector<vec4> control_written;  ///< what was last copied to `control`
+  gpu::Buffer frame;                  ///< FrameParameters
   SolverScratch scratch;
   OcclusionMap depth;
   LightingState lighting;
@@ -271,9 +276,11 @@ SubjectBuffers::SubjectBuffers(gpu::Context& context, const RefinerConfig& confi
       levels([&] {
         const std::int32_t dummy = subject.hierarchy->finest().vertex_count;
         const auto free = free_vertices(*subject.hierarchy, subject.refinable);
+        const auto trust = trust_of_levels(*subject.hierarchy, subject.trust);
         std::vector<std::unique_ptr<Level>> made;
         for (std::size_t l = 0; l < free.size(); ++l) {
-          made.push_back(std::make_unique<Level>(context, subject.hierarchy->levels[l], free[l], dummy));
+          made.push_back(
+              std::make_unique<Level>(context, subject.hierarchy->levels[l], free[l], dummy, trust[l]));
         }
         return made;
       }()),
@@ -496,10 +503,12 @@ void Refiner::submit(const RefineInput& input) {
   }
   impl.fit_views(input.further_views);
 
-  const std::span<vec4> control =
-      subject.control.buffer.mapped_as<vec4>().first(subject.control_vertex_count);
+  // Here first and then over in one go: reading back what was written for the device may be uncached.
+  std::vector<vec4>& control = subject.control_written;
+  control.resize(subject.control_vertex_count);
   to_shading_frame(*input.control_vertices_mm, input.prior_displacements_mm, input.camera_from_head, control);
-  FrameParameters& frame = subject.frame.mapped_as<FrameParameters>().front();
+  std::ranges::copy(control, subject.control.buffer.mapped_as<vec4>().begin());
+  FrameParameters frame{};
   const FaceRegion region = set_frame_parameters(*subject.pyramid, input.camera, control, frame);
   upload_picture(*subject.pyramid, region, input.image, frame);
   if (!input.image_counts) {
@@ -509,6 +518,7 @@ void Refiner::submit(const RefineInput& input) {
   frame.keep_displacements = impl.warm ? 1.0F : 0.0F;
   frame.keep_lighting = impl.warm ? 1.0F : 0.0F;
   frame.learn_albedo = 1;
+  subject.frame.mapped_as<FrameParameters>().front() = frame;
   const bool learn = !impl.albedo_known &&
                      (impl.frame_count < static_cast<std::uint64_t>(std::max(0, impl.config.albedo_frames)) ||
                       impl.frame_count % kAlbedoRefreshFrames == 0);
@@ -552,10 +562,11 @@ void Refiner::Impl::fit_views(std::span<const FurtherCamera> views) {
 void Refiner::Impl::write_views(std::span<const FurtherCamera> views, std::span<const vec4> control) const {
   for (std::size_t v = 0; v < views.size(); ++v) {
     FurtherCameraState& room = *subject->further_views[v];
-    FrameParameters& frame = room.frame.mapped_as<FrameParameters>().front();
+    FrameParameters frame{};
     const FaceRegion region =
         set_frame_parameters(room.pyramid, views[v].camera, control, frame, views[v].view_from_reference);
     upload_picture(room.pyramid, region, views[v].image, frame);
+    room.frame.mapped_as<FrameParameters>().front() = frame;
   }
 }
 

@@ -41,7 +41,7 @@ struct RefinerConfig {
   bool given_prior = false;
   /// Tukey's bound on the residual relative to the face's rms brightness: what shading cannot explain
   /// (highlights, cast shadows, hair) loses its weight. 0: plain squares as in the paper.
-  float robust_scale = 0.4F;
+  float robust_scale = 0.6F;
   /// Residuals are weighted by the inverse of their colour covariance over the face plus this times its mean
   /// variance: what changes colour is albedo, what changes all channels alike is shading. 1000 and more:
   /// plain squares as in the paper.
@@ -54,6 +54,15 @@ struct RefinerConfig {
   bool record_energies = false;  ///< fill RefineOutput::energies: for convergence plots
 };
 
+/// What refinement errs towards where shading cannot tell folds from what colours the skin.
+enum class Detail {
+  Faithful,    ///< little relief that is not there: normals of strangers no worse than the coarse mesh's; the
+               ///< default
+  Expressive,  ///< the folds that one knows a person by, and with them some of brows, stubble and hair line
+};
+/// Sets the weights and bounds of a choice (docs/decisions/refinement-weights.md).
+void choose_detail(Detail detail, RefinerConfig& config);
+
 /// What is fixed for one subject.
 struct SubjectSetup {
   std::shared_ptr<const mesh::Hierarchy> hierarchy;
@@ -62,6 +71,9 @@ struct SubjectSetup {
   /// Albedo known from before, on this hierarchy's finest level; it is then held. Null: learned from the
   /// first frames.
   std::shared_ptr<const mesh::Albedo> albedo = nullptr;
+  /// [control_vertex_count] 0 to 1: how far what shades the skin there is its shape (face::shading_trust);
+  /// its product with what is seen of a vertex is the weight of its data. Empty: 1.
+  std::vector<float> trust = {};
 };
 
 /// What a camera beside the reference camera adds to a frame.

@@ -19,6 +19,8 @@
 namespace facet::report {
 namespace {
 
+using face::FacePart;
+
 constexpr std::size_t kHeatMapRows = 4;
 constexpr std::size_t kJointFrames = 5;  // that the sequence's alignment is found from
 
@@ -237,14 +239,14 @@ class TakesModel {
       left_out["neutral"] = why;
       return;
     }
-    control_parts_ = control_parts(*model_);
+    control_parts_ = face::control_parts(*model_);
   }
 
   /// Of the finest vertices; empty where they are not known.
   const std::vector<FacePart>& parts_of(const mesh::Subject& subject) {
     if (model_ && subject_ != subject.id && subject.regions == model_->regions) {
       subject_ = subject.id;
-      parts_ = finest_parts(*subject.hierarchy, control_parts_);
+      parts_ = face::finest_parts(*subject.hierarchy, control_parts_);
     }
     return parts_;
   }

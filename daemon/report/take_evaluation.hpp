@@ -9,17 +9,17 @@
 #include <string>
 #include <vector>
 
+#include "face/face_parts.hpp"
 #include "render/renderer.hpp"
 #include "report/bands.hpp"
 #include "report/evaluation.hpp"
-#include "report/face_parts.hpp"
 #include "report/skin_points.hpp"
 #include "report/tracking_figures.hpp"
 #include "take/reader.hpp"
 
 namespace facet::report {
 
-constexpr std::size_t kFaceParts = kFacePartNames.size();
+constexpr std::size_t kFaceParts = face::kFacePartNames.size();
 
 /// How one frame's meshes compare with the truth.
 struct FrameEvaluation {
@@ -28,7 +28,7 @@ struct FrameEvaluation {
   FrameMeans refined;
 };
 
-/// Figures of one kind of mesh under one alignment. Figures of parts by FacePart; without points NaN.
+/// Figures of one kind of mesh under one alignment. Figures of parts by face::FacePart; without points NaN.
 struct MeshFigures {
   AccuracyFigures whole;
   std::array<AccuracyFigures, kFaceParts> parts;

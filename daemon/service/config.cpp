@@ -281,6 +281,11 @@ void read_booth(Section section, Config& config) {
 }
 
 void read_refiner(Section section, Section expert, refine::RefinerConfig& refiner) {
+  constexpr std::array kDetails = {"faithful", "expressive"};
+  if (const auto detail = section.read_choice("detail", kDetails)) {
+    refine::choose_detail(static_cast<refine::Detail>(*detail),
+                          refiner);  // [expert.refiner] goes over it below
+  }
   if (const toml::node* node = section.find("budget")) {
     const std::optional<std::int64_t> steps = node->value_exact<std::int64_t>();
     const std::optional<std::string> word = node->value_exact<std::string>();

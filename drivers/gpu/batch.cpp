@@ -91,8 +91,6 @@ struct Batch::Impl {
   VkDescriptorSet allocate_set(VkDescriptorSetLayout layout);
   void bind(const Kernel::Impl& kernel, std::span<const Binding> bindings, std::span<const std::byte> push,
             std::size_t push_alignment, std::vector<Access>& accesses);
-  void check_aliases(const Kernel::Impl& kernel, std::span<const Binding> bindings,
-                     std::span<const Access> accesses) const;
   [[noreturn]] void wrong_type(const Use& use) const;
   Descriptor describe_buffer(const Use& use) const;
   Descriptor describe_texels(const Use& use) const;
@@ -373,21 +371,6 @@ Access Batch::Impl::write_descriptor(const Use& use, VkDescriptorSet set) const 
 }
 
 /// Binds everything a kernel needs and notes what it will read and write.
-/// Compilers take a kernel's resources as apart: one that is written must not be bound by another name, too,
-/// or a read may be moved behind the write.
-///
-/// accesses   of the first of the bindings, the last one new
-void Batch::Impl::check_aliases(const Kernel::Impl& kernel, std::span<const Binding> bindings,
-                                std::span<const Access> accesses) const {
-  const Access& added = accesses.back();
-  for (std::size_t k = 0; k + 1 < accesses.size(); ++k) {
-    if (conflict(accesses[k], added)) {
-      misuse(fmt::format("'{}' and '{}' of kernel '{}' are the same memory, and it is written",
-                         bindings[k].name, bindings[accesses.size() - 1].name, kernel.name));
-    }
-  }
-}
-
 void Batch::Impl::bind(const Kernel::Impl& kernel, std::span<const Binding> bindings,
                        std::span<const std::byte> push, std::size_t push_alignment,
                        std::vector<Access>& accesses) {
@@ -400,9 +383,9 @@ void Batch::Impl::bind(const Kernel::Impl& kernel, std::span<const Binding> bind
   }
   const DeviceApi& api = device->api();
   const std::span<const BindingInfo> wanted = kernel.interface.bindings;
-  const std::size_t others = accesses.size();
+  const std::ptrdiff_t others = std::ssize(accesses);
   const VkDescriptorSet set = allocate_set(kernel.set_layout);
-  std::vector<bool> given(wanted.size(), false);
+  std::vector<std::uint8_t> given(wanted.size(), 0);
   for (const Binding& binding : bindings) {
     const auto info = std::ranges::find(wanted, binding.name, &BindingInfo::name);
     if (info == wanted.end()) {
@@ -412,14 +395,20 @@ void Batch::Impl::bind(const Kernel::Impl& kernel, std::span<const Binding> bind
                          fmt::join(names, ", ")));
     }
     const auto index = static_cast<std::size_t>(info - wanted.begin());
-    if (given[index]) {
+    if (std::exchange(given[index], std::uint8_t{1}) != 0) {
       misuse(fmt::format("'{}' of kernel '{}' is given twice", binding.name, kernel.name));
     }
-    given[index] = true;
-    accesses.push_back(write_descriptor({kernel.name, *info, binding}, set));
-    check_aliases(kernel, bindings, std::span(accesses).subspan(others));
+    const Access access = write_descriptor({kernel.name, *info, binding}, set);
+    const auto same = std::find_if(accesses.begin() + others, accesses.end(),
+                                   [&](const Access& one) { return conflict(one, access); });
+    if (same != accesses.end()) {
+      misuse(fmt::format("'{}' and '{}' of kernel '{}' are the same memory, and it is written",
+                         bindings[static_cast<std::size_t>(same - accesses.begin() - others)].name,
+                         binding.name, kernel.name));
+    }
+    accesses.push_back(access);
   }
-  if (const auto missing = std::ranges::find(given, false); missing != given.end()) {
+  if (const auto missing = std::ranges::find(given, 0); missing != given.end()) {
     misuse(fmt::format("'{}' of kernel '{}' is not given",
                        wanted[static_cast<std::size_t>(missing - given.begin())].name, kernel.name));
   }

@@ -15,7 +15,9 @@ struct Access {
   bool writes = false;
 };
 
-/// Whether the order of two uses matters: of the same part, at least one of them writing.
+/// Whether the order of two uses matters: of the same part, at least one of them writing. Within one dispatch
+/// none may: compilers take its resources as apart, and may move a read by one name behind a write by
+/// another.
 inline bool conflict(const Access& a, const Access& b) {
   return a.resource == b.resource && a.begin < b.end && b.begin < a.end && (a.writes || b.writes);
 }

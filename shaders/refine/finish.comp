@@ -45,7 +45,7 @@ void main() {
       vec4 rho = texelFetch(albedo, int(i));
       vec3 residual = colour.rgb - shade(light, normal) * rho.rgb;
       float square = dot(residual, residual);
-      confidence = colour.w * clamp(rho.w, 0, 1) * tukey_weight(light.gain * square, push.robust_scale);
+      confidence = trust_in(ring) * colour.w * clamp(rho.w, 0, 1) * tukey_weight(light.gain * square, push.robust_scale);
       sum.xy += vec2(square, 1);
     }
     bool usable = abs(own.w) <= push.bound_mm && confidence >= 0;

@@ -60,6 +60,7 @@ void main() {
 
     vec4 slope = vec4(0);
     vec4 colour = texelFetch(colours, int(i));
+    colour.w *= trust_in(ring);
     if (colour.w > 0) {
       float inverse_length = inversesqrt(max(dot(star, star), 1e-30));
       vec3 normal = star * inverse_length;

@@ -273,6 +273,42 @@ TEST_F(RefinerTest, NoTimeLeftInterpolatesAllButTheCoarsestLevel) {
   EXPECT_EQ(session.output.given_up, "");
 }
 
+TEST_F(RefinerTest, WhatShadesUntrustedSkinIsNoShape) {
+  Session session(context(), small_scene(), clean_config());
+  std::vector<float> trust;
+  for (const float x_mm : session.cap.vertices_mm.row(0)) {
+    trust.push_back(x_mm < 0 ? 0.0F : 1.0F);
+  }
+  session.refiner.set_subject({.hierarchy = session.hierarchy,
+                               .mean_albedo = session.cap.mean_albedo,
+                               .refinable = session.cap.control.refinable,
+                               .trust = trust});
+  session.run(8);
+  constexpr float kAway_mm = 20;  // what smoothness carries over the border ends before
+  double untrusted = 0;
+  double trusted = 0;
+  int confident = 0;
+  for (Eigen::Index v = 0; v < session.cap_xy_mm.cols(); ++v) {
+    const auto at = static_cast<std::size_t>(v);
+    const double d = session.output.displacements_mm[at];
+    if (session.cap_xy_mm(0, v) < -kAway_mm) {
+      untrusted += d * d;
+      EXPECT_EQ(session.output.confidence[at], 0);
+    } else if (session.cap_xy_mm(0, v) > kAway_mm) {
+      trusted += d * d;
+      confident += session.output.confidence[at] > 0 ? 1 : 0;
+    }
+  }
+  EXPECT_LT(untrusted, 0.1 * trusted);
+  EXPECT_GT(confident, 500);
+  trust.pop_back();
+  EXPECT_THROW(session.refiner.set_subject({.hierarchy = session.hierarchy,
+                                            .mean_albedo = session.cap.mean_albedo,
+                                            .refinable = session.cap.control.refinable,
+                                            .trust = trust}),
+               Error);
+}
+
 TEST_F(RefinerTest, AutoComesToTheEnergyOfManySteps) {
   const auto last_energies = [&](Budget budget) {
     RefinerConfig config = clean_config();

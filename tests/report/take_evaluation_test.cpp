@@ -194,11 +194,11 @@ TEST_F(TakeEvaluationTest, AFaceAgainstItselfIsRightInEveryPart) {
   EXPECT_NEAR(evaluation.neutral->scale, 1, 1e-3);
   ASSERT_TRUE(evaluation.has_parts);
   for (std::size_t part = 0; part < kFaceParts; ++part) {
-    EXPECT_LT(evaluation.by_frame.refined.parts[part].mean_mm, 0.03) << kFacePartNames[part];
-    EXPECT_LT(evaluation.by_sequence.coarse.parts[part].mean_mm, 0.03) << kFacePartNames[part];
-    EXPECT_LT(evaluation.neutral->face.parts[part].mean_mm, 0.03) << kFacePartNames[part];
-    EXPECT_LT(evaluation.by_frame.refined.part_skin_mm[part], 0.05) << kFacePartNames[part];
-    EXPECT_GT(evaluation.part_bands[part][0].point_count(), 100U) << kFacePartNames[part];
+    EXPECT_LT(evaluation.by_frame.refined.parts[part].mean_mm, 0.03) << face::kFacePartNames[part];
+    EXPECT_LT(evaluation.by_sequence.coarse.parts[part].mean_mm, 0.03) << face::kFacePartNames[part];
+    EXPECT_LT(evaluation.neutral->face.parts[part].mean_mm, 0.03) << face::kFacePartNames[part];
+    EXPECT_LT(evaluation.by_frame.refined.part_skin_mm[part], 0.05) << face::kFacePartNames[part];
+    EXPECT_GT(evaluation.part_bands[part][0].point_count(), 100U) << face::kFacePartNames[part];
   }
   EXPECT_LT(evaluation.by_frame.refined.skin.mean_mm, 0.05);
   EXPECT_LT(std::abs(evaluation.by_frame.refined.skin.drift_mm()), 0.02);
@@ -209,44 +209,6 @@ TEST_F(TakeEvaluationTest, AFaceAgainstItselfIsRightInEveryPart) {
   EXPECT_EQ(evaluation.weights[1].name, "jawOpen");
   EXPECT_NEAR(evaluation.weights[1].correlation, 1, 1e-4);
   EXPECT_NEAR(evaluation.weights[1].slope, 0.5, 1e-4);
-}
-
-TEST(FaceParts, LandmarksAreInTheirParts) {
-  if (!std::filesystem::exists(test::default_model())) {
-    GTEST_SKIP() << "no default face model";
-  }
-  const face::FaceModel model = face::FaceModel::load(test::default_model());
-  const std::vector<FacePart> parts = control_parts(model);
-  ASSERT_EQ(parts.size(), static_cast<std::size_t>(model.vertex_count()));
-  struct Place {
-    int landmark;
-    FacePart part;
-  };
-  for (const auto& [landmark, part] : std::vector<Place>{{10, FacePart::Forehead},
-                                                         {151, FacePart::Forehead},
-                                                         {105, FacePart::Brows},
-                                                         {334, FacePart::Brows},
-                                                         {159, FacePart::Lids},
-                                                         {145, FacePart::Lids},
-                                                         {386, FacePart::Lids},
-                                                         {374, FacePart::Lids},
-                                                         {4, FacePart::Nose},
-                                                         {195, FacePart::Nose},
-                                                         {0, FacePart::Mouth},
-                                                         {17, FacePart::Mouth},
-                                                         {61, FacePart::Mouth},
-                                                         {50, FacePart::Cheeks},
-                                                         {280, FacePart::Cheeks},
-                                                         {152, FacePart::ChinAndJaw},
-                                                         {199, FacePart::ChinAndJaw},
-                                                         {136, FacePart::ChinAndJaw}}) {
-    const face::LandmarkAnchor& anchor = model.landmarks[static_cast<std::size_t>(landmark)];
-    const auto largest = std::max_element(anchor.weights.begin(), anchor.weights.end());
-    const auto vertex =
-        static_cast<std::size_t>(anchor.vertices[static_cast<std::size_t>(largest - anchor.weights.begin())]);
-    EXPECT_EQ(parts[vertex], part) << "landmark " << landmark << " is of "
-                                   << kFacePartNames[static_cast<std::size_t>(parts[vertex])];
-  }
 }
 
 }  // namespace

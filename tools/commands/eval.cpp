@@ -122,7 +122,7 @@ ordered_json regions_json(const report::TakeEvaluation& evaluation) {
                         {"normal_error_deg", number(at_rest.normal_error_deg)}};
     }
     one["bands"] = bands_json(evaluation.part_bands[part]);
-    json[report::kFacePartNames[part]] = std::move(one);
+    json[face::kFacePartNames[part]] = std::move(one);
   }
   return json;
 }

@@ -47,6 +47,7 @@ struct Options {
   std::string config;
   std::string frames;
   std::string budget;
+  std::string detail;
   std::string device;
   std::string rig;
   std::string depth;
@@ -148,6 +149,11 @@ service::Config configure(const Options& options) {
   }
   if (!options.budget.empty()) {
     set_budget(options.budget, monocular.refiner);
+  }
+  if (!options.detail.empty()) {
+    refine::choose_detail(
+        options.detail == "expressive" ? refine::Detail::Expressive : refine::Detail::Faithful,
+        monocular.refiner);
   }
   if (!options.device.empty()) {
     monocular.gpu_device = options.device;
@@ -555,6 +561,12 @@ Command add_process_command(Command app, std::unique_ptr<Team> (*join)()) {
                  "Solver work per frame: \"auto\" (as many steps as pay), \"paper\" (10 of 7 "
                  "iterations) or Gauss-Newton "
                  "steps per level");
+  command
+      .option(
+          "--detail", options->detail,
+          "What refinement errs towards: \"faithful\" (little relief that is not there) or \"expressive\" "
+          "(the folds that one knows a person by, some of brows and hair line with them)")
+      .one_of({"faithful", "expressive"});
   command.option("--device", options->device,
                  "Vulkan device: auto, part of its name, or none (coarse meshes only)");
   command
