@@ -192,7 +192,7 @@ TEST_F(Footage, Glasses) {
   });
   EXPECT_EQ(found.meshes, kFrames);
   EXPECT_LT(found.worst_percent, 3.0F);
-  EXPECT_LT(found.relief, 1.2F);
+  EXPECT_LT(found.relief, 1.25F);  // a rim has more of a say since the robust bound is 0.6
 }
 
 TEST_F(Footage, LightFromOneSide) {
