@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "face/face_parts.hpp"
 #include "facet/error.hpp"
 #include "truth_sequence.hpp"
 
@@ -33,7 +34,8 @@ Run run(facet::gpu::Context& context, const facet::face::FaceModel& model, const
         RefinerConfig config) {
   config.record_energies = true;
   facet::refine::Refiner refiner(context, config);
-  refiner.set_subject({sequence.subject->hierarchy, model.mean_albedo, model.control.refinable, albedo});
+  refiner.set_subject({sequence.subject->hierarchy, model.mean_albedo, model.control.refinable, albedo,
+                       facet::face::shading_trust(model)});
   Run out;
   out.name = name;
   facet::refine::RefineOutput output;

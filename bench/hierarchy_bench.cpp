@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "face/face_parts.hpp"
 #include "facet/error.hpp"
 #include "mesh/mesh.hpp"
 #include "render/renderer.hpp"
@@ -204,7 +205,8 @@ void plot_convergence(facet::gpu::Context& context, const facet::face::FaceModel
     config.pcg_iterations = iterations;
     config.record_energies = true;
     facet::refine::Refiner refiner(context, config);
-    refiner.set_subject({sequence.subject->hierarchy, model.mean_albedo, model.control.refinable, albedo});
+    refiner.set_subject({sequence.subject->hierarchy, model.mean_albedo, model.control.refinable, albedo,
+                         facet::face::shading_trust(model)});
     refiner.submit({frame.image, frame.camera, frame.camera_from_head, &frame.control_vertices_mm});
     facet::refine::RefineOutput output;
     if (refiner.collect(output) != facet::refine::RefineOutcome::Refined) {

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "camera/factory.hpp"
+#include "face/face_parts.hpp"
 #include "face/subject_builder.hpp"
 #include "facet/error.hpp"
 #include "simulation/sequence.hpp"
@@ -196,8 +197,8 @@ Score refine_sequence(gpu::Context& context, const face::FaceModel& model, const
                       const refine::RefinerConfig& config,
                       const std::function<void(std::size_t, const refine::RefineOutput&)>& at_measured) {
   refine::Refiner refiner(context, config);
-  refiner.set_subject(
-      {sequence.subject->hierarchy, model.mean_albedo, model.control.refinable, sequence.true_albedo});
+  refiner.set_subject({sequence.subject->hierarchy, model.mean_albedo, model.control.refinable,
+                       sequence.true_albedo, face::shading_trust(model)});
   report::FigureSum sum;
   report::WrinkleSum wrinkles;
   Score score;

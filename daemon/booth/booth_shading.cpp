@@ -50,6 +50,7 @@ refine::RefinerConfig booth_refinement() {
   config.weights.displacement_smooth = 3;
   config.weights.displacement_coarse = 0;
   config.weights.albedo_smooth = 300;
+  config.robust_scale = 0.4F;
   config.displacement_bound_mm = 20;
   return config;
 }

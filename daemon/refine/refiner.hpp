@@ -58,7 +58,7 @@ struct RefinerConfig {
 enum class Detail {
   Faithful,    ///< little relief that is not there: normals of strangers no worse than the coarse mesh's; the
                ///< default
-  Expressive,  ///< the folds that one knows a person by, and with them some of brows, stubble and hair line
+  Expressive,  ///< the folds that one knows a person by, and with them some of stubble, gloss and hair line
 };
 /// Sets the weights and bounds of a choice (docs/decisions/refinement-weights.md).
 void choose_detail(Detail detail, RefinerConfig& config);

@@ -57,5 +57,14 @@ TEST(FaceParts, LandmarksAreInTheirParts) {
   }
 }
 
+TEST(FaceParts, WithoutLandmarksShadingIsTrustedEverywhere) {
+  if (!std::filesystem::exists(test::default_model())) {
+    GTEST_SKIP() << "no default face model";
+  }
+  FaceModel model = FaceModel::load(test::default_model());
+  model.landmarks.clear();
+  EXPECT_EQ(shading_trust(model), std::vector<float>(static_cast<std::size_t>(model.vertex_count()), 1));
+}
+
 }  // namespace
 }  // namespace facet::face

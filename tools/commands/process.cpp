@@ -565,7 +565,8 @@ Command add_process_command(Command app, std::unique_ptr<Team> (*join)()) {
       .option(
           "--detail", options->detail,
           "What refinement errs towards: \"faithful\" (little relief that is not there) or \"expressive\" "
-          "(the folds that one knows a person by, some of brows and hair line with them)")
+          "(the folds that one knows a person by, some of stubble and hair line with them); over --config's "
+          "weights")
       .one_of({"faithful", "expressive"});
   command.option("--device", options->device,
                  "Vulkan device: auto, part of its name, or none (coarse meshes only)");
