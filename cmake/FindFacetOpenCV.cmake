@@ -19,4 +19,4 @@ foreach(part ${FacetOpenCV_FIND_COMPONENTS})
 endforeach()
 include(FindPackageHandleStandardArgs)
 find_package_handle_standard_args(FacetOpenCV REQUIRED_VARS FacetOpenCV_INCLUDE_DIR HANDLE_COMPONENTS
-  REASON_FAILURE_MESSAGE "install libopencv-dnn-dev and libopencv-imgcodecs-dev")
+  REASON_FAILURE_MESSAGE "install libopencv-dnn-dev and libopencv-imgproc-dev")

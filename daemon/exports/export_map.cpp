@@ -8,12 +8,13 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <opencv2/core.hpp>
-#include <opencv2/imgcodecs.hpp>
+#include <cstdint>
 #include <string>
+#include <vector>
 
 #include "exports/export.hpp"
 #include "facet/error.hpp"
+#include "files/image_file.hpp"
 #include "files/output_file.hpp"
 #include "maths/srgb.hpp"
 
@@ -35,17 +36,11 @@ float coded(float value, MapKind kind) {
 }
 
 void write_png(const MapPicture& picture, MapKind kind, const std::filesystem::path& file) {
-  cv::Mat pixels(picture.size_px, picture.size_px, CV_16UC(picture.channels));
-  const auto channels = static_cast<std::size_t>(picture.channels);
-  auto* out = pixels.ptr<std::uint16_t>();
-  for (std::size_t i = 0; i < picture.values.size(); ++i) {
-    const float value = std::clamp(coded(picture.values[i], kind), 0.0F, 1.0F);
-    // OpenCV has blue first.
-    const std::size_t channel = channels - 1 - i % channels;
-    out[i / channels * channels + channel] = static_cast<std::uint16_t>(std::lrint(value * 65535.0F));
-  }
-  std::vector<std::uint8_t> bytes;
-  cv::imencode(".png", pixels, bytes);
+  std::vector<std::uint16_t> values(picture.values.size());
+  std::transform(picture.values.begin(), picture.values.end(), values.begin(), [kind](float value) {
+    return static_cast<std::uint16_t>(std::lrint(std::clamp(coded(value, kind), 0.0F, 1.0F) * 65535.0F));
+  });
+  const std::vector<std::uint8_t> bytes = files::encode_png(picture.size_px, picture.size_px, values);
   files::OutputFile output(file);
   output.write(std::as_bytes(std::span(bytes)));
   output.commit();

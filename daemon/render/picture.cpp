@@ -1,14 +1,12 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <cstdio>
-#include <fstream>
-#include <iterator>
-#include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 #include <span>
+#include <utility>
 
 #include "facet/error.hpp"
+#include "files/image_file.hpp"
 #include "files/output_file.hpp"
 #include "render/renderer.hpp"
 
@@ -69,14 +67,7 @@ Frame to_frame(const Picture& picture) {
 }
 
 std::vector<std::uint8_t> encode_png(const Picture& picture) {
-  cv::Mat bgr;
-  cv::cvtColor(view_of(picture), bgr, cv::COLOR_RGB2BGR);
-  std::vector<std::uint8_t> bytes;
-  if (!cv::imencode(".png", bgr, bytes)) {
-    throw Error(ErrorKind::Internal,
-                fmt::format("a picture of {}x{} px cannot be encoded", picture.width_px, picture.height_px));
-  }
-  return bytes;
+  return files::encode_png(picture.width_px, picture.height_px, picture.rgb);
 }
 
 void write_png(const Picture& picture, const std::filesystem::path& file) {
@@ -86,49 +77,17 @@ void write_png(const Picture& picture, const std::filesystem::path& file) {
   output.commit();
 }
 
-namespace {
-
-/// Throws Error(UnreadableInput) naming the file and what it should be.
-cv::Mat decode(const std::filesystem::path& file, int flags, const char* wanted) {
-  std::ifstream stream(file, std::ios::binary);
-  const std::vector<std::uint8_t> bytes{std::istreambuf_iterator<char>(stream), {}};
-  cv::Mat bgr;
-  try {
-    if (!bytes.empty()) {
-      bgr = cv::imdecode(bytes, flags);
-    }
-  } catch (const cv::Exception& failure) {
-    throw Error(ErrorKind::UnreadableInput, fmt::format("{}: {}", file.string(), failure.err));
-  }
-  if (bgr.empty()) {
-    throw Error(ErrorKind::UnreadableInput,
-                fmt::format("{}: not a readable {} picture", file.string(), wanted));
-  }
-  return bgr;
-}
-
-}  // namespace
-
 Picture read_image(const std::filesystem::path& file) {
-  const cv::Mat bgr = decode(file, cv::IMREAD_COLOR, "PNG or JPEG");
-  Picture picture{bgr.cols, bgr.rows, std::vector<std::uint8_t>(byte_count(bgr.cols, bgr.rows))};
-  cv::Mat rgb = view_of(picture);
-  cv::cvtColor(bgr, rgb, cv::COLOR_BGR2RGB);
-  return picture;
+  files::RgbImage<std::uint8_t> image = files::read_image<std::uint8_t>(file);
+  return {image.width_px, image.height_px, std::move(image.values)};
 }
 
 GreyPicture read_grey(const std::filesystem::path& file) {
-  const cv::Mat bgr = decode(file, cv::IMREAD_COLOR | cv::IMREAD_ANYDEPTH, "PNG, JPEG, BMP or TIFF");
-  if (bgr.depth() != CV_8U && bgr.depth() != CV_16U) {
-    throw Error(ErrorKind::UnreadableInput,
-                fmt::format("{}: has neither 8 nor 16 bits a channel", file.string()));
-  }
-  cv::Mat3f values;
-  bgr.convertTo(values, CV_32F, bgr.depth() == CV_8U ? 1.0 / 255 : 1.0 / 65535);
-  GreyPicture picture{bgr.cols, bgr.rows, {}};
-  picture.values.reserve(values.total());
-  for (const cv::Vec3f& value : values) {
-    picture.values.push_back((value[0] + 2 * value[1] + value[2]) / 4);
+  const files::RgbImage<std::uint16_t> image = files::read_image<std::uint16_t>(file);
+  GreyPicture picture{image.width_px, image.height_px, std::vector<float>(image.values.size() / 3)};
+  for (std::size_t k = 0; k < picture.values.size(); ++k) {
+    const std::uint16_t* rgb = &image.values[3 * k];
+    picture.values[k] = static_cast<float>(rgb[0] + 2 * rgb[1] + rgb[2]) / (4.0F * 65535.0F);
   }
   return picture;
 }

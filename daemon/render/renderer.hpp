@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <array>
+#include <cstddef>
 #include <cstdint>
 #include <filesystem>
 #include <functional>
@@ -141,7 +142,7 @@ Frame to_frame(const Picture& picture);
 std::vector<std::uint8_t> encode_png(const Picture& picture);
 /// Writes PNG, through a temporary name so that no half file is left. Throws Error(Storage).
 void write_png(const Picture& picture, const std::filesystem::path& file);
-/// Reads PNG or JPEG. Throws Error(UnreadableInput).
+/// Reads PNG or JPEG (files::read_image). Throws Error(UnreadableInput) naming the file.
 Picture read_image(const std::filesystem::path& file);
 
 /// A picture's brightness as coded, (R + 2 G + B) / 4, 0 to 1, top row first.
@@ -150,7 +151,7 @@ struct GreyPicture {
   int height_px = 0;
   std::vector<float> values;  ///< [height_px][width_px]
 };
-/// Reads PNG, JPEG, BMP, TIFF of 8 or 16 bits a channel. Throws Error(UnreadableInput).
+/// Reads PNG of 8 or 16 bits a channel, or JPEG. Throws Error(UnreadableInput) naming the file.
 GreyPicture read_grey(const std::filesystem::path& file);
 
 /// Antialiased text whose first line's box has its top left corner at (x, y). scale 1 is 12 px high, 2 twice

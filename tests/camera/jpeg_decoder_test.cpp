@@ -6,7 +6,7 @@
 #include <array>
 #include <vector>
 
-#include "jpeg_picture.hpp"
+#include "support/jpeg_picture.hpp"
 
 namespace facet::camera {
 namespace {

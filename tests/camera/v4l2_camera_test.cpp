@@ -16,7 +16,7 @@
 #include "camera/v4l2_controls.hpp"
 #include "facet/error.hpp"
 #include "fake_v4l2.hpp"
-#include "jpeg_picture.hpp"
+#include "support/jpeg_picture.hpp"
 #include "support/paths.hpp"
 
 namespace facet::camera {

@@ -1,16 +1,15 @@
-// Maps of surfaces whose every pixel is known, and as OpenEXR and OpenCV read them back.
+// Maps of surfaces whose every pixel is known, and as OpenEXR and our reader of pictures read them back.
 
 #include <ImfFrameBuffer.h>
 #include <ImfHeader.h>
 #include <ImfInputFile.h>
 #include <gtest/gtest.h>
 
-#include <opencv2/core.hpp>
-#include <opencv2/imgcodecs.hpp>
-
 #include "exports/export.hpp"
+#include "files/image_file.hpp"
 #include "support/mesh_frames.hpp"
 #include "support/paths.hpp"
+#include "support/png_head.hpp"
 
 namespace facet::take {
 namespace {
@@ -130,26 +129,26 @@ TEST_F(Maps, PngHasSixteenBits) {
   const std::string file = (folder.path() / "map.png").string();
   exports::MapPicture picture = baker.bake(frame, exports::MapKind::Displacement);
   exports::write_map(picture, exports::MapKind::Displacement, exports::PictureFormat::Png, file);
-  const cv::Mat grey = cv::imread(file, cv::IMREAD_UNCHANGED);
-  ASSERT_EQ(grey.type(), CV_16UC1);
+  EXPECT_EQ(test::png_head_of(file), (test::PngHead{kSize, kSize, 16, false}));
+  const auto grey = files::read_image<std::uint16_t>(file);
   for (int y = 0; y < kSize; ++y) {
     for (int x = 0; x < kSize; ++x) {
       const float mm =
           std::min(picture.values[static_cast<std::size_t>(y * kSize + x)], exports::kDisplacementRange_mm);
-      ASSERT_NEAR((static_cast<float>(grey.at<std::uint16_t>(y, x)) / 65535 - 0.5F) * 2 *
-                      exports::kDisplacementRange_mm,
-                  mm, 2e-4F);
+      ASSERT_NEAR(
+          (static_cast<float>(grey.values[3 * static_cast<std::size_t>(y * kSize + x)]) / 65535 - 0.5F) * 2 *
+              exports::kDisplacementRange_mm,
+          mm, 2e-4F);
     }
   }
   picture = baker.bake(frame, exports::MapKind::Albedo);
   exports::write_map(picture, exports::MapKind::Albedo, exports::PictureFormat::Png, file);
-  const cv::Mat colour = cv::imread(file, cv::IMREAD_UNCHANGED);
-  ASSERT_EQ(colour.type(), CV_16UC3);
+  EXPECT_EQ(test::png_head_of(file), (test::PngHead{kSize, kSize, 16, true}));
+  const auto colour = files::read_image<std::uint16_t>(file);
   const Eigen::Vector3f linear = pixel(picture, 30, 20);
   for (int channel = 0; channel < 3; ++channel) {
     const double srgb = 1.055 * std::pow(static_cast<double>(linear[channel]), 1 / 2.4) - 0.055;
-    const auto& bgr = colour.at<cv::Vec<std::uint16_t, 3>>(20, 30);
-    EXPECT_NEAR(bgr[2 - channel], 65535 * srgb, 1);
+    EXPECT_NEAR(colour.values[static_cast<std::size_t>(3 * (20 * kSize + 30) + channel)], 65535 * srgb, 1);
   }
 }
 

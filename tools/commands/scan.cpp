@@ -55,6 +55,7 @@ std::vector<std::filesystem::path> pictures_in(const std::filesystem::path& fold
     std::string extension = entry.path().extension().string();
     std::transform(extension.begin(), extension.end(), extension.begin(),
                    [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+    // The last three are refused by name, with what to do about them.
     constexpr std::array kPictures = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"};
     if (std::find(kPictures.begin(), kPictures.end(), extension) != kPictures.end()) {
       files.push_back(entry.path());

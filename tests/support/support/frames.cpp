@@ -2,9 +2,9 @@
 
 #include <cmath>
 #include <cstring>
-#include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 
+#include "files/image_file.hpp"
 #include "support/paths.hpp"
 
 namespace facet::test {
@@ -43,7 +43,15 @@ Frame frame_of(const cv::Mat& bgr) {
 }
 
 cv::Mat read_photo(const std::string& name) {
-  return cv::imread((assets() / "photos" / name).string(), cv::IMREAD_COLOR);
+  const std::filesystem::path file = assets() / "photos" / name;
+  if (!std::filesystem::exists(file)) {
+    return {};
+  }
+  files::RgbImage<std::uint8_t> image = files::read_image<std::uint8_t>(file);
+  cv::Mat bgr;
+  cv::cvtColor(cv::Mat(image.height_px, image.width_px, CV_8UC3, image.values.data()), bgr,
+               cv::COLOR_RGB2BGR);
+  return bgr;
 }
 
 cv::Mat warped(const cv::Mat& bgr, const cv::Matx23d& canvas_from_picture, cv::Size canvas) {

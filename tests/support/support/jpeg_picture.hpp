@@ -11,8 +11,9 @@
 
 namespace facet::test {
 
-/// A JPEG picture of one colour, as a camera makes it (4:2:2); `progressive`: in several scans.
-inline std::vector<std::uint8_t> jpeg_of(std::array<std::uint8_t, 3> rgb, int width_px, int height_px,
+/// A JPEG picture, as a camera makes it (4:2:2 where it has colours); `progressive`: in several scans.
+/// values   [height_px][width_px][1, 3 or 4]: grey, R G B or C M Y K
+inline std::vector<std::uint8_t> jpeg_of(const std::vector<std::uint8_t>& values, int width_px, int height_px,
                                          bool progressive = false) {
   jpeg_compress_struct picture{};
   jpeg_error_mgr errors{};
@@ -23,8 +24,11 @@ inline std::vector<std::uint8_t> jpeg_of(std::array<std::uint8_t, 3> rgb, int wi
   jpeg_mem_dest(&picture, &bytes, &size);
   picture.image_width = static_cast<JDIMENSION>(width_px);
   picture.image_height = static_cast<JDIMENSION>(height_px);
-  picture.input_components = 3;
-  picture.in_color_space = JCS_RGB;
+  const std::size_t row_values = values.size() / static_cast<std::size_t>(height_px);
+  picture.input_components = static_cast<int>(row_values) / width_px;
+  picture.in_color_space = picture.input_components == 1   ? JCS_GRAYSCALE
+                           : picture.input_components == 3 ? JCS_RGB
+                                                           : JCS_CMYK;
   jpeg_set_defaults(&picture);
   jpeg_set_quality(&picture, 100, TRUE);
   picture.comp_info[0].v_samp_factor = 1;
@@ -32,12 +36,9 @@ inline std::vector<std::uint8_t> jpeg_of(std::array<std::uint8_t, 3> rgb, int wi
     jpeg_simple_progression(&picture);
   }
   jpeg_start_compress(&picture, TRUE);
-  std::vector<std::uint8_t> row;
-  for (int x = 0; x < width_px; ++x) {
-    row.insert(row.end(), rgb.begin(), rgb.end());
-  }
   while (picture.next_scanline < picture.image_height) {
-    JSAMPROW pixels = row.data();
+    // The library reads alone through this pointer.
+    auto* pixels = const_cast<JSAMPROW>(&values[picture.next_scanline * row_values]);
     jpeg_write_scanlines(&picture, &pixels, 1);
   }
   jpeg_finish_compress(&picture);
@@ -45,6 +46,16 @@ inline std::vector<std::uint8_t> jpeg_of(std::array<std::uint8_t, 3> rgb, int wi
   std::free(bytes);
   jpeg_destroy_compress(&picture);
   return jpeg;
+}
+
+/// The same of one colour.
+inline std::vector<std::uint8_t> jpeg_of(std::array<std::uint8_t, 3> rgb, int width_px, int height_px,
+                                         bool progressive = false) {
+  std::vector<std::uint8_t> values;
+  for (int pixel = 0; pixel < width_px * height_px; ++pixel) {
+    values.insert(values.end(), rgb.begin(), rgb.end());
+  }
+  return jpeg_of(values, width_px, height_px, progressive);
 }
 
 /// The same without its Huffman tables, as many Motion JPEG cameras leave them out.
