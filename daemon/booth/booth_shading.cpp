@@ -67,7 +67,8 @@ struct BoothShading::Impl {
 
 BoothShading::BoothShading(const std::string& gpu_device, const capture::Rig& rig,
                            const refine::RefinerConfig& config)
-    : BoothShading(refine::refiner_opener(gpu_device, config), rig, config.displacement_bound_mm) {}
+    : BoothShading(refine::refiner_opener({.device = gpu_device}, config), rig,
+                   config.displacement_bound_mm) {}
 
 BoothShading::BoothShading(const refine::OpenRefiner& open, const capture::Rig& rig, float bound_mm)
     : impl_(std::make_unique<Impl>()) {

@@ -129,7 +129,7 @@ ShadingParts open_shading(const ShadingConfig& given, OpenPictures open) {
   stages.coarse =
       std::make_unique<TrackerStage>(stages.model, config, recorded ? std::move(open) : OpenPictures());
   if (config.gpu_device != kNoDevice) {
-    stages.open_refiner = refine::refiner_opener(config.gpu_device, config.refiner);
+    stages.open_refiner = refine::refiner_opener({.device = config.gpu_device}, config.refiner);
     stages.refiner = stages.open_refiner();
   }
   return stages;

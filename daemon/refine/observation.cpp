@@ -40,11 +40,12 @@ std::uint32_t padded(int size_px, int reduction) {
 /// The picture is uploaded as it is, and reduced on the device.
 std::size_t uploaded_pixels(gpu::Context& context, int width_px, int height_px) {
   const auto pixels = static_cast<std::size_t>(width_px) * static_cast<std::size_t>(height_px);
-  const std::size_t most = context.info().max_storage_buffer_bytes / 4;
+  const gpu::DeviceInfo& info = context.info();
+  const std::size_t most = std::min(info.max_storage_buffer_bytes / 4, info.max_texel_buffer_elements);
   if (pixels > most) {
     throw Error(ErrorKind::NoDevice,
                 fmt::format("a picture of {}x{} px is more than '{}' can take ({} pixels)", width_px,
-                            height_px, context.info().name, most));
+                            height_px, info.name, most));
   }
   return pixels;
 }

@@ -7,8 +7,8 @@ namespace {
 
 class GpuStage final : public RefineStage {
  public:
-  GpuStage(const std::string& device, const RefinerConfig& config)
-      : context_(context_options(device)), refiner_(context_, config) {}
+  GpuStage(const gpu::ContextOptions& options, const RefinerConfig& config)
+      : context_(options), refiner_(context_, config) {}
 
   std::string device() const override { return context_.info().name; }
   void set_subject(const SubjectSetup& subject) override { refiner_.set_subject(subject); }
@@ -19,20 +19,14 @@ class GpuStage final : public RefineStage {
   }
 
  private:
-  static gpu::ContextOptions context_options(const std::string& device) {
-    gpu::ContextOptions options;
-    options.device = device;
-    return options;
-  }
-
   gpu::Context context_;
   Refiner refiner_;
 };
 
 }  // namespace
 
-OpenRefiner refiner_opener(const std::string& gpu_device, const RefinerConfig& config) {
-  return [gpu_device, config] { return std::make_unique<GpuStage>(gpu_device, config); };
+OpenRefiner refiner_opener(const gpu::ContextOptions& options, const RefinerConfig& config) {
+  return [options, config] { return std::make_unique<GpuStage>(options, config); };
 }
 
 }  // namespace facet::refine

@@ -30,6 +30,6 @@ class RefineStage {
 using OpenRefiner = std::function<std::unique_ptr<RefineStage>()>;
 
 /// Opens a context on the device and a refiner on it, each time anew.
-OpenRefiner refiner_opener(const std::string& gpu_device, const RefinerConfig& config);
+OpenRefiner refiner_opener(const gpu::ContextOptions& options, const RefinerConfig& config);
 
 }  // namespace facet::refine

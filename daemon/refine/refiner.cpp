@@ -664,7 +664,8 @@ RefineOutcome Refiner::collect(RefineOutput& output) {
   if (impl.lost || in_flight->batch->wait() != gpu::Outcome::Done) {
     impl.lost = true;
     output = {};
-    output.failure = "the GPU was lost while it refined a frame";
+    output.failure =
+        fmt::format("the GPU {} while it refined a frame", impl.context.hung() ? "hung" : "was lost");
     return RefineOutcome::DeviceLost;
   }
   const SubjectBuffers::Recorded& recorded = *in_flight;

@@ -17,7 +17,7 @@
 namespace facet::stereo {
 namespace {
 
-constexpr std::chrono::minutes kSolvePatience{10};
+constexpr int kSolvePatience = 10;  // times what a frame may take
 constexpr std::chrono::milliseconds kAlivePeriod{250};
 
 using shaders::ivec4;
@@ -156,6 +156,7 @@ struct SpacetimeSolver::Impl {
   std::array<int, 3> largest;  ///< block
   gpu::Groups groups;
   int rx, ry, rt;
+  std::chrono::milliseconds patience;
 
   std::vector<gpu::Constant> windows;
   gpu::Kernel warp, sums_x_kernel, sums_y_kernel, normal_equations, gradient, direction, update, local_step,
@@ -178,6 +179,7 @@ SpacetimeSolver::Impl::Impl(gpu::Context& context, const VolumeSize& whole, cons
       rx(chosen.window_x / 2),
       ry(chosen.window_y / 2),
       rt(chosen.window_t / 2),
+      patience(kSolvePatience * context.info().patience),
       windows{{"radius_x", rx}, {"radius_y", ry}, {"radius_t", rt}},
       warp(context, shaders::stereo::kernels(), "stereo/warp", windows),
       sums_x_kernel(context, shaders::stereo::kernels(), "stereo/sums_x", windows),
@@ -363,11 +365,14 @@ void SpacetimeSolver::solve(std::span<const float> start_px, DisparityField& out
   out.correlation.resize(count);
   gpu::Outcome outcome = impl.batch.submit();
   if (outcome == gpu::Outcome::Done) {
-    const auto end = Clock::now() + kSolvePatience;
+    const auto end = Clock::now() + impl.patience;
     do {
       alive();
       outcome = impl.batch.wait(kAlivePeriod);
     } while (outcome == gpu::Outcome::TimedOut && Clock::now() < end);
+    if (outcome == gpu::Outcome::TimedOut) {
+      impl.batch.give_up();
+    }
   }
   if (outcome != gpu::Outcome::Done) {
     out.outcome = StereoOutcome::DeviceLost;

@@ -154,7 +154,13 @@ class Batch {
   /// must be finished and not in flight.
   Outcome submit();
   /// Waits for the work submitted last and reads its stage times. Done at once where nothing is in flight.
-  Outcome wait(std::chrono::nanoseconds timeout = std::chrono::seconds(60));
+  /// Where it takes longer than DeviceInfo::patience, the device counts as lost.
+  Outcome wait();
+  /// The same, but TimedOut after the time given: wait again, or give up.
+  Outcome wait(std::chrono::nanoseconds timeout);
+  /// The device hangs: it is lost to everything on its context. What it may still use is kept to the end of
+  /// the process.
+  void give_up();
   bool in_flight() const;
 
   /// The stages in recorded order with the times of the last wait that returned Done. Real-time safe.

@@ -106,6 +106,9 @@ Buffer::Impl::Impl(std::shared_ptr<Device> on, std::size_t bytes, Memory kind, s
 }
 
 Buffer::Impl::~Impl() {
+  if (device->abandoned()) {
+    return;
+  }
   device->api().vkDestroyBuffer(device->handle(), buffer, nullptr);
   device->api().vkFreeMemory(device->handle(), memory, nullptr);
 }
@@ -152,15 +155,18 @@ TexelView::Impl::Impl(const Buffer::Impl& of, TexelFormat format, std::size_t of
   const std::size_t texel = texel_bytes(format);
   const std::size_t fitting = offset > of.size_bytes ? 0 : (of.size_bytes - offset) / texel;
   const std::size_t elements = element_count == 0 ? fitting : element_count;
-  if (offset % info.buffer_alignment_bytes != 0 || elements == 0 || elements > fitting ||
-      elements > info.max_texel_buffer_elements) {
+  if (offset % info.buffer_alignment_bytes != 0 || elements == 0 || elements > fitting) {
     throw Error(
         ErrorKind::Internal,
-        fmt::format(
-            "texel view of buffer '{}' ({} bytes): {} elements of {} bytes at {}; the offset must be a "
-            "multiple of {} and there may be at most {} elements",
-            of.name, of.size_bytes, elements, texel, offset, info.buffer_alignment_bytes,
-            info.max_texel_buffer_elements));
+        fmt::format("texel view of buffer '{}' ({} bytes): {} elements of {} bytes at {}; the offset must "
+                    "be a multiple of {}",
+                    of.name, of.size_bytes, elements, texel, offset, info.buffer_alignment_bytes));
+  }
+  if (elements > info.max_texel_buffer_elements) {
+    throw Error(ErrorKind::NoDevice,
+                fmt::format("texel view of buffer '{}': {} elements, where '{}' has at most {}; use a "
+                            "smaller picture or mesh, or another gpu.device",
+                            of.name, elements, info.name, info.max_texel_buffer_elements));
   }
   size_bytes = elements * texel;
   const std::string what = fmt::format("create a texel view of buffer '{}'", of.name);
@@ -181,6 +187,9 @@ TexelView::Impl::Impl(const Buffer::Impl& of, TexelFormat format, std::size_t of
 }
 
 TexelView::Impl::~Impl() {
+  if (device->abandoned()) {
+    return;
+  }
   device->api().vkDestroyBufferView(device->handle(), view, nullptr);
 }
 

@@ -21,6 +21,10 @@ bool Context::lost() const {
   return device_->lost();
 }
 
+bool Context::hung() const {
+  return device_->hung();
+}
+
 void Context::simulate_loss() {
   device_->mark_lost();
 }
@@ -31,10 +35,6 @@ bool Context::validation_active() const {
 
 std::vector<std::string> Context::validation_messages() const {
   return device_->instance().validation_messages();
-}
-
-Outcome Context::wait_idle() {
-  return device_->wait_idle();
 }
 
 std::vector<DeviceInfo> list_devices(const ContextOptions& options) {

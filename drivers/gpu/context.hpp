@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -36,6 +37,7 @@ struct DeviceInfo {
   bool is_software = false;
   bool usable = false;              ///< has what Facet needs
   std::string why_unusable;         ///< what is missing, empty where usable
+  std::uint32_t vendor_id = 0;      ///< PCI: 0x10de NVIDIA, 0x1002 AMD, 0x8086 Intel
   std::uint32_t subgroup_size = 0;  ///< lanes; 8 on lavapipe, 32 or 64 on GPUs
   /// How many workgroups a kernel that loops over contiguous blocks should start: few on a CPU, where each
   /// costs its start, and enough to fill the machine on a GPU.
@@ -46,6 +48,9 @@ struct DeviceInfo {
   std::size_t shared_memory_bytes = 0;
   std::size_t max_push_constant_bytes = 0;
   bool has_float_atomics = false;  ///< atomicAdd on float in storage buffers
+  /// Work of one frame that is not done by then hangs, and the device counts as lost. Ten times that for
+  /// set-up. Short on GPUs; a software device shares its cores with everything else.
+  std::chrono::milliseconds patience{0};
 };
 
 enum class Validation {
@@ -63,6 +68,7 @@ struct ContextOptions {
   /// two on one core.
   bool pin_software_threads = true;
   std::string loader_library = "libvulkan.so.1";  ///< the Vulkan loader; tests name one that is not there
+  std::chrono::milliseconds patience{0};  ///< instead of the device's own, where not 0: for fault drills
 };
 
 /// One Vulkan device with one compute queue. Resources, kernels and batches keep the device alive, so they
@@ -78,8 +84,10 @@ class Context {
 
   const DeviceInfo& info() const;
 
-  /// True once any call reported a lost device. It stays lost: make a new Context.
+  /// True once any call reported a lost device, or the device hung. It stays lost: make a new Context.
   bool lost() const;
+  /// Whether it is lost because it gave no answer within DeviceInfo::patience.
+  bool hung() const;
 
   /// Makes this context behave as after a device loss: for tests of recovery and for fault drills.
   void simulate_loss();
@@ -87,9 +95,6 @@ class Context {
   bool validation_active() const;
   /// What the validation layers said (warnings and errors) so far, oldest first, the first 100 of them.
   std::vector<std::string> validation_messages() const;
-
-  /// Waits until the device has nothing to do. Not for the per-frame path.
-  Outcome wait_idle();
 
   const std::shared_ptr<Device>& device() const { return device_; }
 

@@ -6,12 +6,14 @@
 #include <algorithm>
 #include <array>
 #include <cctype>
+#include <chrono>
 #include <cstdlib>
 #include <cstring>
-#include <limits>
+#include <iterator>
 #include <utility>
 
 #include "facet/mutex.hpp"
+#include "gpu/driver_files.hpp"
 #include "gpu/software_threads.hpp"
 
 namespace facet::gpu {
@@ -34,6 +36,16 @@ constexpr std::uint32_t software_workgroups_per_thread = 8;
 constexpr std::uint32_t integrated_workgroups = 256;
 constexpr std::uint32_t discrete_workgroups = 1024;
 
+// A GPU is done with the largest frame in a twentieth of that.
+constexpr std::chrono::milliseconds gpu_patience{2'000};
+constexpr std::chrono::milliseconds software_patience{60'000};
+
+// Texel views hold a picture's pixels and a level's stencils: 3.7 million of them at 2,560x1,440 px. Desktop
+// drivers have a hundred million, some of phones' 65,536.
+constexpr std::uint32_t needed_texel_buffer_elements = 1U << 22U;
+
+constexpr const char* portability_subset = "VK_KHR_portability_subset";
+
 bool validation_wanted(Validation validation) {
   if (validation != Validation::FromEnvironment) {
     return validation != Validation::Off;
@@ -49,6 +61,16 @@ bool layer_installed(const GlobalApi& global) {
   global.vkEnumerateInstanceLayerProperties(&count, layers.data());
   return std::ranges::any_of(layers, [](const VkLayerProperties& layer) {
     return std::strcmp(layer.layerName, validation_layer) == 0;
+  });
+}
+
+bool instance_extension(const GlobalApi& global, const char* name) {
+  std::uint32_t count = 0;
+  global.vkEnumerateInstanceExtensionProperties(nullptr, &count, nullptr);
+  std::vector<VkExtensionProperties> extensions(count);
+  global.vkEnumerateInstanceExtensionProperties(nullptr, &count, extensions.data());
+  return std::ranges::any_of(extensions, [name](const VkExtensionProperties& extension) {
+    return std::strcmp(extension.extensionName, name) == 0;
   });
 }
 
@@ -163,6 +185,8 @@ DeviceInfo describe_device(const InstanceApi& api, VkPhysicalDevice device) {
   info.max_texel_buffer_elements = limits.maxTexelBufferElements;
   info.shared_memory_bytes = limits.maxComputeSharedMemorySize;
   info.max_push_constant_bytes = limits.maxPushConstantsSize;
+  info.patience = info.is_software ? software_patience : gpu_patience;
+  info.vendor_id = properties.properties.vendorID;
   info.has_float_atomics = features.atomic_float.shaderBufferFloat32AtomicAdd != VK_FALSE;
 
   std::vector<std::string> missing;
@@ -177,8 +201,9 @@ DeviceInfo describe_device(const InstanceApi& api, VkPhysicalDevice device) {
       (subgroup.supportedOperations & VK_SUBGROUP_FEATURE_ARITHMETIC_BIT) == 0) {
     missing.emplace_back("subgroup arithmetic in compute shaders");
   }
-  if (features.core.features.shaderStorageImageWriteWithoutFormat == VK_FALSE) {
-    missing.emplace_back("shaderStorageImageWriteWithoutFormat");
+  if (limits.maxTexelBufferElements < needed_texel_buffer_elements) {
+    missing.push_back(fmt::format("texel buffers of {} elements (it ends at {})",
+                                  needed_texel_buffer_elements, limits.maxTexelBufferElements));
   }
   info.usable = missing.empty();
   info.why_unusable = info.usable ? "" : fmt::format("it lacks {}", fmt::join(missing, ", "));
@@ -196,10 +221,18 @@ std::string list_for_people(const std::vector<Instance::Candidate>& candidates) 
   return fmt::format("{}", fmt::join(lines, ", "));
 }
 
+/// What to do about a device that is not there.
+std::string advice(const std::vector<Instance::Candidate>& there) {
+  std::vector<DeviceInfo> infos;
+  std::ranges::transform(there, std::back_inserter(infos), &Instance::Candidate::info);
+  const std::vector<std::string> missing = what_gpus_lack(infos);
+  return missing.empty() ? install_driver : fmt::format("{}", fmt::join(missing, "; "));
+}
+
 const Instance::Candidate& choose(const std::vector<Instance::Candidate>& candidates,
                                   const std::string& wanted) {
   if (candidates.empty()) {
-    throw Error(ErrorKind::NoDevice, fmt::format("no Vulkan device: {}", install_driver));
+    throw Error(ErrorKind::NoDevice, fmt::format("no Vulkan device: {}", advice({})));
   }
   const bool any_name = wanted.empty() || wanted == "auto";
   bool named = false;
@@ -215,7 +248,7 @@ const Instance::Candidate& choose(const std::vector<Instance::Candidate>& candid
   if (any_name || named) {
     throw Error(ErrorKind::NoDevice, fmt::format("no usable Vulkan device{}; there is: {}; {}",
                                                  any_name ? "" : " called '" + wanted + "'",
-                                                 list_for_people(candidates), install_driver));
+                                                 list_for_people(candidates), advice(candidates)));
   }
   throw Error(
       ErrorKind::NoDevice,
@@ -265,22 +298,28 @@ Instance::Instance(const ContextOptions& options) {
   application.pApplicationName = "Facet";
   application.apiVersion = needed_version;
 
-  const char* debug_extension = VK_EXT_DEBUG_UTILS_EXTENSION_NAME;
+  std::vector<const char*> extensions;
   VkInstanceCreateInfo create{};
   create.sType = VK_STRUCTURE_TYPE_INSTANCE_CREATE_INFO;
   create.pApplicationInfo = &application;
+  if (instance_extension(global_, VK_KHR_PORTABILITY_ENUMERATION_EXTENSION_NAME)) {
+    // Drivers that lack something of Vulkan, MoltenVK before all, show themselves to those alone who ask.
+    create.flags |= VK_INSTANCE_CREATE_ENUMERATE_PORTABILITY_BIT_KHR;
+    extensions.push_back(VK_KHR_PORTABILITY_ENUMERATION_EXTENSION_NAME);
+  }
   if (validation_active_) {
     create.pNext = &validation_features;
     create.enabledLayerCount = 1;
     create.ppEnabledLayerNames = &validation_layer;
-    create.enabledExtensionCount = 1;
-    create.ppEnabledExtensionNames = &debug_extension;
+    extensions.push_back(VK_EXT_DEBUG_UTILS_EXTENSION_NAME);
   }
+  create.enabledExtensionCount = static_cast<std::uint32_t>(extensions.size());
+  create.ppEnabledExtensionNames = extensions.data();
   const VkResult result = global_.vkCreateInstance(&create, nullptr, &instance_);
   if (result != VK_SUCCESS) {
     // VK_ERROR_INCOMPATIBLE_DRIVER is the loader's word for "no driver at all".
     throw Error(ErrorKind::NoDevice,
-                fmt::format("no Vulkan device ({}): {}", result_name(result), install_driver));
+                fmt::format("no Vulkan device ({}): {}", result_name(result), advice({})));
   }
   keep_drivers_open();
   try {
@@ -341,6 +380,9 @@ std::vector<Instance::Candidate> Instance::candidates() const {
 Device::Device(const ContextOptions& options) : instance_(std::make_unique<Instance>(options)) {
   const std::vector<Instance::Candidate> candidates = instance_->candidates();
   open(choose(candidates, options.device));
+  if (options.patience.count() > 0) {
+    info_.patience = options.patience;
+  }
 }
 
 void Device::open(const Instance::Candidate& chosen) {
@@ -362,8 +404,7 @@ void Device::open(const Instance::Candidate& chosen) {
   queue.pQueuePriorities = &priority;
 
   Features features;
-  features.core.features.shaderStorageImageWriteWithoutFormat = VK_TRUE;
-  const char* atomics = VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME;
+  std::vector<const char*> extensions;
   VkDeviceCreateInfo create{};
   create.sType = VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO;
   create.pNext = &features.core;
@@ -373,11 +414,21 @@ void Device::open(const Instance::Candidate& chosen) {
     features.atomic_float.shaderBufferFloat32AtomicAdd = VK_TRUE;
     features.atomic_float.shaderBufferFloat32Atomics = VK_TRUE;
     features.core.pNext = &features.atomic_float;
-    create.enabledExtensionCount = 1;
-    create.ppEnabledExtensionNames = &atomics;
+    extensions.push_back(VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME);
   }
-  check(instance.vkCreateDevice(physical_, &create, nullptr, &device_),
-        fmt::format("open the Vulkan device '{}'", info_.name));
+  if (has_extension(instance, physical_, portability_subset)) {
+    extensions.push_back(portability_subset);  // a device that has it must be opened with it
+  }
+  create.enabledExtensionCount = static_cast<std::uint32_t>(extensions.size());
+  create.ppEnabledExtensionNames = extensions.data();
+  const VkResult opened = instance.vkCreateDevice(physical_, &create, nullptr, &device_);
+  if (opened == VK_ERROR_INITIALIZATION_FAILED) {
+    throw Error(ErrorKind::NoDevice,
+                fmt::format("the Vulkan device '{}' cannot be opened ({}): another program may hold it, or "
+                            "its kernel module is of another version than its driver (a restart mends that)",
+                            info_.name, result_name(opened)));
+  }
+  check(opened, "open it");
   try {
     api_ = load_device(instance, device_);
   } catch (...) {
@@ -393,7 +444,7 @@ void Device::open(const Instance::Candidate& chosen) {
 
 Device::~Device() {
   if (device_ != VK_NULL_HANDLE && api_.vkDestroyDevice != nullptr) {
-    api_.vkDeviceWaitIdle(device_);
+    // Nothing is in flight: every batch has waited for its work, or this device was abandoned and is kept.
     api_.vkDestroyDevice(device_, nullptr);
   }
 }
@@ -417,8 +468,8 @@ void Device::check(VkResult result, std::string_view what) {
 
 void Device::check_not_lost(std::string_view what) const {
   if (lost()) {
-    throw DeviceLostError(
-        fmt::format("cannot {}: the device '{}' was lost; open it again", what, info_.name));
+    throw DeviceLostError(fmt::format("cannot {}: the device '{}' {}; open it again", what, info_.name,
+                                      hung() ? "hangs" : "was lost"));
   }
 }
 
@@ -441,30 +492,35 @@ VkResult Device::submit(VkCommandBuffer commands, VkFence fence) {
   return result;
 }
 
-Outcome Device::wait_idle() {
-  VkResult result = VK_SUCCESS;
-  {
-    const Lock lock(queue_mutex_);
-    result = api_.vkDeviceWaitIdle(device_);
-  }
-  if (result != VK_SUCCESS) {
-    mark_lost();
-  }
-  return lost() ? Outcome::DeviceLost : Outcome::Done;
+VkResult Device::wait_for(VkFence fence, std::chrono::nanoseconds timeout) const {
+  const auto ns = std::max(timeout, std::chrono::nanoseconds::zero()).count();
+  return api_.vkWaitForFences(device_, 1, &fence, VK_TRUE, static_cast<std::uint64_t>(ns));
 }
 
-void Device::run_once(std::string_view what, const std::function<void(VkCommandBuffer)>& record) {
-  check_not_lost(what);
+void Device::abandon(const std::shared_ptr<Device>& device) {
+  static Mutex mutex;
+  static auto* const kept = new std::vector<std::shared_ptr<Device>>;
+  const Lock lock(mutex);
+  if (!device->abandoned_.exchange(true)) {
+    kept->push_back(device);
+  }
+}
+
+void Device::run_once(const std::shared_ptr<Device>& device, std::string_view what,
+                      const std::function<void(VkCommandBuffer)>& record) {
+  device->check_not_lost(what);
+  const DeviceApi& api = device->api_;
   VkCommandPoolCreateInfo pool_info{};
   pool_info.sType = VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO;
-  pool_info.queueFamilyIndex = queue_family_;
+  pool_info.queueFamilyIndex = device->queue_family_;
   VkCommandPool pool = VK_NULL_HANDLE;
-  check(api_.vkCreateCommandPool(device_, &pool_info, nullptr, &pool), what);
+  device->check(api.vkCreateCommandPool(device->device_, &pool_info, nullptr, &pool), what);
   VkFence fence = VK_NULL_HANDLE;
-  VkResult result = [&] {
+  const VkResult result = [&] {
     VkFenceCreateInfo fence_info{};
     fence_info.sType = VK_STRUCTURE_TYPE_FENCE_CREATE_INFO;
-    if (const VkResult made = api_.vkCreateFence(device_, &fence_info, nullptr, &fence); made != VK_SUCCESS) {
+    if (const VkResult made = api.vkCreateFence(device->device_, &fence_info, nullptr, &fence);
+        made != VK_SUCCESS) {
       return made;
     }
     VkCommandBufferAllocateInfo allocate_info{};
@@ -473,26 +529,31 @@ void Device::run_once(std::string_view what, const std::function<void(VkCommandB
     allocate_info.level = VK_COMMAND_BUFFER_LEVEL_PRIMARY;
     allocate_info.commandBufferCount = 1;
     VkCommandBuffer commands = VK_NULL_HANDLE;
-    if (const VkResult made = api_.vkAllocateCommandBuffers(device_, &allocate_info, &commands);
+    if (const VkResult made = api.vkAllocateCommandBuffers(device->device_, &allocate_info, &commands);
         made != VK_SUCCESS) {
       return made;
     }
     VkCommandBufferBeginInfo begin{};
     begin.sType = VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO;
     begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
-    api_.vkBeginCommandBuffer(commands, &begin);
+    api.vkBeginCommandBuffer(commands, &begin);
     record(commands);
-    if (const VkResult ended = api_.vkEndCommandBuffer(commands); ended != VK_SUCCESS) {
+    if (const VkResult ended = api.vkEndCommandBuffer(commands); ended != VK_SUCCESS) {
       return ended;
     }
-    if (const VkResult sent = submit(commands, fence); sent != VK_SUCCESS) {
+    if (const VkResult sent = device->submit(commands, fence); sent != VK_SUCCESS) {
       return sent;
     }
-    return api_.vkWaitForFences(device_, 1, &fence, VK_TRUE, std::numeric_limits<std::uint64_t>::max());
+    return device->wait_for(fence, device->long_patience());
   }();
-  api_.vkDestroyFence(device_, fence, nullptr);
-  api_.vkDestroyCommandPool(device_, pool, nullptr);
-  check(result, what);
+  if (result == VK_TIMEOUT) {
+    device->mark_hung();
+    abandon(device);
+  } else {
+    api.vkDestroyFence(device->device_, fence, nullptr);
+    api.vkDestroyCommandPool(device->device_, pool, nullptr);
+  }
+  device->check(result, what);
 }
 
 VkFormatFeatureFlags Device::image_features(VkFormat format) const {

@@ -3,6 +3,7 @@
 // Private to this room: the opened Vulkan device behind a Context.
 
 #include <atomic>
+#include <chrono>
 #include <functional>
 #include <memory>
 #include <optional>
@@ -69,6 +70,23 @@ class Device {
   bool lost() const { return lost_.load(std::memory_order_acquire); }
   void mark_lost() { lost_.store(true, std::memory_order_release); }
 
+  /// Lost because it gave no answer in time.
+  bool hung() const { return hung_.load(std::memory_order_acquire); }
+  void mark_hung() {
+    hung_.store(true, std::memory_order_release);
+    mark_lost();
+  }
+  /// For what is not a frame's work.
+  std::chrono::milliseconds long_patience() const { return long_work * info_.patience; }
+
+  /// Waits for a fence; VK_TIMEOUT where it takes longer.
+  VkResult wait_for(VkFence fence, std::chrono::nanoseconds timeout) const;
+
+  /// Keeps a device that hangs, and with it whatever it may still use, to the end of the process: Vulkan
+  /// allows nothing to be destroyed that work in flight uses.
+  static void abandon(const std::shared_ptr<Device>& device);
+  bool abandoned() const { return abandoned_.load(std::memory_order_acquire); }
+
   /// Throws DeviceLostError or Error(NoDevice) unless the result is a success. `what` names the thing that
   /// failed: "create buffer 'jacobian'".
   void check(VkResult result, std::string_view what);
@@ -77,10 +95,10 @@ class Device {
 
   /// Hands command buffers to the queue. Per-frame safe; does not throw.
   VkResult submit(VkCommandBuffer commands, VkFence fence);
-  Outcome wait_idle();
 
   /// Records into a command buffer, submits it and waits. For set-up.
-  void run_once(std::string_view what, const std::function<void(VkCommandBuffer)>& record);
+  static void run_once(const std::shared_ptr<Device>& device, std::string_view what,
+                       const std::function<void(VkCommandBuffer)>& record);
 
   VkFormatFeatureFlags image_features(VkFormat format) const;
   VkFormatFeatureFlags buffer_features(VkFormat format) const;
@@ -93,6 +111,8 @@ class Device {
   void set_name(VkObjectType type, std::uint64_t object, std::string_view name) const;
 
  private:
+  static constexpr int long_work = 10;
+
   void open(const Instance::Candidate& chosen);
 
   std::unique_ptr<Instance> instance_;
@@ -107,6 +127,8 @@ class Device {
   std::uint32_t queue_family_ = 0;
   std::uint32_t timestamp_valid_bits_ = 0;
   std::atomic<bool> lost_{false};
+  std::atomic<bool> hung_{false};
+  std::atomic<bool> abandoned_{false};
 };
 
 /// A Vulkan handle as the number that set_name and comparisons use; handles are pointers or numbers by

@@ -8,6 +8,9 @@ Downsampler::Downsampler(Context& context)
     : kernel_(context, shaders::gpu::kernels(), "gpu/downsample"), sampler_(context, Filter::Nearest) {}
 
 void Downsampler::record(Batch& batch, const Image& image, std::uint32_t first_level) const {
+  if (image.format() != ImageFormat::Rgba16f) {
+    throw Error(ErrorKind::Internal, "only images of Rgba16f are made smaller: the kernel names its format");
+  }
   const auto [tile_x_px, tile_y_px, depth] = kernel_.workgroup_size();
   for (std::uint32_t level = first_level; level < image.level_count(); ++level) {
     batch.dispatch(

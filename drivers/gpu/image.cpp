@@ -114,7 +114,7 @@ void Image::Impl::make(std::uint32_t level_count) {
     levels.push_back(make_view(*device, image, vulkan, level, 1, what));
   }
 
-  device->run_once(what, [&](VkCommandBuffer commands) {
+  Device::run_once(device, what, [&](VkCommandBuffer commands) {
     VkImageMemoryBarrier barrier{};
     barrier.sType = VK_STRUCTURE_TYPE_IMAGE_MEMORY_BARRIER;
     barrier.dstAccessMask = VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_SHADER_WRITE_BIT |
@@ -132,6 +132,9 @@ void Image::Impl::make(std::uint32_t level_count) {
 }
 
 void Image::Impl::destroy() {
+  if (device->abandoned()) {
+    return;
+  }
   const DeviceApi& api = device->api();
   for (const VkImageView view : levels) {
     api.vkDestroyImageView(device->handle(), view, nullptr);
@@ -190,6 +193,9 @@ Sampler::Impl::Impl(std::shared_ptr<Device> on, Filter filter, Filter between_le
 }
 
 Sampler::Impl::~Impl() {
+  if (device->abandoned()) {
+    return;
+  }
   device->api().vkDestroySampler(device->handle(), sampler, nullptr);
 }
 

@@ -185,6 +185,9 @@ void Kernel::Impl::make_pipeline(std::span<const std::uint32_t> words, const Spe
 }
 
 void Kernel::Impl::destroy() {
+  if (device->abandoned()) {
+    return;
+  }
   const DeviceApi& api = device->api();
   api.vkDestroyPipeline(device->handle(), pipeline, nullptr);
   api.vkDestroyPipelineLayout(device->handle(), pipeline_layout, nullptr);

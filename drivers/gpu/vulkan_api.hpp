@@ -9,9 +9,10 @@
 
 namespace facet::gpu {
 
-#define FACET_VULKAN_GLOBAL_FUNCTIONS(X) \
-  X(vkEnumerateInstanceVersion)          \
-  X(vkEnumerateInstanceLayerProperties)  \
+#define FACET_VULKAN_GLOBAL_FUNCTIONS(X)    \
+  X(vkEnumerateInstanceVersion)             \
+  X(vkEnumerateInstanceLayerProperties)     \
+  X(vkEnumerateInstanceExtensionProperties) \
   X(vkCreateInstance)
 
 #define FACET_VULKAN_INSTANCE_FUNCTIONS(X)    \
@@ -34,7 +35,6 @@ namespace facet::gpu {
 #define FACET_VULKAN_DEVICE_FUNCTIONS(X) \
   X(vkDestroyDevice)                     \
   X(vkGetDeviceQueue)                    \
-  X(vkDeviceWaitIdle)                    \
   X(vkQueueSubmit)                       \
   X(vkAllocateMemory)                    \
   X(vkFreeMemory)                        \

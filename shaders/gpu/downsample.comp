@@ -7,7 +7,7 @@
 layout(local_size_x = 8, local_size_y = 8) in;
 
 uniform sampler2D source;
-writeonly uniform image2D target;
+layout(rgba16f) uniform writeonly image2D target;
 
 struct Taps {
   int first;

@@ -20,6 +20,7 @@
 #include "service/default_paths.hpp"
 #include "simulation/sequence.hpp"
 #include "stream/client.hpp"
+#include "support/gpu_faults.hpp"
 #include "support/small_disk.hpp"
 #include "support/source_folder.hpp"
 #include "support/take_actor.hpp"
@@ -468,27 +469,24 @@ TEST_F(DaemonWithAssets, ALostDeviceIsReopenedAndAStopDoesNotWaitForIt) {
     GTEST_SKIP() << error.what();
   }
   // The loss comes from below the loader, as a driver would report it.
-  const auto fault = folder_.path() / "lose-device";
-  const auto daemon =
-      start(configure(looped() + "\n[expert.hierarchy]\nmin_edge_px = 10", "", "auto"),
-            {.environment = {"VK_LAYER_PATH=" FAULT_LAYER_FOLDER, "VK_INSTANCE_LAYERS=VK_LAYER_FACET_fault",
-                             "FACET_LOSE_DEVICE=" + fault.string()},
-             .pending_signal = 0});
+  const test::GpuFaults faults;
+  const auto daemon = start(configure(looped() + "\n[expert.hierarchy]\nmin_edge_px = 10", "", "auto"),
+                            {.environment = faults.environment(), .pending_signal = 0});
   const auto is_refining = [](const json& now) { return now["frames"]["refined"] > 1; };
   const std::string device = await(*daemon, is_refining)["gpu"];
   EXPECT_NE(device, "");
   const auto is_lost = [](const json& now) { return now["gpu"] == "" && now["frames"]["degraded"] > 0; };
-  std::ofstream(fault).flush();
+  faults.set("lost-at-submit");
   const json lost = await(*daemon, is_lost);
   EXPECT_THAT(lost["degraded_reason"].get<std::string>(), HasSubstr("GPU lost"));
   EXPECT_EQ(lost["state"], "running") << "coarse meshes go on";
-  std::filesystem::remove(fault);
+  faults.set("");
   const int refined_before = lost["frames"]["refined"];
   const json back =
       await(*daemon, [&](const json& now) { return now["frames"]["refined"] > refined_before; });
   EXPECT_EQ(back["gpu"], device);
   EXPECT_THAT(daemon->output(), AllOf(HasSubstr(device + " lost"), HasSubstr(device + " is back")));
-  std::ofstream(fault).flush();
+  faults.set("lost-at-submit");
   await(*daemon, is_lost);
   daemon->send(SIGTERM);
   expect_end(*daemon);

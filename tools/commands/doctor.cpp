@@ -21,6 +21,7 @@
 #include "facet/assets.hpp"
 #include "facet/error.hpp"
 #include "gpu/context.hpp"
+#include "gpu/driver_files.hpp"
 #include "landmark/landmark_assets.hpp"
 #include "options.hpp"
 #include "pipeline/frames.hpp"
@@ -70,14 +71,17 @@ void check_vulkan(Report& report, const std::string& wanted) {
     return;
   }
   try {
-    for (const gpu::DeviceInfo& device : gpu::list_devices()) {
+    const std::vector<gpu::DeviceInfo> devices = gpu::list_devices();
+    for (const gpu::DeviceInfo& device : devices) {
       report.say(device.usable ? Verdict::Good : Verdict::Note, "Vulkan device",
                  fmt::format("{} ({}, {}){}", device.name, gpu::describe(device.type), device.driver,
                              device.usable ? "" : ": not usable: " + device.why_unusable));
     }
-    gpu::ContextOptions options;
-    options.device = wanted;
-    const gpu::Context context(options);
+    for (const std::string& lack :
+         devices.empty() ? std::vector<std::string>() : gpu::what_gpus_lack(devices)) {
+      report.say(Verdict::Note, "Vulkan", lack);
+    }
+    const gpu::Context context({.device = wanted});
     report.say(Verdict::Good, "Vulkan", fmt::format("\"{}\" opens {}", wanted, context.info().name),
                context.info().is_software ? "this is a software device: refinement is slow; a GPU with a "
                                             "Vulkan 1.2 driver makes it real-time"

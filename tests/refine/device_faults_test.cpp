@@ -1,0 +1,192 @@
+// Refinement on a device that runs out of memory, goes, or hangs: at start, in a frame, at the end. The
+// faults are those of a Vulkan layer.
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <chrono>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "facet/error.hpp"
+#include "facet/messages.hpp"
+#include "refine/recovering_refiner.hpp"
+#include "refine/refine_stage.hpp"
+#include "support/eventually.hpp"
+#include "support/gpu_faults.hpp"
+#include "synthetic_face.hpp"
+
+namespace facet::refine {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using ::testing::StartsWith;
+
+synthetic::Scene small_scene() {
+  synthetic::Scene scene;
+  scene.image_width_px = 125;
+  scene.image_height_px = 150;
+  scene.quad_mm = 12;
+  return scene;
+}
+
+constexpr std::chrono::seconds kGpuPatience{2};
+
+class DeviceFaultsTest : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    try {
+      const gpu::Context context(options());
+    } catch (const Error& error) {
+      GTEST_SKIP() << error.what();
+    }
+    faults_.emplace();
+    const synthetic::Scene scene = small_scene();
+    cap_ = synthetic::make_cap(scene);
+    hierarchy_ = synthetic::hierarchy(scene, cap_, {});
+    subject_ = {hierarchy_, cap_.mean_albedo, cap_.control.refinable};
+    input_.image = synthetic::render(scene);
+    input_.camera = synthetic::camera(scene);
+    input_.camera_from_head = synthetic::camera_from_head(scene);
+    input_.control_vertices_mm = &cap_.vertices_mm;
+  }
+
+  /// patience: 0: the device's own, longer than any machine is busy.
+  static gpu::ContextOptions options(std::chrono::seconds patience = {}) {
+    gpu::ContextOptions out;
+    out.validation = gpu::Validation::Off;
+    out.patience = patience;
+    return out;
+  }
+
+  static std::unique_ptr<RecoveringRefiner> recovering(Messages& messages,
+                                                       std::chrono::seconds patience = {}) {
+    const OpenRefiner open = refiner_opener(options(patience), {});
+    return std::make_unique<RecoveringRefiner>(
+        open(), open, messages,
+        RecoveringRefiner::Pauses{std::chrono::milliseconds(1), std::chrono::milliseconds(20)});
+  }
+
+  bool refined_again(RecoveringRefiner& refiner) {
+    return test::eventually([&] { return refiner.refine(input_, output_).empty(); });
+  }
+
+  void set(const std::string& faults) const { faults_->set(faults); }
+
+  SubjectSetup subject_;
+  RefineInput input_;
+  RefineOutput output_;
+
+ private:
+  std::optional<test::OwnGpuFaults> faults_;
+  synthetic::Cap cap_;
+  std::shared_ptr<const mesh::Hierarchy> hierarchy_;
+};
+
+// Wherever memory ends, what was made by then is given back: at the next place it ends one further.
+TEST_F(DeviceFaultsTest, MemoryThatEndsAnywhereInTheSubjectIsSaid) {
+  const std::unique_ptr<RefineStage> stage = refiner_opener(options(), {})();
+  int room = 0;
+  for (;; room += 7) {
+    set("memory " + std::to_string(room));
+    try {
+      stage->set_subject(subject_);
+      break;
+    } catch (const gpu::DeviceLostError& error) {
+      FAIL() << error.what();
+    } catch (const Error& error) {
+      ASSERT_EQ(error.kind(), ErrorKind::NoDevice);
+      ASSERT_THAT(error.what(), HasSubstr("not enough memory left"));
+    }
+  }
+  EXPECT_GT(room, 30) << "a subject takes more buffers than that";
+  set("memory 0");
+  EXPECT_THROW(stage->refine(input_, output_), Error) << "no room for the picture";
+  set("");
+  EXPECT_EQ(stage->refine(input_, output_), RefineOutcome::Refined) << output_.failure;
+}
+
+TEST_F(DeviceFaultsTest, APictureWithoutRoomLeavesFramesCoarse) {
+  Messages messages;
+  const auto refiner = recovering(messages);
+  refiner->set_subject(subject_);
+  set("memory 0");
+  EXPECT_THAT(refiner->refine(input_, output_), HasSubstr("no room for pictures of this size"));
+  EXPECT_THAT(refiner->refine(input_, output_), HasSubstr("not enough memory left"));
+  EXPECT_EQ(messages.take().size(), 1U) << "said once";
+  set("");
+  EXPECT_EQ(refiner->refine(input_, output_), "");
+}
+
+TEST_F(DeviceFaultsTest, ADeviceLostAtStartIsOpenedAnew) {
+  Messages messages;
+  const auto refiner = recovering(messages);
+  set("lost-at-wait");
+  refiner->set_subject(subject_);
+  EXPECT_THAT(refiner->refine(input_, output_), StartsWith("GPU lost, being reopened"));
+  set("cannot-be-opened");
+  ASSERT_TRUE(test::eventually([&] {
+    bool said = false;
+    for (const Messages::Message& message : messages.take()) {
+      said = said || message.text.find("cannot be opened") != std::string::npos;
+    }
+    return said;
+  }));
+  EXPECT_THAT(refiner->refine(input_, output_), StartsWith("GPU lost, being reopened"));
+  set("");
+  EXPECT_TRUE(refined_again(*refiner));
+  EXPECT_FALSE(refiner->device().empty());
+}
+
+TEST_F(DeviceFaultsTest, ADeviceLostInAFrameIsOpenedAnew) {
+  for (const char* fault : {"lost-at-submit", "lost-at-wait"}) {
+    set("");
+    Messages messages;
+    const auto refiner = recovering(messages);
+    refiner->set_subject(subject_);
+    ASSERT_EQ(refiner->refine(input_, output_), "");
+    set(fault);
+    EXPECT_THAT(refiner->refine(input_, output_), AllOf(StartsWith("GPU lost"), HasSubstr("was lost while")))
+        << fault;
+    EXPECT_TRUE(output_.displacements_mm.empty());
+    EXPECT_EQ(refiner->device(), "");
+    set("");
+    EXPECT_TRUE(refined_again(*refiner));
+  }
+}
+
+TEST_F(DeviceFaultsTest, ADeviceThatHangsInAFrameIsOpenedAnew) {
+  Messages messages;
+  const auto refiner = recovering(messages, kGpuPatience);
+  refiner->set_subject(subject_);
+  ASSERT_TRUE(refined_again(*refiner)) << "a device that is merely slow comes back";
+  set("hang");
+  EXPECT_THAT(refiner->refine(input_, output_), HasSubstr("hung while"));
+  EXPECT_EQ(refiner->device(), "");
+  set("");
+  EXPECT_TRUE(refined_again(*refiner));
+}
+
+TEST_F(DeviceFaultsTest, ADeviceThatGoesAtShutdownHoldsNothingUp) {
+  for (const std::string fault : {"lost-at-submit", "lost-at-wait", "hang", "memory 0"}) {
+    set("");
+    const gpu::ContextOptions chosen = options(fault == "hang" ? kGpuPatience : std::chrono::seconds(0));
+    auto context = std::make_unique<gpu::Context>(chosen);
+    auto refiner = std::make_unique<Refiner>(*context, RefinerConfig());
+    refiner->set_subject(subject_);
+    refiner->submit(input_);
+    const RefineOutcome first = refiner->collect(output_);
+    EXPECT_TRUE(first == RefineOutcome::Refined || (fault == "hang" && first == RefineOutcome::DeviceLost))
+        << fault;
+    set(fault);
+    EXPECT_NO_THROW(refiner->submit(input_)) << fault;  // and never collected
+    refiner.reset();
+    EXPECT_EQ(context->lost(), fault.starts_with("lost") || fault == "hang") << fault;
+    context.reset();
+  }
+}
+
+}  // namespace
+}  // namespace facet::refine
