@@ -165,13 +165,13 @@ TEST_F(Peers, JpegsAreReadAsOthersReadThem) {
 
 TEST(Image, JpegsOfSeveralScansAndOfGreyAreRead) {
   const std::vector<std::uint8_t> grey = slopes(40, 24, 1);
-  const auto read = parse(test::jpeg_of(grey, 40, 24));
+  const auto read = parse(test::jpeg_from(grey, 40, 24));
   for (std::size_t i = 0; i < grey.size(); ++i) {
     for (std::size_t channel = 0; channel < 3; ++channel) {
       ASSERT_NEAR(read.values[3 * i + channel], grey[i], 2);
     }
   }
-  const auto scans = parse(test::jpeg_of(slopes(40, 24, 3), 40, 24, true));
+  const auto scans = parse(test::jpeg_from(slopes(40, 24, 3), 40, 24, true));
   for (std::size_t i = 0; i < scans.values.size(); ++i) {
     ASSERT_NEAR(scans.values[i], grey[i / 3], 3);
   }
@@ -180,7 +180,7 @@ TEST(Image, JpegsOfSeveralScansAndOfGreyAreRead) {
 /// A camera that was turned says so in EXIF; 6: its right side is the picture's bottom.
 TEST(Image, AJpegComesOutUpright) {
   const std::vector<std::uint8_t> stored = slopes(40, 24, 1);
-  const std::vector<std::uint8_t> plain = test::jpeg_of(stored, 40, 24);
+  const std::vector<std::uint8_t> plain = test::jpeg_from(stored, 40, 24);
   for (int orientation = 1; orientation <= 8; ++orientation) {
     for (const bool big_endian : {false, true}) {
       const auto value = static_cast<std::uint8_t>(orientation);
@@ -216,7 +216,7 @@ TEST(Image, AJpegComesOutUpright) {
 
 TEST(Image, WhatIsCutShortOrDamagedIsRefused) {
   const std::vector<std::uint8_t> png = encode_png(13, 7, noise<std::uint8_t>(std::size_t{3} * 13 * 7));
-  const std::vector<std::uint8_t> jpeg = test::jpeg_of(slopes(40, 24, 3), 40, 24);
+  const std::vector<std::uint8_t> jpeg = test::jpeg_from(slopes(40, 24, 3), 40, 24);
   for (const auto& whole : {png, jpeg}) {
     for (std::size_t size = 0; size + 2 < whole.size(); ++size) {
       ASSERT_NE(refusal_of({whole.begin(), whole.begin() + static_cast<std::ptrdiff_t>(size)}), "")
@@ -242,7 +242,7 @@ TEST(Image, WhatIsCutShortOrDamagedIsRefused) {
 TEST(Image, SaysWhatIsWrong) {
   EXPECT_THAT(refusal_of({}), AllOf(HasSubstr("it: "), HasSubstr("empty")));
   EXPECT_THAT(refusal_of({'B', 'M', 1, 2}), HasSubstr("neither PNG nor JPEG"));
-  EXPECT_THAT(refusal_of(test::jpeg_of(slopes(16, 16, 4), 16, 16)), HasSubstr("CMYK"));
+  EXPECT_THAT(refusal_of(test::jpeg_from(slopes(16, 16, 4), 16, 16)), HasSubstr("CMYK"));
   const test::TemporaryFolder folder;
   try {
     read_image<std::uint8_t>(folder.path() / "absent.png");
@@ -256,7 +256,7 @@ TEST(Image, SaysWhatIsWrong) {
 /// The size is known before memory is taken: a few bytes may promise gigabytes.
 TEST(Image, TooLargeIsRefusedByItsHead) {
   EXPECT_THAT(refusal_of(encode_png(40, 24, noise<std::uint8_t>(960)), 959), HasSubstr("40x24 px"));
-  EXPECT_THAT(refusal_of(test::jpeg_of(slopes(40, 24, 3), 40, 24), 959), HasSubstr("40x24 px"));
+  EXPECT_THAT(refusal_of(test::jpeg_from(slopes(40, 24, 3), 40, 24), 959), HasSubstr("40x24 px"));
   EXPECT_EQ(refusal_of(encode_png(40, 24, noise<std::uint8_t>(960)), 960), "");
   EXPECT_THAT(refusal_of(encode_png(40000, 1, noise<std::uint8_t>(40000))), HasSubstr("40000x1 px"));
   EXPECT_THROW(encode_png(3, 3, noise<std::uint8_t>(10)), Error);

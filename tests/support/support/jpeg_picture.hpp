@@ -13,8 +13,8 @@ namespace facet::test {
 
 /// A JPEG picture, as a camera makes it (4:2:2 where it has colours); `progressive`: in several scans.
 /// values   [height_px][width_px][1, 3 or 4]: grey, R G B or C M Y K
-inline std::vector<std::uint8_t> jpeg_of(const std::vector<std::uint8_t>& values, int width_px, int height_px,
-                                         bool progressive = false) {
+inline std::vector<std::uint8_t> jpeg_from(const std::vector<std::uint8_t>& values, int width_px,
+                                           int height_px, bool progressive = false) {
   jpeg_compress_struct picture{};
   jpeg_error_mgr errors{};
   picture.err = jpeg_std_error(&errors);
@@ -55,7 +55,7 @@ inline std::vector<std::uint8_t> jpeg_of(std::array<std::uint8_t, 3> rgb, int wi
   for (int pixel = 0; pixel < width_px * height_px; ++pixel) {
     values.insert(values.end(), rgb.begin(), rgb.end());
   }
-  return jpeg_of(values, width_px, height_px, progressive);
+  return jpeg_from(values, width_px, height_px, progressive);
 }
 
 /// The same without its Huffman tables, as many Motion JPEG cameras leave them out.
