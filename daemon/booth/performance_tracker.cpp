@@ -19,6 +19,7 @@
 #include "fit/fine_surface.hpp"
 #include "fit/skin_tracker.hpp"
 #include "fit/template_mesh.hpp"
+#include "render/embree.hpp"
 
 namespace facet::booth {
 namespace {
@@ -108,6 +109,7 @@ PerformanceTracker::Impl::Impl(std::shared_ptr<const face::FaceModel> given_mode
       fine(model->control, surface),
       points(std::move(given_points)),
       shading(std::move(given_shading)) {
+  render::require_embree();  // for landmarks in space
   model->evaluate({}, {}, control_mm);
   // Expressions move the upper face little: what lies above the mouth's corners by the neutral face.
   const auto mouth = static_cast<std::size_t>(61);  // the mouth's corner in MediaPipe's order

@@ -26,7 +26,8 @@ class PerformanceTracker {
  public:
   /// rig: one colour camera at least. points: where the first person's face is in their slot, of cameras of
   /// the rig; no mesh before that. shading: of that rig; null: none. Throws Error: Usage where there is no
-  /// such camera, UnreadableInput for the landmark nets and for a model that can't be refined.
+  /// such camera, UnreadableInput for the landmark nets and for a model that can't be refined, Unavailable
+  /// without Embree.
   PerformanceTracker(std::shared_ptr<const face::FaceModel> model, const std::filesystem::path& landmark_nets,
                      std::shared_ptr<const capture::Rig> rig, const fit::SkinTrackerOptions& options,
                      std::optional<FacePoints> points = {}, std::unique_ptr<BoothShading> shading = nullptr);

@@ -1,4 +1,3 @@
-#include <embree3/rtcore.h>
 #include <fmt/format.h>
 
 #include <Eigen/Geometry>
@@ -9,20 +8,26 @@
 
 #include "facet/error.hpp"
 #include "render/closest.hpp"
+#include "render/embree.hpp"
+#include "render/embree_api.hpp"
 #include "render/embree_device.hpp"
 #include "render/renderer.hpp"
 
 namespace facet::render {
 
+void require_embree() {
+  embree();
+}
+
 std::shared_ptr<RTCDeviceTy> shared_device() {
   static const std::shared_ptr<RTCDeviceTy> device = [] {
     // Two build threads: the appliance's picture making must leave the other cores to the pipeline.
-    RTCDevice made = rtcNewDevice("threads=2");
+    RTCDevice made = embree().rtcNewDevice("threads=2");
     if (made == nullptr) {
       throw Error(ErrorKind::Internal, fmt::format("the ray caster (Embree) cannot start, error {}",
-                                                   static_cast<int>(rtcGetDeviceError(nullptr))));
+                                                   static_cast<int>(embree().rtcGetDeviceError(nullptr))));
     }
-    return std::shared_ptr<RTCDeviceTy>(made, rtcReleaseDevice);
+    return std::shared_ptr<RTCDeviceTy>(made, embree().rtcReleaseDevice);
   }();
   return device;
 }
@@ -95,7 +100,7 @@ struct Raycaster::Impl {
   Impl& operator=(const Impl&) = delete;
   ~Impl() {
     if (scene != nullptr) {
-      rtcReleaseScene(scene);
+      embree().rtcReleaseScene(scene);
     }
   }
 };
@@ -134,28 +139,29 @@ Raycaster::Raycaster(const std::vector<mesh::Vertices>& keys_mm, const mesh::Tri
     impl_->balls_mm.col(t) << centre, (corners.colwise() - centre).colwise().norm().maxCoeff();
   }
   impl_->device = shared_device();
-  impl_->scene = rtcNewScene(impl_->device.get());
-  rtcSetSceneFlags(impl_->scene, static_cast<RTCSceneFlags>(RTC_SCENE_FLAG_ROBUST |
-                                                            RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION));
+  impl_->scene = embree().rtcNewScene(impl_->device.get());
+  embree().rtcSetSceneFlags(impl_->scene, static_cast<RTCSceneFlags>(RTC_SCENE_FLAG_ROBUST |
+                                                                     RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION));
   const RTCBuildQuality quality = build == Build::Quick ? RTC_BUILD_QUALITY_LOW : RTC_BUILD_QUALITY_MEDIUM;
-  rtcSetSceneBuildQuality(impl_->scene, quality);
+  embree().rtcSetSceneBuildQuality(impl_->scene, quality);
   if (triangles.cols() > 0) {
-    RTCGeometry geometry = rtcNewGeometry(impl_->device.get(), RTC_GEOMETRY_TYPE_TRIANGLE);
-    rtcSetGeometryBuildQuality(geometry, quality);
-    rtcSetGeometryTimeStepCount(geometry, static_cast<unsigned>(impl_->keys_mm.size()));
+    RTCGeometry geometry = embree().rtcNewGeometry(impl_->device.get(), RTC_GEOMETRY_TYPE_TRIANGLE);
+    embree().rtcSetGeometryBuildQuality(geometry, quality);
+    embree().rtcSetGeometryTimeStepCount(geometry, static_cast<unsigned>(impl_->keys_mm.size()));
     for (std::size_t key = 0; key < impl_->keys_mm.size(); ++key) {
-      rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, static_cast<unsigned>(key),
-                                 RTC_FORMAT_FLOAT3, impl_->keys_mm[key].data(), 0, 3 * sizeof(float),
-                                 static_cast<std::size_t>(vertex_count));
+      embree().rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, static_cast<unsigned>(key),
+                                          RTC_FORMAT_FLOAT3, impl_->keys_mm[key].data(), 0, 3 * sizeof(float),
+                                          static_cast<std::size_t>(vertex_count));
     }
-    rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, impl_->triangles.data(),
-                               0, 3 * sizeof(std::int32_t), static_cast<std::size_t>(triangles.cols()));
-    rtcCommitGeometry(geometry);
-    rtcAttachGeometry(impl_->scene, geometry);
-    rtcReleaseGeometry(geometry);
+    embree().rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3,
+                                        impl_->triangles.data(), 0, 3 * sizeof(std::int32_t),
+                                        static_cast<std::size_t>(triangles.cols()));
+    embree().rtcCommitGeometry(geometry);
+    embree().rtcAttachGeometry(impl_->scene, geometry);
+    embree().rtcReleaseGeometry(geometry);
   }
-  rtcCommitScene(impl_->scene);
-  const RTCError error = rtcGetDeviceError(impl_->device.get());
+  embree().rtcCommitScene(impl_->scene);
+  const RTCError error = embree().rtcGetDeviceError(impl_->device.get());
   if (error != RTC_ERROR_NONE) {
     throw Error(ErrorKind::Internal,
                 fmt::format("the ray caster (Embree) refused a mesh of {} triangles, error {}",
@@ -196,7 +202,7 @@ HitImage Raycaster::cast(const CameraIntrinsics& camera, Eigen::Vector2f offset_
       query.ray.tfar = std::numeric_limits<float>::infinity();
       query.ray.mask = ~0U;
       query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
-      rtcIntersect1(impl_->scene, &context, &query);
+      embree().rtcIntersect1(impl_->scene, &context, &query);
       if (query.hit.geomID != RTC_INVALID_GEOMETRY_ID) {
         image.triangle[pixel] = static_cast<std::int32_t>(query.hit.primID);
         image.barycentric[pixel] = {query.hit.u, query.hit.v};
@@ -226,7 +232,7 @@ Raycaster::Closest Raycaster::closest_point(const Eigen::Vector3f& query_mm, flo
   query.y = query_mm.y();
   query.z = query_mm.z();
   query.radius = max_distance_mm;
-  rtcPointQuery(
+  embree().rtcPointQuery(
       impl_->scene, &query, &context,
       [](RTCPointQueryFunctionArguments* arguments) {
         auto& found = *static_cast<Search*>(arguments->userPtr);
@@ -278,7 +284,7 @@ Raycaster::Hit Raycaster::first_hit(const Eigen::Vector3f& origin_mm, const Eige
   query.ray.tfar = std::numeric_limits<float>::infinity();
   query.ray.mask = ~0U;
   query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
-  rtcIntersect1(impl_->scene, &context, &query);
+  embree().rtcIntersect1(impl_->scene, &context, &query);
   if (query.hit.geomID == RTC_INVALID_GEOMETRY_ID) {
     return {};
   }
@@ -304,7 +310,7 @@ bool Raycaster::occluded(const Eigen::Vector3f& from_mm, const Eigen::Vector3f& 
   ray.tnear = margin_mm;
   ray.tfar = distance_mm - margin_mm;
   ray.mask = ~0U;
-  rtcOccluded1(impl_->scene, &context, &ray);
+  embree().rtcOccluded1(impl_->scene, &context, &ray);
   return ray.tfar < 0;  // Embree's sign of a hit: minus infinity
 }
 

@@ -1,12 +1,12 @@
 #include "render/strand_caster.hpp"
 
-#include <embree3/rtcore.h>
 #include <fmt/format.h>
 
 #include <cmath>
 #include <utility>
 
 #include "facet/error.hpp"
+#include "render/embree_api.hpp"
 #include "render/embree_device.hpp"
 
 namespace facet::render {
@@ -21,7 +21,7 @@ struct StrandCaster::Impl {
   Impl& operator=(const Impl&) = delete;
   ~Impl() {
     if (scene != nullptr) {
-      rtcReleaseScene(scene);
+      embree().rtcReleaseScene(scene);
     }
   }
 };
@@ -41,19 +41,19 @@ StrandCaster::StrandCaster(Strands strands) : impl_(std::make_unique<Impl>()) {
     return;
   }
   impl_->device = shared_device();
-  impl_->scene = rtcNewScene(impl_->device.get());
-  RTCGeometry geometry = rtcNewGeometry(impl_->device.get(), RTC_GEOMETRY_TYPE_FLAT_LINEAR_CURVE);
-  rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT4,
-                             impl_->strands.points.data(), 0, 4 * sizeof(float),
-                             static_cast<std::size_t>(impl_->strands.points.cols()));
-  rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT,
-                             impl_->strands.segments.data(), 0, sizeof(std::uint32_t),
-                             impl_->strands.segments.size());
-  rtcCommitGeometry(geometry);
-  rtcAttachGeometry(impl_->scene, geometry);
-  rtcReleaseGeometry(geometry);
-  rtcCommitScene(impl_->scene);
-  const RTCError error = rtcGetDeviceError(impl_->device.get());
+  impl_->scene = embree().rtcNewScene(impl_->device.get());
+  RTCGeometry geometry = embree().rtcNewGeometry(impl_->device.get(), RTC_GEOMETRY_TYPE_FLAT_LINEAR_CURVE);
+  embree().rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT4,
+                                      impl_->strands.points.data(), 0, 4 * sizeof(float),
+                                      static_cast<std::size_t>(impl_->strands.points.cols()));
+  embree().rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT,
+                                      impl_->strands.segments.data(), 0, sizeof(std::uint32_t),
+                                      impl_->strands.segments.size());
+  embree().rtcCommitGeometry(geometry);
+  embree().rtcAttachGeometry(impl_->scene, geometry);
+  embree().rtcReleaseGeometry(geometry);
+  embree().rtcCommitScene(impl_->scene);
+  const RTCError error = embree().rtcGetDeviceError(impl_->device.get());
   if (error != RTC_ERROR_NONE) {
     throw Error(ErrorKind::Internal,
                 fmt::format("the ray caster (Embree) refused {} segments of strands, error {}",
@@ -87,7 +87,7 @@ StrandCaster::Hit StrandCaster::first_hit(const Eigen::Vector3f& origin_mm, cons
   query.ray.tfar = max_depth;
   query.ray.mask = ~0U;
   query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
-  rtcIntersect1(impl_->scene, &context, &query);
+  embree().rtcIntersect1(impl_->scene, &context, &query);
   if (query.hit.geomID == RTC_INVALID_GEOMETRY_ID) {
     return {};
   }
@@ -110,7 +110,7 @@ bool StrandCaster::occluded(const Eigen::Vector3f& from_mm, const Eigen::Vector3
   ray.dir_z = between.z();
   ray.tfar = 1;
   ray.mask = ~0U;
-  rtcOccluded1(impl_->scene, &context, &ray);
+  embree().rtcOccluded1(impl_->scene, &context, &ray);
   return ray.tfar < 0;  // Embree's sign of a hit: minus infinity
 }
 

@@ -14,15 +14,7 @@
 
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
-
-extern "C" {
-#include <libavcodec/avcodec.h>
-#include <libavformat/avformat.h>
-#include <libavutil/error.h>
-#include <libavutil/frame.h>
-#include <libavutil/log.h>
-#include <libavutil/opt.h>
-}
+#include "simulation/ffmpeg_writer_api.hpp"
 
 namespace facet::simulation {
 namespace {
@@ -31,27 +23,27 @@ constexpr int kBufferBytes = 1 << 18;  // as FFmpeg's own for files
 
 std::string reason_of(int code) {
   std::array<char, AV_ERROR_MAX_STRING_SIZE> text{};
-  av_strerror(code, text.data(), text.size());
+  ffmpeg().av_strerror(code, text.data(), text.size());
   return text.data();
 }
 
 struct CloseCodec {
-  void operator()(AVCodecContext* codec) const { avcodec_free_context(&codec); }
+  void operator()(AVCodecContext* codec) const { ffmpeg().avcodec_free_context(&codec); }
 };
 struct CloseContainer {
   void operator()(AVFormatContext* container) const {
     if (container->pb != nullptr) {
-      av_freep(&container->pb->buffer);
-      avio_context_free(&container->pb);
+      ffmpeg().av_freep(&container->pb->buffer);
+      ffmpeg().avio_context_free(&container->pb);
     }
-    avformat_free_context(container);
+    ffmpeg().avformat_free_context(container);
   }
 };
 struct FreeFrame {
-  void operator()(AVFrame* frame) const { av_frame_free(&frame); }
+  void operator()(AVFrame* frame) const { ffmpeg().av_frame_free(&frame); }
 };
 struct FreePacket {
-  void operator()(AVPacket* packet) const { av_packet_free(&packet); }
+  void operator()(AVPacket* packet) const { ffmpeg().av_packet_free(&packet); }
 };
 
 /// The container's bytes on their way into a file that comes into being whole.
@@ -146,16 +138,16 @@ const AVCodec* encoder_of(VideoCodec codec) {
   const AVCodec* found = nullptr;
   switch (codec) {
     case VideoCodec::Lossless:
-      found = avcodec_find_encoder(AV_CODEC_ID_FFV1);
+      found = ffmpeg().avcodec_find_encoder(AV_CODEC_ID_FFV1);
       break;
     case VideoCodec::MotionJpeg:
-      found = avcodec_find_encoder(AV_CODEC_ID_MJPEG);
+      found = ffmpeg().avcodec_find_encoder(AV_CODEC_ID_MJPEG);
       break;
     case VideoCodec::H264:
       // By name: encoders of graphics cards give other bytes on every machine.
-      found = avcodec_find_encoder_by_name("libx264");
+      found = ffmpeg().avcodec_find_encoder_by_name("libx264");
       if (found == nullptr) {
-        found = avcodec_find_encoder_by_name("libopenh264");
+        found = ffmpeg().avcodec_find_encoder_by_name("libopenh264");
       }
       if (found == nullptr) {
         throw Error(ErrorKind::Unavailable,
@@ -193,11 +185,11 @@ void configure_h264(AVCodecContext& codec, int rate_hz) {
   codec.bit_rate = webcam_bits_per_second(codec.width, codec.height, rate_hz);
   codec.rc_max_rate = codec.bit_rate * 3 / 2;
   codec.rc_buffer_size = static_cast<int>(codec.bit_rate);
-  av_opt_set(codec.priv_data, "profile", "main", 0);
+  ffmpeg().av_opt_set(codec.priv_data, "profile", "main", 0);
   if (std::string(codec.codec->name) == "libx264") {
-    av_opt_set(codec.priv_data, "preset", "superfast", 0);
-    av_opt_set(codec.priv_data, "tune", "zerolatency", 0);
-    av_opt_set(codec.priv_data, "x264-params", "cpu-independent=1", 0);
+    ffmpeg().av_opt_set(codec.priv_data, "preset", "superfast", 0);
+    ffmpeg().av_opt_set(codec.priv_data, "tune", "zerolatency", 0);
+    ffmpeg().av_opt_set(codec.priv_data, "x264-params", "cpu-independent=1", 0);
   }
 }
 
@@ -210,7 +202,7 @@ void configure_motion_jpeg(AVCodecContext& codec) {
   codec.thread_count = 1;
   codec.flags |= AV_CODEC_FLAG_QSCALE;
   codec.global_quality = FF_QP2LAMBDA * kQuantiser;
-  av_opt_set(codec.priv_data, "huffman", "default", 0);  // the standard's tables, as in cameras
+  ffmpeg().av_opt_set(codec.priv_data, "huffman", "default", 0);  // the standard's tables, as in cameras
 }
 
 }  // namespace
@@ -245,16 +237,16 @@ struct VideoWriter::Impl {
 
   /// Sends a frame (null: the end) to the encoder and writes the packets that it gives.
   void encode(const AVFrame* next) const {
-    check(avcodec_send_frame(codec.get(), next), "encode");
+    check(ffmpeg().avcodec_send_frame(codec.get(), next), "encode");
     for (;;) {
-      const int got = avcodec_receive_packet(codec.get(), packet.get());
+      const int got = ffmpeg().avcodec_receive_packet(codec.get(), packet.get());
       if (got == AVERROR(EAGAIN) || got == AVERROR_EOF) {
         return;
       }
       check(got, "encode");
-      av_packet_rescale_ts(packet.get(), codec->time_base, stream->time_base);
+      ffmpeg().av_packet_rescale_ts(packet.get(), codec->time_base, stream->time_base);
       packet->stream_index = stream->index;
-      check(av_interleaved_write_frame(container.get(), packet.get()), "write");
+      check(ffmpeg().av_interleaved_write_frame(container.get(), packet.get()), "write");
     }
   }
 };
@@ -275,15 +267,15 @@ VideoWriter::VideoWriter(const std::filesystem::path& file, int width_px, int he
                             impl_->file, width_px, height_px));
   }
   AVFormatContext* container = nullptr;
-  impl_->check(avformat_alloc_output_context2(&container, nullptr, "matroska", impl_->file.c_str()),
+  impl_->check(ffmpeg().avformat_alloc_output_context2(&container, nullptr, "matroska", impl_->file.c_str()),
                "set up");
   impl_->container.reset(container);
   container->flags |= AVFMT_FLAG_BITEXACT;  // no random identifiers
   const AVCodec* encoder = encoder_of(codec_kind);
-  impl_->stream = avformat_new_stream(container, nullptr);
-  impl_->codec.reset(avcodec_alloc_context3(encoder));
-  impl_->frame.reset(av_frame_alloc());
-  impl_->packet.reset(av_packet_alloc());
+  impl_->stream = ffmpeg().avformat_new_stream(container, nullptr);
+  impl_->codec.reset(ffmpeg().avcodec_alloc_context3(encoder));
+  impl_->frame.reset(ffmpeg().av_frame_alloc());
+  impl_->packet.reset(ffmpeg().av_packet_alloc());
   if (impl_->stream == nullptr || !impl_->codec || !impl_->frame || !impl_->packet) {
     throw std::bad_alloc();
   }
@@ -307,23 +299,24 @@ VideoWriter::VideoWriter(const std::filesystem::path& file, int width_px, int he
   if ((container->oformat->flags & AVFMT_GLOBALHEADER) != 0) {
     codec.flags |= AV_CODEC_FLAG_GLOBAL_HEADER;
   }
-  impl_->check(avcodec_open2(&codec, encoder, nullptr), "encode");
+  impl_->check(ffmpeg().avcodec_open2(&codec, encoder, nullptr), "encode");
   impl_->stream->time_base = codec.time_base;
   impl_->stream->avg_frame_rate = codec.framerate;
-  impl_->check(avcodec_parameters_from_context(impl_->stream->codecpar, &codec), "set up");
+  impl_->check(ffmpeg().avcodec_parameters_from_context(impl_->stream->codecpar, &codec), "set up");
   impl_->output.emplace(file);
-  auto* const buffer = static_cast<unsigned char*>(av_malloc(kBufferBytes));
-  container->pb = avio_alloc_context(buffer, kBufferBytes, 1, &*impl_->output, nullptr, write_packet, seek);
+  auto* const buffer = static_cast<unsigned char*>(ffmpeg().av_malloc(kBufferBytes));
+  container->pb =
+      ffmpeg().avio_alloc_context(buffer, kBufferBytes, 1, &*impl_->output, nullptr, write_packet, seek);
   if (container->pb == nullptr) {
-    av_free(buffer);
+    ffmpeg().av_free(buffer);
     throw std::bad_alloc();
   }
-  impl_->check(avformat_write_header(container, nullptr), "write");
+  impl_->check(ffmpeg().avformat_write_header(container, nullptr), "write");
 
   impl_->frame->format = codec.pix_fmt;
   impl_->frame->width = width_px;
   impl_->frame->height = height_px;
-  impl_->check(av_frame_get_buffer(impl_->frame.get(), 0), "set up");
+  impl_->check(ffmpeg().av_frame_get_buffer(impl_->frame.get(), 0), "set up");
 }
 
 VideoWriter::~VideoWriter() {
@@ -341,7 +334,7 @@ void VideoWriter::append(const render::Picture& picture) {
                 fmt::format("{}: a picture of {}x{} px does not fit the video of {}x{} px", impl_->file,
                             picture.width_px, picture.height_px, frame.width, frame.height));
   }
-  impl_->check(av_frame_make_writable(&frame), "encode");
+  impl_->check(ffmpeg().av_frame_make_writable(&frame), "encode");
   switch (impl_->kind) {
     case VideoCodec::Lossless:
       fill_bgr0(picture, frame);
@@ -363,7 +356,7 @@ void VideoWriter::finish() {
     return;
   }
   impl_->encode(nullptr);
-  impl_->check(av_write_trailer(impl_->container.get()), "finish");
+  impl_->check(ffmpeg().av_write_trailer(impl_->container.get()), "finish");
   impl_->output->file.commit();
 }
 

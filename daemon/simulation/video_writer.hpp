@@ -23,7 +23,8 @@ std::int64_t webcam_bits_per_second(int width_px, int height_px, int rate_hz);
 class VideoWriter {
  public:
   /// Throws Error(Storage) where the file can't be made, Error(Usage) for a size below 1, a rate of 0, an
-  /// odd size where chroma is halved, Error(Unavailable) where FFmpeg has no encoder of H.264.
+  /// odd size where chroma is halved, Error(Unavailable) where FFmpeg's libraries are not installed, naming
+  /// them, or have no encoder of H.264.
   VideoWriter(const std::filesystem::path& file, int width_px, int height_px, int rate_hz,
               VideoCodec codec = VideoCodec::Lossless);
   /// Closes the file if finish() was not called; a failure then goes unreported.

@@ -16,6 +16,7 @@
 #include "booth/booth_depth.hpp"
 #include "camera/factory.hpp"
 #include "camera/host_sandbox.hpp"
+#include "camera/video_file.hpp"
 #include "capture/rig_file.hpp"
 #include "face/face_model.hpp"
 #include "facet/assets.hpp"
@@ -26,6 +27,7 @@
 #include "options.hpp"
 #include "pipeline/frames.hpp"
 #include "pipeline/live_cameras.hpp"
+#include "render/embree.hpp"
 #include "service/config.hpp"
 #include "service/control_client.hpp"
 #include "service/default_paths.hpp"
@@ -111,6 +113,27 @@ void check_model(Report& report, const service::Config& config) {
     report.say(Verdict::Good, "landmark nets", config.pipeline.tracker.landmark_nets.string());
   } catch (const Error& error) {
     report.bad(error.kind(), "landmark nets", error.what());
+  }
+}
+
+/// What is opened only where it is needed.
+void check_libraries(Report& report, const service::Config& config) {
+  try {
+    camera::require_ffmpeg();
+    report.say(Verdict::Good, "FFmpeg", "its libraries open: videos of all kinds are read and written");
+  } catch (const Error& error) {
+    report.say(Verdict::Note, "FFmpeg", error.what(),
+               "until then only Motion JPEG in AVI is read, and no video is written");
+  }
+  try {
+    render::require_embree();
+    report.say(Verdict::Good, "Embree", "its library opens: pictures of meshes are drawn");
+  } catch (const Error& error) {
+    if (config.mode == service::Mode::Booth) {
+      report.bad(error.kind(), "Embree", error.what());
+    } else {
+      report.say(Verdict::Note, "Embree", error.what(), "until then no pictures of meshes are drawn");
+    }
   }
 }
 
@@ -314,6 +337,7 @@ void run(const std::string& given_file) {
   }
   report.say(Verdict::Good, "processor",
              fmt::format("{} cores", std::max(1U, std::thread::hardware_concurrency())));
+  check_libraries(report, config);
   list_cameras(report);
   if (config.mode != service::Mode::Monocular || service::has_live_cameras(config)) {
     check_devices(report, config);
