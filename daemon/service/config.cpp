@@ -481,7 +481,10 @@ Config default_config() {
   config.pipeline.model_file = default_model_file();
   config.pipeline.tracker.landmark_nets = default_landmark_nets();
   config.stream.socket = "/run/facet/stream.sock";
-  config.web.page = FACET_KIOSK_FOLDER;
+  const std::filesystem::path page = share_beside_program() / "kiosk";
+  std::error_code ignored;
+  config.web.page =
+      std::filesystem::is_directory(page, ignored) ? page : std::filesystem::path(FACET_KIOSK_FOLDER);
   return config;
 }
 

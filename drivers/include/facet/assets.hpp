@@ -2,17 +2,30 @@
 
 #include <cstdlib>
 #include <filesystem>
+#include <system_error>
 
 #include "facet/assets_folder.hpp"
 
 namespace facet {
 
-/// The folder of what Facet needs beside its programs: $FACET_ASSETS, else the folder set when it was built
-/// (FACET_ASSETS_FOLDER: assets/ of the source tree, or /usr/share/facet in packages). It need not exist.
+/// ../share/facet of the folder that the running program lies in, where there is one: an installation that
+/// can be moved. Empty where there is none.
+inline std::filesystem::path share_beside_program() {
+  std::error_code error;
+  const std::filesystem::path program = std::filesystem::read_symlink("/proc/self/exe", error);
+  const std::filesystem::path share = program.parent_path().parent_path() / "share" / "facet";
+  return !error && std::filesystem::is_directory(share, error) ? share : std::filesystem::path();
+}
+
+/// The folder of what Facet needs beside its programs: $FACET_ASSETS, else share/facet beside the program's
+/// folder, else the folder set when it was built (FACET_ASSETS_FOLDER: assets/ of the source tree, or
+/// /usr/share/facet in packages). It need not exist.
 inline std::filesystem::path assets_folder() {
-  const char* set = std::getenv("FACET_ASSETS");
-  return set != nullptr && *set != '\0' ? std::filesystem::path(set)
-                                        : std::filesystem::path(FACET_ASSETS_FOLDER);
+  if (const char* set = std::getenv("FACET_ASSETS"); set != nullptr && *set != '\0') {
+    return set;
+  }
+  const std::filesystem::path beside = share_beside_program();
+  return beside.empty() ? std::filesystem::path(FACET_ASSETS_FOLDER) : beside;
 }
 
 /// The default face model and the landmark nets, where a configuration names no others.
