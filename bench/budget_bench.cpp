@@ -7,6 +7,9 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cmath>
+#include <fstream>
+#include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -74,6 +77,49 @@ void report(const Run& run, const Run& paper) {
   fmt::print(" |\n");
 }
 
+/// Mean energy that the finest level ends with, of all frames but the first.
+double final_energy(const Run& run) {
+  double sum = 0;
+  for (std::size_t k = 1; k < run.energies.size(); ++k) {
+    sum += run.energies[k].back();
+  }
+  return sum / static_cast<double>(std::max<std::size_t>(run.energies.size(), 2) - 1);
+}
+
+/// Energies by "sequence/budget" that another device ended with: lines of a name and a number.
+class Reference {
+ public:
+  explicit Reference(const std::filesystem::path& file) {
+    std::ifstream stream(file);
+    std::string name;
+    for (double energy = 0; stream >> name >> energy;) {
+      energies_[name] = energy;
+    }
+    if (energies_.empty() || !stream.eof()) {
+      throw Error(ErrorKind::UnreadableInput,
+                  fmt::format("{} is no file of energies: make one on another device with --write-reference",
+                              file.string()));
+    }
+  }
+
+  /// Says how far off the energy is; false where it is more than a percent, or the reference has none.
+  bool is_near(const std::string& name, double energy) const {
+    constexpr double kTolerance = 0.01;
+    const auto found = energies_.find(name);
+    if (found == energies_.end()) {
+      fmt::print("{}: the reference has no such sequence and budget\n", name);
+      return false;
+    }
+    const double off = energy / found->second - 1;
+    fmt::print("{}: energy {:+.3f} % from the reference{}\n", name, 100 * off,
+               std::abs(off) <= kTolerance ? "" : ", MORE THAN A PERCENT");
+    return std::abs(off) <= kTolerance;
+  }
+
+ private:
+  std::map<std::string, double> energies_;
+};
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -81,17 +127,37 @@ int main(int argc, char** argv) {
   facet::bench::SequenceOptions options;
   options.measure_every = 1'000'000;
   std::string device = "auto";
+  std::vector<std::string> budgets{"auto", "fixed"};
+  std::filesystem::path reference_file;
+  std::filesystem::path written_file;
   CLI::App app("Energy and time of the displacement solve by its budget, on sequences of facet synth");
   app.add_option("folders", folders, "Folders that facet synth wrote")->required();
   app.add_option("--min-edge-px", options.min_edge_px, "Of the hierarchy")->capture_default_str();
   app.add_option("--model", options.model, "Face model file")->capture_default_str();
   app.add_option("--device", device, "GPU, by part of its name")->capture_default_str();
+  app.add_option("--budgets", budgets,
+                 "Beside the paper's: auto, fixed (one to three steps of 3 and 7 iterations)")
+      ->delimiter(',')
+      ->check(CLI::IsMember({"auto", "fixed"}))
+      ->capture_default_str();
+  app.add_option("--reference", reference_file,
+                 "Compare energies with those in this file: exit 1 where one is off by more than a percent");
+  app.add_option("--write-reference", written_file, "Leave the energies in this file, for other devices");
   CLI11_PARSE(app, argc, argv);
+  bool met = true;
   try {
     const auto model = facet::face::FaceModel::load(options.model);
     facet::gpu::ContextOptions context_options;
     context_options.device = device;
     facet::gpu::Context context(context_options);
+    std::optional<Reference> reference;
+    if (!reference_file.empty()) {
+      reference.emplace(reference_file);
+    }
+    std::ofstream written;
+    if (!written_file.empty()) {
+      written.open(written_file);
+    }
     for (const auto& folder : folders) {
       const Sequence sequence = facet::bench::load_sequence(model, options, folder);
       std::shared_ptr<const facet::mesh::Albedo> albedo;
@@ -107,22 +173,38 @@ int main(int argc, char** argv) {
       RefinerConfig config;
       config.budget = facet::refine::Budget::Paper;
       const Run paper = run(context, model, sequence, albedo, "paper", config);
-      report(paper, paper);
-      config.budget = facet::refine::Budget::Auto;
-      report(run(context, model, sequence, albedo, "auto", config), paper);
+      const auto show = [&](const Run& one) {
+        report(one, paper);
+        const std::string name = sequence.name + "/" + one.name;
+        if (one.name == "paper" || one.name == "auto") {
+          const double energy = final_energy(one);
+          written << name << ' ' << fmt::format("{:.9g}", energy) << '\n';
+          met = (!reference || reference->is_near(name, energy)) && met;
+        }
+      };
+      show(paper);
+      if (std::ranges::count(budgets, "auto") > 0) {
+        config.budget = facet::refine::Budget::Auto;
+        show(run(context, model, sequence, albedo, "auto", config));
+      }
+      if (std::ranges::count(budgets, "fixed") == 0) {
+        continue;
+      }
       config.budget = facet::refine::Budget::Fixed;
       for (const int steps : {1, 2, 3}) {
         for (const int pcg : {3, 7}) {
           config.gauss_newton_steps = steps;
           config.pcg_iterations = pcg;
-          report(run(context, model, sequence, albedo, fmt::format("{} steps of {}", steps, pcg), config),
-                 paper);
+          show(run(context, model, sequence, albedo, fmt::format("{} steps of {}", steps, pcg), config));
         }
       }
+    }
+    if (!written_file.empty() && !written.flush()) {
+      throw Error(ErrorKind::Storage, fmt::format("cannot write {}", written_file.string()));
     }
   } catch (const Error& error) {
     fmt::print(stderr, "budget_bench: {}\n", error.what());
     return static_cast<int>(error.kind());
   }
-  return 0;
+  return met ? 0 : 1;
 }

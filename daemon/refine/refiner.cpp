@@ -16,6 +16,7 @@
 #include "refine/displacement_kernels.hpp"
 #include "refine/lighting.hpp"
 #include "refine/observation.hpp"
+#include "refine/subject_setup.hpp"
 #include "refine_shaders.hpp"
 #include "shaders/refine/layout.h"
 
@@ -28,6 +29,7 @@ using shaders::refine::Light;
 
 constexpr int kPaperGaussNewtonSteps = 10;
 constexpr int kPaperPcgIterations = 7;
+constexpr std::size_t kMostTimedKernels = 4096;
 // Recorded frames that are kept: the plans that Budget::Auto goes back and forth between.
 constexpr std::size_t kMostRecorded = 12;
 // After the first frames the albedo looks for vertices not yet seen in one frame of this many.
@@ -108,78 +110,12 @@ AlbedoOptions albedo_options(const RefinerConfig& config) {
   return out;
 }
 
-/// Mean albedo of every level, [3][vertex_count].
-std::vector<mesh::Vertices> mean_albedo_of_levels(const SubjectSetup& subject) {
-  std::vector<mesh::Vertices> out;
-  mesh::push_positions(*subject.hierarchy, subject.mean_albedo, out);
-  return out;
-}
-
-/// Known albedo of every level from the finest one's, [3][vertex_count]. A vertex of a coarser level is also
-/// one of the finer level; it takes half of itself and half of its neighbours there, as the wider pixels that
-/// it is compared with do.
-std::vector<mesh::Vertices> known_albedo_of_levels(const SubjectSetup& subject) {
-  const std::vector<mesh::Level>& levels = subject.hierarchy->levels;
-  std::vector<mesh::Vertices> out(levels.size());
-  out.back() =
-      Eigen::Map<const mesh::Vertices>(subject.albedo->linear_rgb.data(), 3, levels.back().vertex_count);
-  for (std::size_t l = levels.size() - 1; l > 0; --l) {
-    const mesh::OneRings& rings = levels[l].one_rings;
-    out[l - 1].resize(3, levels[l - 1].vertex_count);
-    for (Eigen::Index v = 0; v < out[l - 1].cols(); ++v) {
-      const auto first = static_cast<std::size_t>(rings.offsets[static_cast<std::size_t>(v)]);
-      const auto end = static_cast<std::size_t>(rings.offsets[static_cast<std::size_t>(v) + 1]);
-      Eigen::Vector3f sum = Eigen::Vector3f::Zero();
-      for (std::size_t k = first; k < end; ++k) {
-        sum += out[l].col(rings.neighbours[k]);
-      }
-      out[l - 1].col(v) = 0.5F * out[l].col(v) + 0.5F * sum / static_cast<float>(end - first);
-    }
-  }
-  return out;
-}
-
-std::vector<vec4> with_fourth(const mesh::Vertices& columns, float fourth) {
-  std::vector<vec4> out(static_cast<std::size_t>(columns.cols()));
-  for (std::size_t i = 0; i < out.size(); ++i) {
-    const auto column = static_cast<Eigen::Index>(i);
-    out[i] = {columns(0, column), columns(1, column), columns(2, column), fourth};
-  }
-  return out;
-}
-
 void check(const RefinerConfig& config) {
   if (config.gauss_newton_steps < 1 || config.pcg_iterations < 1) {
     throw Error(ErrorKind::Usage,
                 fmt::format("refinement needs at least 1 Gauss-Newton step and 1 PCG iteration, not "
                             "{} and {}",
                             config.gauss_newton_steps, config.pcg_iterations));
-  }
-}
-
-void check(const RefinerConfig& config, const SubjectSetup& subject) {
-  if (subject.hierarchy == nullptr || subject.hierarchy->levels.empty()) {
-    throw Error(ErrorKind::Usage, "refinement needs a subject with a hierarchy");
-  }
-  if (config.given_prior && (subject.hierarchy->levels.size() != 1 || !config.hierarchical)) {
-    throw Error(ErrorKind::Usage,
-                "given displacements are refined on one level: the subject's hierarchy has more");
-  }
-  const std::int32_t count = subject.hierarchy->control_vertex_count;
-  if (subject.mean_albedo.cols() != count || subject.refinable.size() != static_cast<std::size_t>(count)) {
-    throw Error(ErrorKind::Usage,
-                fmt::format("the subject has {} control vertices, {} mean albedos and {} refinable "
-                            "flags; the three must be equal",
-                            count, subject.mean_albedo.cols(), subject.refinable.size()));
-  }
-  if (!subject.trust.empty() && subject.trust.size() != static_cast<std::size_t>(count)) {
-    throw Error(ErrorKind::Usage, fmt::format("the subject has {} control vertices and trust for {}", count,
-                                              subject.trust.size()));
-  }
-  const auto finest = static_cast<std::size_t>(subject.hierarchy->finest().vertex_count);
-  if (subject.albedo != nullptr && subject.albedo->linear_rgb.size() != 3 * finest) {
-    throw Error(ErrorKind::Usage, fmt::format("the known albedo has {} numbers; the finest level needs {}",
-                                              subject.albedo->linear_rgb.size(), 3 * finest));
   }
 }
 
@@ -320,6 +256,9 @@ void Kernels::record(gpu::Batch& batch, const RefinerConfig& config, const Subje
   const Level& coarsest = *subject.levels.front();
   const bool refine_coarsest = plan.steps.front() > 0;
 
+  if (config.time_kernels) {
+    batch.time_dispatches();
+  }
   batch.stage("upload");
   observation.record_image(batch, *subject.pyramid, subject.frame);
   observation.record_prolong(batch, coarsest.topology, coarsest.stencils, subject.control.view,
@@ -384,6 +323,9 @@ void Kernels::record_displacements(gpu::Batch& batch, const RefinerConfig& confi
                                    const SubjectBuffers& subject, const StepPlan& plan) const {
   for (std::size_t l = 0; l < subject.levels.size(); ++l) {
     const Level& level = *subject.levels[l];
+    if (config.time_kernels) {
+      batch.stage(fmt::format("displacement/{}", l));
+    }
     const bool refined = plan.steps[l] > 0;
     const bool prolonged = config.hierarchical && l > 0;
     if (l > 0) {
@@ -582,7 +524,8 @@ const SubjectBuffers::Recorded& Refiner::Impl::recorded_frame(const StepPlan& pl
   if (all.size() >= kMostRecorded) {
     all.erase(all.begin());
   }
-  auto batch = std::make_unique<gpu::Batch>(context, learn ? "frame, albedo learned" : "frame, albedo held");
+  auto batch = std::make_unique<gpu::Batch>(context, learn ? "frame, albedo learned" : "frame, albedo held",
+                                            config.time_kernels ? kMostTimedKernels : gpu::Batch::max_stages);
   kernels.record(*batch, config, *subject, learn, plan);
   all.push_back({plan, learn, std::move(batch)});
   return all.back();
@@ -698,6 +641,9 @@ RefineOutcome Refiner::collect(RefineOutput& output) {
     return RefineOutcome::NumericalFailure;
   }
   impl.read(output);
+  if (impl.config.time_kernels) {
+    output.kernels.assign(batch.stage_times().begin(), batch.stage_times().end());
+  }
   if (recorded.learn) {
     impl.read_albedo();
   }

@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "facet/frame.hpp"
-#include "gpu/context.hpp"
+#include "gpu/batch.hpp"
 #include "mesh/hierarchy.hpp"
 #include "mesh/mesh_frame.hpp"
 #include "refine/step_planner.hpp"
@@ -52,6 +52,7 @@ struct RefinerConfig {
   /// Displacements are held within +- this: three times the coarse mesh's mean error. More is no wrinkle.
   float displacement_bound_mm = 6;
   bool record_energies = false;  ///< fill RefineOutput::energies: for convergence plots
+  bool time_kernels = false;     ///< fill RefineOutput::kernels: for benchmarks; slows the frame down
 };
 
 /// What refinement errs towards where shading cannot tell folds from what colours the skin.
@@ -119,7 +120,8 @@ struct RefineOutput {
   float albedo_ms = 0;
   float displacement_ms = 0;
   float readback_ms = 0;
-  std::string failure;  ///< for people, empty where Refined
+  std::string failure;                  ///< for people, empty where Refined
+  std::vector<gpu::StageTime> kernels;  ///< only with time_kernels: every step, "stage/level/kernel"
   /// Only with record_energies: [level][step] E(d) [MD19 eq. 6] before each Gauss-Newton step and after the
   /// last.
   std::vector<std::vector<double>> energies;

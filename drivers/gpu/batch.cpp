@@ -17,19 +17,20 @@ constexpr std::size_t dispatch_counts_bytes = 3 * sizeof(std::uint32_t);
 
 }  // namespace
 
-Batch::Batch(Context& context, std::string_view name)
-    : impl_(std::make_unique<Impl>(context.device(), name)) {}
+Batch::Batch(Context& context, std::string_view name, std::size_t most_stages)
+    : impl_(std::make_unique<Impl>(context.device(), name, static_cast<std::uint32_t>(most_stages))) {}
 Batch::~Batch() = default;
 Batch::Batch(Batch&&) noexcept = default;
 Batch& Batch::operator=(Batch&&) noexcept = default;
 
 void Batch::stage(std::string_view name) {
   impl_->check_recording();
-  if (impl_->stages.size() == max_stages) {
-    impl_->misuse(fmt::format("more than {} stages", max_stages));
-  }
-  impl_->timestamp();
-  impl_->stages.push_back({std::string(name), 0.0F});
+  impl_->stage_name = name;
+  impl_->begin_stage(impl_->stage_name);
+}
+
+void Batch::time_dispatches() {
+  impl_->times_dispatches = true;
 }
 
 void Batch::dispatch_bytes(const Kernel& kernel, std::span<const Binding> bindings, Groups groups,
@@ -41,7 +42,7 @@ void Batch::dispatch_bytes(const Kernel& kernel, std::span<const Binding> bindin
   }
   std::vector<Access> accesses;
   impl_->bind(kernel.impl(), bindings, push, push_alignment, accesses);
-  impl_->step(accesses);
+  impl_->step(kernel.name(), accesses);
   impl_->device->api().vkCmdDispatch(impl_->commands, groups.x, groups.y, groups.z);
   ++impl_->counts.dispatches;
 }
@@ -59,7 +60,7 @@ void Batch::dispatch_indirect_bytes(const Kernel& kernel, std::span<const Bindin
   std::vector<Access> accesses{
       {handle_bits(buffer.buffer), offset_bytes, offset_bytes + dispatch_counts_bytes, false}};
   impl_->bind(kernel.impl(), bindings, push, push_alignment, accesses);
-  impl_->step(accesses);
+  impl_->step(kernel.name(), accesses);
   impl_->device->api().vkCmdDispatchIndirect(impl_->commands, buffer.buffer, offset_bytes);
   ++impl_->counts.dispatches;
 }
@@ -81,7 +82,7 @@ void Batch::copy(const Buffer& source, const Buffer& target, std::size_t size_by
   const std::array accesses{
       Access{handle_bits(from.buffer), source_offset_bytes, source_offset_bytes + size, false},
       Access{handle_bits(to.buffer), target_offset_bytes, target_offset_bytes + size, true}};
-  impl_->step(accesses);
+  impl_->step("copy", accesses);
   const VkBufferCopy region{source_offset_bytes, target_offset_bytes, size};
   impl_->device->api().vkCmdCopyBuffer(impl_->commands, from.buffer, to.buffer, 1, &region);
   ++impl_->counts.copies;
@@ -110,7 +111,7 @@ void Batch::fill(const Buffer& target, std::uint32_t word, std::size_t offset_by
                               buffer.name));
   }
   const std::array accesses{Access{handle_bits(buffer.buffer), offset_bytes, offset_bytes + size, true}};
-  impl_->step(accesses);
+  impl_->step("fill", accesses);
   impl_->device->api().vkCmdFillBuffer(impl_->commands, buffer.buffer, offset_bytes, size, word);
   ++impl_->counts.copies;
 }
@@ -119,6 +120,7 @@ void Batch::finish() {
   impl_->check_recording();
   if (!impl_->stages.empty()) {
     impl_->timestamp();
+    impl_->ticks.reserve(impl_->timestamps);  // wait allocates nothing
   }
   // What the host reads after wait.
   impl_->barrier(VK_PIPELINE_STAGE_HOST_BIT, VK_ACCESS_HOST_READ_BIT);
@@ -142,6 +144,7 @@ void Batch::reset() {
   }
   impl_->pool_in_use = 0;
   impl_->stages.clear();
+  impl_->times_dispatches = false;
   impl_->timestamps = 0;
   impl_->finished = false;
   impl_->begin();
@@ -217,7 +220,8 @@ std::span<const StageTime> Batch::stage_times() const {
 float Batch::stage_ms(std::string_view name) const {
   float sum = 0.0F;
   for (const StageTime& stage : impl_->stages) {
-    sum += stage.name == name ? stage.ms : 0.0F;
+    const bool part = stage.name.size() > name.size() && stage.name[name.size()] == '/';
+    sum += stage.name.starts_with(name) && (part || stage.name.size() == name.size()) ? stage.ms : 0.0F;
   }
   return sum;
 }

@@ -77,15 +77,20 @@ struct StageTime {
 /// outside its resource, push constants of the wrong size, submit before finish or while in flight.
 class Batch {
  public:
-  Batch(Context& context, std::string_view name);
+  /// most_stages: room for the times of so many
+  Batch(Context& context, std::string_view name, std::size_t most_stages = max_stages);
   ~Batch();
   Batch(Batch&&) noexcept;
   Batch& operator=(Batch&&) noexcept;
 
   /// Starts a named stage: what is recorded from here to the next stage, or to finish, is timed under this
-  /// name. The same name may come again (once per level): stage_ms adds them up. At most max_stages.
+  /// name. The same name may come again (once per level), or with "/" and a part behind it: stage_ms adds
+  /// them up. At most as many as the constructor was told.
   static constexpr std::size_t max_stages = 256;
   void stage(std::string_view name);
+  /// From here on every dispatch, copy and fill is a stage of its own, "STAGE/KERNEL", "STAGE/copy" or
+  /// "STAGE/fill". For benchmarks: each stage costs a write of the device's clock.
+  void time_dispatches();
 
   /// Runs a kernel without push constants. Every binding of the kernel must be given, by name, once.
   void dispatch(const Kernel& kernel, std::span<const Binding> bindings, Groups groups) {
@@ -165,7 +170,7 @@ class Batch {
 
   /// The stages in recorded order with the times of the last wait that returned Done. Real-time safe.
   std::span<const StageTime> stage_times() const;
-  /// Sum over the stages of that name, 0 where there is none. Real-time safe.
+  /// Sum over the stages of that name and their parts ("name/part"), 0 where there is none. Real-time safe.
   float stage_ms(std::string_view name) const;
 
   struct Counts {

@@ -51,7 +51,8 @@ const char* type_name(BindingType type) {
 
 }  // namespace
 
-Batch::Impl::Impl(std::shared_ptr<Device> on, std::string_view called) : device(std::move(on)), name(called) {
+Batch::Impl::Impl(std::shared_ptr<Device> on, std::string_view called, std::uint32_t stages_at_most)
+    : device(std::move(on)), name(called), most_stages(stages_at_most) {
   try {
     make();
     begin();
@@ -81,7 +82,7 @@ void Batch::Impl::make() {
   VkQueryPoolCreateInfo query_info{};
   query_info.sType = VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO;
   query_info.queryType = VK_QUERY_TYPE_TIMESTAMP;
-  query_info.queryCount = max_stages + 1;
+  query_info.queryCount = most_stages + 1;
   device->check(api.vkCreateQueryPool(device->handle(), &query_info, nullptr, &queries), what);
   device->set_name(VK_OBJECT_TYPE_COMMAND_BUFFER, handle_bits(commands), name);
 }
@@ -126,7 +127,7 @@ void Batch::Impl::begin() {
   info.sType = VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO;
   device->check(api.vkBeginCommandBuffer(commands, &info), fmt::format("record batch '{}'", name));
   if (device->timestamp_valid_bits() > 0) {
-    api.vkCmdResetQueryPool(commands, queries, 0, max_stages + 1);
+    api.vkCmdResetQueryPool(commands, queries, 0, most_stages + 1);
   }
   // What earlier submissions wrote must be visible to this one.
   barrier(working_stages | VK_PIPELINE_STAGE_DRAW_INDIRECT_BIT, any_access);
@@ -167,8 +168,19 @@ void Batch::Impl::barrier(VkPipelineStageFlags to_stages, VkAccessFlags to_acces
   ++counts.barriers;
 }
 
+void Batch::Impl::begin_stage(const std::string& called) {
+  if (stages.size() == most_stages) {
+    misuse(fmt::format("more than {} stages", most_stages));
+  }
+  timestamp();
+  stages.push_back({called, 0.0F});
+}
+
 /// Puts a barrier before the step that makes these accesses, where it needs one.
-void Batch::Impl::step(std::span<const Access> accesses) {
+void Batch::Impl::step(std::string_view called, std::span<const Access> accesses) {
+  if (times_dispatches) {
+    begin_stage(fmt::format("{}/{}", stage_name, called));
+  }
   if (hazards.conflicts(accesses)) {
     barrier(working_stages | VK_PIPELINE_STAGE_DRAW_INDIRECT_BIT, any_access);
   }
@@ -382,7 +394,7 @@ void Batch::Impl::copy_image(const Buffer& buffer, const Image& image, std::uint
   const std::array accesses{
       Access{handle_bits(buffer.impl().buffer), offset_bytes, offset_bytes + size, !to_image},
       Access{handle_bits(image.impl().image), level, std::size_t{level} + 1, to_image}};
-  step(accesses);
+  step("copy", accesses);
   VkBufferImageCopy region{};
   region.bufferOffset = offset_bytes;
   region.imageSubresource = {VK_IMAGE_ASPECT_COLOR_BIT, level, 0, 1};
@@ -409,7 +421,7 @@ void Batch::Impl::read_stage_times() {
   if (timestamps == 0) {
     return;
   }
-  std::array<std::uint64_t, max_stages + 1> ticks;
+  ticks.resize(timestamps);
   const VkResult result = device->api().vkGetQueryPoolResults(
       device->handle(), queries, 0, timestamps, timestamps * sizeof(std::uint64_t), ticks.data(),
       sizeof(std::uint64_t), VK_QUERY_RESULT_64_BIT);

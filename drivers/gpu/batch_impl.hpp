@@ -14,7 +14,7 @@
 namespace facet::gpu {
 
 struct Batch::Impl {
-  Impl(std::shared_ptr<Device> on, std::string_view called);
+  Impl(std::shared_ptr<Device> on, std::string_view called, std::uint32_t stages_at_most);
   ~Impl();
   Impl(const Impl&) = delete;
   Impl& operator=(const Impl&) = delete;
@@ -42,7 +42,8 @@ struct Batch::Impl {
   void check_range(std::string_view resource, std::size_t there_are, std::size_t offset,
                    std::size_t size) const;
   void check_device(const std::shared_ptr<Device>& other, std::string_view resource) const;
-  void step(std::span<const Access> accesses);
+  void begin_stage(const std::string& called);
+  void step(std::string_view called, std::span<const Access> accesses);
   void barrier(VkPipelineStageFlags to_stages, VkAccessFlags to_access);
   VkDescriptorSet allocate_set(VkDescriptorSetLayout layout);
   void bind(const Kernel::Impl& kernel, std::span<const Binding> bindings, std::span<const std::byte> push,
@@ -68,8 +69,12 @@ struct Batch::Impl {
   std::vector<VkDescriptorPool> descriptor_pools;
   std::size_t pool_in_use = 0;
   HazardTracker hazards;
+  std::uint32_t most_stages = 0;
   std::vector<StageTime> stages;
+  std::string stage_name;  ///< the last that the user gave
+  bool times_dispatches = false;
   std::uint32_t timestamps = 0;
+  std::vector<std::uint64_t> ticks;  ///< of read_stage_times
   Counts counts;
   bool finished = false;
   bool in_flight = false;      ///< from submit until wait says how it ended

@@ -90,7 +90,9 @@ Buffer::Impl::Impl(std::shared_ptr<Device> on, std::size_t bytes, Memory kind, s
     VkMemoryRequirements needs{};
     api.vkGetBufferMemoryRequirements(device->handle(), buffer, &needs);
     const MemoryFlags flags = memory_flags(kind);
-    memory = device->allocate(needs, flags.required, flags.preferred, what);
+    const Device::Allocation allocated = device->allocate(needs, flags.required, flags.preferred, what);
+    memory = allocated.memory;
+    memory_type = allocated.type;
     device->check(api.vkBindBufferMemory(device->handle(), buffer, memory, 0), what);
     if (kind != Memory::Device) {
       void* address = nullptr;

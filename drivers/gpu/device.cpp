@@ -104,13 +104,18 @@ bool has_extension(const InstanceApi& api, VkPhysicalDevice device, const char* 
   });
 }
 
-std::optional<std::uint32_t> compute_queue_family(const InstanceApi& api, VkPhysicalDevice device,
-                                                  std::uint32_t* timestamp_bits) {
+std::vector<VkQueueFamilyProperties> families_of(const InstanceApi& api, VkPhysicalDevice device) {
   std::uint32_t count = 0;
   api.vkGetPhysicalDeviceQueueFamilyProperties(device, &count, nullptr);
   std::vector<VkQueueFamilyProperties> families(count);
   api.vkGetPhysicalDeviceQueueFamilyProperties(device, &count, families.data());
-  for (std::uint32_t family = 0; family < count; ++family) {
+  return families;
+}
+
+std::optional<std::uint32_t> compute_queue_family(const InstanceApi& api, VkPhysicalDevice device,
+                                                  std::uint32_t* timestamp_bits) {
+  const std::vector<VkQueueFamilyProperties> families = families_of(api, device);
+  for (std::uint32_t family = 0; family < families.size(); ++family) {
     if ((families[family].queueFlags & VK_QUEUE_COMPUTE_BIT) != 0) {
       *timestamp_bits = families[family].timestampValidBits;
       return family;
@@ -390,10 +395,7 @@ void Device::open(const Instance::Candidate& chosen) {
   physical_ = chosen.handle;
   info_ = chosen.info;
   instance.vkGetPhysicalDeviceMemoryProperties(physical_, &memory_);
-  VkPhysicalDeviceProperties2 properties{};
-  properties.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2;
-  instance.vkGetPhysicalDeviceProperties2(physical_, &properties);
-  limits_ = properties.properties.limits;
+  limits_ = properties(nullptr).limits;
   queue_family_ = compute_queue_family(instance, physical_, &timestamp_valid_bits_).value();
 
   const float priority = 1.0F;
@@ -416,7 +418,7 @@ void Device::open(const Instance::Candidate& chosen) {
     features.core.pNext = &features.atomic_float;
     extensions.push_back(VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME);
   }
-  if (has_extension(instance, physical_, portability_subset)) {
+  if (has_extension(portability_subset)) {
     extensions.push_back(portability_subset);  // a device that has it must be opened with it
   }
   create.enabledExtensionCount = static_cast<std::uint32_t>(extensions.size());
@@ -568,8 +570,24 @@ VkFormatFeatureFlags Device::buffer_features(VkFormat format) const {
   return properties.bufferFeatures;
 }
 
-VkDeviceMemory Device::allocate(const VkMemoryRequirements& needs, VkMemoryPropertyFlags required,
-                                VkMemoryPropertyFlags preferred, std::string_view what) {
+std::vector<VkQueueFamilyProperties> Device::queue_families() const {
+  return families_of(instance_->api(), physical_);
+}
+
+bool Device::has_extension(const char* name) const {
+  return gpu::has_extension(instance_->api(), physical_, name);
+}
+
+VkPhysicalDeviceProperties Device::properties(void* chain) const {
+  VkPhysicalDeviceProperties2 properties{};
+  properties.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2;
+  properties.pNext = chain;
+  instance_->api().vkGetPhysicalDeviceProperties2(physical_, &properties);
+  return properties.properties;
+}
+
+Device::Allocation Device::allocate(const VkMemoryRequirements& needs, VkMemoryPropertyFlags required,
+                                    VkMemoryPropertyFlags preferred, std::string_view what) {
   for (const VkMemoryPropertyFlags flags : {required | preferred, required}) {
     for (std::uint32_t type = 0; type < memory_.memoryTypeCount; ++type) {
       const bool allowed = (needs.memoryTypeBits & (1U << type)) != 0;
@@ -582,7 +600,7 @@ VkDeviceMemory Device::allocate(const VkMemoryRequirements& needs, VkMemoryPrope
       info.memoryTypeIndex = type;
       VkDeviceMemory memory = VK_NULL_HANDLE;
       check(api_.vkAllocateMemory(device_, &info, nullptr, &memory), what);
-      return memory;
+      return {memory, type};
     }
   }
   throw Error(ErrorKind::NoDevice,

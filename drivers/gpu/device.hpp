@@ -63,6 +63,11 @@ class Device {
   VkDevice handle() const { return device_; }
   const DeviceInfo& info() const { return info_; }
   const VkPhysicalDeviceLimits& limits() const { return limits_; }
+  const VkPhysicalDeviceMemoryProperties& memory() const { return memory_; }
+  std::vector<VkQueueFamilyProperties> queue_families() const;
+  bool has_extension(const char* name) const;
+  /// chain: nullptr or a property structure to be filled.
+  VkPhysicalDeviceProperties properties(void* chain) const;
   const Instance& instance() const { return *instance_; }
   std::uint32_t queue_family() const { return queue_family_; }
   std::uint32_t timestamp_valid_bits() const { return timestamp_valid_bits_; }
@@ -103,9 +108,13 @@ class Device {
   VkFormatFeatureFlags image_features(VkFormat format) const;
   VkFormatFeatureFlags buffer_features(VkFormat format) const;
 
+  struct Allocation {
+    VkDeviceMemory memory = VK_NULL_HANDLE;
+    std::uint32_t type = 0;
+  };
   /// Memory of a type that has all `required` flags, and `preferred` ones where there is such a type.
-  VkDeviceMemory allocate(const VkMemoryRequirements& needs, VkMemoryPropertyFlags required,
-                          VkMemoryPropertyFlags preferred, std::string_view what);
+  Allocation allocate(const VkMemoryRequirements& needs, VkMemoryPropertyFlags required,
+                      VkMemoryPropertyFlags preferred, std::string_view what);
 
   /// Gives an object a name in the messages of the validation layer.
   void set_name(VkObjectType type, std::uint64_t object, std::string_view name) const;

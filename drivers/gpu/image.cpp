@@ -104,7 +104,7 @@ void Image::Impl::make(std::uint32_t level_count) {
   device->check(api.vkCreateImage(device->handle(), &info, nullptr, &image), what);
   VkMemoryRequirements needs{};
   api.vkGetImageMemoryRequirements(device->handle(), image, &needs);
-  memory = device->allocate(needs, 0, VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT, what);
+  memory = device->allocate(needs, 0, VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT, what).memory;
   device->check(api.vkBindImageMemory(device->handle(), image, memory, 0), what);
   device->set_name(VK_OBJECT_TYPE_IMAGE, handle_bits(image), name);
 

@@ -24,6 +24,7 @@ struct Buffer::Impl {
   std::size_t size_bytes = 0;
   VkBuffer buffer = VK_NULL_HANDLE;
   VkDeviceMemory memory = VK_NULL_HANDLE;
+  std::uint32_t memory_type = 0;
   std::byte* mapped = nullptr;
 };
 

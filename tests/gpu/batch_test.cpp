@@ -246,6 +246,38 @@ TEST_F(BatchTest, StagesAreTimedByName) {
   EXPECT_GT(least_scale_ms, least_nothing_ms) << "a million elements take longer than nothing";
 }
 
+TEST_F(BatchTest, EveryStepIsTimedWhereAsked) {
+  const Buffer zeros(context(), 64, Memory::Device, "zeros");
+  const Buffer values(context(), 64, Memory::Readback, "values");
+  const Kernel kernel = accumulate();
+  Batch batch(context(), "timed", 5);
+  batch.time_dispatches();
+  batch.stage("solve");
+  batch.fill(zeros);
+  batch.stage("solve/1");
+  batch.dispatch(kernel, {{"previous", zeros}, {"values", values}}, {1}, CountPush{16});
+  batch.copy(zeros, values);
+  EXPECT_THROW(batch.fill(zeros), Error) << "no room for a sixth time";
+  batch.finish();
+  ASSERT_EQ(batch.submit(), Outcome::Done);
+  ASSERT_EQ(batch.wait(), Outcome::Done);
+  std::vector<std::string> names;
+  float sum_ms = 0;
+  for (const StageTime& stage : batch.stage_times()) {
+    names.push_back(stage.name);
+    sum_ms += stage.ms;
+  }
+  EXPECT_THAT(names,
+              testing::ElementsAre("solve", "solve/fill", "solve/1", "solve/1/accumulate", "solve/1/copy"));
+  EXPECT_FLOAT_EQ(batch.stage_ms("solve"), sum_ms);
+  EXPECT_FLOAT_EQ(batch.stage_ms("solve/1/copy"), batch.stage_times()[4].ms);
+  EXPECT_EQ(batch.stage_ms("sol"), 0.0F);
+  batch.reset();
+  batch.fill(zeros);
+  batch.finish();
+  EXPECT_TRUE(batch.stage_times().empty()) << "a batch that is recorded anew is not timed";
+}
+
 TEST_F(BatchTest, MisuseIsRefused) {
   const Buffer buffer(context(), 64, Memory::Device, "buffer");
   Batch batch(context(), "misused");

@@ -14,6 +14,7 @@
 #include "gpu/batch.hpp"
 #include "gpu/buffer.hpp"
 #include "gpu/downsample.hpp"
+#include "gpu/facts.hpp"
 #include "shaders/layout.h"
 #include "support/gpu.hpp"
 #include "test_gpu_shaders.hpp"
@@ -53,6 +54,34 @@ TEST_F(ContextTest, TellsWhatTheDeviceIs) {
   EXPECT_FALSE(context().lost());
   EXPECT_FALSE(context().hung());
   EXPECT_EQ(info.patience.count(), info.is_software ? 60'000 : 2'000);
+}
+
+TEST_F(ContextTest, FactsNameEveryMemoryAndTheQueueInUse) {
+  const DeviceFacts facts = device_facts(context());
+  EXPECT_FALSE(facts.heap_bytes.empty());
+  EXPECT_THAT(facts.api_version, ContainsRegex("^1\\.[0-9]+\\.[0-9]+$"));
+  std::string uses;
+  for (const DeviceFacts::MemoryType& type : facts.memory_types) {
+    ASSERT_LT(type.heap, facts.heap_bytes.size());
+    uses += " " + type.used_for;
+    if (type.used_for.find("Upload") != std::string::npos ||
+        type.used_for.find("Readback") != std::string::npos) {
+      EXPECT_THAT(type.properties, HasSubstr("host-visible host-coherent"));
+    }
+  }
+  for (const char* kind : {"Device", "Upload", "Readback"}) {
+    const std::size_t at = uses.find(kind);
+    EXPECT_NE(at, std::string::npos) << kind;
+    EXPECT_EQ(uses.find(kind, at + 1), std::string::npos) << kind;
+  }
+  int used = 0;
+  for (const DeviceFacts::QueueFamily& family : facts.queue_families) {
+    used += family.used ? 1 : 0;
+    EXPECT_TRUE(!family.used || family.does.find("compute") != std::string::npos);
+  }
+  EXPECT_EQ(used, 1);
+  EXPECT_LE(facts.subgroup_size_least, context().info().subgroup_size);
+  EXPECT_GE(facts.workgroup_invocations, 128U);  // the least that Vulkan allows
 }
 
 TEST_F(ContextTest, ListsDevicesBestFirst) {

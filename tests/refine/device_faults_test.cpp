@@ -15,7 +15,7 @@
 #include "refine/refine_stage.hpp"
 #include "support/eventually.hpp"
 #include "support/gpu_faults.hpp"
-#include "synthetic_face.hpp"
+#include "support/synthetic_face.hpp"
 
 namespace facet::refine {
 namespace {

@@ -5,7 +5,7 @@
 #include <random>
 
 #include "problems.hpp"
-#include "synthetic_face.hpp"
+#include "support/synthetic_face.hpp"
 
 namespace facet::refine::reference {
 namespace {

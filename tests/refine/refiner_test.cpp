@@ -12,7 +12,7 @@
 #include "reference.hpp"
 #include "refine/level_buffers.hpp"
 #include "support/gpu.hpp"
-#include "synthetic_face.hpp"
+#include "support/synthetic_face.hpp"
 
 namespace facet::refine {
 namespace {

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <cstdint>
 #include <filesystem>
 #include <memory>
 #include <nlohmann/json.hpp>
@@ -23,6 +24,7 @@
 #include "facet/error.hpp"
 #include "gpu/context.hpp"
 #include "gpu/driver_files.hpp"
+#include "gpu/facts.hpp"
 #include "landmark/landmark_assets.hpp"
 #include "options.hpp"
 #include "pipeline/frames.hpp"
@@ -83,8 +85,12 @@ void check_vulkan(Report& report, const std::string& wanted) {
          devices.empty() ? std::vector<std::string>() : gpu::what_gpus_lack(devices)) {
       report.say(Verdict::Note, "Vulkan", lack);
     }
-    const gpu::Context context({.device = wanted});
-    report.say(Verdict::Good, "Vulkan", fmt::format("\"{}\" opens {}", wanted, context.info().name),
+    gpu::Context context({.device = wanted});
+    const gpu::DeviceFacts facts = gpu::device_facts(context);
+    const std::uint64_t heap_bytes = facts.heap_bytes.empty() ? 0 : std::ranges::max(facts.heap_bytes);
+    report.say(Verdict::Good, "Vulkan",
+               fmt::format("\"{}\" opens {} (Vulkan {}, {:.1f} GiB)", wanted, context.info().name,
+                           facts.api_version, static_cast<double>(heap_bytes) / (1U << 30U)),
                context.info().is_software ? "this is a software device: refinement is slow; a GPU with a "
                                             "Vulkan 1.2 driver makes it real-time"
                                           : "");

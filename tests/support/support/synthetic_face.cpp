@@ -1,4 +1,4 @@
-#include "synthetic_face.hpp"
+#include "support/synthetic_face.hpp"
 
 #include <algorithm>
 #include <cmath>
