@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cmath>
 #include <utility>
 
@@ -15,6 +16,7 @@ struct StrandCaster::Impl {
   std::shared_ptr<RTCDeviceTy> device;
   RTCScene scene = nullptr;
   Strands strands;
+  std::vector<Eigen::Matrix4Xf> later;
 
   Impl() = default;
   Impl(const Impl&) = delete;
@@ -26,8 +28,16 @@ struct StrandCaster::Impl {
   }
 };
 
-StrandCaster::StrandCaster(Strands strands) : impl_(std::make_unique<Impl>()) {
-  if (!strands.points.allFinite()) {
+StrandCaster::StrandCaster(Strands strands, std::vector<Eigen::Matrix4Xf> later)
+    : impl_(std::make_unique<Impl>()) {
+  bool finite = strands.points.allFinite();
+  for (const Eigen::Matrix4Xf& points : later) {
+    finite = finite && points.allFinite();
+    if (points.cols() != strands.points.cols()) {
+      throw Error(ErrorKind::Internal, "strands in motion have another number of points later on");
+    }
+  }
+  if (!finite) {
     throw Error(ErrorKind::UnreadableInput, "strands to be rendered have a point that is not finite");
   }
   for (const std::uint32_t first : strands.segments) {
@@ -37,15 +47,20 @@ StrandCaster::StrandCaster(Strands strands) : impl_(std::make_unique<Impl>()) {
     }
   }
   impl_->strands = std::move(strands);
+  impl_->later = std::move(later);
   if (impl_->strands.segments.empty()) {
     return;
   }
   impl_->device = shared_device();
   impl_->scene = embree().rtcNewScene(impl_->device.get());
   RTCGeometry geometry = embree().rtcNewGeometry(impl_->device.get(), RTC_GEOMETRY_TYPE_FLAT_LINEAR_CURVE);
-  embree().rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT4,
-                                      impl_->strands.points.data(), 0, 4 * sizeof(float),
-                                      static_cast<std::size_t>(impl_->strands.points.cols()));
+  embree().rtcSetGeometryTimeStepCount(geometry, static_cast<unsigned>(1 + impl_->later.size()));
+  for (std::size_t key = 0; key <= impl_->later.size(); ++key) {
+    const Eigen::Matrix4Xf& points = key == 0 ? impl_->strands.points : impl_->later[key - 1];
+    embree().rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, static_cast<unsigned>(key),
+                                        RTC_FORMAT_FLOAT4, points.data(), 0, 4 * sizeof(float),
+                                        static_cast<std::size_t>(points.cols()));
+  }
   embree().rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT,
                                       impl_->strands.segments.data(), 0, sizeof(std::uint32_t),
                                       impl_->strands.segments.size());
@@ -68,11 +83,14 @@ StrandCaster& StrandCaster::operator=(StrandCaster&& other) noexcept = default;
 const Strands& StrandCaster::strands() const {
   return impl_->strands;
 }
+const std::vector<Eigen::Matrix4Xf>& StrandCaster::later() const {
+  return impl_->later;
+}
 
 StrandCaster::Hit StrandCaster::first_hit(const Eigen::Vector3f& origin_mm, const Eigen::Vector3f& direction,
-                                          float max_depth) const {
+                                          float max_depth, float time) const {
   if (impl_->scene == nullptr || !usable(origin_mm) || !usable(direction) || direction.isZero() ||
-      !(max_depth > 0)) {
+      !(max_depth > 0) || std::isnan(time)) {
     return {};
   }
   RTCIntersectContext context;
@@ -84,6 +102,7 @@ StrandCaster::Hit StrandCaster::first_hit(const Eigen::Vector3f& origin_mm, cons
   query.ray.dir_x = direction.x();
   query.ray.dir_y = direction.y();
   query.ray.dir_z = direction.z();
+  query.ray.time = std::clamp(time, 0.0F, 1.0F);
   query.ray.tfar = max_depth;
   query.ray.mask = ~0U;
   query.hit.geomID = RTC_INVALID_GEOMETRY_ID;

@@ -12,6 +12,7 @@
 #include "simulation/lens_rays.hpp"
 #include "simulation/look_picture.hpp"
 #include "simulation/look_shading.hpp"
+#include "simulation/optics.hpp"
 #include "simulation/placed_actor.hpp"
 #include "simulation/random.hpp"
 #include "simulation/sensor.hpp"
@@ -137,7 +138,8 @@ struct ActorSequence::Impl {
     const Vector3f middle_mm = placed.resting_pivot_mm() + Vector3f(0, -60, -60);  // about between the cheeks
     for (int k = 1; k < config.camera_count; ++k) {
       const float side = k % 2 == 1 ? 1.0F : -1.0F;
-      const auto steps = static_cast<float>((k + 1) / 2);
+      const int place = (k + 1) / 2;
+      const auto steps = static_cast<float>(place);
       const float turn_rad =
           (side * steps * static_cast<float>(config.spread_deg) + random.uniform(-1, 1)) * kDegree;
       View view;
@@ -291,27 +293,43 @@ struct ActorSequence::Impl {
   }
 
   /// The linear picture of an actor that is not painted. [3][pixels]
-  /// scene, strands, caster: in the first camera's frame.
-  Eigen::Matrix3Xf look_picture(const View& view, const Scene& scene, const render::StrandCaster& strands,
-                                const render::Raycaster& caster, const Lighting& now) const {
+  /// scene, strands, caster: at the frame's time, in the first camera's frame.
+  Eigen::Matrix3Xf look_picture(std::size_t k, const Scene& scene, const render::StrandCaster& strands,
+                                const render::Raycaster& caster, const Lighting& now, double time_s,
+                                std::uint64_t noise_seed) const {
     const VirtualActor& actor = placed.actor();
-    const Vector3f eye_mm = view.view_from_first.inverse().translation();
+    const Vector3f eye_mm = views[k].view_from_first.inverse().translation();
     const LookScene lit{scene, caster, actor.hair(), strands, actor.scattering(), actor.skin_maps().oil};
     const auto picture_of = [&](const render::Raycaster& surfaces, const render::StrandCaster& hairs) {
-      const PictureRays rays(view.camera, surfaces, hairs, config.rays_per_pixel);
+      const PictureRays rays(optics_of(k, noise_seed), surfaces, hairs, ray_count(k));
       const Eigen::Matrix3Xf colours = shade_look(
           lit, now, config.look, rays.seen_vertices(scene.triangles, scene.vertices_mm.cols()), eye_mm);
       const Eigen::Matrix3Xf strand_colours =
           shade_strands(lit, now, rays.seen_strands(hairs.strands(), actor.hair().first), eye_mm);
-      return rays.picture(scene.triangles, colours, hairs.strands(), strand_colours, view.background);
+      return rays.picture(scene.triangles, colours, hairs.strands(), strand_colours, views[k].background);
     };
-    if (&view == &views.front()) {
+    if (k == 0 && !equipment[k].rays) {
       return picture_of(caster, strands);
     }
-    const render::Raycaster surfaces(view.view_from_first * scene.vertices_mm, scene.triangles);
-    render::Strands turned = strands.strands();
-    turned.points.topRows<3>() = view.view_from_first * Eigen::Matrix3Xf(turned.points.topRows<3>());
-    return view.gain.asDiagonal() * picture_of(surfaces, render::StrandCaster(std::move(turned)));
+    const Moments moments = moments_of(k, scene, strands.strands().points, time_s);
+    const render::Raycaster surfaces(moments.surfaces_mm, scene.triangles);
+    const render::StrandCaster hairs({moments.strands.front(), strands.strands().segments},
+                                     {moments.strands.begin() + 1, moments.strands.end()});
+    return views[k].gain.asDiagonal() * picture_of(surfaces, hairs);
+  }
+
+  /// How a camera looks at a frame.
+  Optics optics_of(std::size_t k, std::uint64_t noise_seed) const {
+    const Equipment& made = equipment[k];
+    return made.rays ? webcam_optics(rig.cameras[k].lens, *made.rays, made.webcam, mix(noise_seed))
+                     : pinhole_optics(views[k].camera);
+  }
+
+  /// Of a pixel.
+  int ray_count(std::size_t k) const {
+    constexpr int kBlurRays = 8;  // at least, or a moving edge has steps
+    return equipment[k].webcam.exposure_s > 0 ? std::max(kBlurRays, config.rays_per_pixel)
+                                              : config.rays_per_pixel;
   }
 
   /// The linear picture: the scene over the background, averaged over the rays of each pixel. [3][pixels]
@@ -366,60 +384,58 @@ struct ActorSequence::Impl {
     return image;
   }
 
-  /// The scene's positions at moments from the first row's first light to the last row's last, a view's
-  /// frame. middle: the scene at the frame's time
-  std::vector<mesh::Vertices> moments_mm(std::size_t k, const Scene& middle, double time_s) const {
-    const View& view = views[k];
+  /// Of a scene, in a camera's frame: from the first row's first light to the last row's last, evenly spaced;
+  /// one alone where all rows see the frame's time.
+  struct Moments {
+    std::vector<mesh::Vertices> surfaces_mm;
+    std::vector<Eigen::Matrix4Xf> strands;  ///< points as in render::Strands
+  };
+
+  /// middle, strands: the scene and its strands' points at the frame's time, in the first camera's frame
+  Moments moments_of(std::size_t k, const Scene& middle, const Eigen::Matrix4Xf& strands,
+                     double time_s) const {
     const double span_s = equipment[k].webcam.span_s();
-    std::vector<mesh::Vertices> keys_mm;
+    Moments moments;
+    const auto add = [&](const Scene& scene, Eigen::Matrix4Xf points) {
+      const Isometry3f& turn = views[k].view_from_first;
+      moments.surfaces_mm.emplace_back(turn * scene.vertices_mm);
+      points.topRows<3>() = turn * Eigen::Matrix3Xf(points.topRows<3>());
+      moments.strands.push_back(std::move(points));
+    };
     for (const double part : {-0.5, 0.0, 0.5}) {
       if (part == 0) {
-        keys_mm.emplace_back(view.view_from_first * middle.vertices_mm);
+        add(middle, strands);
       } else if (span_s > 0) {
         Scene scene;
         placed.build_scene(time_s + part * span_s, scene);
-        keys_mm.emplace_back(view.view_from_first * scene.vertices_mm);
+        add(scene, config.look.painted() ? strands : placed.strands_of(scene).points);
       }
     }
-    return keys_mm;
+    return moments;
   }
 
   /// As expose_picture, through a webcam's lens and shutter: each ray at its own place and time. Colours stay
   /// those of the frame's time.
-  /// keys_mm  as moments_mm gives them
-  Eigen::Matrix3Xf expose_webcam(std::size_t camera_index, const std::vector<mesh::Vertices>& keys_mm,
+  Eigen::Matrix3Xf expose_webcam(std::size_t k, const std::vector<mesh::Vertices>& keys_mm,
                                  const mesh::Triangles& triangles, const Eigen::Matrix3Xf& colours,
                                  std::uint64_t noise_seed) const {
-    constexpr int kBlurRays = 8;  // at least, or a moving edge has steps
     const render::Raycaster caster(keys_mm, triangles, render::Raycaster::Build::Quick);
-    const Webcam& webcam = equipment[camera_index].webcam;
-    const LensRays& rays = *equipment[camera_index].rays;
-    const int ray_count =
-        webcam.exposure_s > 0 ? std::max(kBlurRays, config.rays_per_pixel) : config.rays_per_pixel;
-    const std::vector<Eigen::Vector2f> offsets_px = render::sample_offsets_px(ray_count);
-    const Eigen::AlignedBox2i seen = box_px(rig.cameras[camera_index].lens, keys_mm);
-    Eigen::Matrix3Xf image = views[camera_index].background;
-    const double span_s = std::max(webcam.span_s(), 1e-9);
-    const auto share = 1 / static_cast<float>(ray_count);
+    const Optics optics = optics_of(k, noise_seed);
+    const std::vector<Eigen::Vector2f> offsets_px = render::sample_offsets_px(ray_count(k));
+    const Eigen::AlignedBox2i seen = box_px(rig.cameras[k].lens, keys_mm);
+    Eigen::Matrix3Xf image = views[k].background;
+    const auto share = 1 / static_cast<float>(offsets_px.size());
     render::for_each_row(config.height_px, [&](int y) {
+      std::vector<PictureRay> rays(offsets_px.size());
       for (int x = 0; x < config.width_px; ++x) {
         if (!seen.contains(Eigen::Vector2i(x, y))) {
           continue;
         }
-        const Eigen::Index at = static_cast<Eigen::Index>(y) * config.width_px + x;
-        Random dice(noise_seed, static_cast<std::uint64_t>(at));
-        const int turn = dice.below(ray_count);  // pairs parts of the exposure with parts of the pixel
-        auto pixel = image.col(at);
+        optics.look(x, y, offsets_px, rays);
+        auto pixel = image.col(static_cast<Eigen::Index>(y) * config.width_px + x);
         Vector3f sum = Vector3f::Zero();
-        for (int k = 0; k < ray_count; ++k) {
-          const Eigen::Vector2f& offset_px = offsets_px[static_cast<std::size_t>(k)];
-          const double row_part = (y + static_cast<double>(offset_px.y())) / (config.height_px - 1) - 0.5;
-          const double blur_part =
-              ((k + turn) % ray_count + static_cast<double>(dice.uniform())) * static_cast<double>(share) -
-              0.5;
-          const double late_s = row_part * webcam.readout_s + blur_part * webcam.exposure_s;
-          const auto hit = caster.first_hit(Vector3f::Zero(), rays.direction(x, y, offset_px).normalized(), 0,
-                                            false, static_cast<float>(0.5 + late_s / span_s));
+        for (const PictureRay& ray : rays) {
+          const auto hit = caster.first_hit(Vector3f::Zero(), ray.direction, 0, false, ray.time);
           sum += hit.triangle < 0 ? Vector3f(pixel)
                                   : render::interpolate(triangles, hit.triangle, hit.barycentric, colours);
         }
@@ -458,8 +474,8 @@ struct ActorSequence::Impl {
                                   const Lighting& now, double time_s, std::uint64_t noise_seed) const {
     const Vector3f eye_mm = views[k].view_from_first.inverse().translation();
     const Eigen::Matrix3Xf colours = shade_vertices(scene, caster, now, config.highlights, eye_mm);
-    return views[k].gain.asDiagonal() *
-           expose_webcam(k, moments_mm(k, scene, time_s), scene.triangles, colours, mix(noise_seed));
+    return views[k].gain.asDiagonal() * expose_webcam(k, moments_of(k, scene, {}, time_s).surfaces_mm,
+                                                      scene.triangles, colours, noise_seed);
   }
 };
 
@@ -476,13 +492,6 @@ ActorSequence::ActorSequence(const face::FaceModel& model, const ActorSequenceCo
                     "{} px, counts and rates at least 1, cameras at most {}",
                     config.frame_count, config.width_px, config.height_px, config.rate_hz, kMaxSide_px,
                     kMaxCameras));
-  }
-  if (!config.look.painted() &&
-      (config.webcam.rolling_shutter || config.webcam.motion_blur || config.webcam.distortion)) {
-    throw Error(
-        ErrorKind::Usage,
-        "a webcam's lens and shutter see painted actors only, for hairs are rendered at one moment: choose "
-        "the skin 'painted', or a camera of h264 or mjpeg, exposure, white-balance");
   }
   impl_ = std::make_unique<Impl>(model, config);
   impl_->place_camera();
@@ -525,7 +534,7 @@ const Lighting& ActorSequence::lighting() const {
   return impl_->lighting;
 }
 
-SyntheticFrame ActorSequence::render(int index, TruthMesh* truth) const {
+SyntheticFrame ActorSequence::render(int index, TruthMesh* truth, TruthMesh* surfaces) const {
   const double time_s = impl_->time_s(index);
   SyntheticFrame frame;
   frame.expression = impl_->placed.expression(time_s);
@@ -534,6 +543,9 @@ SyntheticFrame ActorSequence::render(int index, TruthMesh* truth) const {
   impl_->placed.build_scene(time_s, scene);
   if (truth != nullptr) {
     *truth = impl_->placed.head_of(scene);
+  }
+  if (surfaces != nullptr) {
+    *surfaces = {scene.vertices_mm, scene.normals, scene.albedo, scene.triangles};
   }
   const ActorSequenceConfig& config = impl_->config;
   const Lighting lighting = lighting_of_frame(impl_->lighting, index);
@@ -547,9 +559,9 @@ SyntheticFrame ActorSequence::render(int index, TruthMesh* truth) const {
     const std::uint64_t noise_seed =
         mix(config.seed * 0x10001ULL + static_cast<std::uint64_t>(index) + (k << 40U));
     Eigen::Matrix3Xf light =
-        impl_->equipment[k].rays ? impl_->webcam_picture(k, scene, caster, lighting, time_s, noise_seed)
-        : painted                ? impl_->painted_picture(impl_->views[k], scene, caster, lighting)
-                                 : impl_->look_picture(impl_->views[k], scene, strands, caster, lighting);
+        !painted ? impl_->look_picture(k, scene, strands, caster, lighting, time_s, noise_seed)
+        : impl_->equipment[k].rays ? impl_->webcam_picture(k, scene, caster, lighting, time_s, noise_seed)
+                                   : impl_->painted_picture(impl_->views[k], scene, caster, lighting);
     Sensor sensor;  // a small one
     sensor.noise = config.sensor_noise;
     if (const auto& controls = impl_->equipment[k].controls) {

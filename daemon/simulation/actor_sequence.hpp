@@ -82,9 +82,10 @@ class ActorSequence {
   /// lamps.
   const Lighting& lighting() const;
 
-  /// Renders frame `index` (0 <= index < frame_count). truth: the head's surface in the camera frame, without
-  /// eyeballs, teeth, neck and glasses; left out where null.
-  SyntheticFrame render(int index, TruthMesh* truth) const;
+  /// Renders frame `index` (0 <= index < frame_count).
+  /// truth      the head's surface in the camera frame, without eyeballs, teeth, neck and glasses; or null
+  /// surfaces   all surfaces that can be seen, strands aside, in the camera frame; or null
+  SyntheticFrame render(int index, TruthMesh* truth, TruthMesh* surfaces = nullptr) const;
 
  private:
   struct Impl;

@@ -5,18 +5,18 @@
 #include <utility>
 #include <vector>
 
-#include "facet/frame.hpp"
 #include "render/renderer.hpp"
 #include "render/strand_caster.hpp"
+#include "simulation/optics.hpp"
 
 namespace facet::simulation {
 
 /// What the rays of one picture meet: several through each pixel, and more where strands may be.
 class PictureRays {
  public:
-  /// Casts them. Surfaces and strands are in the camera's frame.
-  PictureRays(const CameraIntrinsics& camera, const render::Raycaster& surfaces,
-              const render::StrandCaster& strands, int rays_per_pixel);
+  /// Casts them. Surfaces and strands are in the camera's frame, at the times that the optics' rays have.
+  PictureRays(const Optics& optics, const render::Raycaster& surfaces, const render::StrandCaster& strands,
+              int rays_per_pixel);
 
   /// Of a mesh's vertices those whose colours are needed, and a ring of neighbours round them.
   /// returns [vertex_count] 0 or 1

@@ -25,6 +25,7 @@ json light_json(const Lighting& lighting) {
     areas.push_back({{"centre_mm", vector_json(light.centre_mm)},
                      {"half_u_mm", vector_json(light.half_u_mm)},
                      {"half_v_mm", vector_json(light.half_v_mm)},
+                     {"reference_distance_mm", light.reference_distance_mm},
                      {"irradiance", vector_json(light.irradiance)}});
   }
   return {{"kind", light_name(lighting.kind)},
@@ -74,8 +75,8 @@ std::filesystem::path truth_file(const std::filesystem::path& folder, std::uint6
   return folder / "truth" / fmt::format("frame_{:06}.ply", index);
 }
 
-void write_sequence(const ActorSequence& sequence, const std::filesystem::path& folder, int truth_every,
-                    const std::function<void(int)>& done) {
+void write_sequence(const ActorSequence& sequence, const std::filesystem::path& folder,
+                    const SequenceFiles& wanted, const std::function<void(int)>& done) {
   files::make_folder(folder / "truth");
   write_truth_ply(sequence.neutral(), folder / "truth" / "neutral.ply",
                   "head frame, mm, x to the subject's left, y up, z out of the face");
@@ -110,15 +111,23 @@ void write_sequence(const ActorSequence& sequence, const std::filesystem::path& 
     document["webcam"] = webcam_json(config.webcam, sequence.webcam());
   }
   TruthMesh truth;
+  TruthMesh surfaces;
+  if (wanted.with_surfaces) {
+    files::make_folder(folder / "surfaces");
+  }
   for (int index = 0; index < config.frame_count; ++index) {
-    const bool with_truth = index % truth_every == 0;
-    const SyntheticFrame frame = sequence.render(index, with_truth ? &truth : nullptr);
+    const bool with_truth = index % wanted.truth_every == 0;
+    const SyntheticFrame frame =
+        sequence.render(index, with_truth ? &truth : nullptr, wanted.with_surfaces ? &surfaces : nullptr);
     videos.front()->append(frame.picture);
     for (std::size_t k = 1; k < videos.size(); ++k) {
       videos[k]->append(frame.further_pictures[k - 1]);
     }
     if (with_truth) {
       write_truth_ply(truth, truth_file(folder, static_cast<std::uint64_t>(index)));
+    }
+    if (wanted.with_surfaces) {
+      write_truth_ply(surfaces, folder / "surfaces" / fmt::format("frame_{:06}.ply", index));
     }
     json& described = document["frames"].emplace_back(frame_json(index, frame, sequence.expression_names()));
     if (config.webcam.exposure || config.webcam.white_balance) {

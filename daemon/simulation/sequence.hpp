@@ -7,13 +7,18 @@
 
 namespace facet::simulation {
 
+/// What is written of a sequence beside its videos.
+struct SequenceFiles {
+  int truth_every = 1;         ///< truth/frame_%06d.ply of every so many frames
+  bool with_surfaces = false;  ///< surfaces/frame_%06d.ply of every frame: for other renderers
+};
+
 /// Renders a whole sequence into a folder (made where missing): video.mkv (lossless, unless the webcam has a
-/// codec), truth/frame_%06d.ply of every truth_every-th frame, truth/neutral.ply and camera.json
-/// (docs/synthetic-sequences.md); of several cameras also view-2.mkv, ..., and of those or one with
-/// distortion rig.toml.
+/// codec), the files chosen, truth/neutral.ply and camera.json (docs/synthetic-sequences.md); of several
+/// cameras also view-2.mkv, ..., and of those or one with distortion rig.toml.
 /// done(count) is called after every frame. Throws Error(Storage) where it cannot write.
-void write_sequence(const ActorSequence& sequence, const std::filesystem::path& folder, int truth_every,
-                    const std::function<void(int)>& done);
+void write_sequence(const ActorSequence& sequence, const std::filesystem::path& folder,
+                    const SequenceFiles& wanted, const std::function<void(int)>& done);
 
 /// Name of a frame's truth mesh in a sequence's folder.
 std::filesystem::path truth_file(const std::filesystem::path& folder, std::uint64_t index);

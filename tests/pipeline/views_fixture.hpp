@@ -45,7 +45,7 @@ class Views : public ::testing::Test {
     studio.rays_per_pixel = 1;
     studio.camera_count = cameras_;
     simulation::write_sequence(simulation::ActorSequence(face::FaceModel::load(config_.model_file), studio),
-                               folder_.path(), 1, [](int) {});
+                               folder_.path(), {}, [](int) {});
     rig_ = capture::read_rig(rig_file());
     for (const capture::RigCamera& camera : rig_.cameras) {
       RecordedCamera view;

@@ -171,7 +171,7 @@ TEST_F(DaemonWithAssets, SeveralCamerasMakeOneMesh) {
   studio.rays_per_pixel = 1;
   studio.camera_count = 3;
   simulation::write_sequence(simulation::ActorSequence(face::FaceModel::load(test::default_model()), studio),
-                             folder_.path(), 1, [](int) {});
+                             folder_.path(), {}, [](int) {});
   const auto cameras = [](const std::string& third) {
     std::string text;
     for (const std::string& name : {std::string("video"), std::string("view-2"), third}) {

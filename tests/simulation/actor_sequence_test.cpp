@@ -229,7 +229,7 @@ TEST(Sequence, WritesEveryNthTruthAndTheHeadAtRest) {
   config.outside_span_mm = 0;
   const ActorSequence sequence(model(), config);
   EXPECT_EQ(sequence.outside_span_rms_mm(), 0);
-  write_sequence(sequence, folder.path(), 2, [](int) {});
+  write_sequence(sequence, folder.path(), {.truth_every = 2, .with_surfaces = true}, [](int) {});
   EXPECT_TRUE(std::filesystem::exists(truth_file(folder.path(), 0)));
   EXPECT_FALSE(std::filesystem::exists(truth_file(folder.path(), 1)));
   EXPECT_TRUE(std::filesystem::exists(truth_file(folder.path(), 2)));
@@ -238,6 +238,12 @@ TEST(Sequence, WritesEveryNthTruthAndTheHeadAtRest) {
   EXPECT_EQ(neutral.triangles, frame.triangles);
   EXPECT_GT(neutral.vertices_mm.row(1).maxCoeff(), 50);  // upright, in the head's frame
   EXPECT_LT(neutral.vertices_mm.rowwise().mean().norm(), 100);
+  // Other renderers get the head first, and all that is seen beside it.
+  const TruthMesh surfaces = read_truth_ply(folder.path() / "surfaces" / "frame_000001.ply");
+  EXPECT_GT(surfaces.triangles.cols(), frame.triangles.cols() + 100);
+  TruthMesh truth;
+  sequence.render(1, &truth);
+  EXPECT_EQ(surfaces.vertices_mm.leftCols(truth.vertices_mm.cols()), truth.vertices_mm);
 }
 
 TEST(Sequence, WritesVideoTruthAndCamera) {
@@ -246,7 +252,7 @@ TEST(Sequence, WritesVideoTruthAndCamera) {
   config.frame_count = 2;
   const ActorSequence sequence(model(), config);
   int last = 0;
-  write_sequence(sequence, folder.path() / "out", 1, [&](int done) { last = done; });
+  write_sequence(sequence, folder.path() / "out", {}, [&](int done) { last = done; });
   EXPECT_EQ(last, 2);
   TruthMesh truth;
   const SyntheticFrame expected = sequence.render(1, &truth);

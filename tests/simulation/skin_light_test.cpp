@@ -132,6 +132,17 @@ TEST(StrandCaster, FindsStrandsAndOnlyThem) {
   EXPECT_TRUE(caster.occluded({0, 0, 50}, {0, 0, 150}));
   EXPECT_FALSE(caster.occluded({0, 0, 50}, {0, 0, 95}));
   EXPECT_EQ(render::StrandCaster(render::Strands{}).first_hit(eye, {0, 0, 1}, 1000).segment, -1);
+  Eigen::Matrix4Xf moved = strands.points;
+  moved.row(1).array() += 10;
+  Eigen::Matrix4Xf moved_on = strands.points;
+  moved_on.row(1).array() += 30;
+  const render::StrandCaster moving(strands, {moved, moved_on});
+  EXPECT_EQ(moving.first_hit(eye, {0, 5.0F / 100, 1}, 1000).segment, -1);
+  EXPECT_EQ(moving.first_hit(eye, {0, 5.0F / 100, 1}, 1000, 0.25F).segment, 0);
+  EXPECT_EQ(moving.first_hit(eye, {0, 20.0F / 100, 1}, 1000, 0.75F).segment, 0);
+  EXPECT_EQ(moving.first_hit(eye, {0, 35.0F / 60, 1}, 1000, 1).segment, 1);
+  EXPECT_EQ(moving.first_hit(eye, {0, 0, 1}, 1000, NAN).segment, -1);
+  EXPECT_THROW(render::StrandCaster(strands, {moved.leftCols(3)}), Error);
   strands.segments.push_back(3);
   EXPECT_THROW(render::StrandCaster{strands}, Error);
   strands.segments.pop_back();

@@ -27,7 +27,7 @@ const face::FaceModel& model() {
 }
 
 /// Small, without noise; the head turns by 80 degrees and back within 0.2 s.
-ActorSequenceConfig turning(int rate_hz, const std::string& camera) {
+ActorSequenceConfig turning(int rate_hz, const std::string& camera, int skin_type = Look::kPainted) {
   ActorSequenceConfig config;
   config.seed = 5;
   config.width_px = 192;
@@ -37,6 +37,7 @@ ActorSequenceConfig turning(int rate_hz, const std::string& camera) {
   config.turn_deg = 80;
   config.sensor_noise = false;
   config.webcam = parse_webcam_effects(camera);
+  config.look.skin_type = skin_type;
   return config;
 }
 
@@ -238,20 +239,27 @@ TEST(WebcamSequence, NoiseGrowsWithGain) {
   EXPECT_NEAR(rms(4) / rms(1), 2, 0.25);
 }
 
-TEST(WebcamSequence, RowsOfARollingShutterSeeTheirOwnTime) {
-  const ActorSequence rolling(model(), turning(30, "rolling-shutter"));
-  const ActorSequence clean(model(), turning(30, "clean"));
-  const ActorSequence fine(model(), turning(1200, "clean"));
+/// Of painted actors and of those with strands for hair.
+class LensAndShutter : public testing::TestWithParam<int> {};
+INSTANTIATE_TEST_SUITE_P(Skins, LensAndShutter, testing::Values(Look::kPainted, 3));
+
+TEST_P(LensAndShutter, RowsOfARollingShutterSeeTheirOwnTime) {
+  const ActorSequence rolling(model(), turning(30, "rolling-shutter", GetParam()));
+  const ActorSequence clean(model(), turning(30, "clean", GetParam()));
+  const ActorSequence fine(model(), turning(9600, "clean", GetParam()));
   const double readout_s = rolling.webcam().readout_s;
   constexpr int kFrame = 2;  // in the midst of the turn
   const render::Picture seen = rolling.render(kFrame, nullptr).picture;
   const render::Picture at_once = clean.render(kFrame, nullptr).picture;
-  for (const auto& rows : {std::array{44, 50, 56}, {88, 94, 100}}) {  // above and below the middle
+  for (const auto& rows : {std::array{40, 44, 50}, {88, 94, 100}}) {  // hair, above the middle; below it
+    if (GetParam() != Look::kPainted && rows[0] > 72) {
+      continue;  // there the mask's edge meets the hollow neck, whose shade is that of the frame's time
+    }
     Closeness closeness;
     for (const int row : rows) {
       const double late_s = (row / 143.0 - 0.5) * readout_s;
       const render::Picture then =
-          fine.render(40 * kFrame + static_cast<int>(std::lround(1200 * late_s)), nullptr).picture;
+          fine.render(320 * kFrame + static_cast<int>(std::lround(9600 * late_s)), nullptr).picture;
       closeness.add(linear(seen, row), linear(then, row), linear(at_once, row));
     }
     EXPECT_GT(closeness.count, 12) << rows[0];
@@ -259,10 +267,10 @@ TEST(WebcamSequence, RowsOfARollingShutterSeeTheirOwnTime) {
   }
 }
 
-TEST(WebcamSequence, BlurIsTheMeanOverTheExposure) {
-  const ActorSequence blurred(model(), turning(30, "motion-blur"));
-  const ActorSequence clean(model(), turning(30, "clean"));
-  const ActorSequence fine(model(), turning(1200, "clean"));
+TEST_P(LensAndShutter, BlurIsTheMeanOverTheExposure) {
+  const ActorSequence blurred(model(), turning(30, "motion-blur", GetParam()));
+  const ActorSequence clean(model(), turning(30, "clean", GetParam()));
+  const ActorSequence fine(model(), turning(1200, "clean", GetParam()));
   constexpr int kFrame = 2;
   const int steps = static_cast<int>(std::lround(1200 * blurred.webcam().exposure_s));
   std::vector<float> mean;
@@ -281,13 +289,13 @@ TEST(WebcamSequence, BlurIsTheMeanOverTheExposure) {
   EXPECT_LT(closeness.ratio(), 0.4);
 }
 
-TEST(WebcamSequence, DistortedPictureIsTheStraightOneBent) {
-  const ActorSequence sequence(model(), turning(30, "distortion"));
+TEST_P(LensAndShutter, DistortedPictureIsTheStraightOneBent) {
+  const ActorSequence sequence(model(), turning(30, "distortion", GetParam()));
   TruthMesh truth;
   TruthMesh straight_truth;
   const render::Picture seen = sequence.render(3, &truth).picture;
   const render::Picture straight =
-      ActorSequence(model(), turning(30, "clean")).render(3, &straight_truth).picture;
+      ActorSequence(model(), turning(30, "clean", GetParam())).render(3, &straight_truth).picture;
   EXPECT_EQ(truth.vertices_mm, straight_truth.vertices_mm);
   const capture::Lens& lens = sequence.rig().cameras.front().lens;
   const auto& bend = lens.distortion;
@@ -325,26 +333,13 @@ TEST(WebcamSequence, DistortedPictureIsTheStraightOneBent) {
   EXPECT_LT(closeness.ratio(), 0.4);
 }
 
-TEST(WebcamSequence, LensAndShutterSeePaintedActorsOnly) {
-  for (const char* camera : {"rolling-shutter", "motion-blur", "distortion"}) {
-    ActorSequenceConfig config = turning(30, camera);
-    config.look.skin_type = 3;
-    try {
-      const ActorSequence sequence(model(), config);
-      FAIL() << "accepted " << camera;
-    } catch (const Error& error) {
-      EXPECT_EQ(error.kind(), ErrorKind::Usage);
-    }
-  }
-}
-
 TEST(WebcamSequence, FolderTellsOfTheCamera) {
   const test::TemporaryFolder folder;
   ActorSequenceConfig config = turning(30, "webcam");
   config.frame_count = 2;
   const ActorSequence sequence(model(), config);
-  write_sequence(sequence, folder.path() / "a", 1, [](int) {});
-  write_sequence(ActorSequence(model(), config), folder.path() / "b", 1, [](int) {});
+  write_sequence(sequence, folder.path() / "a", {}, [](int) {});
+  write_sequence(ActorSequence(model(), config), folder.path() / "b", {}, [](int) {});
   const auto bytes = [&](const char* name) {
     std::ifstream stream(folder.path() / name / "video.mkv", std::ios::binary);
     return std::string(std::istreambuf_iterator<char>(stream), {});

@@ -29,7 +29,7 @@ struct SynthOptions {
   ActorChoice actor;
   std::optional<std::uint64_t> frames;
   std::string camera = "clean";
-  int truth_every = 1;
+  simulation::SequenceFiles files;
   std::string skin = "painted";
   std::string without;
   std::string folder;
@@ -83,7 +83,7 @@ void run_synth(SynthOptions options) {
   const face::FaceModel model = face::FaceModel::load(options.actor.model);
   const simulation::ActorSequence studio(model, options.studio);
   Progress progress("Rendering", static_cast<std::uint64_t>(options.studio.frame_count));
-  simulation::write_sequence(studio, options.folder, options.truth_every,
+  simulation::write_sequence(studio, options.folder, options.files,
                              [&](int done) { progress.set(static_cast<std::uint64_t>(done)); });
   progress.finish();
   if (options.studio.camera_count > 1) {
@@ -155,10 +155,13 @@ void add_synth_command(Command app) {
       .shows_default();
   add_actor_options(command, options->actor);
   command
-      .option("--truth-every", options->truth_every,
+      .option("--truth-every", options->files.truth_every,
               "Of a video: a truth mesh (12 MB) for every so many frames")
       .shows_default()
       .range(1, 1000);
+  command.flag(
+      "--surfaces", options->files.with_surfaces,
+      "Of a video: also surfaces/, all that is seen in every frame but strands, for other renderers");
   command.option("--vertices", options->max_vertices, "Of a take's finest meshes, at most")
       .shows_default()
       .range(1'000, 200'000);
