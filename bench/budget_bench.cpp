@@ -137,6 +137,7 @@ int main(int argc, char** argv) {
   app.add_option("--device", device, "GPU, by part of its name")->capture_default_str();
   app.add_option("--budgets", budgets,
                  "Beside the paper's: auto, fixed (one to three steps of 3 and 7 iterations)")
+      ->allow_extra_args(false)
       ->delimiter(',')
       ->check(CLI::IsMember({"auto", "fixed"}))
       ->capture_default_str();
