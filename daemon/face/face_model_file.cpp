@@ -4,17 +4,15 @@
 #include <fmt/format.h>
 #include <sys/stat.h>
 #include <unistd.h>
-#include <zstd.h>
 
 #include <algorithm>
 #include <array>
-#include <bit>
 #include <cerrno>
 #include <cmath>
 #include <cstring>
-#include <map>
 #include <system_error>
 
+#include "face/chunk_file.hpp"
 #include "face/face_model.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
@@ -23,15 +21,13 @@
 namespace facet::face {
 namespace {
 
-static_assert(std::endian::native == std::endian::little,
-              "the file is little-endian and its arrays are copied as they are");
-
-constexpr std::array<char, 8> kMagic = {'F', 'A', 'C', 'E', 'T', 'M', 'D', 'L'};
-constexpr std::uint32_t kVersion = 1;
+constexpr ChunkFormat kFormat{{'F', 'A', 'C', 'E', 'T', 'M', 'D', 'L'},
+                              1,
+                              "face model",
+                              "build the model again with `facet model build`"};
 
 // Bounds that a damaged or hostile file can't pass.
 constexpr std::size_t kMostFileBytes = std::size_t{2} << 30;
-constexpr std::uint32_t kMaxChunks = 64;
 constexpr std::uint32_t kMaxVertices = 1'000'000;
 constexpr std::uint32_t kMaxModes = 1024;
 constexpr std::uint32_t kMaxNameBytes = 255;
@@ -39,26 +35,6 @@ constexpr std::uint32_t kMaxExpressionNameBytes = 63;
 
 constexpr float kLargestNumber = 32767.0F;  // of int16_t, the same either side of zero
 constexpr float kMinStepMm = 0.001F;        // finer than any camera sees; larger zero runs compress better
-constexpr int kCompressionLevel = 9;        // 12 and above save under 2 % for many times the time
-
-struct Header {
-  std::array<char, 8> magic;
-  std::uint32_t version;
-  std::uint32_t chunk_count;
-  std::uint64_t file_bytes;
-  std::uint64_t table_checksum;  // of the chunk table
-};
-static_assert(sizeof(Header) == 32);
-
-struct ChunkEntry {
-  std::array<char, 4> tag;
-  std::uint32_t compressed;  // 0 raw, 1 one zstd frame
-  std::uint64_t offset;
-  std::uint64_t stored_bytes;
-  std::uint64_t raw_bytes;
-  std::uint64_t checksum;  // of the stored bytes
-};
-static_assert(sizeof(ChunkEntry) == 40);
 
 struct Counts {
   std::uint32_t vertices;
@@ -75,192 +51,6 @@ struct StoredAnchor {
   std::array<float, 3> weights;
 };
 static_assert(sizeof(StoredAnchor) == 24 && sizeof(LandmarkAnchor) == 24);
-
-/// FNV-1a over 64-bit words, the last one padded with zeros: finds damage, not malice.
-std::uint64_t checksum(std::span<const std::byte> bytes) {
-  constexpr std::uint64_t kOffsetBasis = 14695981039346656037ULL;
-  constexpr std::uint64_t kPrime = 1099511628211ULL;
-  std::uint64_t hash = kOffsetBasis;
-  for (std::size_t at = 0; at < bytes.size(); at += sizeof(std::uint64_t)) {
-    std::uint64_t word = 0;
-    std::memcpy(&word, bytes.data() + at, std::min(sizeof word, bytes.size() - at));
-    hash = (hash ^ word) * kPrime;
-    hash ^= hash >> 32;  // FNV's multiplication alone never carries high bits downwards
-  }
-  return hash;
-}
-
-template <typename T>
-std::span<const std::byte> bytes_of(const T* values, std::size_t count) {
-  return {reinterpret_cast<const std::byte*>(values), count * sizeof(T)};
-}
-
-/// Chunks of one file by tag, every bound and checksum verified.
-class ChunkReader {
- public:
-  ChunkReader(std::span<const std::byte> bytes, const std::string& source) : bytes_(bytes), source_(source) {
-    Header header{};
-    if (bytes.size() < sizeof header) {
-      fail("it ends inside the header");
-    }
-    std::memcpy(&header, bytes.data(), sizeof header);
-    if (header.magic != kMagic) {
-      fail("it is not a Facet face model (wrong magic)");
-    }
-    if (header.version != kVersion) {
-      fail(
-          fmt::format("it has format version {}, this program reads version {}; build the model again with "
-                      "`facet model build`",
-                      header.version, kVersion));
-    }
-    if (header.file_bytes != bytes.size()) {
-      fail(fmt::format("it is {} bytes long and should be {}: copied or written incompletely", bytes.size(),
-                       header.file_bytes));
-    }
-    if (header.chunk_count > kMaxChunks ||
-        bytes.size() - sizeof header < header.chunk_count * sizeof(ChunkEntry)) {
-      fail(fmt::format("it claims {} chunks", header.chunk_count));
-    }
-    const auto table = bytes.subspan(sizeof header, header.chunk_count * sizeof(ChunkEntry));
-    if (checksum(table) != header.table_checksum) {
-      fail("its chunk table is damaged (checksum)");
-    }
-    for (std::uint32_t i = 0; i < header.chunk_count; ++i) {
-      ChunkEntry entry{};
-      std::memcpy(&entry, table.data() + i * sizeof entry, sizeof entry);
-      const std::string tag(entry.tag.begin(), entry.tag.end());
-      if (entry.offset > bytes.size() || entry.stored_bytes > bytes.size() - entry.offset ||
-          entry.compressed > 1 || (entry.compressed == 0 && entry.raw_bytes != entry.stored_bytes)) {
-        fail(fmt::format("chunk {} ('{}') lies outside the file or has an unknown encoding", i,
-                         printable(tag)));
-      }
-      if (!entries_.emplace(tag, entry).second) {
-        fail(fmt::format("chunk '{}' is there twice", printable(tag)));
-      }
-    }
-  }
-
-  [[noreturn]] void fail(const std::string& what) const {
-    throw Error(ErrorKind::UnreadableInput, fmt::format("{}: unreadable face model: {}", source_, what));
-  }
-
-  /// Copies a chunk of exactly count values.
-  template <typename T>
-  void read(const char* tag, T* values, std::size_t count) const {
-    const ChunkEntry& entry = find(tag);
-    if (entry.raw_bytes != count * sizeof(T)) {
-      fail(fmt::format("chunk '{}' holds {} bytes and should hold {}", tag, entry.raw_bytes,
-                       count * sizeof(T)));
-    }
-    const auto stored = stored_bytes(entry, tag);
-    if (entry.compressed == 0) {
-      std::memcpy(values, stored.data(), stored.size());
-      return;
-    }
-    const std::size_t got = ZSTD_decompress(values, count * sizeof(T), stored.data(), stored.size());
-    if (ZSTD_isError(got) != 0 || got != count * sizeof(T)) {
-      fail(fmt::format("chunk '{}' does not decompress to {} bytes", tag, count * sizeof(T)));
-    }
-  }
-
-  /// The bytes of a raw chunk of any size.
-  std::span<const std::byte> raw(const char* tag) const {
-    const ChunkEntry& entry = find(tag);
-    if (entry.compressed != 0) {
-      fail(fmt::format("chunk '{}' must not be compressed", tag));
-    }
-    return stored_bytes(entry, tag);
-  }
-
-  /// Whether the compressed size of a chunk is plausible for its raw size, before memory is taken for it.
-  void expect_plausible(const char* tag) const {
-    const ChunkEntry& entry = find(tag);
-    const auto stored = stored_bytes(entry, tag);
-    if (entry.compressed == 1 && ZSTD_getFrameContentSize(stored.data(), stored.size()) != entry.raw_bytes) {
-      fail(fmt::format("chunk '{}' does not decompress to the size its table entry says", tag));
-    }
-  }
-
- private:
-  static std::string printable(std::string tag) {
-    std::replace_if(
-        tag.begin(), tag.end(), [](char c) { return c < ' ' || c > '~'; }, '?');
-    return tag;
-  }
-
-  const ChunkEntry& find(const char* tag) const {
-    const auto found = entries_.find(tag);
-    if (found == entries_.end()) {
-      fail(fmt::format("chunk '{}' is missing", tag));
-    }
-    return found->second;
-  }
-
-  std::span<const std::byte> stored_bytes(const ChunkEntry& entry, const char* tag) const {
-    const auto stored = bytes_.subspan(entry.offset, entry.stored_bytes);
-    if (checksum(stored) != entry.checksum) {
-      fail(fmt::format("chunk '{}' is damaged (checksum)", tag));
-    }
-    return stored;
-  }
-
-  std::span<const std::byte> bytes_;
-  const std::string& source_;
-  std::map<std::string, ChunkEntry> entries_;
-};
-
-/// Collects chunks and writes the file.
-class ChunkWriter {
- public:
-  void add(const char* tag, std::span<const std::byte> raw, bool compress) {
-    ChunkEntry entry{};
-    std::copy_n(tag, 4, entry.tag.begin());
-    entry.compressed = compress ? 1 : 0;
-    entry.raw_bytes = raw.size();
-    std::vector<std::byte> stored;
-    if (compress) {
-      stored.resize(ZSTD_compressBound(raw.size()));
-      const std::size_t size =
-          ZSTD_compress(stored.data(), stored.size(), raw.data(), raw.size(), kCompressionLevel);
-      if (ZSTD_isError(size) != 0) {
-        throw Error(ErrorKind::Internal, fmt::format("zstd: {}", ZSTD_getErrorName(size)));
-      }
-      stored.resize(size);
-    } else {
-      stored.assign(raw.begin(), raw.end());
-    }
-    entry.stored_bytes = stored.size();
-    entry.checksum = checksum(stored);
-    entries_.push_back(entry);
-    chunks_.push_back(std::move(stored));
-  }
-
-  std::vector<std::byte> file() {
-    std::uint64_t offset = sizeof(Header) + entries_.size() * sizeof(ChunkEntry);
-    for (ChunkEntry& entry : entries_) {
-      entry.offset = offset;
-      offset += entry.stored_bytes;
-    }
-    const auto table = bytes_of(entries_.data(), entries_.size());
-    const Header header{kMagic, kVersion, static_cast<std::uint32_t>(entries_.size()), offset,
-                        checksum(table)};
-    std::vector<std::byte> all;
-    all.reserve(offset);
-    const auto append = [&all](std::span<const std::byte> part) {
-      all.insert(all.end(), part.begin(), part.end());
-    };
-    append(bytes_of(&header, 1));
-    append(table);
-    for (const auto& chunk : chunks_) {
-      append(chunk);
-    }
-    return all;
-  }
-
- private:
-  std::vector<ChunkEntry> entries_;
-  std::vector<std::vector<std::byte>> chunks_;
-};
 
 /// Reads `count` names, each a length byte and its characters.
 std::vector<std::string> parse_names(const ChunkReader& chunks, std::uint32_t count) {
@@ -368,7 +158,7 @@ FaceModel FaceModel::load(const std::filesystem::path& file) {
 
 FaceModel FaceModel::parse(std::span<const std::byte> bytes, const std::string& source,
                            std::uint64_t max_core_values) {
-  const ChunkReader chunks(bytes, source);
+  const ChunkReader chunks(bytes, source, kFormat);
   FaceModel model;
   const Counts counts = parse_counts(chunks, model.name);
   const std::size_t vertices = counts.vertices;
@@ -442,7 +232,7 @@ void FaceModel::save(const std::filesystem::path& file) const {
   std::vector<std::byte> info(counts_bytes.begin(), counts_bytes.end());
   info.insert(info.end(), name_bytes.begin(), name_bytes.end());
 
-  ChunkWriter writer;
+  ChunkWriter writer(kFormat);
   const auto vertices = static_cast<std::size_t>(control.vertex_count);
   writer.add("INFO", info, false);
   writer.add("EXPN", names, false);

@@ -4,6 +4,8 @@
 #include <limits>
 #include <utility>
 
+#include "mesh/quads.hpp"
+
 namespace facet::face {
 namespace {
 
@@ -28,13 +30,8 @@ mesh::TextureCoordinates project(const mesh::Vertices& vertices_mm, const Eigen:
 
 std::vector<std::uint8_t> facing_camera(const mesh::Quads& quads, const mesh::Vertices& vertices_mm,
                                         const Eigen::Isometry3f& camera_from_head) {
-  mesh::Triangles triangles(3, 2 * quads.cols());
-  for (Eigen::Index q = 0; q < quads.cols(); ++q) {
-    triangles.col(2 * q) << quads(0, q), quads(1, q), quads(2, q);
-    triangles.col(2 * q + 1) << quads(0, q), quads(2, q), quads(3, q);
-  }
   Eigen::Matrix3Xf normals;
-  mesh::vertex_normals(vertices_mm, triangles, normals);
+  mesh::vertex_normals(vertices_mm, mesh::split_quads(quads), normals);
   const Eigen::Vector3f camera_in_head = camera_from_head.inverse().translation();
   std::vector<std::uint8_t> facing(static_cast<std::size_t>(vertices_mm.cols()));
   for (Eigen::Index v = 0; v < vertices_mm.cols(); ++v) {

@@ -8,6 +8,7 @@
 #include <cstddef>
 
 #include "facet/error.hpp"
+#include "mesh/quads.hpp"
 
 namespace facet::mesh {
 
@@ -190,6 +191,15 @@ void apply(const SparseRows& stencils, const Vertices& in, Vertices& out) {
     *target++ = y;
     *target++ = z;
   }
+}
+
+Triangles split_quads(const Quads& quads) {
+  Triangles triangles(3, 2 * quads.cols());
+  for (Eigen::Index q = 0; q < quads.cols(); ++q) {
+    triangles.col(2 * q) << quads(0, q), quads(1, q), quads(2, q);
+    triangles.col(2 * q + 1) << quads(0, q), quads(2, q), quads(3, q);
+  }
+  return triangles;
 }
 
 }  // namespace facet::mesh

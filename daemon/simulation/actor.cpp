@@ -11,6 +11,7 @@
 
 #include "facet/error.hpp"
 #include "maths/alignment.hpp"
+#include "mesh/quads.hpp"
 #include "render/renderer.hpp"
 #include "simulation/random.hpp"
 #include "simulation/wrinkles.hpp"
@@ -46,15 +47,6 @@ Eigen::MatrixXf region_weights(const face::FaceModel& model,
     weights(0, v) = inside(model.regions[static_cast<std::size_t>(v)]) ? 1.0F : 0.0F;
   }
   return weights;
-}
-
-mesh::Triangles split_quads(const mesh::Quads& quads) {
-  mesh::Triangles triangles(3, 2 * quads.cols());
-  for (Eigen::Index q = 0; q < quads.cols(); ++q) {
-    triangles.col(2 * q) << quads(0, q), quads(1, q), quads(2, q);
-    triangles.col(2 * q + 1) << quads(0, q), quads(2, q), quads(3, q);
-  }
-  return triangles;
 }
 
 }  // namespace
@@ -250,7 +242,7 @@ SkinZones VirtualActor::skin_zones(const face::FaceModel& model) const {
   }
   without_eyeballs = mesh::Quads(without_eyeballs.leftCols(kept));
   zones.openness =
-      push_to_finest(*hierarchy_, render::openness(basis_.neutral_mm, split_quads(without_eyeballs)))
+      push_to_finest(*hierarchy_, render::openness(basis_.neutral_mm, mesh::split_quads(without_eyeballs)))
           .row(0)
           .transpose();
   return zones;

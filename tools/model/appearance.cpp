@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "face/face_model.hpp"
+#include "mesh/quads.hpp"
 
 namespace facet::model {
 namespace {
@@ -75,7 +76,7 @@ std::vector<std::uint8_t> find_regions(const HeadMesh& head, const Eigen::Matrix
   rims.insert(rims.end(), head.left_lid_seam.begin(), head.left_lid_seam.end());
   rims.insert(rims.end(), head.right_lid_seam.begin(), head.right_lid_seam.end());
   const std::vector<int> rim_ring = ring_distance(head.quads, head.vertex_count(), rims, kRimRings);
-  const Eigen::MatrixXf openness = render::openness(mean_mm.cast<float>(), split_quads(head.quads));
+  const Eigen::MatrixXf openness = render::openness(mean_mm.cast<float>(), mesh::split_quads(head.quads));
   const Brow brow;
   std::vector<std::uint8_t> regions(head.part.size(), 0);
   for (std::size_t v = 0; v < regions.size(); ++v) {

@@ -8,8 +8,9 @@
 #include <string_view>
 #include <utility>
 
+#include "face/deformation_transfer.hpp"
+#include "mesh/quads.hpp"
 #include "model/appearance.hpp"
-#include "model/deformation_transfer.hpp"
 #include "model/expression_shapes.hpp"
 #include "model/head_mesh.hpp"
 #include "model/identity_sampler.hpp"
@@ -109,7 +110,7 @@ class SliceMaker {
         shapes_(shapes),
         source_mm_(std::move(source_mm)),
         weights_(std::move(weights)),
-        triangles_(split_quads(head.quads)),
+        triangles_(mesh::split_quads(head.quads)),
         fixed_upper_(fixed_vertices(head, shapes, true)),
         fixed_lower_(fixed_vertices(head, shapes, false)) {}
 
@@ -117,8 +118,8 @@ class SliceMaker {
   TensorSlice slice(const Identity& identity) const {
     const Eigen::Matrix3Xd neutral_mm =
         rigid_alignment(identity.neutral_mm, source_mm_, weights_) * identity.neutral_mm;
-    const DeformationTransfer upper(source_mm_, neutral_mm, triangles_, fixed_upper_);
-    const DeformationTransfer lower(source_mm_, neutral_mm, triangles_, fixed_lower_);
+    const face::DeformationTransfer upper(source_mm_, neutral_mm, triangles_, fixed_upper_);
+    const face::DeformationTransfer lower(source_mm_, neutral_mm, triangles_, fixed_lower_);
     TensorSlice slice = {neutral_mm.cast<float>()};
     for (std::size_t e = 0; e < expression_names().size(); ++e) {
       const Eigen::Matrix3Xd source_shape_mm = shapes_.blend_mm(static_cast<int>(e), identity.ethnicity);

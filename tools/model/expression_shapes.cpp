@@ -10,6 +10,7 @@
 #include <string_view>
 
 #include "facet/error.hpp"
+#include "mesh/quads.hpp"
 
 namespace facet::model {
 namespace {
@@ -154,7 +155,7 @@ class Anatomy {
   }
   static Field normals(const HeadMesh& head, const Field& positions) {
     Eigen::Matrix3Xf unit;
-    mesh::vertex_normals(positions.cast<float>(), split_quads(head.quads), unit);
+    mesh::vertex_normals(positions.cast<float>(), mesh::split_quads(head.quads), unit);
     return unit.cast<double>();
   }
 

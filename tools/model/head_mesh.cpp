@@ -416,13 +416,4 @@ Eigen::VectorXd vertex_areas(const mesh::Quads& quads, const Eigen::Matrix3Xd& p
   return areas;
 }
 
-mesh::Triangles split_quads(const mesh::Quads& quads) {
-  mesh::Triangles triangles(3, 2 * quads.cols());
-  for (Eigen::Index q = 0; q < quads.cols(); ++q) {
-    triangles.col(2 * q) << quads(0, q), quads(1, q), quads(2, q);
-    triangles.col(2 * q + 1) << quads(0, q), quads(2, q), quads(3, q);
-  }
-  return triangles;
-}
-
 }  // namespace facet::model

@@ -59,7 +59,4 @@ std::vector<int> ring_distance(const mesh::Quads& quads, int vertex_count, const
 /// Area of a vertex: a quarter of each quad around it.
 Eigen::VectorXd vertex_areas(const mesh::Quads& quads, const Eigen::Matrix3Xd& positions);
 
-/// The quads split into triangles (0, 1, 2), (0, 2, 3).
-mesh::Triangles split_quads(const mesh::Quads& quads);
-
 }  // namespace facet::model

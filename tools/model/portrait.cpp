@@ -4,6 +4,7 @@
 #include <cmath>
 #include <numeric>
 
+#include "mesh/quads.hpp"
 #include "model/head_mesh.hpp"
 
 namespace facet::model {
@@ -103,7 +104,7 @@ Eigen::Isometry3f View::camera_from_head() const {
 }
 
 mesh::Triangles model_triangles(const face::FaceModel& model) {
-  return split_quads(model.control.quads);
+  return mesh::split_quads(model.control.quads);
 }
 
 PortraitRenderer::PortraitRenderer(const face::FaceModel& model)

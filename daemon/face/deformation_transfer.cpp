@@ -1,4 +1,4 @@
-#include "model/deformation_transfer.hpp"
+#include "face/deformation_transfer.hpp"
 
 #include <Eigen/Geometry>
 #include <Eigen/LU>
@@ -9,7 +9,7 @@
 
 #include "facet/error.hpp"
 
-namespace facet::model {
+namespace facet::face {
 namespace {
 
 constexpr double kSliverArea = 1e-8;  // below it a triangle has no shape to pass on
@@ -152,4 +152,4 @@ Eigen::Matrix3Xd DeformationTransfer::transfer(const Eigen::Matrix3Xd& source_di
   return displacements;
 }
 
-}  // namespace facet::model
+}  // namespace facet::face

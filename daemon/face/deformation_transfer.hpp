@@ -6,7 +6,7 @@
 
 #include "mesh/mesh.hpp"
 
-namespace facet::model {
+namespace facet::face {
 
 /// Deformation transfer [SP04] between meshes of one topology: what each triangle of the
 /// source goes through, the same triangle of the target goes through. Solved as
@@ -39,4 +39,4 @@ class DeformationTransfer {
 Eigen::Matrix3d deformation_gradient(const Eigen::Matrix3d& rest_corners,
                                      const Eigen::Matrix3d& deformed_corners);
 
-}  // namespace facet::model
+}  // namespace facet::face

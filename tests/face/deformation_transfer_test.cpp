@@ -1,4 +1,4 @@
-#include "model/deformation_transfer.hpp"
+#include "face/deformation_transfer.hpp"
 
 #include <gtest/gtest.h>
 
@@ -6,10 +6,10 @@
 #include <random>
 
 #include "facet/error.hpp"
-#include "model/portrait.hpp"
+#include "mesh/quads.hpp"
 #include "support/synthetic_model.hpp"
 
-namespace facet::model {
+namespace facet::face {
 namespace {
 
 constexpr unsigned kSeed = 2004;
@@ -17,7 +17,8 @@ constexpr unsigned kSeed = 2004;
 /// The synthetic head with its border fixed.
 class DeformationTransferTest : public ::testing::Test {
  protected:
-  DeformationTransferTest() : model_(test::synthetic_model(21)), triangles_(model_triangles(model_)) {
+  DeformationTransferTest()
+      : model_(test::synthetic_model(21)), triangles_(mesh::split_quads(model_.control.quads)) {
     source_ = model_.core_row(0, 0).cast<double>();
     for (const std::uint8_t bits : model_.regions) {
       fixed_.push_back(face::has_region(bits, face::Region::Boundary) ? 1 : 0);
@@ -160,4 +161,4 @@ TEST(DeformationGradient, OfALinearMapIsThatMapInThePlane) {
 }
 
 }  // namespace
-}  // namespace facet::model
+}  // namespace facet::face
