@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "facet/error.hpp"
+#include "person/person_file.hpp"
 
 namespace facet::pipeline {
 namespace {
@@ -69,6 +70,10 @@ class TrackerStage final : public CoarseStage {
 
 std::shared_ptr<const face::FaceModel> load_model(const ShadingConfig& config) {
   auto model = std::make_shared<const face::FaceModel>(face::FaceModel::load(config.model_file));
+  if (!config.person_file.empty()) {
+    const person::PersonFile person = person::read_person(config.person_file);
+    model = std::make_shared<const face::FaceModel>(person::model_of(person, *model, config.person_file.string()));
+  }
   // A control mesh that can't be subdivided must be found now, not with the first face.
   mesh::HierarchyOptions coarse_only;
   coarse_only.max_levels = 1;

@@ -49,6 +49,7 @@ struct Options {
   std::string budget;
   std::string detail;
   std::string device;
+  std::string person;
   std::string rig;
   std::string depth;
   std::string points;
@@ -154,6 +155,9 @@ service::Config configure(const Options& options) {
     refine::choose_detail(
         options.detail == "expressive" ? refine::Detail::Expressive : refine::Detail::Faithful,
         monocular.refiner);
+  }
+  if (!options.person.empty()) {
+    monocular.person_file = options.person;
   }
   if (!options.device.empty()) {
     monocular.gpu_device = options.device;
@@ -557,6 +561,10 @@ Command add_process_command(Command app, std::unique_ptr<Team> (*join)()) {
   command.option("--config", options->config,
                  "Configuration file; of [source], only frames and intrinsics count");
   command.option("--frames", options->frames, kFramesHelp);
+  command.option(
+      "--person", options->person,
+      "Who is to be seen: the file that facet enrol wrote; that shape is followed instead of a guess "
+      "from the first frames");
   command.option("--budget", options->budget,
                  "Solver work per frame: \"auto\" (as many steps as pay), \"paper\" (10 of 7 "
                  "iterations) or Gauss-Newton "

@@ -1,0 +1,240 @@
+#include "person/enrolment.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numeric>
+
+#include "maths/statistics.hpp"
+#include "person/person_model.hpp"
+#include "person/skin_flow.hpp"
+
+namespace facet::person {
+namespace {
+
+/// Every so many-th keyframe judges the shape and is not solved for.
+constexpr std::size_t kJudgeEvery = 5;
+constexpr std::size_t kFirstJudge = 3;
+constexpr int kPoseSteps = 3;
+constexpr int kShapeSteps = 2;
+constexpr int kTurns = 2;  ///< of shape and the keyframes' own unknowns, a round
+constexpr int kJudgeSteps = 10;
+/// Of what lies far off: in the earlier rounds, whose shape is still wrong, and in the last.
+constexpr double kWideBoundPx = 4;
+constexpr double kBoundPx = 1;
+constexpr double kLeastYawDeg = 12;
+
+double median_of_finite(std::vector<double> values) {
+  values.erase(std::remove_if(values.begin(), values.end(), [](double v) { return !std::isfinite(v); }),
+               values.end());
+  return values.empty() ? std::numeric_limits<double>::quiet_NaN() : maths::median_of(values);
+}
+
+/// The solve of one head.
+class Enrolment {
+ public:
+  Enrolment(const face::FaceModel& model, const Observed& observed, const EnrolmentOptions& options,
+            const std::function<void(int, int)>& progress)
+      : model_(model),
+        observed_(observed),
+        options_(options),
+        progress_(progress),
+        centre_px_(observed.camera.cx, observed.camera.cy),
+        solver_(model, observed.identity, observed.camera.fx, centre_px_, options.focal_is_known,
+                options.anchor),
+        flow_(model, options.chart_texels) {
+    choose_roles();
+    for (const Keyframe& keyframe : observed.keyframes) {
+      HeadState head{keyframe.camera_from_head.linear(), keyframe.camera_from_head.translation(),
+                     options.expression == KeyframeExpression::Rest ? observed.rest : keyframe.expression};
+      priors_.push_back(head.expression);
+      solver_.heads().push_back(std::move(head));
+    }
+  }
+
+  LearnedShape run() {
+    LearnedShape out;
+    out.identity = observed_.identity;
+    out.rest = observed_.rest;
+    out.focal_px = solver_.focal_px();
+    for (const Keyframe& keyframe : observed_.keyframes) {
+      out.keyframes.push_back(keyframe.sequence);
+    }
+    if (turned_enough(out)) {
+      solve(out);
+    }
+    const auto refusing =
+        std::find_if(out.gates.begin(), out.gates.end(), [](const Gate& gate) { return !gate.passed; });
+    out.accepted = refusing == out.gates.end();
+    out.refused = out.accepted ? "" : refusing->sentence;
+    return out;
+  }
+
+ private:
+  /// How far the head was seen to turn to both sides: without that there is nothing to solve for.
+  bool turned_enough(LearnedShape& out) const {
+    double left = 0;
+    double right = 0;
+    for (const Keyframe& keyframe : observed_.keyframes) {
+      right = std::max(right, keyframe.yaw_deg);  // the camera stands to the head's left
+      left = std::max(left, -keyframe.yaw_deg);
+    }
+    for (const auto& [side, degrees] : {std::pair("left", left), std::pair("right", right)}) {
+      const bool passed = degrees >= kLeastYawDeg;
+      out.gates.push_back(
+          {fmt::format("turned to the {}, degrees", side), degrees, kLeastYawDeg, passed,
+           passed ? ""
+                  : fmt::format("the head was not turned far enough to its {} ({:.0f} degrees, {:.0f} "
+                                "are needed, 20 are better)",
+                                side, degrees, kLeastYawDeg)});
+    }
+    return left >= kLeastYawDeg && right >= kLeastYawDeg;
+  }
+
+  void solve(LearnedShape& out) {
+    bool solved = true;
+    for (int round = 0; round < options_.rounds && solved; ++round) {
+      solved = run_round(round);
+    }
+    if (!solved) {
+      out.gates.push_back({"solve", 0, 1, false, "the shape could not be solved from these pictures"});
+    } else {
+      judge(out);
+    }
+    out.neutral_mm = solver_.control_in_gauge();
+    if (options_.expression == KeyframeExpression::Rest) {
+      add_rest(out.neutral_mm);
+    }
+    bring_loose_pieces(model_, solver_.generic_control(), out.neutral_mm);
+    out.focal_px = solver_.focal_px();
+    if (solved) {
+      out.sigma_mm = solver_.uncertainty_mm();
+    }
+  }
+
+  void say(int done) const {
+    if (progress_) {
+      progress_(done, options_.rounds * (1 + 2 * kTurns));
+    }
+  }
+
+  /// The keyframes from the most frontal outwards, and which of them judge.
+  void choose_roles() {
+    const auto& keyframes = observed_.keyframes;
+    order_.resize(keyframes.size());
+    std::iota(order_.begin(), order_.end(), std::size_t{0});
+    const auto turned = [&](std::size_t k) {
+      return std::abs(keyframes[k].yaw_deg) + std::abs(keyframes[k].pitch_deg);
+    };
+    const std::size_t front = *std::min_element(
+        order_.begin(), order_.end(), [&](std::size_t a, std::size_t b) { return turned(a) < turned(b); });
+    const auto from_front = [&](std::size_t k) {
+      return std::hypot(keyframes[k].yaw_deg - keyframes[front].yaw_deg,
+                        keyframes[k].pitch_deg - keyframes[front].pitch_deg);
+    };
+    std::sort(order_.begin(), order_.end(),
+              [&](std::size_t a, std::size_t b) { return from_front(a) < from_front(b); });
+    solves_.assign(keyframes.size(), 1);
+    for (std::size_t i = kFirstJudge; i < order_.size(); i += kJudgeEvery) {
+      solves_[order_[i]] = 0;
+    }
+  }
+
+  bool run_round(int round) {
+    const int done = round * (1 + 2 * kTurns);
+    say(done);
+    solver_.set_points(flow_.find(observed_.keyframes, solver_, centre_px_, order_, solves_), solves_);
+    say(done + 1);
+    solver_.set_least_bound_px(round + 1 < options_.rounds ? kWideBoundPx : kBoundPx);
+    const auto everybody = [&](int steps, bool expression) {
+      for (std::size_t k = 0; k < order_.size(); ++k) {
+        solver_.resect(
+            k, steps,
+            expression && options_.expression == KeyframeExpression::Solved ? &priors_[k] : nullptr);
+      }
+    };
+    everybody(kPoseSteps, false);
+    for (int turn = 0; turn < kTurns; ++turn) {
+      if (!solver_.bundle(kShapeSteps, true, round == 0)) {
+        return false;
+      }
+      say(done + 2 + 2 * turn);
+      everybody(kPoseSteps, true);
+      say(done + 3 + 2 * turn);
+    }
+    solver_.measure_noise();
+    return true;
+  }
+
+  /// What the face at rest looked like to the nets is part of the face, and no expression.
+  void add_rest(Eigen::Matrix3Xd& neutral_mm) const {
+    const face::ExpressionBasis basis = model_.contract_identity(observed_.identity);
+    for (std::size_t e = 0; e < basis.deltas_mm.size(); ++e) {
+      if (model_.expression_names[e].find("Look") == std::string::npos) {
+        neutral_mm += observed_.rest[static_cast<Eigen::Index>(e)] * basis.deltas_mm[e].cast<double>();
+      }
+    }
+  }
+
+  /// Median residual of the keyframes that were not solved for, with poses of their own.
+  double held_out(bool generic) {
+    const std::vector<HeadState> kept = solver_.heads();
+    const double nearer = solver_.generic_focal_px() / solver_.focal_px();
+    solver_.use_generic(generic);
+    std::vector<double> residuals;
+    for (std::size_t k = 0; k < kept.size(); ++k) {
+      if (solves_[k] == 0) {
+        solver_.heads()[k].translation_mm.z() *= generic ? nearer : 1;
+        solver_.resect(k, kJudgeSteps,
+                       options_.expression == KeyframeExpression::Solved ? &priors_[k] : nullptr);
+        residuals.push_back(solver_.residual_px(k));
+      }
+    }
+    solver_.use_generic(false);
+    solver_.heads() = kept;
+    return median_of_finite(residuals);
+  }
+
+  void judge(LearnedShape& out) {
+    const auto gate = [&](const char* name, double value, double limit, bool passed, std::string sentence) {
+      out.gates.push_back({name, value, limit, passed, passed ? "" : std::move(sentence)});
+    };
+    const double before = held_out(true);
+    const double after = held_out(false);
+    gate("held-out flow, px", after, 0.85 * before, after <= 0.85 * before && before - after >= 0.05,
+         fmt::format("the shape found explains pictures that it was not found from no better ({:.2f} px) "
+                     "than the one before ({:.2f} px)",
+                     after, before));
+    gate("distance from the model's heads", solver_.identity_distance(), 2.5,
+         solver_.identity_distance() <= 2.5, "this is no head, or not one head");
+    gate("offset from the model, mm", solver_.offset_mm(), 8, solver_.offset_mm() <= 8,
+         "this is no head, or not one head");
+    const double log_focal = std::log(solver_.focal_px() / solver_.generic_focal_px());
+    gate("focal length, ln", std::abs(log_focal), 0.45, std::abs(log_focal) <= 0.45,
+         "the camera's focal length can't be what the solve says");
+    gate("noise, px", solver_.noise_px(), 1, solver_.noise_px() < 1,
+         "the pictures are too blurred, dark or compressed");
+  }
+
+  const face::FaceModel& model_;
+  const Observed& observed_;
+  EnrolmentOptions options_;
+  std::function<void(int, int)> progress_;
+  Eigen::Vector2d centre_px_;
+  ShapeSolver solver_;
+  SkinFlow flow_;
+  std::vector<std::size_t> order_;
+  std::vector<char> solves_;
+  std::vector<Eigen::VectorXd> priors_;
+};
+
+}  // namespace
+
+LearnedShape learn_shape(const face::FaceModel& model, const Observed& observed,
+                         const EnrolmentOptions& options, const std::function<void(int, int)>& progress) {
+  return Enrolment(model, observed, options, progress).run();
+}
+
+}  // namespace facet::person

@@ -1,0 +1,58 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "face/face_model.hpp"
+#include "person/keyframes.hpp"
+#include "person/shape_solver.hpp"
+
+namespace facet::person {
+
+/// What is done of the frames' expressions while the shape is solved.
+enum class KeyframeExpression {
+  Rest,    ///< everybody's median: the nets see expressions in a turned face that are not there
+  Solved,  ///< each frame's own, found from the skin's flow
+};
+
+struct EnrolmentOptions {
+  int keyframes = 14;
+  int rounds = 3;
+  int chart_texels = 640;
+  bool focal_is_known = false;
+  KeyframeExpression expression = KeyframeExpression::Rest;
+  AnchorStrength anchor;
+};
+
+/// What one gate measured (docs/person.md, "Gates").
+struct Gate {
+  std::string name;
+  double value = 0;
+  double limit = 0;
+  bool passed = false;
+  std::string sentence;  ///< for people, where it refuses
+};
+
+/// The shape that a turning head showed.
+struct LearnedShape {
+  bool accepted = false;
+  std::string refused;  ///< why not: the sentence of the first gate that refuses
+  std::vector<Gate> gates;
+  std::vector<float> identity;  ///< [identity_count] of the model's face that the solve began with
+  Eigen::Matrix3Xd neutral_mm;  ///< [3][vertex_count] head frame, of the generic face's size
+  double focal_px = 0;          ///< for pictures of Observed::camera's size
+  Eigen::VectorXd sigma_mm;  ///< [vertex_count] standard deviation along the normal; NaN: held to the model
+  Eigen::VectorXd rest;      ///< [expression_count] that it was solved with
+  std::vector<std::uint64_t> keyframes;  ///< sequence numbers
+};
+
+/// Solves a head's shape from what it showed. progress: done of total, may be empty. Refusals are results,
+/// not errors. Some ten seconds; allocates; any thread.
+LearnedShape learn_shape(const face::FaceModel& model, const Observed& observed,
+                         const EnrolmentOptions& options,
+                         const std::function<void(int done, int total)>& progress);
+
+}  // namespace facet::person

@@ -1,0 +1,215 @@
+#include "person/keyframes.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+#include <string_view>
+
+#include "maths/statistics.hpp"
+
+namespace facet::person {
+namespace {
+
+constexpr double kYawBinDeg = 4;
+constexpr double kPitchBinDeg = 5;
+constexpr std::size_t kMostBins = 200;
+constexpr std::size_t kMostExpressions = 3000;
+/// A head that turns faster is blurred by an exposure of 1/60 s.
+constexpr double kFastestDegS = 90;
+/// Of the face's own extent, around it.
+constexpr double kMargin = 0.08;
+/// What of a keyframe's cost a head's turning at the fastest is worth, in expression weights.
+constexpr double kSpeedCost = 0.5;
+constexpr double kReprojectionCost = 0.3;
+
+double degrees(double radians) {
+  return radians * 180 / std::numbers::pi;
+}
+
+/// The part of the picture that holds the mesh.
+HeadPicture cut_out(const Frame& picture, const track::TrackResult& tracked) {
+  Eigen::Vector2f least = Eigen::Vector2f::Constant(1e9F);
+  Eigen::Vector2f largest = Eigen::Vector2f::Constant(-1e9F);
+  for (Eigen::Index v = 0; v < tracked.vertices_mm.cols(); ++v) {
+    const Eigen::Vector3f point = tracked.camera_from_head * tracked.vertices_mm.col(v);
+    if (point.z() > 1) {
+      const Eigen::Vector2f px(tracked.camera.fx * point.x() / point.z() + tracked.camera.cx,
+                               tracked.camera.fy * point.y() / point.z() + tracked.camera.cy);
+      least = least.cwiseMin(px);
+      largest = largest.cwiseMax(px);
+    }
+  }
+  const Eigen::Vector2f margin = static_cast<float>(kMargin) * (largest - least);
+  const auto clamped = [](float value, int end) {
+    return static_cast<int>(std::clamp(value, 0.0F, static_cast<float>(end)));
+  };
+  HeadPicture out;
+  out.left_px = clamped(least.x() - margin.x(), picture.width_px);
+  out.top_px = clamped(least.y() - margin.y(), picture.height_px);
+  out.width_px = clamped(largest.x() + margin.x(), picture.width_px) - out.left_px;
+  out.height_px = clamped(largest.y() + margin.y(), picture.height_px) - out.top_px;
+  out.rgb.reserve(static_cast<std::size_t>(out.width_px) * static_cast<std::size_t>(out.height_px) * 3);
+  for (int y = 0; y < out.height_px; ++y) {
+    const std::uint8_t* pixel = picture.row(out.top_px + y) + 4 * static_cast<std::ptrdiff_t>(out.left_px);
+    for (int x = 0; x < out.width_px; ++x, pixel += 4) {
+      out.rgb.insert(out.rgb.end(), pixel, pixel + 3);
+    }
+  }
+  return out;
+}
+
+}  // namespace
+
+std::pair<double, double> orientation_deg(const Eigen::Isometry3d& camera_from_head) {
+  const Eigen::Vector3d camera =
+      -(camera_from_head.linear().transpose() * camera_from_head.translation()).normalized();
+  return {degrees(std::atan2(camera.x(), camera.z())), degrees(std::asin(std::clamp(camera.y(), -1.0, 1.0)))};
+}
+
+KeyframeCollector::KeyframeCollector(const face::FaceModel& model) : model_(&model) {
+  for (const std::string& name : model.expression_names) {
+    moves_.push_back(name.find("Look") == std::string::npos ? 1 : 0);
+  }
+  clear();
+}
+
+void KeyframeCollector::clear() {
+  bins_.clear();
+  expressions_.clear();
+  next_expression_ = 0;
+  reprojections_px_.clear();
+  mean_expression_ = Eigen::VectorXd::Zero(model_->expression_count());
+  previous_.reset();
+}
+
+double KeyframeCollector::restlessness(const Eigen::VectorXd& expression, const Eigen::VectorXd& rest) const {
+  double sum = 0;
+  for (std::size_t e = 0; e < moves_.size(); ++e) {
+    const auto at = static_cast<Eigen::Index>(e);
+    sum += moves_[e] != 0 ? (expression[at] - rest[at]) * (expression[at] - rest[at]) : 0;
+  }
+  return std::sqrt(sum);
+}
+
+double KeyframeCollector::cost(const Keyframe& keyframe, const Eigen::VectorXd& rest) const {
+  return restlessness(keyframe.expression, rest) + kSpeedCost * keyframe.speed_deg_s / kFastestDegS +
+         kReprojectionCost * keyframe.reprojection_px * 640 / std::max(camera_.width_px, camera_.height_px);
+}
+
+void KeyframeCollector::offer(const track::TrackResult& tracked, const Frame& picture) {
+  if (tracked.state != mesh::TrackingState::Tracking || !tracked.has_mesh || picture.empty() ||
+      picture.corrupt) {
+    previous_.reset();
+    return;
+  }
+  if (tracked.subject != subject_ || tracked.identity != identity_ || tracked.camera.fx != camera_.fx ||
+      tracked.camera.width_px != camera_.width_px || tracked.camera.height_px != camera_.height_px) {
+    clear();
+    subject_ = tracked.subject;
+    identity_ = tracked.identity;
+    camera_ = tracked.camera;
+  }
+  Keyframe now;
+  now.sequence = picture.sequence;
+  now.camera_from_head = tracked.camera_from_head.cast<double>();
+  now.expression = Eigen::Map<const Eigen::VectorXf>(tracked.expression.data(),
+                                                     static_cast<Eigen::Index>(tracked.expression.size()))
+                       .cast<double>();
+  now.reprojection_px = tracked.reprojection_px;
+  std::tie(now.yaw_deg, now.pitch_deg) = orientation_deg(now.camera_from_head);
+  const Eigen::Matrix3f turn = tracked.camera_from_head.linear();
+  if (previous_ && picture.media_time_ns > previous_->first) {
+    const double seconds = static_cast<double>(picture.media_time_ns - previous_->first) * 1e-9;
+    now.speed_deg_s = degrees(Eigen::AngleAxisf(turn * previous_->second.transpose()).angle()) / seconds;
+  }
+  previous_.emplace(picture.media_time_ns, turn);
+
+  if (expressions_.size() < kMostExpressions) {
+    expressions_.emplace_back(now.expression.cast<float>());
+    reprojections_px_.push_back(tracked.reprojection_px);
+  } else {
+    expressions_[next_expression_] = now.expression.cast<float>();
+    reprojections_px_[next_expression_] = tracked.reprojection_px;
+    next_expression_ = (next_expression_ + 1) % kMostExpressions;
+  }
+  mean_expression_ += (now.expression - mean_expression_) / static_cast<double>(expressions_.size());
+
+  if (now.speed_deg_s > kFastestDegS) {
+    return;
+  }
+  const std::pair bin(static_cast<int>(std::lround(now.yaw_deg / kYawBinDeg)),
+                      static_cast<int>(std::lround(now.pitch_deg / kPitchBinDeg)));
+  const auto held = bins_.find(bin);
+  if (held == bins_.end() ? bins_.size() >= kMostBins
+                          : cost(held->second, mean_expression_) <= cost(now, mean_expression_)) {
+    return;
+  }
+  now.picture = cut_out(picture, tracked);
+  bins_.insert_or_assign(bin, std::move(now));
+}
+
+KeyframeCollector::Span KeyframeCollector::span() const {
+  Span out;
+  for (const auto& [bin, keyframe] : bins_) {
+    out.least_yaw = std::min(out.least_yaw, keyframe.yaw_deg);
+    out.largest_yaw = std::max(out.largest_yaw, keyframe.yaw_deg);
+    out.least_pitch = std::min(out.least_pitch, keyframe.pitch_deg);
+    out.largest_pitch = std::max(out.largest_pitch, keyframe.pitch_deg);
+  }
+  return out;
+}
+
+std::vector<std::pair<double, double>> KeyframeCollector::filled() const {
+  std::vector<std::pair<double, double>> out;
+  for (const auto& [bin, keyframe] : bins_) {
+    out.emplace_back(bin.first * kYawBinDeg, bin.second * kPitchBinDeg);
+  }
+  return out;
+}
+
+std::optional<Observed> KeyframeCollector::observed(int most) const {
+  if (bins_.empty()) {
+    return std::nullopt;
+  }
+  Observed out{camera_, identity_, Eigen::VectorXd::Zero(model_->expression_count()), 0, {}};
+  std::vector<float> values(expressions_.size());
+  for (Eigen::Index e = 0; e < out.rest.size(); ++e) {
+    std::transform(expressions_.begin(), expressions_.end(), values.begin(),
+                   [e](const Eigen::VectorXf& expression) { return expression[e]; });
+    out.rest[e] = maths::median_of(values);
+  }
+  values = reprojections_px_;
+  out.usual_reprojection_px = maths::median_of(values);
+
+  std::vector<const Keyframe*> chosen;
+  for (const auto& [bin, keyframe] : bins_) {
+    if (keyframe.reprojection_px <= 2.4 * out.usual_reprojection_px + 0.8) {
+      chosen.push_back(&keyframe);
+    }
+  }
+  // Of the two that stand nearest to each other the restless one goes, until few enough are left.
+  while (chosen.size() > static_cast<std::size_t>(std::max(most, 1))) {
+    double nearest = 1e18;
+    std::pair<std::size_t, std::size_t> pair;
+    for (std::size_t i = 0; i < chosen.size(); ++i) {
+      for (std::size_t j = i + 1; j < chosen.size(); ++j) {
+        const double distance = std::hypot(chosen[i]->yaw_deg - chosen[j]->yaw_deg,
+                                           0.8 * (chosen[i]->pitch_deg - chosen[j]->pitch_deg));
+        if (distance < nearest) {
+          nearest = distance;
+          pair = {i, j};
+        }
+      }
+    }
+    const bool first_goes = cost(*chosen[pair.first], out.rest) > cost(*chosen[pair.second], out.rest);
+    chosen.erase(chosen.begin() + static_cast<std::ptrdiff_t>(first_goes ? pair.first : pair.second));
+  }
+  std::sort(chosen.begin(), chosen.end(),
+            [](const Keyframe* a, const Keyframe* b) { return a->sequence < b->sequence; });
+  for (const Keyframe* keyframe : chosen) {
+    out.keyframes.push_back(*keyframe);
+  }
+  return out;
+}
+
+}  // namespace facet::person

@@ -1,0 +1,110 @@
+#include "person/keyframes.hpp"
+
+#include <gtest/gtest.h>
+
+#include <memory>
+#include <numbers>
+
+#include "support/synthetic_model.hpp"
+
+namespace facet::person {
+namespace {
+
+class KeyframesTest : public ::testing::Test {
+ protected:
+  KeyframesTest() : model_(test::synthetic_model(21)), collector_(model_) {
+    frame_.width_px = 640;
+    frame_.height_px = 480;
+    frame_.stride_bytes = 4 * 640;
+    const std::shared_ptr<std::uint8_t[]> pixels(new std::uint8_t[4 * 640 * 480]);
+    std::fill_n(pixels.get(), 4 * 640 * 480, std::uint8_t{90});
+    frame_.pixels = pixels;
+    tracked_.state = mesh::TrackingState::Tracking;
+    tracked_.has_mesh = true;
+    tracked_.subject = 1;
+    tracked_.camera = {800, 800, 319.5F, 239.5F, 640, 480};
+    tracked_.identity.assign(static_cast<std::size_t>(model_.identity_count()), 0);
+    tracked_.expression.assign(static_cast<std::size_t>(model_.expression_count()), 0);
+    tracked_.vertices_mm = model_.core_row(0, 0);
+    tracked_.reprojection_px = 1;
+  }
+
+  void show(float yaw_deg, float smile, double seconds) {
+    const float radians = yaw_deg * std::numbers::pi_v<float> / 180;
+    tracked_.camera_from_head = Eigen::Isometry3f::Identity();
+    tracked_.camera_from_head.linear() =
+        Eigen::Vector3f(1, -1, -1).asDiagonal() *
+        Eigen::AngleAxisf(-radians, Eigen::Vector3f::UnitY()).toRotationMatrix();
+    tracked_.camera_from_head.translation() = Eigen::Vector3f(0, 0, 600);
+    tracked_.expression[static_cast<std::size_t>(model_.expression_index("mouthSmileLeft"))] = smile;
+    frame_.sequence = sequence_++;
+    frame_.media_time_ns = static_cast<std::int64_t>(seconds * 1e9);
+    collector_.offer(tracked_, frame_);
+  }
+
+  face::FaceModel model_;
+  KeyframeCollector collector_;
+  Frame frame_;
+  track::TrackResult tracked_;
+  std::uint64_t sequence_ = 0;
+};
+
+TEST_F(KeyframesTest, TheCalmestPictureOfAnOrientationIsKept) {
+  show(0, 0, 0);
+  show(12, 0.6F, 1);
+  show(12, 0.05F, 2);
+  show(12, 0.7F, 3);
+  const auto observed = collector_.observed(10);
+  ASSERT_TRUE(observed);
+  ASSERT_EQ(observed->keyframes.size(), 2U);
+  EXPECT_EQ(observed->keyframes[1].sequence, 2U);
+  EXPECT_NEAR(observed->keyframes[1].yaw_deg, 12, 0.01);
+  EXPECT_NEAR(collector_.span().largest_yaw, 12, 0.01);
+  const HeadPicture& picture = observed->keyframes[1].picture;
+  EXPECT_EQ(picture.rgb.size(),
+            static_cast<std::size_t>(picture.width_px) * static_cast<std::size_t>(picture.height_px) * 3);
+  EXPECT_GT(picture.width_px, 150);
+  EXPECT_LT(picture.width_px, 400);
+}
+
+TEST_F(KeyframesTest, ABlurredHeadIsPassedOver) {
+  show(0, 0, 0);
+  show(20, 0, 0.05);  // 400 degrees a second
+  EXPECT_EQ(collector_.filled().size(), 1U);
+}
+
+TEST_F(KeyframesTest, AnotherSubjectBeginsAnew) {
+  show(0, 0, 0);
+  show(20, 0, 1);
+  tracked_.subject = 2;
+  show(-20, 0, 2);
+  const auto observed = collector_.observed(10);
+  ASSERT_TRUE(observed);
+  ASSERT_EQ(observed->keyframes.size(), 1U);
+  EXPECT_NEAR(observed->keyframes[0].yaw_deg, -20, 0.01);
+}
+
+TEST_F(KeyframesTest, WhereTheyAreDenseTheyAreThinnedOut) {
+  for (int i = 0; i <= 10; ++i) {
+    show(static_cast<float>(4 * i), 0, i);
+  }
+  const auto observed = collector_.observed(4);
+  ASSERT_TRUE(observed);
+  ASSERT_EQ(observed->keyframes.size(), 4U);
+  double nearest = 1e9;
+  for (std::size_t i = 1; i < 4; ++i) {
+    nearest =
+        std::min(nearest, std::abs(observed->keyframes[i].yaw_deg - observed->keyframes[i - 1].yaw_deg));
+  }
+  EXPECT_GE(nearest, 7.9);
+}
+
+TEST_F(KeyframesTest, WithoutAMeshNothingIsKept) {
+  tracked_.state = mesh::TrackingState::Acquiring;
+  show(0, 0, 0);
+  EXPECT_TRUE(collector_.empty());
+  EXPECT_FALSE(collector_.observed(5));
+}
+
+}  // namespace
+}  // namespace facet::person
