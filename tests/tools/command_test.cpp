@@ -390,25 +390,6 @@ TEST_F(CommandWithAssets, ForeignModelOrNetsAreStatus3) {
   EXPECT_FALSE(take_exists());
 }
 
-TEST_F(CommandWithAssets, EnrolRefusesAHeadThatDoesNotTurn) {
-  EXPECT_EQ(run({"enrol", clip(), "--frames", ":120", "-o", file("a.person")}), 4);
-  EXPECT_THAT(output_, AllOf(HasSubstr("no person was learned"), HasSubstr("not turned far enough")));
-  EXPECT_FALSE(std::filesystem::exists(file("a.person")));
-  EXPECT_EQ(run({"enrol", grey_video(10), "-o", file("a.person")}), 4);
-  EXPECT_THAT(output_, HasSubstr("no face could be followed in the 10 frames"));
-}
-
-TEST_F(CommandWithAssets, APersonThatIsNoneIsRefusedByName) {
-  const std::string person = file("bad.person", "FACETMDL and no more");
-  EXPECT_EQ(process(clip(), {"--person", person}), 3);
-  EXPECT_THAT(output_, HasSubstr("bad.person: unreadable person"));
-  EXPECT_EQ(run({"person", person}), 3);
-  EXPECT_EQ(run({"person", file("none.person")}), 3);
-  EXPECT_EQ(run({"enrol", clip(), "-o", person}), 2) << "what is there is kept";
-  EXPECT_THAT(output_, HasSubstr("exists already"));
-  EXPECT_EQ(run({"enrol", clip(), "-o", file("a.facemodel")}), 2);
-}
-
 TEST_F(CommandWithAssets, ATakeIsNeverOverwritten) {
   file("new.take", "dear");
   EXPECT_EQ(process(clip(), {"--frames", ":5"}), 6);
