@@ -159,9 +159,18 @@ std::unique_ptr<VideoDecoder> open_avi_decoder(const std::filesystem::path& file
     return nullptr;
   }
   auto opened = std::make_unique<Descriptor>(file);
+  int failure = 0;
   auto index = read_avi_index(
-      [&](std::uint64_t position, std::span<std::byte> out) { return opened->read(position, out); },
+      [&](std::uint64_t position, std::span<std::byte> out) {
+        const bool read = opened->read(position, out);
+        failure = !read && failure == 0 ? errno : failure;
+        return read;
+      },
       opened->size());
+  if (failure != 0) {
+    throw Error(kind_of_errno(failure),
+                fmt::format("{}: can't be read: {}", file.string(), describe_errno(failure)));
+  }
   if (!index || index->width_px > kMostVideoSide_px || index->height_px > kMostVideoSide_px) {
     return nullptr;
   }
