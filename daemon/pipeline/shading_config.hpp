@@ -31,7 +31,8 @@ struct ShadingConfig {
   std::vector<RecordedCamera> views;
   FrameRange frames;  ///< of the source; others are read and thrown away
   std::filesystem::path model_file;
-  std::filesystem::path person_file;  ///< who stands before the camera, enrolled with that model; may be empty
+  std::filesystem::path
+      person_file;  ///< who stands before the camera, enrolled with that model; may be empty
   track::TrackerConfig tracker;
   mesh::HierarchyOptions hierarchy;
   refine::RefinerConfig refiner;

@@ -72,7 +72,8 @@ std::shared_ptr<const face::FaceModel> load_model(const ShadingConfig& config) {
   auto model = std::make_shared<const face::FaceModel>(face::FaceModel::load(config.model_file));
   if (!config.person_file.empty()) {
     const person::PersonFile person = person::read_person(config.person_file);
-    model = std::make_shared<const face::FaceModel>(person::model_of(person, *model, config.person_file.string()));
+    model = std::make_shared<const face::FaceModel>(
+        person::model_of(person, *model, config.person_file.string()));
   }
   // A control mesh that can't be subdivided must be found now, not with the first face.
   mesh::HierarchyOptions coarse_only;

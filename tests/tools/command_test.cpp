@@ -853,7 +853,7 @@ TEST_F(Command, ScanMakesASurfaceOfStructuredLightPictures) {
   std::filesystem::remove(file("r/shot5.png"));
   std::ofstream(file("r/shot5.png")) << "not a picture";
   EXPECT_EQ(run(two), static_cast<int>(ErrorKind::UnreadableInput));
-  EXPECT_THAT(output_, HasSubstr("shot5.png: not a readable"));
+  EXPECT_THAT(output_, HasSubstr("shot5.png: neither PNG nor JPEG"));
 }
 
 TEST_F(Command, PatternsWritesStructuredLightToo) {

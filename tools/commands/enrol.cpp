@@ -1,13 +1,15 @@
 // `facet enrol VIDEO -o NAME.person`: the shape of a face from its head's turning, kept.
 
+#include <fmt/chrono.h>
 #include <fmt/format.h>
 
-#include <ctime>
+#include <chrono>
 #include <filesystem>
 #include <memory>
 #include <optional>
 #include <string>
 
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "options.hpp"
 #include "person/enrolment.hpp"
@@ -31,11 +33,8 @@ struct Options {
 };
 
 std::string now_utc() {
-  const std::time_t now = std::time(nullptr);
-  std::tm parts{};
-  gmtime_r(&now, &parts);
-  return fmt::format("{:04}-{:02}-{:02}T{:02}:{:02}:{:02}Z", parts.tm_year + 1900, parts.tm_mon + 1,
-                     parts.tm_mday, parts.tm_hour, parts.tm_min, parts.tm_sec);
+  const auto seconds = std::chrono::time_point_cast<std::chrono::seconds>(Clock::utc());
+  return fmt::format("{:%Y-%m-%dT%H:%M:%SZ}", fmt::gmtime(seconds));
 }
 
 pipeline::ObservedHead look(const pipeline::ShadingConfig& config, const std::string& video,
