@@ -155,6 +155,7 @@ function(facet_fuzzer name)
   set_target_properties(fuzz_${name} PROPERTIES RUNTIME_OUTPUT_DIRECTORY "${CMAKE_BINARY_DIR}/fuzzers")
   add_dependencies(fuzzers fuzz_${name})
   target_link_libraries(fuzz_${name} PRIVATE facet_options ${ARG_ROOMS} ${ARG_LIBS})
+  target_include_directories(fuzz_${name} PRIVATE "${CMAKE_SOURCE_DIR}/tests/support")  # what fuzzers share
   target_link_options(fuzz_${name} PRIVATE -fsanitize=fuzzer)
   facet_precompiled(fuzz_${name})
   foreach(room ${ARG_ROOMS})

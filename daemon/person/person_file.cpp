@@ -160,7 +160,7 @@ PersonFile parse_person(std::span<const std::byte> bytes, const std::string& sou
     person.sigma_mm.resize(vertices);
     chunks.read("SIGM", person.sigma_mm.data(), vertices);
   }
-  if (!(person.neutral_mm.cwiseAbs().maxCoeff() <= kFarthestMm) ||
+  if (!person.neutral_mm.allFinite() || person.neutral_mm.cwiseAbs().maxCoeff() > kFarthestMm ||
       std::any_of(person.identity.begin(), person.identity.end(),
                   [](float y) { return !(std::abs(y) <= 100); })) {
     chunks.fail("its face is no face: a coordinate is not finite or far off");

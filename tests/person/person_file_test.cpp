@@ -99,8 +99,11 @@ TEST_F(PersonFileTest, ACutOrDamagedFileIsRefusedByName) {
 }
 
 TEST_F(PersonFileTest, AFaceThatIsNoneIsRefused) {
-  person_.neutral_mm(1, 7) = std::numeric_limits<float>::infinity();
-  EXPECT_THAT(refusal(written()), HasSubstr("its face is no face"));
+  for (const float bad :
+       {std::numeric_limits<float>::infinity(), std::numeric_limits<float>::quiet_NaN(), 1e6F}) {
+    person_.neutral_mm(1, 7) = bad;
+    EXPECT_THAT(refusal(written()), HasSubstr("its face is no face")) << bad;
+  }
 }
 
 TEST_F(PersonFileTest, APersonOfAnotherModelIsRefusedWithBothNames) {
