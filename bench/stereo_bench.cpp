@@ -532,9 +532,7 @@ int main(int argc, char** argv) {
   app.add_option("--sigma", options.stereo.most_sigma_mm);
   app.add_option("--steps", options.stereo.spacetime.steps);
   app.add_option("--iterations", options.stereo.spacetime.cg_iterations);
-  app.add_option("--block-x", options.stereo.spacetime.block_x);
-  app.add_option("--block-y", options.stereo.spacetime.block_y);
-  app.add_option("--block-t", options.stereo.spacetime.block_t);
+  app.add_option("--part-bytes", options.stereo.spacetime.part_bytes, "of window sums at a time");
   app.add_option("--window-x", options.stereo.spacetime.window_x);
   app.add_option("--window-y", options.stereo.spacetime.window_y);
   app.add_option("--window-t", options.stereo.spacetime.window_t);

@@ -46,16 +46,21 @@ class Solver {
     hessian_.fill(Floats(padded, 0.0F));
     gradient_.fill(Floats(padded, 0.0F));
     solved_.assign(padded, 0.0F);
-    std::vector<std::uint32_t> links(size.voxels());
-    stereo::link_voxels(size, start, options.break_px, links);
     for (std::size_t i = 0; i < size.voxels(); ++i) {
       field_[pad_ + i] = std::isnan(start[i]) ? 0 : start[i];
       solved_[pad_ + i] = std::isnan(start[i]) ? 0.0F : 1.0F;
+      const std::array<std::size_t, 3> stride{1, static_cast<std::size_t>(size.width_px), size.slot_voxels()};
+      const std::array<int, 3> extent{size.width_px, size.height_px, size.slots};
       for (std::size_t axis = 0; axis < 3; ++axis) {
-        const std::uint32_t bits = (links[i] >> (1 + 4 * axis)) & 3U;
-        const float quotient = bits == 3 ? 0.5F : 1.0F;
-        before_[axis][pad_ + i] = (bits & 1U) != 0 ? quotient : 0;
-        after_[axis][pad_ + i] = (bits & 2U) != 0 ? quotient : 0;
+        const auto place = static_cast<int>(i / stride[axis]) % extent[axis];
+        const auto linked = [&](bool there, std::size_t other) {
+          return there && std::abs(start[i] - start[other]) <= options.break_px;
+        };
+        const bool before = linked(place > 0, i - stride[axis]);
+        const bool after = linked(place + 1 < extent[axis], i + stride[axis]);
+        const float quotient = before && after ? 0.5F : 1.0F;
+        before_[axis][pad_ + i] = before ? quotient : 0;
+        after_[axis][pad_ + i] = after ? quotient : 0;
       }
     }
     stride_ = {1, static_cast<std::ptrdiff_t>(size.width_px),

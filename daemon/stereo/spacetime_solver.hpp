@@ -1,6 +1,6 @@
 #pragma once
 
-#include <cstdint>
+#include <cstddef>
 #include <functional>
 #include <memory>
 #include <span>
@@ -23,9 +23,9 @@ struct SpacetimeOptions {
   int window_x = 9;  ///< odd; 1 in t: frame by frame
   int window_y = 5;
   int window_t = 5;
-  int block_x = 80;  ///< unknowns that are solved together; what is around is a boundary value
-  int block_y = 80;
-  int block_t = 90;
+  /// The windows of as many rows are summed together as have their sums in so many bytes. 0: as the device
+  /// can hold and likes. What is found does not depend on it.
+  std::size_t part_bytes = 0;
   int steps = 3;  ///< Gauss-Newton
   int cg_iterations = 8;
   float damping = 1;         ///< per px^2: an update with a variance above 1 px^2 is held back
@@ -45,7 +45,7 @@ enum class StereoOutcome { Done, NumericalFailure, DeviceLost };
 struct DisparityField {
   StereoOutcome outcome = StereoOutcome::Done;
   std::string failure;              ///< for people, empty where all is well
-  std::vector<float> disparity_px;  ///< [slots][height][width]; the start value where not solved
+  std::vector<float> disparity_px;  ///< [slots][height][width]; 0 where there was no start value
   std::vector<float> sigma_px;      ///< [slots][height][width] standard deviation; 0 where nothing is known
   std::vector<float> correlation;   ///< [slots][height][width] of the pictures over the window, 0 to 1
   std::vector<double> energies;     ///< [steps] before each step
@@ -55,8 +55,7 @@ struct DisparityField {
 /// slot t is right pixel (x - d, y). One thread at a time. The context must outlive it.
 class SpacetimeSolver {
  public:
-  /// Sets up all memory and records all work. Throws Error(Usage) for options that make no sense or blocks
-  /// that the device can't hold, Error(NoDevice).
+  /// Throws Error(Usage) for options that make no sense and a volume that is too large, Error(NoDevice).
   SpacetimeSolver(gpu::Context& context, const VolumeSize& size, const SpacetimeOptions& options);
   ~SpacetimeSolver();
 
@@ -67,7 +66,8 @@ class SpacetimeSolver {
   const gpu::Buffer& left() const;
   const gpu::Buffer& right() const;
 
-  /// Solves from start values and waits.
+  /// Solves from start values and waits. Memory grows with the most disparities that were to be found; where
+  /// the device has none left, it counts as lost.
   /// start_px  [slots][height][width]; NaN: no disparity there, nor any in the result
   /// out       its vectors are set to the volume's size; what is solved has a sigma above 0
   /// alive     called while it waits for the device, four times a second
@@ -76,15 +76,12 @@ class SpacetimeSolver {
 
   /// Of the last solve, on the device: "start", "solve", "quality".
   std::span<const gpu::StageTime> stage_times() const;
+  /// Of the last solve.
+  std::size_t dispatch_count() const;
 
  private:
   struct Impl;
   std::unique_ptr<Impl> impl_;
 };
-
-/// The words of shaders/stereo/layout.h for a start field: neighbours are linked where both have a disparity
-/// and these lie within break_px.
-void link_voxels(const VolumeSize& size, std::span<const float> start_px, float break_px,
-                 std::span<std::uint32_t> links);
 
 }  // namespace facet::stereo

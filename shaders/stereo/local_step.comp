@@ -3,29 +3,25 @@
 #include "layout.h"
 #include "common/workgroup.glsl"
 #include "volume.glsl"
+#include "unknowns.glsl"
+#include "count.glsl"
 #include "inverse4.glsl"
 
 // A Gauss-Newton step of local spacetime stereo [SF04 eq. 4]: every voxel on its own, d, dx, dy and dt free.
 
-uniform samplerBuffer hessians;
+uniform samplerBuffer first_rows;
+uniform samplerBuffer second_rows;
+uniform samplerBuffer third_rows;
 uniform samplerBuffer gradients;
-uniform usamplerBuffer links;
 buffer Disparities {
   float disparities[];
 };
 
 void main() {
-  ivec3 windows = window_extent();
-  int plane = windows.x * windows.y * windows.z;
-  ivec2 cells = cells_of(box_extent, box_origin.z);
-  for (int at = cells.x + int(gl_LocalInvocationID.x); at < cells.y; at += int(kGroupSize)) {
-    ivec3 cell = cell_at(at, box_extent);
-    int voxel = voxel_of(box_origin + cell);
-    int window = ((cell.z + 1) * windows.y + cell.y + 1) * windows.x + cell.x + 1;
-    if ((texelFetch(links, voxel).x & kSolved) != 0) {
-      vec4 moved = solve4(texelFetch(hessians, window), texelFetch(hessians, window + plane),
-                          texelFetch(hessians, window + 2 * plane).xy, push.damping, -texelFetch(gradients, window));
-      disparities[voxel] += clamp(moved.x, -push.most_move_px, push.most_move_px);
-    }
+  ivec2 run = run_of(0, unknown_count);
+  for (int at = run.x + int(gl_LocalInvocationID.x); at < run.y; at += int(kGroupSize)) {
+    vec4 moved = solve4(texelFetch(first_rows, at), texelFetch(second_rows, at), texelFetch(third_rows, at).xy, push.damping,
+                        -texelFetch(gradients, at));
+    disparities[voxel_of(place_of(texelFetch(unknowns, at)))] += clamp(moved.x, -push.most_move_px, push.most_move_px);
   }
 }

@@ -3,47 +3,46 @@
 #include "layout.h"
 #include "common/workgroup.glsl"
 #include "volume.glsl"
+#include "bands.glsl"
+#include "unknowns.glsl"
 #include "windows.glsl"
 
-// J and b of every window of a block [SF04 eq. 5, 7]: the sums along t, then gain and bias taken out.
+// J and b of the window of every unknown of a band [SF04 eq. 5, 7]: the sums along t, then gain and bias taken out.
 
-uniform samplerBuffer sums_xy;      // [7][t][y][x]
+uniform samplerBuffer sums_xy;      // [band][7][t][y][x]
 uniform samplerBuffer disparities;  // [t][y][x] px
-uniform usamplerBuffer links;       // [t][y][x]
-writeonly buffer Hessians {
-  vec4 hessians[];  // [3][t][y][x] J00 J01 J02 J03, J11 J12 J13 J22, J23 J33 - -
+writeonly buffer FirstRows {
+  vec4 first_rows[];  // J00 J01 J02 J03 of every unknown
+};
+writeonly buffer SecondRows {
+  vec4 second_rows[];  // J11 J12 J13 J22
+};
+writeonly buffer ThirdRows {
+  vec2 third_rows[];  // J23 J33
 };
 writeonly buffer Gradients {
-  vec4 gradients[];  // [t][y][x] b
+  vec4 gradients[];  // b
 };
 writeonly buffer Energies {
-  float energies[];  // [slot][workgroup]
+  float energies[];  // [step][band][workgroup]
 };
 
 #include "normal_equations.glsl"
 
 void main() {
-  ivec3 extent = window_extent();
-  ivec3 origin = window_origin();
-  int plane = extent.x * extent.y * extent.z;
-  ivec2 cells = cells_of(extent, origin.z);
+  ivec2 run = unknowns_of_band();
   float energy = 0;
-  for (int at = cells.x + int(gl_LocalInvocationID.x); at < cells.y; at += int(kGroupSize)) {
-    ivec3 cell = cell_at(at, extent);
-    ivec3 here = origin + cell;
-    Window window = no_window();
-    if (inside(here)) {
-      window = window_of(at, voxel_of(here), here.z);
-    }
-    hessians[at] = window.j_first;
-    hessians[at + plane] = window.j_second;
-    hessians[at + 2 * plane] = vec4(window.j_third, 0, 0);
+  for (int at = run.x + int(gl_LocalInvocationID.x); at < run.y; at += int(kGroupSize)) {
+    ivec4 unknown = texelFetch(unknowns, at);
+    Window window = window_of(place_of(unknown), uint(unknown.y));
+    first_rows[at] = window.j_first;
+    second_rows[at] = window.j_second;
+    third_rows[at] = window.j_third;
     gradients[at] = window.b;
-    bool in_block = all(greaterThan(cell, ivec3(0))) && all(lessThan(cell, extent - 1));
-    energy += in_block ? window.energy : 0;
+    energy += window.energy;
   }
   float total = workgroup_sum(vec4(energy, 0, 0, 0)).x;
-  if (gl_LocalInvocationID.x == 0) {
-    energies[push.energy_slot * gl_NumWorkGroups.x + gl_WorkGroupID.x] = total;
+  if (band_here && gl_LocalInvocationID.x == 0) {
+    energies[(push.step * gl_NumWorkGroups.y + gl_WorkGroupID.y) * gl_NumWorkGroups.x + gl_WorkGroupID.x] = total;
   }
 }

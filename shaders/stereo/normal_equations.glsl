@@ -1,7 +1,7 @@
 // The normal equations of one window after its best gain and bias were taken out (docs/stereo.md, S4 to S8),
 // with disparities that are linear within it [SF04 eq. 3]:
-// E(p + q) = E(p) + 2 b . q + q . J q for the parameters (d, dx, dy, dt). Included with sums_xy, disparities and
-// links declared.
+// E(p + q) = E(p) + 2 b . q + q . J q for the parameters (d, dx, dy, dt). Included with sums_xy and disparities
+// declared.
 
 struct Window {
   vec4 j_first;    // J00, J01, J02, J03
@@ -24,15 +24,15 @@ Window no_window() {
   return Window(vec4(0), vec4(0), vec2(0), vec4(0), 0, 0, 0, 0);
 }
 
-// at_window: index in the windows' region; voxel in the volume; slot its slot.
-Window window_of(int at_window, int voxel, int slot) {
-  uint word = texelFetch(links, voxel).x;
-  if ((word & kSolved) == 0) {
-    return no_window();
-  }
-  ivec3 extent = window_extent();
+// place: of the window's middle in the volume; word: its links.
+Window window_of(ivec3 place, uint word) {
+  ivec3 extent = box_extent();
   int slice = extent.x * extent.y;
-  int plane = slice * (extent.z + 2 * radius_t);
+  int plane = slice * extent.z;
+  ivec3 in_box = place - box_origin();
+  int at_window = 7 * band.places.w + (in_box.z * extent.y + in_box.y) * extent.x + in_box.x;
+  int slot = place.z;
+  int voxel = voxel_of(place);
   vec4 a = vec4(0);         // 1, l, w, ll
   vec4 c = vec4(0);         // lw, ww, hd, hdw
   vec4 h = vec4(0);         // h (1, u, v, s)
@@ -47,7 +47,7 @@ Window window_of(int at_window, int voxel, int slot) {
     // A slot that the volume does not have counts as 0 times one that it has.
     int there = clamp(k, radius_t - slot, radius_t + push.volume.z - 1 - slot);
     float has = there == k ? 1 : 0;
-    int from = at_window + there * slice;
+    int from = at_window + (there - radius_t) * slice;
     float s = float(k - radius_t);
     a += has * texelFetch(sums_xy, from);
     c += has * texelFetch(sums_xy, from + plane);

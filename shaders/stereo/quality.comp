@@ -3,34 +3,34 @@
 #include "layout.h"
 #include "common/workgroup.glsl"
 #include "volume.glsl"
+#include "bands.glsl"
+#include "unknowns.glsl"
 #include "windows.glsl"
 #include "inverse4.glsl"
 
-// How well each disparity is known: its standard deviation from the window's Hessian, the match's residual and what
-// the window smooths away (docs/stereo.md, S10), and the correlation of the pictures over the window.
+// What was found, and how well each disparity is known: its standard deviation from the window's Hessian, the match's
+// residual and what the window smooths away (docs/stereo.md, S10), and the correlation of the pictures over the window.
 
-uniform samplerBuffer sums_xy;
-uniform samplerBuffer disparities;
-uniform usamplerBuffer links;
-writeonly buffer Qualities {
-  vec2 qualities[];  // [t][y][x] of the volume: standard deviation, px, 0 where nothing is known; correlation
+uniform samplerBuffer sums_xy;      // [band][7][t][y][x]
+uniform samplerBuffer disparities;  // [t][y][x] px
+writeonly buffer Found {
+  vec4 found[];  // disparity, px; its standard deviation, px, 0 where nothing is known; correlation; -
 };
 
 #include "normal_equations.glsl"
 
 void main() {
-  ivec3 windows = window_extent();
-  ivec2 cells = cells_of(box_extent, box_origin.z);
-  for (int at = cells.x + int(gl_LocalInvocationID.x); at < cells.y; at += int(kGroupSize)) {
-    ivec3 cell = cell_at(at, box_extent);
-    int voxel = voxel_of(box_origin + cell);
-    Window window = window_of(((cell.z + 1) * windows.y + cell.y + 1) * windows.x + cell.x + 1, voxel, box_origin.z + cell.z);
-    vec2 quality = vec2(0);
+  ivec2 run = unknowns_of_band();
+  for (int at = run.x + int(gl_LocalInvocationID.x); at < run.y; at += int(kGroupSize)) {
+    ivec4 unknown = texelFetch(unknowns, at);
+    ivec3 place = place_of(unknown);
+    Window window = window_of(place, uint(unknown.y));
+    vec4 here = vec4(texelFetch(disparities, voxel_of(place)).x, 0, 0, 0);
     if (window.correlation > 0) {
       // J is weighted by 1 / variance, so that its inverse is the parameters' covariance.
       vec4 column = solve4(window.j_first, window.j_second, window.j_third, push.damping, vec4(1, 0, 0, 0));
-      quality = vec2(sqrt(max(column.x, 0) + window.bias_square), window.correlation);
+      here.yz = vec2(sqrt(max(column.x, 0) + window.bias_square), window.correlation);
     }
-    qualities[voxel] = quality;
+    found[at] = here;
   }
 }

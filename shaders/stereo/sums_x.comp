@@ -3,21 +3,22 @@
 #include "layout.h"
 #include "common/workgroup.glsl"
 #include "volume.glsl"
+#include "bands.glsl"
 #include "windows.glsl"
 
 // Window sums along x of all products that the normal equations need, with powers of u = x - x0.
 
 uniform samplerBuffer samples;  // [t][y][x] l, w, h, d
 writeonly buffer SumsX {
-  vec4 sums_x[];  // [5][t][y][x]
+  vec4 sums_x[];  // [band][5][t][y][x]
 };
 
 void main() {
-  ivec3 extent = window_extent() + ivec3(0, 2 * radius_y, 2 * radius_t);
+  ivec3 extent = box_extent() + ivec3(0, 2 * radius_y, 0);
   int plane = extent.x * extent.y * extent.z;
-  ivec2 cells = cells_of(extent, window_origin().z - radius_t);
+  ivec2 cells = cells_of(extent);
   for (int cell = cells.x + int(gl_LocalInvocationID.x); cell < cells.y; cell += int(kGroupSize)) {
-    int first = cell + 2 * radius_x * divided(cell, extent.x).x;
+    int first = band.extent.w + cell + 2 * radius_x * divided(cell, extent.x).x;
     vec4 a = vec4(0);  // 1, l, w, ll
     vec4 b = vec4(0);  // lw, ww, hd, hdw
     vec4 c = vec4(0);  // h, hu, hw, hwu
@@ -38,10 +39,11 @@ void main() {
       e += vec4(hl, hl * u, hhd, hhd * u);
       g += vec4(hh, hhu, hhu * u, hd * hd);
     }
-    sums_x[cell] = a;
-    sums_x[cell + plane] = b;
-    sums_x[cell + 2 * plane] = c;
-    sums_x[cell + 3 * plane] = e;
-    sums_x[cell + 4 * plane] = g;
+    int to = 5 * band.places.z + cell;
+    sums_x[to] = a;
+    sums_x[to + plane] = b;
+    sums_x[to + 2 * plane] = c;
+    sums_x[to + 3 * plane] = e;
+    sums_x[to + 4 * plane] = g;
   }
 }

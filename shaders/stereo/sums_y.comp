@@ -3,23 +3,24 @@
 #include "layout.h"
 #include "common/workgroup.glsl"
 #include "volume.glsl"
+#include "bands.glsl"
 #include "windows.glsl"
 
 // Window sums along y of the sums along x, with powers of v = y - y0.
 
-uniform samplerBuffer sums_x;  // [5][t][y][x]
+uniform samplerBuffer sums_x;  // [band][5][t][y][x]
 writeonly buffer SumsXY {
-  vec4 sums_xy[];  // [7][t][y][x]
+  vec4 sums_xy[];  // [band][7][t][y][x]
 };
 
 void main() {
-  ivec3 extent = window_extent() + ivec3(0, 0, 2 * radius_t);
+  ivec3 extent = box_extent();
   int margin = 2 * radius_y * extent.x;
   int plane = extent.x * extent.y * extent.z;
   int source_plane = plane + margin * extent.z;
-  ivec2 cells = cells_of(extent, window_origin().z - radius_t);
+  ivec2 cells = cells_of(extent);
   for (int cell = cells.x + int(gl_LocalInvocationID.x); cell < cells.y; cell += int(kGroupSize)) {
-    int first = cell + margin * divided(cell, extent.x * extent.y).x;
+    int first = 5 * band.places.z + cell + margin * divided(cell, extent.x * extent.y).x;
     vec4 a = vec4(0);  // 1, l, w, ll
     vec4 b = vec4(0);  // lw, ww, hd, hdw
     vec4 c = vec4(0);  // h, hu, hv, hhdd
@@ -42,12 +43,13 @@ void main() {
       p += vec4(mixed.z * v, square.xy, hhv);
       q += vec3(square.z, square.y * v, hhv * v);
     }
-    sums_xy[cell] = a;
-    sums_xy[cell + plane] = b;
-    sums_xy[cell + 2 * plane] = c;
-    sums_xy[cell + 3 * plane] = e;
-    sums_xy[cell + 4 * plane] = g;
-    sums_xy[cell + 5 * plane] = p;
-    sums_xy[cell + 6 * plane] = vec4(q, 0);
+    int to = 7 * band.places.w + cell;
+    sums_xy[to] = a;
+    sums_xy[to + plane] = b;
+    sums_xy[to + 2 * plane] = c;
+    sums_xy[to + 3 * plane] = e;
+    sums_xy[to + 4 * plane] = g;
+    sums_xy[to + 5 * plane] = p;
+    sums_xy[to + 6 * plane] = vec4(q, 0);
   }
 }

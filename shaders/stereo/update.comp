@@ -4,13 +4,14 @@
 #include "common/workgroup.glsl"
 #include "common/pcg.glsl"
 #include "volume.glsl"
+#include "unknowns.glsl"
+#include "count.glsl"
 #include "adjoint.glsl"
 
 // Second half of a CG iteration of [SF04 eq. 9]: x += alpha s, r -= alpha A s with A s = [I; Gx; Gy; Gt]^T q, z and r . z. The last
 // iteration moves the disparities.
 
-uniform samplerBuffer products;  // [t][y][x] of the windows
-uniform usamplerBuffer links;
+uniform samplerBuffer products;
 buffer SolverStates {
   vec4 solver_states[];
 };
@@ -24,29 +25,21 @@ buffer Disparities {
 void main() {
   float beta = pcg_beta(push.iteration);
   float alpha = pcg_alpha(push.iteration);
-  ivec3 windows = window_extent();
-  ivec3 region = search_extent();
-  ivec2 cells = cells_of(box_extent, box_origin.z);
+  ivec2 run = run_of(0, unknown_count);
   float rz = 0;
-  for (int at = cells.x + int(gl_LocalInvocationID.x); at < cells.y; at += int(kGroupSize)) {
-    ivec3 cell = cell_at(at, box_extent);
-    int voxel = voxel_of(box_origin + cell);
-    int in_region = ((cell.z + 2) * region.y + cell.y + 2) * region.x + cell.x + 2;
-    uint word = texelFetch(links, voxel).x;
+  for (int at = run.x + int(gl_LocalInvocationID.x); at < run.y; at += int(kGroupSize)) {
+    ivec4 unknown = texelFetch(unknowns, at);
     vec4 state = solver_states[at];
-    vec2 search = searches[in_region];
+    vec2 search = searches[at];
     float s = search.x + beta * search.y;
     state.z += alpha * s;
     if (push.last != 0) {
-      disparities[voxel] += clamp(state.z, -push.most_move_px, push.most_move_px);
+      disparities[voxel_of(place_of(unknown))] += clamp(state.z, -push.most_move_px, push.most_move_px);
     } else {
-      int window = ((cell.z + 1) * windows.y + cell.y + 1) * windows.x + cell.x + 1;
-      float product = adjoint(products, window, windows.x, windows.x * windows.y, word) + state.w * s;
-      // What is no unknown has the preconditioner 0, which keeps z and s at 0.
-      state.x -= alpha * product;
+      state.x -= alpha * (adjoint(products, at, unknown) + push.damping * s);
       float z = state.y * state.x;
       rz += state.x * z;
-      searches[in_region] = vec2(z, s);
+      searches[at] = vec2(z, s);
       solver_states[at] = state;
     }
   }

@@ -1,28 +1,13 @@
-// Regions of a block, each one [t][y][x]: the box around its unknowns; the box's windows (one voxel more on each side, since the slopes
-// of a border voxel reach into the box); the search vector (two more); the samples (the windows' reach).
-// The cells of a region are spread over the workgroups in contiguous runs, each walked in one loop: a loop over rows
-// with one over the row's few cells in it leaves most lanes of a CPU's vectors idle at the end of every row. Cells in
-// slots that the volume does not have are left out; nothing reads them but with the weight 0.
+// The unknowns of a volume are a list; what concerns one of them alone goes over the list. The sums of their windows lie in boxes, one
+// around the unknowns of each band of rows.
 
 layout(push_constant) uniform Push {
-  BlockPush push;
-};
-readonly buffer Boxes {
-  ivec4 boxes[];  // [block] of the unknowns of a block: first voxel, then voxels; 0 voxels where there are none
+  SolvePush push;
 };
 
-ivec3 box_origin = boxes[2 * push.block].xyz;
-ivec3 box_extent = boxes[2 * push.block + 1].xyz;
-
-ivec3 window_extent() { return box_extent + 2; }
-ivec3 window_origin() { return box_origin - 1; }
-ivec3 search_extent() { return box_extent + 4; }
-
-// First and past-the-end cell of this workgroup, of a region whose first cell lies in the slot first_slot.
-ivec2 cells_of(ivec3 extent, int first_slot) {
-  int slice = extent.x * extent.y;
-  int first = max(0, -first_slot) * slice;
-  int past = clamp(push.volume.z - first_slot, 0, extent.z) * slice;
+// First and past-the-end of this workgroup's items: contiguous runs, each walked in one loop. A loop over rows with one over a row's
+// few cells in it leaves most lanes of a CPU's vectors idle at the end of every row.
+ivec2 run_of(int first, int past) {
   int stride = int(gl_NumWorkGroups.x * kGroupSize);
   int size = (max(past - first, 0) + stride - 1) / stride * int(kGroupSize);
   int begin = first + int(gl_WorkGroupID.x) * size;
@@ -37,7 +22,7 @@ ivec2 divided(int value, int by) {
   return ivec2(quotient + off, rest - off * by);
 }
 
-// Where a cell is in its region.
+// Where a cell is in its box.
 ivec3 cell_at(int cell, ivec3 extent) {
   ivec2 row = divided(cell, extent.x);
   ivec2 slice = divided(row.x, extent.y);
@@ -50,7 +35,7 @@ bool inside(ivec3 at) {
 int voxel_of(ivec3 at) { return (at.z * push.volume.y + at.y) * push.volume.x + at.x; }
 
 // The four bits of an axis.
-uint axis_bits(uint word, int axis) { return (word >> (1 + 4 * axis)) & 15u; }
+uint axis_bits(uint word, int axis) { return (word >> (4 * axis)) & 15u; }
 
 // What a difference quotient divides by: central where both neighbours are there, one-sided where one is, 0
 // where none is [SF04 eq. 6].

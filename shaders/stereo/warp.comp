@@ -3,32 +3,33 @@
 #include "layout.h"
 #include "common/workgroup.glsl"
 #include "volume.glsl"
+#include "bands.glsl"
 #include "windows.glsl"
 #include "bspline.glsl"
 
-// The samples of all windows of a block: the left picture, the right one at x - d, both blurred by the cubic
+// The samples of all windows of a band: the left picture, the right one at x - d, both blurred by the cubic
 // B-spline, and how the right one changes with d.
 
 uniform samplerBuffer left;         // [t][y][x] grey value, below 0: none
 uniform samplerBuffer right;        // the same
 uniform samplerBuffer disparities;  // [t][y][x] px
-uniform usamplerBuffer links;       // [t][y][x]
 writeonly buffer Samples {
   vec4 samples[];  // l - 1/2, w - 1/2, h = dw/dd, d
 };
 
 void main() {
-  ivec3 extent = window_extent() + 2 * radius();
-  ivec3 origin = window_origin() - radius();
-  ivec2 cells = cells_of(extent, origin.z);
+  ivec3 margin = ivec3(radius_x, radius_y, 0);
+  ivec3 extent = box_extent() + 2 * margin;
+  ivec3 origin = box_origin() - margin;
+  ivec2 cells = cells_of(extent);
   for (int cell = cells.x + int(gl_LocalInvocationID.x); cell < cells.y; cell += int(kGroupSize)) {
     vec4 sample_here = vec4(0, 0, 0, kNoSample);
     ivec3 at = origin + cell_at(cell, extent);
     if (inside(at) && at.x > 0 && at.x + 1 < push.volume.x) {
       int voxel = voxel_of(at);
       float l = texelFetch(left, voxel).x;
-      if (l >= 0 && (texelFetch(links, voxel).x & kSolved) != 0) {
-        float d = texelFetch(disparities, voxel).x;
+      float d = texelFetch(disparities, voxel).x;
+      if (l >= 0 && d > kNoDisparity) {
         float from = float(at.x) - d;
         int corner = int(floor(from));
         if (corner >= 1 && corner + 2 < push.volume.x) {
@@ -45,6 +46,6 @@ void main() {
         }
       }
     }
-    samples[cell] = sample_here;
+    samples[band.extent.w + cell] = sample_here;
   }
 }

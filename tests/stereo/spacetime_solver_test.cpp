@@ -9,7 +9,6 @@
 
 #include "facet/error.hpp"
 #include "reference.hpp"
-#include "shaders/stereo/layout.h"
 #include "support/gpu.hpp"
 
 namespace facet::stereo {
@@ -112,7 +111,8 @@ TEST_F(SpacetimeSolverTest, OneStepAgreesWithTheReference) {
   }
 }
 
-// Each block computes the box around its unknowns alone; what a larger box left in its arrays must not count.
+// Windows are summed in the boxes around the unknowns alone; what a larger box left in the arrays must not
+// count.
 TEST_F(SpacetimeSolverTest, WhereFewAreUnknownTheStepAgreesWithTheReference) {
   const Volume full = make_volume({37, 23, 4}, 103, 0.3, false);
   Volume few = full;
@@ -134,9 +134,6 @@ TEST_F(SpacetimeSolverTest, WhereFewAreUnknownTheStepAgreesWithTheReference) {
   ASSERT_GT(expected.norm(), 1);
   EXPECT_LT((moved - expected).norm(), 2e-3 * expected.norm());
   options = {};
-  options.block_x = 9;
-  options.block_y = 7;
-  options.block_t = 3;
   SpacetimeSolver solver(context(), few.size, options);
   gpu::upload(context(), solver.left(), std::span<const float>(few.left));
   gpu::upload(context(), solver.right(), std::span<const float>(few.right));
@@ -187,26 +184,17 @@ TEST_F(SpacetimeSolverTest, LocalStepAgreesWithTheReference) {
   EXPECT_LT(worst, 5e-3);
 }
 
-TEST_F(SpacetimeSolverTest, BlocksReachTheSameFieldAsOne) {
-  const Volume volume = make_volume({37, 19, 5}, 79, 0.3, false);
+TEST_F(SpacetimeSolverTest, PartsFindTheSameAsOne) {
+  const Volume volume = make_volume({37, 140, 3}, 79, 0.3, true);
+  const DisparityField whole = solve(context(), volume, {});
   SpacetimeOptions options;
-  options.steps = 12;
-  options.cg_iterations = 12;
-  const DisparityField whole = solve(context(), volume, options);
-  options.block_x = 11;
-  options.block_y = 8;
-  options.block_t = 2;
-  const DisparityField blocks = solve(context(), volume, options);
-  double worst = 0;
-  double square = 0;
-  for (std::size_t i = 0; i < volume.start_px.size(); ++i) {
-    const double difference = static_cast<double>(whole.disparity_px[i] - blocks.disparity_px[i]);
-    worst = std::max(worst, std::abs(difference));
-    square += difference * difference;
-  }
-  // Both stop a little short of the minimum, most so in the volume's corners, where windows are cut.
-  EXPECT_LT(worst, 0.03);
-  EXPECT_LT(std::sqrt(square / static_cast<double>(volume.start_px.size())), 2e-3);
+  options.part_bytes = 1;  // a band a part
+  const DisparityField parts = solve(context(), volume, options);
+  ASSERT_EQ(whole.outcome, StereoOutcome::Done);
+  EXPECT_EQ(whole.disparity_px, parts.disparity_px);
+  EXPECT_EQ(whole.sigma_px, parts.sigma_px);
+  EXPECT_EQ(whole.correlation, parts.correlation);
+  EXPECT_EQ(whole.energies, parts.energies);
 }
 
 TEST_F(SpacetimeSolverTest, FindsTheFieldBelowAHundredthOfAPixel) {
@@ -295,30 +283,12 @@ TEST_F(SpacetimeSolverTest, RefusesWhatMakesNoSense) {
   options.window_x = 4;
   EXPECT_THROW(SpacetimeSolver(context(), {20, 20, 2}, options), Error);
   options = {};
-  options.block_t = 0;
+  options.steps = 0;
   EXPECT_THROW(SpacetimeSolver(context(), {20, 20, 2}, options), Error);
   EXPECT_THROW(SpacetimeSolver(context(), {20, 0, 2}, {}), Error);
   SpacetimeSolver solver(context(), {20, 20, 2}, {});
   DisparityField field;
   EXPECT_THROW(solver.solve(std::vector<float>(3), field), Error);
-}
-
-TEST(Links, FollowTheStartValues) {
-  using namespace shaders::stereo;
-  const VolumeSize size{6, 1, 1};
-  const std::vector<float> start{1, 1.2F, 1.4F, 4, 4.1F, kNan};
-  std::vector<std::uint32_t> links(6);
-  link_voxels(size, start, 1.5F, links);
-  const auto x_bits = [&](std::size_t i) { return (links[i] >> 1U) & 15U; };
-  EXPECT_EQ(x_bits(0), kLinkAfter | kAfterHasAfter);
-  EXPECT_EQ(x_bits(1), kLinkBefore | kLinkAfter);
-  EXPECT_EQ(x_bits(2), kLinkBefore | kBeforeHasBefore);
-  EXPECT_EQ(x_bits(3), kLinkAfter);
-  EXPECT_EQ(x_bits(4), kLinkBefore);
-  EXPECT_EQ(links[5], 0U);
-  for (std::size_t i = 0; i < 5; ++i) {
-    EXPECT_EQ(links[i] & ~(15U << 1U), kSolved);
-  }
 }
 
 }  // namespace

@@ -1,0 +1,5 @@
+// How many unknowns there are.
+
+readonly buffer UnknownCount {
+  int unknown_count;
+};
