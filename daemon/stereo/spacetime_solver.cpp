@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <cstdint>
@@ -30,9 +31,7 @@ constexpr int kBandRows = 32;
 constexpr std::size_t kVec4Bytes = 4 * sizeof(float);
 constexpr std::size_t kSumsX = 5;   // vec4 a voxel
 constexpr std::size_t kSumsXY = 7;  // the same
-// What the sums along x and y of one part may take. A CPU's caches hold little of it anyway; a GPU wants one
-// part.
-constexpr std::size_t kSoftwarePartBytes = std::size_t{96} << 20U;
+// What the sums along x and y of one part may take.
 constexpr std::size_t kPartBytes = std::size_t{256} << 20U;
 
 void check(const VolumeSize& size, const SpacetimeOptions& options) {
@@ -72,16 +71,20 @@ struct Arrays {
         second_rows(context, unknown_count, gpu::TexelFormat::Rgba32f, "second_rows"),
         third_rows(context, unknown_count, gpu::TexelFormat::Rg32f, "third_rows"),
         gradients(context, unknown_count, gpu::TexelFormat::Rgba32f, "gradients"),
-        solver_states(context, unknown_count, gpu::TexelFormat::Rgba32f, "solver_states"),
-        searches(context, unknown_count, gpu::TexelFormat::Rg32f, "searches"),
+        inverses(context, unknown_count, gpu::TexelFormat::R32f, "inverses"),
         products(context, unknown_count, gpu::TexelFormat::Rgba32f, "products"),
+        solver_states{{{context, unknown_count, gpu::TexelFormat::Rg32f, "solver_states"},
+                       {context, unknown_count, gpu::TexelFormat::Rg32f, "solver_states"}}},
+        searches{{{context, unknown_count, gpu::TexelFormat::Rg32f, "searches"},
+                  {context, unknown_count, gpu::TexelFormat::Rg32f, "searches"}}},
         samples(context, sample_count, gpu::TexelFormat::Rgba32f, "samples"),
         sums_x(context, kSumsX * sums_x_count, gpu::TexelFormat::Rgba32f, "sums_x"),
         sums_xy(context, kSumsXY * sums_xy_count, gpu::TexelFormat::Rgba32f, "sums_xy") {}
 
   gpu::Buffer start_list, found;
   gpu::DeviceArray list;
-  gpu::DeviceArray first_rows, second_rows, third_rows, gradients, solver_states, searches, products;
+  gpu::DeviceArray first_rows, second_rows, third_rows, gradients, inverses, products;
+  std::array<gpu::DeviceArray, 2> solver_states, searches;  ///< an iteration reads one and writes the other
   gpu::DeviceArray samples, sums_x, sums_xy;
 };
 
@@ -129,9 +132,7 @@ SpacetimeSolver::Impl::Impl(gpu::Context& device, const VolumeSize& whole, const
       ry(chosen.window_y / 2),
       rt(chosen.window_t / 2),
       unknowns(whole, rx, ry, rt, band_rows(whole, most_bytes)),
-      most_cells(std::min(most_bytes, chosen.part_bytes > 0        ? chosen.part_bytes
-                                      : context.info().is_software ? kSoftwarePartBytes
-                                                                   : kPartBytes) /
+      most_cells(std::min(most_bytes, chosen.part_bytes > 0 ? chosen.part_bytes : kPartBytes) /
                  (kSumsXY * kVec4Bytes)),
       band_groups{std::max(4U, groups.x / 4), static_cast<std::uint32_t>(unknowns.bands().size())},
       patience(kSolvePatience * context.info().patience),
@@ -278,12 +279,14 @@ void SpacetimeSolver::Impl::record_step(SolvePush push) {
                   {"second_rows", arrays->second_rows.view},
                   {"third_rows", arrays->third_rows.view},
                   {"gradients", arrays->gradients.view},
-                  {"solver_states", arrays->solver_states.buffer},
-                  {"searches", arrays->searches.buffer},
+                  {"inverses", arrays->inverses.buffer},
+                  {"solver_states", arrays->solver_states[0].buffer},
+                  {"searches", arrays->searches[0].buffer},
                   {"sums", sums.buffer}},
                  groups, push);
   for (int iteration = 0; iteration < options.cg_iterations; ++iteration) {
     push.iteration = static_cast<std::uint32_t>(iteration);
+    const auto now = static_cast<std::size_t>(iteration % 2);
     push.last = iteration + 1 == options.cg_iterations ? 1 : 0;
     batch.dispatch(direction,
                    {{"unknown_count", count},
@@ -291,7 +294,7 @@ void SpacetimeSolver::Impl::record_step(SolvePush push) {
                     {"first_rows", arrays->first_rows.view},
                     {"second_rows", arrays->second_rows.view},
                     {"third_rows", arrays->third_rows.view},
-                    {"searches", arrays->searches.view},
+                    {"searches", arrays->searches[now].view},
                     {"products", arrays->products.buffer},
                     {"sums", sums.buffer}},
                    groups, push);
@@ -299,8 +302,11 @@ void SpacetimeSolver::Impl::record_step(SolvePush push) {
                    {{"unknown_count", count},
                     {"unknowns", arrays->list.view},
                     {"products", arrays->products.view},
-                    {"solver_states", arrays->solver_states.buffer},
-                    {"searches", arrays->searches.buffer},
+                    {"inverses", arrays->inverses.view},
+                    {"solver_states", arrays->solver_states[now].view},
+                    {"searches", arrays->searches[now].view},
+                    {"next_states", arrays->solver_states[1 - now].buffer},
+                    {"next_searches", arrays->searches[1 - now].buffer},
                     {"disparities", disparities.buffer},
                     {"sums", sums.buffer}},
                    groups, push);

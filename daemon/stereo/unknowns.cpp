@@ -11,7 +11,6 @@
 namespace facet::stereo {
 namespace {
 
-using shaders::ivec4;
 using shaders::stereo::Band;
 using shaders::stereo::kAlongYBits;
 using shaders::stereo::kMost_px;

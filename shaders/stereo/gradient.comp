@@ -13,8 +13,11 @@ uniform samplerBuffer first_rows;
 uniform samplerBuffer second_rows;
 uniform samplerBuffer third_rows;
 uniform samplerBuffer gradients;
+writeonly buffer Inverses {
+  float inverses[];  // of the diagonal
+};
 writeonly buffer SolverStates {
-  vec4 solver_states[];  // r, inverse diagonal, x, -
+  vec2 solver_states[];  // r, x
 };
 writeonly buffer Searches {
   vec2 searches[];  // z, search of the iteration before
@@ -54,7 +57,8 @@ void main() {
     ivec4 unknown = texelFetch(unknowns, at);
     float r = -adjoint(gradients, at, unknown);
     float inverse = 1 / (diagonal(at, unknown) + push.damping);
-    solver_states[at] = vec4(r, inverse, 0, 0);
+    inverses[at] = inverse;
+    solver_states[at] = vec2(r, 0);
     searches[at] = vec2(inverse * r, 0);
     rz += r * inverse * r;
   }

@@ -9,14 +9,17 @@
 #include "adjoint.glsl"
 
 // Second half of a CG iteration of [SF04 eq. 9]: x += alpha s, r -= alpha A s with A s = [I; Gx; Gy; Gt]^T q, z and r . z. The last
-// iteration moves the disparities.
+// iteration moves the disparities. What an iteration reads and what it writes are different arrays, in turn.
 
 uniform samplerBuffer products;
-buffer SolverStates {
-  vec4 solver_states[];
+uniform samplerBuffer inverses;
+uniform samplerBuffer solver_states;
+uniform samplerBuffer searches;
+writeonly buffer NextStates {
+  vec2 next_states[];  // r, x
 };
-buffer Searches {
-  vec2 searches[];
+writeonly buffer NextSearches {
+  vec2 next_searches[];  // z, search
 };
 buffer Disparities {
   float disparities[];
@@ -29,18 +32,18 @@ void main() {
   float rz = 0;
   for (int at = run.x + int(gl_LocalInvocationID.x); at < run.y; at += int(kGroupSize)) {
     ivec4 unknown = texelFetch(unknowns, at);
-    vec4 state = solver_states[at];
-    vec2 search = searches[at];
+    vec2 state = texelFetch(solver_states, at).xy;
+    vec2 search = texelFetch(searches, at).xy;
     float s = search.x + beta * search.y;
-    state.z += alpha * s;
+    float x = state.y + alpha * s;
     if (push.last != 0) {
-      disparities[voxel_of(place_of(unknown))] += clamp(state.z, -push.most_move_px, push.most_move_px);
+      disparities[voxel_of(place_of(unknown))] += clamp(x, -push.most_move_px, push.most_move_px);
     } else {
-      state.x -= alpha * (adjoint(products, at, unknown) + push.damping * s);
-      float z = state.y * state.x;
-      rz += state.x * z;
-      searches[at] = vec2(z, s);
-      solver_states[at] = state;
+      float r = state.x - alpha * (adjoint(products, at, unknown) + push.damping * s);
+      float z = texelFetch(inverses, at).x * r;
+      rz += r * z;
+      next_searches[at] = vec2(z, s);
+      next_states[at] = vec2(r, x);
     }
   }
   float total = workgroup_sum(vec4(rz, 0, 0, 0)).x;
