@@ -18,6 +18,7 @@
 #include <vector>
 
 #include "facet/assets.hpp"
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "gpu/context.hpp"
 #include "render/renderer.hpp"
@@ -43,6 +44,8 @@ struct Options {
   std::string device = "auto";
   std::filesystem::path pictures;
   std::string start = "sgm";
+  std::string start_on = "best";
+  int repeat = 1;
   int threads = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
   facet::stereo::StereoOptions stereo;
   std::string sequence = "phase:8x64,gray:6,gray-inverse:6";
@@ -146,6 +149,9 @@ std::vector<std::vector<float>> spacetime(facet::gpu::Context& context, const St
   stereo.depths = footage.depths;
   stereo.start.method =
       options.start == "sgm" ? facet::stereo::StartMethod::SemiGlobal : facet::stereo::StartMethod::ScanLines;
+  stereo.start.place = options.start_on == "host"     ? facet::stereo::StartPlace::Host
+                       : options.start_on == "device" ? facet::stereo::StartPlace::Device
+                                                      : facet::stereo::StartPlace::Best;
   stereo.spacetime.method =
       method == "local" || method == "direct" ? SpacetimeMethod::Local : SpacetimeMethod::Global;
   if (method == "frame") {
@@ -154,8 +160,16 @@ std::vector<std::vector<float>> spacetime(facet::gpu::Context& context, const St
   }
   facet::stereo::StereoMatcher matcher(context, footage.rig, footage.pair, stereo);
   std::vector<facet::capture::DepthMap> maps;
-  if (matcher.match(footage.slots, maps) != facet::stereo::StereoOutcome::Done) {
-    throw facet::Error(facet::ErrorKind::Internal, matcher.failure());
+  double wall_ms = 0;
+  double processor_ms = 0;
+  for (int i = 0; i < options.repeat; ++i) {
+    const auto begin = facet::Clock::now();
+    const double cpu_before = cpu_ms();
+    if (matcher.match(footage.slots, maps) != facet::stereo::StereoOutcome::Done) {
+      throw facet::Error(facet::ErrorKind::Internal, matcher.failure());
+    }
+    wall_ms = static_cast<double>(facet::ms_since(begin));
+    processor_ms = cpu_ms() - cpu_before;
   }
   fmt::print("\n{} {}:", footage.name, method);
   for (const double energy : matcher.field().energies) {
@@ -163,6 +177,14 @@ std::vector<std::vector<float>> spacetime(facet::gpu::Context& context, const St
   }
   fmt::print("\n");
   show_times(matcher.times(), maps.size());
+  fmt::print(
+      "  {:.1f} depth maps a second, {:.0f} ms of processor time each; {} dispatches; on the device, ms:",
+      1e3 * static_cast<double>(maps.size()) / wall_ms, processor_ms / static_cast<double>(maps.size()),
+      matcher.dispatch_count());
+  for (const facet::gpu::StageTime& stage : matcher.stage_times()) {
+    fmt::print(" {} {:.2f}", stage.name, stage.ms);
+  }
+  fmt::print("\n");
   std::vector<std::vector<float>> out;
   if (method == "start") {
     const std::size_t count = maps.front().depth_mm.size();
@@ -520,6 +542,9 @@ int main(int argc, char** argv) {
   app.add_option("--grey-noise", options.scene.noise, "of the pictures, linear grey at full light");
   app.add_option("--device", options.device);
   app.add_option("--start", options.start, "sgm or lines");
+  app.add_option("--start-on", options.start_on, "best, host or device")
+      ->check(CLI::IsMember({"best", "host", "device"}));
+  app.add_option("--repeat", options.repeat, "matches of each scene; shown are the times of the last");
   app.add_option("--paths", options.stereo.start.path_count);
   app.add_option("--start-slots", options.stereo.start.window_t);
   app.add_option("--step-cost", options.stereo.start.step_cost);

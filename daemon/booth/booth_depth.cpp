@@ -63,12 +63,16 @@ stereo::DepthRange depth_range(const capture::Rig& rig) {
 
 struct BoothDepth::Impl {
   Impl(std::string given_device, std::shared_ptr<const capture::Rig> given_rig,
-       const stereo::StereoOptions& given_options)
-      : gpu_device(std::move(given_device)), rig(std::move(given_rig)), options(given_options) {}
+       const stereo::StereoOptions& given_options, Starts given_starts)
+      : gpu_device(std::move(given_device)),
+        rig(std::move(given_rig)),
+        options(given_options),
+        starts(given_starts) {}
 
   std::string gpu_device;
   std::shared_ptr<const capture::Rig> rig;
   stereo::StereoOptions options;
+  Starts starts;
   std::optional<gpu::Context> context;                           ///< nothing while the device is lost
   std::vector<std::unique_ptr<stereo::StereoMatcher>> matchers;  ///< [pair]
   Clock::time_point next_try;
@@ -124,7 +128,7 @@ struct BoothDepth::Impl {
 };
 
 BoothDepth::BoothDepth(const std::string& gpu_device, std::shared_ptr<const capture::Rig> rig,
-                       stereo::DepthRange depths, int most_slots) {
+                       stereo::DepthRange depths, int most_slots, Starts starts) {
   if (rig->pairs.empty()) {
     throw Error(ErrorKind::Usage,
                 "the rig has no stereo pair: add a section [[pair]] to its file; without projectors see "
@@ -133,7 +137,7 @@ BoothDepth::BoothDepth(const std::string& gpu_device, std::shared_ptr<const capt
   stereo::StereoOptions options;
   options.depths = depths.farthest_mm > 0 ? depths : depth_range(*rig);
   options.most_slots = most_slots;
-  impl_ = std::make_unique<Impl>(gpu_device, std::move(rig), options);
+  impl_ = std::make_unique<Impl>(gpu_device, std::move(rig), options, starts);
   impl_->open();
 }
 
@@ -147,7 +151,7 @@ std::string BoothDepth::device() const {
   return impl_->context ? impl_->context->info().name : "";
 }
 
-std::string BoothDepth::find(std::uint64_t /*first_slot*/, std::span<const DepthSlot> slots,
+std::string BoothDepth::find(std::uint64_t first_slot, std::span<const DepthSlot> slots,
                              std::vector<std::vector<capture::DepthMap>>& maps, const stereo::Alive& alive) {
   Impl& impl = *impl_;
   const auto wanted = static_cast<std::size_t>(
@@ -161,6 +165,10 @@ std::string BoothDepth::find(std::uint64_t /*first_slot*/, std::span<const Depth
     for (const DepthSlot& slot : slots) {
       stereo::StereoSlot& one = impl.slots.emplace_back();
       one.has_pattern = slot.stripes;
+      one.wanted = slot.wanted;
+      if (impl.starts == Starts::KeptOfTheRunBefore && slot.set != nullptr) {
+        one.number = first_slot + impl.slots.size() - 1;
+      }
       if (slot.set != nullptr) {
         one.left = slot.set->frames.at(cameras.left);
         one.right = slot.set->frames.at(cameras.right);

@@ -54,10 +54,14 @@ class DepthSource {
 /// Depth maps of a rig's pairs on the GPU. Opens the device again where it was lost.
 class BoothDepth final : public DepthSource {
  public:
+  /// Where a run overlaps the one before, the start values of the slots in both can be taken over. They have
+  /// seen other neighbours then, so that what is found depends on the runs before: live, not for recordings.
+  enum class Starts { Found, KeptOfTheRunBefore };
+
   /// depths: 0 to 0 for depth_range. most_slots: of a run. Throws Error: Usage for a rig that stereo refuses,
   /// NoDevice.
   BoothDepth(const std::string& gpu_device, std::shared_ptr<const capture::Rig> rig,
-             stereo::DepthRange depths, int most_slots);
+             stereo::DepthRange depths, int most_slots, Starts starts = Starts::Found);
   ~BoothDepth() override;
 
   const stereo::DepthRange& depths() const override;

@@ -106,8 +106,10 @@ BoothParts open_booth(const BoothConfig& config, int blanks_per_run) {
   stages.tracker = std::make_unique<booth::PerformanceTracker>(
       model, config.landmark_nets, stages.rig, config.skin, std::move(points), std::move(shading));
   const std::size_t most_slots = reach_of_run(stages) + 1 + 2 * booth::kDepthReach;
-  stages.depth = std::make_unique<booth::BoothDepth>(config.gpu_device, stages.rig, config.depths,
-                                                     static_cast<int>(most_slots));
+  using Starts = booth::BoothDepth::Starts;
+  stages.depth = std::make_unique<booth::BoothDepth>(
+      config.gpu_device, stages.rig, config.depths, static_cast<int>(most_slots),
+      blanks_per_run == 1 ? Starts::KeptOfTheRunBefore : Starts::Found);
   stages.check = std::make_unique<booth::RigCheck>(stages.rig, stages.depth->depths());
   return stages;
 }

@@ -31,8 +31,9 @@ struct BoothParts {
 };
 
 /// Opens rig file, model, landmark nets and device. Seconds. blanks_per_run: blank slots whose depth is found
-/// together; more are cheaper a slot (their windows share slots) and come later. Throws Error: Usage for the
-/// rig and the configuration, UnreadableInput for files, NoDevice.
+/// together; more are cheaper a slot (their windows share slots) and come later. One is for live use: start
+/// values of the run before are kept, so that depths depend on the runs before (BoothDepth::Starts). Throws
+/// Error: Usage for the rig and the configuration, UnreadableInput for files, NoDevice.
 BoothParts open_booth(const BoothConfig& config, int blanks_per_run);
 
 /// Frame sets in, one mesh for every blank slot, or for every slot, out, in their order. Threads, what each

@@ -50,16 +50,19 @@ StartValue::StartValue(int width_px, int height_px, int least_px, int most_px, c
   right_ = left_;
   left_lit_.resize(pixels);
   right_lit_.resize(pixels);
-  costs_.resize(pixels * count_);
-  totals_.resize(pixels * count_);
   row_sums_.resize(width * count_);
   reversed_.resize(width + 2 * (count_ + static_cast<std::size_t>(std::abs(least_px))));
+  right_cost_.resize(reversed_.size());
+  right_best_.resize(reversed_.size());
   paths_.resize(std::size_t{8} * (width + 2) * (count_ + 2 * kLanes));
   path_least_.resize(std::size_t{8} * (width + 2));
   columns_.resize(3 * width);
+  costs_.reserve(pixels * count_);
+  totals_.reserve(pixels * count_);
 }
 
-/// Takes mean and contrast of the surroundings out, so that gain and bias of either camera do not count.
+/// Takes mean and contrast of the surroundings out, so that gain and bias of either camera do not count. In
+/// the box's rows.
 void StartValue::normalise(std::span<const float> grey, const std::vector<std::uint8_t>& lit,
                            std::vector<std::uint8_t>& out) {
   const auto width = static_cast<std::size_t>(width_);
@@ -82,12 +85,14 @@ void StartValue::normalise(std::span<const float> grey, const std::vector<std::u
       }
     }
   };
-  for (int y = 0; y < kNormaliseY; ++y) {
+  for (int y = box_.y - kNormaliseY; y < box_.y + kNormaliseY; ++y) {
     add_row(y, 1);
   }
-  for (int y = 0; y < height_; ++y) {
+  for (int y = box_.y; y < box_.past_y; ++y) {
     add_row(y + kNormaliseY, 1);
-    add_row(y - kNormaliseY - 1, -1);
+    if (y > box_.y) {
+      add_row(y - kNormaliseY - 1, -1);
+    }
     double n = 0;
     double s = 0;
     double ss = 0;
@@ -121,14 +126,17 @@ void StartValue::normalise(std::span<const float> grey, const std::vector<std::u
 /// Costs of one row: absolute differences over 1 x 3 pixels and the slots [SF04 eq. 2].
 void StartValue::row_costs(int row, std::size_t slot_count) {
   const auto width = static_cast<std::size_t>(width_);
-  std::fill(row_sums_.begin(), row_sums_.end(), std::uint16_t{0});
+  const auto first = static_cast<std::size_t>(std::max(box_.x - 1, 0));
+  const auto past = static_cast<std::size_t>(std::min(box_.past_x + 1, width_));
+  std::fill(row_sums_.begin() + static_cast<std::ptrdiff_t>(first * count_),
+            row_sums_.begin() + static_cast<std::ptrdiff_t>(past * count_), std::uint16_t{0});
   const std::size_t margin = count_ + static_cast<std::size_t>(std::abs(least_));
   for (std::size_t slot = 0; slot < slot_count; ++slot) {
     const std::uint8_t* left = left_[slot].data() + static_cast<std::size_t>(row) * width;
     const std::uint8_t* right = right_[slot].data() + static_cast<std::size_t>(row) * width;
     std::fill(reversed_.begin(), reversed_.end(), std::uint8_t{0});
     std::reverse_copy(right, right + width, reversed_.begin() + static_cast<std::ptrdiff_t>(margin));
-    for (std::size_t x = 0; x < width; ++x) {
+    for (std::size_t x = first; x < past; ++x) {
       std::uint16_t* sums = row_sums_.data() + x * count_;
       const std::uint8_t own = left[x];
       if (own == 0) {
@@ -150,7 +158,7 @@ void StartValue::row_costs(int row, std::size_t slot_count) {
   }
   // Division by 3 slot_count as a multiplication: the quotient is at most 128.
   const auto scale = static_cast<std::uint32_t>(65536 / (3 * slot_count));
-  for (int x = 0; x < width_; ++x) {
+  for (int x = box_.x; x < box_.past_x; ++x) {
     const std::uint16_t* before = row_sums_.data() + static_cast<std::size_t>(std::max(x - 1, 0)) * count_;
     const std::uint16_t* own = row_sums_.data() + static_cast<std::size_t>(x) * count_;
     const std::uint16_t* after =
@@ -183,6 +191,10 @@ void StartValue::find(const VolumeSize& size, std::span<const float> left, std::
   };
   find_lit(left, left_lit_);
   find_lit(right, right_lit_);
+  std::fill(start_px.begin(), start_px.end(), std::numeric_limits<float>::quiet_NaN());
+  if (!find_box()) {
+    return;
+  }
   std::size_t slot_count = 0;
   for (int near = first_slot; near <= last_slot; ++near) {
     const auto speaks = [](float value) { return value >= 0; };
@@ -193,10 +205,9 @@ void StartValue::find(const VolumeSize& size, std::span<const float> left, std::
     }
   }
   if (slot_count == 0) {
-    std::fill(start_px.begin(), start_px.end(), std::numeric_limits<float>::quiet_NaN());
     return;
   }
-  for (int y = 0; y < height_; ++y) {
+  for (int y = box_.y; y < box_.past_y; ++y) {
     row_costs(y, slot_count);
   }
   if (options_.method == StartMethod::SemiGlobal) {
@@ -211,20 +222,73 @@ void StartValue::find(const VolumeSize& size, std::span<const float> left, std::
   }
 }
 
-/// Half of the paths: those that come from above and the left, or backward from below and the right.
+/// The least box around what is lit on the left, with a pixel on either side, since costs reach so far; false
+/// where nothing is. Around it all disparities cost the same, and paths that come from there prefer none.
+bool StartValue::find_box() {
+  box_ = {width_, 0, height_, 0};
+  for (int y = 0; y < height_; ++y) {
+    const auto row = left_lit_.begin() + static_cast<std::ptrdiff_t>(y) * width_;
+    const auto end = row + width_;
+    const auto first = std::find(row, end, std::uint8_t{1});
+    if (first != end) {
+      const auto last = std::find(std::reverse_iterator(end), std::reverse_iterator(row), std::uint8_t{1});
+      box_ = {std::min(box_.x, static_cast<int>(first - row)),
+              std::max(box_.past_x, static_cast<int>(last.base() - row)), std::min(box_.y, y), y + 1};
+    }
+  }
+  if (box_.past_y == 0) {
+    return false;
+  }
+  box_.x = std::max(box_.x - 1, 0);
+  box_.past_x = std::min(box_.past_x + 1, width_);
+  const std::size_t cells = static_cast<std::size_t>(box_.past_x - box_.x) *
+                            static_cast<std::size_t>(box_.past_y - box_.y) * count_;
+  if (cells > costs_.size()) {
+    costs_.resize(cells);
+    totals_.resize(cells);
+  }
+  return true;
+}
+
+/// One pixel of some paths:
 ///   L(p, d) = C(p, d) + min(L(q, d), L(q, d -+ 1) + P1, min_k L(q, k) + P2) - min_k L(q, k), q before p
-void StartValue::sweep(bool backward) {
-  const std::size_t stride = count_ + 2 * kLanes;
-  const std::size_t columns = static_cast<std::size_t>(width_) + 2;
+/// previous   [path] L(q, .), with a margin of a disparity on both sides
+/// least      [path] min_k L(q, k); out: of p
+/// current    [path] out
+/// total      the sum over the paths is added, or where `fresh` written
+template <bool fresh, std::size_t paths>
+void StartValue::advance(const std::uint8_t* __restrict cost,
+                         const std::array<const std::uint16_t*, paths>& previous,
+                         std::array<std::uint16_t, paths>& least,
+                         const std::array<std::uint16_t*, paths>& current,
+                         std::uint16_t* __restrict total) const {
   const auto step_cost = static_cast<std::uint16_t>(options_.step_cost);
   const auto jump_cost = static_cast<std::uint16_t>(options_.jump_cost);
-  const auto cell = [&](std::size_t buffer, std::size_t path, std::size_t column) {
-    return paths_.data() + ((buffer * 4 + path) * columns + column) * stride + kLanes;
-  };
-  const auto least = [&](std::size_t buffer, std::size_t path, std::size_t column) -> std::uint16_t& {
-    return path_least_[(buffer * 4 + path) * columns + column];
-  };
-  // Zeros with forbidden margins: what lies outside the picture prefers nothing.
+  for (std::size_t path = 0; path < paths; ++path) {
+    const std::uint16_t* from = previous[path];
+    std::uint16_t* __restrict to = current[path];
+    const std::uint16_t before = least[path];
+    const auto jump = static_cast<std::uint16_t>(before + jump_cost);
+    std::uint16_t smallest = kForbidden;
+    for (std::size_t k = 0; k < count_; ++k) {
+      const std::uint16_t* own = from + k;
+      const auto beside = static_cast<std::uint16_t>(std::min(own[-1], own[1]) + step_cost);
+      const std::uint16_t best = std::min(std::min(own[0], beside), jump);
+      const auto value = static_cast<std::uint16_t>(cost[k] + best - before);
+      to[k] = value;
+      total[k] = static_cast<std::uint16_t>(fresh && path == 0 ? value : total[k] + value);
+      smallest = std::min(smallest, value);
+    }
+    least[path] = smallest;
+  }
+}
+
+/// Half of the paths: those that come from above and the left, or backward from below and the right.
+template <bool backward, std::size_t paths>
+void StartValue::sweep() {
+  const std::size_t stride = count_ + 2 * kLanes;
+  const std::size_t columns = static_cast<std::size_t>(width_) + 2;
+  // Zeros with forbidden margins: what lies outside the box prefers nothing.
   std::fill(path_least_.begin(), path_least_.end(), std::uint16_t{0});
   for (std::size_t c = 0; c < 8 * columns; ++c) {
     std::uint16_t* values = paths_.data() + c * stride;
@@ -232,46 +296,45 @@ void StartValue::sweep(bool backward) {
     std::fill(values + kLanes, values + kLanes + count_, std::uint16_t{0});
     std::fill(values + kLanes + count_, values + stride, kForbidden);
   }
-  const std::ptrdiff_t forward = backward ? -1 : 1;
+  constexpr std::ptrdiff_t forward = backward ? -1 : 1;
   // Of the sweep's paths: along the row, from the row before straight, and diagonal on either side.
-  const std::array<std::ptrdiff_t, 4> shift{-forward, 0, -forward, forward};
-  const std::size_t path_count = options_.path_count == 8 ? 4 : 2;
-  for (int line = 0; line < height_; ++line) {
-    const int y = backward ? height_ - 1 - line : line;
+  constexpr std::array<std::ptrdiff_t, 4> shift{-forward, 0, -forward, forward};
+  for (int line = 0; line < box_.past_y - box_.y; ++line) {
+    const int y = backward ? box_.past_y - 1 - line : box_.y + line;
     const auto now = static_cast<std::size_t>(line % 2);
-    const std::size_t before = 1 - now;
-    for (int step = 0; step < width_; ++step) {
-      const int x = backward ? width_ - 1 - step : step;
-      const std::uint8_t* cost = costs(x, y);
-      std::uint16_t* total = totals(x, y);
-      for (std::size_t path = 0; path < path_count; ++path) {
-        const std::size_t buffer = path == 0 ? now : before;
-        const auto from = static_cast<std::size_t>(x + 1 + shift[path]);
-        const std::uint16_t* previous = cell(buffer, path, from);
-        const std::uint16_t* below = previous - 1;  // the margin, for the first disparity
-        const std::uint16_t previous_least = least(buffer, path, from);
-        const auto jump = static_cast<std::uint16_t>(previous_least + jump_cost);
-        std::uint16_t* current = cell(now, path, static_cast<std::size_t>(x + 1));
-        std::uint16_t current_least = kForbidden;
-        for (std::size_t k = 0; k < count_; ++k) {
-          const auto beside = static_cast<std::uint16_t>(std::min(below[k], previous[k + 1]) + step_cost);
-          const std::uint16_t best = std::min(std::min(previous[k], beside), jump);
-          const auto value = static_cast<std::uint16_t>(cost[k] + best - previous_least);
-          current[k] = value;
-          total[k] = static_cast<std::uint16_t>(total[k] + value);
-          current_least = std::min(current_least, value);
-        }
-        least(now, path, static_cast<std::size_t>(x + 1)) = current_least;
+    const auto place = [&](std::size_t path, std::size_t column) {
+      const std::size_t buffer = path == 0 ? now : 1 - now;
+      return (buffer * 4 + path) * columns + column;
+    };
+    for (int step = 0; step < box_.past_x - box_.x; ++step) {
+      const int x = backward ? box_.past_x - 1 - step : box_.x + step;
+      std::array<const std::uint16_t*, paths> previous;
+      std::array<std::uint16_t*, paths> current;
+      std::array<std::uint16_t, paths> least;
+      for (std::size_t path = 0; path < paths; ++path) {
+        const std::size_t from = place(path, static_cast<std::size_t>(x + 1 + shift[path]));
+        previous[path] = paths_.data() + from * stride + kLanes;
+        least[path] = path_least_[from];
+        current[path] =
+            paths_.data() + ((now * 4 + path) * columns + static_cast<std::size_t>(x + 1)) * stride + kLanes;
+      }
+      advance<!backward>(costs(x, y), previous, least, current, totals(x, y));
+      for (std::size_t path = 0; path < paths; ++path) {
+        path_least_[(now * 4 + path) * columns + static_cast<std::size_t>(x + 1)] = least[path];
       }
     }
   }
 }
 
 void StartValue::semi_global(std::span<float> start_px) {
-  std::fill(totals_.begin(), totals_.end(), std::uint16_t{0});
-  sweep(false);
-  sweep(true);
-  for (int y = 0; y < height_; ++y) {
+  if (options_.path_count == 8) {
+    sweep<false, 4>();
+    sweep<true, 4>();
+  } else {
+    sweep<false, 2>();
+    sweep<true, 2>();
+  }
+  for (int y = box_.y; y < box_.past_y; ++y) {
     choose(y, start_px.subspan(static_cast<std::size_t>(y) * static_cast<std::size_t>(width_),
                                static_cast<std::size_t>(width_)));
   }
@@ -279,41 +342,52 @@ void StartValue::semi_global(std::span<float> start_px) {
 
 /// The best disparity of each pixel of a row, checked against the best of the right picture's pixels.
 void StartValue::choose(int row, std::span<float> line_px) {
-  constexpr float kNothing = std::numeric_limits<float>::quiet_NaN();
-  const auto width = static_cast<std::size_t>(width_);
-  std::vector<std::uint16_t>& right_cost = row_sums_;  // reused: [width] best cost, [width] its disparity
-  std::fill_n(right_cost.begin(), width, std::numeric_limits<std::uint16_t>::max());
-  std::uint16_t* right_best = right_cost.data() + width;
-  for (int x = 0; x < width_; ++x) {
-    const std::uint16_t* total = totals(x, row);
-    const int first = x - least_;
+  constexpr std::uint16_t kMost = std::numeric_limits<std::uint16_t>::max();
+  // Backwards and with margins, so that a pixel's disparities lie side by side: right pixel x - least - k is
+  // at place_of(x) + k.
+  const auto place_of = [&](int x) {
+    return count_ + static_cast<std::size_t>(std::abs(least_) + width_ - 1 - x + least_);
+  };
+  std::fill(right_cost_.begin(), right_cost_.end(), kMost);
+  const std::uint8_t* lit =
+      left_lit_.data() + static_cast<std::size_t>(row) * static_cast<std::size_t>(width_);
+  for (int x = box_.x; x < box_.past_x; ++x) {
+    if (lit[x] == 0) {
+      continue;
+    }
+    const std::uint16_t* __restrict total = totals(x, row);
+    std::uint16_t* __restrict cost = right_cost_.data() + place_of(x);
+    std::uint16_t* __restrict best = right_best_.data() + place_of(x);
     for (std::size_t k = 0; k < used_; ++k) {
-      const int there = first - static_cast<int>(k);
-      if (there >= 0 && there < width_ && total[k] < right_cost[static_cast<std::size_t>(there)]) {
-        right_cost[static_cast<std::size_t>(there)] = total[k];
-        right_best[there] = static_cast<std::uint16_t>(k);
-      }
+      const bool less = total[k] < cost[k];
+      cost[k] = less ? total[k] : cost[k];
+      best[k] = less ? static_cast<std::uint16_t>(k) : best[k];
     }
   }
-  for (int x = 0; x < width_; ++x) {
+  const auto least_of = [](const std::uint16_t* first, const std::uint16_t* past) {
+    std::uint16_t least = kMost;
+    for (; first < past; ++first) {
+      least = std::min(least, *first);
+    }
+    return least;
+  };
+  for (int x = box_.x; x < box_.past_x; ++x) {
+    if (lit[x] == 0) {
+      continue;
+    }
     const std::uint16_t* total = totals(x, row);
-    const auto best = static_cast<std::size_t>(std::min_element(total, total + used_) - total);
-    float& out = line_px[static_cast<std::size_t>(x)];
-    out = kNothing;
+    const std::uint16_t smallest = least_of(total, total + used_);
+    const auto best = static_cast<std::size_t>(std::find(total, total + used_, smallest) - total);
     const int there = x - least_ - static_cast<int>(best);
     if (there < 0 || there >= width_ || costs(x, row)[best] > options_.most_cost) {
       continue;
     }
-    if (std::abs(static_cast<int>(right_best[there]) - static_cast<int>(best)) > 1) {
+    if (std::abs(static_cast<int>(right_best_[place_of(x) + best]) - static_cast<int>(best)) > 1) {
       continue;  // left-right check
     }
-    std::uint16_t second = std::numeric_limits<std::uint16_t>::max();
-    for (std::size_t k = 0; k < used_; ++k) {
-      if (k + 1 < best || k > best + 1) {
-        second = std::min(second, total[k]);
-      }
-    }
-    if (static_cast<float>(second) < (1 + options_.uniqueness) * static_cast<float>(total[best])) {
+    const std::uint16_t second = std::min(least_of(total, total + best - std::min<std::size_t>(best, 1)),
+                                          least_of(total + std::min(best + 2, used_), total + used_));
+    if (static_cast<float>(second) < (1 + options_.uniqueness) * static_cast<float>(smallest)) {
       continue;
     }
     float fraction = 0;
@@ -324,7 +398,7 @@ void StartValue::choose(int row, std::span<float> line_px) {
       const float bend = before - 2 * own + after;
       fraction = bend > 0 ? (before - after) / (2 * bend) : 0;
     }
-    out = static_cast<float>(least_) + static_cast<float>(best) + fraction;
+    line_px[static_cast<std::size_t>(x)] = static_cast<float>(least_) + static_cast<float>(best) + fraction;
   }
 }
 
@@ -337,9 +411,10 @@ void StartValue::scan_lines(std::span<float> start_px) {
   std::vector<std::uint8_t> steps(width * used_);
   std::vector<int> before(used_ + 1);
   std::vector<int> now(used_ + 1);
-  for (int y = 0; y < height_; ++y) {
+  const auto first = static_cast<std::size_t>(box_.x);
+  for (int y = box_.y; y < box_.past_y; ++y) {
     std::fill(before.begin(), before.end(), 0);
-    for (std::size_t x = 0; x < width; ++x) {
+    for (std::size_t x = first; x < static_cast<std::size_t>(box_.past_x); ++x) {
       const std::uint8_t* cost = costs(static_cast<int>(x), y);
       std::uint8_t* step = steps.data() + x * used_;
       for (std::size_t k = 0; k < used_; ++k) {
@@ -359,7 +434,7 @@ void StartValue::scan_lines(std::span<float> start_px) {
     std::size_t k = static_cast<std::size_t>(
         std::min_element(before.begin(), before.begin() + static_cast<std::ptrdiff_t>(used_)) -
         before.begin());
-    for (std::size_t x = width; x-- > 0;) {
+    for (std::size_t x = static_cast<std::size_t>(box_.past_x); x-- > first;) {
       while (steps[x * used_ + k] == kRightAlone) {
         ++k;
       }

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <array>
+#include <cstddef>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -13,9 +15,17 @@ enum class StartMethod {
   SemiGlobal,  ///< costs gathered along paths of several directions [Hir08]
 };
 
+/// Where start values are found. Both ways find the same up to rounding.
+enum class StartPlace {
+  Best,  ///< on the device where it is a GPU that can
+  Host,
+  Device,  ///< Error(Usage) where it cannot
+};
+
 /// Costs of a match are 0 (alike) to 255.
 struct StartOptions {
   StartMethod method = StartMethod::SemiGlobal;
+  StartPlace place = StartPlace::Best;
   int window_t = 5;          ///< slots that a cost looks at; 1 is the paper's 1x3 window, 3 its 1x3x3
   int path_count = 8;        ///< semi-global: 4 or 8
   int step_cost = 8;         ///< semi-global: of a change by one px along a path
@@ -28,7 +38,7 @@ struct StartOptions {
 
 /// Start values of one slot at a time, on the CPU: whole disparities (semi-global: with a parabola's
 /// fraction), NaN where left and right do not agree, where the right camera does not see what the left one
-/// sees, or where nothing fits. docs/stereo.md says why on the CPU.
+/// sees, or where nothing fits. On a GPU: DeviceStart.
 class StartValue {
  public:
   /// least_px, most_px  disparities that are looked at, both included
@@ -47,21 +57,29 @@ class StartValue {
   void normalise(std::span<const float> grey, const std::vector<std::uint8_t>& lit,
                  std::vector<std::uint8_t>& out);
   void row_costs(int row, std::size_t slot_count);
+  bool find_box();
   void semi_global(std::span<float> start_px);
-  void sweep(bool backward);
+  template <bool backward, std::size_t paths>
+  void sweep();
+  template <bool fresh, std::size_t paths>
+  void advance(const std::uint8_t* cost, const std::array<const std::uint16_t*, paths>& previous,
+               std::array<std::uint16_t, paths>& least, const std::array<std::uint16_t*, paths>& current,
+               std::uint16_t* total) const;
   void choose(int row, std::span<float> line_px);
   void scan_lines(std::span<float> start_px);
 
-  std::uint8_t* costs(int x, int y) {
-    return costs_.data() +
-           (static_cast<std::size_t>(y) * static_cast<std::size_t>(width_) + static_cast<std::size_t>(x)) *
-               count_;
+  /// Where a pixel of the box has its costs.
+  std::size_t place(int x, int y) const {
+    return (static_cast<std::size_t>(y - box_.y) * static_cast<std::size_t>(box_.past_x - box_.x) +
+            static_cast<std::size_t>(x - box_.x)) *
+           count_;
   }
-  std::uint16_t* totals(int x, int y) {
-    return totals_.data() +
-           (static_cast<std::size_t>(y) * static_cast<std::size_t>(width_) + static_cast<std::size_t>(x)) *
-               count_;
-  }
+  std::uint8_t* costs(int x, int y) { return costs_.data() + place(x, y); }
+  std::uint16_t* totals(int x, int y) { return totals_.data() + place(x, y); }
+
+  struct Box {
+    int x = 0, past_x = 0, y = 0, past_y = 0;
+  };
 
   int width_;
   int height_;
@@ -69,12 +87,14 @@ class StartValue {
   std::size_t used_;   ///< disparities
   std::size_t count_;  ///< the same, rounded up to whole vectors
   StartOptions options_;
+  Box box_;                                              ///< around what is lit
   std::vector<std::vector<std::uint8_t>> left_, right_;  ///< [window_t][height][width] normalised; 0: nothing
   std::vector<std::uint8_t> left_lit_, right_lit_;       ///< [height][width] 1 where a pattern lights it
-  std::vector<std::uint8_t> costs_;                      ///< [height][width][count_]
-  std::vector<std::uint16_t> totals_;                    ///< [height][width][count_], summed over the paths
+  std::vector<std::uint8_t> costs_;                      ///< [of the box: height, width][count_]
+  std::vector<std::uint16_t> totals_;                    ///< the same, summed over the paths
   std::vector<std::uint16_t> row_sums_;                  ///< [width][count_] over the slots
   std::vector<std::uint8_t> reversed_;                   ///< a row of the right picture, backwards, padded
+  std::vector<std::uint16_t> right_cost_, right_best_;   ///< of a row's right pixels, as reversed_
   std::vector<std::uint16_t> paths_;                     ///< [2][4][width + 2][count_ + 2 pads]
   std::vector<std::uint16_t> path_least_;                ///< [2][4][width + 2]
   std::vector<double> columns_;                          ///< [3][width]

@@ -3,15 +3,22 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <cmath>
 #include <cstring>
+#include <functional>
 #include <limits>
+#include <memory>
+#include <optional>
+#include <thread>
+#include <utility>
 
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "gpu/device_array.hpp"
 #include "shaders/stereo/layout.h"
+#include "stereo/device_start.hpp"
 #include "stereo/islands.hpp"
 #include "stereo_shaders.hpp"
 
@@ -24,6 +31,7 @@ constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 // Two left pixels that land on one right pixel: the farther one is hidden there if it is farther by more than
 // this.
 constexpr float kHidden_px = 1.5F;
+constexpr int kMostThreads = 16;
 
 /// One camera's pictures on their way into a volume.
 struct View {
@@ -60,6 +68,13 @@ struct View {
   std::vector<gpu::DeviceArray> pictures;  ///< [slots]
 };
 
+/// What a thread needs to work on a slot.
+struct Hand {
+  std::optional<StartValue> start;  ///< nothing where the device finds start values
+  Islands islands;
+  std::vector<float> nearest;  ///< [width] of a row of the right picture
+};
+
 StereoOptions completed(StereoOptions options, const capture::Rig& rig, const capture::StereoPair& pair) {
   if (pair.left < rig.cameras.size()) {
     const capture::Lens& lens = rig.cameras[pair.left].lens;
@@ -75,24 +90,33 @@ struct StereoMatcher::Impl {
   Impl(gpu::Context& context, const capture::Rig& rig, const capture::StereoPair& pair,
        const StereoOptions& chosen);
 
+  bool on_device(const gpu::Context& context) const;
+  void keep_starts(std::span<const StereoSlot> slots);
   gpu::Outcome rectify(std::span<const StereoSlot> slots);
   void find_start(std::span<const StereoSlot> slots, const Alive& alive);
-  void finish(std::size_t slot, capture::DepthMap& map);
-  void drop_hidden(std::span<const float> disparity_px, std::span<float> depth_mm);
+  std::span<float> line_of(std::vector<float>& whole, std::size_t slot) const {
+    return std::span(whole).subspan(slot * solver.size().slot_voxels(), solver.size().slot_voxels());
+  }
+  void for_each(std::span<const std::size_t> chosen, const Alive& alive,
+                const std::function<void(Hand&, std::size_t)>& work);
+  void finish(Hand& hand, std::size_t slot, capture::DepthMap& map) const;
+  void drop_hidden(std::vector<float>& nearest, std::span<const float> disparity_px,
+                   std::span<float> depth_mm) const;
 
   StereoOptions options;
   Rectification rectification;
   SpacetimeSolver solver;
-  StartValue start_value;
+  std::vector<Hand> hands;
   gpu::Kernel rectify_kernel;
   View left, right;
-  gpu::Buffer usable;  ///< [slots] 1 where both pictures are there and show a pattern
+  std::unique_ptr<DeviceStart> device_start;  ///< null: the host finds start values
+  gpu::Buffer usable;                         ///< [slots] 1 where both pictures are there and show a pattern
   gpu::Batch batch;
 
-  std::vector<float> left_grey, right_grey, start_px;
+  std::vector<float> left_grey, right_grey, start_px, start_px_before;
+  std::vector<std::optional<std::uint64_t>> numbers;  ///< [slots] whose start values are in start_px
+  std::vector<std::size_t> missing;                   ///< slots whose start values are to be found
   DisparityField field;
-  std::vector<float> nearest;  ///< [width] of a row of the right picture
-  Islands islands;
   std::string failure;
   StereoTimes times;
 };
@@ -102,8 +126,6 @@ StereoMatcher::Impl::Impl(gpu::Context& context, const capture::Rig& rig, const 
     : options(completed(chosen, rig, pair)),
       rectification(rig, pair, options.depths, options.width_px, options.height_px),
       solver(context, {options.width_px, options.height_px, options.most_slots}, options.spacetime),
-      start_value(options.width_px, options.height_px, rectification.least_disparity_px(),
-                  rectification.most_disparity_px(), options.start),
       rectify_kernel(context, shaders::stereo::kernels(), "stereo/rectify"),
       left(context, rig.cameras[pair.left].lens, rectification.left_sources(), solver.left(),
            options.most_slots, "left pictures"),
@@ -111,13 +133,28 @@ StereoMatcher::Impl::Impl(gpu::Context& context, const capture::Rig& rig, const 
             options.most_slots, "right pictures"),
       usable(context, static_cast<std::size_t>(options.most_slots) * sizeof(float), gpu::Memory::Upload,
              "usable"),
-      batch(context, "rectification"),
-      islands(options.width_px, options.height_px) {
+      batch(context, "rectification") {
   const VolumeSize& size = solver.size();
   left_grey.resize(size.voxels());
   right_grey.resize(size.voxels());
   start_px.resize(size.voxels());
-  nearest.resize(static_cast<std::size_t>(size.width_px));
+  start_px_before.resize(size.voxels());
+  if (on_device(context)) {
+    device_start = std::make_unique<DeviceStart>(context, size, rectification.least_disparity_px(),
+                                                 rectification.most_disparity_px(), options.start,
+                                                 solver.left(), solver.right(), usable);
+  }
+  const int threads = std::clamp(static_cast<int>(std::thread::hardware_concurrency()), 1,
+                                 std::min(options.most_slots, kMostThreads));
+  hands.reserve(static_cast<std::size_t>(threads));
+  for (int i = 0; i < threads; ++i) {
+    Hand& hand = hands.emplace_back(Hand{std::nullopt, Islands(options.width_px, options.height_px),
+                                         std::vector<float>(static_cast<std::size_t>(options.width_px))});
+    if (!device_start) {
+      hand.start.emplace(options.width_px, options.height_px, rectification.least_disparity_px(),
+                         rectification.most_disparity_px(), options.start);
+    }
+  }
   batch.stage("rectify");
   const auto record = [&](const View& view, const gpu::Buffer& volume) {
     for (int slot = 0; slot < size.slots; ++slot) {
@@ -136,7 +173,22 @@ StereoMatcher::Impl::Impl(gpu::Context& context, const capture::Rig& rig, const 
   };
   record(left, solver.left());
   record(right, solver.right());
+  if (device_start) {
+    batch.stage("start");
+    device_start->record(batch);
+  }
   batch.finish();
+}
+
+/// Whether start values are found on the device.
+bool StereoMatcher::Impl::on_device(const gpu::Context& context) const {
+  const std::string why_not = DeviceStart::why_not(context, solver.size(), rectification.least_disparity_px(),
+                                                   rectification.most_disparity_px(), options.start);
+  if (options.start.place == StartPlace::Device && !why_not.empty()) {
+    throw Error(ErrorKind::Usage, why_not);
+  }
+  return options.start.place == StartPlace::Device ||
+         (options.start.place == StartPlace::Best && why_not.empty() && !context.info().is_software);
 }
 
 gpu::Outcome StereoMatcher::Impl::rectify(std::span<const StereoSlot> slots) {
@@ -146,6 +198,9 @@ gpu::Outcome StereoMatcher::Impl::rectify(std::span<const StereoSlot> slots) {
     const bool has_left = left.load(slots[slot].left, slot);
     const bool has_right = right.load(slots[slot].right, slot);
     flags[slot] = has_left && has_right && slots[slot].has_pattern ? 1 : 0;
+  }
+  if (device_start) {
+    device_start->want(missing);
   }
   gpu::Outcome outcome = batch.submit();
   if (outcome == gpu::Outcome::Done) {
@@ -159,24 +214,61 @@ gpu::Outcome StereoMatcher::Impl::rectify(std::span<const StereoSlot> slots) {
   return outcome;
 }
 
-void StereoMatcher::Impl::find_start(std::span<const StereoSlot> slots, const Alive& alive) {
-  const VolumeSize& size = solver.size();
-  std::fill(start_px.begin(), start_px.end(), kNan);
-  for (std::size_t slot = 0; slot < slots.size(); ++slot) {
-    const std::span<float> line = std::span(start_px).subspan(slot * size.slot_voxels(), size.slot_voxels());
-    alive();
-    start_value.find(size, left_grey, right_grey, static_cast<int>(slot), line);
-    const std::span<const std::uint8_t> mask = slots[slot].mask;
-    if (!mask.empty()) {
-      for (std::size_t at = 0; at < line.size(); ++at) {
-        line[at] = mask[at] != 0 ? line[at] : kNan;
+/// Work on some slots, on as many threads as there are hands.
+void StereoMatcher::Impl::for_each(std::span<const std::size_t> chosen, const Alive& alive,
+                                   const std::function<void(Hand&, std::size_t)>& work) {
+  std::atomic<std::size_t> next = 0;
+  std::vector<std::jthread> others;
+  for (std::size_t i = 1; i < std::min(hands.size(), chosen.size()); ++i) {
+    others.emplace_back([&, i] {
+      for (std::size_t at = next++; at < chosen.size(); at = next++) {
+        work(hands[i], chosen[at]);
       }
-    }
+    });
+  }
+  for (std::size_t at = next++; at < chosen.size(); at = next++) {
+    alive();
+    work(hands[0], chosen[at]);
   }
 }
 
+/// Takes over the start values of slots that were in the run before, and says which are missing.
+void StereoMatcher::Impl::keep_starts(std::span<const StereoSlot> slots) {
+  std::swap(start_px, start_px_before);
+  std::fill(start_px.begin(), start_px.end(), kNan);
+  std::vector<std::optional<std::uint64_t>> now(slots.size());
+  missing.clear();
+  for (std::size_t slot = 0; slot < slots.size(); ++slot) {
+    now[slot] = slots[slot].mask.empty() ? slots[slot].number : std::nullopt;
+    const auto before = now[slot] ? std::find(numbers.begin(), numbers.end(), now[slot]) : numbers.end();
+    if (before != numbers.end()) {
+      std::ranges::copy(line_of(start_px_before, static_cast<std::size_t>(before - numbers.begin())),
+                        line_of(start_px, slot).begin());
+    } else {
+      missing.push_back(slot);
+    }
+  }
+  numbers = std::move(now);
+}
+
+void StereoMatcher::Impl::find_start(std::span<const StereoSlot> slots, const Alive& alive) {
+  for_each(missing, alive, [&](Hand& hand, std::size_t slot) {
+    const std::span<float> line = line_of(start_px, slot);
+    if (device_start) {
+      device_start->read(slot, line);
+    } else {
+      hand.start->find(solver.size(), left_grey, right_grey, static_cast<int>(slot), line);
+    }
+    const std::span<const std::uint8_t> mask = slots[slot].mask;
+    for (std::size_t at = 0; at < mask.size(); ++at) {
+      line[at] = mask[at] != 0 ? line[at] : kNan;
+    }
+  });
+}
+
 /// What another surface hides from the right camera can have no match there.
-void StereoMatcher::Impl::drop_hidden(std::span<const float> disparity_px, std::span<float> depth_mm) {
+void StereoMatcher::Impl::drop_hidden(std::vector<float>& nearest, std::span<const float> disparity_px,
+                                      std::span<float> depth_mm) const {
   const int width = options.width_px;
   for (int y = 0; y < options.height_px; ++y) {
     const std::size_t first = static_cast<std::size_t>(y) * static_cast<std::size_t>(width);
@@ -207,7 +299,7 @@ void StereoMatcher::Impl::drop_hidden(std::span<const float> disparity_px, std::
   }
 }
 
-void StereoMatcher::Impl::finish(std::size_t slot, capture::DepthMap& map) {
+void StereoMatcher::Impl::finish(Hand& hand, std::size_t slot, capture::DepthMap& map) const {
   const std::size_t count = solver.size().slot_voxels();
   const auto part = [&](const std::vector<float>& whole) {
     return std::span<const float>(whole).subspan(slot * count, count);
@@ -231,8 +323,8 @@ void StereoMatcher::Impl::finish(std::size_t slot, capture::DepthMap& map) {
       }
     }
   }
-  drop_hidden(disparity, map.depth_mm);
-  islands.drop(disparity, options.spacetime.break_px, options.least_island_px, map.depth_mm);
+  drop_hidden(hand.nearest, disparity, map.depth_mm);
+  hand.islands.drop(disparity, options.spacetime.break_px, options.least_island_px, map.depth_mm);
   for (std::size_t at = 0; at < count; ++at) {
     if (map.depth_mm[at] > 0) {
       map.sigma_mm[at] = sigma_mm(at);
@@ -257,6 +349,9 @@ const StereoTimes& StereoMatcher::times() const {
 }
 std::span<const gpu::StageTime> StereoMatcher::stage_times() const {
   return impl_->solver.stage_times();
+}
+std::size_t StereoMatcher::dispatch_count() const {
+  return impl_->batch.counts().dispatches + impl_->solver.dispatch_count();
 }
 std::span<const float> StereoMatcher::left_grey() const {
   return impl_->left_grey;
@@ -296,14 +391,17 @@ StereoOutcome StereoMatcher::match(std::span<const StereoSlot> slots, std::vecto
   }
   impl.failure.clear();
   auto clock = Clock::now();
+  impl.keep_starts(slots);
   if (impl.rectify(slots) != gpu::Outcome::Done) {
+    impl.numbers.clear();
     impl.failure = "the GPU was lost during rectification";
     return StereoOutcome::DeviceLost;
   }
-  impl.times.rectify_ms = ms_since(clock);
+  const float start_ms = impl.batch.stage_ms("start");  // 0 where the host finds start values
+  impl.times.rectify_ms = ms_since(clock) - start_ms;
   clock = Clock::now();
   impl.find_start(slots, alive);
-  impl.times.start_ms = ms_since(clock);
+  impl.times.start_ms = ms_since(clock) + start_ms;
   clock = Clock::now();
   impl.solver.solve(impl.start_px, impl.field, alive);
   impl.times.solve_ms = ms_since(clock);
@@ -312,10 +410,13 @@ StereoOutcome StereoMatcher::match(std::span<const StereoSlot> slots, std::vecto
     return impl.field.outcome;
   }
   clock = Clock::now();
+  std::vector<std::size_t> wanted;
   for (std::size_t slot = 0; slot < slots.size(); ++slot) {
-    alive();
-    impl.finish(slot, maps[slot]);
+    if (slots[slot].wanted) {
+      wanted.push_back(slot);
+    }
   }
+  impl.for_each(wanted, alive, [&](Hand& hand, std::size_t slot) { impl.finish(hand, slot, maps[slot]); });
   impl.times.finish_ms = ms_since(clock);
   return StereoOutcome::Done;
 }

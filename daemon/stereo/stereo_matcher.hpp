@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
@@ -22,7 +23,11 @@ struct StereoSlot {
   Frame right;  ///< the same of the right camera
   bool has_pattern = true;  ///< false in a blank slot: its depth comes from the slots beside it
   /// [height][width] of the rectified left picture: 0 where no depth is wanted; empty: everywhere.
-  std::span<const std::uint8_t> mask;
+  std::span<const std::uint8_t> mask = {};
+  bool wanted = true;  ///< false: it only speaks for the slots beside it
+  /// Of the slot in its recording. Where a slot of the run before has the same, its start value is taken
+  /// over; nothing: found anew.
+  std::optional<std::uint64_t> number = std::nullopt;
 };
 
 struct StereoOptions {
@@ -46,7 +51,8 @@ struct StereoTimes {
   float finish_ms = 0;
 };
 
-/// From the pictures of a pair to depth maps. One thread at a time; the context must outlive it.
+/// From the pictures of a pair to depth maps. One thread at a time; the context must outlive it. `match` has
+/// slots worked on by threads of its own while it lasts, as many as there are processors, 16 at most.
 class StereoMatcher {
  public:
   /// Sets up all memory and kernels. Throws Error(Usage) for what Rectification, StartValue and
@@ -60,10 +66,10 @@ class StereoMatcher {
   /// Depth of every slot of a run of consecutive ones. Slots near the ends have fewer neighbours in their
   /// windows; those with window_t / 2 slots on either side are as good as they get.
   /// slots   1 to most_slots
-  /// maps    out, [slots], confidence 1 / (1 + (sigma / 0.1 mm)^2) where there is a depth; a picture of
-  /// another size than its lens's counts as missing returns DeviceLost and NumericalFailure leave the maps
-  /// empty of depths; failure() says more
-  /// alive   called between pieces of work and while it waits for the device
+  /// maps    out, [slots], empty of depths where not wanted; confidence 1 / (1 + (sigma / 0.1 mm)^2) where
+  /// there is a depth; a picture of another size than its lens's counts as missing returns DeviceLost and
+  /// NumericalFailure leave the maps empty of depths; failure() says more alive   called between pieces of
+  /// work and while it waits for the device
   StereoOutcome match(
       std::span<const StereoSlot> slots, std::vector<capture::DepthMap>& maps, const Alive& alive = [] {});
 
@@ -72,6 +78,8 @@ class StereoMatcher {
   const StereoTimes& times() const;
   /// Of its solve, on the device (SpacetimeSolver::stage_times).
   std::span<const gpu::StageTime> stage_times() const;
+  /// Of the last match, both submissions.
+  std::size_t dispatch_count() const;
 
   /// Of the last match, over most_slots slots: rectified pictures, grey 0 to 1, below 0 where there is
   /// nothing to see; start values and disparities, px. For pictures and checks.

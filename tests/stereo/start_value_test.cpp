@@ -137,6 +137,47 @@ TEST(StartValue, NegativeDisparitiesAreLikeOthers) {
   EXPECT_NEAR(found[pictures.size.voxel(70, 12, 0)], -kNear_px, 0.5);
 }
 
+// Only the box around what is lit is looked at: what surrounds it prefers nothing.
+TEST(StartValue, OfALitPatchAreTheSameInALargerPicture) {
+  const Pictures pictures = two_plates(1, -1);
+  constexpr int kMargin = 24;
+  const VolumeSize size{kWidth + 2 * kMargin, kHeight + 2 * kMargin, 1};
+  std::vector<float> left(size.voxels(), 0.0F);
+  std::vector<float> right = left;
+  for (int y = 0; y < kHeight; ++y) {
+    for (int x = 0; x < kWidth; ++x) {
+      left[size.voxel(x + kMargin, y + kMargin, 0)] = pictures.left[pictures.size.voxel(x, y, 0)];
+      right[size.voxel(x + kMargin, y + kMargin, 0)] = pictures.right[pictures.size.voxel(x, y, 0)];
+    }
+  }
+  StartOptions options;
+  options.window_t = 1;
+  StartValue alone(kWidth, kHeight, 0, 15, options);
+  std::vector<float> found(pictures.size.slot_voxels());
+  alone.find(pictures.size, pictures.left, pictures.right, 0, found);
+  StartValue start(size.width_px, size.height_px, 0, 15, options);
+  std::vector<float> within(size.slot_voxels());
+  start.find(size, left, right, 0, within);
+  int compared = 0;
+  for (int y = 0; y < size.height_px; ++y) {
+    for (int x = 0; x < size.width_px; ++x) {
+      const float d = within[size.voxel(x, y, 0)];
+      const bool lit = x >= kMargin && x < kMargin + kWidth && y >= kMargin && y < kMargin + kHeight;
+      if (!lit) {
+        EXPECT_TRUE(std::isnan(d)) << x << " " << y;
+        continue;
+      }
+      const float other = found[pictures.size.voxel(x - kMargin, y - kMargin, 0)];
+      // The first and last column have one neighbour fewer where the picture ends.
+      if (x > kMargin + 15 && x < kMargin + kWidth - 1 && !std::isnan(other)) {
+        EXPECT_NEAR(d, other, 0.2F) << x << " " << y;
+        ++compared;
+      }
+    }
+  }
+  EXPECT_GT(compared, kWidth * kHeight / 2);
+}
+
 TEST(StartValue, RefusesWhatMakesNoSense) {
   EXPECT_THROW(StartValue(64, 48, 5, 4, {}), Error);
   EXPECT_THROW(StartValue(64, 48, 0, 64, {}), Error);
