@@ -1,6 +1,6 @@
 # OpenCV's parts as imported targets FacetOpenCV::<part>, found one by one: Debian's OpenCVConfig.cmake comes only with
-# libopencv-dev, which pulls in the whole of OpenCV (VTK, Qt, GDAL ...) where libopencv-dnn-dev and its like are enough.
-#   find_package(FacetOpenCV REQUIRED COMPONENTS core imgproc dnn)
+# libopencv-dev, which pulls in the whole of OpenCV (VTK, Qt, GDAL ...) where libopencv-imgproc-dev and its like are enough.
+#   find_package(FacetOpenCV REQUIRED COMPONENTS core imgproc)
 find_path(FacetOpenCV_INCLUDE_DIR opencv2/core.hpp PATH_SUFFIXES opencv4)
 foreach(part ${FacetOpenCV_FIND_COMPONENTS})
   find_library(FacetOpenCV_${part}_LIBRARY opencv_${part})
@@ -19,4 +19,4 @@ foreach(part ${FacetOpenCV_FIND_COMPONENTS})
 endforeach()
 include(FindPackageHandleStandardArgs)
 find_package_handle_standard_args(FacetOpenCV REQUIRED_VARS FacetOpenCV_INCLUDE_DIR HANDLE_COMPONENTS
-  REASON_FAILURE_MESSAGE "install libopencv-dnn-dev and libopencv-imgproc-dev")
+  REASON_FAILURE_MESSAGE "install libopencv-core-dev and libopencv-imgproc-dev")

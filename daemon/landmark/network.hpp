@@ -14,13 +14,12 @@ namespace facet::landmark {
 TfliteModel part_of(const TfliteModel& model, int input, const std::vector<int>& outputs,
                     const std::string& name);
 
-/// A convolutional net of a TensorFlow Lite graph with one image input, run by OpenCV's DNN module on the
-/// calling thread. Not thread safe. After the first forward() OpenCV allocates only small bookkeeping.
+/// A convolutional net of a TensorFlow Lite graph with one image input, run on the calling thread. One thread
+/// at a time; different nets run side by side.
 class Network {
  public:
-  /// Builds the net and runs it once, so that a graph that OpenCV can't run is an error here.
-  /// Throws Error(UnreadableInput) that starts with `name`. The model is not needed afterwards.
-  /// channels: of the image, 3 for RGB.
+  /// Makes the net ready; a graph that can't be run is an error here. Throws Error(UnreadableInput) that
+  /// starts with `name`. The model is not needed afterwards. channels: of the image, 3 for RGB.
   Network(const TfliteModel& model, const std::string& name, int channels = 3);
   ~Network();
   Network(Network&&) noexcept;
@@ -32,7 +31,7 @@ class Network {
   /// The image to work on, [channels][rows][columns]: planar, red first. Write it, then call forward().
   std::span<float> input();
 
-  /// Computes all outputs. Throws nothing: the shapes were proven by the constructor.
+  /// Computes all outputs. Allocates and throws nothing: the shapes were proven by the constructor.
   void forward();
 
   /// An output in the graph's order, flat in TensorFlow's layout (channels last); valid until the next

@@ -125,6 +125,33 @@ TEST(Network, MatchesTheReferenceOnABlockWithDownsampling) {
   }
 }
 
+TEST(Network, DoesAnAdditionAndItsSlopesWithTheConvolutionBefore) {
+  // As in both nets: what is added is there already. 37 pixels and 11 channels fill neither tile nor group.
+  std::mt19937 random(seed);
+  for (const bool read_twice : {false, true}) {
+    TfliteWriter writer;
+    const int image = writer.tensor({1, 37, 1, 3});
+    const auto convolve = [&](int in, int channels) {
+      const int weights =
+          writer.constant({11, 1, 1, channels}, noise(static_cast<std::size_t>(11 * channels), random));
+      const int bias = writer.constant({11}, noise(11, random));
+      const int out = writer.tensor({1, 37, 1, 11});
+      writer.add(TfliteWriter::Conv2d, {in, weights, bias}, {out}, test::conv_options(false, 1, 1));
+      return out;
+    };
+    const int first = convolve(image, 3);
+    const int second = convolve(first, 11);
+    const int sum = writer.tensor({1, 37, 1, 11});
+    writer.add(TfliteWriter::Add, {second, first}, {sum});
+    const int slopes = writer.constant({1, 1, 11}, noise(11, random));
+    const int result = writer.tensor({1, 37, 1, 11});
+    writer.add(TfliteWriter::Prelu, {sum, slopes}, {result});
+    const std::vector<int> outputs =
+        read_twice ? std::vector<int>{result, second, sum} : std::vector<int>{result};
+    EXPECT_LT(difference_to_reference(writer.finish({image}, outputs)), tolerance) << read_twice;
+  }
+}
+
 TEST(Network, KeepsTensorFlowsOrderThroughReshapeAndConcatenation) {
   std::mt19937 random(seed);
   TfliteWriter writer;
@@ -177,6 +204,33 @@ TEST(Network, RefusesGraphsThatItCannotRun) {
   short_bias.tensor({1, 4, 4, 2});
   short_bias.add(TfliteWriter::Conv2d, {0, 1, 2}, {3}, test::conv_options(false, 1, 1));
   EXPECT_THAT(error_of(short_bias, 0, 3), HasSubstr("bias does not fit"));
+
+  // Shapes are the graph's word: none is believed, and none makes room that the net does not need.
+  const auto pooled = [&](const std::vector<int>& from, const std::vector<int>& to) {
+    TfliteWriter writer;
+    writer.tensor(from);
+    writer.tensor(to);
+    writer.add(TfliteWriter::MaxPool2d, {0}, {1}, test::pool_options(true, 2, 2));
+    return error_of(writer, 0, 1);
+  };
+  EXPECT_EQ(pooled({1, 4, 4, 3}, {1, 2, 2, 3}), "");
+  EXPECT_THAT(pooled({1, 4, 4, 3}, {1, 2, 3, 3}), HasSubstr("has not the shape"));
+  EXPECT_THAT(pooled({1, 4, 4, 3}, {1, 2, 2, 4}), HasSubstr("has not the shape"));
+  EXPECT_THAT(pooled({1, 1, 4, 3}, {1, 1, 2, 3}), HasSubstr("has not the shape"));
+  EXPECT_THAT(pooled({1, 1 << 24, 1 << 24, 3}, {1, 1 << 23, 1 << 23, 3}), HasSubstr("too large"));
+  TfliteWriter unlike;
+  unlike.tensor({1, 4, 4, 3});
+  unlike.tensor({1, 2, 2, 3});
+  unlike.tensor({1, 4, 4, 3});
+  unlike.add(TfliteWriter::MaxPool2d, {0}, {1}, test::pool_options(true, 2, 2));
+  unlike.add(TfliteWriter::Add, {0, 1}, {2});
+  EXPECT_THAT(error_of(unlike, 0, 2), HasSubstr("two shapes"));
+  TfliteWriter twice;
+  twice.tensor({1, 4, 4, 3});
+  twice.tensor({1, 4, 4, 3});
+  twice.add(TfliteWriter::Relu, {0}, {1});
+  twice.add(TfliteWriter::Relu, {0}, {1});
+  EXPECT_THAT(error_of(twice, 0, 1), HasSubstr("computed twice"));
 }
 
 TEST(Network, RunsTheRealNetsAsTheReferenceDoes) {
