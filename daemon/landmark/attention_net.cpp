@@ -11,7 +11,7 @@
 namespace facet::landmark {
 namespace {
 
-constexpr int kInputSide = 192;
+constexpr int kInputSide = FacePicture::side;
 constexpr int kFeatureSide = 48;
 constexpr int kFeatureChannels = 32;
 constexpr int kCropSide = 16;
@@ -137,7 +137,7 @@ AttentionNet::AttentionNet(std::span<const std::uint8_t> tflite, const std::stri
     : AttentionNet(parse_tflite(tflite, name), name) {}
 
 AttentionNet::AttentionNet(const TfliteModel& model, const std::string& name)
-    : trunk_(make_trunk(model, Attention(model, name), name)), sampler_(kInputSide) {
+    : trunk_(make_trunk(model, Attention(model, name), name)) {
   const Attention graph(model, name);
   // The graph's "left" is the image's.
   const auto add = [&](std::string_view points, std::string_view iris, std::span<const int> landmarks,
@@ -204,10 +204,9 @@ void AttentionNet::look_closer(Part& part) {
   }
 }
 
-float AttentionNet::find(const Frame& frame, const Region& window, Eigen::Matrix3Xf& points_px,
+float AttentionNet::find(const FacePicture& picture, Eigen::Matrix3Xf& points_px,
                          Eigen::Matrix3Xf& irises_px) {
-  // The net was trained on values from 0 to 1 and the border repeated.
-  sampler_.sample(frame, window, Border::Replicate, 1 / 255.0F, 0.0F, trunk_.input());
+  std::ranges::copy(picture.values(), trunk_.input().begin());
   trunk_.forward();
   refined_ = Eigen::Map<const Eigen::Matrix3Xf>(trunk_.output(0).data(), 3, landmark_count);
   first_look_ = refined_.topRows<2>();
@@ -215,8 +214,8 @@ float AttentionNet::find(const Frame& frame, const Region& window, Eigen::Matrix
   for (Part& part : parts_) {
     look_closer(part);
   }
-  window.image_from_net(refined_, kInputSide, points_px);
-  window.image_from_net(irises_, kInputSide, irises_px);
+  picture.window().image_from_net(refined_, kInputSide, points_px);
+  picture.window().image_from_net(irises_, kInputSide, irises_px);
   return 1 / (1 + std::exp(-trunk_.output(2)[0]));
 }
 

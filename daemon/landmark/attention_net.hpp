@@ -7,10 +7,9 @@
 #include <string>
 #include <vector>
 
-#include "facet/frame.hpp"
 #include "landmark/canonical_face.hpp"
+#include "landmark/face_picture.hpp"
 #include "landmark/network.hpp"
-#include "landmark/region.hpp"
 
 namespace facet::landmark {
 
@@ -29,8 +28,7 @@ class AttentionNet {
   ///            middle of the head
   /// irises_px  [3][2] out: centres of the subject's right and left iris; z 0
   /// returns    probability that the window holds a face, 0 to 1
-  float find(const Frame& frame, const Region& window, Eigen::Matrix3Xf& points_px,
-             Eigen::Matrix3Xf& irises_px);
+  float find(const FacePicture& picture, Eigen::Matrix3Xf& points_px, Eigen::Matrix3Xf& irises_px);
 
  private:
   /// A part of the face that is looked at again.
@@ -45,7 +43,6 @@ class AttentionNet {
   void look_closer(Part& part);
 
   Network trunk_;
-  RegionSampler sampler_;
   std::vector<Part> parts_;
   Eigen::Matrix2Xf first_look_;  ///< [2][468] net pixels
   Eigen::Matrix3Xf refined_;     ///< [3][468] net pixels

@@ -72,6 +72,13 @@ Region Detection::second_look() const {
   return turned_window(*this, second_look_scale);
 }
 
+std::span<const Detection>::iterator nearest_to(const Eigen::Vector2f& place_px,
+                                                std::span<const Detection> faces) {
+  return std::min_element(faces.begin(), faces.end(), [&](const Detection& a, const Detection& b) {
+    return (a.centre_px - place_px).squaredNorm() < (b.centre_px - place_px).squaredNorm();
+  });
+}
+
 FaceDetector::FaceDetector(std::span<const std::uint8_t> tflite, const std::string& name)
     : network_(parse_tflite(tflite, name), name), sampler_(input_side), anchors_(make_anchors()) {
   if (network_.input_rows() != input_side || network_.input_columns() != input_side ||

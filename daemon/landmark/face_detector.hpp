@@ -31,6 +31,10 @@ struct Detection {
   Region second_look() const;
 };
 
+/// Of the faces the one whose box's centre is nearest to a place; the end where there are none.
+std::span<const Detection>::iterator nearest_to(const Eigen::Vector2f& place_px,
+                                                std::span<const Detection> faces);
+
 /// MediaPipe's short-range face detector (BlazeFace [BKVRG19]): 896 anchors on 128 x 128
 /// pixels. Finds faces from about a tenth of the window to all of it, upright within about 45 degrees.
 class FaceDetector {

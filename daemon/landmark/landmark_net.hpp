@@ -5,10 +5,9 @@
 #include <span>
 #include <string>
 
-#include "facet/frame.hpp"
 #include "landmark/canonical_face.hpp"
+#include "landmark/face_picture.hpp"
 #include "landmark/network.hpp"
-#include "landmark/region.hpp"
 
 namespace facet::landmark {
 
@@ -23,11 +22,10 @@ class LandmarkNet {
   /// points_px  [3][468] out: x, y in image pixels; z in the same scale, away from the camera, 0 near the
   ///            middle of the head
   /// returns    probability that the window holds a face, 0 to 1
-  float find(const Frame& frame, const Region& window, Eigen::Matrix3Xf& points_px);
+  float find(const FacePicture& picture, Eigen::Matrix3Xf& points_px);
 
  private:
   Network network_;
-  RegionSampler sampler_;
 };
 
 }  // namespace facet::landmark

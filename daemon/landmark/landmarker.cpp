@@ -4,12 +4,15 @@
 #include <chrono>
 #include <cmath>
 #include <opencv2/core/utility.hpp>
+#include <optional>
 
 #include "facet/clock.hpp"
 #include "landmark/appearance.hpp"
 #include "landmark/attention_net.hpp"
+#include "landmark/face_check.hpp"
 #include "landmark/face_detector.hpp"
 #include "landmark/face_geometry.hpp"
+#include "landmark/face_picture.hpp"
 #include "landmark/landmark_assets.hpp"
 #include "landmark/landmark_filter.hpp"
 #include "landmark/landmark_layout.hpp"
@@ -61,7 +64,8 @@ struct Landmarker::Impl {
         canonical(parse_canonical_face(assets.geometry(), name + " (canonical face)")),
         detector(assets.detector(), name + " (face detector)"),
         net(assets.landmarks(), name + " (landmark net)"),
-        attention(assets.attention_landmarks(), name + " (landmark net with attention)") {}
+        attention(assets.attention_landmarks(), name + " (landmark net with attention)"),
+        check(assets.detector(), name + " (face detector)", landmarker_config.min_second_score) {}
 
   LandmarkerConfig config;
   CanonicalFace canonical;
@@ -79,16 +83,19 @@ struct Landmarker::Impl {
   Region trusted;                ///< where it was when it last surely was itself
   Eigen::Matrix3Xf attended_px;  ///< [3][468] of the net with attention
   Eigen::VectorXf appearance;
-  Eigen::VectorXf average;  ///< of the followed face's appearance
-  int foreign_frames = 0;   ///< frames running in which it looked like another
-  int conflicts = 0;        ///< checks running in which the detector saw it elsewhere
-  int frames_since_check = 0;
+  Eigen::VectorXf average;     ///< of the followed face's appearance
+  int foreign_frames = 0;      ///< frames running in which it looked like another
+  int conflicts = 0;           ///< checks running in which the detector saw it elsewhere
+  int frames_since_check = 0;  ///< since the last question to `check`
 
   std::vector<Detection> candidates;
   std::vector<Region> search_windows;
   std::size_t search_position = 0;
   int searched_width_px = 0;
   int searched_height_px = 0;
+
+  FaceCheck check;
+  FacePicture picture;  ///< of the face's window, once a face was found
 
   /// Runs the landmark net and judges what it gives.
   bool look(const Frame& frame, const Region& where, FaceLandmarks& face) {
@@ -98,7 +105,8 @@ struct Landmarker::Impl {
       return false;
     }
     face.window = where;
-    face.presence = net.find(frame, where, face.points_px);
+    picture.sample(frame, where);
+    face.presence = net.find(picture, face.points_px);
     if (!face.points_px.allFinite()) {
       return false;
     }
@@ -110,13 +118,13 @@ struct Landmarker::Impl {
   }
 
   /// Takes lips, eyes and irises from the net with attention where it sees the face too; on profiles it often
-  /// does not, while the plain net goes on.
+  /// does not, while the plain net goes on. `picture` is the face's.
   void refine(const Frame& frame, FaceLandmarks& face) {
     face.contradiction = 0;
     if (!config.attends) {
       return;
     }
-    const float presence = attention.find(frame, face.window, attended_px, face.irises_px);
+    const float presence = attention.find(picture, attended_px, face.irises_px);
     if (!attended_px.allFinite() || !face.irises_px.allFinite()) {
       face.irises_px.setZero();
       face.iris_confidence = {};
@@ -162,13 +170,6 @@ struct Landmarker::Impl {
     return look(frame, current.face_region(), face) && look(frame, window_of(face.points_px), face);
   }
 
-  static std::span<const Detection>::iterator nearest_to(const Eigen::Vector2f& place_px,
-                                                         std::span<const Detection> faces) {
-    return std::min_element(faces.begin(), faces.end(), [&](const Detection& a, const Detection& b) {
-      return (a.centre_px - place_px).squaredNorm() < (b.centre_px - place_px).squaredNorm();
-    });
-  }
-
   bool follow(const Frame& frame) {
     if (!following) {
       return false;
@@ -205,34 +206,46 @@ struct Landmarker::Impl {
   }
 
   /// Whether the detector sees the face elsewhere: the landmark net reports full presence on a window that
-  /// has slipped between two faces. Looks every few frames, sooner where the shape is odd. A detector that
-  /// sees nothing proves nothing: it knows neither profiles nor half-hidden faces.
+  /// has slipped between two faces. It looks every few frames, sooner where the shape is odd, at a frame that
+  /// is then past: its answer comes some frames later. A detector that sees nothing proves nothing: it knows
+  /// neither profiles nor half-hidden faces.
   bool misplaced(const Frame& frame) {
     constexpr int check_frames = 10;
     constexpr int hasty_check_frames = 3;
     constexpr float odd_shape = 0.09F;  ///< real faces with strong expressions stay below
     constexpr int patience_checks = 2;
+    ++frames_since_check;
+    if (check.pending() && answer_is_due()) {
+      take_answer();
+    }
+    if (!check.pending() &&
+        frames_since_check >= (result.face.shape_error > odd_shape ? hasty_check_frames : check_frames)) {
+      frames_since_check = 0;
+      check.ask(frame, window_of(result.face.points_px));
+    }
+    return conflicts >= patience_checks;
+  }
+
+  /// Frames that must not wait take an answer once it is there; one that never comes is waited for at last.
+  bool answer_is_due() {
+    constexpr int answer_frames = 2;
+    constexpr int overdue_frames = 30;
+    return frames_since_check >= answer_frames &&
+           (!config.live || check.ready() || frames_since_check >= overdue_frames);
+  }
+
+  void take_answer() {
     // The detector's windows are 0.76 to 1.06 of the landmarks', their centres within 0.13 sizes.
     constexpr float usual_ratio = 0.9F;
     constexpr float reach = 0.25F;
     constexpr float growth = 1.4F;
-    ++frames_since_check;
-    if (frames_since_check < (result.face.shape_error > odd_shape ? hasty_check_frames : check_frames)) {
-      return false;
-    }
-    frames_since_check = 0;
     const auto start = Clock::now();
-    Region place = window_of(result.face.points_px);
-    Region around = place;
-    around.size_px *= Detection::second_look_scale / Detection::face_window_scale;
-    const auto faces = detector.detect(frame, around, config.min_second_score);
-    const auto nearest = nearest_to(place.centre_px, faces);
+    Region place = check.place();
     place.size_px *= usual_ratio;
-    if (nearest != faces.end()) {
-      conflicts = near_each_other(nearest->face_region(), place, reach, growth) ? 0 : conflicts + 1;
+    if (const std::optional<Region> seen = check.answer()) {
+      conflicts = near_each_other(*seen, place, reach, growth) ? 0 : conflicts + 1;
     }
     result.detect_ms += ms_since(start);
-    return conflicts >= patience_checks;
   }
 
   bool waits_for_lost_face() const { return remembers && result.frames_without_face < memory_frames; }
@@ -282,6 +295,7 @@ struct Landmarker::Impl {
     foreign_frames = 0;
     conflicts = 0;
     frames_since_check = 0;
+    check.drop();
     return true;
   }
 
@@ -394,6 +408,7 @@ std::vector<FaceLandmarks> Landmarker::find_all(const Frame& frame) {
     }
   }
   for (FaceLandmarks& face : faces) {
+    impl_->picture.sample(frame, face.window);
     impl_->refine(frame, face);
   }
   std::sort(faces.begin(), faces.end(), [](const FaceLandmarks& a, const FaceLandmarks& b) {

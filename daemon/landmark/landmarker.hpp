@@ -67,6 +67,9 @@ struct LandmarkerConfig {
   /// Filter the landmarks of a sequence over time (landmark/landmark_filter.hpp): less jitter, lag below 0.1
   /// frames.
   bool smooth = true;
+  /// No frame waits for the detector while a face is followed: what it says counts once it is there. Where
+  /// this is off it counts at a fixed frame, so that a sequence gives the same bits in every run.
+  bool live = false;
 };
 
 struct LandmarkResult {
@@ -79,9 +82,10 @@ struct LandmarkResult {
 };
 
 /// Finds one face and follows it through a sequence of frames. One thread at a time; after the first frames
-/// it allocates only what OpenCV's DNN module does inside. All work runs on the calling thread: the
-/// constructor sets cv::setNumThreads(1) for the whole process, so that OpenCV's pool never competes with the
-/// GPU driver's threads.
+/// it allocates only what OpenCV's DNN module does inside. Work runs on the calling thread, but for the
+/// detector's check of a followed face, on a helper thread of low priority, `facet-detect`, which the first
+/// check makes and the destructor ends. The constructor sets cv::setNumThreads(1) for the whole process, so
+/// that OpenCV's pool never competes with the GPU driver's threads.
 class Landmarker {
  public:
   /// assets: face_mesh_solution_packed_assets.data. Throws Error(UnreadableInput) where it is missing or
@@ -93,10 +97,10 @@ class Landmarker {
 
   /// The next frame of a sequence. Follows the face of the last frame in a window that its landmarks give.
   /// Another face that comes before it or near it is not taken for it: its looks are compared with the
-  /// followed one's, and the detector confirms the place every tenth frame (3 ms more). A lost face is looked
-  /// for everywhere, but for 25 frames only a face that looks like it is accepted; then
-  /// the largest face is taken. Any size and content of frame; an empty or corrupt one counts as a frame
-  /// without a face. Never throws. Valid until the next call.
+  /// followed one's, and the detector confirms the place of every tenth frame while the next ones are
+  /// followed. A lost face is looked for everywhere, but for 25 frames only a face that looks like it is
+  /// accepted; then the largest face is taken. Any size and content of frame; an empty or corrupt one counts
+  /// as a frame without a face. Never throws. Valid until the next call.
   const LandmarkResult& process(const Frame& frame);
 
   /// Forgets the face; the next frame is searched for the largest one.

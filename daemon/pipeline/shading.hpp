@@ -21,6 +21,9 @@ namespace facet::pipeline {
 /// * `facet-refine`: the hierarchy of a new subject, refine::RefineStage, MeshSink::deliver. An empty queue,
 /// the GPU,
 ///   a sink.
+/// * `facet-detect`, one for each camera: the tracker's checks of a followed face, begun and ended by it; of
+/// low
+///   priority. Its work. longest_silence does not look at it, for no frame of a live source waits for it.
 /// * `facet-regpu`: RecoveringRefiner, after a device loss. The driver. longest_silence does not look at it.
 ///
 /// start begins the first three, stop joins them. The tracker works on frame n + 1 while the GPU works on n.

@@ -126,6 +126,7 @@ ShadingParts open_shading(const ShadingConfig& given, OpenPictures open) {
     config.tracker.intrinsics.reset();  // the rig file knows
   }
   config.tracker = tracker_config(config, reference.info);
+  config.tracker.live = reference.info.live;
   for (std::size_t i = 1; i < cameras.size(); ++i) {
     config.tracker.further_views.push_back(
         {cameras[i].info.intrinsics.value(), cameras[i].camera_from_reference.value()});

@@ -80,7 +80,7 @@ struct Tracker::Impl {
     result.vertices_mm.setZero(3, face_model.vertex_count());
     result.landmarks_px.reserve(landmark::landmark_count);
     for (std::size_t v = 0; v < lenses.size(); ++v) {
-      landmarkers.emplace_back(config.landmark_nets);
+      landmarkers.emplace_back(config.landmark_nets, landmark::LandmarkerConfig{.live = config.live});
     }
   }
 

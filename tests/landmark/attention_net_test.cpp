@@ -38,19 +38,19 @@ TEST_F(AttentionNetTest, FindsWhatTheWholeGraphSays) {
   const LandmarkAssets assets = LandmarkAssets::load(file);
   AttentionNet net(assets.attention_landmarks(), "net");
   const TfliteModel model = parse_tflite(assets.attention_landmarks(), "net");
-  constexpr int side = 192;
+  constexpr int side = FacePicture::side;
   constexpr std::size_t plane = std::size_t{side} * side;
-  RegionSampler sampler(side);
-  std::vector<float> planar(3 * plane), image(3 * plane);
+  FacePicture picture;
+  std::vector<float> image(3 * plane);
   for (const FaceLandmarks& face : faces) {
     // An upright window of the net's own size, so that its pixels are the image's.
     const Region window{face.window.centre_px, side, face.window.rotation_rad};
     Eigen::Matrix3Xf points_px, irises_px;
-    const float presence = net.find(frame, window, points_px, irises_px);
-    sampler.sample(frame, window, Border::Replicate, 1 / 255.0F, 0.0F, planar);
+    picture.sample(frame, window);
+    const float presence = net.find(picture, points_px, irises_px);
     for (std::size_t i = 0; i < plane; ++i) {
       for (std::size_t c = 0; c < 3; ++c) {
-        image[3 * i + c] = planar[c * plane + i];
+        image[3 * i + c] = picture.values()[c * plane + i];
       }
     }
     const auto expected = test::run_reference(model, image);  // mesh, lips, eye, iris, eye, iris, presence

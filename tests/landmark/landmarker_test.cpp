@@ -249,20 +249,54 @@ TEST_F(LandmarkerTest, ReportsNoFaceWhereThereIsNone) {
   }
 }
 
-TEST_F(LandmarkerTest, LosesAFaceThatIsCovered) {
+TEST_F(LandmarkerTest, LosesAFaceThatIsCoveredAndFindsItInTheNextFrame) {
   const Frame frame = frame_of(photo);
-  const LandmarkResult& result = landmarker->process(frame);
-  ASSERT_TRUE(result.found);
-  cv::Mat covered = photo.clone();
-  const auto centre = result.face.window.centre_px;
-  const int half = static_cast<int>(0.5F * result.face.window.size_px);
-  cv::rectangle(covered, {static_cast<int>(centre.x()) - half, static_cast<int>(centre.y()) - half},
-                {static_cast<int>(centre.x()) + half, static_cast<int>(centre.y()) + half},
-                cv::Scalar(150, 150, 150), cv::FILLED);
-  landmarker->process(frame_of(covered));
-  EXPECT_FALSE(result.found);
-  landmarker->process(frame);
-  EXPECT_TRUE(result.found);
+  for (const bool live : {false, true}) {
+    Landmarker follower(test::landmark_nets(), {.live = live});
+    const LandmarkResult& result = follower.process(frame);
+    ASSERT_TRUE(result.found);
+    cv::Mat covered = photo.clone();
+    const auto centre = result.face.window.centre_px;
+    const int half = static_cast<int>(0.5F * result.face.window.size_px);
+    cv::rectangle(covered, {static_cast<int>(centre.x()) - half, static_cast<int>(centre.y()) - half},
+                  {static_cast<int>(centre.x()) + half, static_cast<int>(centre.y()) + half},
+                  cv::Scalar(150, 150, 150), cv::FILLED);
+    const Frame without = frame_of(covered);
+    // With a check of the detector begun, answered, or about to begin.
+    for (int followed = 0; followed < 24; ++followed) {
+      follower.process(without);
+      EXPECT_FALSE(result.found);
+      follower.process(frame);
+      EXPECT_TRUE(result.found);
+      for (int i = 0; i < followed; ++i) {
+        follower.process(frame);
+        ASSERT_TRUE(result.found);
+        ASSERT_FALSE(result.acquired);
+      }
+    }
+  }
+}
+
+TEST_F(LandmarkerTest, ASequenceGivesTheSameBitsInEveryRun) {
+  const cv::Size canvas(900, 900);
+  std::vector<Frame> frames;
+  for (int i = 0; i < 30; ++i) {
+    frames.push_back(frame_of(warped(solo, view(1 + 0.01 * i, 0.02 * i, canvas), canvas)));
+  }
+  std::vector<FaceLandmarks> first;
+  for (int run = 0; run < 3; ++run) {
+    Landmarker follower(test::landmark_nets());
+    for (std::size_t i = 0; i < frames.size(); ++i) {
+      const LandmarkResult& result = follower.process(frames[i]);
+      ASSERT_TRUE(result.found) << i;
+      if (run == 0) {
+        first.push_back(result.face);
+        continue;
+      }
+      ASSERT_EQ(result.face.points_px, first[i].points_px) << i;
+      ASSERT_EQ(result.face.irises_px, first[i].irises_px) << i;
+    }
+  }
 }
 
 TEST_F(LandmarkerTest, TakesFramesOfAnyKind) {

@@ -3,7 +3,9 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <vector>
 
+#include "allocation_counter.hpp"
 #include "camera/factory.hpp"
 #include "facet/error.hpp"
 #include "support/frames.hpp"
@@ -96,6 +98,29 @@ TEST_F(TrackerTest, FollowsARealFaceCloselyFromTheFirstFrameOnOnceAdopted) {
     back = second.process(frame).state;
   }
   EXPECT_EQ(back, TrackingState::Tracking);
+}
+
+TEST_F(TrackerTest, AFollowedFaceCostsNoAllocation) {
+  const auto clip = test::assets() / "video" / "cap13_edit2.mp4";
+  if (!std::filesystem::exists(clip) || !test::allocations_are_counted()) {
+    GTEST_SKIP() << clip
+                 << " is missing (packaging/fetch-assets), or the sanitizers bring their own allocator";
+  }
+  auto camera = camera::open_camera({.kind = "file", .path = clip});
+  camera->start();
+  std::vector<Frame> frames(120);
+  for (Frame& frame : frames) {
+    ASSERT_EQ(camera->next(frame, std::chrono::seconds(10)), CaptureOutcome::Delivered);
+    tracker->process(frame);
+  }
+  ASSERT_TRUE(tracker->person().has_value());
+  // Nets, filters, fit, and the detector's checks beside them.
+  const std::size_t before = test::allocation_count();
+  ASSERT_GT(before, 0U) << "the counter does not count";
+  for (std::size_t f = frames.size() - 30; f < frames.size(); ++f) {
+    ASSERT_EQ(tracker->process(frames[f]).state, TrackingState::Tracking) << f;
+  }
+  EXPECT_EQ(test::allocation_count() - before, 0U);
 }
 
 TEST_F(TrackerTest, FramesWithoutAFaceAreSearchedNotFeared) {
