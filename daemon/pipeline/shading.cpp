@@ -388,8 +388,9 @@ void ShadingPipeline::Impl::add_displacements(Tracked& item) {
     return;
   }
   note_given_up();
-  mesh.displacements_mm.assign(refined.displacements_mm.begin(), refined.displacements_mm.end());
-  mesh.confidence.assign(refined.confidence.begin(), refined.confidence.end());
+  // The frame's own buffers come back with the next result.
+  mesh.displacements_mm.swap(refined.displacements_mm);
+  mesh.confidence.swap(refined.confidence);
   mesh.lighting = refined.lighting;
   mesh.albedo = refined.albedo;
   mesh.photometric_rms = refined.photometric_rms;

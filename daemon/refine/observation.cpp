@@ -61,11 +61,15 @@ ImagePyramid::ImagePyramid(gpu::Context& context, int source_width_px, int sourc
       linear(context, gpu::ImageFormat::Rgba16f, padded(source_width_px, reduction),
              padded(source_height_px, reduction), 0, "linear image") {}
 
-void ImagePyramid::write(const Frame& frame, int first_row, int end_row) const {
-  const auto row_bytes = static_cast<std::size_t>(width_px) * 4;
-  std::byte* target = pixels.buffer.mapped().data();
-  for (int row = first_row; row < end_row; ++row) {
-    std::memcpy(target + static_cast<std::size_t>(row) * row_bytes, frame.row(row), row_bytes);
+void ImagePyramid::write(const Frame& frame, const Eigen::Array2i& first_px,
+                         const Eigen::Array2i& end_px) const {
+  constexpr std::size_t kPixelBytes = 4;
+  const auto row_bytes = static_cast<std::size_t>(width_px) * kPixelBytes;
+  const auto before = static_cast<std::size_t>(first_px.x()) * kPixelBytes;
+  const auto bytes = static_cast<std::size_t>(end_px.x() - first_px.x()) * kPixelBytes;
+  std::byte* target = pixels.buffer.mapped().data() + before;
+  for (int row = first_px.y(); row < end_px.y(); ++row) {
+    std::memcpy(target + static_cast<std::size_t>(row) * row_bytes, frame.row(row) + before, bytes);
   }
 }
 
@@ -76,16 +80,17 @@ void upload_picture(ImagePyramid& pyramid, const FaceRegion& region, const Frame
     out.region_px = {0, 0, 0, 0};
     return;
   }
-  int first_row = region.low_px.y() * pyramid.reduction;
-  int end_row = std::min(region.high_px.y() * pyramid.reduction, pyramid.height_px);
+  const Eigen::Array2i size_px(pyramid.width_px, pyramid.height_px);
   if (!pyramid.filled) {
     out.region_px = {0, 0, static_cast<std::int32_t>(pyramid.linear.width_px()),
                      static_cast<std::int32_t>(pyramid.linear.height_px())};
-    first_row = 0;
-    end_row = pyramid.height_px;
+    pyramid.write(picture, {0, 0}, size_px);
     pyramid.filled = true;
+    return;
   }
-  pyramid.write(picture, first_row, end_row);
+  // What is reduced at the picture's edge goes on with its last pixels.
+  pyramid.write(picture, (region.low_px * pyramid.reduction).min(size_px - 1),
+                (region.high_px * pyramid.reduction).min(size_px));
 }
 
 void to_shading_frame(const mesh::Vertices& head_vertices_mm, std::span<const float> displacements_mm,

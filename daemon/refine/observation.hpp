@@ -17,8 +17,9 @@ struct ImagePyramid {
   /// Throws Error(NoDevice) where the device has no room for the source's picture, or can't bind it.
   ImagePyramid(gpu::Context& context, int source_width_px, int source_height_px);
 
-  /// Copies the rows [first_row, end_row) of a frame of that size to the upload buffer. Real-time safe.
-  void write(const Frame& frame, int first_row, int end_row) const;
+  /// Copies the pixels from first_px to end_px, which are past the last, of a frame of that size to the
+  /// upload buffer. Real-time safe.
+  void write(const Frame& frame, const Eigen::Array2i& first_px, const Eigen::Array2i& end_px) const;
 
   int width_px;  ///< of the source
   int height_px;

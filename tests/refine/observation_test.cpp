@@ -5,6 +5,7 @@
 
 #include <bit>
 #include <cmath>
+#include <cstring>
 #include <limits>
 #include <random>
 
@@ -96,13 +97,53 @@ TEST_F(RefineObservation, APictureTooLargeForTheDeviceIsNamed) {
   }
 }
 
+TEST_F(RefineObservation, APictureIsUploadedAsFarAsTheFaceReaches) {
+  for (const auto& [width, height] : {std::pair{127, 93}, std::pair{2500, 31}}) {
+    SCOPED_TRACE(testing::Message() << width << " x " << height);
+    const Frame first = random_frame(width, height, 7);
+    const Frame second = random_frame(width, height, 8);
+    ImagePyramid pyramid(context(), width, height);
+    FrameParameters parameters = parameters_of(pyramid);
+    // In the middle, and beyond the picture's last pixels.
+    const FaceRegion middle{{8, 4}, {60, 12}};
+    const FaceRegion corner{
+        {64, 8}, {static_cast<int>(pyramid.linear.width_px()), static_cast<int>(pyramid.linear.height_px())}};
+    const auto pixel = [&](const std::uint8_t* bytes, std::size_t stride, int x, int y) {
+      std::uint32_t value = 0;
+      std::memcpy(&value, bytes + static_cast<std::size_t>(y) * stride + 4 * static_cast<std::size_t>(x), 4);
+      return value;
+    };
+    for (const FaceRegion& region : {middle, corner}) {
+      pyramid.filled = false;
+      upload_picture(pyramid, region, first, parameters);  // all of the first
+      upload_picture(pyramid, region, second, parameters);
+      const auto* uploaded = reinterpret_cast<const std::uint8_t*>(pyramid.pixels.buffer.mapped().data());
+      const auto row_bytes = 4 * static_cast<std::size_t>(width);
+      int wrong = 0;
+      for (int y = 0; y < height; ++y) {
+        for (int x = 0; x < width; ++x) {
+          const Eigen::Array2i at(x, y);
+          const bool inside = (at >= region.low_px * pyramid.reduction).all() &&
+                              (at < region.high_px * pyramid.reduction).all();
+          const Frame& expected = inside ? second : first;
+          wrong +=
+              pixel(uploaded, row_bytes, x, y) != pixel(expected.pixels.get(), expected.stride_bytes, x, y)
+                  ? 1
+                  : 0;
+        }
+      }
+      EXPECT_EQ(wrong, 0);
+    }
+  }
+}
+
 TEST_F(RefineObservation, LinearImageAgreesWithTheScalarOneAndStaysInItsRegion) {
   for (const auto& [width, height] : {std::pair{13, 127}, std::pair{127, 13}, std::pair{2500, 5}}) {
     SCOPED_TRACE(testing::Message() << width << " x " << height);
     const Frame frame = random_frame(width, height, 7);
     const ImagePyramid pyramid(context(), width, height);
     ASSERT_EQ(pyramid.reduction, width > 2048 ? 2 : 1);
-    pyramid.write(frame, 0, height);
+    pyramid.write(frame, {0, 0}, {width, height});
     FrameParameters parameters = parameters_of(pyramid);
     const auto linear_width = static_cast<int>(pyramid.linear.width_px());
     const auto linear_height = static_cast<int>(pyramid.linear.height_px());
