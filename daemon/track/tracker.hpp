@@ -25,7 +25,8 @@ struct TrackerConfig {
   bool identity_shading = true;   ///< the pictures' shading tells of the identity, too (IdentityShading)
   float expression_prior = 1.0F;  ///< scales the default weight
   float temporal_prior = 1.0F;    ///< scales the default weight
-  /// Frames can't wait (LandmarkerConfig::live); where this is off, a sequence gives the same bits every time.
+  /// Frames can't wait (LandmarkerConfig::live); where this is off, a sequence gives the same bits every
+  /// time.
   bool live = false;
 };
 
