@@ -58,7 +58,7 @@ void Batch::dispatch_indirect_bytes(const Kernel& kernel, std::span<const Bindin
                               buffer.name));
   }
   std::vector<Access> accesses{
-      {handle_bits(buffer.buffer), offset_bytes, offset_bytes + dispatch_counts_bytes, false}};
+      {handle_bits(buffer.buffer), offset_bytes, offset_bytes + dispatch_counts_bytes, false, By::Indirect}};
   impl_->bind(kernel.impl(), bindings, push, push_alignment, accesses);
   impl_->step(kernel.name(), accesses);
   impl_->device->api().vkCmdDispatchIndirect(impl_->commands, buffer.buffer, offset_bytes);
@@ -80,8 +80,8 @@ void Batch::copy(const Buffer& source, const Buffer& target, std::size_t size_by
   impl_->check_range(from.name, from.size_bytes, source_offset_bytes, size);
   impl_->check_range(to.name, to.size_bytes, target_offset_bytes, size);
   const std::array accesses{
-      Access{handle_bits(from.buffer), source_offset_bytes, source_offset_bytes + size, false},
-      Access{handle_bits(to.buffer), target_offset_bytes, target_offset_bytes + size, true}};
+      Access{handle_bits(from.buffer), source_offset_bytes, source_offset_bytes + size, false, By::Copy},
+      Access{handle_bits(to.buffer), target_offset_bytes, target_offset_bytes + size, true, By::Copy}};
   impl_->step("copy", accesses);
   const VkBufferCopy region{source_offset_bytes, target_offset_bytes, size};
   impl_->device->api().vkCmdCopyBuffer(impl_->commands, from.buffer, to.buffer, 1, &region);
@@ -110,7 +110,8 @@ void Batch::fill(const Buffer& target, std::uint32_t word, std::size_t offset_by
     impl_->misuse(fmt::format("fill of {} bytes at {} of buffer '{}': no multiples of 4", size, offset_bytes,
                               buffer.name));
   }
-  const std::array accesses{Access{handle_bits(buffer.buffer), offset_bytes, offset_bytes + size, true}};
+  const std::array accesses{
+      Access{handle_bits(buffer.buffer), offset_bytes, offset_bytes + size, true, By::Copy}};
   impl_->step("fill", accesses);
   impl_->device->api().vkCmdFillBuffer(impl_->commands, buffer.buffer, offset_bytes, size, word);
   ++impl_->counts.copies;
@@ -123,8 +124,7 @@ void Batch::finish() {
     impl_->ticks.reserve(impl_->timestamps);  // wait allocates nothing
   }
   // What the host reads after wait.
-  impl_->barrier(VK_PIPELINE_STAGE_HOST_BIT, VK_ACCESS_HOST_READ_BIT);
-  --impl_->counts.barriers;
+  impl_->barrier(everything(), {VK_PIPELINE_STAGE_HOST_BIT, VK_ACCESS_HOST_READ_BIT});
   impl_->device->check(impl_->device->api().vkEndCommandBuffer(impl_->commands),
                        fmt::format("finish batch '{}'", impl_->name));
   impl_->finished = true;

@@ -21,11 +21,39 @@ constexpr std::array descriptor_types{VK_DESCRIPTOR_TYPE_STORAGE_BUFFER, VK_DESC
                                       VK_DESCRIPTOR_TYPE_COMBINED_IMAGE_SAMPLER,
                                       VK_DESCRIPTOR_TYPE_STORAGE_IMAGE};
 
-constexpr VkPipelineStageFlags working_stages =
-    VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT | VK_PIPELINE_STAGE_TRANSFER_BIT;
-constexpr VkAccessFlags writing_access = VK_ACCESS_SHADER_WRITE_BIT | VK_ACCESS_TRANSFER_WRITE_BIT;
-constexpr VkAccessFlags any_access = writing_access | VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_UNIFORM_READ_BIT |
-                                     VK_ACCESS_TRANSFER_READ_BIT | VK_ACCESS_INDIRECT_COMMAND_READ_BIT;
+constexpr std::uint32_t by_anybody = Wait::bit(By::Kernel) | Wait::bit(By::Copy) | Wait::bit(By::Indirect);
+
+/// What has been done by some of By, of which only what they wrote must be made visible.
+BarrierSide done_by(std::uint32_t some) {
+  BarrierSide side;
+  if ((some & Wait::bit(By::Kernel)) != 0) {
+    side.stages |= VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT;
+    side.access |= VK_ACCESS_SHADER_WRITE_BIT;
+  }
+  if ((some & Wait::bit(By::Copy)) != 0) {
+    side.stages |= VK_PIPELINE_STAGE_TRANSFER_BIT;
+    side.access |= VK_ACCESS_TRANSFER_WRITE_BIT;
+  }
+  if ((some & Wait::bit(By::Indirect)) != 0) {
+    side.stages |= VK_PIPELINE_STAGE_DRAW_INDIRECT_BIT;
+  }
+  return side;
+}
+
+/// What some of By are going to do.
+BarrierSide to_be_done_by(std::uint32_t some) {
+  BarrierSide side = done_by(some);
+  if ((some & Wait::bit(By::Kernel)) != 0) {
+    side.access |= VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_UNIFORM_READ_BIT;
+  }
+  if ((some & Wait::bit(By::Copy)) != 0) {
+    side.access |= VK_ACCESS_TRANSFER_READ_BIT;
+  }
+  if ((some & Wait::bit(By::Indirect)) != 0) {
+    side.access |= VK_ACCESS_INDIRECT_COMMAND_READ_BIT;
+  }
+  return side;
+}
 
 constexpr double ns_per_ms = 1e6;
 
@@ -50,6 +78,10 @@ const char* type_name(BindingType type) {
 }
 
 }  // namespace
+
+BarrierSide everything() {
+  return done_by(by_anybody);
+}
 
 Batch::Impl::Impl(std::shared_ptr<Device> on, std::string_view called, std::uint32_t stages_at_most)
     : device(std::move(on)), name(called), most_stages(stages_at_most) {
@@ -130,7 +162,8 @@ void Batch::Impl::begin() {
     api.vkCmdResetQueryPool(commands, queries, 0, most_stages + 1);
   }
   // What earlier submissions wrote must be visible to this one.
-  barrier(working_stages | VK_PIPELINE_STAGE_DRAW_INDIRECT_BIT, any_access);
+  barrier(everything(), to_be_done_by(by_anybody));
+  hazards = {};
   counts = {};
 }
 
@@ -157,15 +190,13 @@ void Batch::Impl::check_device(const std::shared_ptr<Device>& other, std::string
   }
 }
 
-void Batch::Impl::barrier(VkPipelineStageFlags to_stages, VkAccessFlags to_access) {
+void Batch::Impl::barrier(const BarrierSide& before, const BarrierSide& after) {
   VkMemoryBarrier memory{};
   memory.sType = VK_STRUCTURE_TYPE_MEMORY_BARRIER;
-  memory.srcAccessMask = writing_access;
-  memory.dstAccessMask = to_access;
-  device->api().vkCmdPipelineBarrier(commands, working_stages | VK_PIPELINE_STAGE_DRAW_INDIRECT_BIT,
-                                     to_stages, 0, 1, &memory, 0, nullptr, 0, nullptr);
-  hazards.clear();
-  ++counts.barriers;
+  memory.srcAccessMask = before.access;
+  memory.dstAccessMask = after.access;
+  device->api().vkCmdPipelineBarrier(commands, before.stages, after.stages, 0, 1, &memory, 0, nullptr, 0,
+                                     nullptr);
 }
 
 void Batch::Impl::begin_stage(const std::string& called) {
@@ -181,8 +212,11 @@ void Batch::Impl::step(std::string_view called, std::span<const Access> accesses
   if (times_dispatches) {
     begin_stage(fmt::format("{}/{}", stage_name, called));
   }
-  if (hazards.conflicts(accesses)) {
-    barrier(working_stages | VK_PIPELINE_STAGE_DRAW_INDIRECT_BIT, any_access);
+  const Wait wait = hazards.wait_for(accesses);
+  if (wait.after != 0) {
+    barrier(done_by(wait.before), to_be_done_by(wait.after));
+    hazards.waited(wait);
+    ++counts.barriers;
   }
   hazards.add(accesses);
 }
@@ -392,8 +426,8 @@ void Batch::Impl::copy_image(const Buffer& buffer, const Image& image, std::uint
                        image.impl().name, offset_bytes, buffer.impl().name));
   }
   const std::array accesses{
-      Access{handle_bits(buffer.impl().buffer), offset_bytes, offset_bytes + size, !to_image},
-      Access{handle_bits(image.impl().image), level, std::size_t{level} + 1, to_image}};
+      Access{handle_bits(buffer.impl().buffer), offset_bytes, offset_bytes + size, !to_image, By::Copy},
+      Access{handle_bits(image.impl().image), level, std::size_t{level} + 1, to_image, By::Copy}};
   step("copy", accesses);
   VkBufferImageCopy region{};
   region.bufferOffset = offset_bytes;

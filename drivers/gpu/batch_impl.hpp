@@ -13,6 +13,14 @@
 
 namespace facet::gpu {
 
+/// One side of a barrier.
+struct BarrierSide {
+  VkPipelineStageFlags stages = 0;
+  VkAccessFlags access = 0;
+};
+/// All that batches do to resources, as the side that is waited for.
+BarrierSide everything();
+
 struct Batch::Impl {
   Impl(std::shared_ptr<Device> on, std::string_view called, std::uint32_t stages_at_most);
   ~Impl();
@@ -44,7 +52,7 @@ struct Batch::Impl {
   void check_device(const std::shared_ptr<Device>& other, std::string_view resource) const;
   void begin_stage(const std::string& called);
   void step(std::string_view called, std::span<const Access> accesses);
-  void barrier(VkPipelineStageFlags to_stages, VkAccessFlags to_access);
+  void barrier(const BarrierSide& before, const BarrierSide& after);
   VkDescriptorSet allocate_set(VkDescriptorSetLayout layout);
   void bind(const Kernel::Impl& kernel, std::span<const Binding> bindings, std::span<const std::byte> push,
             std::size_t push_alignment, std::vector<Access>& accesses);

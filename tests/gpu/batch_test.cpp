@@ -158,9 +158,9 @@ TEST_F(BatchTest, BarriersStandOnlyWhereOneStepNeedsAnother) {
 
 TEST(HazardTrackerTest, KnowsEveryKindOfConflict) {
   HazardTracker tracker;
-  const auto conflicts = [&](const Access& access) { return tracker.conflicts({&access, 1}); };
+  const auto conflicts = [&](const Access& access) { return tracker.wait_for({&access, 1}).after != 0; };
   const std::array first{Access{1, 0, 100, false}, Access{2, 10, 20, true}};
-  EXPECT_FALSE(tracker.conflicts(first)) << "nothing before it";
+  EXPECT_EQ(tracker.wait_for(first).after, 0U) << "nothing before it";
   tracker.add(first);
   EXPECT_FALSE(conflicts({1, 0, 100, false})) << "read after read";
   EXPECT_TRUE(conflicts({1, 99, 100, true})) << "write after read";
@@ -169,8 +169,34 @@ TEST(HazardTrackerTest, KnowsEveryKindOfConflict) {
   EXPECT_TRUE(conflicts({2, 0, 11, true})) << "write after write";
   EXPECT_FALSE(conflicts({2, 0, 10, true})) << "before what was written";
   EXPECT_FALSE(conflicts({3, 0, 100, true})) << "another resource";
-  tracker.clear();
+  tracker.waited({Wait::bit(By::Kernel), Wait::bit(By::Kernel)});
   EXPECT_FALSE(conflicts({2, 0, 100, true}));
+}
+
+// A barrier names those alone who must wait, and those alone for whom: a copy has not waited where kernels
+// have.
+TEST(HazardTrackerTest, BarriersNameWhoWaitsForWhom) {
+  constexpr std::uint32_t kernel = Wait::bit(By::Kernel);
+  constexpr std::uint32_t copy = Wait::bit(By::Copy);
+  constexpr std::uint32_t indirect = Wait::bit(By::Indirect);
+  HazardTracker tracker;
+  const auto step = [&](std::initializer_list<Access> accesses) {
+    const std::span<const Access> all(accesses.begin(), accesses.size());
+    const Wait wait = tracker.wait_for(all);
+    tracker.waited(wait);
+    tracker.add(all);
+    return std::pair(wait.before, wait.after);
+  };
+  using Sets = std::pair<std::uint32_t, std::uint32_t>;
+  EXPECT_EQ(step({{1, 0, 100, true}}), Sets(0, 0));
+  EXPECT_EQ(step({{1, 0, 100, false}, {2, 0, 12, true}}), Sets(kernel, kernel));
+  EXPECT_EQ(step({{1, 0, 100, false}}), Sets(0, 0)) << "kernels have waited for 1";
+  EXPECT_EQ(step({{1, 0, 100, false, By::Copy}, {3, 0, 100, true, By::Copy}}), Sets(kernel, copy));
+  EXPECT_EQ(step({{2, 0, 12, false, By::Indirect}, {4, 0, 100, true}}), Sets(kernel | copy, indirect))
+      << "the copy, too: its access was not waited for either";
+  EXPECT_EQ(step({{2, 0, 12, true}}), Sets(kernel | copy | indirect, kernel)) << "write after indirect read";
+  EXPECT_EQ(step({{3, 0, 100, false}, {2, 0, 12, false, By::Indirect}}), Sets(kernel | indirect, indirect))
+      << "kernels waited for the copy already";
 }
 
 // The device decides how much runs; none at all is a way to skip a step.
