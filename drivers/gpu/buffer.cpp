@@ -45,12 +45,13 @@ struct MemoryFlags {
   VkMemoryPropertyFlags preferred;
 };
 
-MemoryFlags memory_flags(Memory kind) {
+MemoryFlags memory_flags(Memory kind, const DeviceInfo& info) {
   constexpr VkMemoryPropertyFlags mapped =
       VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT;
   switch (kind) {
     case Memory::Upload:
-      return {mapped, 0};
+      return {mapped,
+              info.uploads_to_device ? VkMemoryPropertyFlags{VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT} : 0U};
     case Memory::Readback:
       return {mapped, VK_MEMORY_PROPERTY_HOST_CACHED_BIT};
     case Memory::Device:
@@ -89,7 +90,7 @@ Buffer::Impl::Impl(std::shared_ptr<Device> on, std::size_t bytes, Memory kind, s
   try {
     VkMemoryRequirements needs{};
     api.vkGetBufferMemoryRequirements(device->handle(), buffer, &needs);
-    const MemoryFlags flags = memory_flags(kind);
+    const MemoryFlags flags = memory_flags(kind, device->info());
     const Device::Allocation allocated = device->allocate(needs, flags.required, flags.preferred, what);
     memory = allocated.memory;
     memory_type = allocated.type;

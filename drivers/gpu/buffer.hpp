@@ -14,7 +14,7 @@ namespace facet::gpu {
 enum class Memory {
   Device,  ///< fastest for kernels; the host cannot see it
   Upload,  ///< mapped for good, the host writes and the device reads: per-frame parameters, staging. The host
-           ///< must not read it: it may be uncached
+           ///< must not read it: it may be uncached, or behind a bus (DeviceInfo::uploads_to_device)
   Readback,  ///< mapped for good, the device writes and the host reads
 };
 

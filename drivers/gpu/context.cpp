@@ -11,7 +11,19 @@ Context::Context(const ContextOptions& options) : device_(std::make_shared<Devic
   }
 }
 
-Context::~Context() = default;
+Context::~Context() {
+  keep_kernels();
+}
+
+void Context::keep_kernels() noexcept {
+  if (!device_->lost()) {
+    device_->kernel_cache().keep();
+  }
+}
+
+KernelCacheState Context::kernel_cache() const {
+  return device_->kernel_cache().state();
+}
 
 const DeviceInfo& Context::info() const {
   return device_->info();

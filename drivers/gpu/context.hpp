@@ -3,6 +3,7 @@
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
+#include <filesystem>
 #include <memory>
 #include <string>
 #include <string_view>
@@ -48,6 +49,9 @@ struct DeviceInfo {
   std::size_t shared_memory_bytes = 0;
   std::size_t max_push_constant_bytes = 0;
   bool has_float_atomics = false;  ///< atomicAdd on float in storage buffers
+  /// Memory::Upload lies in the device's own memory where that can be mapped: the host's writes cross the bus
+  /// once, and kernels do not wait for it.
+  bool uploads_to_device = false;
   /// Work of one frame that is not done by then hangs, and the device counts as lost. Ten times that for
   /// set-up. Short on GPUs; a software device shares its cores with everything else.
   std::chrono::milliseconds patience{0};
@@ -60,6 +64,13 @@ enum class Validation {
   Required,     ///< Error(NoDevice) where the layer is not installed
 };
 
+/// Where Memory::Upload lies.
+enum class UploadMemory {
+  Auto,  ///< DeviceInfo::uploads_to_device as fits the device: true on discrete and virtual GPUs
+  Host,
+  Device,
+};
+
 struct ContextOptions {
   /// "auto": discrete, then integrated, virtual, software. Otherwise part of a device's name, any case.
   std::string device = "auto";
@@ -69,6 +80,21 @@ struct ContextOptions {
   bool pin_software_threads = true;
   std::string loader_library = "libvulkan.so.1";  ///< the Vulkan loader; tests name one that is not there
   std::chrono::milliseconds patience{0};  ///< instead of the device's own, where not 0: for fault drills
+  UploadMemory upload_memory = UploadMemory::Auto;
+  /// Folder of the kernels compiled before. "auto": FACET_KERNEL_CACHE, else facet/ in XDG_CACHE_HOME or in
+  /// ~/.cache; empty: none.
+  std::string kernel_cache = "auto";
+};
+
+/// The folder that this ContextOptions::kernel_cache means; empty: none.
+std::filesystem::path kernel_cache_folder(const std::string& option);
+
+/// The compiled kernels that are kept from one start to the next.
+struct KernelCacheState {
+  std::string file;               ///< empty: none is kept
+  std::size_t read_bytes = 0;     ///< of the driver's data, at the start
+  std::size_t written_bytes = 0;  ///< last
+  std::string why;                ///< what was wrong with the file, or why it could not be written
 };
 
 /// One Vulkan device with one compute queue. Resources, kernels and batches keep the device alive, so they
@@ -91,6 +117,11 @@ class Context {
 
   /// Makes this context behave as after a device loss: for tests of recovery and for fault drills.
   void simulate_loss();
+
+  /// Writes the kernels compiled so far to ContextOptions::kernel_cache, where they are more than it holds;
+  /// so does the destructor. For set-up. Never throws: KernelCacheState::why. Not where the device is lost.
+  void keep_kernels() noexcept;
+  KernelCacheState kernel_cache() const;
 
   bool validation_active() const;
   /// What the validation layers said (warnings and errors) so far, oldest first, the first 100 of them.

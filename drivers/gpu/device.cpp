@@ -191,6 +191,7 @@ DeviceInfo describe_device(const InstanceApi& api, VkPhysicalDevice device) {
   info.shared_memory_bytes = limits.maxComputeSharedMemorySize;
   info.max_push_constant_bytes = limits.maxPushConstantsSize;
   info.patience = info.is_software ? software_patience : gpu_patience;
+  info.uploads_to_device = info.type == DeviceType::Discrete || info.type == DeviceType::Virtual;
   info.vendor_id = properties.properties.vendorID;
   info.has_float_atomics = features.atomic_float.shaderBufferFloat32AtomicAdd != VK_FALSE;
 
@@ -388,6 +389,24 @@ Device::Device(const ContextOptions& options) : instance_(std::make_unique<Insta
   if (options.patience.count() > 0) {
     info_.patience = options.patience;
   }
+  if (options.upload_memory != UploadMemory::Auto) {
+    info_.uploads_to_device = options.upload_memory == UploadMemory::Device;
+  }
+  kernel_cache_ = std::make_unique<KernelCache>(api_, device_, kernel_cache_key(),
+                                                kernel_cache_folder(options.kernel_cache));
+}
+
+KernelCacheKey Device::kernel_cache_key() const {
+  VkPhysicalDeviceIDProperties ids{};
+  ids.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ID_PROPERTIES;
+  const VkPhysicalDeviceProperties found = properties(&ids);
+  KernelCacheKey key;
+  std::ranges::copy(ids.driverUUID, key.driver.begin());
+  std::ranges::copy(found.pipelineCacheUUID, key.pipeline.begin());
+  key.vendor_id = found.vendorID;
+  key.device_id = found.deviceID;
+  key.driver_version = found.driverVersion;
+  return key;
 }
 
 void Device::open(const Instance::Candidate& chosen) {
@@ -447,6 +466,7 @@ void Device::open(const Instance::Candidate& chosen) {
 Device::~Device() {
   if (device_ != VK_NULL_HANDLE && api_.vkDestroyDevice != nullptr) {
     // Nothing is in flight: every batch has waited for its work, or this device was abandoned and is kept.
+    kernel_cache_.reset();
     api_.vkDestroyDevice(device_, nullptr);
   }
 }
@@ -588,6 +608,8 @@ VkPhysicalDeviceProperties Device::properties(void* chain) const {
 
 Device::Allocation Device::allocate(const VkMemoryRequirements& needs, VkMemoryPropertyFlags required,
                                     VkMemoryPropertyFlags preferred, std::string_view what) {
+  const bool elsewhere = (required & VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT) != 0;
+  VkResult result = VK_SUCCESS;
   for (const VkMemoryPropertyFlags flags : {required | preferred, required}) {
     for (std::uint32_t type = 0; type < memory_.memoryTypeCount; ++type) {
       const bool allowed = (needs.memoryTypeBits & (1U << type)) != 0;
@@ -599,10 +621,15 @@ Device::Allocation Device::allocate(const VkMemoryRequirements& needs, VkMemoryP
       info.allocationSize = needs.size;
       info.memoryTypeIndex = type;
       VkDeviceMemory memory = VK_NULL_HANDLE;
-      check(api_.vkAllocateMemory(device_, &info, nullptr, &memory), what);
+      result = api_.vkAllocateMemory(device_, &info, nullptr, &memory);
+      if (result == VK_ERROR_OUT_OF_DEVICE_MEMORY && elsewhere) {
+        continue;
+      }
+      check(result, what);
       return {memory, type};
     }
   }
+  check(result, what);
   throw Error(ErrorKind::NoDevice,
               fmt::format("cannot {}: the device '{}' has no suitable kind of memory", what, info_.name));
 }

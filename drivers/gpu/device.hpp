@@ -13,6 +13,7 @@
 
 #include "facet/mutex.hpp"
 #include "gpu/context.hpp"
+#include "gpu/kernel_cache.hpp"
 #include "gpu/vulkan_api.hpp"
 
 namespace facet::gpu {
@@ -112,9 +113,13 @@ class Device {
     VkDeviceMemory memory = VK_NULL_HANDLE;
     std::uint32_t type = 0;
   };
-  /// Memory of a type that has all `required` flags, and `preferred` ones where there is such a type.
+  /// Memory of a type that has all `required` flags, and `preferred` ones where there is such a type. Where
+  /// the host must see it, a type that has no room left stands back behind the next: what can be mapped of a
+  /// GPU's memory may be 256 MB.
   Allocation allocate(const VkMemoryRequirements& needs, VkMemoryPropertyFlags required,
                       VkMemoryPropertyFlags preferred, std::string_view what);
+
+  KernelCache& kernel_cache() const { return *kernel_cache_; }
 
   /// Gives an object a name in the messages of the validation layer.
   void set_name(VkObjectType type, std::uint64_t object, std::string_view name) const;
@@ -123,6 +128,7 @@ class Device {
   static constexpr int long_work = 10;
 
   void open(const Instance::Candidate& chosen);
+  KernelCacheKey kernel_cache_key() const;
 
   std::unique_ptr<Instance> instance_;
   VkPhysicalDevice physical_ = VK_NULL_HANDLE;
@@ -132,6 +138,7 @@ class Device {
   DeviceApi api_;
   DeviceInfo info_;
   VkPhysicalDeviceLimits limits_{};
+  std::unique_ptr<KernelCache> kernel_cache_;
   VkPhysicalDeviceMemoryProperties memory_{};
   std::uint32_t queue_family_ = 0;
   std::uint32_t timestamp_valid_bits_ = 0;

@@ -177,8 +177,8 @@ void Kernel::Impl::make_pipeline(std::span<const std::uint32_t> words, const Spe
   pipeline_info.stage.pName = "main";
   pipeline_info.stage.pSpecializationInfo = &constants;
   pipeline_info.layout = pipeline_layout;
-  const VkResult result =
-      api.vkCreateComputePipelines(device->handle(), VK_NULL_HANDLE, 1, &pipeline_info, nullptr, &pipeline);
+  const VkResult result = api.vkCreateComputePipelines(device->handle(), device->kernel_cache().handle(), 1,
+                                                       &pipeline_info, nullptr, &pipeline);
   api.vkDestroyShaderModule(device->handle(), module, nullptr);
   device->check(result, what);
   device->set_name(VK_OBJECT_TYPE_PIPELINE, handle_bits(pipeline), name);

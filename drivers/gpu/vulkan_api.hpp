@@ -55,6 +55,9 @@ namespace facet::gpu {
   X(vkDestroySampler)                    \
   X(vkCreateShaderModule)                \
   X(vkDestroyShaderModule)               \
+  X(vkCreatePipelineCache)               \
+  X(vkDestroyPipelineCache)              \
+  X(vkGetPipelineCacheData)              \
   X(vkCreateDescriptorSetLayout)         \
   X(vkDestroyDescriptorSetLayout)        \
   X(vkCreatePipelineLayout)              \

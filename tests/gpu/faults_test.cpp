@@ -4,6 +4,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <filesystem>
@@ -15,7 +16,7 @@
 
 #include "gpu/batch.hpp"
 #include "gpu/context.hpp"
-#include "gpu/downsample.hpp"
+#include "gpu/facts.hpp"
 #include "support/gpu_faults.hpp"
 
 namespace facet::gpu {
@@ -80,24 +81,6 @@ TEST_F(FaultsTest, ADeviceThatLacksSomethingIsListedWithWhatItLacks) {
   }
 }
 
-TEST_F(FaultsTest, ImagesNeedNoWritesWithoutFormat) {
-  set("no-writes-without-format");
-  Context context(options());
-  const Downsampler downsampler(context);
-  const Image image(context, ImageFormat::Rgba16f, 4, 4, 0, "image");
-  const Buffer ones(context, image.level_bytes(0), Memory::Upload, "ones");
-  for (std::uint16_t& half : ones.mapped_as<std::uint16_t>()) {
-    half = 0x3c00;
-  }
-  const Buffer back(context, image.level_bytes(2), Memory::Readback, "back");
-  run_now(context, "pyramid", [&](Batch& batch) {
-    batch.copy(ones, image);
-    downsampler.record(batch, image);
-    batch.copy(image, 2, back);
-  });
-  EXPECT_EQ(back.mapped_as<std::uint16_t>()[0], 0x3c00);
-}
-
 // MoltenVK and other drivers that lack a part of Vulkan show themselves to those alone who ask for them.
 TEST_F(FaultsTest, DriversOfAPartOfVulkanAreSeen) {
   const std::filesystem::path manifests = "/usr/share/vulkan/icd.d";
@@ -158,6 +141,49 @@ TEST_F(FaultsTest, NoMemoryIsSaidWithTheBufferAndPasses) {
   std::vector<std::uint32_t> back(1024);
   download<std::uint32_t>(context, target, back);
   EXPECT_EQ(back, words);
+}
+
+/// The number of the memory type that buffers of a kind come from.
+std::size_t type_used_for(Context& context, const std::string& kind) {
+  const std::vector<DeviceFacts::MemoryType> types = device_facts(context).memory_types;
+  return static_cast<std::size_t>(
+      std::ranges::find_if(types,
+                           [&](const DeviceFacts::MemoryType& type) { return type.used_for == kind; }) -
+      types.begin());
+}
+
+TEST_F(FaultsTest, UploadsLieInTheMemoryOfAGpuWhereTheHostSeesIt) {
+  set("three-memories");
+  {
+    Context context(options());
+    EXPECT_FALSE(context.info().uploads_to_device);  // still a software device
+    EXPECT_EQ(device_facts(context).memory_types[1].used_for, "Upload Readback");
+  }
+  set("three-memories\ndiscrete");
+  Context context(options());
+  EXPECT_TRUE(context.info().uploads_to_device);
+  EXPECT_EQ(type_used_for(context, "Device"), 0U);
+  EXPECT_EQ(type_used_for(context, "Readback"), 1U);
+  EXPECT_EQ(type_used_for(context, "Upload"), 2U);
+  ContextOptions host = options();
+  host.upload_memory = UploadMemory::Host;
+  Context drill(host);
+  EXPECT_EQ(device_facts(drill).memory_types[1].used_for, "Upload Readback");
+}
+
+TEST_F(FaultsTest, UploadsGoToTheHostsMemoryWhereTheMappedPartOfAGpusIsFull) {
+  set("three-memories\ndiscrete\nfull 2");
+  Context context(options());
+  EXPECT_EQ(device_facts(context).memory_types[1].used_for, "Upload Readback");
+  const std::vector<std::uint32_t> words(1024, 7);
+  const Buffer target(context, 4096, Memory::Device, "target");
+  upload<std::uint32_t>(context, target, words);
+  std::vector<std::uint32_t> back(1024);
+  download<std::uint32_t>(context, target, back);
+  EXPECT_EQ(back, words);
+  // What only kernels see is not worth having there.
+  set("three-memories\ndiscrete\nfull 0");
+  EXPECT_THROW(Buffer(context, 4096, Memory::Device, "more"), Error);
 }
 
 TEST_F(FaultsTest, ALossIsSeenWhereADriverReportsIt) {

@@ -13,6 +13,8 @@
 //   no-writes-without-format
 //   texel-buffers N          elements
 //   discrete                 it is a GPU with a maker's chip
+//   three-memories           its memory is of three types: 0 the device's, 1 the host's, 2 the device's,
+//   mapped full N                   memory of type N is full
 
 #include <vulkan/vk_layer.h>
 #include <vulkan/vulkan.h>
@@ -54,6 +56,7 @@ std::optional<double> fault(const std::string& wanted) {
 std::atomic<PFN_vkGetPhysicalDeviceProperties2> next_properties{nullptr};
 std::atomic<PFN_vkGetPhysicalDeviceFeatures2> next_features{nullptr};
 std::atomic<PFN_vkGetPhysicalDeviceQueueFamilyProperties> next_queue_families{nullptr};
+std::atomic<PFN_vkGetPhysicalDeviceMemoryProperties> next_memory{nullptr};
 
 template <typename Function>
 void keep(std::atomic<Function>& kept, PFN_vkGetInstanceProcAddr next, VkInstance of, const char* name) {
@@ -89,6 +92,7 @@ VKAPI_ATTR VkResult VKAPI_CALL create_instance(const VkInstanceCreateInfo* info,
     keep(next_properties, next, *out, "vkGetPhysicalDeviceProperties2");
     keep(next_features, next, *out, "vkGetPhysicalDeviceFeatures2");
     keep(next_queue_families, next, *out, "vkGetPhysicalDeviceQueueFamilyProperties");
+    keep(next_memory, next, *out, "vkGetPhysicalDeviceMemoryProperties");
   }
   return result;
 }
@@ -148,6 +152,33 @@ VKAPI_ATTR void VKAPI_CALL queue_families(VkPhysicalDevice physical, std::uint32
   }
 }
 
+/// The driver below has one type, which is all three.
+VKAPI_ATTR void VKAPI_CALL memory_properties(VkPhysicalDevice physical,
+                                             VkPhysicalDeviceMemoryProperties* out) {
+  constexpr VkMemoryPropertyFlags mapped =
+      VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT;
+  next_memory.load()(physical, out);
+  if (fault("three-memories")) {
+    out->memoryTypeCount = 3;
+    out->memoryTypes[0] = {VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT, 0};
+    out->memoryTypes[1] = {mapped | VK_MEMORY_PROPERTY_HOST_CACHED_BIT, 0};
+    out->memoryTypes[2] = {mapped | VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT, 0};
+  }
+}
+
+std::atomic<PFN_vkGetBufferMemoryRequirements> next_buffer_needs{nullptr};
+std::atomic<PFN_vkGetImageMemoryRequirements> next_image_needs{nullptr};
+
+VKAPI_ATTR void VKAPI_CALL buffer_needs(VkDevice device, VkBuffer buffer, VkMemoryRequirements* out) {
+  next_buffer_needs.load()(device, buffer, out);
+  out->memoryTypeBits = fault("three-memories") ? 7U : out->memoryTypeBits;
+}
+
+VKAPI_ATTR void VKAPI_CALL image_needs(VkDevice device, VkImage image, VkMemoryRequirements* out) {
+  next_image_needs.load()(device, image, out);
+  out->memoryTypeBits = fault("three-memories") ? 7U : out->memoryTypeBits;
+}
+
 std::atomic<PFN_vkQueueSubmit> next_submit{nullptr};
 std::atomic<PFN_vkWaitForFences> next_wait{nullptr};
 std::atomic<PFN_vkAllocateMemory> next_allocate{nullptr};
@@ -176,7 +207,14 @@ VKAPI_ATTR VkResult VKAPI_CALL allocate(VkDevice device, const VkMemoryAllocateI
   if (const auto room = fault("memory"); room && static_cast<double>(allocations) >= *room) {
     return VK_ERROR_OUT_OF_DEVICE_MEMORY;
   }
-  const VkResult result = next_allocate.load()(device, info, allocator, out);
+  if (const auto full = fault("full"); full && static_cast<double>(info->memoryTypeIndex) == *full) {
+    return VK_ERROR_OUT_OF_DEVICE_MEMORY;
+  }
+  VkMemoryAllocateInfo below = *info;
+  if (fault("three-memories")) {
+    below.memoryTypeIndex = 0;
+  }
+  const VkResult result = next_allocate.load()(device, &below, allocator, out);
   allocations += result == VK_SUCCESS ? 1 : 0;
   return result;
 }
@@ -212,6 +250,12 @@ fault_layer_device_function(VkDevice device, const char* name) {
   if (stands_before("vkAllocateMemory", name, next, next_allocate)) {
     return reinterpret_cast<PFN_vkVoidFunction>(allocate);
   }
+  if (stands_before("vkGetBufferMemoryRequirements", name, next, next_buffer_needs)) {
+    return reinterpret_cast<PFN_vkVoidFunction>(buffer_needs);
+  }
+  if (stands_before("vkGetImageMemoryRequirements", name, next, next_image_needs)) {
+    return reinterpret_cast<PFN_vkVoidFunction>(image_needs);
+  }
   if (stands_before("vkFreeMemory", name, next, next_free)) {
     return reinterpret_cast<PFN_vkVoidFunction>(release);
   }
@@ -238,6 +282,9 @@ fault_layer_instance_function(VkInstance of, const char* name) {
   }
   if (is("vkGetPhysicalDeviceQueueFamilyProperties")) {
     return reinterpret_cast<PFN_vkVoidFunction>(queue_families);
+  }
+  if (is("vkGetPhysicalDeviceMemoryProperties")) {
+    return reinterpret_cast<PFN_vkVoidFunction>(memory_properties);
   }
   const PFN_vkGetInstanceProcAddr next = next_instance_function;
   return next != nullptr ? next(of, name) : nullptr;
