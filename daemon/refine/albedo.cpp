@@ -17,6 +17,8 @@ AlbedoState::AlbedoState(gpu::Context& context, std::uint32_t vertex_count, int 
       bends(context, vertex_count, gpu::TexelFormat::Rgba32f, "albedo_bends"),
       units(context, sizeof(shaders::vec2) * context.info().workgroup_count, gpu::Memory::Device,
             "albedo_units"),
+      luminances(context, sizeof(shaders::vec2) * context.info().workgroup_count, gpu::Memory::Device,
+                 "albedo_luminances"),
       states(context, sizeof(shaders::vec4) * vertex_count, gpu::Memory::Device, "albedo_states"),
       changes(context, vertex_count, gpu::TexelFormat::Rgba32f, "albedo_changes"),
       searches(context, 2 * static_cast<std::size_t>(vertex_count), gpu::TexelFormat::Rgba32f,
@@ -42,6 +44,7 @@ AlbedoKernels::AlbedoKernels(gpu::Context& context)
       gradient_(context, shaders::refine::kernels(), "refine/albedo_gradient"),
       direction_(context, shaders::refine::kernels(), "refine/albedo_direction"),
       update_(context, shaders::refine::kernels(), "refine/albedo_update"),
+      luminance_(context, shaders::refine::kernels(), "refine/albedo_luminance"),
       normalise_(context, shaders::refine::kernels(), "refine/albedo_normalise"),
       prolong_(context, shaders::refine::kernels(), "refine/prolong_albedo"),
       restrict_(context, shaders::refine::kernels(), "refine/restrict_albedo") {}
@@ -108,15 +111,24 @@ void AlbedoKernels::record(gpu::Batch& batch, const LevelTopology& topology, con
                     {"sums", albedo.scalars.buffer}},
                    groups, push);
   }
+  batch.dispatch(luminance_,
+                 {{"mean_albedo", albedo.mean.view},
+                  {"albedo_changes", albedo.changes.view},
+                  {"deviations", albedo.deviations.view},
+                  {"albedo_counts", albedo.counts.view},
+                  {"albedo_tint", albedo.tint},
+                  {"albedo_luminances", albedo.luminances}},
+                 groups, push);
   batch.dispatch(normalise_,
                  {{"mean_albedo", albedo.mean.view},
                   {"albedo_changes", albedo.changes.view},
                   {"albedo_counts", albedo.counts.buffer},
+                  {"albedo_luminances", albedo.luminances},
                   {"albedo_tint", albedo.tint},
                   {"deviations", albedo.deviations.buffer},
                   {"albedo", state.albedo.buffer},
                   {"light", light}},
-                 {}, push);
+                 groups, push);
 }
 
 void AlbedoKernels::record_prolong(gpu::Batch& batch, const LevelTopology& topology,

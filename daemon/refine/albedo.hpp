@@ -32,6 +32,7 @@ struct AlbedoState {
   gpu::Buffer tint;
   DeviceArray bends;
   gpu::Buffer units;
+  gpu::Buffer luminances;
   gpu::Buffer states;
   DeviceArray changes;
   DeviceArray searches;
@@ -66,6 +67,7 @@ class AlbedoKernels {
   gpu::Kernel gradient_;
   gpu::Kernel direction_;
   gpu::Kernel update_;
+  gpu::Kernel luminance_;
   gpu::Kernel normalise_;
   gpu::Kernel prolong_;
   gpu::Kernel restrict_;

@@ -31,10 +31,10 @@ int reduced(int size_px, int reduction) {
   return (size_px + reduction - 1) / reduction;
 }
 
-/// Of the linear image: whole blocks.
+/// Of the linear image: whole tiles.
 std::uint32_t padded(int size_px, int reduction) {
-  const int block = shaders::refine::kImageBlockPx;
-  return static_cast<std::uint32_t>((reduced(size_px, reduction) + block - 1) / block * block);
+  const int tile = shaders::refine::kImageTilePx;
+  return static_cast<std::uint32_t>((reduced(size_px, reduction) + tile - 1) / tile * tile);
 }
 
 /// The picture is uploaded as it is, and reduced on the device.
@@ -59,17 +59,20 @@ ImagePyramid::ImagePyramid(gpu::Context& context, int source_width_px, int sourc
       pixels(context, uploaded_pixels(context, source_width_px, source_height_px), gpu::TexelFormat::Rgba8,
              "pixels", gpu::Memory::Upload),
       linear(context, gpu::ImageFormat::Rgba16f, padded(source_width_px, reduction),
-             padded(source_height_px, reduction), 0, "linear image") {}
+             padded(source_height_px, reduction), shaders::refine::kImageMips, "linear image") {}
 
-void ImagePyramid::write(const Frame& frame, const Eigen::Array2i& first_px,
-                         const Eigen::Array2i& end_px) const {
-  constexpr std::size_t kPixelBytes = 4;
-  const auto row_bytes = static_cast<std::size_t>(width_px) * kPixelBytes;
-  const auto before = static_cast<std::size_t>(first_px.x()) * kPixelBytes;
-  const auto bytes = static_cast<std::size_t>(end_px.x() - first_px.x()) * kPixelBytes;
-  std::byte* target = pixels.buffer.mapped().data() + before;
-  for (int row = first_px.y(); row < end_px.y(); ++row) {
-    std::memcpy(target + static_cast<std::size_t>(row) * row_bytes, frame.row(row) + before, bytes);
+void ImagePyramid::write(const Frame& frame, const Eigen::Array2i& low_px,
+                         const Eigen::Array2i& high_px) const {
+  if ((high_px <= low_px).any()) {
+    return;
+  }
+  const auto pixel_bytes = gpu::texel_bytes(gpu::TexelFormat::Rgba8);
+  const std::size_t row_bytes = pixel_bytes * static_cast<std::size_t>(width_px);
+  const std::size_t first_bytes = pixel_bytes * static_cast<std::size_t>(low_px.x());
+  const std::size_t part_bytes = pixel_bytes * static_cast<std::size_t>(high_px.x() - low_px.x());
+  std::byte* target = pixels.buffer.mapped().data() + first_bytes;
+  for (int row = low_px.y(); row < high_px.y(); ++row) {
+    std::memcpy(target + static_cast<std::size_t>(row) * row_bytes, frame.row(row) + first_bytes, part_bytes);
   }
 }
 
@@ -80,17 +83,17 @@ void upload_picture(ImagePyramid& pyramid, const FaceRegion& region, const Frame
     out.region_px = {0, 0, 0, 0};
     return;
   }
-  const Eigen::Array2i size_px(pyramid.width_px, pyramid.height_px);
   if (!pyramid.filled) {
     out.region_px = {0, 0, static_cast<std::int32_t>(pyramid.linear.width_px()),
                      static_cast<std::int32_t>(pyramid.linear.height_px())};
-    pyramid.write(picture, {0, 0}, size_px);
+    pyramid.write(picture);
     pyramid.filled = true;
     return;
   }
-  // What is reduced at the picture's edge goes on with its last pixels.
-  pyramid.write(picture, (region.low_px * pyramid.reduction).min(size_px - 1),
-                (region.high_px * pyramid.reduction).min(size_px));
+  const Eigen::Array2i source_px(pyramid.width_px, pyramid.height_px);
+  // The edge of the picture goes on where the linear image is larger: its last row and column are read there.
+  pyramid.write(picture, (region.low_px * pyramid.reduction).min(source_px - 1),
+                (region.high_px * pyramid.reduction).min(source_px));
 }
 
 void to_shading_frame(const mesh::Vertices& head_vertices_mm, std::span<const float> displacements_mm,
@@ -173,6 +176,8 @@ FurtherCameraState::FurtherCameraState(gpu::Context& context, int width_px, int 
     : pyramid(context, width_px, height_px),
       frame(context, sizeof(shaders::refine::FrameParameters), gpu::Memory::Upload, "frame parameters"),
       depth(context, triangles),
+      sums(context, 2 * sizeof(shaders::vec4) * context.info().workgroup_count, gpu::Memory::Device,
+           "view sums"),
       gain(context, sizeof(shaders::refine::ViewGain), gpu::Memory::Device, "view gain") {
   frame.mapped_as<shaders::refine::FrameParameters>().front() = {};
   clear(context, {&gain});
@@ -180,12 +185,13 @@ FurtherCameraState::FurtherCameraState(gpu::Context& context, int width_px, int 
 
 ObservationKernels::ObservationKernels(gpu::Context& context)
     : linear_image_(context, shaders::refine::kernels(), "refine/linear_image"),
+      small_mips_(context, shaders::refine::kernels(), "refine/small_mips"),
       rasterise_depth_(context, shaders::refine::kernels(), "refine/rasterise_depth"),
       prolong_(context, shaders::refine::kernels(), "refine/prolong"),
       observe_(context, shaders::refine::kernels(), "refine/observe"),
+      view_sums_(context, shaders::refine::kernels(), "refine/view_sums"),
       view_gain_(context, shaders::refine::kernels(), "refine/view_gain"),
       merge_view_(context, shaders::refine::kernels(), "refine/merge_view"),
-      downsampler_(context),
       sampler_(context, gpu::Filter::Linear, gpu::Filter::Linear) {}
 
 void ObservationKernels::record_image(gpu::Batch& batch, const ImagePyramid& pyramid,
@@ -200,7 +206,20 @@ void ObservationKernels::record_image(gpu::Batch& batch, const ImagePyramid& pyr
                   {"quarter_image", pyramid.linear, 2}},
                  {gpu::groups_for(pyramid.linear.width_px(), block * blocks_x),
                   gpu::groups_for(pyramid.linear.height_px(), block * blocks_y)});
-  downsampler_.record(batch, pyramid.linear, 3);
+}
+
+void ObservationKernels::record_mips(gpu::Batch& batch, const ImagePyramid& pyramid,
+                                     const gpu::Buffer& frame) const {
+  const auto [tiles_x, tiles_y, depth] = small_mips_.workgroup_size();
+  const std::uint32_t tile = shaders::refine::kImageTilePx;
+  batch.dispatch(small_mips_,
+                 {{"frame", frame},
+                  {"quarter_image", pyramid.linear, sampler_, 2},
+                  {"eighth_image", pyramid.linear, 3},
+                  {"sixteenth_image", pyramid.linear, 4},
+                  {"smallest_image", pyramid.linear, 5}},
+                 {gpu::groups_for(pyramid.linear.width_px(), tile * tiles_x),
+                  gpu::groups_for(pyramid.linear.height_px(), tile * tiles_y)});
 }
 
 void ObservationKernels::record_prolong(gpu::Batch& batch, const LevelTopology& topology,
@@ -255,12 +274,13 @@ void ObservationKernels::record_view(gpu::Batch& batch, const LevelTopology& top
                                      const LevelState& state, const FurtherCameraState& view,
                                      const DeviceArray& view_colours, bool learn_gain, bool last) const {
   record_observe(batch, topology, state, view_colours.buffer, view.pyramid, view.depth, view.frame);
-  const shaders::refine::ViewPush push{topology.vertex_count, last ? 1U : 0U};
+  const shaders::refine::ViewPush push{topology.vertex_count, last ? 1U : 0U, topology.workgroup_count};
   if (learn_gain) {
     batch.dispatch(
-        view_gain_,
-        {{"colours", state.colours.view}, {"view_colours", view_colours.view}, {"view_gain", view.gain}}, {},
-        push);
+        view_sums_,
+        {{"colours", state.colours.view}, {"view_colours", view_colours.view}, {"view_sums", view.sums}},
+        {topology.workgroup_count}, push);
+    batch.dispatch(view_gain_, {{"view_sums", view.sums}, {"view_gain", view.gain}}, {}, push);
   }
   batch.dispatch(
       merge_view_,

@@ -5,7 +5,6 @@
 #include <span>
 
 #include "facet/frame.hpp"
-#include "gpu/downsample.hpp"
 #include "mesh/mesh.hpp"
 #include "refine/level_buffers.hpp"
 #include "shaders/refine/layout.h"
@@ -17,15 +16,15 @@ struct ImagePyramid {
   /// Throws Error(NoDevice) where the device has no room for the source's picture, or can't bind it.
   ImagePyramid(gpu::Context& context, int source_width_px, int source_height_px);
 
-  /// Copies the pixels from first_px to end_px, which are past the last, of a frame of that size to the
-  /// upload buffer. Real-time safe.
-  void write(const Frame& frame, const Eigen::Array2i& first_px, const Eigen::Array2i& end_px) const;
+  /// Copies a part of a frame of that size, [low_px, high_px), to the upload buffer. Real-time safe.
+  void write(const Frame& frame, const Eigen::Array2i& low_px, const Eigen::Array2i& high_px) const;
+  void write(const Frame& frame) const { write(frame, {0, 0}, {width_px, height_px}); }
 
   int width_px;  ///< of the source
   int height_px;
   int reduction;        ///< source pixels to one of the linear image, per axis
   DeviceArray pixels;   ///< [height][width] 8-bit sRGB as uploaded
-  gpu::Image linear;    ///< linear RGB and 1 where unsaturated, with mips; padded to whole blocks
+  gpu::Image linear;    ///< linear RGB and 1 where unsaturated, with mips; padded to whole tiles
   bool filled = false;  ///< has held a whole picture
 };
 
@@ -76,6 +75,7 @@ struct FurtherCameraState {
   ImagePyramid pyramid;
   gpu::Buffer frame;  ///< FrameParameters: those that record_image, record_depth and record_observe read
   OcclusionMap depth;
+  gpu::Buffer sums;  ///< [workgroup][2] vec4, for the gain
   gpu::Buffer gain;  ///< ViewGain
 };
 
@@ -98,8 +98,11 @@ class ObservationKernels {
  public:
   explicit ObservationKernels(gpu::Context& context);
 
-  /// Records sRGB to linear light and the mips.
+  /// Records sRGB to linear light and the mips down to a quarter.
   void record_image(gpu::Batch& batch, const ImagePyramid& pyramid, const gpu::Buffer& frame) const;
+
+  /// Records the mips below.
+  void record_mips(gpu::Batch& batch, const ImagePyramid& pyramid, const gpu::Buffer& frame) const;
 
   /// Records positions, start displacements and priors of a level from the next coarser one. coarser: a view
   /// of positions and displacements.
@@ -130,12 +133,13 @@ class ObservationKernels {
                       const gpu::Buffer& frame) const;
 
   gpu::Kernel linear_image_;
+  gpu::Kernel small_mips_;
   gpu::Kernel rasterise_depth_;
   gpu::Kernel prolong_;
   gpu::Kernel observe_;
+  gpu::Kernel view_sums_;
   gpu::Kernel view_gain_;
   gpu::Kernel merge_view_;
-  gpu::Downsampler downsampler_;
   gpu::Sampler sampler_;
 };
 

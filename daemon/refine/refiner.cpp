@@ -16,6 +16,7 @@
 #include "refine/displacement_kernels.hpp"
 #include "refine/lighting.hpp"
 #include "refine/observation.hpp"
+#include "refine/recorded_frames.hpp"
 #include "refine/subject_setup.hpp"
 #include "refine_shaders.hpp"
 #include "shaders/refine/layout.h"
@@ -30,8 +31,6 @@ using shaders::refine::Light;
 constexpr int kPaperGaussNewtonSteps = 10;
 constexpr int kPaperPcgIterations = 7;
 constexpr std::size_t kMostTimedKernels = 4096;
-// Recorded frames that are kept: the plans that Budget::Auto goes back and forth between.
-constexpr std::size_t kMostRecorded = 12;
 // After the first frames the albedo looks for vertices not yet seen in one frame of this many.
 constexpr std::uint64_t kAlbedoRefreshFrames = 8;
 // A new albedo is handed out when more than this share of M0's vertices has learned from the frame.
@@ -142,14 +141,7 @@ struct SubjectBuffers {
   std::optional<ImagePyramid> pyramid;
   std::vector<std::unique_ptr<FurtherCameraState>> further_views;
   std::optional<DeviceArray> view_colours;  ///< [finest vertex_count] of one further view at a time
-  /// Recorded frames, the last used at the end.
-  struct Recorded {
-    StepPlan plan;
-    bool learn;  ///< with the albedo
-    std::unique_ptr<gpu::Batch> batch;
-  };
-  std::vector<Recorded> recorded;
-  StepPlanner planner;  ///< Budget::Auto
+  RecordedFrames frames;
 };
 
 /// All kernels of the method.
@@ -181,14 +173,16 @@ struct Kernels {
 };
 
 struct Refiner::Impl {
-  Impl(gpu::Context& used, const RefinerConfig& chosen) : context(used), config(chosen), kernels(used) {}
+  Impl(gpu::Context& used, const RefinerConfig& chosen) : context(used), config(chosen), kernels(used) {
+    context.keep_kernels();
+  }
 
   gpu::Context& context;
   RefinerConfig config;
   Kernels kernels;
   std::shared_ptr<const mesh::Hierarchy> hierarchy;
   std::optional<SubjectBuffers> subject;
-  const SubjectBuffers::Recorded* in_flight = nullptr;
+  const RecordedFrame* in_flight = nullptr;
   Clock::time_point submitted;
   bool lost = false;
   bool warm = false;              ///< the previous frame's displacements and light can be used
@@ -201,7 +195,8 @@ struct Refiner::Impl {
   void write_views(std::span<const FurtherCamera> views, std::span<const vec4> control) const;
   void read(RefineOutput& output);
   void read_albedo();
-  const SubjectBuffers::Recorded& recorded_frame(const StepPlan& plan, bool learn);
+  bool learns(std::uint64_t frame) const;
+  std::unique_ptr<gpu::Batch> record(const StepPlan& plan, bool learn) const;
   std::vector<std::vector<double>> read_energies(const StepPlan& plan) const;
   void clear_output(RefineOutput& output) const;
 };
@@ -238,7 +233,10 @@ SubjectBuffers::SubjectBuffers(gpu::Context& context, const RefinerConfig& confi
       light_out(context, sizeof(Light), gpu::Memory::Readback, "light read back"),
       albedo_out(context, sizeof(vec4) * levels.back()->topology.vertex_count, gpu::Memory::Readback,
                  "albedo read back"),
-      planner(vertex_counts(*subject.hierarchy)) {
+      frames(vertex_counts(*subject.hierarchy),
+             plans_frames(config) ? std::nullopt
+                                  : std::optional(constant_plan(config, subject.hierarchy->levels.size())),
+             config.record_energies) {
   const bool known = subject.albedo != nullptr;
   const std::vector<mesh::Vertices> start =
       known ? known_albedo_of_levels(subject) : mean_albedo_of_levels(subject);
@@ -264,10 +262,15 @@ void Kernels::record(gpu::Batch& batch, const RefinerConfig& config, const Subje
   observation.record_prolong(batch, coarsest.topology, coarsest.stencils, subject.control.view,
                              coarsest.state, subject.frame,
                              {refine_coarsest, config.given_prior ? Prior::Given : Prior::None});
-  observation.record_depth(batch, coarsest.state, subject.depth, subject.frame);
   for (const std::unique_ptr<FurtherCameraState>& view : subject.further_views) {
     observation.record_image(batch, view->pyramid, view->frame);
+  }
+  // Only now, behind one barrier: what they need was made side by side.
+  observation.record_depth(batch, coarsest.state, subject.depth, subject.frame);
+  observation.record_mips(batch, *subject.pyramid, subject.frame);
+  for (const std::unique_ptr<FurtherCameraState>& view : subject.further_views) {
     observation.record_depth(batch, coarsest.state, view->depth, view->frame);
+    observation.record_mips(batch, view->pyramid, view->frame);
   }
   record_observe(batch, subject, coarsest);
 
@@ -439,7 +442,7 @@ void Refiner::submit(const RefineInput& input) {
   }
   impl.submitted = Clock::now();
   if (!subject.pyramid || subject.pyramid->width_px != width_px || subject.pyramid->height_px != height_px) {
-    subject.recorded.clear();
+    subject.frames.clear();
     subject.pyramid.reset();
     subject.pyramid.emplace(impl.context, width_px, height_px);
   }
@@ -461,19 +464,31 @@ void Refiner::submit(const RefineInput& input) {
   frame.keep_lighting = impl.warm ? 1.0F : 0.0F;
   frame.learn_albedo = 1;
   subject.frame.mapped_as<FrameParameters>().front() = frame;
-  const bool learn = !impl.albedo_known &&
-                     (impl.frame_count < static_cast<std::uint64_t>(std::max(0, impl.config.albedo_frames)) ||
-                      impl.frame_count % kAlbedoRefreshFrames == 0);
-  StepPlan plan = plans_frames(impl.config) ? subject.planner.next(impl.warm, input.time_limit_ms)
-                                            : constant_plan(impl.config, subject.levels.size());
-  plan.last_energy = plan.last_energy || impl.config.record_energies;
+  const bool learn = impl.learns(impl.frame_count);
   ++impl.frame_count;
+  const auto record = [&impl](const StepPlan& plan, bool learning) { return impl.record(plan, learning); };
   try {
-    impl.in_flight = &impl.recorded_frame(plan, learn);
+    impl.in_flight = &subject.frames.next(impl.warm, learn, input.time_limit_ms, record);
     impl.lost = impl.in_flight->batch->submit() != gpu::Outcome::Done;
   } catch (const gpu::DeviceLostError&) {
     impl.lost = true;  // as if it had gone a moment later: collect says so
   }
+  if (!impl.lost) {
+    subject.frames.record_ahead(impl.learns(impl.frame_count), !impl.albedo_known, record);
+  }
+}
+
+std::unique_ptr<gpu::Batch> Refiner::Impl::record(const StepPlan& plan, bool learn) const {
+  auto batch = std::make_unique<gpu::Batch>(context, learn ? "frame, albedo learned" : "frame, albedo held",
+                                            config.time_kernels ? kMostTimedKernels : gpu::Batch::max_stages);
+  kernels.record(*batch, config, *subject, learn, plan);
+  return batch;
+}
+
+/// Whether the albedo learns from the subject's n-th frame.
+bool Refiner::Impl::learns(std::uint64_t frame) const {
+  return !albedo_known && (frame < static_cast<std::uint64_t>(std::max(0, config.albedo_frames)) ||
+                           frame % kAlbedoRefreshFrames == 0);
 }
 
 /// Makes room for the further views where their number or sizes changed.
@@ -487,7 +502,7 @@ void Refiner::Impl::fit_views(std::span<const FurtherCamera> views) {
   if (fit) {
     return;
   }
-  subject->recorded.clear();
+  subject->frames.clear();
   there.clear();
   for (const FurtherCamera& view : views) {
     there.push_back(std::make_unique<FurtherCameraState>(context, view.camera.width_px, view.camera.height_px,
@@ -510,25 +525,6 @@ void Refiner::Impl::write_views(std::span<const FurtherCamera> views, std::span<
     upload_picture(room.pyramid, region, views[v].image, frame);
     room.frame.mapped_as<FrameParameters>().front() = frame;
   }
-}
-
-const SubjectBuffers::Recorded& Refiner::Impl::recorded_frame(const StepPlan& plan, bool learn) {
-  std::vector<SubjectBuffers::Recorded>& all = subject->recorded;
-  const auto found = std::find_if(all.begin(), all.end(), [&](const SubjectBuffers::Recorded& one) {
-    return one.learn == learn && one.plan == plan;
-  });
-  if (found != all.end()) {
-    std::rotate(found, found + 1, all.end());
-    return all.back();
-  }
-  if (all.size() >= kMostRecorded) {
-    all.erase(all.begin());
-  }
-  auto batch = std::make_unique<gpu::Batch>(context, learn ? "frame, albedo learned" : "frame, albedo held",
-                                            config.time_kernels ? kMostTimedKernels : gpu::Batch::max_stages);
-  kernels.record(*batch, config, *subject, learn, plan);
-  all.push_back({plan, learn, std::move(batch)});
-  return all.back();
 }
 
 void Refiner::Impl::clear_output(RefineOutput& output) const {
@@ -603,7 +599,7 @@ RefineOutcome Refiner::collect(RefineOutput& output) {
     output.failure = "no frame is in flight";
     return RefineOutcome::NumericalFailure;
   }
-  const SubjectBuffers::Recorded* const in_flight = std::exchange(impl.in_flight, nullptr);
+  const RecordedFrame* const in_flight = std::exchange(impl.in_flight, nullptr);
   if (impl.lost || in_flight->batch->wait() != gpu::Outcome::Done) {
     impl.lost = true;
     output = {};
@@ -611,13 +607,14 @@ RefineOutcome Refiner::collect(RefineOutput& output) {
         fmt::format("the GPU {} while it refined a frame", impl.context.hung() ? "hung" : "was lost");
     return RefineOutcome::DeviceLost;
   }
-  const SubjectBuffers::Recorded& recorded = *in_flight;
+  const RecordedFrame& recorded = *in_flight;
   const gpu::Batch& batch = *recorded.batch;
   output.upload_ms = batch.stage_ms("upload");
   output.lighting_ms = batch.stage_ms("lighting");
   output.albedo_ms = batch.stage_ms("albedo");
   output.displacement_ms = batch.stage_ms("displacement");
   output.readback_ms = batch.stage_ms("readback");
+  output.recording_ms = impl.subject->frames.recording_ms();
 
   double failed = 0;
   const std::uint32_t workgroups = impl.subject->levels.back()->topology.workgroup_count;
@@ -652,8 +649,8 @@ RefineOutcome Refiner::collect(RefineOutput& output) {
   output.given_up.clear();
   if (plans_frames(impl.config)) {
     const std::chrono::duration<float, std::milli> frame_time = Clock::now() - impl.submitted;
-    impl.subject->planner.learn(energies, output.displacement_ms, frame_time.count());
-    output.given_up = impl.subject->planner.given_up();
+    impl.subject->frames.planner().learn(energies, output.displacement_ms, frame_time.count());
+    output.given_up = impl.subject->frames.planner().given_up();
   }
   output.energies.clear();
   if (impl.config.record_energies) {

@@ -120,7 +120,8 @@ struct RefineOutput {
   float albedo_ms = 0;
   float displacement_ms = 0;
   float readback_ms = 0;
-  std::string failure;                  ///< for people, empty where Refined
+  float recording_ms = 0;  ///< of the host, while the frame waited: recording a plan of steps not met before
+  std::string failure;     ///< for people, empty where Refined
   std::vector<gpu::StageTime> kernels;  ///< only with time_kernels: every step, "stage/level/kernel"
   /// Only with record_energies: [level][step] E(d) [MD19 eq. 6] before each Gauss-Newton step and after the
   /// last.
@@ -134,8 +135,8 @@ struct RefineOutput {
 ///   [MD19 eq. 5-8].
 /// Further cameras' images take the same way up to the colours; a vertex then has the mean of what all see.
 /// Nothing is allocated per frame but for the first frame, a change of the images' sizes or number, and a new
-/// albedo to hand out (every frame while it is learned, rarely afterwards); a plan of steps not met before
-/// (Budget::Auto) is recorded anew.
+/// albedo to hand out (every frame while it is learned, rarely afterwards). Plans of steps (Budget::Auto)
+/// that may come next are recorded behind a submitted frame, one a frame, while the device is at work.
 class Refiner {
  public:
   /// Compiles the kernels. Throws Error(NoDevice). The context must outlive the refiner.

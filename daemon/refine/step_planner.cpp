@@ -78,23 +78,55 @@ void StepPlanner::choose_rung(float time_limit_ms) {
   }
 }
 
+/// One step more on every level, and what it brought.
+StepPlan StepPlanner::probe_of(StepPlan plan) const {
+  plan.last_energy = true;
+  for (int& steps : plan.steps) {
+    ++steps;
+  }
+  return plan;
+}
+
+StepPlan StepPlanner::cold_start_of(StepPlan plan) const {
+  for (int& steps : plan.steps) {
+    steps = steps > 0 && rung_ == 0 ? std::max(steps, kColdSteps) : steps;
+  }
+  return plan;
+}
+
 StepPlan StepPlanner::next(bool warm, float time_limit_ms) {
+  const std::pair before(rung_, limit_ms_ > 0);
   choose_rung(time_limit_ms);
+  changes_ += std::pair(rung_, limit_ms_ > 0) == before ? 0 : 1;
   plan_ = plan_of(rung_);
   cold_ = !warm;
   if (cold_) {
-    for (int& steps : plan_.steps) {
-      steps = steps > 0 && rung_ == 0 ? std::max(steps, kColdSteps) : steps;
-    }
-  }
-  if (!cold_ && rung_ == 0 && frames_ % kProbeEvery == kProbeEvery - 1) {
-    plan_.last_energy = true;
-    for (int& steps : plan_.steps) {
-      ++steps;
-    }
+    plan_ = cold_start_of(plan_);
+  } else if (rung_ == 0 && frames_ % kProbeEvery == kProbeEvery - 1) {
+    plan_ = probe_of(plan_);
   }
   ++frames_;
   return plan_;
+}
+
+std::vector<StepPlan> StepPlanner::coming() const {
+  const StepPlan plan = plan_of(rung_);
+  std::vector<StepPlan> plans{plan};
+  if (rung_ == 0) {
+    plans.push_back(probe_of(plan));
+  } else {
+    plans.push_back(plan_of(rung_ - 1));
+  }
+  if (limit_ms_ > 0 && rung_ < last_rung()) {
+    plans.push_back(plan_of(rung_ + 1));
+  }
+  plans.push_back(cold_start_of(plan));
+  return plans;
+}
+
+void StepPlanner::postpone(const StepPlan& instead) {
+  plan_ = instead;
+  --frames_;
 }
 
 void StepPlanner::learn(const std::vector<std::vector<double>>& energies, float displacement_ms,
@@ -113,6 +145,7 @@ void StepPlanner::learn(const std::vector<std::vector<double>>& energies, float 
   if (!plan_.last_energy) {
     return;
   }
+  const std::vector<int> wanted_before = wanted_;
   for (std::size_t l = 0; l < energies.size(); ++l) {
     // Energies before each step and after the last; the last step is the probe.
     const std::vector<double>& level = energies[l];
@@ -128,6 +161,7 @@ void StepPlanner::learn(const std::vector<std::vector<double>>& energies, float 
       wanted_[l] = std::max(wanted_[l] - 1, 1);
     }
   }
+  changes_ += wanted_ == wanted_before ? 0 : 1;
 }
 
 std::string StepPlanner::given_up() const {

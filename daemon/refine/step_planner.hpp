@@ -52,6 +52,16 @@ class StepPlanner {
   /// frame_ms         from submission to result
   void learn(const std::vector<std::vector<double>>& energies, float displacement_ms, float frame_ms);
 
+  /// The plans that the next frames may have, the likeliest first; not those that a probe's outcome leads to.
+  std::vector<StepPlan> coming() const;
+  /// Another number wherever coming() would say something else than before.
+  std::uint64_t changes() const { return changes_; }
+
+  /// Whether the last plan is wanted for its energy alone, so that the frame can do without it.
+  bool can_wait() const { return rung_ == 0 && !cold_; }
+  /// The frame does without it: it has this plan. The one that can wait comes again.
+  void postpone(const StepPlan& instead);
+
   /// How far the last plan is thinned out: 0 not at all.
   int rung() const { return rung_; }
 
@@ -61,6 +71,8 @@ class StepPlanner {
  private:
   int last_rung() const { return 1 + static_cast<int>(vertex_counts_.size()); }
   StepPlan plan_of(int rung) const;
+  StepPlan probe_of(StepPlan plan) const;
+  StepPlan cold_start_of(StepPlan plan) const;
   double work(const StepPlan& plan) const;
   double predicted_ms(int rung) const;
   void choose_rung(float time_limit_ms);
@@ -69,6 +81,7 @@ class StepPlanner {
   std::vector<int> wanted_;  ///< [level] steps that pay
   StepPlan plan_;
   std::uint64_t frames_ = 0;
+  std::uint64_t changes_ = 0;
   bool cold_ = true;  ///< the last plan was a cold start's
   int rung_ = 0;
   int calm_frames_ = 0;     ///< for which a richer plan would have fitted

@@ -46,11 +46,16 @@ void main() {
   vec2 unit_sums = vec2(0);
   vec3 seen_sum = vec3(0);
   vec3 mean_sum = vec3(0);
-  for (uint group = 0; group < gl_NumWorkGroups.x; ++group) {
+  for (uint group = gl_LocalInvocationID.x; group < gl_NumWorkGroups.x; group += kGroupSize) {
     unit_sums += albedo_units[group];
     seen_sum += albedo_tints[2 * group].rgb;
     mean_sum += albedo_tints[2 * group + 1].rgb;
   }
+  vec4 first_sums = workgroup_sum(vec4(seen_sum, unit_sums.x));
+  vec4 second_sums = workgroup_sum(vec4(mean_sum, unit_sums.y));
+  seen_sum = first_sums.rgb;
+  mean_sum = second_sums.rgb;
+  unit_sums = vec2(first_sums.w, second_sums.w);
   vec3 tint = all(greaterThan(mean_sum, vec3(0))) ? seen_sum / mean_sum : vec3(1);
   if (gl_GlobalInvocationID.x == 0) {
     albedo_tint = vec4(tint, 0);

@@ -8,6 +8,11 @@ FACET_LAYOUT_BEGIN(refine)
 
 // linear_image makes blocks of so many pixels squared: whole pixels of the quarter image.
 FACET_LAYOUT_CONSTANT int kImageBlockPx = 4;
+// A pixel of its last mip covers so many squared, and the image is whole tiles, so that every mip is half the one
+// before. A vertex reads a mip of half its distance to its neighbours: 64 px are more than any face's are in a picture
+// of 2,048 px.
+FACET_LAYOUT_CONSTANT int kImageTilePx = 32;
+FACET_LAYOUT_CONSTANT int kImageMips = 6;  // with the image itself
 
 // What changes from frame to frame; the host writes it before each submission.
 struct FrameParameters {
@@ -90,9 +95,10 @@ FACET_LAYOUT_OFFSET(ViewGain, gain, 32)
 
 struct ViewPush {
   uint vertex_count;
-  uint last;  // merge_view: 1 for the last camera
+  uint last;         // merge_view: 1 for the last camera
+  uint group_count;  // workgroups that view_sums runs with
 };
-FACET_LAYOUT_SIZE(ViewPush, 8)
+FACET_LAYOUT_SIZE(ViewPush, 12)
 
 struct LightingPush {
   uint vertex_count;

@@ -1,7 +1,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_control_flow_attributes : require
 #include "layout.h"
-#include "common/workgroup.glsl"
 #include "lighting.glsl"
 
 // Solves [MD19 eq. 3] by Cholesky. One workgroup. The temporal weight counts in units of what the vertices weigh
@@ -30,14 +30,27 @@ const float kFirstPrior = 1e-3;
 // Relative to the matrix's largest entry: below it a direction of light is not determined at all.
 const float kLeastPrior = 1e-6;
 
+// Each sum is added up in so many slices side by side, and these one after the other: always in the same order.
+const uint kSlices = 6;
+layout(local_size_x = 128) in;
+shared vec4 slices[kSlices * kLightingSums];
 shared vec4 total[kLightingSums];
 
 void main() {
-  uint part = gl_LocalInvocationID.x;
-  if (part < kLightingSums) {
+  uint part = gl_LocalInvocationID.x % kLightingSums;
+  uint slice = gl_LocalInvocationID.x / kLightingSums;
+  if (slice < kSlices) {
     vec4 sum = vec4(0);
-    for (uint group = 0; group < push.group_count; ++group) {
+    for (uint group = slice; group < push.group_count; group += kSlices) {
       sum += lighting_sums[group * kLightingSums + part];
+    }
+    slices[gl_LocalInvocationID.x] = sum;
+  }
+  barrier();
+  if (slice == 0) {
+    vec4 sum = slices[part];
+    for (uint k = 1; k < kSlices; ++k) {
+      sum += slices[k * kLightingSums + part];
     }
     total[part] = sum;
   }
@@ -50,10 +63,11 @@ void main() {
     light = previous;
     return;
   }
+  // Unrolled, so that the matrix lies in registers: arrays under a running index go to memory.
   float a[9][9];
   float b[9];
-  for (int row = 0; row < 4; ++row) {
-    for (int column = 0; column < 4; ++column) {
+  [[unroll]] for (int row = 0; row < 4; ++row) {
+    [[unroll]] for (int column = 0; column < 4; ++column) {
       a[row][column] = total[column][row];
       a[row][column + 4] = total[column + 4][row];
       a[row + 4][column] = total[row + 4][column];
@@ -72,7 +86,7 @@ void main() {
   bool keep = frame.keep_lighting > 0 && previous.valid > 0;
   float weight = (keep ? max(push.temporal_weight, kLeastPrior) : kFirstPrior) * scale;
   float prior[9];
-  for (int row = 0; row < 4; ++row) {
+  [[unroll]] for (int row = 0; row < 4; ++row) {
     prior[row] = keep ? previous.low[row] : 0;
     prior[row + 4] = keep ? previous.middle[row] : 0;
   }
@@ -80,30 +94,30 @@ void main() {
   if (!keep) {
     prior[0] = b[0] / scale;
   }
-  for (int row = 0; row < 9; ++row) {
+  [[unroll]] for (int row = 0; row < 9; ++row) {
     a[row][row] += weight;
     b[row] += weight * prior[row];
   }
 
-  for (int column = 0; column < 9; ++column) {
-    for (int k = 0; k < column; ++k) {
-      for (int row = column; row < 9; ++row) {
+  [[unroll]] for (int column = 0; column < 9; ++column) {
+    [[unroll]] for (int k = 0; k < column; ++k) {
+      [[unroll]] for (int row = column; row < 9; ++row) {
         a[row][column] -= a[row][k] * a[column][k];
       }
     }
     float inverse = inversesqrt(max(a[column][column], 1e-12 * scale));
-    for (int row = column; row < 9; ++row) {
+    [[unroll]] for (int row = column; row < 9; ++row) {
       a[row][column] *= inverse;
     }
   }
-  for (int row = 0; row < 9; ++row) {
-    for (int k = 0; k < row; ++k) {
+  [[unroll]] for (int row = 0; row < 9; ++row) {
+    [[unroll]] for (int k = 0; k < row; ++k) {
       b[row] -= a[row][k] * b[k];
     }
     b[row] /= a[row][row];
   }
-  for (int row = 8; row >= 0; --row) {
-    for (int k = row + 1; k < 9; ++k) {
+  [[unroll]] for (int row = 8; row >= 0; --row) {
+    [[unroll]] for (int k = row + 1; k < 9; ++k) {
       b[row] -= a[k][row] * b[k];
     }
     b[row] /= a[row][row];

@@ -4,14 +4,15 @@
 #include "common/workgroup.glsl"
 
 // Cameras differ in exposure and white balance. One gain per channel brings a further camera's colours to those
-// of the reference camera: the ratio of what both show of the vertices of M0 that both see, weighted by the
-// smaller trust of the two, over a few frames. One workgroup.
+// of the reference camera: the ratio of what both show of the vertices of M0 that both see, over a few frames. One
+// workgroup.
 
 layout(push_constant) uniform Push {
   ViewPush push;
 };
-uniform samplerBuffer colours;       // [vertex_count] linear RGB of the cameras before, weight
-uniform samplerBuffer view_colours;  // [vertex_count] of this camera
+layout(std430) readonly buffer ViewSums {
+  vec4 view_sums[];  // [group_count][2]
+};
 layout(std430) buffer Gain {
   ViewGain view_gain;
 };
@@ -24,14 +25,9 @@ const float kLargestGain = 16;
 void main() {
   vec4 merged = vec4(0);
   vec4 seen = vec4(0);
-  for (uint i = gl_LocalInvocationID.x; i < push.vertex_count; i += kGroupSize) {
-    vec4 before = texelFetch(colours, int(i));
-    vec4 own = texelFetch(view_colours, int(i));
-    float weight = min(before.w, own.w);
-    if (weight > 0) {
-      merged += weight * vec4(before.rgb, 1);
-      seen += weight * vec4(own.rgb, 1);
-    }
+  for (uint group = gl_LocalInvocationID.x; group < push.group_count; group += kGroupSize) {
+    merged += view_sums[2 * group];
+    seen += view_sums[2 * group + 1];
   }
   merged = workgroup_sum(merged);
   seen = workgroup_sum(seen);

@@ -108,6 +108,14 @@ TEST_F(DeviceFaultsTest, MemoryThatEndsAnywhereInTheSubjectIsSaid) {
   EXPECT_EQ(stage->refine(input_, output_), RefineOutcome::Refined) << output_.failure;
 }
 
+// shaderStorageImageWriteWithoutFormat, which some phones' GPUs lack: every kernel names its format.
+TEST_F(DeviceFaultsTest, ImagesNeedNoWritesWithoutFormat) {
+  set("no-writes-without-format");
+  const std::unique_ptr<RefineStage> stage = refiner_opener(options(), {})();
+  stage->set_subject(subject_);
+  EXPECT_EQ(stage->refine(input_, output_), RefineOutcome::Refined) << output_.failure;
+}
+
 TEST_F(DeviceFaultsTest, APictureWithoutRoomLeavesFramesCoarse) {
   Messages messages;
   const auto refiner = recovering(messages);

@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <bit>
 #include <cmath>
 #include <cstring>
@@ -65,12 +66,14 @@ gpu::Buffer upload_parameters(gpu::Context& context, const FrameParameters& para
   return out;
 }
 
-/// Fills level 0 of the linear image with one colour.
+/// Fills the levels that linear_image makes with one colour.
 void fill_linear(gpu::Context& context, const ImagePyramid& pyramid, std::uint32_t half_pair) {
   gpu::Buffer colour(context, pyramid.linear.level_bytes(0), gpu::Memory::Device, "fill");
   gpu::run_now(context, "fill", [&](gpu::Batch& batch) {
     batch.fill(colour, half_pair);
-    batch.copy(colour, pyramid.linear, 0);
+    for (const std::uint32_t mip : {0U, 1U, 2U}) {
+      batch.copy(colour, pyramid.linear, mip);
+    }
   });
 }
 
@@ -143,7 +146,7 @@ TEST_F(RefineObservation, LinearImageAgreesWithTheScalarOneAndStaysInItsRegion) 
     const Frame frame = random_frame(width, height, 7);
     const ImagePyramid pyramid(context(), width, height);
     ASSERT_EQ(pyramid.reduction, width > 2048 ? 2 : 1);
-    pyramid.write(frame, {0, 0}, {width, height});
+    pyramid.write(frame);
     FrameParameters parameters = parameters_of(pyramid);
     const auto linear_width = static_cast<int>(pyramid.linear.width_px());
     const auto linear_height = static_cast<int>(pyramid.linear.height_px());
@@ -152,8 +155,10 @@ TEST_F(RefineObservation, LinearImageAgreesWithTheScalarOneAndStaysInItsRegion) 
     constexpr std::uint32_t kHalfThrees = 0x42004200;
     fill_linear(context(), pyramid, kHalfThrees);
     const ObservationKernels kernels(context());
-    gpu::run_now(context(), "image",
-                 [&](gpu::Batch& batch) { kernels.record_image(batch, pyramid, uniform); });
+    gpu::run_now(context(), "image", [&](gpu::Batch& batch) {
+      kernels.record_image(batch, pyramid, uniform);
+      kernels.record_mips(batch, pyramid, uniform);
+    });
 
     const std::vector<float> found = read_linear(context(), pyramid);
     const int k = pyramid.reduction;
@@ -185,13 +190,16 @@ TEST_F(RefineObservation, LinearImageAgreesWithTheScalarOneAndStaysInItsRegion) 
       }
     }
     std::vector<float> above = found;
-    for (const std::uint32_t mip : {1U, 2U}) {
+    ASSERT_EQ(pyramid.linear.level_count(), 6U);
+    for (std::uint32_t mip = 1; mip < pyramid.linear.level_count(); ++mip) {
       const std::vector<float> mean = read_linear(context(), pyramid, mip);
       const auto above_width = static_cast<int>(pyramid.linear.width_px(mip - 1));
       const auto mip_width = static_cast<int>(pyramid.linear.width_px(mip));
-      // Made of whole pixels of the region alone: half and quarter size, whatever the source's size is.
+      ASSERT_EQ(above_width, 2 * mip_width) << "whatever the source's size is";
+      // Half and quarter size are made of the region's pixels alone, smaller ones wherever it touches them.
+      const int outside = mip <= 2 ? 4 >> mip : 0;
       for (int y = 0; y < static_cast<int>(pyramid.linear.height_px(mip)); ++y) {
-        for (int x = 4 >> mip; x < mip_width - (4 >> mip); ++x) {
+        for (int x = outside; x < mip_width - outside; ++x) {
           for (int c = 0; c < 4; ++c) {
             float sum = 0;
             for (const int i : {0, 1, above_width, above_width + 1}) {
@@ -370,13 +378,30 @@ struct RampScene {
 
   void upload_image(gpu::Context& context) const { upload_image(context, pyramid); }
   void upload_image(gpu::Context& context, const ImagePyramid& onto) const {
-    gpu::Buffer staging(context, onto.linear.level_bytes(0), gpu::Memory::Upload, "ramp");
-    std::copy(linear.begin(), linear.end(), staging.mapped_as<std::uint16_t>().begin());
-    const gpu::Downsampler downsampler(context);
-    gpu::run_now(context, "ramp", [&](gpu::Batch& batch) {
-      batch.copy(staging, onto.linear, 0);
-      downsampler.record(batch, onto.linear);
-    });
+    std::vector<std::uint16_t> level = linear;
+    for (std::uint32_t mip = 0; mip < onto.linear.level_count(); ++mip) {
+      const gpu::Buffer staging(context, onto.linear.level_bytes(mip), gpu::Memory::Upload, "ramp");
+      std::ranges::copy(level, staging.mapped_as<std::uint16_t>().begin());
+      gpu::run_now(context, "ramp", [&](gpu::Batch& batch) { batch.copy(staging, onto.linear, mip); });
+      level = halved(level, onto.linear.width_px(mip));
+    }
+  }
+
+  /// Means of 2x2 pixels, width of the level that is halved.
+  static std::vector<std::uint16_t> halved(const std::vector<std::uint16_t>& level, std::size_t width) {
+    std::vector<std::uint16_t> out;
+    for (std::size_t y = 0; y + 1 < level.size() / 4 / width; y += 2) {
+      for (std::size_t x = 0; x + 1 < width; x += 2) {
+        for (std::size_t c = 0; c < 4; ++c) {
+          float sum = 0;
+          for (const std::size_t i : {std::size_t{0}, std::size_t{1}, width, width + 1}) {
+            sum += half_to_float(level[4 * (y * width + x + i) + c]);
+          }
+          out.push_back(to_half(sum / 4));
+        }
+      }
+    }
+    return out;
   }
 
   test::SmallProblem small;
