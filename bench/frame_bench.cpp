@@ -13,6 +13,7 @@
 #include <chrono>
 #include <cmath>
 #include <cstdint>
+#include <ctime>
 #include <fstream>
 #include <map>
 #include <memory>
@@ -49,9 +50,13 @@ struct Options {
   int height_px = 720;
   float min_edge_px = 2;
   int frames = 30;
+  int views = 0;                              ///< further cameras
   int learn = RefinerConfig().albedo_frames;  ///< frames before them, in which the albedo is learned
   double most_rms_mm = 0.005;
+  std::string kernel_cache = "auto";
+  std::string uploads = "auto";
   bool kernels = false;
+  bool learning = false;
   bool determinism = false;
   bool loss = false;
 };
@@ -60,15 +65,32 @@ double ms_since(Clock::time_point begin) {
   return std::chrono::duration<double, std::milli>(Clock::now() - begin).count();
 }
 
+/// Of all threads of this process, ms.
+double processor_ms() {
+  timespec now{};
+  ::clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &now);
+  return 1e3 * static_cast<double>(now.tv_sec) + 1e-6 * static_cast<double>(now.tv_nsec);
+}
+
 double quantile(std::vector<double> values, double share) {
   std::sort(values.begin(), values.end());
   return values.empty() ? 0
                         : values[static_cast<std::size_t>(share * static_cast<double>(values.size() - 1))];
 }
 
+facet::gpu::ContextOptions context_options(const Options& options) {
+  facet::gpu::ContextOptions out;
+  out.device = options.device;
+  out.kernel_cache = options.kernel_cache;
+  out.upload_memory = options.uploads == "host"     ? facet::gpu::UploadMemory::Host
+                      : options.uploads == "device" ? facet::gpu::UploadMemory::Device
+                                                    : facet::gpu::UploadMemory::Auto;
+  return out;
+}
+
 RefinerConfig config_of(const std::string& budget, const Options& options) {
   RefinerConfig config;
-  config.albedo_frames = options.learn;
+  config.albedo_frames = options.learn + (options.learning ? options.frames : 0);
   if (budget == "auto") {
     config.budget = facet::refine::Budget::Auto;
   } else if (budget == "paper") {
@@ -100,6 +122,10 @@ struct Footage {
       input.camera = synthetic::camera(scene);
       input.camera_from_head = synthetic::camera_from_head(scene);
       input.control_vertices_mm = &cap.vertices_mm;
+      views.push_back(std::vector<facet::refine::FurtherCamera>(
+          static_cast<std::size_t>(options.views),
+          {input.image, input.camera, Eigen::Isometry3f::Identity()}));
+      input.further_views = views.back();
     }
   }
   Footage(const Footage&) = delete;
@@ -114,6 +140,8 @@ struct Footage {
   synthetic::Cap cap;
   facet::refine::SubjectSetup subject;
   std::vector<facet::refine::RefineInput> inputs;
+  std::vector<std::vector<facet::refine::FurtherCamera>>
+      views;  ///< [picture] where the first camera stands, too
 };
 
 void refine(Refiner& refiner, const Footage& footage, int frame, RefineOutput& output) {
@@ -128,6 +156,31 @@ void refine(Refiner& refiner, const Footage& footage, int frame, RefineOutput& o
   }
 }
 
+/// What stands before the second frame, ms: the device as it was opened, kernels, a subject, the first frame.
+json measure_opening(Context& context, double device_ms, const Footage& footage, const Options& options) {
+  json out{{"open_device_ms", device_ms}};
+  const auto timed = [&](const char* name, const auto& what) {
+    const Clock::time_point begin = Clock::now();
+    what();
+    out[name] = ms_since(begin);
+  };
+  std::optional<Refiner> refiner;
+  RefineOutput output;
+  timed("open_kernels_ms", [&] { refiner.emplace(context, config_of(options.budget, options)); });
+  timed("open_subject_ms", [&] { refiner->set_subject(footage.subject); });
+  timed("open_first_frame_ms", [&] { refine(*refiner, footage, 0, output); });
+  const facet::gpu::KernelCacheState cache = context.kernel_cache();
+  out["kernel_cache_read_bytes"] = cache.read_bytes;
+  out["kernel_cache_written_bytes"] = cache.written_bytes;
+  fmt::print(
+      "opening: device {:.0f} ms, kernels {:.0f} ms, subject {:.0f} ms, first frame {:.0f} ms; kernel cache: "
+      "read {} bytes, wrote {}{}{}\n",
+      device_ms, out["open_kernels_ms"].get<double>(), out["open_subject_ms"].get<double>(),
+      out["open_first_frame_ms"].get<double>(), cache.read_bytes, cache.written_bytes,
+      cache.why.empty() ? "" : "; ", cache.why);
+  return out;
+}
+
 json measure_frames(Context& context, const Footage& footage, const Options& options) {
   Refiner refiner(context, config_of(options.budget, options));
   refiner.set_subject(footage.subject);
@@ -137,18 +190,26 @@ json measure_frames(Context& context, const Footage& footage, const Options& opt
     refine(refiner, footage, k, output);
   }
   std::vector<double> whole_ms;
+  std::vector<double> waited_ms;  // for plans to be recorded
   std::map<std::string, double> stages;
+  const double processor_before_ms = processor_ms();
   for (int k = 0; k < options.frames; ++k) {
     const Clock::time_point begin = Clock::now();
     refine(refiner, footage, learned + k, output);
     whole_ms.push_back(ms_since(begin));
+    if (output.recording_ms > 0) {
+      waited_ms.push_back(static_cast<double>(output.recording_ms));
+    }
     stages["upload_ms"] += static_cast<double>(output.upload_ms);
     stages["lighting_ms"] += static_cast<double>(output.lighting_ms);
     stages["albedo_ms"] += static_cast<double>(output.albedo_ms);
     stages["displacement_ms"] += static_cast<double>(output.displacement_ms);
     stages["readback_ms"] += static_cast<double>(output.readback_ms);
   }
-  json out{{"median_ms", quantile(whole_ms, 0.5)}, {"p99_ms", quantile(whole_ms, 0.99)}};
+  const double processor = (processor_ms() - processor_before_ms) / options.frames;
+  json out{{"processor_ms", processor},          {"median_ms", quantile(whole_ms, 0.5)},
+           {"p99_ms", quantile(whole_ms, 0.99)}, {"longest_ms", quantile(whole_ms, 1)},
+           {"recordings", waited_ms.size()},     {"longest_recording_ms", quantile(waited_ms, 1)}};
   double device_ms = 0;
   for (const auto& [stage, sum] : stages) {
     out[stage] = sum / options.frames;
@@ -162,6 +223,10 @@ json measure_frames(Context& context, const Footage& footage, const Options& opt
       options.frames, options.budget, out["median_ms"].get<double>(), out["p99_ms"].get<double>(), device_ms,
       out["upload_ms"].get<double>(), out["lighting_ms"].get<double>(), out["albedo_ms"].get<double>(),
       out["displacement_ms"].get<double>(), out["readback_ms"].get<double>());
+  fmt::print("processor (all threads, a software device's too): {:.2f} ms a frame\n", processor);
+  fmt::print(
+      "hitches: longest frame {:.3f} ms; {} frames waited for a plan to be recorded, at most {:.3f} ms\n",
+      out["longest_ms"].get<double>(), waited_ms.size(), out["longest_recording_ms"].get<double>());
   return out;
 }
 
@@ -318,7 +383,7 @@ json measure_loss(const Footage& footage, const Options& options) {
     out[name] = ms;
     all += ms;
   };
-  auto context = std::make_unique<Context>(facet::gpu::ContextOptions{.device = options.device});
+  auto context = std::make_unique<Context>(context_options(options));
   auto refiner = std::make_unique<Refiner>(*context, RefinerConfig());
   refiner->set_subject(footage.subject);
   RefineOutput output;
@@ -330,8 +395,7 @@ json measure_loss(const Footage& footage, const Options& options) {
     refiner.reset();
     context.reset();
   });
-  timed("open_ms",
-        [&] { context = std::make_unique<Context>(facet::gpu::ContextOptions{.device = options.device}); });
+  timed("open_ms", [&] { context = std::make_unique<Context>(context_options(options)); });
   timed("kernels_ms", [&] { refiner = std::make_unique<Refiner>(*context, RefinerConfig()); });
   timed("subject_ms", [&] { refiner->set_subject(footage.subject); });
   timed("first_frame_ms", [&] { refine(*refiner, footage, 2, output); });
@@ -348,13 +412,12 @@ json measure_loss(const Footage& footage, const Options& options) {
 
 bool run(const Options& options) {
   constexpr int kRepeats = 3;
-  Context context({.device = options.device});
+  const Clock::time_point begin = Clock::now();
+  Context context(context_options(options));
+  const double device_ms = ms_since(begin);
   const Footage footage(options);
-  json out{{"device", context.info().name},
-           {"budget", options.budget},
-           {"width_px", options.width_px},
-           {"height_px", options.height_px},
-           {"frames", options.frames}};
+  json out{{"device", context.info().name},  {"budget", options.budget}, {"width_px", options.width_px},
+           {"height_px", options.height_px}, {"views", options.views},   {"frames", options.frames}};
   fmt::print("{}: {}x{} px,", context.info().name, options.width_px, options.height_px);
   for (const facet::mesh::Level& level : footage.subject.hierarchy->levels) {
     out["vertices"].push_back(level.vertex_count);
@@ -362,6 +425,7 @@ bool run(const Options& options) {
   }
   fmt::print(" vertices\n");
   bool met = true;
+  out["opening"] = measure_opening(context, device_ms, footage, options);
   out["frame"] = measure_frames(context, footage, options);
   if (options.kernels) {
     out["kernels"] = measure_kernels(context, footage, options);
@@ -418,9 +482,19 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(0.5, 64.0))
       ->capture_default_str();
   app.add_option("--frames", options.frames)->check(CLI::Range(1, 10'000))->capture_default_str();
+  app.add_option("--views", options.views, "further cameras, which see what the first one sees")
+      ->check(CLI::Range(0, 8))
+      ->capture_default_str();
   app.add_option("--learn", options.learn, "frames before those, in which the albedo is learned")
       ->check(CLI::Range(0, 1000))
       ->capture_default_str();
+  app.add_option("--kernel-cache", options.kernel_cache,
+                 "folder of the kernels compiled before; empty: none. Run twice: the second start is warm")
+      ->capture_default_str();
+  app.add_option("--uploads", options.uploads, "memory that the host writes for the device")
+      ->check(CLI::IsMember({"auto", "host", "device"}))
+      ->capture_default_str();
+  app.add_flag("--learning", options.learning, "the albedo learns in the measured frames, too");
   app.add_flag("--kernels", options.kernels, "time every kernel on every level, too");
   app.add_flag("--determinism", options.determinism,
                "the same frames three times: exit 1 unless the bits are equal");
