@@ -36,7 +36,7 @@ layout(local_size_x = 128) in;
 shared vec4 slices[kSlices * kLightingSums];
 shared vec4 total[kLightingSums];
 
-void main() {
+void add_up() {
   uint part = gl_LocalInvocationID.x % kLightingSums;
   uint slice = gl_LocalInvocationID.x / kLightingSums;
   if (slice < kSlices) {
@@ -55,6 +55,10 @@ void main() {
     total[part] = sum;
   }
   barrier();
+}
+
+void main() {
+  add_up();
   if (gl_LocalInvocationID.x != 0) {
     return;
   }
