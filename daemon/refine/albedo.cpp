@@ -57,7 +57,7 @@ void AlbedoKernels::record(gpu::Batch& batch, const LevelTopology& topology, con
   batch.dispatch(accumulate_,
                  {{"frame", frame},
                   {"vertex_rings", topology.vertex_rings.view},
-                  {"ring_indices", topology.ring_indices},
+                  {"ring_indices", topology.ring_indices.view},
                   {"positions", state.positions.view},
                   {"normals", state.normals.view},
                   {"colours", state.colours.view},
@@ -70,7 +70,7 @@ void AlbedoKernels::record(gpu::Batch& batch, const LevelTopology& topology, con
                  groups, push);
   batch.dispatch(bend_,
                  {{"vertex_rings", topology.vertex_rings.view},
-                  {"ring_indices", topology.ring_indices},
+                  {"ring_indices", topology.ring_indices.view},
                   {"deviations", albedo.deviations.view},
                   {"albedo_sums", albedo.sums.view},
                   {"albedo_bends", albedo.bends.buffer},
@@ -78,7 +78,7 @@ void AlbedoKernels::record(gpu::Batch& batch, const LevelTopology& topology, con
                  groups, push);
   batch.dispatch(gradient_,
                  {{"vertex_rings", topology.vertex_rings.view},
-                  {"ring_indices", topology.ring_indices},
+                  {"ring_indices", topology.ring_indices.view},
                   {"deviations", albedo.deviations.view},
                   {"mean_albedo", albedo.mean.view},
                   {"albedo_tints", albedo.tints},
@@ -95,7 +95,7 @@ void AlbedoKernels::record(gpu::Batch& batch, const LevelTopology& topology, con
     push.iteration = static_cast<std::uint32_t>(iteration);
     batch.dispatch(direction_,
                    {{"vertex_rings", topology.vertex_rings.view},
-                    {"ring_indices", topology.ring_indices},
+                    {"ring_indices", topology.ring_indices.view},
                     {"albedo_searches", albedo.searches.view},
                     {"albedo_changes", albedo.changes.view},
                     {"albedo_bends", albedo.bends.buffer},
@@ -103,7 +103,7 @@ void AlbedoKernels::record(gpu::Batch& batch, const LevelTopology& topology, con
                    groups, push);
     batch.dispatch(update_,
                    {{"vertex_rings", topology.vertex_rings.view},
-                    {"ring_indices", topology.ring_indices},
+                    {"ring_indices", topology.ring_indices.view},
                     {"albedo_bends", albedo.bends.view},
                     {"albedo_states", albedo.states},
                     {"albedo_changes", albedo.changes.buffer},
@@ -143,16 +143,17 @@ void AlbedoKernels::record_prolong(gpu::Batch& batch, const LevelTopology& topol
                  {topology.workgroup_count}, push);
 }
 
-void AlbedoKernels::record_restrict(gpu::Batch& batch, const LevelTopology& topology, const LevelState& finer,
-                                    const LevelState& state, std::uint32_t vertex_count,
-                                    std::uint32_t workgroup_count) const {
-  const shaders::refine::LevelPush push{vertex_count, 0, 0, 0};
+void AlbedoKernels::record_restrict(gpu::Batch& batch, const LevelTopology& finer_topology,
+                                    const LevelState& finer, const LevelTopology& topology,
+                                    const LevelState& state, const gpu::TexelView& in_finer) const {
+  const shaders::refine::LevelPush push{topology.vertex_count, 0, 0, 0};
   batch.dispatch(restrict_,
-                 {{"vertex_rings", topology.vertex_rings.view},
-                  {"ring_indices", topology.ring_indices},
+                 {{"vertex_rings", finer_topology.vertex_rings.view},
+                  {"ring_indices", finer_topology.ring_indices.view},
                   {"finer", finer.albedo.view},
+                  {"in_finer", in_finer},
                   {"albedo", state.albedo.buffer}},
-                 {workgroup_count}, push);
+                 {topology.workgroup_count}, push);
 }
 
 }  // namespace facet::refine

@@ -56,10 +56,12 @@ class AlbedoKernels {
   void record_prolong(gpu::Batch& batch, const LevelTopology& topology, const LevelStencils& stencils,
                       const LevelState& coarser, const LevelState& state) const;
 
-  /// Records the albedo of a coarser level from the next finer one's. topology: of the finer level.
-  void record_restrict(gpu::Batch& batch, const LevelTopology& topology, const LevelState& finer,
-                       const LevelState& state, std::uint32_t vertex_count,
-                       std::uint32_t workgroup_count) const;
+  /// Records the albedo of a coarser level from the next finer one's.
+  /// finer_topology, finer  of the finer level
+  /// in_finer               [vertex_count] of the coarser level: the vertex in the finer one
+  void record_restrict(gpu::Batch& batch, const LevelTopology& finer_topology, const LevelState& finer,
+                       const LevelTopology& topology, const LevelState& state,
+                       const gpu::TexelView& in_finer) const;
 
  private:
   gpu::Kernel accumulate_;

@@ -1,6 +1,5 @@
 #pragma once
 
-#include <array>
 #include <cstdint>
 
 #include "gpu/batch.hpp"
@@ -26,10 +25,11 @@ struct DisplacementOptions {
 
 /// What the solver writes between its kernels; shared by all levels.
 struct SolverScratch {
-  /// capacity        of the largest level; also the dummy vertex of every LevelTopology that is solved with
-  /// it group_capacity  ring groups of the largest level
+  /// capacity        vertices of the largest level
+  /// group_capacity  ring groups of the largest level
+  /// places          LevelPatches::place_count of the largest
   SolverScratch(gpu::Context& context, std::uint32_t capacity, std::uint32_t group_capacity,
-                std::uint32_t energy_slots, int pcg_iterations);
+                std::uint32_t places, std::uint32_t energy_slots);
 
   /// The energy before step `slot`, summed over the workgroups that ran.
   double energy(std::uint32_t slot, std::uint32_t workgroup_count) const;
@@ -38,14 +38,14 @@ struct SolverScratch {
   DeviceArray bends;
   DeviceArray jacobian_rows;
   DeviceArray jacobian_columns;
-  std::array<DeviceArray, 2> solver_states;  ///< by turns: read in one iteration, written in the next
-  DeviceArray preconditioned;
-  std::array<DeviceArray, 2> products;  ///< the same
-  DeviceArray sums;
+  DeviceArray solver_starts;
+  DeviceArray preconditioned;  ///< [place], as the two below
+  DeviceArray products;
+  DeviceArray states;
   gpu::Buffer energies;  ///< [slot][workgroup], for the host
 };
 
-/// The kernels of the displacement solve: two before and two for each PCG iteration.
+/// The kernels of the displacement solve: three a Gauss-Newton step.
 class DisplacementKernels {
  public:
   explicit DisplacementKernels(gpu::Context& context);
@@ -66,8 +66,7 @@ class DisplacementKernels {
  private:
   gpu::Kernel linearise_;
   gpu::Kernel gradient_;
-  gpu::Kernel direction_;
-  gpu::Kernel update_;
+  gpu::Kernel solve_patches_;
 };
 
 }  // namespace facet::refine

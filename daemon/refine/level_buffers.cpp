@@ -33,16 +33,18 @@ std::size_t count_groups(const mesh::OneRings& rings) {
 }  // namespace
 
 LevelTopology::LevelTopology(gpu::Context& context, const mesh::OneRings& rings,
-                             const std::vector<std::uint8_t>& free, std::int32_t dummy_vertex,
-                             const std::vector<float>& trust)
+                             const std::vector<std::uint8_t>& free, const std::vector<std::int32_t>& curve,
+                             const std::vector<float>& trust, std::uint32_t patch_vertices)
     : vertex_count(static_cast<std::uint32_t>(rings.on_boundary.size())),
       group_count(static_cast<std::uint32_t>(count_groups(rings))),
       workgroup_count(std::min(context.info().workgroup_count, gpu::groups_for(vertex_count, kGroupSize))),
       vertex_rings(context, vertex_count, gpu::TexelFormat::Rg32i, "vertex_rings"),
-      ring_groups(context, group_count, gpu::TexelFormat::Rgba32i, "ring_groups"),
-      ring_indices(ring_groups.buffer, gpu::TexelFormat::R32i) {
+      ring_indices(context, kLanes * group_count, gpu::TexelFormat::R32i, "ring_indices"),
+      patches(context, cut_patches(rings, free, curve,
+                                   patch_vertices != 0 ? patch_vertices : context.info().patch_vertices,
+                                   context.info().patch_places)) {
   std::vector<std::array<std::int32_t, 2>> packed_rings(vertex_count);
-  std::vector<std::int32_t> packed_groups(kLanes * group_count, dummy_vertex);
+  std::vector<std::int32_t> packed_groups(kLanes * group_count, 0);
   std::size_t group = 0;
   for (std::size_t v = 0; v < vertex_count; ++v) {
     const std::size_t size = ring_size(rings, v);
@@ -56,7 +58,7 @@ LevelTopology::LevelTopology(gpu::Context& context, const mesh::OneRings& rings,
     group += (size + kLanes - 1) / kLanes;
   }
   gpu::upload(context, vertex_rings.buffer, std::as_bytes(std::span(packed_rings)));
-  gpu::upload(context, ring_groups.buffer, std::as_bytes(std::span(packed_groups)));
+  gpu::upload(context, ring_indices.buffer, std::as_bytes(std::span(packed_groups)));
 }
 
 LevelStencils::LevelStencils(gpu::Context& context, const mesh::SparseRows& rows)

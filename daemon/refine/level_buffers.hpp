@@ -5,27 +5,29 @@
 
 #include "gpu/device_array.hpp"
 #include "mesh/hierarchy.hpp"
+#include "refine/patches.hpp"
 
 namespace facet::refine {
 
 using gpu::clear;
 using gpu::DeviceArray;
 
-/// The one-rings of one level as shaders/refine/topology.glsl reads them.
+/// The one-rings of one level as shaders/refine/topology.glsl reads them, and its patches.
 struct LevelTopology {
   /// free          [vertex_count] 1 where shading may move the vertex; boundary vertices never are
-  /// dummy_vertex  index that fills up the last group of a ring; the arrays that PCG gathers from hold 0
-  /// there
+  /// curve         [vertex_count] vertices in the order in which patches are cut of them: DeviceOrder::curve
   /// trust         [vertex_count] 0 to 1, kept in 8 bits: SubjectSetup::trust. Empty: 1
+  /// patch_vertices  of a patch at most; 0: DeviceInfo::patch_vertices
   LevelTopology(gpu::Context& context, const mesh::OneRings& rings, const std::vector<std::uint8_t>& free,
-                std::int32_t dummy_vertex, const std::vector<float>& trust = {});
+                const std::vector<std::int32_t>& curve, const std::vector<float>& trust = {},
+                std::uint32_t patch_vertices = 0);
 
   std::uint32_t vertex_count;
   std::uint32_t group_count;      ///< groups of four ring entries
   std::uint32_t workgroup_count;  ///< that every kernel over this level's vertices runs with
   DeviceArray vertex_rings;
-  DeviceArray ring_groups;
-  gpu::TexelView ring_indices;  ///< the groups as single entries
+  DeviceArray ring_indices;  ///< each ring filled up to whole groups
+  LevelPatches patches;
 };
 
 /// Rows of stencils from the next coarser level.

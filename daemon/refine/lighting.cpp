@@ -38,7 +38,7 @@ void LightingKernels::record_pass(gpu::Batch& batch, const LevelTopology& topolo
                                            options.temporal_weight, robust_scale, options.metric_floor};
   batch.dispatch(sums_,
                  {{"vertex_rings", topology.vertex_rings.view},
-                  {"ring_indices", topology.ring_indices},
+                  {"ring_indices", topology.ring_indices.view},
                   {"positions", state.positions.view},
                   {"normals", state.normals.view},
                   {"colours", state.colours.view},

@@ -261,7 +261,7 @@ void ObservationKernels::record_observe(gpu::Batch& batch, const LevelTopology& 
   batch.dispatch(observe_,
                  {{"frame", frame},
                   {"vertex_rings", topology.vertex_rings.view},
-                  {"ring_indices", topology.ring_indices},
+                  {"ring_indices", topology.ring_indices.view},
                   {"positions", state.positions.view},
                   {"linear_image", pyramid.linear, sampler_},
                   {"depth_bits", map.depth_bits},

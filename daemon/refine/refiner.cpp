@@ -13,6 +13,7 @@
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "refine/albedo.hpp"
+#include "refine/device_order.hpp"
 #include "refine/displacement_kernels.hpp"
 #include "refine/lighting.hpp"
 #include "refine/observation.hpp"
@@ -37,15 +38,20 @@ constexpr std::uint64_t kAlbedoRefreshFrames = 8;
 constexpr float kAlbedoNewsShare = 0.005F;
 
 struct Level {
-  Level(gpu::Context& context, const mesh::Level& level, const std::vector<std::uint8_t>& free,
-        std::int32_t dummy_vertex, const std::vector<float>& trust)
-      : topology(context, level.one_rings, free, dummy_vertex, trust),
-        stencils(context, level.from_coarser),
+  /// coarser  order of the next coarser level's vertices; nullptr at the coarsest
+  Level(gpu::Context& context, const mesh::Hierarchy& hierarchy, std::size_t index,
+        const std::vector<std::uint8_t>& free, const std::vector<float>& trust, const DeviceOrder* coarser)
+      : order(device_order(hierarchy.levels[index].one_rings, hierarchy.texture_coordinates)),
+        topology(context, reordered(hierarchy.levels[index].one_rings, order), reordered(free, order),
+                 order.curve, reordered(trust, order)),
+        stencils(context, reordered(hierarchy.levels[index].from_coarser, order, coarser)),
         state(context, topology.vertex_count) {}
 
+  DeviceOrder order;
   LevelTopology topology;
   LevelStencils stencils;
   LevelState state;
+  std::optional<DeviceArray> in_finer;  ///< fine_albedo: [vertex_count] device index in the next finer level
 };
 
 DisplacementOptions displacement_options(const RefinerConfig& config, bool has_prior, int steps,
@@ -81,13 +87,9 @@ bool plans_frames(const RefinerConfig& config) {
   return config.budget == Budget::Auto && config.hierarchical;
 }
 
-/// Gauss-Newton steps and PCG iterations that a plan may have at most.
+/// Gauss-Newton steps that a plan may have at most.
 int most_steps(const RefinerConfig& config) {
   return plans_frames(config) ? StepPlanner::kMostSteps : constant_plan(config, 1).steps.back();
-}
-
-int most_pcg_iterations(const RefinerConfig& config) {
-  return plans_frames(config) ? StepPlanner::kPcgIterations : constant_plan(config, 1).pcg_iterations;
 }
 
 std::uint32_t first_energy_slot(const RefinerConfig& config, std::size_t level) {
@@ -118,6 +120,14 @@ void check(const RefinerConfig& config) {
   }
 }
 
+std::uint32_t most_places(const std::vector<std::unique_ptr<Level>>& levels) {
+  std::uint32_t most = 0;
+  for (const std::unique_ptr<Level>& level : levels) {
+    most = std::max(most, level->topology.patches.place_count);
+  }
+  return most;
+}
+
 }  // namespace
 
 /// Everything on the device that belongs to one subject.
@@ -126,15 +136,17 @@ struct SubjectBuffers {
 
   std::uint32_t control_vertex_count;
   std::vector<std::unique_ptr<Level>> levels;
-  DeviceArray control;  ///< [control_vertex_count] shading frame, mm; the host writes it every frame
+  mesh::Triangles triangles;  ///< of the coarsest level, in device order
+  DeviceArray handed_out_as;  ///< [finest vertex_count] DeviceOrder::host_index
+  DeviceArray control;        ///< [control_vertex_count] shading frame, mm; the host writes it every frame
   std::vector<vec4> control_written;  ///< what was last copied to `control`
   gpu::Buffer frame;                  ///< FrameParameters
   SolverScratch scratch;
   OcclusionMap depth;
   LightingState lighting;
   AlbedoState albedo;
-  gpu::Buffer displacements_out;
-  gpu::Buffer confidences_out;
+  gpu::Buffer results;  ///< [finest vertex_count] vec2: displacement, confidence, in the hierarchy's order
+  gpu::Buffer results_out;
   gpu::Buffer errors_out;  ///< [workgroup] vec4
   gpu::Buffer light_out;
   gpu::Buffer albedo_out;
@@ -205,30 +217,33 @@ SubjectBuffers::SubjectBuffers(gpu::Context& context, const RefinerConfig& confi
                                const SubjectSetup& subject)
     : control_vertex_count(static_cast<std::uint32_t>(subject.hierarchy->control_vertex_count)),
       levels([&] {
-        const std::int32_t dummy = subject.hierarchy->finest().vertex_count;
         const auto free = free_vertices(*subject.hierarchy, subject.refinable);
         const auto trust = trust_of_levels(*subject.hierarchy, subject.trust);
         std::vector<std::unique_ptr<Level>> made;
         for (std::size_t l = 0; l < free.size(); ++l) {
-          made.push_back(
-              std::make_unique<Level>(context, subject.hierarchy->levels[l], free[l], dummy, trust[l]));
+          made.push_back(std::make_unique<Level>(context, *subject.hierarchy, l, free[l], trust[l],
+                                                 l > 0 ? &made.back()->order : nullptr));
         }
         return made;
       }()),
+      triangles(subject.hierarchy->levels.front().triangles.unaryExpr([&](std::int32_t vertex) {
+        return levels.front()->order.device_index[static_cast<std::size_t>(vertex)];
+      })),
+      handed_out_as(context, levels.back()->topology.vertex_count, gpu::TexelFormat::R32i, "handed out as"),
       control(context, control_vertex_count, gpu::TexelFormat::Rgba32f, "control vertices",
               gpu::Memory::Upload),
       frame(context, sizeof(FrameParameters), gpu::Memory::Upload, "frame parameters"),
       scratch(context, levels.back()->topology.vertex_count, levels.back()->topology.group_count,
-              static_cast<std::uint32_t>(levels.size()) * static_cast<std::uint32_t>(most_steps(config) + 1),
-              most_pcg_iterations(config)),
-      depth(context, subject.hierarchy->levels.front().triangles),
+              most_places(levels),
+              static_cast<std::uint32_t>(levels.size()) * static_cast<std::uint32_t>(most_steps(config) + 1)),
+      depth(context, triangles),
       lighting(context),
       albedo(context, (config.fine_albedo ? levels.back() : levels.front())->topology.vertex_count,
              albedo_options(config).pcg_iterations),
-      displacements_out(context, sizeof(float) * levels.back()->topology.vertex_count, gpu::Memory::Readback,
-                        "displacements"),
-      confidences_out(context, sizeof(float) * levels.back()->topology.vertex_count, gpu::Memory::Readback,
-                      "confidences"),
+      results(context, sizeof(shaders::vec2) * levels.back()->topology.vertex_count, gpu::Memory::Device,
+              "results"),
+      results_out(context, sizeof(shaders::vec2) * levels.back()->topology.vertex_count,
+                  gpu::Memory::Readback, "results read back"),
       errors_out(context, sizeof(vec4) * context.info().workgroup_count, gpu::Memory::Readback, "error sums"),
       light_out(context, sizeof(Light), gpu::Memory::Readback, "light read back"),
       albedo_out(context, sizeof(vec4) * levels.back()->topology.vertex_count, gpu::Memory::Readback,
@@ -237,14 +252,23 @@ SubjectBuffers::SubjectBuffers(gpu::Context& context, const RefinerConfig& confi
              plans_frames(config) ? std::nullopt
                                   : std::optional(constant_plan(config, subject.hierarchy->levels.size())),
              config.record_energies) {
+  gpu::upload(context, handed_out_as.buffer, std::as_bytes(std::span(levels.back()->order.host_index)));
   const bool known = subject.albedo != nullptr;
   const std::vector<mesh::Vertices> start =
       known ? known_albedo_of_levels(subject) : mean_albedo_of_levels(subject);
   for (std::size_t l = 0; l < levels.size(); ++l) {
-    const std::vector<vec4> packed = with_fourth(start[l], known ? 1 : 0);
+    const std::vector<vec4> packed = reordered(with_fourth(start[l], known ? 1 : 0), levels[l]->order);
     gpu::upload(context, levels[l]->state.albedo.buffer, std::as_bytes(std::span(packed)));
     if (l == (config.fine_albedo ? levels.size() - 1 : 0)) {
       gpu::upload(context, albedo.mean.buffer, std::as_bytes(std::span(packed)));
+    }
+    if (config.fine_albedo && l + 1 < levels.size()) {
+      std::vector<std::int32_t> in_finer = levels[l]->order.host_index;
+      for (std::int32_t& vertex : in_finer) {
+        vertex = levels[l + 1]->order.device_index[static_cast<std::size_t>(vertex)];
+      }
+      levels[l]->in_finer.emplace(context, in_finer.size(), gpu::TexelFormat::R32i, "in the finer level");
+      gpu::upload(context, levels[l]->in_finer->buffer, std::as_bytes(std::span(in_finer)));
     }
   }
 }
@@ -313,8 +337,8 @@ void Kernels::record_albedo(gpu::Batch& batch, const RefinerConfig& config,
     if (config.fine_albedo) {
       const Level& finer = *subject.levels[subject.levels.size() - l];
       const Level& level = *subject.levels[subject.levels.size() - l - 1];
-      albedo.record_restrict(batch, finer.topology, finer.state, level.state, level.topology.vertex_count,
-                             level.topology.workgroup_count);
+      albedo.record_restrict(batch, finer.topology, finer.state, level.topology, level.state,
+                             level.in_finer->view);
     } else {
       const Level& level = *subject.levels[l];
       albedo.record_prolong(batch, level.topology, level.stencils, subject.levels[l - 1]->state, level.state);
@@ -365,16 +389,18 @@ void Kernels::record_readback(gpu::Batch& batch, const RefinerConfig& config, co
   push.bound_mm = config.displacement_bound_mm;
   batch.dispatch(finish,
                  {{"vertex_rings", finest.topology.vertex_rings.view},
-                  {"ring_indices", finest.topology.ring_indices},
+                  {"ring_indices", finest.topology.ring_indices.view},
                   {"positions", finest.state.positions.view},
                   {"normals", finest.state.normals.view},
                   {"colours", finest.state.colours.view},
                   {"albedo", finest.state.albedo.view},
                   {"light", subject.lighting.light},
-                  {"displacements", subject.displacements_out},
-                  {"confidences", subject.confidences_out},
+                  {"handed_out_as", subject.handed_out_as.view},
+                  {"results", subject.results},
                   {"error_sums", subject.errors_out}},
                  {finest.topology.workgroup_count}, push);
+  // In one go: a GPU writes scattered numbers to the host's memory ten times as slowly as to its own.
+  batch.copy(subject.results, subject.results_out);
   batch.copy(subject.lighting.light, subject.light_out);
   if (learn) {
     batch.copy(finest.state.albedo.buffer, subject.albedo_out);
@@ -506,7 +532,7 @@ void Refiner::Impl::fit_views(std::span<const FurtherCamera> views) {
   there.clear();
   for (const FurtherCamera& view : views) {
     there.push_back(std::make_unique<FurtherCameraState>(context, view.camera.width_px, view.camera.height_px,
-                                                         hierarchy->levels.front().triangles));
+                                                         subject->triangles));
   }
   if (!subject->view_colours) {
     subject->view_colours.emplace(context, subject->levels.back()->topology.vertex_count,
@@ -551,10 +577,12 @@ void Refiner::Impl::read_albedo() {
   next->version = ++albedo_version;
   const std::span<const vec4> values = subject->albedo_out.mapped_as<vec4>();
   next->linear_rgb.resize(3 * values.size());
+  const std::vector<std::int32_t>& host_index = subject->levels.back()->order.host_index;
   for (std::size_t i = 0; i < values.size(); ++i) {
-    next->linear_rgb[3 * i] = values[i].x;
-    next->linear_rgb[3 * i + 1] = values[i].y;
-    next->linear_rgb[3 * i + 2] = values[i].z;
+    float* const rgb = next->linear_rgb.data() + 3 * static_cast<std::size_t>(host_index[i]);
+    rgb[0] = values[i].x;
+    rgb[1] = values[i].y;
+    rgb[2] = values[i].z;
   }
   albedo = std::move(next);
 }
@@ -575,10 +603,13 @@ std::vector<std::vector<double>> Refiner::Impl::read_energies(const StepPlan& pl
 }
 
 void Refiner::Impl::read(RefineOutput& output) {
-  const auto displacements = subject->displacements_out.mapped_as<float>();
-  const auto confidences = subject->confidences_out.mapped_as<float>();
-  output.displacements_mm.assign(displacements.begin(), displacements.end());
-  output.confidence.assign(confidences.begin(), confidences.end());
+  const auto results = subject->results_out.mapped_as<shaders::vec2>();
+  output.displacements_mm.resize(results.size());
+  output.confidence.resize(results.size());
+  for (std::size_t i = 0; i < results.size(); ++i) {
+    output.displacements_mm[i] = results[i].x;
+    output.confidence[i] = results[i].y;
+  }
   output.lighting = unpack_light(subject->light_out.mapped_as<Light>().front());
   double squares = 0;
   double visible = 0;

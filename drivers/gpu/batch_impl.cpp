@@ -16,10 +16,10 @@ namespace {
 constexpr std::uint32_t sets_per_pool = 64;
 constexpr std::uint32_t descriptors_per_set = 8;
 
-constexpr std::array descriptor_types{VK_DESCRIPTOR_TYPE_STORAGE_BUFFER, VK_DESCRIPTOR_TYPE_UNIFORM_BUFFER,
-                                      VK_DESCRIPTOR_TYPE_UNIFORM_TEXEL_BUFFER,
-                                      VK_DESCRIPTOR_TYPE_COMBINED_IMAGE_SAMPLER,
-                                      VK_DESCRIPTOR_TYPE_STORAGE_IMAGE};
+constexpr std::array descriptor_types{
+    VK_DESCRIPTOR_TYPE_STORAGE_BUFFER,       VK_DESCRIPTOR_TYPE_UNIFORM_BUFFER,
+    VK_DESCRIPTOR_TYPE_UNIFORM_TEXEL_BUFFER, VK_DESCRIPTOR_TYPE_COMBINED_IMAGE_SAMPLER,
+    VK_DESCRIPTOR_TYPE_STORAGE_IMAGE,        VK_DESCRIPTOR_TYPE_STORAGE_TEXEL_BUFFER};
 
 constexpr std::uint32_t by_anybody = Wait::bit(By::Kernel) | Wait::bit(By::Copy) | Wait::bit(By::Indirect);
 
@@ -68,6 +68,7 @@ const char* type_name(BindingType type) {
     case BindingType::UniformBuffer:
       return "a uniform buffer";
     case BindingType::TexelBuffer:
+    case BindingType::StorageTexels:
       return "a texel view";
     case BindingType::SampledImage:
       return "an image with a sampler";
@@ -289,6 +290,10 @@ Batch::Impl::Descriptor Batch::Impl::describe_texels(const Use& use) const {
   }
   const TexelView::Impl& view = use.binding.view->impl();
   check_device(view.device, use.info.name);
+  if (use.info.type == BindingType::StorageTexels && !view.storable) {
+    misuse(fmt::format("'{}' of kernel '{}': the device '{}' cannot write texels of that format",
+                       use.info.name, use.kernel, device->info().name));
+  }
   Descriptor descriptor;
   descriptor.texels = view.view;
   descriptor.access = {handle_bits(view.buffer), view.offset_bytes, view.offset_bytes + view.size_bytes,
@@ -332,6 +337,7 @@ Batch::Impl::Descriptor Batch::Impl::describe(const Use& use) const {
     case BindingType::UniformBuffer:
       return describe_buffer(use);
     case BindingType::TexelBuffer:
+    case BindingType::StorageTexels:
       return describe_texels(use);
     case BindingType::SampledImage:
     case BindingType::StorageImage:

@@ -84,8 +84,9 @@ Buffer::Impl::Impl(std::shared_ptr<Device> on, std::size_t bytes, Memory kind, s
   info.sType = VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO;
   info.size = bytes;
   info.usage = VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT |
-               VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT | VK_BUFFER_USAGE_UNIFORM_BUFFER_BIT |
-               VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_INDIRECT_BUFFER_BIT;
+               VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT | VK_BUFFER_USAGE_STORAGE_TEXEL_BUFFER_BIT |
+               VK_BUFFER_USAGE_UNIFORM_BUFFER_BIT | VK_BUFFER_USAGE_STORAGE_BUFFER_BIT |
+               VK_BUFFER_USAGE_INDIRECT_BUFFER_BIT;
   device->check(api.vkCreateBuffer(device->handle(), &info, nullptr, &buffer), what);
   try {
     VkMemoryRequirements needs{};
@@ -175,7 +176,9 @@ TexelView::Impl::Impl(const Buffer::Impl& of, TexelFormat format, std::size_t of
   const std::string what = fmt::format("create a texel view of buffer '{}'", of.name);
   device->check_not_lost(what);
   const VkFormat vulkan = vulkan_format(format);
-  if ((device->buffer_features(vulkan) & VK_FORMAT_FEATURE_UNIFORM_TEXEL_BUFFER_BIT) == 0) {
+  const VkFormatFeatureFlags features = device->buffer_features(vulkan);
+  storable = (features & VK_FORMAT_FEATURE_STORAGE_TEXEL_BUFFER_BIT) != 0;
+  if ((features & VK_FORMAT_FEATURE_UNIFORM_TEXEL_BUFFER_BIT) == 0) {
     throw Error(
         ErrorKind::NoDevice,
         fmt::format("cannot {}: the device '{}' has no texel buffers of that format", what, info.name));

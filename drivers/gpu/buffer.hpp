@@ -58,8 +58,9 @@ enum class TexelFormat { Rgba32f, Rg32f, R32f, Rgba16f, Rg16f, R16f, R32i, R32u,
 /// Bytes of one element.
 std::size_t texel_bytes(TexelFormat format);
 
-/// A typed, read-only view of a buffer: `samplerBuffer`, `isamplerBuffer`, `usamplerBuffer` in a kernel. On
-/// lavapipe it is the fast way to read (3 to 6 times a storage buffer). The buffer must outlive it.
+/// A typed view of a buffer: in a kernel `samplerBuffer`, `isamplerBuffer`, `usamplerBuffer` to read, and
+/// `imageBuffer`, `iimageBuffer`, `uimageBuffer` where one dispatch reads what it wrote. On lavapipe the fast
+/// way to read (3 to 6 times a storage buffer). The buffer must outlive it.
 class TexelView {
  public:
   /// offset_bytes   a multiple of DeviceInfo::buffer_alignment_bytes

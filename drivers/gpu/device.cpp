@@ -36,6 +36,16 @@ constexpr std::uint32_t software_workgroups_per_thread = 8;
 constexpr std::uint32_t integrated_workgroups = 256;
 constexpr std::uint32_t discrete_workgroups = 1024;
 
+// Patches: a GPU's small enough that a workgroup's lanes have two vertices each and hundreds of them fill the
+// machine; a CPU's large enough that what they overlap is little, small enough for its second cache.
+constexpr std::uint32_t software_patch_lanes = 64;
+constexpr std::uint32_t software_patch_vertices = 4096;
+constexpr std::uint32_t gpu_patch_lanes = 512;
+constexpr std::uint32_t gpu_patch_vertices = 512;
+constexpr std::uint32_t gpu_patch_places = 1536;
+constexpr std::uint32_t bytes_a_patch_place = 12;
+constexpr std::uint32_t kept_shared_bytes = 2048;  // of which sums take half
+
 // A GPU is done with the largest frame in a twentieth of that.
 constexpr std::chrono::milliseconds gpu_patience{2'000};
 constexpr std::chrono::milliseconds software_patience{60'000};
@@ -183,6 +193,15 @@ DeviceInfo describe_device(const InstanceApi& api, VkPhysicalDevice device) {
       info.workgroup_count = discrete_workgroups;
       break;
   }
+  if (info.is_software) {
+    info.patch_lanes = software_patch_lanes;
+    info.patch_vertices = software_patch_vertices;
+  } else {
+    info.patch_lanes = std::min(gpu_patch_lanes, limits.maxComputeWorkGroupInvocations);
+    info.patch_vertices = gpu_patch_vertices;
+    info.patch_places = std::min(
+        gpu_patch_places, (limits.maxComputeSharedMemorySize - kept_shared_bytes) / bytes_a_patch_place);
+  }
   info.buffer_alignment_bytes = static_cast<std::size_t>(
       std::max({limits.minStorageBufferOffsetAlignment, limits.minUniformBufferOffsetAlignment,
                 limits.minTexelBufferOffsetAlignment, VkDeviceSize{16}}));
@@ -210,6 +229,9 @@ DeviceInfo describe_device(const InstanceApi& api, VkPhysicalDevice device) {
   if (limits.maxTexelBufferElements < needed_texel_buffer_elements) {
     missing.push_back(fmt::format("texel buffers of {} elements (it ends at {})",
                                   needed_texel_buffer_elements, limits.maxTexelBufferElements));
+  }
+  if (features.core.features.shaderStorageImageExtendedFormats == VK_FALSE) {
+    missing.emplace_back("storage images of all formats (shaderStorageImageExtendedFormats)");
   }
   info.usable = missing.empty();
   info.why_unusable = info.usable ? "" : fmt::format("it lacks {}", fmt::join(missing, ", "));
@@ -425,6 +447,7 @@ void Device::open(const Instance::Candidate& chosen) {
   queue.pQueuePriorities = &priority;
 
   Features features;
+  features.core.features.shaderStorageImageExtendedFormats = VK_TRUE;
   std::vector<const char*> extensions;
   VkDeviceCreateInfo create{};
   create.sType = VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO;

@@ -51,6 +51,8 @@ VkDescriptorType descriptor_type(BindingType type) {
       return VK_DESCRIPTOR_TYPE_COMBINED_IMAGE_SAMPLER;
     case BindingType::StorageImage:
       return VK_DESCRIPTOR_TYPE_STORAGE_IMAGE;
+    case BindingType::StorageTexels:
+      return VK_DESCRIPTOR_TYPE_STORAGE_TEXEL_BUFFER;
   }
   return VK_DESCRIPTOR_TYPE_MAX_ENUM;
 }
@@ -77,7 +79,8 @@ void Kernel::Impl::check_limits() const {
   const bool bindings_fit = count(BindingType::StorageBuffer) <= limits.maxPerStageDescriptorStorageBuffers &&
                             count(BindingType::UniformBuffer) <= limits.maxPerStageDescriptorUniformBuffers &&
                             sampled <= limits.maxPerStageDescriptorSampledImages &&
-                            count(BindingType::StorageImage) <= limits.maxPerStageDescriptorStorageImages &&
+                            count(BindingType::StorageImage) + count(BindingType::StorageTexels) <=
+                                limits.maxPerStageDescriptorStorageImages &&
                             interface.bindings.size() <= limits.maxPerStageResources;
   const bool workgroup_fits = workgroup_size[0] <= limits.maxComputeWorkGroupSize[0] &&
                               workgroup_size[1] <= limits.maxComputeWorkGroupSize[1] &&

@@ -37,6 +37,7 @@ struct TexelView::Impl {
   std::shared_ptr<Device> device;
   VkBuffer buffer = VK_NULL_HANDLE;
   VkBufferView view = VK_NULL_HANDLE;
+  bool storable = false;  ///< kernels can write through it
   std::size_t offset_bytes = 0;
   std::size_t size_bytes = 0;
 };

@@ -8,7 +8,14 @@
 
 namespace facet::gpu {
 
-enum class BindingType { StorageBuffer, UniformBuffer, TexelBuffer, SampledImage, StorageImage };
+enum class BindingType {
+  StorageBuffer,
+  UniformBuffer,
+  TexelBuffer,
+  SampledImage,
+  StorageImage,
+  StorageTexels
+};
 
 /// One resource that a kernel reads or writes.
 struct BindingInfo {

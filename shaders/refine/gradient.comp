@@ -5,7 +5,7 @@
 #include "topology.glsl"
 
 // The data term's Jacobian, by rows for J p and by columns for J^T q, and the start of the PCG solve of [MD19 eq. 8]:
-// r = J^T (y - f), its Jacobi preconditioner, z and the first r . z.
+// r = J^T (y - f) and its Jacobi preconditioner.
 //
 // n*_i of a closed ring does not depend on d_i, and d n*_i / d d_j = n_j x (a_next - a_previous), where a are
 // the displaced vertices before and after j in the ring of i. The same two, seen from j, swap places.
@@ -26,21 +26,12 @@ layout(std430) writeonly buffer JacobianRows {
 layout(std430) writeonly buffer JacobianColumns {
   uvec2 jacobian_columns[];  // [group_count] four float16: d e_j / d d_i in the order of the ring
 };
-layout(std430) writeonly buffer SolverStates {
-  vec4 solver_states[];  // [vertex_count] r, inverse diagonal, x, 0
-};
-layout(std430) writeonly buffer Preconditioned {
-  float preconditioned[];  // [vertex_count + 1] z
-};
-layout(std430) writeonly buffer Products {
-  vec4 products[];  // [vertex_count + 1] 0, 0, 0, diagonal of the terms in d_i alone
-};
-layout(std430) writeonly buffer Sums {
-  float sums[];  // [2 * iteration][workgroup] r . z, p . A p
+layout(std430) writeonly buffer SolverStarts {
+  vec4 solver_starts[];  // [vertex_count] r, inverse diagonal, diagonal of the terms in d_i alone,
+                         // w3 / (spacing ring size)^2
 };
 
 void main() {
-  float rz = 0;
   uvec2 block = block_of(push.vertex_count);
   for (uint i = block.x + gl_LocalInvocationID.x; i < block.y; i += kGroupSize) {
     ivec2 ring = texelFetch(vertex_rings, int(i)).xy;
@@ -94,27 +85,19 @@ void main() {
       jacobian_columns[ring.x + group] = uvec2(packHalf2x16(column.xy), packHalf2x16(column.zw));
     }
 
-    vec4 state = vec4(0);
-    float own_diagonal = 0;
+    vec2 own_bends = texelFetch(bends, int(i)).xy;
+    vec4 start = vec4(0, 0, 0, own_bends.y);
+    // A fixed vertex has no unknown: its preconditioner is 0 and keeps z and p at 0.
     if (is_free(ring)) {
       float inverse_square = 1 / (own_normal.w * own_normal.w);
-      vec2 own_bends = texelFetch(bends, int(i)).xy;
       float own_bend = own_bends.x * float(size);
-      own_diagonal = push.hierarchy_weight * inverse_square + push.coarse_weight;
-      float diagonal = data_diagonal + own_bends.y * float(size * size) + bend_diagonal + own_diagonal;
-      state.x = data - (own_bend - bend_sum) +
+      start.z = push.hierarchy_weight * inverse_square + push.coarse_weight;
+      float diagonal = data_diagonal + own_bends.y * float(size * size) + bend_diagonal + start.z;
+      start.x = data - (own_bend - bend_sum) +
                 push.hierarchy_weight * inverse_square * (texelFetch(priors, int(i)).x - own.w) -
                 push.coarse_weight * own.w;
-      state.y = diagonal > 0 ? 1 / diagonal : 0;
+      start.y = diagonal > 0 ? 1 / diagonal : 0;
     }
-    solver_states[i] = state;
-    products[i] = vec4(0, 0, 0, own_diagonal);
-    float z = state.y * state.x;
-    preconditioned[i] = z;
-    rz += state.x * z;
-  }
-  float total = workgroup_sum(vec4(rz, 0, 0, 0)).x;
-  if (gl_LocalInvocationID.x == 0) {
-    sums[gl_WorkGroupID.x] = total;
+    solver_starts[i] = start;
   }
 }

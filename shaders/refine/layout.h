@@ -51,8 +51,9 @@ FACET_LAYOUT_OFFSET(Light, last, 32)
 // Weights and bounds of the displacement solve [MD19 eq. 6].
 struct SolvePush {
   uint vertex_count;
-  uint iteration;          // of the PCG solve
-  uint last;               // 1 in its last iteration
+  uint pcg_iterations;
+  uint first_patch;        // that this dispatch solves
+  int first_record;        // of the set of patches: its place among the storage texels is 1
   uint energy_slot;        // where linearise puts its energy
   float smooth_weight;     // w3
   float hierarchy_weight;  // w4, 0 at the coarsest level
@@ -61,7 +62,7 @@ struct SolvePush {
   float bound_mm;          // displacements are held within +- this
   float fold_slope;        // bend at which a fold begins to be spared by w3, 0: never
 };
-FACET_LAYOUT_SIZE(SolvePush, 40)
+FACET_LAYOUT_SIZE(SolvePush, 44)
 
 struct LevelPush {
   uint vertex_count;

@@ -1,6 +1,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "layout.h"
+#include "common/finite.glsl"
 #include "common/workgroup.glsl"
 #include "topology.glsl"
 #include "shading.glsl"
@@ -74,6 +75,10 @@ void main() {
       slope.xyz = (root * length_rho * inverse_length) * (gradient - normal * dot(normal, gradient));
       slope.w = root * dot(metric_rho, residual) / length_rho;
       energy += colour.w * tukey_loss(square, push.robust_scale);
+      // Tukey's loss may take what is no number for an outlier; then the host would not learn of it.
+      if (!is_finite(square)) {
+        energy = uintBitsToFloat(kNotANumberBits);
+      }
     }
     slopes[i] = slope;
     bends[i] = vec2(bend_scale * bend, bend_scale * inverse_spacing * inverse_size);

@@ -1,6 +1,5 @@
 // The one-rings of a level (mesh::OneRings). Vertex i has vertex_rings[i] = (first group, ring size | flags);
-// its neighbours stand in ring_groups four to a group from there on, in counter-clockwise order, the last
-// group filled up with the dummy vertex [vertex_count], whose values are 0.
+// its neighbours stand in ring_indices from four times that on, in counter-clockwise order.
 
 const int kRingSizeMask = 0xffff;
 const int kFree = 0x10000;    // refined by shading; others keep the displacement 0

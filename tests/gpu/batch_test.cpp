@@ -203,7 +203,8 @@ TEST(HazardTrackerTest, BarriersNameWhoWaitsForWhom) {
 TEST_F(BatchTest, IndirectDispatchTakesItsCountFromTheDevice) {
   constexpr std::uint32_t count = 64 * 5;
   const Buffer wanted(context(), 4, Memory::Upload, "wanted");
-  const Buffer counts(context(), 32, Memory::Device, "counts");
+  const std::size_t at = context().info().buffer_alignment_bytes;
+  const Buffer counts(context(), at + 16, Memory::Device, "counts");
   const Buffer zeros(context(), count * 4, Memory::Device, "zeros");
   const Buffer values(context(), count * 4, Memory::Readback, "values");
   const Kernel decide(context(), shaders::test_gpu::kernels(), "counts");
@@ -211,11 +212,11 @@ TEST_F(BatchTest, IndirectDispatchTakesItsCountFromTheDevice) {
   Batch batch(context(), "indirect");
   batch.fill(zeros);
   batch.fill(values);
-  batch.dispatch(decide, {{"wanted", wanted}, {"counts", counts, 16}}, {1});
-  batch.dispatch_indirect(kernel, {{"previous", zeros}, {"values", values}}, counts, 16, CountPush{count});
+  batch.dispatch(decide, {{"wanted", wanted}, {"counts", counts, at}}, {1});
+  batch.dispatch_indirect(kernel, {{"previous", zeros}, {"values", values}}, counts, at, CountPush{count});
   EXPECT_EQ(batch.counts().barriers, 1U);
-  EXPECT_THROW(batch.dispatch_indirect(kernel, {{"previous", zeros}, {"values", values}}, counts, 24,
-                                       CountPush{count}),
+  EXPECT_THROW(batch.dispatch_indirect(kernel, {{"previous", zeros}, {"values", values}}, counts,
+                                       at + 8, CountPush{count}),
                Error);
   EXPECT_THROW(
       batch.dispatch_indirect(kernel, {{"previous", zeros}, {"values", values}}, counts, 2, CountPush{count}),

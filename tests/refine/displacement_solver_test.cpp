@@ -96,6 +96,37 @@ TEST_F(DisplacementSolverTest, ReachesTheMinimumOfTheReference) {
   EXPECT_LT((to_vector(result.displacements_mm) - exact).norm(), 1e-2 * exact.norm());
 }
 
+TEST_F(DisplacementSolverTest, PatchesReachTheMinimumOfTheReference) {
+  test::SmallProblem small = test::make_problem(9, 7, 43, 1);
+  small.problem.robust_scale = 0;
+  Eigen::VectorXd exact = small.start_mm;
+  for (int step = 0; step < 20; ++step) {
+    exact = reference::gauss_newton_step(small.problem, exact, 0);
+  }
+  DisplacementProblem problem = to_gpu(small);
+  problem.patch_vertices = 40;
+  DisplacementSolver solver(context());
+  solver.load(problem, options_of(small.problem, 60, 30));
+  const DisplacementResult result = solver.solve();
+  const double least = reference::energy(small.problem, exact);
+  EXPECT_NEAR(result.energies.back(), least, 1e-4 * least);
+  EXPECT_LT((to_vector(result.displacements_mm) - exact).norm(), 1e-2 * exact.norm());
+}
+
+TEST_F(DisplacementSolverTest, AStepOfPatchesLowersTheEnergyAlmostAsOneOfTheWhole) {
+  const test::SmallProblem small = test::make_problem(30, 30, 45, 1);
+  DisplacementProblem problem = to_gpu(small);
+  DisplacementSolver solver(context());
+  solver.load(problem, options_of(small.problem, 1, 7));
+  const std::vector<double> whole = solver.solve().energies;
+  problem.patch_vertices = 200;
+  solver.load(problem, options_of(small.problem, 1, 7));
+  const std::vector<double> patches = solver.solve().energies;
+  EXPECT_NEAR(patches[0], whole[0], 1e-6 * whole[0]);
+  EXPECT_GT(whole[0] - whole[1], 0);
+  EXPECT_GT(patches[0] - patches[1], 0.95 * (whole[0] - whole[1]));
+}
+
 TEST_F(DisplacementSolverTest, SolvesAgainFromTheStart) {
   const test::SmallProblem small = test::make_problem(6, 6, 47);
   DisplacementSolver solver(context());

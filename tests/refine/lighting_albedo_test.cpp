@@ -273,13 +273,15 @@ TEST_F(RefineLighting, DisplacementKernelsStayWithinTheirArrays) {
     const test::SmallProblem small = test::make_problem(columns, rows, 113);
     const test::DeviceLevel level(context(), small);
     const std::uint32_t count = level.topology.vertex_count;
+    const std::uint32_t places = level.topology.patches.place_count;
     const SolverScratch scratch(context(), count + test::kTailCount,
-                                level.topology.group_count + test::kTailCount, 3, 7);
+                                level.topology.group_count + test::kTailCount, places + test::kTailCount, 3);
     test::write(context(), scratch.slopes.buffer, std::vector<vec4>(count));
     test::write(context(), scratch.bends.buffer, std::vector<shaders::vec2>(count));
-    for (const DeviceArray& states : scratch.solver_states) {
-      test::write(context(), states.buffer, std::vector<vec4>(count));
-    }
+    test::write(context(), scratch.solver_starts.buffer, std::vector<vec4>(count));
+    test::write(context(), scratch.preconditioned.buffer, std::vector<float>(places));
+    test::write(context(), scratch.products.buffer, std::vector<shaders::vec2>(places));
+    test::write(context(), scratch.states.buffer, std::vector<vec4>(places));
     test::write(context(), scratch.jacobian_rows.buffer,
                 std::vector<shaders::uvec2>(level.topology.group_count));
     test::write(context(), scratch.jacobian_columns.buffer,
@@ -296,18 +298,17 @@ TEST_F(RefineLighting, DisplacementKernelsStayWithinTheirArrays) {
     EXPECT_TRUE(level.tails_intact(context()));
     EXPECT_TRUE(test::tail_intact<vec4>(context(), scratch.slopes.buffer, count));
     EXPECT_TRUE(test::tail_intact<shaders::vec2>(context(), scratch.bends.buffer, count));
-    for (const DeviceArray& states : scratch.solver_states) {
-      EXPECT_TRUE(test::tail_intact<vec4>(context(), states.buffer, count));
-    }
+    EXPECT_TRUE(test::tail_intact<vec4>(context(), scratch.solver_starts.buffer, count));
+    EXPECT_TRUE(test::tail_intact<float>(context(), scratch.preconditioned.buffer, places));
+    EXPECT_TRUE(test::tail_intact<shaders::vec2>(context(), scratch.products.buffer, places));
+    EXPECT_TRUE(test::tail_intact<vec4>(context(), scratch.states.buffer, places));
     EXPECT_TRUE(test::tail_intact<shaders::uvec2>(context(), scratch.jacobian_rows.buffer,
                                                   level.topology.group_count));
     EXPECT_TRUE(test::tail_intact<shaders::uvec2>(context(), scratch.jacobian_columns.buffer,
                                                   level.topology.group_count));
-    // The dummy vertex stays 0, or padded rings would gather garbage.
-    EXPECT_EQ(test::read<float>(context(), scratch.preconditioned.buffer).back(), 0);
-    for (const DeviceArray& products : scratch.products) {
-      EXPECT_EQ(test::read<shaders::vec4>(context(), products.buffer).back().x, 0);
-    }
+    // Place 0 stays 0, or padded rings would gather garbage.
+    EXPECT_EQ(test::read<float>(context(), scratch.preconditioned.buffer).front(), 0);
+    EXPECT_EQ(test::read<shaders::vec2>(context(), scratch.products.buffer).front().x, 0);
   }
 }
 

@@ -15,7 +15,6 @@ SmallProblem make_problem(int columns, int rows, unsigned seed, int level) {
   mesh::ControlMesh control;
   const int stride = columns + 1;
   control.vertex_count = stride * (rows + 1);
-  control.texture_coordinates = mesh::TextureCoordinates::Zero(2, control.vertex_count);
   control.refinable.assign(static_cast<std::size_t>(control.vertex_count), 1);
   SmallProblem out;
   out.control_mm.resize(3, control.vertex_count);
@@ -30,6 +29,7 @@ SmallProblem make_problem(int columns, int rows, unsigned seed, int level) {
       control_px.col(i) << 8 * static_cast<float>(column), 8 * static_cast<float>(row);
     }
   }
+  control.texture_coordinates = control_px;
   control.quads.resize(4, columns * rows);
   for (int row = 0; row < rows; ++row) {
     for (int column = 0; column < columns; ++column) {

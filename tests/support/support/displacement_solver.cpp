@@ -8,6 +8,7 @@
 #include <span>
 
 #include "facet/error.hpp"
+#include "refine/device_order.hpp"
 #include "refine/lighting.hpp"
 #include "shaders/refine/layout.h"
 
@@ -87,16 +88,25 @@ std::vector<std::uint8_t> free_of(const DisplacementProblem& problem) {
   return free;
 }
 
+/// The problem's vertices stay in their order; patches are cut where they lie in x and y.
+std::vector<std::int32_t> curve_of(const DisplacementProblem& problem) {
+  const DeviceOrder order = device_order(*problem.one_rings, problem.vertices_mm.topRows<2>());
+  std::vector<std::int32_t> curve;
+  for (const std::int32_t device : order.curve) {
+    curve.push_back(order.host_index[static_cast<std::size_t>(device)]);
+  }
+  return curve;
+}
+
 }  // namespace
 
 LoadedProblem::LoadedProblem(gpu::Context& context, const DisplacementKernels& kernels,
                              const DisplacementProblem& problem, const DisplacementOptions& chosen)
     : options(chosen),
-      topology(context, *problem.one_rings, free_of(problem),
-               static_cast<std::int32_t>(problem.one_rings->on_boundary.size())),
+      topology(context, *problem.one_rings, free_of(problem), curve_of(problem), {}, problem.patch_vertices),
       state(context, topology.vertex_count),
-      scratch(context, topology.vertex_count, topology.group_count,
-              static_cast<std::uint32_t>(chosen.gauss_newton_steps) + 1, chosen.pcg_iterations),
+      scratch(context, topology.vertex_count, topology.group_count, topology.patches.place_count,
+              static_cast<std::uint32_t>(chosen.gauss_newton_steps) + 1),
       light(context, sizeof(shaders::refine::Light), gpu::Memory::Device, "light"),
       start(context, topology.vertex_count * sizeof(vec4), gpu::Memory::Device, "start"),
       solved(context, topology.vertex_count * sizeof(vec4), gpu::Memory::Readback, "solved"),

@@ -25,9 +25,10 @@ struct DisplacementProblem {
   std::vector<std::uint8_t> fixed;  ///< [vertex_count] 1: d = 0; boundary vertices are fixed anyway, and
                                     ///< carry no data
   std::array<float, 9> lighting{};
-  float gain = 1;                   ///< residuals are squared times this: 1 / mean square brightness
-  std::vector<float> prolonged_mm;  ///< [vertex_count] pd
-  std::vector<float> start_mm;      ///< [vertex_count]
+  float gain = 1;                    ///< residuals are squared times this: 1 / mean square brightness
+  std::vector<float> prolonged_mm;   ///< [vertex_count] pd
+  std::vector<float> start_mm;       ///< [vertex_count]
+  std::uint32_t patch_vertices = 0;  ///< of a patch at most; 0: as the device wants it
 };
 
 enum class DisplacementOutcome { Converged, NumericalFailure, DeviceLost };
