@@ -34,7 +34,7 @@ constexpr const char* install_driver =
 // the larger ones busy, and few enough that their partial sums add up in one workgroup.
 constexpr std::uint32_t software_workgroups_per_thread = 8;
 constexpr std::uint32_t integrated_workgroups = 256;
-constexpr std::uint32_t discrete_workgroups = 1024;
+constexpr std::uint32_t discrete_workgroups = 2048;
 
 // Patches: a GPU's small enough that a workgroup's lanes have two vertices each and hundreds of them fill the
 // machine; a CPU's large enough that what they overlap is little, small enough for its second cache.
@@ -405,9 +405,24 @@ std::vector<Instance::Candidate> Instance::candidates() const {
   return found;
 }
 
-Device::Device(const ContextOptions& options) : instance_(std::make_unique<Instance>(options)) {
+namespace {
+
+/// Keeps the first instance that opened a GPU to the end of the process, and with it the GPU's driver in
+/// memory. Loaded anew for every device, NVIDIA's takes thread-local storage that never comes back: after
+/// some sixty devices no more could be opened.
+void keep_driver_loaded(const std::shared_ptr<Instance>& instance) {
+  static const auto* const kept = new std::shared_ptr<Instance>(instance);
+  (void)kept;
+}
+
+}  // namespace
+
+Device::Device(const ContextOptions& options) : instance_(std::make_shared<Instance>(options)) {
   const std::vector<Instance::Candidate> candidates = instance_->candidates();
   open(choose(candidates, options.device));
+  if (!info_.is_software) {
+    keep_driver_loaded(instance_);
+  }
   if (options.patience.count() > 0) {
     info_.patience = options.patience;
   }

@@ -130,7 +130,7 @@ class Device {
   void open(const Instance::Candidate& chosen);
   KernelCacheKey kernel_cache_key() const;
 
-  std::unique_ptr<Instance> instance_;
+  std::shared_ptr<Instance> instance_;
   VkPhysicalDevice physical_ = VK_NULL_HANDLE;
   VkDevice device_ = VK_NULL_HANDLE;
   Mutex queue_mutex_;
