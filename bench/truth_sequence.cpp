@@ -154,7 +154,9 @@ Sequence load_sequence(const face::FaceModel& model, const SequenceOptions& opti
                        const std::filesystem::path& folder) {
   Sequence sequence;
   sequence.name = folder.filename().string();
-  const std::vector<Frame> frames = read_frames(folder / "video.mkv");
+  // bench/gpu-day leaves it in a container that is read without FFmpeg.
+  const bool repacked = std::filesystem::exists(folder / "video.avi");
+  const std::vector<Frame> frames = read_frames(folder / (repacked ? "video.avi" : "video.mkv"));
   if (frames.empty()) {
     throw Error(ErrorKind::UnreadableInput,
                 fmt::format("{}: no frames; make it with facet synth", folder.string()));

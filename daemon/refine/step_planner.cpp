@@ -11,8 +11,8 @@ namespace {
 
 constexpr int kColdSteps = 3;
 // Of a level's work, in PCG iterations: what a step costs beside them, and what a level costs without a step.
-constexpr double kStepWork = 2.2;
-constexpr double kLevelWork = 2;
+constexpr double kStepWork = 3.7;
+constexpr double kLevelWork = 2.5;
 // Weight of a new frame in the smoothed times.
 constexpr double kNews = 0.2;
 // A frame counts as at most this many times slower than the last ones.

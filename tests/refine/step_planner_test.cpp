@@ -22,7 +22,7 @@ class Device {
     std::vector<std::vector<double>> energies(plan.steps.size());
     for (std::size_t l = 0; l < plan.steps.size(); ++l) {
       const int steps = plan.steps[l];
-      ms += speed_ * vertices[l] * 1e-3 * steps * (2.2 + plan.pcg_iterations) / 9.2;
+      ms += speed_ * vertices[l] * 1e-3 * steps * (3.7 + plan.pcg_iterations) / 10.7;
       double energy = 100;
       for (int step = 0; step < steps + (plan.last_energy ? 1 : 0); ++step) {
         energies[l].push_back(energy);
