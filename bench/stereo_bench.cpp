@@ -141,6 +141,36 @@ double product_step_ms(facet::gpu::Context& context, const facet::stereo::Volume
   return (times[1] - times[0]) / kMore;
 }
 
+/// How far the maps are from the truth in units of their sigma, and where they are far off.
+void judge(const StereoFootage& footage, const std::vector<facet::capture::DepthMap>& maps) {
+  double square = 0;
+  double n = 0;
+  for (std::size_t slot = 0; slot < maps.size(); ++slot) {
+    const auto& map = maps[slot];
+    for (std::size_t at = 0; at < map.depth_mm.size(); ++at) {
+      const double truth = static_cast<double>(footage.truth_mm[slot][at]);
+      if (map.depth_mm[at] > 0 && truth > 0) {
+        const double error = static_cast<double>(map.depth_mm[at]) - truth;
+        if (std::abs(error) < 2) {
+          square += error * error / static_cast<double>(map.sigma_mm[at] * map.sigma_mm[at]);
+          n += 1;
+        }
+      }
+    }
+  }
+  std::size_t wrong = 0;
+  for (std::size_t slot = footage.first_judged; slot < footage.past_judged; ++slot) {
+    for (std::size_t at = 0; at < maps[slot].depth_mm.size(); ++at) {
+      const float truth = footage.truth_mm[slot][at];
+      wrong +=
+          maps[slot].depth_mm[at] > 0 && truth > 0 && std::abs(maps[slot].depth_mm[at] - truth) > 2 ? 1 : 0;
+    }
+  }
+  fmt::print(
+      "  error / sigma, rms: {:.2f}; {} px of the surface, seen by both or not, are off by more than 2 mm\n",
+      std::sqrt(square / n), wrong);
+}
+
 std::vector<std::vector<float>> spacetime(facet::gpu::Context& context, const StereoFootage& footage,
                                           const Options& options, facet::stereo::StereoOptions stereo,
                                           const std::string& method) {
@@ -232,33 +262,10 @@ std::vector<std::vector<float>> spacetime(facet::gpu::Context& context, const St
     }
     return out;
   }
-  double square = 0;
-  double n = 0;
-  for (std::size_t slot = 0; slot < maps.size(); ++slot) {
-    const auto& map = maps[slot];
-    for (std::size_t at = 0; at < map.depth_mm.size(); ++at) {
-      const double truth = static_cast<double>(footage.truth_mm[slot][at]);
-      if (map.depth_mm[at] > 0 && truth > 0) {
-        const double error = static_cast<double>(map.depth_mm[at]) - truth;
-        if (std::abs(error) < 2) {
-          square += error * error / static_cast<double>(map.sigma_mm[at] * map.sigma_mm[at]);
-          n += 1;
-        }
-      }
-    }
+  for (const facet::capture::DepthMap& map : maps) {
     out.push_back(map.depth_mm);
   }
-  std::size_t wrong = 0;
-  for (std::size_t slot = footage.first_judged; slot < footage.past_judged; ++slot) {
-    for (std::size_t at = 0; at < maps[slot].depth_mm.size(); ++at) {
-      const float truth = footage.truth_mm[slot][at];
-      wrong +=
-          maps[slot].depth_mm[at] > 0 && truth > 0 && std::abs(maps[slot].depth_mm[at] - truth) > 2 ? 1 : 0;
-    }
-  }
-  fmt::print(
-      "  error / sigma, rms: {:.2f}; {} px of the surface, seen by both or not, are off by more than 2 mm\n",
-      std::sqrt(square / n), wrong);
+  judge(footage, maps);
   explain_holes(footage, options, stereo, matcher, maps);
   return out;
 }

@@ -68,8 +68,7 @@ std::string DeviceStart::why_not(const gpu::Context& context, const VolumeSize& 
 }
 
 DeviceStart::DeviceStart(gpu::Context& context, const VolumeSize& size, int least_px, int most_px,
-                         const StartOptions& options, const gpu::Buffer& left, const gpu::Buffer& right,
-                         const gpu::Buffer& usable)
+                         const StartOptions& options, const StartPictures& pictures)
     : context_(context),
       size_(size),
       push_(push_of(size, least_px, most_px, options, context.info().subgroup_size)),
@@ -77,9 +76,9 @@ DeviceStart::DeviceStart(gpu::Context& context, const VolumeSize& size, int leas
           std::min(kChunkBytes, context.info().max_storage_buffer_bytes) / total_bytes(size, push_.count), 1,
           static_cast<std::size_t>(size.slots)))),
       lanes_(context.info().subgroup_size),
-      usable_(usable),
-      left_(left, gpu::TexelFormat::R32f),
-      right_(right, gpu::TexelFormat::R32f),
+      usable_(pictures.usable),
+      left_(pictures.left, gpu::TexelFormat::R32f),
+      right_(pictures.right, gpu::TexelFormat::R32f),
       lit_kernel_(context, shaders::stereo::kernels(), "stereo/start_lit"),
       normalise_(context, shaders::stereo::kernels(), "stereo/start_normalise"),
       costs_kernel_(context, shaders::stereo::kernels(), "stereo/start_costs"),

@@ -13,6 +13,13 @@
 
 namespace facet::stereo {
 
+/// Pictures as StartValue::find takes them, on the device.
+struct StartPictures {
+  const gpu::Buffer& left;
+  const gpu::Buffer& right;
+  const gpu::Buffer& usable;  ///< [slots] float: 0 where a slot says nothing
+};
+
 /// StartValue's semi-global method on a GPU, of several slots in one batch.
 class DeviceStart {
  public:
@@ -20,12 +27,9 @@ class DeviceStart {
   static std::string why_not(const gpu::Context& context, const VolumeSize& size, int least_px, int most_px,
                              const StartOptions& options);
 
-  /// left, right  pictures as StartValue::find takes them, on the device
-  /// usable       [slots] float: 0 where a slot says nothing
-  /// All must outlive it, and why_not be empty. Throws Error(NoDevice).
+  /// The pictures must outlive it, and why_not be empty. Throws Error(NoDevice).
   DeviceStart(gpu::Context& context, const VolumeSize& size, int least_px, int most_px,
-              const StartOptions& options, const gpu::Buffer& left, const gpu::Buffer& right,
-              const gpu::Buffer& usable);
+              const StartOptions& options, const StartPictures& pictures);
 
   /// To be found by the next submission of the batch.
   void want(std::span<const std::size_t> slots);

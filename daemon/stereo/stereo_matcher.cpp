@@ -142,7 +142,7 @@ StereoMatcher::Impl::Impl(gpu::Context& context, const capture::Rig& rig, const 
   if (on_device(context)) {
     device_start = std::make_unique<DeviceStart>(context, size, rectification.least_disparity_px(),
                                                  rectification.most_disparity_px(), options.start,
-                                                 solver.left(), solver.right(), usable);
+                                                 StartPictures{solver.left(), solver.right(), usable});
   }
   const int threads = std::clamp(static_cast<int>(std::thread::hardware_concurrency()), 1,
                                  std::min(options.most_slots, kMostThreads));

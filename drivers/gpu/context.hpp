@@ -43,8 +43,9 @@ struct DeviceInfo {
   /// How many workgroups a kernel that loops over contiguous blocks should start: few on a CPU, where each
   /// costs its start, and enough to fill the machine on a GPU.
   std::uint32_t workgroup_count = 0;
-  /// Of a kernel whose workgroups each solve a patch of a mesh: its lanes, a patch's vertices at most, and how
-  /// many with those around it fit into shared memory, 12 bytes each; 0 where that is slower than buffers.
+  /// Of a kernel whose workgroups each solve a patch of a mesh: its lanes, a patch's vertices at most, and
+  /// how many with those around it fit into shared memory, 12 bytes each; 0 where that is slower than
+  /// buffers.
   std::uint32_t patch_lanes = 0;
   std::uint32_t patch_vertices = 0;
   std::uint32_t patch_places = 0;
