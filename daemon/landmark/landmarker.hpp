@@ -82,7 +82,7 @@ struct LandmarkResult {
 };
 
 /// Finds one face and follows it through a sequence of frames. One thread at a time; after the first frames
-/// it allocates only what OpenCV's DNN module does inside. Work runs on the calling thread, but for the
+/// it allocates nothing. Work runs on the calling thread, but for the
 /// detector's check of a followed face, on a helper thread of low priority, `facet-detect`, which the first
 /// check makes and the destructor ends. The constructor sets cv::setNumThreads(1) for the whole process, so
 /// that OpenCV's pool never competes with the GPU driver's threads.

@@ -480,7 +480,7 @@ class NetBuilder {
   void add_reshape(const TfliteOperator& op) {
     const int index = result(op);
     const std::vector<int>& shape = tensor(index).shape;
-    if (shape.empty() || (shape.size() == 4 && shape[1] * shape[2] > 1)) {
+    if (shape.empty() || (shape.size() == 4 && (shape[1] > 1 || shape[2] > 1))) {
       fail("reshaping into an image is not supported");
     }
     const int source = operand(op, 0);

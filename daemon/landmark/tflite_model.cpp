@@ -19,6 +19,7 @@ constexpr std::size_t max_rank = 6;
 constexpr std::size_t max_operands =
     64;                              ///< of one operator: bounds the memory that shared vectors could claim
 constexpr int max_extent = 1 << 24;  ///< of one dimension
+constexpr std::int64_t max_elements = std::int64_t{1} << 31;  ///< of a tensor
 constexpr int max_stride = 64;
 
 bool is_known(OperatorKind kind) {
@@ -171,8 +172,12 @@ TfliteTensor Reader::read_tensor(const tflite::Tensor& tensor) const {
   result.name = text_of(tensor.name());
   result.type = type_of(tensor.type());
   result.shape = ints(tensor.shape(), max_rank, "dimensions");
+  std::int64_t shaped = 1;
   for (const int extent : result.shape) {
-    checked(extent, 1, max_extent, "a tensor's extent");
+    shaped *= checked(extent, 1, max_extent, "a tensor's extent");
+    if (shaped > max_elements) {
+      fail(fmt::format("a tensor of more than {} elements", max_elements));
+    }
   }
   if (tensor.buffer() >= count_of(model_.buffers())) {
     fail(fmt::format("a tensor names buffer {} of {}", tensor.buffer(), count_of(model_.buffers())));

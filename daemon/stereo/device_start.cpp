@@ -46,6 +46,20 @@ StartPush push_of(const VolumeSize& size, int least_px, int most_px, const Start
   return push;
 }
 
+/// 32-bit words of a slot's grey values of all the slots that its costs are summed over.
+std::size_t normalised_words(const VolumeSize& size, const StartPush& push) {
+  return static_cast<std::size_t>(2 * push.reach + 1) * 2 * size.slot_voxels();
+}
+
+/// Slots at a time: as many as the arrays hold.
+int chunk_of(const gpu::DeviceInfo& info, const VolumeSize& size, const StartPush& push) {
+  const std::size_t bytes = total_bytes(size, push.count);
+  const std::size_t fitting = std::min({std::min(kChunkBytes, info.max_storage_buffer_bytes) / bytes,
+                                        info.max_texel_buffer_elements / (bytes / 8),
+                                        info.max_texel_buffer_elements / normalised_words(size, push)});
+  return static_cast<int>(std::clamp<std::size_t>(fitting, 1, static_cast<std::size_t>(size.slots)));
+}
+
 }  // namespace
 
 std::string DeviceStart::why_not(const gpu::Context& context, const VolumeSize& size, int least_px,
@@ -60,6 +74,8 @@ std::string DeviceStart::why_not(const gpu::Context& context, const VolumeSize& 
   const std::size_t bytes = total_bytes(size, padded(most_px - least_px + 1, info.subgroup_size));
   if (size.slots > kMostSlots || size.width_px > static_cast<int>(kMost_px) ||
       bytes > info.max_storage_buffer_bytes || bytes / 8 > info.max_texel_buffer_elements ||
+      normalised_words(size, push_of(size, least_px, most_px, options, info.subgroup_size)) >
+          info.max_texel_buffer_elements ||
       info.shared_memory_bytes < kMost_px * sizeof(std::uint32_t)) {
     return fmt::format("costs of {} x {} px and {} disparities, {} slots, are more than {} holds",
                        size.width_px, size.height_px, most_px - least_px + 1, size.slots, info.name);
@@ -72,9 +88,7 @@ DeviceStart::DeviceStart(gpu::Context& context, const VolumeSize& size, int leas
     : context_(context),
       size_(size),
       push_(push_of(size, least_px, most_px, options, context.info().subgroup_size)),
-      chunk_(static_cast<int>(std::clamp<std::size_t>(
-          std::min(kChunkBytes, context.info().max_storage_buffer_bytes) / total_bytes(size, push_.count), 1,
-          static_cast<std::size_t>(size.slots)))),
+      chunk_(chunk_of(context.info(), size, push_)),
       lanes_(context.info().subgroup_size),
       usable_(pictures.usable),
       left_(pictures.left, gpu::TexelFormat::R32f),
@@ -87,7 +101,7 @@ DeviceStart::DeviceStart(gpu::Context& context, const VolumeSize& size, int leas
               {"lanes", static_cast<std::int32_t>(lanes_)}}),
       choose_(context, shaders::stereo::kernels(), "stereo/start_choose"),
       lit_(context, 2 * size.slot_voxels(), gpu::TexelFormat::R32u, "lit"),
-      normalised_(context, static_cast<std::size_t>(chunk_ * (2 * push_.reach + 1)) * 2 * size.slot_voxels(),
+      normalised_(context, static_cast<std::size_t>(chunk_) * normalised_words(size, push_),
                   gpu::TexelFormat::R32u, "normalised"),
       costs_(context, static_cast<std::size_t>(chunk_) * total_bytes(size, push_.count) / 8,
              gpu::TexelFormat::R32u, "costs"),

@@ -173,11 +173,16 @@ std::string SpacetimeSolver::Impl::prepare() {
   if (unknowns.count() > most) {
     return fmt::format("{} unknown disparities, and the device's arrays hold {}", unknowns.count(), most);
   }
+  const std::size_t places =
+      std::max({unknowns.most_samples(), unknowns.most_sums_x() * kSumsX, unknowns.most_sums_xy() * kSumsXY});
+  if (places > most) {
+    return fmt::format("a band of the volume needs {} places, and the device's arrays hold {}", places, most);
+  }
   bool grows = grow(unknown_room, std::max<std::size_t>(unknowns.count(), 1));
   grows = grow(sample_room, std::max<std::size_t>(unknowns.most_samples(), 1)) || grows;
   grows = grow(sums_x_room, std::max<std::size_t>(unknowns.most_sums_x(), 1)) || grows;
   grows = grow(sums_xy_room, std::max<std::size_t>(unknowns.most_sums_xy(), 1)) || grows;
-  if (grows) {
+  if (grows || !arrays) {
     batch.reset();
     recorded_parts = 0;
     arrays.reset();
@@ -189,6 +194,7 @@ std::string SpacetimeSolver::Impl::prepare() {
   }
   if (recorded_parts != unknowns.part_count()) {
     batch.reset();
+    recorded_parts = 0;
     record();
     recorded_parts = unknowns.part_count();
   }
@@ -344,14 +350,15 @@ void SpacetimeSolver::solve(std::span<const float> start_px, DisparityField& out
   impl.unknowns.find(start_px, impl.options.break_px, impl.most_cells);
   try {
     out.failure = impl.prepare();
+    out.outcome = StereoOutcome::NumericalFailure;
   } catch (const Error& error) {
     if (error.kind() != ErrorKind::NoDevice) {
       throw;
     }
     out.failure = error.what();
+    out.outcome = StereoOutcome::DeviceLost;
   }
   if (!out.failure.empty()) {
-    out.outcome = StereoOutcome::DeviceLost;
     return;
   }
   std::transform(start_px.begin(), start_px.end(), impl.start.mapped_as<float>().begin(),

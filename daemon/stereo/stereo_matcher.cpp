@@ -91,7 +91,7 @@ struct StereoMatcher::Impl {
        const StereoOptions& chosen);
 
   bool on_device(const gpu::Context& context) const;
-  void keep_starts(std::span<const StereoSlot> slots);
+  std::vector<std::optional<std::uint64_t>> keep_starts(std::span<const StereoSlot> slots);
   gpu::Outcome rectify(std::span<const StereoSlot> slots);
   void find_start(std::span<const StereoSlot> slots, const Alive& alive);
   std::span<float> line_of(std::vector<float>& whole, std::size_t slot) const {
@@ -232,8 +232,10 @@ void StereoMatcher::Impl::for_each(std::span<const std::size_t> chosen, const Al
   }
 }
 
-/// Takes over the start values of slots that were in the run before, and says which are missing.
-void StereoMatcher::Impl::keep_starts(std::span<const StereoSlot> slots) {
+/// Takes over the start values of slots that were in the run before, and says which are missing. Returns the
+/// numbers that the next run may ask for once these are found.
+std::vector<std::optional<std::uint64_t>> StereoMatcher::Impl::keep_starts(
+    std::span<const StereoSlot> slots) {
   std::swap(start_px, start_px_before);
   std::fill(start_px.begin(), start_px.end(), kNan);
   std::vector<std::optional<std::uint64_t>> now(slots.size());
@@ -248,7 +250,8 @@ void StereoMatcher::Impl::keep_starts(std::span<const StereoSlot> slots) {
       missing.push_back(slot);
     }
   }
-  numbers = std::move(now);
+  numbers.clear();
+  return now;
 }
 
 void StereoMatcher::Impl::find_start(std::span<const StereoSlot> slots, const Alive& alive) {
@@ -391,9 +394,8 @@ StereoOutcome StereoMatcher::match(std::span<const StereoSlot> slots, std::vecto
   }
   impl.failure.clear();
   auto clock = Clock::now();
-  impl.keep_starts(slots);
+  std::vector<std::optional<std::uint64_t>> numbers = impl.keep_starts(slots);
   if (impl.rectify(slots) != gpu::Outcome::Done) {
-    impl.numbers.clear();
     impl.failure = "the GPU was lost during rectification";
     return StereoOutcome::DeviceLost;
   }
@@ -401,6 +403,7 @@ StereoOutcome StereoMatcher::match(std::span<const StereoSlot> slots, std::vecto
   impl.times.rectify_ms = ms_since(clock) - start_ms;
   clock = Clock::now();
   impl.find_start(slots, alive);
+  impl.numbers = std::move(numbers);
   impl.times.start_ms = ms_since(clock) + start_ms;
   clock = Clock::now();
   impl.solver.solve(impl.start_px, impl.field, alive);

@@ -43,6 +43,7 @@ constexpr std::uint32_t software_patch_vertices = 4096;
 constexpr std::uint32_t gpu_patch_lanes = 512;
 constexpr std::uint32_t gpu_patch_vertices = 512;
 constexpr std::uint32_t gpu_patch_places = 1536;
+constexpr std::uint32_t most_subgroups = 64;  // as in shaders/common/workgroup_sum.glsl
 constexpr std::uint32_t bytes_a_patch_place = 12;
 constexpr std::uint32_t kept_shared_bytes = 2048;  // of which sums take half
 
@@ -197,7 +198,8 @@ DeviceInfo describe_device(const InstanceApi& api, VkPhysicalDevice device) {
     info.patch_lanes = software_patch_lanes;
     info.patch_vertices = software_patch_vertices;
   } else {
-    info.patch_lanes = std::min(gpu_patch_lanes, limits.maxComputeWorkGroupInvocations);
+    info.patch_lanes = std::min({gpu_patch_lanes, most_subgroups * subgroup.subgroupSize,
+                                 limits.maxComputeWorkGroupInvocations, limits.maxComputeWorkGroupSize[0]});
     info.patch_vertices = gpu_patch_vertices;
     info.patch_places = std::min(
         gpu_patch_places, (limits.maxComputeSharedMemorySize - kept_shared_bytes) / bytes_a_patch_place);

@@ -127,8 +127,12 @@ std::vector<std::byte> KernelCache::read() {
 
 void KernelCache::write() {
   std::size_t size = 0;
-  if (api_.vkGetPipelineCacheData(device_, cache_, &size, nullptr) != VK_SUCCESS || size == kept_bytes_ ||
-      size > most_bytes - sizeof(Head)) {
+  if (api_.vkGetPipelineCacheData(device_, cache_, &size, nullptr) != VK_SUCCESS || size == kept_bytes_) {
+    return;
+  }
+  if (size > most_bytes - sizeof(Head)) {
+    std::filesystem::remove(state_.file);  // the next start begins with nothing
+    state_.why = "the kernels of many versions had grown too large and were forgotten";
     return;
   }
   std::vector<std::byte> data(size);

@@ -67,7 +67,11 @@ float sum_and_publish(float value) {
   if (!kInSharedMemory) {
     groupMemoryBarrier();
   }
-  return workgroup_sum(vec4(value, 0, 0, 0)).x;
+  float sum = workgroup_sum(vec4(value, 0, 0, 0)).x;
+  if (!kInSharedMemory) {
+    groupMemoryBarrier();
+  }
+  return sum;
 }
 
 void main() {

@@ -67,6 +67,8 @@ void main() {
     ahead[w] = texelFetch(costs, first_word + w).x;
   }
   for (int turn = 0; at.x >= 0 && at.x < width && at.y >= 0 && at.y < height; ++turn) {
+    ivec2 next = at + step_px;
+    bool goes_on = next.x >= 0 && next.x < width && next.y >= 0 && next.y < height;
     edges[turn & 1][gl_LocalInvocationID.x] = before[0] | before[4 * lane_words - 1] << 16;
     subgroupMemoryBarrierShared();
     subgroupBarrier();
@@ -75,7 +77,7 @@ void main() {
     uint word[lane_words];
     for (int w = 0; w < lane_words; ++w) {
       word[w] = ahead[w];
-      ahead[w] = texelFetch(costs, first_word + next_word + w).x;  // what lies outside is not used
+      ahead[w] = goes_on ? texelFetch(costs, first_word + next_word + w).x : 0;
     }
     uint jump = least + uint(push.jump_cost);
     uint smallest = kForbidden;

@@ -5,9 +5,11 @@
 #include <gtest/gtest.h>
 
 #include <chrono>
+#include <cmath>
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 
 #include "facet/error.hpp"
 #include "facet/messages.hpp"
@@ -86,6 +88,35 @@ class DeviceFaultsTest : public ::testing::Test {
 };
 
 // Wherever memory ends, what was made by then is given back: at the next place it ends one further.
+TEST_F(DeviceFaultsTest, AGpusPatchesInSharedMemoryGiveWhatASoftwareDevicesGive) {
+  const auto refined = [&](const gpu::ContextOptions& chosen) {
+    gpu::Context context(chosen);
+    Refiner refiner(context, {});
+    refiner.set_subject(subject_);
+    RefineOutput out;
+    for (int frame = 0; frame < 3; ++frame) {
+      refiner.submit(input_);
+      EXPECT_EQ(refiner.collect(out), RefineOutcome::Refined) << out.failure;
+    }
+    return std::pair(context.info().patch_places, out.displacements_mm);
+  };
+  const auto [no_places, expected] = refined(options());
+  ASSERT_EQ(no_places, 0U);
+  set("discrete");
+  const auto [places, found] = refined(options(std::chrono::seconds(60)));
+  ASSERT_GT(places, 0U);
+  ASSERT_EQ(found.size(), expected.size());
+  double squares = 0;
+  double differences = 0;
+  for (std::size_t i = 0; i < found.size(); ++i) {
+    squares += static_cast<double>(expected[i]) * static_cast<double>(expected[i]);
+    differences += std::pow(static_cast<double>(found[i]) - static_cast<double>(expected[i]), 2);
+  }
+  EXPECT_GT(squares, 0);
+  // Other patches, and sums of more lanes.
+  EXPECT_LT(std::sqrt(differences / squares), 0.05);
+}
+
 TEST_F(DeviceFaultsTest, MemoryThatEndsAnywhereInTheSubjectIsSaid) {
   const std::unique_ptr<RefineStage> stage = refiner_opener(options(), {})();
   int room = 0;
