@@ -11,8 +11,9 @@
 namespace facet::booth {
 namespace {
 
-/// A mesh as a hierarchy whose control vertices are its own.
-std::shared_ptr<const mesh::Hierarchy> single_level(const mesh::Level& level) {
+/// The finest level as a hierarchy whose control vertices are its own.
+std::shared_ptr<const mesh::Hierarchy> single_level(const mesh::Hierarchy& of) {
+  const mesh::Level& level = of.finest();
   auto hierarchy = std::make_shared<mesh::Hierarchy>();
   hierarchy->control_vertex_count = level.vertex_count;
   mesh::Level& only = hierarchy->levels.emplace_back(level);
@@ -23,6 +24,7 @@ std::shared_ptr<const mesh::Hierarchy> single_level(const mesh::Level& level) {
     only.from_coarser.weights.push_back(1);
   }
   only.from_coarser.row_offsets.push_back(level.vertex_count);
+  hierarchy->texture_coordinates = of.texture_coordinates;
   return hierarchy;
 }
 
@@ -94,7 +96,7 @@ void BoothShading::begin(const mesh::Hierarchy& hierarchy, const fit::TemplateMe
   mesh::apply(fine.from_coarser, skin, fine_skin);
   constexpr float kSkin = 0.99F;
   refine::SubjectSetup subject;
-  subject.hierarchy = single_level(fine);
+  subject.hierarchy = single_level(hierarchy);
   for (std::int32_t v = 0; v < fine.vertex_count; ++v) {
     subject.refinable.push_back(fine_skin(0, v) > kSkin ? 1 : 0);
   }

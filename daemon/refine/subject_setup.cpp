@@ -66,6 +66,11 @@ void check(const RefinerConfig& config, const SubjectSetup& subject) {
                                               subject.trust.size()));
   }
   const auto finest = static_cast<std::size_t>(subject.hierarchy->finest().vertex_count);
+  if (static_cast<std::size_t>(subject.hierarchy->texture_coordinates.cols()) != finest) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("the subject's finest level has {} vertices and {} texture coordinates", finest,
+                            subject.hierarchy->texture_coordinates.cols()));
+  }
   if (subject.albedo != nullptr && subject.albedo->linear_rgb.size() != 3 * finest) {
     throw Error(ErrorKind::Usage, fmt::format("the known albedo has {} numbers; the finest level needs {}",
                                               subject.albedo->linear_rgb.size(), 3 * finest));
