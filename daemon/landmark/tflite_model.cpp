@@ -176,7 +176,7 @@ TfliteTensor Reader::read_tensor(const tflite::Tensor& tensor) const {
   for (const int extent : result.shape) {
     shaped *= checked(extent, 1, max_extent, "a tensor's extent");
     if (shaped > max_elements) {
-      fail(fmt::format("a tensor of more than {} elements", max_elements));
+      fail(fmt::format("a tensor is too large: more than {} elements", max_elements));
     }
   }
   if (tensor.buffer() >= count_of(model_.buffers())) {

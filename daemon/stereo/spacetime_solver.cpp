@@ -348,17 +348,18 @@ void SpacetimeSolver::solve(std::span<const float> start_px, DisparityField& out
   out.correlation.assign(count, 0);
   out.energies.assign(static_cast<std::size_t>(impl.options.steps), 0);
   impl.unknowns.find(start_px, impl.options.break_px, impl.most_cells);
+  StereoOutcome unprepared = StereoOutcome::NumericalFailure;
   try {
     out.failure = impl.prepare();
-    out.outcome = StereoOutcome::NumericalFailure;
   } catch (const Error& error) {
     if (error.kind() != ErrorKind::NoDevice) {
       throw;
     }
     out.failure = error.what();
-    out.outcome = StereoOutcome::DeviceLost;
+    unprepared = StereoOutcome::DeviceLost;
   }
   if (!out.failure.empty()) {
+    out.outcome = unprepared;
     return;
   }
   std::transform(start_px.begin(), start_px.end(), impl.start.mapped_as<float>().begin(),
