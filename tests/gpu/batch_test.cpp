@@ -215,8 +215,8 @@ TEST_F(BatchTest, IndirectDispatchTakesItsCountFromTheDevice) {
   batch.dispatch(decide, {{"wanted", wanted}, {"counts", counts, at}}, {1});
   batch.dispatch_indirect(kernel, {{"previous", zeros}, {"values", values}}, counts, at, CountPush{count});
   EXPECT_EQ(batch.counts().barriers, 1U);
-  EXPECT_THROW(batch.dispatch_indirect(kernel, {{"previous", zeros}, {"values", values}}, counts,
-                                       at + 8, CountPush{count}),
+  EXPECT_THROW(batch.dispatch_indirect(kernel, {{"previous", zeros}, {"values", values}}, counts, at + 8,
+                                       CountPush{count}),
                Error);
   EXPECT_THROW(
       batch.dispatch_indirect(kernel, {{"previous", zeros}, {"values", values}}, counts, 2, CountPush{count}),
