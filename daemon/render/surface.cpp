@@ -3,47 +3,18 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
-#include <exception>
-#include <system_error>
 #include <thread>
 
 #include "facet/error.hpp"
+#include "maths/threads.hpp"
 #include "render/renderer.hpp"
 
 namespace facet::render {
 
 void for_each_row(int row_count, const std::function<void(int)>& work) {
-  // Interleaved rows share the face, which fills the middle of most pictures, evenly.
-  const auto rows_of = [&](int first) {
-    for (int y = first; y < row_count; y += 2) {
-      work(y);
-    }
-  };
-  std::exception_ptr fault;
-  std::jthread odd;
-  const bool alone = row_count < 2 || std::thread::hardware_concurrency() < 2;
-  try {
-    if (!alone) {
-      odd = std::jthread([&] {
-        try {
-          rows_of(1);
-        } catch (...) {
-          fault = std::current_exception();
-        }
-      });
-    }
-  } catch (const std::system_error&) {
-    // No thread to be had: it takes longer.
-  }
-  rows_of(0);
-  if (odd.joinable()) {
-    odd.join();
-  } else {
-    rows_of(1);
-  }
-  if (fault != nullptr) {
-    std::rethrow_exception(fault);
-  }
+  maths::for_each_piece(static_cast<std::size_t>(std::max(row_count, 0)),
+                        std::min(2U, std::thread::hardware_concurrency()),
+                        [&](std::size_t, std::size_t y) { work(static_cast<int>(y)); });
 }
 
 Eigen::MatrixXf interpolate(const HitImage& hits, const mesh::Triangles& triangles,

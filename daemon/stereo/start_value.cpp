@@ -61,6 +61,18 @@ StartValue::StartValue(int width_px, int height_px, int least_px, int most_px, c
   totals_.reserve(pixels * count_);
 }
 
+std::size_t StartValue::bytes() const {
+  const auto of = [](const auto&... arrays) {
+    return (std::size_t{0} + ... + (arrays.capacity() * sizeof(arrays.front())));
+  };
+  std::size_t sum = of(left_lit_, right_lit_, costs_, totals_, row_sums_, reversed_, right_cost_, right_best_,
+                       paths_, path_least_, columns_);
+  for (std::size_t slot = 0; slot < left_.size(); ++slot) {
+    sum += of(left_[slot], right_[slot]);
+  }
+  return sum;
+}
+
 /// Takes mean and contrast of the surroundings out, so that gain and bias of either camera do not count. In
 /// the box's rows.
 void StartValue::normalise(std::span<const float> grey, const std::vector<std::uint8_t>& lit,

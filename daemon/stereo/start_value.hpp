@@ -46,6 +46,10 @@ class StartValue {
   /// options that make no sense.
   StartValue(int width_px, int height_px, int least_px, int most_px, const StartOptions& options);
 
+  /// Memory of this object, all of it set up; of costs only as much is touched as the box around what is lit
+  /// needs.
+  std::size_t bytes() const;
+
   /// left, right  pictures, [slots][height][width] grey 0 to 1, below 0 where a picture says nothing. A slot
   /// of
   ///              which nothing can be said takes its costs from those beside it within window_t.

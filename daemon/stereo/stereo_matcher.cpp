@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <atomic>
 #include <chrono>
 #include <cmath>
 #include <cstring>
@@ -17,6 +16,7 @@
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "gpu/device_array.hpp"
+#include "maths/threads.hpp"
 #include "shaders/stereo/layout.h"
 #include "stereo/device_start.hpp"
 #include "stereo/islands.hpp"
@@ -31,7 +31,10 @@ constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 // Two left pixels that land on one right pixel: the farther one is hidden there if it is farther by more than
 // this.
 constexpr float kHidden_px = 1.5F;
-constexpr int kMostThreads = 16;
+constexpr std::size_t kMostThreads = 16;
+// For start values, of one matcher: eight threads of the usual size (640 x 480 px, 128 disparities: 0.12
+// GiB), so that a booth of two pairs leaves a machine of 8 GB room for pictures, fit and shading.
+constexpr std::size_t kStartMemory_bytes = std::size_t{1} << 30U;
 
 /// One camera's pictures on their way into a volume.
 struct View {
@@ -144,17 +147,17 @@ StereoMatcher::Impl::Impl(gpu::Context& context, const capture::Rig& rig, const 
                                                  rectification.most_disparity_px(), options.start,
                                                  StartPictures{solver.left(), solver.right(), usable});
   }
-  const int threads = std::clamp(static_cast<int>(std::thread::hardware_concurrency()), 1,
-                                 std::min(options.most_slots, kMostThreads));
-  hands.reserve(static_cast<std::size_t>(threads));
-  for (int i = 0; i < threads; ++i) {
+  int threads = 0;
+  do {
     Hand& hand = hands.emplace_back(Hand{std::nullopt, Islands(options.width_px, options.height_px),
                                          std::vector<float>(static_cast<std::size_t>(options.width_px))});
     if (!device_start) {
       hand.start.emplace(options.width_px, options.height_px, rectification.least_disparity_px(),
                          rectification.most_disparity_px(), options.start);
     }
-  }
+    threads = thread_count(std::thread::hardware_concurrency(), options.most_slots,
+                           hand.start ? hand.start->bytes() : 0);
+  } while (std::ssize(hands) < threads);
   batch.stage("rectify");
   const auto record = [&](const View& view, const gpu::Buffer& volume) {
     for (int slot = 0; slot < size.slots; ++slot) {
@@ -217,19 +220,12 @@ gpu::Outcome StereoMatcher::Impl::rectify(std::span<const StereoSlot> slots) {
 /// Work on some slots, on as many threads as there are hands.
 void StereoMatcher::Impl::for_each(std::span<const std::size_t> chosen, const Alive& alive,
                                    const std::function<void(Hand&, std::size_t)>& work) {
-  std::atomic<std::size_t> next = 0;
-  std::vector<std::jthread> others;
-  for (std::size_t i = 1; i < std::min(hands.size(), chosen.size()); ++i) {
-    others.emplace_back([&, i] {
-      for (std::size_t at = next++; at < chosen.size(); at = next++) {
-        work(hands[i], chosen[at]);
-      }
-    });
-  }
-  for (std::size_t at = next++; at < chosen.size(); at = next++) {
-    alive();
-    work(hands[0], chosen[at]);
-  }
+  maths::for_each_piece(chosen.size(), hands.size(), [&](std::size_t thread, std::size_t piece) {
+    if (thread == 0) {
+      alive();
+    }
+    work(hands[thread], chosen[piece]);
+  });
 }
 
 /// Takes over the start values of slots that were in the run before, and says which are missing. Returns the
@@ -334,6 +330,13 @@ void StereoMatcher::Impl::finish(Hand& hand, std::size_t slot, capture::DepthMap
       map.confidence[at] = capture::depth_confidence(map.sigma_mm[at]);
     }
   }
+}
+
+int thread_count(unsigned processors, int slots, std::size_t start_bytes) {
+  const std::size_t fitting = kStartMemory_bytes / std::max<std::size_t>(start_bytes, 1);
+  const auto most =
+      std::min<std::size_t>({processors, static_cast<std::size_t>(slots), kMostThreads, fitting});
+  return static_cast<int>(std::max<std::size_t>(most, 1));
 }
 
 StereoMatcher::StereoMatcher(gpu::Context& context, const capture::Rig& rig, const capture::StereoPair& pair,

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <optional>
@@ -51,8 +52,13 @@ struct StereoTimes {
   float finish_ms = 0;
 };
 
+/// On how many threads a match works: as many as there are processors and slots, 16 at most, and where each
+/// finds start values in start_bytes of memory (StartValue::bytes) as many as fit into 1 GiB; at least one.
+int thread_count(unsigned processors, int slots, std::size_t start_bytes);
+
 /// From the pictures of a pair to depth maps. One thread at a time; the context must outlive it. `match` has
-/// slots worked on by threads of its own while it lasts, as many as there are processors, 16 at most.
+/// slots worked on by threads of its own while it lasts (thread_count); where one can't be made, those that
+/// are there take longer.
 class StereoMatcher {
  public:
   /// Sets up all memory and kernels. Throws Error(Usage) for what Rectification, StartValue and
@@ -67,9 +73,10 @@ class StereoMatcher {
   /// windows; those with window_t / 2 slots on either side are as good as they get.
   /// slots   1 to most_slots
   /// maps    out, [slots], empty of depths where not wanted; confidence 1 / (1 + (sigma / 0.1 mm)^2) where
-  /// there is a depth; a picture of another size than its lens's counts as missing returns DeviceLost and
-  /// NumericalFailure leave the maps empty of depths; failure() says more alive   called between pieces of
-  /// work and while it waits for the device
+  /// there is a depth; a picture of another size than its lens's counts as missing
+  /// alive   called on this thread between pieces of work and while it waits for the device
+  /// DeviceLost and NumericalFailure leave the maps empty of depths; failure() says more. Throws Error(Usage)
+  /// for other slots or masks, what `alive` throws, and std::bad_alloc; the next match begins anew.
   StereoOutcome match(
       std::span<const StereoSlot> slots, std::vector<capture::DepthMap>& maps, const Alive& alive = [] {});
 

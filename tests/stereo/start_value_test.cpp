@@ -55,6 +55,15 @@ Pictures two_plates(int slots, int blank) {
   return out;
 }
 
+TEST(StartValueMemory, IsThatOfTheCostsAndALittleBeside) {
+  // 128 disparities of 640 x 480 px: a byte each, two for the sums over the paths.
+  const std::size_t costs = std::size_t{640} * 480 * 128 * 3;
+  const std::size_t bytes = StartValue(640, 480, -64, 63, {}).bytes();
+  EXPECT_GT(bytes, costs);
+  EXPECT_LT(bytes, costs * 5 / 4);
+  EXPECT_GT(StartValue(1280, 960, -128, 127, {}).bytes(), 7 * bytes);
+}
+
 class StartMethods : public ::testing::TestWithParam<StartMethod> {};
 
 TEST_P(StartMethods, FindsBothPlatesAndNothingBetween) {

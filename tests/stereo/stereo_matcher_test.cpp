@@ -6,6 +6,7 @@
 
 #include "facet/error.hpp"
 #include "support/gpu.hpp"
+#include "support/refused_threads.hpp"
 #include "support/stereo_scene.hpp"
 
 namespace facet::stereo {
@@ -338,6 +339,47 @@ TEST_F(StereoMatcherTest, ALostDeviceIsAnOutcome) {
   EXPECT_FALSE(matcher.failure().empty());
   EXPECT_EQ(std::ranges::count_if(maps[0].depth_mm, [](float d) { return d > 0; }), 0);
 }
+
+TEST(StereoThreads, AreBoundByProcessorsSlotsAndMemory) {
+  constexpr std::size_t gib = std::size_t{1} << 30U;
+  EXPECT_EQ(thread_count(4, 9, 0), 4);
+  EXPECT_EQ(thread_count(64, 9, 0), 9);
+  EXPECT_EQ(thread_count(64, 100, 0), 16);
+  EXPECT_EQ(thread_count(0, 9, 0), 1) << "a machine that does not say";
+  EXPECT_EQ(thread_count(64, 9, gib / 5), 5);
+  EXPECT_EQ(thread_count(64, 9, gib / 5 + 1), 4);
+  EXPECT_EQ(thread_count(64, 9, 3 * gib), 1) << "one finds them, whatever it takes";
+}
+
+TEST_F(StereoMatcherTest, WhatIsThrownAmidAMatchReachesTheCallerAndTheNextOneIsSound) {
+  const StereoScene scene = scene_of(Surface::Plane);
+  const std::vector<StereoSlot> slots = slots_of(scene, 4);
+  StereoMatcher matcher(context(), scene.rig, {0, 1}, options_for(4));
+  std::vector<capture::DepthMap> expected;
+  ASSERT_EQ(matcher.match(slots, expected), StereoOutcome::Done);
+  std::vector<capture::DepthMap> maps;
+  EXPECT_THROW(matcher.match(slots, maps, [] { throw Error(ErrorKind::Unavailable, "stopped"); }), Error);
+  ASSERT_EQ(matcher.match(slots, maps), StereoOutcome::Done) << matcher.failure();
+  EXPECT_EQ(maps[1].depth_mm, expected[1].depth_mm);
+}
+
+#ifndef FACET_SANITIZED
+TEST_F(StereoMatcherTest, WithoutThreadsOfItsOwnAMatchFindsTheSame) {
+  const StereoScene scene = scene_of(Surface::Plane);
+  const std::vector<StereoSlot> slots = slots_of(scene, 4);
+  StereoMatcher matcher(context(), scene.rig, {0, 1}, options_for(4));
+  std::vector<capture::DepthMap> expected;
+  ASSERT_EQ(matcher.match(slots, expected), StereoOutcome::Done);
+  // The first that is made finds start values, where there are two processors; the next, maps.
+  for (const int n : {1, 2}) {
+    std::vector<capture::DepthMap> maps;
+    facet::test::refuse_thread(n);
+    EXPECT_EQ(matcher.match(slots, maps), StereoOutcome::Done) << matcher.failure();
+    facet::test::refuse_thread(0);
+    EXPECT_EQ(maps[1].depth_mm, expected[1].depth_mm);
+  }
+}
+#endif
 
 TEST_F(StereoMatcherTest, RefusesTooManySlots) {
   const StereoScene scene = scene_of(Surface::Plane);

@@ -1,12 +1,9 @@
 #include "system_calls.hpp"
 
-#include <dlfcn.h>
-#include <pthread.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
 #include <unistd.h>
 
-#include <atomic>
 #include <cerrno>
 #include <filesystem>
 #include <mutex>
@@ -18,7 +15,6 @@ namespace {
 std::mutex hooks_mutex;
 std::function<void(const std::string&)> before_sync;  // guarded by the mutex
 std::function<bool(const std::string&)> may_sync;     // likewise
-std::atomic<int> threads_until_refused{0};
 
 /// A file that got its name after it was opened is called deleted for ever by /proc: what it is called now.
 std::string path_of(int fd) {
@@ -67,18 +63,6 @@ extern "C" int fsync(int fd) {
   return sync_file(SYS_fsync, fd);
 }
 
-#ifndef FACET_SANITIZED
-extern "C" int pthread_create(pthread_t* thread, const pthread_attr_t* attributes, void* (*work)(void*),
-                              void* argument) {
-  using Create = int (*)(pthread_t*, const pthread_attr_t*, void* (*)(void*), void*);
-  static const auto real = reinterpret_cast<Create>(::dlsym(RTLD_NEXT, "pthread_create"));
-  if (threads_until_refused > 0 && --threads_until_refused == 0) {
-    return EAGAIN;
-  }
-  return real(thread, attributes, work, argument);
-}
-#endif
-
 namespace facet::test {
 
 void hook_syncs(std::function<void(const std::string&)> hook) {
@@ -89,10 +73,6 @@ void hook_syncs(std::function<void(const std::string&)> hook) {
 void decide_syncs(std::function<bool(const std::string&)> decide) {
   const std::lock_guard lock(hooks_mutex);
   may_sync = std::move(decide);
-}
-
-void refuse_thread(int n) {
-  threads_until_refused = n;
 }
 
 }  // namespace facet::test

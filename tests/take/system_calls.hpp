@@ -13,8 +13,4 @@ void hook_syncs(std::function<void(const std::string& path)> hook);
 /// it.
 void decide_syncs(std::function<bool(const std::string& path)> decide);
 
-/// The n-th thread (from 1) that is made from now on can't be made, once; 0: all can. Not where a sanitizer
-/// makes the threads.
-void refuse_thread(int n);
-
 }  // namespace facet::test

@@ -20,6 +20,7 @@
 #include "facet/error.hpp"
 #include "record_take.hpp"
 #include "support/paths.hpp"
+#include "support/refused_threads.hpp"
 #include "support/small_disk.hpp"
 #include "system_calls.hpp"
 #include "take/closing.hpp"
