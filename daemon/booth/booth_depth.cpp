@@ -151,6 +151,10 @@ std::string BoothDepth::device() const {
   return impl_->context ? impl_->context->info().name : "";
 }
 
+std::string BoothDepth::kernels_ignored() const {
+  return impl_->context ? impl_->context->kernel_cache().ignored : "";
+}
+
 std::string BoothDepth::find(std::uint64_t first_slot, std::span<const DepthSlot> slots,
                              std::vector<std::vector<capture::DepthMap>>& maps, const stereo::Alive& alive) {
   Impl& impl = *impl_;

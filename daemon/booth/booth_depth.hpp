@@ -42,6 +42,8 @@ class DepthSource {
   virtual const stereo::DepthRange& depths() const = 0;
   /// For people; empty while the device is lost.
   virtual std::string device() const = 0;
+  /// What is wrong with the kernels kept from the start before (gpu::KernelCacheState::ignored); else empty.
+  virtual std::string kernels_ignored() const { return {}; }
 
   /// slots   a run of consecutive ones; first_slot: the number of its first
   /// maps    out, [wanted slots][pairs]; all holes, or empty, where a camera or the device is missing
@@ -66,6 +68,7 @@ class BoothDepth final : public DepthSource {
 
   const stereo::DepthRange& depths() const override;
   std::string device() const override;
+  std::string kernels_ignored() const override;
   std::string find(std::uint64_t first_slot, std::span<const DepthSlot> slots,
                    std::vector<std::vector<capture::DepthMap>>& maps, const stereo::Alive& alive) override;
 

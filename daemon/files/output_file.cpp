@@ -3,6 +3,7 @@
 #include <fcntl.h>
 #include <fmt/format.h>
 #include <sys/random.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -169,9 +170,15 @@ std::string set_aside(const std::filesystem::path& file) {
   return fmt::format("it could not be set aside: {}", std::strerror(errno));
 }
 
-void make_folder(const std::filesystem::path& folder) {
+void make_folder(const std::filesystem::path& folder, mode_t mode) {
   std::error_code failure;
-  std::filesystem::create_directories(folder, failure);
+  if (folder.has_parent_path()) {
+    std::filesystem::create_directories(folder.parent_path(), failure);
+  }
+  if (!failure) {
+    ::mkdir(folder.c_str(), mode);  // the next call knows whether it is there now
+    std::filesystem::create_directories(folder, failure);
+  }
   if (failure) {
     throw Error(ErrorKind::Storage,
                 fmt::format("{}: cannot make the folder ({})", folder.string(), failure.message()));

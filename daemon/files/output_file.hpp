@@ -80,7 +80,8 @@ void sync_folder(const std::filesystem::path& folder);
 /// way nor lost. Returns what became of it, for people: "set aside as '...'", or why it could not be.
 std::string set_aside(const std::filesystem::path& file);
 
-/// Makes a folder and those above it, where they are not there yet. Throws Error(Storage) naming it.
-void make_folder(const std::filesystem::path& folder);
+/// Makes a folder and those above it, where they are not there yet. mode: of the folder, where it is made,
+/// less the umask. Throws Error(Storage) naming it.
+void make_folder(const std::filesystem::path& folder, mode_t mode = 0777);
 
 }  // namespace facet::files

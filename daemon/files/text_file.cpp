@@ -59,6 +59,8 @@ InputFile::InputFile(std::filesystem::path file, std::string_view what)
     fail("not a regular file");
   }
   size_ = static_cast<std::size_t>(status.st_size);
+  trusted_ =
+      (status.st_uid == ::geteuid() || status.st_uid == 0) && (status.st_mode & (S_IWGRP | S_IWOTH)) == 0;
 }
 
 InputFile::~InputFile() {
@@ -90,16 +92,19 @@ void InputFile::read(std::size_t position, std::span<std::byte> out) const {
   }
 }
 
+std::vector<std::byte> InputFile::read_all(std::size_t most_bytes) const {
+  if (size_ > most_bytes) {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("{}: larger than {} bytes: this is no {}", file_.string(), most_bytes, what_));
+  }
+  std::vector<std::byte> bytes(size_);
+  read(0, bytes);
+  return bytes;
+}
+
 std::vector<std::byte> read_bytes(const std::filesystem::path& file, std::size_t most_bytes,
                                   std::string_view what) {
-  const InputFile in(file, what);
-  if (in.size() > most_bytes) {
-    throw Error(ErrorKind::UnreadableInput,
-                fmt::format("{}: larger than {} bytes: this is no {}", file.string(), most_bytes, what));
-  }
-  std::vector<std::byte> bytes(in.size());
-  in.read(0, bytes);
-  return bytes;
+  return InputFile(file, what).read_all(most_bytes);
 }
 
 }  // namespace facet::files

@@ -25,9 +25,15 @@ class InputFile {
   InputFile& operator=(const InputFile&) = delete;
 
   std::size_t size() const { return size_; }  ///< when it was opened, bytes
+  /// Whether it was this process's user's or root's when it was opened, and nobody else might write it: what
+  /// stands in it was written by whom the process trusts anyway.
+  bool trusted() const { return trusted_; }
   /// Fills `out` with the bytes from `position` on. Throws Error(UnreadableInput) where they are not there
   /// (any more) or can't be read.
   void read(std::size_t position, std::span<std::byte> out) const;
+  /// All of it. Throws Error(UnreadableInput) where it is larger than most_bytes, before memory is taken,
+  /// too.
+  std::vector<std::byte> read_all(std::size_t most_bytes) const;
 
  private:
   [[noreturn]] void fail(int error) const;
@@ -37,6 +43,7 @@ class InputFile {
   std::string what_;
   int descriptor_ = -1;
   std::size_t size_ = 0;
+  bool trusted_ = false;
 };
 
 /// The bytes of a regular file; memory is taken once its size is known. Throws as InputFile, and

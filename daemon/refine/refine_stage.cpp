@@ -11,6 +11,7 @@ class GpuStage final : public RefineStage {
       : context_(options), refiner_(context_, config) {}
 
   std::string device() const override { return context_.info().name; }
+  std::string kernels_ignored() const override { return context_.kernel_cache().ignored; }
   void set_subject(const SubjectSetup& subject) override { refiner_.set_subject(subject); }
   void restart() override { refiner_.restart(); }
   RefineOutcome refine(const RefineInput& input, RefineOutput& output) override {

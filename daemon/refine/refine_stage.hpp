@@ -18,6 +18,8 @@ class RefineStage {
   virtual ~RefineStage() = default;
 
   virtual std::string device() const = 0;  ///< for people
+  /// What is wrong with the kernels kept from the start before (gpu::KernelCacheState::ignored); else empty.
+  virtual std::string kernels_ignored() const { return {}; }
   /// As Refiner::set_subject. May throw gpu::DeviceLostError.
   virtual void set_subject(const SubjectSetup& subject) = 0;
   /// As Refiner::restart.

@@ -19,9 +19,17 @@ void tell(OpenedPipeline& opened, std::string line, bool warns = false) {
   opened.lines.push_back({warns, std::move(line)});
 }
 
+void tell_device(OpenedPipeline& opened, std::string line, std::string kernels_ignored) {
+  tell(opened, std::move(line));
+  if (!kernels_ignored.empty()) {
+    tell(opened, std::move(kernels_ignored), true);
+  }
+}
+
 void tell_refiner(OpenedPipeline& opened, const pipeline::ShadingParts& stages) {
   if (stages.refiner != nullptr) {
-    tell(opened, fmt::format("refining on {}", stages.refiner->device()));
+    tell_device(opened, fmt::format("refining on {}", stages.refiner->device()),
+                stages.refiner->kernels_ignored());
   } else {
     tell(opened, "refinement off (gpu.device = \"none\"): meshes are coarse and marked as degraded", true);
   }
@@ -121,7 +129,8 @@ OpenedPipeline open_booth(const Config& config) {
       std::make_shared<pipeline::Booth>(pipeline::open_booth(config.devices, booth_config(config)));
   OpenedPipeline opened;
   tell_devices(opened, booth->devices);
-  tell(opened, fmt::format("depth maps on {}", booth->stages.depth->device()));
+  tell_device(opened, fmt::format("depth maps on {}", booth->stages.depth->device()),
+              booth->stages.depth->kernels_ignored());
   opened.make = [booth, record = config.booth_record](const Sinks& sinks) {
     std::vector<pipeline::FrameSetSink*> set_sinks;
     std::vector<pipeline::MeshSink*> mesh_sinks = {&sinks.stream, &sinks.bridges};

@@ -101,6 +101,7 @@ struct KernelCacheState {
   std::size_t read_bytes = 0;     ///< of the driver's data, at the start
   std::size_t written_bytes = 0;  ///< last
   std::string why;                ///< what was wrong with the file, or why it could not be written
+  std::string ignored;            ///< for people: why what stood there at the start was not read; else empty
 };
 
 /// One Vulkan device with one compute queue. Resources, kernels and batches keep the device alive, so they

@@ -73,6 +73,10 @@ KernelCache::KernelCache(const DeviceApi& api, VkDevice device, const KernelCach
     state_.file = (folder / file_name(key)).string();
   }
   const std::vector<std::byte> data = read();
+  if (!state_.why.empty()) {
+    state_.ignored =
+        fmt::format("the kernels compiled before, in '{}', are not used: {}", state_.file, state_.why);
+  }
   VkPipelineCacheCreateInfo info{};
   info.sType = VK_STRUCTURE_TYPE_PIPELINE_CACHE_CREATE_INFO;
   info.initialDataSize = data.size();
@@ -102,7 +106,12 @@ std::vector<std::byte> KernelCache::read() {
     return {};
   }
   try {
-    std::vector<std::byte> bytes = files::read_bytes(state_.file, most_bytes, "kernel cache");
+    const files::InputFile in(state_.file, "kernel cache");
+    if (!in.trusted()) {
+      state_.why = "the file is not this user's or root's alone to write";
+      return {};
+    }
+    std::vector<std::byte> bytes = in.read_all(most_bytes);
     Head head;
     if (bytes.size() < sizeof(head)) {
       state_.why = "the file is cut";
@@ -142,8 +151,9 @@ void KernelCache::write() {
   data.resize(size);
   const Head head{magic, key_, data.size(), checksum_of(data)};
   const std::filesystem::path file = state_.file;
-  files::make_folder(file.parent_path());
-  files::OutputFile out(file);
+  // Programs for the device, which a driver runs as they are: nobody else is to write them.
+  files::make_folder(file.parent_path(), 0700);
+  files::OutputFile out(file, 0600);
   out.write(std::as_bytes(std::span(&head, 1)));
   out.write(data);
   out.commit();

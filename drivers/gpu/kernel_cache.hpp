@@ -29,7 +29,8 @@ struct KernelCacheKey {
 
 /// The driver's pipeline cache of one device, filled from a file of an earlier start. A file is a head (who
 /// made it, how long its data are, their checksum) and the driver's data. One that is damaged, cut, too large
-/// or another driver's counts as not there: drivers do not look well at what they are given. Any thread.
+/// or another driver's, or that others than this user and root may write, counts as not there: drivers do not
+/// look well at what they are given, and run it. Any thread.
 class KernelCache {
  public:
   /// folder: empty: what is compiled is kept for this device alone. Does not throw for what a file is.

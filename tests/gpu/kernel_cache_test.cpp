@@ -2,6 +2,7 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 #include <cstddef>
 #include <cstdint>
@@ -25,6 +26,7 @@
 namespace facet::gpu {
 namespace {
 
+using ::testing::AllOf;
 using ::testing::HasSubstr;
 namespace fs = std::filesystem;
 
@@ -143,6 +145,37 @@ TEST_F(KernelCacheTest, AFileThatIsNotWhatItShouldBeIsIgnoredAndReplaced) {
     EXPECT_GT(start(options()).read_bytes, 0U) << n;
     ASSERT_EQ(files().size(), 1U) << n;
   }
+}
+
+TEST_F(KernelCacheTest, AFileThatOthersMayWriteIsIgnoredAndReplaced) {
+  start(options());
+  ASSERT_EQ(files().size(), 1U);
+  const fs::path file = files().front();
+  for (const fs::perms others : {fs::perms::group_write, fs::perms::others_write}) {
+    fs::permissions(file, others, fs::perm_options::add);
+    {
+      const Context context(options());
+      EXPECT_EQ(context.kernel_cache().read_bytes, 0U);
+      EXPECT_THAT(context.kernel_cache().ignored,
+                  AllOf(HasSubstr(file.string()), HasSubstr("alone to write")));
+    }
+    const KernelCacheState replaced = start(options());
+    EXPECT_EQ(replaced.why, "");
+    EXPECT_EQ(fs::status(file).permissions(), fs::perms::owner_read | fs::perms::owner_write);
+    const KernelCacheState next = start(options());
+    EXPECT_GT(next.read_bytes, 0U);
+    EXPECT_EQ(next.ignored, "");
+  }
+  if (::geteuid() == 0) {
+    ASSERT_EQ(::chown(file.c_str(), 65534, 65534), 0);
+    EXPECT_THAT(Context(options()).kernel_cache().ignored, HasSubstr("alone to write")) << "another user's";
+  }
+}
+
+TEST_F(KernelCacheTest, FileAndFolderAreTheUsersAlone) {
+  const KernelCacheState kept = start(options(folder() / "made" / "here"));
+  EXPECT_EQ(fs::status(kept.file).permissions(), fs::perms::owner_read | fs::perms::owner_write);
+  EXPECT_EQ(fs::status(folder() / "made" / "here").permissions(), fs::perms::owner_all);
 }
 
 TEST_F(KernelCacheTest, WhatCannotBeAFileIsIgnored) {

@@ -86,6 +86,9 @@ void check_vulkan(Report& report, const std::string& wanted) {
       report.say(Verdict::Note, "Vulkan", lack);
     }
     gpu::Context context({.device = wanted});
+    if (const std::string ignored = context.kernel_cache().ignored; !ignored.empty()) {
+      report.say(Verdict::Note, "Vulkan", ignored, "they are compiled anew and the file is replaced");
+    }
     const gpu::DeviceFacts facts = gpu::device_facts(context);
     const std::uint64_t heap_bytes = facts.heap_bytes.empty() ? 0 : std::ranges::max(facts.heap_bytes);
     report.say(Verdict::Good, "Vulkan",
