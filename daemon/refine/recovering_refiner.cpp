@@ -9,6 +9,7 @@
 #include <system_error>
 #include <utility>
 
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "facet/mutex.hpp"
 #include "gpu/context.hpp"
@@ -42,14 +43,24 @@ void RecoveringRefiner::set_subject(const SubjectSetup& subject) {
   subject_ = subject;
   has_subject_ = true;
   adopt_reopened();
-  if (stage_ == nullptr) {
-    return;
+  if (stage_ != nullptr) {
+    give_subject();
   }
+}
+
+void RecoveringRefiner::give_subject() {
+  subject_given_ = false;
   try {
     stage_->set_subject(subject_);
-  } catch (const Error& error) {
-    // The only thing that can be wrong with a subject that was built is the device under it.
+    subject_given_ = true;
+  } catch (const gpu::DeviceLostError& error) {
     lose(error.what());
+  } catch (const Error& error) {
+    if (error.kind() != ErrorKind::NoDevice) {
+      throw;
+    }
+    refuse("this face's vertices", error.what());
+    next_subject_try_ = Clock::now() + pauses_.longest;
   }
 }
 
@@ -69,6 +80,14 @@ const std::string& RecoveringRefiner::refine(const RefineInput& input, RefineOut
   if (stage_ == nullptr) {
     return reason_;
   }
+  if (has_subject_ && !subject_given_) {
+    if (Clock::now() >= next_subject_try_) {
+      give_subject();
+    }
+    if (!subject_given_) {
+      return reason_;
+    }
+  }
   RefineOutcome outcome = RefineOutcome::DeviceLost;
   try {
     outcome = stage_->refine(input, output);
@@ -76,7 +95,7 @@ const std::string& RecoveringRefiner::refine(const RefineInput& input, RefineOut
     output.failure = error.what();
   } catch (const Error& error) {
     // A first picture of its size finds no room on the device.
-    refuse(error.what());
+    refuse("pictures of this size", error.what());
     return reason_;
   }
   switch (outcome) {
@@ -93,10 +112,10 @@ const std::string& RecoveringRefiner::refine(const RefineInput& input, RefineOut
   return reason_;
 }
 
-void RecoveringRefiner::refuse(const std::string& reason) {
-  const std::string said =
-      fmt::format("no room for pictures of this size on {} ({}): use a smaller picture or another gpu.device",
-                  device_, reason);
+void RecoveringRefiner::refuse(const char* what, const std::string& reason) {
+  const std::string said = fmt::format(
+      "no room for {} on {} ({}): end what else uses it, use a smaller picture or another gpu.device", what,
+      device_, reason);
   if (said != reason_) {
     messages_.warning(said);
     reason_ = said;
@@ -146,7 +165,9 @@ void RecoveringRefiner::adopt_reopened() {
   messages_.info(fmt::format("GPU {} is back", device_));
   if (has_subject_ && reopened_for != subject_.hierarchy.get()) {
     // The subject changed while the helper was at work.
-    set_subject(SubjectSetup(subject_));
+    give_subject();
+  } else {
+    subject_given_ = has_subject_;
   }
 }
 

@@ -6,10 +6,13 @@
 
 #include <chrono>
 #include <cmath>
+#include <filesystem>
 #include <memory>
 #include <optional>
 #include <string>
+#include <thread>
 #include <utility>
+#include <vector>
 
 #include "facet/error.hpp"
 #include "facet/messages.hpp"
@@ -17,6 +20,7 @@
 #include "refine/refine_stage.hpp"
 #include "support/eventually.hpp"
 #include "support/gpu_faults.hpp"
+#include "support/paths.hpp"
 #include "support/synthetic_face.hpp"
 
 namespace facet::refine {
@@ -87,7 +91,6 @@ class DeviceFaultsTest : public ::testing::Test {
   std::shared_ptr<const mesh::Hierarchy> hierarchy_;
 };
 
-// Wherever memory ends, what was made by then is given back: at the next place it ends one further.
 TEST_F(DeviceFaultsTest, AGpusPatchesInSharedMemoryGiveWhatASoftwareDevicesGive) {
   const auto refined = [&](const gpu::ContextOptions& chosen) {
     gpu::Context context(chosen);
@@ -117,6 +120,7 @@ TEST_F(DeviceFaultsTest, AGpusPatchesInSharedMemoryGiveWhatASoftwareDevicesGive)
   EXPECT_LT(std::sqrt(differences / squares), 0.05);
 }
 
+// Wherever memory ends, what was made by then is given back: at the next place it ends one further.
 TEST_F(DeviceFaultsTest, MemoryThatEndsAnywhereInTheSubjectIsSaid) {
   const std::unique_ptr<RefineStage> stage = refiner_opener(options(), {})();
   int room = 0;
@@ -157,6 +161,61 @@ TEST_F(DeviceFaultsTest, APictureWithoutRoomLeavesFramesCoarse) {
   EXPECT_EQ(messages.take().size(), 1U) << "said once";
   set("");
   EXPECT_EQ(refiner->refine(input_, output_), "");
+}
+
+TEST_F(DeviceFaultsTest, ASubjectWithoutRoomLeavesFramesCoarseOnADeviceThatIsThere) {
+  Messages messages;
+  const auto refiner = recovering(messages);
+  refiner->set_subject(subject_);
+  ASSERT_EQ(refiner->refine(input_, output_), "");
+  const std::string device = refiner->device();
+  set("memory 0");
+  refiner->set_subject(subject_);
+  for (int frame = 0; frame < 3; ++frame) {
+    EXPECT_THAT(refiner->refine(input_, output_),
+                AllOf(HasSubstr("no room for this face's vertices on " + device),
+                      HasSubstr("not enough memory left")));
+    std::this_thread::sleep_for(std::chrono::milliseconds(25));  // a pause: it is tried again
+  }
+  EXPECT_EQ(refiner->device(), device);
+  std::vector<Messages::Message> said = messages.take();
+  ASSERT_EQ(said.size(), 1U) << "said once, and nothing of a lost device";
+  EXPECT_THAT(said.front().text, StartsWith("no room"));
+  set("");
+  EXPECT_TRUE(refined_again(*refiner));
+  EXPECT_TRUE(messages.take().empty());
+}
+
+TEST_F(DeviceFaultsTest, ASubjectThatIsWrongIsNoLostDevice) {
+  Messages messages;
+  const auto refiner = recovering(messages);
+  SubjectSetup wrong = subject_;
+  wrong.refinable.pop_back();
+  try {
+    refiner->set_subject(wrong);
+    FAIL() << "it was taken";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::Usage) << error.what();
+  }
+  EXPECT_NE(refiner->device(), "");
+  EXPECT_TRUE(messages.take().empty());
+  refiner->set_subject(subject_);
+  EXPECT_EQ(refiner->refine(input_, output_), "");
+}
+
+// What the log of a start says.
+TEST_F(DeviceFaultsTest, KernelsThatOthersMayWriteAreSaidToBeIgnored) {
+  const test::TemporaryFolder folder;
+  gpu::ContextOptions chosen = options();
+  chosen.kernel_cache = folder.path().string();
+  EXPECT_EQ(refiner_opener(chosen, {})()->kernels_ignored(), "");
+  for (const auto& entry : std::filesystem::directory_iterator(folder.path())) {
+    std::filesystem::permissions(entry.path(), std::filesystem::perms::group_write,
+                                 std::filesystem::perm_options::add);
+  }
+  EXPECT_THAT(refiner_opener(chosen, {})()->kernels_ignored(),
+              AllOf(HasSubstr(folder.path().string()), HasSubstr("alone to write")));
+  EXPECT_EQ(refiner_opener(chosen, {})()->kernels_ignored(), "") << "it was replaced";
 }
 
 TEST_F(DeviceFaultsTest, ADeviceLostAtStartIsOpenedAnew) {
