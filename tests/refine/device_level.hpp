@@ -7,7 +7,6 @@
 
 #include "gpu/batch.hpp"
 #include "problems.hpp"
-#include "refine/device_order.hpp"
 #include "refine/level_buffers.hpp"
 #include "shaders/refine/layout.h"
 
@@ -53,7 +52,7 @@ inline Eigen::Vector3d head(const vec4& v) {
 /// A small problem's level on the device, its arrays longer than they need be, with tails.
 struct DeviceLevel {
   DeviceLevel(gpu::Context& context, const SmallProblem& small)
-      : topology(context, *small.problem.rings, free_of(small), curve_of(small), {}, 20),
+      : topology(context, *small.problem.rings, small.free(), small.curve(), {}, 20),
         state(context, topology.vertex_count + kTailCount) {
     const reference::Problem& problem = small.problem;
     std::vector<vec4> positions;
@@ -82,18 +81,6 @@ struct DeviceLevel {
            tail_intact<vec4>(context, state.colours.buffer, count) &&
            tail_intact<vec4>(context, state.albedo.buffer, count) &&
            tail_intact<float>(context, state.priors.buffer, count);
-  }
-
-  static std::vector<std::int32_t> curve_of(const SmallProblem& small) {
-    return device_order(*small.problem.rings, small.hierarchy->texture_coordinates).curve;
-  }
-
-  static std::vector<std::uint8_t> free_of(const SmallProblem& small) {
-    std::vector<std::uint8_t> free(small.problem.fixed);
-    for (std::uint8_t& flag : free) {
-      flag = flag == 0 ? 1 : 0;
-    }
-    return free;
   }
 
   LevelTopology topology;

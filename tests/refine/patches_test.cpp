@@ -10,19 +10,12 @@
 
 #include "facet/error.hpp"
 #include "problems.hpp"
-#include "refine/device_order.hpp"
 
 namespace facet::refine {
 namespace {
 
 class PatchesTest : public testing::Test {
  protected:
-  PatchesTest() {
-    for (std::size_t v = 0; v < free.size(); ++v) {
-      free[v] = small.problem.fixed[v] == 0 ? 1 : 0;
-    }
-  }
-
   std::span<const std::int32_t> ring(std::int32_t vertex) const {
     const auto v = static_cast<std::size_t>(vertex);
     return std::span(rings.neighbours)
@@ -31,8 +24,7 @@ class PatchesTest : public testing::Test {
   }
 
   PatchLists cut(std::uint32_t most, std::uint32_t most_places = 0) const {
-    return cut_patches(rings, free, device_order(rings, small.hierarchy->texture_coordinates).curve, most,
-                       most_places);
+    return cut_patches(rings, free, small.curve(), most, most_places);
   }
 
   /// Vertices of the first `count` of a patch's records.
@@ -51,7 +43,7 @@ class PatchesTest : public testing::Test {
 
   test::SmallProblem small = test::make_problem(30, 30, 7, 1);
   const mesh::OneRings& rings = *small.problem.rings;
-  std::vector<std::uint8_t> free = std::vector<std::uint8_t>(rings.on_boundary.size());
+  std::vector<std::uint8_t> free = small.free();
 };
 
 TEST_F(PatchesTest, EveryFreeVertexIsOnePatchsOwnInEachSet) {

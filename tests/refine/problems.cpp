@@ -5,7 +5,19 @@
 #include <random>
 #include <vector>
 
+#include "refine/device_order.hpp"
+
 namespace facet::refine::test {
+
+std::vector<std::uint8_t> SmallProblem::free() const {
+  std::vector<std::uint8_t> out(problem.fixed.size());
+  std::ranges::transform(problem.fixed, out.begin(), [](std::uint8_t fixed) { return fixed == 0 ? 1 : 0; });
+  return out;
+}
+
+std::vector<std::int32_t> SmallProblem::curve() const {
+  return device_order(*problem.rings, hierarchy->texture_coordinates).curve;
+}
 
 SmallProblem make_problem(int columns, int rows, unsigned seed, int level) {
   std::mt19937 random(seed);

@@ -1,7 +1,9 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cstdint>
 #include <memory>
+#include <vector>
 
 #include "mesh/hierarchy.hpp"
 #include "reference.hpp"
@@ -15,6 +17,9 @@ struct SmallProblem {
   mesh::Vertices control_mm;  ///< head frame of a bent grid
   reference::Problem problem;
   Eigen::VectorXd start_mm;
+
+  std::vector<std::uint8_t> free() const;   ///< [vertex_count] 1 where problem.fixed is 0
+  std::vector<std::int32_t> curve() const;  ///< DeviceOrder::curve of the level
 };
 
 /// columns x rows control quads; level: of the hierarchy (its last where there are fewer).
