@@ -43,7 +43,8 @@ std::vector<std::uint8_t> facing_camera(const mesh::Quads& quads, const mesh::Ve
 std::shared_ptr<const mesh::Subject> build_subject(const FaceModel& model,
                                                    const mesh::HierarchyOptions& options,
                                                    const mesh::MeshFrame& first_good,
-                                                   const std::vector<float>& identity, std::uint32_t count) {
+                                                   const std::vector<float>& identity, std::uint32_t count,
+                                                   const std::string& person) {
   const mesh::Vertices& vertices_mm = first_good.control_vertices_mm;
   auto subject = std::make_shared<mesh::Subject>();
   subject->hierarchy = mesh::build_hierarchy(
@@ -52,6 +53,7 @@ std::shared_ptr<const mesh::Subject> build_subject(const FaceModel& model,
   subject->expression_names = model.expression_names;
   subject->identity = identity;
   subject->regions = model.regions;
+  subject->person = person;
   subject->id = mesh::subject_id(*subject, count);
   return subject;
 }

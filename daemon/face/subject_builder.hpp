@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <string>
 #include <vector>
 
 #include "face/face_model.hpp"
@@ -18,10 +19,12 @@ namespace facet::face {
 /// first_good  in state Tracking: pose, camera and control vertices are read
 /// identity    [identity_count]
 /// count       of the tracker's identity estimates
+/// person      whose shape the model is, where it is one's alone
 std::shared_ptr<const mesh::Subject> build_subject(const FaceModel& model,
                                                    const mesh::HierarchyOptions& options,
                                                    const mesh::MeshFrame& first_good,
-                                                   const std::vector<float>& identity, std::uint32_t count);
+                                                   const std::vector<float>& identity, std::uint32_t count,
+                                                   const std::string& person = {});
 
 /// Projections of head-frame vertices, px; NaN where they are behind or at the camera.
 mesh::TextureCoordinates project(const mesh::Vertices& vertices_mm, const Eigen::Isometry3f& camera_from_head,

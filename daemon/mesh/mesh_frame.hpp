@@ -45,10 +45,11 @@ struct Subject {
   std::vector<std::string> expression_names;  ///< [expression_count]
   std::vector<float> identity;                ///< [identity_count] coefficients in standard deviations
   std::vector<std::uint8_t> regions;          ///< [control vertex_count] bits of face::Region
+  std::string person;  ///< whose enrolled shape was followed; empty: the shape was guessed
 };
 
-/// Subject::id of a hierarchy and an identity. count: of the estimates of this person, which may come out
-/// alike.
+/// Subject::id of a hierarchy, an identity and a person. count: of the estimates of this person, which may
+/// come out alike.
 std::uint64_t subject_id(const Subject& subject, std::uint32_t count);
 
 /// Albedo of the finest level; a new object only when it changed.

@@ -5,6 +5,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <string_view>
@@ -166,6 +167,16 @@ PersonFile parse_person(std::span<const std::byte> bytes, const std::string& sou
     chunks.fail("its face is no face: a coordinate is not finite or far off");
   }
   return person;
+}
+
+bool begins_as_person(const std::filesystem::path& file) {
+  const files::InputFile in(file, "person");
+  std::array<char, kFormat.magic.size()> magic{};
+  if (in.size() < magic.size()) {
+    return false;
+  }
+  in.read(0, std::as_writable_bytes(std::span(magic)));
+  return magic == kFormat.magic;
 }
 
 PersonFile read_person(const std::filesystem::path& file) {

@@ -35,6 +35,13 @@ struct PersonFile {
 /// What tells one face model from another, as a person is concerned.
 std::uint64_t model_checksum(const face::FaceModel& model);
 
+/// In place of a name: whoever of those stored is seen. Nobody can be called so.
+inline constexpr const char* kRecognised = "auto";
+
+/// Whether a file begins as a person's, be the rest damaged or not. Throws Error(UnreadableInput) where it
+/// can't be read.
+bool begins_as_person(const std::filesystem::path& file);
+
 /// Throws Error(UnreadableInput) naming the file and what is wrong.
 PersonFile read_person(const std::filesystem::path& file);
 PersonFile parse_person(std::span<const std::byte> bytes, const std::string& source);

@@ -340,14 +340,14 @@ void ShadingPipeline::Impl::add_provisional_subject(mesh::MeshFrame& mesh) {
     mesh::HierarchyOptions control_alone = options.hierarchy;
     control_alone.max_levels = 1;
     const std::vector<float> unknown(static_cast<std::size_t>(stages.model->identity_count()));
-    provisional_subject = face::build_subject(*stages.model, control_alone, mesh, unknown, 0);
+    provisional_subject = face::build_subject(*stages.model, control_alone, mesh, unknown, 0, stages.person);
   }
   mesh.subject = provisional_subject;
 }
 
 void ShadingPipeline::Impl::follow_subject(const Tracked& item) {
-  subject =
-      face::build_subject(*stages.model, options.hierarchy, *item.mesh, *item.identity, item.subject_count);
+  subject = face::build_subject(*stages.model, options.hierarchy, *item.mesh, *item.identity,
+                                item.subject_count, stages.person);
   subject_count = item.subject_count;
   const mesh::Hierarchy& hierarchy = *subject->hierarchy;
   board.change([&](PipelineStatus& shown) {

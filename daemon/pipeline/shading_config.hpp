@@ -31,8 +31,10 @@ struct ShadingConfig {
   std::vector<RecordedCamera> views;
   FrameRange frames;  ///< of the source; others are read and thrown away
   std::filesystem::path model_file;
-  std::filesystem::path
-      person_file;  ///< who stands before the camera, enrolled with that model; may be empty
+  /// Who stands before the camera, enrolled with that model: a name of persons_folder, or a file
+  /// (person::is_person_path). Empty: nobody who is known.
+  std::string person;
+  std::filesystem::path persons_folder;  ///< where persons are kept; empty: nowhere
   track::TrackerConfig tracker;
   mesh::HierarchyOptions hierarchy;
   refine::RefinerConfig refiner;

@@ -9,6 +9,7 @@
 
 #include "facet/error.hpp"
 #include "person/person_file.hpp"
+#include "person/person_folder.hpp"
 
 namespace facet::pipeline {
 namespace {
@@ -68,12 +69,13 @@ class TrackerStage final : public CoarseStage {
   std::unique_ptr<track::Tracker> tracker_;
 };
 
-std::shared_ptr<const face::FaceModel> load_model(const ShadingConfig& config) {
+void load_model(const ShadingConfig& config, ShadingParts& parts) {
   auto model = std::make_shared<const face::FaceModel>(face::FaceModel::load(config.model_file));
-  if (!config.person_file.empty()) {
-    const person::PersonFile person = person::read_person(config.person_file);
-    model = std::make_shared<const face::FaceModel>(
-        person::model_of(person, *model, config.person_file.string()));
+  if (!config.person.empty()) {
+    const std::filesystem::path file = person::person_file(config.person, config.persons_folder);
+    const person::PersonFile person = person::read_person(file);
+    model = std::make_shared<const face::FaceModel>(person::model_of(person, *model, file.string()));
+    parts.person = person.name;
   }
   // A control mesh that can't be subdivided must be found now, not with the first face.
   mesh::HierarchyOptions coarse_only;
@@ -86,7 +88,7 @@ std::shared_ptr<const face::FaceModel> load_model(const ShadingConfig& config) {
     throw Error(ErrorKind::UnreadableInput, fmt::format("{}: the model's mesh can't be used: {}",
                                                         config.model_file.string(), error.what()));
   }
-  return model;
+  parts.model = std::move(model);
 }
 
 std::unique_ptr<PictureSource> open_pictures(const ShadingConfig& config) {
@@ -131,7 +133,7 @@ ShadingParts open_shading(const ShadingConfig& given, OpenPictures open) {
     config.tracker.further_views.push_back(
         {cameras[i].info.intrinsics.value(), cameras[i].camera_from_reference.value()});
   }
-  stages.model = load_model(config);
+  load_model(config, stages);
   const bool recorded = !reference.info.live && !config.source.loop;
   stages.coarse =
       std::make_unique<TrackerStage>(stages.model, config, recorded ? std::move(open) : OpenPictures());

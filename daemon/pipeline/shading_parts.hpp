@@ -3,6 +3,7 @@
 #include <functional>
 #include <memory>
 #include <span>
+#include <string>
 
 #include "face/face_model.hpp"
 #include "pipeline/picture_source.hpp"
@@ -34,6 +35,7 @@ class CoarseStage {
 struct ShadingParts {
   std::unique_ptr<PictureSource> pictures;
   std::shared_ptr<const face::FaceModel> model;
+  std::string person;  ///< whose model it is; empty: anybody's
   std::unique_ptr<CoarseStage> coarse;
   refine::OpenRefiner open_refiner;              ///< empty: refinement is off
   std::unique_ptr<refine::RefineStage> refiner;  ///< the first one; null where refinement is off

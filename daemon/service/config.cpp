@@ -13,6 +13,7 @@
 #include "facet/error.hpp"
 #include "files/text_file.hpp"
 #include "files/toml_section.hpp"
+#include "person/person_folder.hpp"
 #include "service/listen_address.hpp"
 #include "service/settings.hpp"
 #include "stream/protocol.hpp"
@@ -306,6 +307,39 @@ void read_refiner(Section section, Section expert, refine::RefinerConfig& refine
   section.finish();
 }
 
+/// A person's name as it stands; a file's, from the configuration's folder where it is relative.
+void read_model(Section section, pipeline::ShadingConfig& shading) {
+  section.read(kModelSettings, shading);
+  section.read_moved(renamed::kModel, shading, "landmark_nets");
+  if (const toml::node* node = section.find("person")) {
+    shading.person = section.text(*node, "person", "a name or a file in quotes");
+    if (person::is_person_path(shading.person)) {
+      std::filesystem::path file;
+      section.read("person", file);
+      shading.person = file.string();
+    } else if (shading.person != person::kRecognised) {
+      try {
+        person::check_person_name(shading.person);
+      } catch (const Error& error) {
+        section.fail(node, "person", error.what());
+      }
+    }
+  }
+  section.finish();
+}
+
+/// "" is no folder: nobody is kept.
+void read_persons(Section section, std::filesystem::path& folder) {
+  if (const toml::node* node = section.find("folder")) {
+    if (section.text(*node, "folder", "a path in quotes, or \"\" for none").empty()) {
+      folder.clear();
+    } else {
+      section.read("folder", folder);
+    }
+  }
+  section.finish();
+}
+
 void check_socket(Section& section, const std::filesystem::path& socket) {
   const std::size_t bytes = socket.native().size();
   if (bytes > stream::kMaxSocketPathBytes) {
@@ -442,10 +476,8 @@ void read_all(Document& document, Config& config) {
   rig.read(kRigSettings, config);
   rig.finish();
   read_booth(root.section("booth"), config);
-  Section model = root.section("model");
-  model.read(kModelSettings, config.pipeline);
-  model.read_moved(renamed::kModel, config.pipeline, "landmark_nets");
-  model.finish();
+  read_model(root.section("model"), config.pipeline);
+  read_persons(root.section("persons"), config.pipeline.persons_folder);
   Section tracker = root.section("tracker");
   read_expert(tracker, expert.section("tracker"), "tracker", expert::kTracker, config.pipeline.tracker);
   tracker.finish();

@@ -79,7 +79,6 @@ inline constexpr Setting<Config> kBoothSettings[] = {
 
 inline constexpr Setting<pipeline::ShadingConfig> kModelSettings[] = {
     {"path", &at<&pipeline::ShadingConfig::model_file>},
-    {"person", &at<&pipeline::ShadingConfig::person_file>},
     {"landmark_nets", &at<&pipeline::ShadingConfig::tracker, &track::TrackerConfig::landmark_nets>},
 };
 

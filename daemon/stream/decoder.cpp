@@ -461,6 +461,7 @@ std::shared_ptr<const mesh::Subject> decode_subject(std::span<const std::uint8_t
     }
   }
   out->identity = floats(body.identity());
+  out->person = text(body.person(), kMaxNameBytes, "subject: person");
   if (body.hierarchy() != nullptr) {
     out->hierarchy = decode_hierarchy(*body.hierarchy());
     const auto control = static_cast<std::size_t>(out->hierarchy->control_vertex_count);

@@ -303,8 +303,12 @@ std::span<const std::uint8_t> Encoder::subject(const mesh::Subject& subject, Pro
   if (profile != Profile::Signals && subject.hierarchy != nullptr) {
     hierarchy = hierarchy_message(builder, *subject.hierarchy, profile);
   }
-  const auto body =
-      wire::CreateSubject(builder, impl_->wire_id(subject), name_vector, identity, regions, hierarchy);
+  Offset<flatbuffers::String> person;
+  if (!subject.person.empty()) {
+    person = bounded_string(builder, subject.person, kMaxNameBytes);
+  }
+  const auto body = wire::CreateSubject(builder, impl_->wire_id(subject), name_vector, identity, regions,
+                                        hierarchy, person);
   return finish(builder, wire::Body::Subject, body.Union());
 }
 

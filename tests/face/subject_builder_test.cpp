@@ -65,6 +65,9 @@ TEST_F(SubjectBuilder, TheIdIsThatOfTheContent) {
   const auto first = build_subject(model_, {}, frame_, identity_, 1);
   EXPECT_EQ(first->id, build_subject(model_, {}, frame_, identity_, 1)->id);
   EXPECT_NE(first->id, build_subject(model_, {}, frame_, identity_, 2)->id);
+  const auto known = build_subject(model_, {}, frame_, identity_, 1, "ada");
+  EXPECT_EQ(known->person, "ada");
+  EXPECT_NE(first->id, known->id);
   identity_[0] = 0.5F;
   EXPECT_NE(first->id, build_subject(model_, {}, frame_, identity_, 1)->id);
 }

@@ -161,6 +161,7 @@ TEST_F(Encoding, SubjectComesBackWhole) {
   EXPECT_EQ(got->expression_names, subject->expression_names);
   EXPECT_EQ(got->identity, subject->identity);
   EXPECT_EQ(got->regions, subject->regions);
+  EXPECT_EQ(got->person, "");
   const mesh::Hierarchy& a = *got->hierarchy;
   const mesh::Hierarchy& b = *subject->hierarchy;
   EXPECT_EQ(a.id, b.id);
@@ -175,6 +176,16 @@ TEST_F(Encoding, SubjectComesBackWhole) {
     EXPECT_EQ(a.levels[level].from_coarser.weights, b.levels[level].from_coarser.weights);
     EXPECT_EQ(a.levels[level].one_rings.neighbours, b.levels[level].one_rings.neighbours);
   }
+}
+
+TEST_F(Encoding, SubjectNamesThePersonInEveryProfile) {
+  mesh::Subject known = *subject;
+  known.person = "Zo\xC3\xAB";
+  for (const Profile profile : {Profile::Signals, Profile::Displacements, Profile::Vertices}) {
+    EXPECT_EQ(decode_subject(encoder.subject(known, profile))->person, known.person);
+  }
+  known.person.assign(kMaxNameBytes + 1, 'x');
+  EXPECT_EQ(decode_subject(encoder.subject(known, Profile::Signals))->person.size(), kMaxNameBytes);
 }
 
 TEST_F(Encoding, VerticesSubjectHasTheFinestTrianglesOnly) {

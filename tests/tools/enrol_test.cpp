@@ -1,4 +1,4 @@
-// `facet enrol`, `facet person` and `facet process --person` as a user meets them: what they refuse, and why.
+// `facet enrol` and `facet process --person` as a user meets them: what they refuse, and why.
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -60,11 +60,28 @@ TEST_F(Enrol, APersonThatIsNoneIsRefusedByName) {
       run({"process", clip(), "--person", file("bad.person"), "-o", file("a.take"), "--device", "none"}), 3);
   EXPECT_THAT(output_, HasSubstr("bad.person: unreadable person: it is not a Facet person"));
   EXPECT_FALSE(std::filesystem::exists(file("a.take")));
-  EXPECT_EQ(run({"person", file("bad.person")}), 3);
-  EXPECT_EQ(run({"person", file("none.person")}), 3);
   EXPECT_EQ(run({"enrol", clip(), "-o", file("bad.person")}), 2) << "what is there is kept";
   EXPECT_THAT(output_, HasSubstr("exists already"));
   EXPECT_EQ(run({"enrol", clip(), "-o", file("a.facemodel")}), 2);
+}
+
+TEST_F(Enrol, APlaceThatCannotBeIsRefusedBeforeAnythingIsLearned) {
+  EXPECT_EQ(run({"enrol", clip()}), 2);
+  EXPECT_THAT(output_, HasSubstr("give the person's --name"));
+  std::ofstream(file("none.toml")) << "[persons]\nfolder = \"\"\n";
+  EXPECT_EQ(run({"enrol", clip(), "--name", "ada", "--config", file("none.toml")}), 2);
+  EXPECT_THAT(output_, HasSubstr("only where a folder of them is configured"));
+  std::ofstream(file("facet.toml")) << "[persons]\nfolder = \"kept\"\n";
+  EXPECT_EQ(run({"enrol", clip(), "--name", "ada", "--config", file("facet.toml")}), 6);
+  EXPECT_THAT(output_, HasSubstr("kept' is not there: make it"));
+  std::filesystem::create_directory(file("kept"));
+  for (const std::string name : {"../ada", "..", "a/b", "auto", "ada.person"}) {
+    EXPECT_EQ(run({"enrol", clip(), "--name", name, "--config", file("facet.toml")}), 2) << name;
+    EXPECT_THAT(output_, HasSubstr("'" + name + "' is no name for a person")) << name;
+  }
+  std::ofstream(file("kept/ada.person")) << "cut";
+  EXPECT_EQ(run({"enrol", clip(), "--name", "ada", "--config", file("facet.toml")}), 2);
+  EXPECT_THAT(output_, HasSubstr("somebody is called 'ada' already"));
 }
 
 }  // namespace

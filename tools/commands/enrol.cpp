@@ -1,4 +1,4 @@
-// `facet enrol VIDEO -o NAME.person`: the shape of a face from its head's turning, kept.
+// `facet enrol VIDEO --name NAME`: the shape of a face from its head's turning, kept.
 
 #include <fmt/chrono.h>
 #include <fmt/format.h>
@@ -13,7 +13,8 @@
 #include "facet/error.hpp"
 #include "options.hpp"
 #include "person/enrolment.hpp"
-#include "person/person_file.hpp"
+#include "person/person_folder.hpp"
+#include "persons.hpp"
 #include "pipeline/observe_head.hpp"
 #include "progress.hpp"
 #include "service/config.hpp"
@@ -69,20 +70,45 @@ person::LearnedShape learn(const face::FaceModel& model, const person::Observed&
   return learned;
 }
 
+/// Where the person goes, and what for a name.
+struct Place {
+  std::filesystem::path file;
+  std::string name;
+};
+
+/// Refuses before anything is learned what could not be written after it.
+Place place_of(const Options& options) {
+  if (options.person.empty() && options.name.empty()) {
+    throw Error(ErrorKind::Usage,
+                "give the person's --name, to be kept in the folder of persons, or a file with -o");
+  }
+  if (options.person.empty()) {
+    return {person::new_person_file(persons_folder(options.config), options.name), options.name};
+  }
+  Place place{options.person, options.name};
+  if (place.name.empty()) {
+    place.name = place.file.stem().string();
+  }
+  person::check_person_name(place.name);
+  if (std::filesystem::exists(place.file)) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("'{}' exists already: give another name, or remove it", options.person));
+  }
+  return place;
+}
+
 void run(const Options& options) {
   service::Config config =
       options.config.empty() ? service::default_config() : service::load_config(options.config);
   pipeline::ShadingConfig& shading = config.pipeline;
   shading.source = {};
   shading.source.path = options.video;
+  shading.person.clear();  // whoever the configuration says stands there is not who is learned now
   shading.gpu_device = pipeline::kNoDevice;
   if (!options.frames.empty()) {
     shading.frames = pipeline::parse_frame_range(options.frames);
   }
-  if (std::filesystem::exists(options.person)) {
-    throw Error(ErrorKind::Usage,
-                fmt::format("'{}' exists already: give another name, or remove it", options.person));
-  }
+  const Place place = place_of(options);
   const StopSignals signals;
   pipeline::ShadingParts parts = pipeline::open_shading(shading);
   const pipeline::ObservedHead head = look(shading, options.video, parts, signals);
@@ -114,7 +140,7 @@ void run(const Options& options) {
                 fmt::format("'{}': no person was learned: {}", options.video, learned.refused));
   }
   person::PersonFile person;
-  person.name = options.name.empty() ? std::filesystem::path(options.person).stem().string() : options.name;
+  person.name = place.name;
   person.created_utc = now_utc();
   person.software = "facet enrol " FACET_VERSION;
   person.model_name = parts.model->name;
@@ -129,10 +155,10 @@ void run(const Options& options) {
   person.neutral_mm = learned.neutral_mm.cast<float>();
   const Eigen::VectorXf sigma = learned.sigma_mm.cast<float>();
   person.sigma_mm.assign(sigma.begin(), sigma.end());
-  person::write_person(person, options.person);
+  person::write_person(person, place.file);
   tell("{}: focal length {:.0f} px of {}x{} (was taken for {:.0f}); follow this face with --person {}\n",
-       options.person, learned.focal_px, person.width_px, person.height_px,
-       static_cast<double>(observed->camera.fx), options.person);
+       place.file.string(), learned.focal_px, person.width_px, person.height_px,
+       static_cast<double>(observed->camera.fx), options.person.empty() ? place.name : options.person);
 }
 
 }  // namespace
@@ -150,12 +176,12 @@ void add_enrol_command(Command program) {
   command
       .option("-o,--output", options->person,
               "The file to write, NAME.person; must not exist yet. It is biometric data: whoever has it can "
-              "recognise the face")
-      .required()
+              "recognise the face. Default: NAME.person of --name, in the folder of persons")
       .ends_in({".person"});
-  command.option("--name", options->name, "The person's name in the file; default: the file's");
+  command.option("--name", options->name, "The person's name; default: the file's");
   command.option("--config", options->config,
-                 "Configuration file; of [source], only frames and intrinsics count");
+                 "Configuration file; of [source], only frames and intrinsics count. Its [persons] folder is "
+                 "where the person goes, without it that of the installed configuration");
   command.option("--frames", options->frames, kFramesHelp);
   command.callback([options] { run(*options); });
 }

@@ -20,6 +20,8 @@
 #include "depth_team.hpp"
 #include "facet/error.hpp"
 #include "options.hpp"
+#include "person/person_folder.hpp"
+#include "persons.hpp"
 #include "pipeline/booth_meshes.hpp"
 #include "pipeline/picture_source.hpp"
 #include "pipeline/shading.hpp"
@@ -157,7 +159,10 @@ service::Config configure(const Options& options) {
         monocular.refiner);
   }
   if (!options.person.empty()) {
-    monocular.person_file = options.person;
+    monocular.person = options.person;
+    if (!person::is_person_path(options.person)) {
+      monocular.persons_folder = persons_folder(options.config);
+    }
   }
   if (!options.device.empty()) {
     monocular.gpu_device = options.device;
@@ -563,8 +568,9 @@ Command add_process_command(Command app, std::unique_ptr<Team> (*join)()) {
   command.option("--frames", options->frames, kFramesHelp);
   command.option(
       "--person", options->person,
-      "Who is to be seen: the file that facet enrol wrote; that shape is followed instead of a guess "
-      "from the first frames");
+      "Who is to be seen: the name of somebody in the folder of persons ([persons] of --config or of the "
+      "installed configuration), or a file that facet enrol wrote (it has a slash or ends in .person); that "
+      "shape is followed instead of a guess from the first frames");
   command.option("--budget", options->budget,
                  "Solver work per frame: \"auto\" (as many steps as pay), \"paper\" (10 of 7 "
                  "iterations) or Gauss-Newton "

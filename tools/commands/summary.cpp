@@ -161,6 +161,7 @@ struct TakeFigures {
   std::int64_t finest_vertices = 0;
   std::size_t levels = 0;
   std::string degraded_reason;
+  std::string person;  ///< whose enrolled shape was followed
   PictureFigures pictures;
 
   void add(const mesh::MeshFrame& frame) {
@@ -171,6 +172,9 @@ struct TakeFigures {
     if (frame.degraded) {
       ++degraded;
       degraded_reason = frame.degraded_reason;
+    }
+    if (frame.subject != nullptr) {
+      person = frame.subject->person;
     }
     for (std::size_t s = 0; s < kStages.size(); ++s) {
       if (const float time_ms = frame.stage_ms.*(kStages[s].time_ms); time_ms > 0) {
@@ -220,6 +224,9 @@ void print_frames(const TakeFigures& figures, const take::TakeInfo& info, std::i
        info.dropped);
   if (figures.degraded > 0) {
     tell("degraded      {} frames, the last one because: {}\n", figures.degraded, figures.degraded_reason);
+  }
+  if (!figures.person.empty()) {
+    tell("person        {}\n", figures.person);
   }
   if (figures.refined > 0) {
     tell("mesh          {} vertices on the finest of {} levels\n", figures.finest_vertices, figures.levels);

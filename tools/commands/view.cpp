@@ -87,6 +87,16 @@ std::optional<take::TakeReader> open_pictures(const take::TakeReader& take, cons
   return std::nullopt;
 }
 
+/// " (ada)" where an enrolled person was followed.
+std::string person_of(take::TakeReader& take, const std::vector<std::int64_t>& frames) {
+  for (const std::int64_t index : frames) {
+    if (const auto subject = take.frame(index)->subject; subject != nullptr && !subject->person.empty()) {
+      return fmt::format(" ({})", subject->person);
+    }
+  }
+  return "";
+}
+
 void view_booth(const ViewOptions& options, take::TakeReader& take, const std::vector<std::int64_t>& frames) {
   std::optional<take::TakeReader> pictures = open_pictures(take, options.pictures);
   report::BoothSheetSources sources;
@@ -125,7 +135,7 @@ void run_view(const ViewOptions& options) {
       take, frames, images.get(), [&](int rows) { progress.set(static_cast<std::uint64_t>(rows)); });
   progress.finish();
   render::write_png(sheet, options.sheet);
-  tell("{}: {} frames of {}\n", options.sheet, frames.size(), options.take);
+  tell("{}: {} frames of {}{}\n", options.sheet, frames.size(), options.take, person_of(take, frames));
 }
 
 }  // namespace
