@@ -35,7 +35,7 @@ struct PersonFile {
 /// What tells one face model from another, as a person is concerned.
 std::uint64_t model_checksum(const face::FaceModel& model);
 
-/// In place of a name: whoever of those stored is seen. Nobody can be called so.
+/// Nobody can be called so: kept for whoever of those stored is seen, should that once be recognised.
 inline constexpr const char* kRecognised = "auto";
 
 /// Whether a file begins as a person's, be the rest damaged or not. Throws Error(UnreadableInput) where it

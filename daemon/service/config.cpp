@@ -317,7 +317,7 @@ void read_model(Section section, pipeline::ShadingConfig& shading) {
       std::filesystem::path file;
       section.read("person", file);
       shading.person = file.string();
-    } else if (shading.person != person::kRecognised) {
+    } else {
       try {
         person::check_person_name(shading.person);
       } catch (const Error& error) {

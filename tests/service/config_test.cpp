@@ -614,22 +614,6 @@ level = "debug"
   EXPECT_EQ(parse_config("[refiner]\nbudget = \"auto\"", "f").pipeline.refiner.budget, refine::Budget::Auto);
 }
 
-TEST(Config, APersonIsANameOrAFile) {
-  const auto read = [](const std::string& person) {
-    return parse_config("[model]\nperson = \"" + person + "\"\n[persons]\nfolder = \"kept\"\n",
-                        "/etc/facet/facet.toml")
-        .pipeline;
-  };
-  EXPECT_EQ(read("ada").person, "ada");
-  EXPECT_EQ(read("ada").persons_folder, "/etc/facet/kept");
-  EXPECT_EQ(read("ada.person").person, "/etc/facet/ada.person");
-  EXPECT_EQ(read("kept/ada").person, "/etc/facet/kept/ada");
-  EXPECT_EQ(read("/x/ada.person").person, "/x/ada.person");
-  const Config off = parse_config("[persons]\nfolder = \"\"\n", "/etc/facet/facet.toml");
-  EXPECT_EQ(off.pipeline.persons_folder, "");
-  EXPECT_EQ(default_config().pipeline.persons_folder, "") << "nobody is kept unless asked";
-}
-
 TEST(Config, ErrorsNameFileLineKeyAndWhatIsAllowed) {
   EXPECT_THAT(error_of("[source]\npaced = 1"),
               AllOf(StartsWith("/etc/facet/facet.toml:2: source.paced: "), HasSubstr("true or false")));
@@ -638,10 +622,6 @@ TEST(Config, ErrorsNameFileLineKeyAndWhatIsAllowed) {
                     HasSubstr("one of: \"file\", \"v4l2\", \"libcamera\", \"simulated\"")));
   EXPECT_THAT(error_of("[source]\nframes = \"20:10\""), HasSubstr("facet.toml:2: source.frames: "));
   EXPECT_THAT(error_of("[source]\npath = \"\""), HasSubstr("source.path: must be a path"));
-  EXPECT_THAT(error_of("[model]\nperson = \"\""), HasSubstr("facet.toml:2: model.person: '' is no name"));
-  EXPECT_THAT(error_of("[model]\nperson = \"..\""), HasSubstr("model.person: '..' is no name"));
-  EXPECT_THAT(error_of("[model]\nperson = 3"), HasSubstr("model.person: must be a name or a file"));
-  EXPECT_THAT(error_of("[persons]\nfolder = true"), HasSubstr("persons.folder: must be a path"));
   EXPECT_THAT(error_of("[source]\npath = 3"), HasSubstr("source.path: must be a path"));
   EXPECT_THAT(error_of("[source.intrinsics]\nfx = 1000"), HasSubstr("needs fx, fy, cx, cy, width_px"));
   EXPECT_THAT(error_of("[hierarchy]\nmax_levels = 99"),
