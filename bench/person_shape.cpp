@@ -5,6 +5,7 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <ctime>
 #include <filesystem>
@@ -14,12 +15,12 @@
 #include <vector>
 
 #include "face/face_parts.hpp"
+#include "face/person_model.hpp"
 #include "facet/assets.hpp"
 #include "facet/error.hpp"
 #include "maths/statistics.hpp"
 #include "mesh/quads.hpp"
 #include "person/enrolment.hpp"
-#include "person/person_model.hpp"
 #include "pipeline/observe_head.hpp"
 #include "report/evaluation.hpp"
 #include "simulation/truth_mesh.hpp"
@@ -45,7 +46,15 @@ double processor_s() {
 }
 
 struct Measured {
-  double mean_mm = 0, p95_mm = 0, normals_deg = 0, nose_mm = 0, within_two_sigma = 0;
+  double mean_mm = 0, p95_mm = 0, normals_deg = 0, within_two_sigma = 0;
+  /// Share whose nearest truth faces the other way: the inside of lids, nostrils or sockets. Its normal tells
+  /// nothing, and counts in no mean.
+  double other_layer = 0;
+  struct Part {
+    double distance_mm = 0, normals_deg = 0;
+    int count = 0, facing = 0;
+  };
+  std::array<Part, face::kFacePartNames.size()> parts;  ///< sums
 };
 
 Measured measure(const face::FaceModel& model, const Eigen::Matrix3Xd& neutral_mm, const report::Truth& truth,
@@ -91,21 +100,25 @@ Measured measure(const face::FaceModel& model, const Eigen::Matrix3Xd& neutral_m
   const std::vector<face::FacePart> parts = face::control_parts(model);
   Measured out;
   std::vector<double> distances;
-  double nose = 0;
-  int nose_count = 0;
   int within = 0;
   int known = 0;
+  int facing = 0;
   for (std::size_t i = 0; i < mesh.measured.size(); ++i) {
     const double d = std::abs(static_cast<double>(compared.signed_distance_mm[i]));
     if (!std::isfinite(d)) {
       continue;
     }
     distances.push_back(d);
-    out.normals_deg += static_cast<double>(compared.normal_error_deg[i]);
     out.mean_mm += d;
-    if (parts[static_cast<std::size_t>(mesh.measured[i])] == face::FacePart::Nose) {
-      nose += d;
-      ++nose_count;
+    Measured::Part& part =
+        out.parts[static_cast<std::size_t>(parts[static_cast<std::size_t>(mesh.measured[i])])];
+    part.distance_mm += d;
+    ++part.count;
+    if (const double turned = static_cast<double>(compared.normal_error_deg[i]); turned < 90) {
+      out.normals_deg += turned;
+      part.normals_deg += turned;
+      ++part.facing;
+      ++facing;
     }
     if (sigma != nullptr && std::isfinite((*sigma)[mesh.measured[i]])) {
       ++known;
@@ -114,8 +127,8 @@ Measured measure(const face::FaceModel& model, const Eigen::Matrix3Xd& neutral_m
   }
   const auto count = static_cast<double>(distances.size());
   out.mean_mm /= count;
-  out.normals_deg /= count;
-  out.nose_mm = nose / std::max(nose_count, 1);
+  out.normals_deg /= std::max(facing, 1);
+  out.other_layer = 1 - facing / count;
   out.p95_mm = maths::quantile_of(distances, 0.95);
   out.within_two_sigma = known > 0 ? static_cast<double>(within) / known : 0;
   return out;
@@ -136,14 +149,21 @@ void learn(const Options& options, const face::FaceModel& model, const std::file
   const double true_focal = camera.at("fx").get<double>();
   fmt::print(
       "{}: {} keyframes, yaw {:.0f} to {:.0f}, pitch {:.0f} to {:.0f} | {:.2f} -> {:.2f} mm, p95 {:.2f} -> "
-      "{:.2f}, normals {:.1f} -> {:.1f}, nose {:.2f} -> {:.2f}, "
+      "{:.2f}, normals {:.1f} -> {:.1f} (other layer {:.1f} -> {:.1f} %), "
       "focal {:+.1f} -> {:+.1f} %, 2 sigma {:.0f} % | {:.0f} s; curvature {}\n",
       folder.filename().string(), observed.keyframes.size(), span.least_yaw, span.largest_yaw,
       span.least_pitch, span.largest_pitch, generic.mean_mm, own.mean_mm, generic.p95_mm, own.p95_mm,
-      generic.normals_deg, own.normals_deg, generic.nose_mm, own.nose_mm,
+      generic.normals_deg, own.normals_deg, 100 * generic.other_layer, 100 * own.other_layer,
       100 * (static_cast<double>(observed.camera.fx) / true_focal - 1),
       100 * (learned.focal_px / true_focal - 1), 100 * own.within_two_sigma, solved - begun,
       enrolment.anchor.curvature);
+  for (std::size_t p = 0; p < own.parts.size(); ++p) {
+    const Measured::Part& was = generic.parts[p];
+    const Measured::Part& now = own.parts[p];
+    fmt::print("    {}: {:.2f} -> {:.2f} mm, {:.1f} -> {:.1f} degrees\n", face::kFacePartNames[p],
+               was.distance_mm / std::max(was.count, 1), now.distance_mm / std::max(now.count, 1),
+               was.normals_deg / std::max(was.facing, 1), now.normals_deg / std::max(now.facing, 1));
+  }
   for (const person::Gate& gate : learned.gates) {
     fmt::print("    {} {:.3f} (limit {:.3f}){}\n", gate.name, gate.value, gate.limit,
                gate.passed ? "" : ": " + gate.sentence);
@@ -151,7 +171,7 @@ void learn(const Options& options, const face::FaceModel& model, const std::file
   if (!options.save.empty()) {
     std::filesystem::create_directories(options.save);
     const std::string name = folder.filename().string();
-    person::person_model(model, learned.identity, learned.neutral_mm, name)
+    face::person_model(model, learned.identity, learned.neutral_mm, name)
         .save(options.save / (name + ".facemodel"));
     std::ofstream(options.save / (name + ".focal"))
         << learned.focal_px / std::max(observed.camera.width_px, observed.camera.height_px) << "\n";

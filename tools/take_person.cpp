@@ -4,6 +4,7 @@
 
 #include <filesystem>
 
+#include "face/person_model.hpp"
 #include "facet/error.hpp"
 #include "service/config.hpp"
 
@@ -29,7 +30,7 @@ face::ExpressionBasis person_shapes(const mesh::MeshFrame& frame, const std::str
       model.vertex_count() != subject.hierarchy->control_vertex_count) {
     throw mismatch("its expressions or vertices are others");
   }
-  face::ExpressionBasis basis = model.contract_identity(subject.identity);
+  face::ExpressionBasis basis = face::expressions_of(model, subject);
   mesh::Vertices rebuilt_mm;
   basis.evaluate(frame.expression, rebuilt_mm);
   const float difference_mm = (rebuilt_mm - frame.control_vertices_mm).colwise().norm().maxCoeff();

@@ -9,6 +9,7 @@
 #include <set>
 #include <utility>
 
+#include "face/person_model.hpp"
 #include "facet/error.hpp"
 #include "footage/face_views.hpp"
 #include "maths/alignment.hpp"
@@ -75,11 +76,10 @@ mesh::Vertices neutral_of(const face::FaceModel& model, const mesh::MeshFrame& f
                             "that the take was made with (--model)",
                             frame.sequence, frame.control_vertices_mm.cols(), model.vertex_count()));
   }
+  const face::ExpressionBasis basis = face::expressions_of(model, *frame.subject);
   mesh::Vertices posed;
-  mesh::Vertices neutral;
-  model.evaluate(frame.subject->identity, frame.expression, posed);
-  model.evaluate(frame.subject->identity, {}, neutral);
-  return frame.control_vertices_mm - (posed - neutral);
+  basis.evaluate(frame.expression, posed);
+  return frame.control_vertices_mm - (posed - basis.neutral_mm);
 }
 
 mesh::Vertices albedo_of(const mesh::MeshFrame& frame, Eigen::Index vertex_count) {

@@ -110,7 +110,10 @@ class FaceModel {
   /// 3 * identity mode + axis; all 0 for a landmark without a place on the model.
   std::vector<Eigen::MatrixXf> core_at(std::span<const int> landmark_indices) const;
 
-  std::string name;                           ///< for people: source and version
+  std::string name;  ///< for people: source and version
+  /// [identity_count of another model] of a person's model (face::person_model): the face of the model of
+  /// many that its expressions were carried over from. Not kept in files; empty otherwise.
+  std::vector<float> carried_from;
   mesh::ControlMesh control;                  ///< quads, texture coordinates, refinable
   std::vector<std::uint8_t> regions;          ///< [vertex_count] bits of Region
   std::vector<std::string> expression_names;  ///< [expression_count] ARKit names

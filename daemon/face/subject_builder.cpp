@@ -52,6 +52,10 @@ std::shared_ptr<const mesh::Subject> build_subject(const FaceModel& model,
       facing_camera(model.control.quads, vertices_mm, first_good.camera_from_head), options);
   subject->expression_names = model.expression_names;
   subject->identity = identity;
+  if (model.identity_count() == 0) {  // a person's own
+    subject->identity = model.carried_from;
+    subject->neutral_mm = model.core_row(0, 0);
+  }
   subject->regions = model.regions;
   subject->person = person;
   subject->id = mesh::subject_id(*subject, count);

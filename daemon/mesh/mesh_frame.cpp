@@ -38,6 +38,8 @@ bool has_mesh(const MeshFrame& frame) {
 std::uint64_t subject_id(const Subject& subject, std::uint32_t count) {
   std::uint64_t id = fnv1a(subject.hierarchy->id, std::as_bytes(std::span(subject.identity)));
   id = fnv1a(id, std::as_bytes(std::span(subject.person)));
+  id = fnv1a(id, std::as_bytes(std::span(subject.neutral_mm.data(),
+                                         static_cast<std::size_t>(subject.neutral_mm.size()))));
   id = fnv1a(id, std::as_bytes(std::span(&count, 1)));
   return id != 0 ? id : 1;
 }

@@ -44,8 +44,12 @@ struct Subject {
   std::shared_ptr<const Hierarchy> hierarchy;
   std::vector<std::string> expression_names;  ///< [expression_count]
   std::vector<float> identity;                ///< [identity_count] coefficients in standard deviations
-  std::vector<std::uint8_t> regions;          ///< [control vertex_count] bits of face::Region
-  std::string person;  ///< whose enrolled shape was followed; empty: the shape was guessed
+  /// [3][control vertex_count] the face at rest of a person whose shape was learned, mm, head frame:
+  /// `identity` is then the model's face that the expressions are carried over from. Empty: the model's own
+  /// face.
+  Vertices neutral_mm;
+  std::vector<std::uint8_t> regions;  ///< [control vertex_count] bits of face::Region
+  std::string person;                 ///< whose enrolled shape was followed; empty: the shape was guessed
 };
 
 /// Subject::id of a hierarchy, an identity and a person. count: of the estimates of this person, which may

@@ -5,10 +5,12 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numbers>
 #include <numeric>
 
+#include "face/person_model.hpp"
 #include "maths/statistics.hpp"
-#include "person/person_model.hpp"
+#include "mesh/quads.hpp"
 #include "person/skin_flow.hpp"
 
 namespace facet::person {
@@ -19,12 +21,15 @@ constexpr std::size_t kJudgeEvery = 5;
 constexpr std::size_t kFirstJudge = 3;
 constexpr int kPoseSteps = 3;
 constexpr int kShapeSteps = 2;
-constexpr int kTurns = 2;  ///< of shape and the keyframes' own unknowns, a round
+constexpr int kTurns = 2;  ///< of shape and the keyframes' own unknowns in the last round; one in the others
 constexpr int kJudgeSteps = 10;
 /// Of what lies far off: in the earlier rounds, whose shape is still wrong, and in the last.
 constexpr double kWideBoundPx = 4;
 constexpr double kBoundPx = 1;
 constexpr double kLeastYawDeg = 12;
+constexpr std::size_t kFewestKeyframes = 6;
+/// Skin that has turned further, in degrees, has folded over.
+constexpr double kFolds = 75;
 
 double median_of_finite(std::vector<double> values) {
   values.erase(std::remove_if(values.begin(), values.end(), [](double v) { return !std::isfinite(v); }),
@@ -32,11 +37,14 @@ double median_of_finite(std::vector<double> values) {
   return values.empty() ? std::numeric_limits<double>::quiet_NaN() : maths::median_of(values);
 }
 
+/// EnrolmentProgress said to stop.
+struct BrokenOff {};
+
 /// The solve of one head.
 class Enrolment {
  public:
   Enrolment(const face::FaceModel& model, const Observed& observed, const EnrolmentOptions& options,
-            const std::function<void(int, int)>& progress)
+            const EnrolmentProgress& progress)
       : model_(model),
         observed_(observed),
         options_(options),
@@ -44,6 +52,7 @@ class Enrolment {
         centre_px_(observed.camera.cx, observed.camera.cy),
         solver_(model, observed.identity, observed.camera.fx, centre_px_, options.focal_is_known,
                 options.anchor),
+        early_flow_(model, options.chart_texels * 7 / 10),
         flow_(model, options.chart_texels) {
     choose_roles();
     for (const Keyframe& keyframe : observed.keyframes) {
@@ -62,8 +71,12 @@ class Enrolment {
     for (const Keyframe& keyframe : observed_.keyframes) {
       out.keyframes.push_back(keyframe.sequence);
     }
-    if (turned_enough(out)) {
-      solve(out);
+    try {
+      if (turned_enough(out)) {
+        solve(out);
+      }
+    } catch (const BrokenOff&) {
+      out.gates.push_back({"solve", 0, 1, false, "it was broken off"});
     }
     const auto refusing =
         std::find_if(out.gates.begin(), out.gates.end(), [](const Gate& gate) { return !gate.passed; });
@@ -75,22 +88,28 @@ class Enrolment {
  private:
   /// How far the head was seen to turn to both sides: without that there is nothing to solve for.
   bool turned_enough(LearnedShape& out) const {
-    double left = 0;
-    double right = 0;
+    KeyframeCollector::Span span;
     for (const Keyframe& keyframe : observed_.keyframes) {
-      right = std::max(right, keyframe.yaw_deg);  // the camera stands to the head's left
-      left = std::max(left, -keyframe.yaw_deg);
+      span.largest_yaw = std::max(span.largest_yaw, keyframe.yaw_deg);
+      span.least_yaw = std::min(span.least_yaw, keyframe.yaw_deg);
     }
+    // The camera stands to the head's left where the head is turned to its right.
+    const double left = -span.least_yaw;
+    const double right = span.largest_yaw;
     for (const auto& [side, degrees] : {std::pair("left", left), std::pair("right", right)}) {
       const bool passed = degrees >= kLeastYawDeg;
       out.gates.push_back(
           {fmt::format("turned to the {}, degrees", side), degrees, kLeastYawDeg, passed,
            passed ? ""
-                  : fmt::format("the head was not turned far enough to its {} ({:.0f} degrees, {:.0f} "
-                                "are needed, 20 are better)",
+                  : fmt::format("the head was not turned far enough to its {} with the face at rest ({:.0f} "
+                                "degrees, {:.0f} are needed, 20 are better)",
                                 side, degrees, kLeastYawDeg)});
     }
-    return left >= kLeastYawDeg && right >= kLeastYawDeg;
+    const std::size_t count = observed_.keyframes.size();
+    out.gates.push_back({"pictures of the face at rest", static_cast<double>(count),
+                         static_cast<double>(kFewestKeyframes), count >= kFewestKeyframes,
+                         count >= kFewestKeyframes ? "" : "too few pictures show the face at rest"});
+    return person::turned_enough(span) && count >= kFewestKeyframes;
   }
 
   void solve(LearnedShape& out) {
@@ -107,16 +126,22 @@ class Enrolment {
     if (options_.expression == KeyframeExpression::Rest) {
       add_rest(out.neutral_mm);
     }
-    bring_loose_pieces(model_, solver_.generic_control(), out.neutral_mm);
+    face::bring_loose_pieces(model_, solver_.generic_control(), out.neutral_mm);
     out.focal_px = solver_.focal_px();
-    if (solved) {
+    if (solved && options_.uncertainty) {
       out.sigma_mm = solver_.uncertainty_mm();
     }
   }
 
-  void say(int done) const {
-    if (progress_) {
-      progress_(done, options_.rounds * (1 + 2 * kTurns));
+  bool last(int round) const { return round + 1 == options_.rounds; }
+  int turns_of(int round) const { return last(round) ? kTurns : 1; }
+
+  /// A piece of work is done. Throws BrokenOff.
+  void say() {
+    const int pictures = (options_.rounds + 1) * static_cast<int>(order_.size());
+    const int steps = (options_.rounds + kTurns - 1) * kShapeSteps;
+    if (progress_ && !progress_(done_++, pictures + steps)) {
+      throw BrokenOff();
     }
   }
 
@@ -143,10 +168,11 @@ class Enrolment {
   }
 
   bool run_round(int round) {
-    const int done = round * (1 + 2 * kTurns);
-    say(done);
-    solver_.set_points(flow_.find(observed_.keyframes, solver_, centre_px_, order_, solves_), solves_);
-    say(done + 1);
+    solver_.set_points(
+        (last(round) ? flow_ : early_flow_)
+            .find(observed_.keyframes, solver_, centre_px_, round == 0 ? order_ : std::vector<std::size_t>(),
+                  solves_, [this] { say(); }),
+        solves_);
     solver_.set_least_bound_px(round + 1 < options_.rounds ? kWideBoundPx : kBoundPx);
     const auto everybody = [&](int steps, bool expression) {
       for (std::size_t k = 0; k < order_.size(); ++k) {
@@ -156,13 +182,14 @@ class Enrolment {
       }
     };
     everybody(kPoseSteps, false);
-    for (int turn = 0; turn < kTurns; ++turn) {
-      if (!solver_.bundle(kShapeSteps, true, round == 0)) {
-        return false;
+    for (int turn = 0; turn < turns_of(round); ++turn) {
+      for (int step = 0; step < kShapeSteps; ++step) {
+        if (!solver_.bundle(1, true, round == 0)) {
+          return false;
+        }
+        say();
       }
-      say(done + 2 + 2 * turn);
       everybody(kPoseSteps, true);
-      say(done + 3 + 2 * turn);
     }
     solver_.measure_noise();
     return true;
@@ -197,6 +224,21 @@ class Enrolment {
     return median_of_finite(residuals);
   }
 
+  /// How far the normal of any of the skin has turned from where the generic face has it.
+  double most_turned_deg() const {
+    const mesh::Triangles triangles = mesh::split_quads(model_.control.quads);
+    Eigen::Matrix3Xf before;
+    Eigen::Matrix3Xf after;
+    mesh::vertex_normals(solver_.generic_control().cast<float>(), triangles, before);
+    mesh::vertex_normals(solver_.control_in_gauge().cast<float>(), triangles, after);
+    float least = 1;
+    for (const std::int32_t v : solver_.skin()) {
+      least = std::min(least, before.col(v).dot(after.col(v)) /
+                                  std::max(before.col(v).norm() * after.col(v).norm(), 1e-9F));
+    }
+    return std::acos(std::clamp(static_cast<double>(least), -1.0, 1.0)) * 180 / std::numbers::pi;
+  }
+
   void judge(LearnedShape& out) {
     const auto gate = [&](const char* name, double value, double limit, bool passed, std::string sentence) {
       out.gates.push_back({name, value, limit, passed, passed ? "" : std::move(sentence)});
@@ -207,6 +249,9 @@ class Enrolment {
          fmt::format("the shape found explains pictures that it was not found from no better ({:.2f} px) "
                      "than the one before ({:.2f} px)",
                      after, before));
+    const double turned = most_turned_deg();
+    gate("skin turned against the model's, degrees", turned, kFolds, turned <= kFolds,
+         "the shape found folds");
     gate("distance from the model's heads", solver_.identity_distance(), 2.5,
          solver_.identity_distance() <= 2.5, "this is no head, or not one head");
     gate("offset from the model, mm", solver_.offset_mm(), 8, solver_.offset_mm() <= 8,
@@ -221,19 +266,25 @@ class Enrolment {
   const face::FaceModel& model_;
   const Observed& observed_;
   EnrolmentOptions options_;
-  std::function<void(int, int)> progress_;
+  EnrolmentProgress progress_;
   Eigen::Vector2d centre_px_;
   ShapeSolver solver_;
+  SkinFlow early_flow_;  ///< of the rounds but the last, which need not be as fine
   SkinFlow flow_;
   std::vector<std::size_t> order_;
   std::vector<char> solves_;
   std::vector<Eigen::VectorXd> priors_;
+  int done_ = 0;  ///< pieces of work
 };
 
 }  // namespace
 
+bool turned_enough(const KeyframeCollector::Span& span) {
+  return span.largest_yaw >= kLeastYawDeg && -span.least_yaw >= kLeastYawDeg;
+}
+
 LearnedShape learn_shape(const face::FaceModel& model, const Observed& observed,
-                         const EnrolmentOptions& options, const std::function<void(int, int)>& progress) {
+                         const EnrolmentOptions& options, const EnrolmentProgress& progress) {
   return Enrolment(model, observed, options, progress).run();
 }
 

@@ -23,6 +23,7 @@ struct EnrolmentOptions {
   int rounds = 3;
   int chart_texels = 640;
   bool focal_is_known = false;
+  bool uncertainty = true;  ///< LearnedShape::sigma_mm is asked for: seconds
   KeyframeExpression expression = KeyframeExpression::Rest;
   AnchorStrength anchor;
 };
@@ -44,15 +45,21 @@ struct LearnedShape {
   std::vector<float> identity;  ///< [identity_count] of the model's face that the solve began with
   Eigen::Matrix3Xd neutral_mm;  ///< [3][vertex_count] head frame, of the generic face's size
   double focal_px = 0;          ///< for pictures of Observed::camera's size
-  Eigen::VectorXd sigma_mm;  ///< [vertex_count] standard deviation along the normal; NaN: held to the model
+  Eigen::VectorXd sigma_mm;  ///< [vertex_count] standard deviation along the normal; NaN: held to the model;
+                             ///< empty where it was not asked for or nothing was solved
   Eigen::VectorXd rest;      ///< [expression_count] that it was solved with
   std::vector<std::uint64_t> keyframes;  ///< sequence numbers
 };
 
-/// Solves a head's shape from what it showed. progress: done of total, may be empty. Refusals are results,
-/// not errors. Some ten seconds; allocates; any thread.
+/// Asked several times a second with what is done of the total; false breaks the solve off. May be empty.
+using EnrolmentProgress = std::function<bool(int done, int total)>;
+
+/// Whether a head was seen to turn far enough to both sides for its shape to be solved for.
+bool turned_enough(const KeyframeCollector::Span& span);
+
+/// Solves a head's shape from what it showed. Refusals are results, not errors, and so is what was broken
+/// off. Some ten seconds; allocates; any thread.
 LearnedShape learn_shape(const face::FaceModel& model, const Observed& observed,
-                         const EnrolmentOptions& options,
-                         const std::function<void(int done, int total)>& progress);
+                         const EnrolmentOptions& options, const EnrolmentProgress& progress);
 
 }  // namespace facet::person

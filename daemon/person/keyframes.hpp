@@ -67,7 +67,8 @@ class KeyframeCollector {
   /// The bins that are filled: (yaw, pitch) of their middles, degrees.
   std::vector<std::pair<double, double>> filled() const;
 
-  /// At most `most` keyframes, thinned out where they are dense; nothing where no frame counted.
+  /// At most `most` keyframes of a face about at rest, thinned out where they are dense; nothing where no
+  /// frame counted.
   std::optional<Observed> observed(int most) const;
 
  private:

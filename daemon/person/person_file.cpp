@@ -11,11 +11,11 @@
 #include <string_view>
 
 #include "face/chunk_file.hpp"
+#include "face/person_model.hpp"
 #include "facet/error.hpp"
 #include "files/json_text.hpp"
 #include "files/output_file.hpp"
 #include "files/text_file.hpp"
-#include "person/person_model.hpp"
 
 namespace facet::person {
 namespace {
@@ -207,7 +207,7 @@ face::FaceModel model_of(const PersonFile& person, const face::FaceModel& model,
                                               "with '{}': give that one, or enrol again",
                                               source, person.model_name, model.name));
   }
-  return person_model(model, person.identity, person.neutral_mm.cast<double>(), person.name);
+  return face::person_model(model, person.identity, person.neutral_mm.cast<double>(), person.name);
 }
 
 }  // namespace facet::person

@@ -49,8 +49,8 @@ PersonFile parse_person(std::span<const std::byte> bytes, const std::string& sou
 /// Written whole or not at all, readable by its owner alone. Throws Error(Storage).
 void write_person(const PersonFile& person, const std::filesystem::path& file);
 
-/// The person as a face model (person_model). Throws Error(Usage) naming both models where it was found with
-/// another one. source: the person's file, for messages.
+/// The person as a face model (face::person_model). Throws Error(Usage) naming both models where it was found
+/// with another one. source: the person's file, for messages.
 face::FaceModel model_of(const PersonFile& person, const face::FaceModel& model, const std::string& source);
 
 }  // namespace facet::person

@@ -372,8 +372,8 @@ SkinFlow::~SkinFlow() = default;
 
 std::vector<SkinPoints> SkinFlow::find(const std::vector<Keyframe>& keyframes, const ShapeSolver& solver,
                                        const Eigen::Vector2d& centre_px,
-                                       const std::vector<std::size_t>& order,
-                                       const std::vector<char>& joins) {
+                                       const std::vector<std::size_t>& order, const std::vector<char>& joins,
+                                       const std::function<void()>& between) {
   Impl& impl = *impl_;
   std::vector<Unwrapped> shots(keyframes.size());
   for (std::size_t k = 0; k < keyframes.size(); ++k) {
@@ -384,7 +384,11 @@ std::vector<SkinPoints> SkinFlow::find(const std::vector<Keyframe>& keyframes, c
 
   // First the mean grows from the most frontal picture to the ones that are turned further.
   Impl::Mean growing(size);
+  for (std::size_t k = 0; order.empty() && k < keyframes.size(); ++k) {
+    found[k] = impl.itself(shots[k]);
+  }
   for (const std::size_t k : order) {
+    between();
     found[k] = k == order.front() ? impl.itself(shots[k])
                                   : impl.registered(growing.texture, growing.known, shots[k]);
     if (joins[k] == 0) {
@@ -400,7 +404,7 @@ std::vector<SkinPoints> SkinFlow::find(const std::vector<Keyframe>& keyframes, c
   }
   // Then once more against the mean of all, in which no picture's highlights stand.
   Impl::Mean mean(size);
-  for (const std::size_t k : order) {
+  for (std::size_t k = 0; k < keyframes.size(); ++k) {
     if (joins[k] != 0) {
       cv::Mat weight = found[k].weight.mul(found[k].weight);
       weight.setTo(0, found[k].confidence <= 0.05F);
@@ -410,6 +414,7 @@ std::vector<SkinPoints> SkinFlow::find(const std::vector<Keyframe>& keyframes, c
   mean.settle(0.02F);
   std::vector<SkinPoints> out;
   for (std::size_t k = 0; k < keyframes.size(); ++k) {
+    between();
     out.push_back(impl.at_vertices(impl.registered(mean.texture, mean.known, shots[k]), shots[k],
                                    solver.focal_px(), centre_px));
   }

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <memory>
 #include <vector>
 
@@ -20,12 +21,15 @@ class SkinFlow {
 
   /// keyframes  with pictures
   /// solver     the head in each of them, its shape and the camera
-  /// order      keyframes as they join the mean, the most frontal one first
+  /// order      keyframes as they join the mean, the most frontal one first; empty: the solver has them well
+  /// enough
+  ///            for the mean to be that of all as they are
   /// joins      [keyframe] 0: it is compared with the mean and no part of it
+  /// between    called twice for each keyframe; may throw
   /// returns    [keyframe]
   std::vector<SkinPoints> find(const std::vector<Keyframe>& keyframes, const ShapeSolver& solver,
                                const Eigen::Vector2d& centre_px, const std::vector<std::size_t>& order,
-                               const std::vector<char>& joins);
+                               const std::vector<char>& joins, const std::function<void()>& between);
 
  private:
   struct Impl;

@@ -45,6 +45,7 @@ struct Tracked {
   std::shared_ptr<mesh::MeshFrame> mesh;
   std::uint32_t subject_count = 0;                     ///< TrackResult::subject
   std::shared_ptr<const std::vector<float>> identity;  ///< of that subject
+  std::shared_ptr<const face::FaceModel> model;        ///< that is followed
   std::vector<std::uint8_t> view_used;                 ///< TrackResult::view_used where there are several
 };
 
@@ -104,6 +105,7 @@ struct ShadingPipeline::Impl {
   std::uint64_t next_sequence = 0;
   std::uint32_t identity_count = 0;  ///< TrackResult::subject that `identity` belongs to
   std::shared_ptr<const std::vector<float>> identity;
+  std::shared_ptr<const face::FaceModel> model;
 
   // facet-refine only.
   refine::RecoveringRefiner refiner;
@@ -223,6 +225,11 @@ void ShadingPipeline::Impl::track() {
     beat();
     return !stopping;
   });
+  const LearnedPerson learned = stages.coarse->learned();
+  model = learned.model != nullptr ? learned.model : stages.model;
+  if (!learned.note.empty()) {
+    messages.info(learned.note);
+  }
   board.set_state(PipelineState::Running);
   next_sequence = options.frames.first;
   // A frame is taken only when the GPU has begun the one before: what waits is the newest, not a tracked one.
@@ -256,6 +263,7 @@ void ShadingPipeline::Impl::track_one(Captured&& item) {
   tracked_item.mesh = pool.take();
   tracked_item.subject_count = result.subject;
   tracked_item.identity = identity;
+  tracked_item.model = model;
   if (item.several()) {
     tracked_item.view_used = result.view_used;
   }
@@ -346,7 +354,7 @@ void ShadingPipeline::Impl::add_provisional_subject(mesh::MeshFrame& mesh) {
 }
 
 void ShadingPipeline::Impl::follow_subject(const Tracked& item) {
-  subject = face::build_subject(*stages.model, options.hierarchy, *item.mesh, *item.identity,
+  subject = face::build_subject(*item.model, options.hierarchy, *item.mesh, *item.identity,
                                 item.subject_count, stages.person);
   subject_count = item.subject_count;
   const mesh::Hierarchy& hierarchy = *subject->hierarchy;
@@ -359,9 +367,9 @@ void ShadingPipeline::Impl::follow_subject(const Tracked& item) {
                             hierarchy.levels.size(), hierarchy.levels.front().vertex_count,
                             hierarchy.finest().vertex_count));
   refiner.set_subject({.hierarchy = subject->hierarchy,
-                       .mean_albedo = stages.model->mean_albedo,
-                       .refinable = stages.model->control.refinable,
-                       .trust = face::shading_trust(*stages.model)});
+                       .mean_albedo = item.model->mean_albedo,
+                       .refinable = item.model->control.refinable,
+                       .trust = face::shading_trust(*item.model)});
 }
 
 void ShadingPipeline::Impl::add_displacements(Tracked& item) {

@@ -35,6 +35,8 @@ struct ShadingConfig {
   /// (person::is_person_path). Empty: nobody who is known.
   std::string person;
   std::filesystem::path persons_folder;  ///< where persons are kept; empty: nowhere
+  /// A recording is looked at whole first, and where its head turns far enough its own shape is followed.
+  bool learn_person = false;
   track::TrackerConfig tracker;
   mesh::HierarchyOptions hierarchy;
   refine::RefinerConfig refiner;

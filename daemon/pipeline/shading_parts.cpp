@@ -7,7 +7,10 @@
 #include <utility>
 #include <vector>
 
+#include "face/person_model.hpp"
 #include "facet/error.hpp"
+#include "person/enrolment.hpp"
+#include "person/keyframes.hpp"
 #include "person/person_file.hpp"
 #include "person/person_folder.hpp"
 
@@ -27,31 +30,17 @@ class TrackerStage final : public CoarseStage {
     if (!open_) {
       return;
     }
-    const std::unique_ptr<PictureSource> pictures = open_();
-    pictures->start();
-    const auto ahead = make_tracker();
-    FrameSet set;
-    for (std::uint64_t seen = 0; seen < kMostFramesAhead && !ahead->person() && go_on();) {
-      const CaptureOutcome outcome = pictures->next(set, std::chrono::milliseconds(100));
-      if (outcome == CaptureOutcome::Timeout) {
-        continue;
+    const bool learns =
+        config_.learn_person && config_.tracker.further_views.empty() && model_->identity_count() > 0;
+    if (const std::optional<person::Observed> observed = look_ahead(go_on, learns)) {
+      learn(*observed, go_on);
+      if (learned_.model != nullptr && go_on()) {
+        tracker_ = make_tracker();
+        look_ahead(go_on, false);
       }
-      if (outcome != CaptureOutcome::Delivered || set.slot >= config_.frames.end) {
-        break;
-      }
-      if (set.slot >= config_.frames.first) {
-        ahead->process(set.frames);
-        ++seen;
-      }
-    }
-    if (!go_on()) {
-      return;  // the work of a second, for nobody
-    }
-    ahead->settle_subject();
-    if (const std::optional<track::Person> subject = ahead->person()) {
-      tracker_->adopt(*subject, set.frames.front().width_px, set.frames.front().height_px);
     }
   }
+  LearnedPerson learned() const override { return learned_; }
 
   const track::TrackResult& process(std::span<const Frame> views) override {
     return tracker_->process(views);
@@ -60,12 +49,74 @@ class TrackerStage final : public CoarseStage {
 
  private:
   std::unique_ptr<track::Tracker> make_tracker() const {
-    return std::make_unique<track::Tracker>(*model_, config_.tracker);
+    return std::make_unique<track::Tracker>(learned_.model != nullptr ? *learned_.model : *model_,
+                                            config_.tracker);
+  }
+
+  /// Lets the tracker adopt who is in the recording: as soon as that is known, or once it was seen whole.
+  /// Then returns what the head showed, where it turned far enough to both sides.
+  std::optional<person::Observed> look_ahead(const std::function<bool()>& go_on, bool whole) {
+    const std::unique_ptr<PictureSource> pictures = open_();
+    pictures->start();
+    const auto ahead = make_tracker();
+    person::KeyframeCollector collector(*model_);
+    FrameSet set;
+    for (std::uint64_t seen = 0; seen < kMostFramesAhead && (whole || !ahead->person()) && go_on();) {
+      const CaptureOutcome outcome = pictures->next(set, std::chrono::milliseconds(100));
+      if (outcome == CaptureOutcome::Timeout) {
+        continue;
+      }
+      if (outcome != CaptureOutcome::Delivered || set.slot >= config_.frames.end) {
+        break;
+      }
+      if (set.slot >= config_.frames.first) {
+        const track::TrackResult& tracked = ahead->process(set.frames);
+        if (whole) {
+          collector.offer(tracked, set.frames.front());
+        }
+        ++seen;
+      }
+    }
+    if (!go_on()) {
+      return std::nullopt;  // the work of a second, for nobody
+    }
+    ahead->settle_subject();
+    if (const std::optional<track::Person> subject = ahead->person()) {
+      tracker_->adopt(*subject, set.frames.front().width_px, set.frames.front().height_px);
+    }
+    return whole && person::turned_enough(collector.span())
+               ? collector.observed(person::EnrolmentOptions().keyframes)
+               : std::nullopt;
+  }
+
+  void learn(const person::Observed& observed, const std::function<bool()>& go_on) {
+    person::EnrolmentOptions how;
+    how.focal_is_known = config_.tracker.intrinsics.has_value();
+    const person::LearnedShape shape =
+        person::learn_shape(*model_, observed, how, [&](int, int) { return go_on(); });
+    if (!shape.accepted) {
+      learned_.note = "the head turns, but its shape was not learned: " + shape.refused;
+      return;
+    }
+    learned_.model = std::make_shared<const face::FaceModel>(
+        face::person_model(*model_, shape.identity, shape.neutral_mm, "learned from the recording"));
+    if (!how.focal_is_known) {
+      CameraIntrinsics camera = observed.camera;
+      camera.fx = static_cast<float>(shape.focal_px);
+      camera.fy = camera.fx;
+      config_.tracker.intrinsics = camera;
+    }
+    learned_.note = fmt::format(
+        "the head turns: its own shape is followed, learned from {} of the recording's pictures (focal "
+        "length "
+        "{:.0f} px)",
+        shape.keyframes.size(), shape.focal_px);
   }
 
   std::shared_ptr<const face::FaceModel> model_;
   ShadingConfig config_;
   OpenPictures open_;
+  LearnedPerson learned_;
   std::unique_ptr<track::Tracker> tracker_;
 };
 

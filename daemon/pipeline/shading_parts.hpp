@@ -13,6 +13,12 @@
 
 namespace facet::pipeline {
 
+/// What looking ahead over a recording told of the person in it.
+struct LearnedPerson {
+  std::shared_ptr<const face::FaceModel> model;  ///< null: the configured one is followed
+  std::string note;                              ///< for the log; empty where nothing is to be said
+};
+
 /// The coarse tracker as the pipeline uses it; tests script one. One thread.
 class CoarseStage {
  public:
@@ -25,6 +31,8 @@ class CoarseStage {
   /// have meshes too. Asks `go_on` before each frame, which also says that it gets on; returns early where
   /// the answer is no.
   virtual void prepare(const std::function<bool()>& go_on) = 0;
+  /// Valid once prepare() is back.
+  virtual LearnedPerson learned() const { return {}; }
   /// As track::Tracker::process: one picture of each camera, the reference camera's first.
   virtual const track::TrackResult& process(std::span<const Frame> views) = 0;
   /// As track::Tracker::reset_identity.

@@ -10,6 +10,7 @@
 #include <string>
 #include <utility>
 
+#include "face/person_model.hpp"
 #include "facet/assets.hpp"
 #include "facet/error.hpp"
 #include "report/heat_map.hpp"
@@ -259,7 +260,7 @@ class TakesModel {
       return std::nullopt;
     }
     mesh::Vertices rebuilt_mm;
-    const face::ExpressionBasis basis = model_->contract_identity(subject.identity);
+    const face::ExpressionBasis basis = face::expressions_of(*model_, subject);
     basis.evaluate(frame.expression, rebuilt_mm);
     // The take's vertices are rounded to a hundredth of a millimetre.
     constexpr float kMostDifference_mm = 0.1F;

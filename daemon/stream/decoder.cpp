@@ -469,6 +469,13 @@ std::shared_ptr<const mesh::Subject> decode_subject(std::span<const std::uint8_t
     if (body.regions() != nullptr) {
       out->regions.assign(body.regions()->begin(), body.regions()->end());
     }
+    require((size_of(body.neutral_mm()) == 3 * control || size_of(body.neutral_mm()) == 0) &&
+                all_finite(body.neutral_mm()),
+            "subject: neutral");
+    if (size_of(body.neutral_mm()) > 0) {
+      out->neutral_mm =
+          Eigen::Map<const mesh::Vertices>(body.neutral_mm()->data(), 3, static_cast<Eigen::Index>(control));
+    }
   }
   return out;
 }

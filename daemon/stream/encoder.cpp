@@ -186,7 +186,8 @@ std::string_view subject_fault(const mesh::Subject& subject) {
   }
   const mesh::Hierarchy& hierarchy = *subject.hierarchy;
   if (hierarchy.levels.size() > kMaxLevels || hierarchy.finest().vertex_count > std::int64_t{kMaxVertices} ||
-      topology_bytes(hierarchy) > kMaxMessageBytes - kRemainderBytes) {
+      topology_bytes(hierarchy) + static_cast<std::size_t>(subject.neutral_mm.size()) * sizeof(float) >
+          kMaxMessageBytes - kRemainderBytes) {
     return "mesh left out: the mesh has more levels, vertices or bytes than a message may hold (12, 500000, "
            "64 MiB): lower hierarchy.max_vertices or hierarchy.max_levels";
   }
@@ -307,8 +308,13 @@ std::span<const std::uint8_t> Encoder::subject(const mesh::Subject& subject, Pro
   if (!subject.person.empty()) {
     person = bounded_string(builder, subject.person, kMaxNameBytes);
   }
+  Offset<flatbuffers::Vector<float>> neutral;
+  if (profile == Profile::Displacements && subject.neutral_mm.size() > 0) {
+    neutral =
+        builder.CreateVector(subject.neutral_mm.data(), static_cast<std::size_t>(subject.neutral_mm.size()));
+  }
   const auto body = wire::CreateSubject(builder, impl_->wire_id(subject), name_vector, identity, regions,
-                                        hierarchy, person);
+                                        hierarchy, person, neutral);
   return finish(builder, wire::Body::Subject, body.Union());
 }
 

@@ -9,7 +9,6 @@
 #include <utility>
 
 #include "facet/assets.hpp"
-#include "person/person_model.hpp"
 #include "report/evaluation.hpp"
 #include "simulation/actor_sequence.hpp"
 
@@ -95,7 +94,14 @@ TEST_F(EnrolmentTest, AnActorsTurnShowsTheShape) {
     EXPECT_LE(done, total);
     EXPECT_GE(done, last);
     last = done;
+    return true;
   });
+  // And it lets go when it is told to.
+  int asked = 0;
+  const LearnedShape stopped = learn_shape(model_, observed, options, [&](int, int) { return ++asked < 3; });
+  EXPECT_EQ(asked, 3);
+  EXPECT_FALSE(stopped.accepted);
+  EXPECT_EQ(stopped.refused, "it was broken off");
   EXPECT_TRUE(learned.accepted) << learned.refused;
   EXPECT_NEAR(learned.focal_px / static_cast<double>(actor.camera().fx), 1, 0.06);
   const report::Truth truth(actor.neutral());
@@ -119,7 +125,7 @@ TEST_F(EnrolmentTest, AHeadThatNeverTurnsIsRefusedAtOnce) {
   }
   const LearnedShape learned = learn_shape(model_, observed, {}, {});
   EXPECT_FALSE(learned.accepted);
-  EXPECT_THAT(learned.refused, ::testing::HasSubstr("not turned far enough to its left (4 degrees"));
+  EXPECT_THAT(learned.refused, ::testing::HasSubstr("not turned far enough to its left with the face at rest (4 degrees"));
 }
 
 }  // namespace

@@ -54,12 +54,15 @@ TEST_F(KeyframesTest, TheCalmestPictureOfAnOrientationIsKept) {
   show(12, 0.6F, 1);
   show(12, 0.05F, 2);
   show(12, 0.7F, 3);
+  show(0, 0, 4);
+  show(0, 0, 5);
+  show(24, 0.9F, 6);  // it acts: no picture of the face at rest
   const auto observed = collector_.observed(10);
   ASSERT_TRUE(observed);
   ASSERT_EQ(observed->keyframes.size(), 2U);
   EXPECT_EQ(observed->keyframes[1].sequence, 2U);
   EXPECT_NEAR(observed->keyframes[1].yaw_deg, 12, 0.01);
-  EXPECT_NEAR(collector_.span().largest_yaw, 12, 0.01);
+  EXPECT_NEAR(collector_.span().largest_yaw, 24, 0.01);
   const HeadPicture& picture = observed->keyframes[1].picture;
   EXPECT_EQ(picture.rgb.size(),
             static_cast<std::size_t>(picture.width_px) * static_cast<std::size_t>(picture.height_px) * 3);

@@ -93,6 +93,7 @@ class ScriptedTracker final : public pipeline::CoarseStage {
       std::this_thread::sleep_for(std::chrono::milliseconds(1));
     }
   }
+  pipeline::LearnedPerson learned() const override { return script_.learned; }
   const track::TrackResult& process(std::span<const Frame> views) override {
     const Frame& frame = views.front();
     script_.tracker_gate.pass();

@@ -8,6 +8,7 @@
 #include <thread>
 #include <utility>
 
+#include "face/person_model.hpp"
 #include "pipeline/bounded_queue.hpp"
 #include "scripted_stages.hpp"
 
@@ -206,6 +207,21 @@ TEST_F(Shading, AFaceThatIsNotKnownYetHasAProvisionalMesh) {
     EXPECT_FALSE(frames[f]->degraded);
   }
   EXPECT_EQ(frames[7]->subject, frames[3]->subject);
+}
+
+TEST_F(Shading, WhatWasLearnedAheadIsFollowedAndGoesWithTheMeshes) {
+  const std::vector<float> identity(static_cast<std::size_t>(script_.model->identity_count()), 0.5F);
+  Eigen::Matrix3Xd own = script_.model->contract_identity(identity).neutral_mm.cast<double>();
+  own.row(0) *= 1.05;
+  script_.learned.model =
+      std::make_shared<const face::FaceModel>(face::person_model(*script_.model, identity, own, "learned"));
+  script_.learned.note = "its own shape is followed";
+  const PipelineStatus status = run();
+  EXPECT_GT(status.refined_frames, 0U);
+  const auto frames = sink_.frames();
+  ASSERT_NE(frames.front()->subject, nullptr);
+  EXPECT_LT((frames.front()->subject->neutral_mm - own.cast<float>()).cwiseAbs().maxCoeff(), 1e-4F);
+  EXPECT_EQ(frames.front()->subject->identity, identity);
 }
 
 TEST_F(Shading, ANewSubjectGetsItsOwnHierarchy) {

@@ -188,6 +188,19 @@ TEST_F(Encoding, SubjectNamesThePersonInEveryProfile) {
   EXPECT_EQ(decode_subject(encoder.subject(known, Profile::Signals))->person.size(), kMaxNameBytes);
 }
 
+TEST_F(Encoding, AFaceOfItsOwnGoesWithTheSubjectThatRebuildsItAlone) {
+  auto known = std::make_shared<mesh::Subject>(*subject);
+  known->neutral_mm = mesh::Vertices::Random(3, subject->hierarchy->control_vertex_count);
+  EXPECT_EQ(decode_subject(encoder.subject(*known, Profile::Displacements))->neutral_mm, known->neutral_mm);
+  EXPECT_EQ(decode_subject(encoder.subject(*known, Profile::Vertices))->neutral_mm.size(), 0);
+  EXPECT_EQ(decode_subject(encoder.subject(*known, Profile::Signals))->neutral_mm.size(), 0);
+  EXPECT_NE(mesh::subject_id(*known, 1), mesh::subject_id(*subject, 1));
+  known->neutral_mm.conservativeResize(3, known->neutral_mm.cols() - 1);
+  EXPECT_THROW(decode_subject(encoder.subject(*known, Profile::Displacements)), std::exception);
+  known->neutral_mm(0, 0) = std::numeric_limits<float>::quiet_NaN();
+  EXPECT_THROW(decode_subject(encoder.subject(*known, Profile::Displacements)), std::exception);
+}
+
 TEST_F(Encoding, VerticesSubjectHasTheFinestTrianglesOnly) {
   const auto got = decode_subject(encoder.subject(*subject, Profile::Vertices));
   ASSERT_EQ(got->hierarchy->levels.size(), 1U);

@@ -59,14 +59,18 @@ pipeline::ObservedHead look(const pipeline::ShadingConfig& config, const std::st
 }
 
 person::LearnedShape learn(const face::FaceModel& model, const person::Observed& observed,
-                           const person::EnrolmentOptions& options) {
+                           const person::EnrolmentOptions& options, const StopSignals& signals) {
   std::unique_ptr<Progress> progress;
   person::LearnedShape learned = person::learn_shape(model, observed, options, [&](int done, int total) {
     if (!progress) {
       progress = std::make_unique<Progress>("Learning", static_cast<std::uint64_t>(total), "steps");
     }
     progress->set(static_cast<std::uint64_t>(done));
+    return signals.pending() == 0;
   });
+  if (signals.pending() != 0) {
+    signals.die_of(signals.pending());
+  }
   return learned;
 }
 
@@ -105,6 +109,7 @@ void run(const Options& options) {
   shading.source.path = options.video;
   shading.person.clear();  // whoever the configuration says stands there is not who is learned now
   shading.gpu_device = pipeline::kNoDevice;
+  shading.learn_person = false;
   if (!options.frames.empty()) {
     shading.frames = pipeline::parse_frame_range(options.frames);
   }
@@ -125,7 +130,7 @@ void run(const Options& options) {
             "'{}' is too short: {} frames of one face that is known are needed, it has {} with a mesh",
             options.video, how.keyframes, head.mesh_frames));
   }
-  const person::LearnedShape learned = learn(*parts.model, *observed, how);
+  const person::LearnedShape learned = learn(*parts.model, *observed, how, signals);
   const person::KeyframeCollector::Span span = head.keyframes.span();
   tell(
       "seen from {:.0f} degrees at its right to {:.0f} at its left, {:.0f} below to {:.0f} above; {} "

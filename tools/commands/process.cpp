@@ -58,6 +58,7 @@ struct Options {
   std::vector<std::string> cameras;
   bool every_slot = false;
   bool shading = false;
+  bool live = false;
 };
 
 void set_budget(const std::string& budget, refine::RefinerConfig& refiner) {
@@ -164,6 +165,7 @@ service::Config configure(const Options& options) {
       monocular.persons_folder = persons_folder(options.config);
     }
   }
+  monocular.learn_person = !options.live;
   if (!options.device.empty()) {
     monocular.gpu_device = options.device;
   }
@@ -181,7 +183,7 @@ std::uint64_t expected_frames(const CameraInfo& source, const pipeline::FrameRan
 
 std::string note(const pipeline::PipelineStatus& status) {
   if (status.state == pipeline::PipelineState::Preparing) {
-    return "looking ahead for the face";
+    return "looking at the whole recording first";
   }
   return fmt::format("{}, {} refined{}", mesh::to_string(status.tracking), status.refined_frames,
                      status.degraded_frames > 0 ? fmt::format(", {} degraded", status.degraded_frames) : "");
@@ -571,6 +573,9 @@ Command add_process_command(Command app, std::unique_ptr<Team> (*join)()) {
       "Who is to be seen: the name of somebody in the folder of persons ([persons] of --config or of the "
       "installed configuration), or a file that facet enrol wrote (it has a slash or ends in .person); that "
       "shape is followed instead of a guess from the first frames");
+  command.flag("--live", options->live,
+               "As a live camera is followed: without looking at the whole recording first to learn the "
+               "face's own shape where its head turns");
   command.option("--budget", options->budget,
                  "Solver work per frame: \"auto\" (as many steps as pay), \"paper\" (10 of 7 "
                  "iterations) or Gauss-Newton "

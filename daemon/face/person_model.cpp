@@ -1,4 +1,4 @@
-#include "person/person_model.hpp"
+#include "face/person_model.hpp"
 
 #include <algorithm>
 #include <array>
@@ -9,7 +9,7 @@
 #include "face/deformation_transfer.hpp"
 #include "mesh/quads.hpp"
 
-namespace facet::person {
+namespace facet::face {
 namespace {
 
 /// A vertex that an expression moves by less of its largest movement stays.
@@ -18,7 +18,7 @@ constexpr double kStill = 0.02;
 constexpr std::size_t kNeighbours = 24;
 
 /// [vertex_count] a number for each piece of the mesh.
-std::vector<std::int32_t> pieces_of(const face::FaceModel& model) {
+std::vector<std::int32_t> pieces_of(const FaceModel& model) {
   std::vector<std::int32_t> parent(static_cast<std::size_t>(model.vertex_count()));
   std::iota(parent.begin(), parent.end(), 0);
   const auto root = [&parent](std::int32_t v) {
@@ -43,7 +43,7 @@ std::vector<std::int32_t> pieces_of(const face::FaceModel& model) {
 }
 
 /// [vertex_count] 1 where the vertex is of a piece that has skin.
-std::vector<std::uint8_t> of_skin(const face::FaceModel& model, const std::vector<std::int32_t>& piece) {
+std::vector<std::uint8_t> of_skin(const FaceModel& model, const std::vector<std::int32_t>& piece) {
   std::vector<std::uint8_t> has_skin(piece.size(), 0);
   for (std::size_t v = 0; v < piece.size(); ++v) {
     if (model.control.refinable[v] != 0) {
@@ -62,7 +62,7 @@ bool moves_upper_face(std::string_view expression) {
 
 }  // namespace
 
-void bring_loose_pieces(const face::FaceModel& model, const Eigen::Matrix3Xd& from_mm,
+void bring_loose_pieces(const FaceModel& model, const Eigen::Matrix3Xd& from_mm,
                         Eigen::Matrix3Xd& neutral_mm) {
   const std::vector<std::int32_t> piece = pieces_of(model);
   const std::vector<std::uint8_t> skin = of_skin(model, piece);
@@ -104,15 +104,16 @@ void bring_loose_pieces(const face::FaceModel& model, const Eigen::Matrix3Xd& fr
   }
 }
 
-face::FaceModel person_model(const face::FaceModel& model, const std::vector<float>& identity,
-                             const Eigen::Matrix3Xd& neutral_mm, const std::string& name) {
-  const face::ExpressionBasis basis = model.contract_identity(identity);
+FaceModel person_model(const FaceModel& model, const std::vector<float>& identity,
+                       const Eigen::Matrix3Xd& neutral_mm, const std::string& name) {
+  const ExpressionBasis basis = model.contract_identity(identity);
   const Eigen::Matrix3Xd source = basis.neutral_mm.cast<double>();
   const mesh::Triangles triangles = mesh::split_quads(model.control.quads);
   const std::vector<std::uint8_t> skin = of_skin(model, pieces_of(model));
 
-  face::FaceModel out;
+  FaceModel out;
   out.name = name;
+  out.carried_from = identity;
   out.control = model.control;
   out.regions = model.regions;
   out.expression_names = model.expression_names;
@@ -137,7 +138,7 @@ face::FaceModel person_model(const face::FaceModel& model, const std::vector<flo
         fixed[v] = skin[v] != 0 && moved[static_cast<Eigen::Index>(v)] > still ? 0 : fixed[v];
       }
     }
-    const face::DeformationTransfer transfer(source, neutral_mm, triangles, fixed);
+    const DeformationTransfer transfer(source, neutral_mm, triangles, fixed);
     for (std::size_t e = 0; e < basis.deltas_mm.size(); ++e) {
       if (moves_upper_face(model.expression_names[e]) != upper) {
         continue;
@@ -154,4 +155,15 @@ face::FaceModel person_model(const face::FaceModel& model, const std::vector<flo
   return out;
 }
 
-}  // namespace facet::person
+ExpressionBasis expressions_of(const FaceModel& model, const mesh::Subject& subject) {
+  if (subject.neutral_mm.cols() == 0 || model.identity_count() == 0) {
+    return model.contract_identity(subject.identity);
+  }
+  if (subject.neutral_mm.cols() != model.vertex_count() ||
+      subject.identity.size() != static_cast<std::size_t>(model.identity_count())) {
+    return {subject.neutral_mm, {}};
+  }
+  return person_model(model, subject.identity, subject.neutral_mm.cast<double>(), "").contract_identity({});
+}
+
+}  // namespace facet::face
