@@ -24,6 +24,9 @@ constexpr std::size_t kLeastPoints = 50;
 constexpr double kMedianOfTwo = 1.18;
 constexpr double kMadToSigma = 1.4826;
 constexpr double kDamping = 1e-6;
+/// Flow errs alike in all keyframes, for all are compared with one mean: what adds up as if they were
+/// independent is so many times as uncertain (found on turns whose truth is known: bench/results/person.md).
+constexpr double kSharedErrors = 3;
 
 Eigen::Matrix3d cross_matrix(const Eigen::Vector3d& v) {
   Eigen::Matrix3d m;
@@ -626,7 +629,7 @@ Eigen::VectorXd ShapeSolver::uncertainty_mm() {
         (gauge_solved.middleRows<3>(row).transpose() * normal) + gauge_shared.transpose() * shared;
     const double variance = own + (shared.transpose() * covariance * shared)(0, 0) -
                             with_gauge.dot(gauge_factor.solve(with_gauge));
-    out[v] = std::sqrt(std::max(variance, 0.0));
+    out[v] = kSharedErrors * std::sqrt(std::max(variance, 0.0));
     along.block<3, 1>(row, 0).setZero();
   }
   // It changes slowly over the skin: what was not solved for is as uncertain as its nearest.

@@ -53,15 +53,16 @@ class TrackerStage final : public CoarseStage {
                                             config_.tracker);
   }
 
-  /// Lets the tracker adopt who is in the recording: as soon as that is known, or once it was seen whole.
-  /// Then returns what the head showed, where it turned far enough to both sides.
+  /// Lets the tracker adopt who is first known in the recording. whole: looks on to its end, and returns what
+  /// that head showed, where it turned far enough to both sides.
   std::optional<person::Observed> look_ahead(const std::function<bool()>& go_on, bool whole) {
     const std::unique_ptr<PictureSource> pictures = open_();
     pictures->start();
     const auto ahead = make_tracker();
     person::KeyframeCollector collector(*model_);
+    std::optional<std::uint32_t> first;  // TrackResult::subject of who was adopted
     FrameSet set;
-    for (std::uint64_t seen = 0; seen < kMostFramesAhead && (whole || !ahead->person()) && go_on();) {
+    for (std::uint64_t seen = 0; seen < kMostFramesAhead && (whole || !first) && go_on();) {
       const CaptureOutcome outcome = pictures->next(set, std::chrono::milliseconds(100));
       if (outcome == CaptureOutcome::Timeout) {
         continue;
@@ -71,27 +72,40 @@ class TrackerStage final : public CoarseStage {
       }
       if (set.slot >= config_.frames.first) {
         const track::TrackResult& tracked = ahead->process(set.frames);
-        if (whole) {
+        ++seen;
+        if (!first && adopt(*ahead, set)) {
+          first = tracked.subject;
+        }
+        if (whole && first == tracked.subject) {
           collector.offer(tracked, set.frames.front());
         }
-        ++seen;
       }
     }
     if (!go_on()) {
       return std::nullopt;  // the work of a second, for nobody
     }
-    ahead->settle_subject();
-    if (const std::optional<track::Person> subject = ahead->person()) {
-      tracker_->adopt(*subject, set.frames.front().width_px, set.frames.front().height_px);
+    if (!first) {
+      ahead->settle_subject();
+      adopt(*ahead, set);
     }
     return whole && person::turned_enough(collector.span())
                ? collector.observed(person::EnrolmentOptions().keyframes)
                : std::nullopt;
   }
 
+  /// False where nobody is known yet.
+  bool adopt(const track::Tracker& ahead, const FrameSet& set) {
+    const std::optional<track::Person> subject = ahead.person();
+    if (subject) {
+      tracker_->adopt(*subject, set.frames.front().width_px, set.frames.front().height_px);
+    }
+    return subject.has_value();
+  }
+
   void learn(const person::Observed& observed, const std::function<bool()>& go_on) {
     person::EnrolmentOptions how;
     how.focal_is_known = config_.tracker.intrinsics.has_value();
+    how.uncertainty = false;
     const person::LearnedShape shape =
         person::learn_shape(*model_, observed, how, [&](int, int) { return go_on(); });
     if (!shape.accepted) {
