@@ -31,6 +31,9 @@ face::ExpressionBasis person_shapes(const mesh::MeshFrame& frame, const std::str
     throw mismatch("its expressions or vertices are others");
   }
   face::ExpressionBasis basis = face::expressions_of(model, subject);
+  if (basis.deltas_mm.size() != subject.expression_names.size()) {
+    throw mismatch("it has another number of identities");
+  }
   mesh::Vertices rebuilt_mm;
   basis.evaluate(frame.expression, rebuilt_mm);
   const float difference_mm = (rebuilt_mm - frame.control_vertices_mm).colwise().norm().maxCoeff();

@@ -107,7 +107,8 @@ DeformationTransfer::DeformationTransfer(const Eigen::Matrix3Xd& source, const E
   constexpr double kSingular =
       1e-10;  // of the largest pivot: a floating part leaves a pivot of rounding size
   const Eigen::VectorXd pivots = impl_->solver.vectorD().cwiseAbs();
-  if (impl_->solver.info() != Eigen::Success || pivots.minCoeff() < kSingular * pivots.maxCoeff()) {
+  if (impl_->solver.info() != Eigen::Success ||
+      (pivots.size() > 0 && pivots.minCoeff() < kSingular * pivots.maxCoeff())) {
     throw Error(ErrorKind::Internal, "deformation transfer: a part of the mesh has no fixed vertex");
   }
 }

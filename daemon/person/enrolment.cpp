@@ -117,16 +117,16 @@ class Enrolment {
     for (int round = 0; round < options_.rounds && solved; ++round) {
       solved = run_round(round);
     }
-    if (!solved) {
-      out.gates.push_back({"solve", 0, 1, false, "the shape could not be solved from these pictures"});
-    } else {
-      judge(out);
-    }
     out.neutral_mm = solver_.control_in_gauge();
     if (options_.expression == KeyframeExpression::Rest) {
       add_rest(out.neutral_mm);
     }
     face::bring_loose_pieces(model_, solver_.generic_control(), out.neutral_mm);
+    if (!solved) {
+      out.gates.push_back({"solve", 0, 1, false, "the shape could not be solved from these pictures"});
+    } else {
+      judge(out);
+    }
     out.focal_px = solver_.focal_px();
     if (solved && options_.uncertainty) {
       out.sigma_mm = solver_.uncertainty_mm();
@@ -138,7 +138,7 @@ class Enrolment {
 
   /// A piece of work is done. Throws BrokenOff.
   void say() {
-    const int pictures = (options_.rounds + 1) * static_cast<int>(order_.size());
+    const int pictures = (2 * options_.rounds + 1) * static_cast<int>(order_.size());
     const int steps = (options_.rounds + kTurns - 1) * kShapeSteps;
     if (progress_ && !progress_(done_++, pictures + steps)) {
       throw BrokenOff();
@@ -225,12 +225,12 @@ class Enrolment {
   }
 
   /// How far the normal of any of the skin has turned from where the generic face has it.
-  double most_turned_deg() const {
+  double most_turned_deg(const Eigen::Matrix3Xd& neutral_mm) const {
     const mesh::Triangles triangles = mesh::split_quads(model_.control.quads);
     Eigen::Matrix3Xf before;
     Eigen::Matrix3Xf after;
     mesh::vertex_normals(solver_.generic_control().cast<float>(), triangles, before);
-    mesh::vertex_normals(solver_.control_in_gauge().cast<float>(), triangles, after);
+    mesh::vertex_normals(neutral_mm.cast<float>(), triangles, after);
     float least = 1;
     for (const std::int32_t v : solver_.skin()) {
       least = std::min(least, before.col(v).dot(after.col(v)) /
@@ -249,7 +249,7 @@ class Enrolment {
          fmt::format("the shape found explains pictures that it was not found from no better ({:.2f} px) "
                      "than the one before ({:.2f} px)",
                      after, before));
-    const double turned = most_turned_deg();
+    const double turned = most_turned_deg(out.neutral_mm);
     gate("skin turned against the model's, degrees", turned, kFolds, turned <= kFolds,
          "the shape found folds");
     gate("distance from the model's heads", solver_.identity_distance(), 2.5,
@@ -285,6 +285,12 @@ bool turned_enough(const KeyframeCollector::Span& span) {
 
 LearnedShape learn_shape(const face::FaceModel& model, const Observed& observed,
                          const EnrolmentOptions& options, const EnrolmentProgress& progress) {
+  if (observed.keyframes.empty()) {
+    LearnedShape none;
+    none.identity = observed.identity;
+    none.refused = "no picture shows the face at rest";
+    return none;
+  }
   return Enrolment(model, observed, options, progress).run();
 }
 

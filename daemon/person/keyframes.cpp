@@ -13,6 +13,8 @@ namespace {
 constexpr double kYawBinDeg = 4;
 constexpr double kPitchBinDeg = 5;
 constexpr std::size_t kMostBins = 200;
+constexpr std::size_t kMostBytes = std::size_t{256}
+                                   << 20;  ///< of pictures; those that are kept get better, no more come
 constexpr std::size_t kMostExpressions = 3000;
 /// A head that turns faster is blurred by an exposure of 1/60 s.
 constexpr double kFastestDegS = 90;
@@ -78,6 +80,7 @@ KeyframeCollector::KeyframeCollector(const face::FaceModel& model) : model_(&mod
 
 void KeyframeCollector::clear() {
   bins_.clear();
+  picture_bytes_ = 0;
   expressions_.clear();
   next_expression_ = 0;
   reprojections_px_.clear();
@@ -143,11 +146,15 @@ void KeyframeCollector::offer(const track::TrackResult& tracked, const Frame& pi
   const std::pair bin(static_cast<int>(std::lround(now.yaw_deg / kYawBinDeg)),
                       static_cast<int>(std::lround(now.pitch_deg / kPitchBinDeg)));
   const auto held = bins_.find(bin);
-  if (held == bins_.end() ? bins_.size() >= kMostBins
+  if (held == bins_.end() ? bins_.size() >= kMostBins || picture_bytes_ >= kMostBytes
                           : cost(held->second, mean_expression_) <= cost(now, mean_expression_)) {
     return;
   }
   now.picture = cut_out(picture, tracked);
+  if (now.picture.rgb.empty()) {
+    return;
+  }
+  picture_bytes_ += now.picture.rgb.size() - (held == bins_.end() ? 0 : held->second.picture.rgb.size());
   bins_.insert_or_assign(bin, std::move(now));
 }
 
@@ -190,6 +197,9 @@ std::optional<Observed> KeyframeCollector::observed(int most) const {
         restlessness(keyframe.expression, out.rest) <= kRestless) {
       chosen.push_back(&keyframe);
     }
+  }
+  if (chosen.empty()) {
+    return std::nullopt;
   }
   // Of the two that stand nearest to each other the restless one goes, until few enough are left.
   while (chosen.size() > static_cast<std::size_t>(std::max(most, 1))) {

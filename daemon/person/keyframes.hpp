@@ -44,7 +44,8 @@ struct Observed {
 };
 
 /// Keeps of a tracked head the calmest picture for each orientation, in bins of 4 degrees of yaw and 5 of
-/// pitch (docs/person.md, "Keyframes"). Bounded: 200 bins, 3,000 frames' expressions. One thread.
+/// pitch (docs/person.md, "Keyframes"). Bounded: 200 bins, 256 MB of pictures,
+/// 3,000 frames' expressions. One thread.
 class KeyframeCollector {
  public:
   /// model must outlive the collector.
@@ -81,6 +82,7 @@ class KeyframeCollector {
   CameraIntrinsics camera_;
   std::vector<float> identity_;
   std::map<std::pair<int, int>, Keyframe> bins_;
+  std::size_t picture_bytes_ = 0;
   std::vector<Eigen::VectorXf> expressions_;  ///< of all frames that counted, the last 3,000
   std::size_t next_expression_ = 0;
   std::vector<float> reprojections_px_;

@@ -377,6 +377,7 @@ std::vector<SkinPoints> SkinFlow::find(const std::vector<Keyframe>& keyframes, c
   Impl& impl = *impl_;
   std::vector<Unwrapped> shots(keyframes.size());
   for (std::size_t k = 0; k < keyframes.size(); ++k) {
+    between();
     shots[k] = impl.unwrap(keyframes[k], solver, solver.heads()[k], centre_px);
   }
   const cv::Size size = impl.covered.size();

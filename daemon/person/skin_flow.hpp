@@ -25,7 +25,7 @@ class SkinFlow {
   /// enough
   ///            for the mean to be that of all as they are
   /// joins      [keyframe] 0: it is compared with the mean and no part of it
-  /// between    called twice for each keyframe; may throw
+  /// between    called twice or three times for each keyframe; may throw
   /// returns    [keyframe]
   std::vector<SkinPoints> find(const std::vector<Keyframe>& keyframes, const ShapeSolver& solver,
                                const Eigen::Vector2d& centre_px, const std::vector<std::size_t>& order,

@@ -129,7 +129,7 @@ struct ShadingPipeline::Impl {
   void fill(mesh::MeshFrame& mesh, const Captured& item, const track::TrackResult& result) const;
   void refine();
   void refine_one(Tracked& item);
-  void add_provisional_subject(mesh::MeshFrame& mesh);
+  void add_provisional_subject(const Tracked& item);
   void follow_subject(const Tracked& item);
   void add_displacements(Tracked& item);
   void note_given_up();
@@ -325,7 +325,7 @@ void ShadingPipeline::Impl::refine_one(Tracked& item) {
   if (item.mesh->state != mesh::TrackingState::Tracking) {
     face_was_away = true;
     if (item.mesh->control_vertices_mm.cols() > 0) {
-      add_provisional_subject(*item.mesh);
+      add_provisional_subject(item);
     }
     return;
   }
@@ -343,14 +343,15 @@ void ShadingPipeline::Impl::refine_one(Tracked& item) {
 
 /// While the identity is being estimated the mesh is coarse and its topology M0, which is the same for
 /// everybody.
-void ShadingPipeline::Impl::add_provisional_subject(mesh::MeshFrame& mesh) {
+void ShadingPipeline::Impl::add_provisional_subject(const Tracked& item) {
   if (provisional_subject == nullptr) {
     mesh::HierarchyOptions control_alone = options.hierarchy;
     control_alone.max_levels = 1;
-    const std::vector<float> unknown(static_cast<std::size_t>(stages.model->identity_count()));
-    provisional_subject = face::build_subject(*stages.model, control_alone, mesh, unknown, 0, stages.person);
+    const std::vector<float> unknown(static_cast<std::size_t>(item.model->identity_count()));
+    provisional_subject =
+        face::build_subject(*item.model, control_alone, *item.mesh, unknown, 0, stages.person);
   }
-  mesh.subject = provisional_subject;
+  item.mesh->subject = provisional_subject;
 }
 
 void ShadingPipeline::Impl::follow_subject(const Tracked& item) {

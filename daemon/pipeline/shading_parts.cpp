@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <chrono>
+#include <exception>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -54,13 +55,14 @@ class TrackerStage final : public CoarseStage {
   }
 
   /// Lets the tracker adopt who is first known in the recording. whole: looks on to its end, and returns what
-  /// that head showed, where it turned far enough to both sides.
+  /// that head showed, where it is alone and turned far enough to both sides.
   std::optional<person::Observed> look_ahead(const std::function<bool()>& go_on, bool whole) {
     const std::unique_ptr<PictureSource> pictures = open_();
     pictures->start();
     const auto ahead = make_tracker();
     person::KeyframeCollector collector(*model_);
     std::optional<std::uint32_t> first;  // TrackResult::subject of who was adopted
+    bool alone = true;                   // nobody else is seen: one shape is followed from end to end
     FrameSet set;
     for (std::uint64_t seen = 0; seen < kMostFramesAhead && (whole || !first) && go_on();) {
       const CaptureOutcome outcome = pictures->next(set, std::chrono::milliseconds(100));
@@ -76,7 +78,8 @@ class TrackerStage final : public CoarseStage {
         if (!first && adopt(*ahead, set)) {
           first = tracked.subject;
         }
-        if (whole && first == tracked.subject) {
+        if (whole && first) {
+          alone = alone && first == tracked.subject;
           collector.offer(tracked, set.frames.front());
         }
       }
@@ -88,7 +91,7 @@ class TrackerStage final : public CoarseStage {
       ahead->settle_subject();
       adopt(*ahead, set);
     }
-    return whole && person::turned_enough(collector.span())
+    return whole && alone && person::turned_enough(collector.span())
                ? collector.observed(person::EnrolmentOptions().keyframes)
                : std::nullopt;
   }
@@ -102,29 +105,35 @@ class TrackerStage final : public CoarseStage {
     return subject.has_value();
   }
 
+  /// What can't be learned leaves the guess in its place.
   void learn(const person::Observed& observed, const std::function<bool()>& go_on) {
     person::EnrolmentOptions how;
     how.focal_is_known = config_.tracker.intrinsics.has_value();
     how.uncertainty = false;
-    const person::LearnedShape shape =
-        person::learn_shape(*model_, observed, how, [&](int, int) { return go_on(); });
-    if (!shape.accepted) {
-      learned_.note = "the head turns, but its shape was not learned: " + shape.refused;
-      return;
+    try {
+      const person::LearnedShape shape =
+          person::learn_shape(*model_, observed, how, [&](int, int) { return go_on(); });
+      if (!go_on()) {
+        return;
+      }
+      if (!shape.accepted) {
+        learned_.note = "the head turns, but its shape was not learned: " + shape.refused;
+        return;
+      }
+      learned_.model = std::make_shared<const face::FaceModel>(
+          face::person_model(*model_, shape.identity, shape.neutral_mm, "learned from the recording"));
+      if (!how.focal_is_known) {
+        config_.tracker.intrinsics = observed.camera;
+        config_.tracker.intrinsics->fx = config_.tracker.intrinsics->fy = static_cast<float>(shape.focal_px);
+      }
+      learned_.note = fmt::format(
+          "the head turns: its own shape is followed, learned from {} of the recording's pictures (focal "
+          "length "
+          "{:.0f} px)",
+          shape.keyframes.size(), shape.focal_px);
+    } catch (const std::exception& error) {
+      learned_.note = fmt::format("the head turns, but its shape was not learned: {}", error.what());
     }
-    learned_.model = std::make_shared<const face::FaceModel>(
-        face::person_model(*model_, shape.identity, shape.neutral_mm, "learned from the recording"));
-    if (!how.focal_is_known) {
-      CameraIntrinsics camera = observed.camera;
-      camera.fx = static_cast<float>(shape.focal_px);
-      camera.fy = camera.fx;
-      config_.tracker.intrinsics = camera;
-    }
-    learned_.note = fmt::format(
-        "the head turns: its own shape is followed, learned from {} of the recording's pictures (focal "
-        "length "
-        "{:.0f} px)",
-        shape.keyframes.size(), shape.focal_px);
   }
 
   std::shared_ptr<const face::FaceModel> model_;

@@ -128,5 +128,11 @@ TEST_F(EnrolmentTest, AHeadThatNeverTurnsIsRefusedAtOnce) {
   EXPECT_THAT(learned.refused, ::testing::HasSubstr("not turned far enough to its left with the face at rest (4 degrees"));
 }
 
+TEST_F(EnrolmentTest, NothingSeenIsRefused) {
+  const LearnedShape learned = learn_shape(model_, {}, {}, {});
+  EXPECT_FALSE(learned.accepted);
+  EXPECT_FALSE(learned.refused.empty());
+}
+
 }  // namespace
 }  // namespace facet::person

@@ -109,5 +109,14 @@ TEST_F(KeyframesTest, WithoutAMeshNothingIsKept) {
   EXPECT_FALSE(collector_.observed(5));
 }
 
+TEST_F(KeyframesTest, WhereNoPictureShowsTheFaceAtRestThereIsNone) {
+  show(0, 1, 0);
+  for (int i = 1; i < 5; ++i) {
+    show(i % 2 == 0 ? 0 : 30, 0, 0.01 * i);  // at rest, and blurred
+  }
+  EXPECT_EQ(collector_.filled().size(), 1U);
+  EXPECT_FALSE(collector_.observed(10));
+}
+
 }  // namespace
 }  // namespace facet::person

@@ -1,6 +1,7 @@
 // `facet person list|show|export|delete`: who is kept, what of them, and how they are forgotten.
 
 #include <fmt/format.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -94,6 +95,7 @@ void show(const Options& options) {
 
 void write_model(const Options& options) {
   const std::filesystem::path file = file_of(options);
+  ::umask(S_IRWXG | S_IRWXO);
   person::model_of(person::read_person(file), face::FaceModel::load(options.model), file.string())
       .save(options.output);
   tell("{}\n", options.output);
@@ -155,8 +157,8 @@ void add_person_command(Command program) {
   const auto exported = std::make_shared<Options>();
   const Command model =
       add_one(command, "export",
-              "Write a person as a face model, for commands with --model that work on takes "
-              "of that person",
+              "Write a person as a face model for programs of your own and for [model] path: biometric data, "
+              "readable by its owner alone",
               exported, write_model);
   model.option("-o,--output", exported->output, "The file to write, NAME.facemodel")
       .required()

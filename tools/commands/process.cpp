@@ -183,7 +183,7 @@ std::uint64_t expected_frames(const CameraInfo& source, const pipeline::FrameRan
 
 std::string note(const pipeline::PipelineStatus& status) {
   if (status.state == pipeline::PipelineState::Preparing) {
-    return "looking at the whole recording first";
+    return "looking at the recording first";
   }
   return fmt::format("{}, {} refined{}", mesh::to_string(status.tracking), status.refined_frames,
                      status.degraded_frames > 0 ? fmt::format(", {} degraded", status.degraded_frames) : "");
@@ -573,9 +573,10 @@ Command add_process_command(Command app, std::unique_ptr<Team> (*join)()) {
       "Who is to be seen: the name of somebody in the folder of persons ([persons] of --config or of the "
       "installed configuration), or a file that facet enrol wrote (it has a slash or ends in .person); that "
       "shape is followed instead of a guess from the first frames");
-  command.flag("--live", options->live,
-               "As a live camera is followed: without looking at the whole recording first to learn the "
-               "face's own shape where its head turns");
+  command.flag(
+      "--live", options->live,
+      "Follow the guess of the first good frames, as with a live camera: do not look at the recording's "
+      "first 3000 frames to learn the face's own shape where its head turns");
   command.option("--budget", options->budget,
                  "Solver work per frame: \"auto\" (as many steps as pay), \"paper\" (10 of 7 "
                  "iterations) or Gauss-Newton "
@@ -633,6 +634,9 @@ Command add_process_command(Command app, std::unique_ptr<Team> (*join)()) {
       throw Error(ErrorKind::Usage,
                   "--every-slot, --shading, --depth and --points are for the pictures of a booth, not for "
                   "videos and --cameras");
+    }
+    if (options->live && !options->rig.empty() && !views) {
+      throw Error(ErrorKind::Usage, "--live is for videos of one camera, not for the pictures of a booth");
     }
     options->rig.empty() || views ? run_monocular(*options) : run_booth(*options, join);
   });
