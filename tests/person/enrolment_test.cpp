@@ -125,7 +125,8 @@ TEST_F(EnrolmentTest, AHeadThatNeverTurnsIsRefusedAtOnce) {
   }
   const LearnedShape learned = learn_shape(model_, observed, {}, {});
   EXPECT_FALSE(learned.accepted);
-  EXPECT_THAT(learned.refused, ::testing::HasSubstr("not turned far enough to its left with the face at rest (4 degrees"));
+  EXPECT_THAT(learned.refused,
+              ::testing::HasSubstr("not turned far enough to its left with the face at rest (4 degrees"));
 }
 
 TEST_F(EnrolmentTest, NothingSeenIsRefused) {

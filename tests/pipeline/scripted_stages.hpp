@@ -59,7 +59,7 @@ struct Script {
   std::uint64_t tracker_throws_at = ~0ULL;
   bool prepare_waits_for_stop = false;
   pipeline::LearnedPerson learned;  ///< by prepare
-  Gate tracker_gate;  ///< before every frame
+  Gate tracker_gate;                ///< before every frame
   std::atomic<bool> preparing{false};
   std::atomic<int> identity_resets{0};
 
