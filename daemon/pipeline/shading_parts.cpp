@@ -31,14 +31,18 @@ class TrackerStage final : public CoarseStage {
     if (!open_) {
       return;
     }
-    const bool learns =
-        config_.learn_person && config_.tracker.further_views.empty() && model_->identity_count() > 0;
-    if (const std::optional<person::Observed> observed = look_ahead(go_on, learns)) {
+    look_ahead(go_on);
+    if (!subject_ || !config_.learn_person || !config_.tracker.further_views.empty() ||
+        model_->identity_count() == 0) {
+      return;
+    }
+    const std::optional<person::Observed> observed = observe(go_on);
+    if (observed && go_on()) {
       learn(*observed, go_on);
-      if (learned_.model != nullptr && go_on()) {
-        tracker_ = make_tracker();
-        look_ahead(go_on, false);
-      }
+    }
+    if (learned_.model != nullptr && go_on()) {
+      tracker_ = make_tracker();
+      look_ahead(go_on);
     }
   }
   LearnedPerson learned() const override { return learned_; }
@@ -54,55 +58,65 @@ class TrackerStage final : public CoarseStage {
                                             config_.tracker);
   }
 
-  /// Lets the tracker adopt who is first known in the recording. whole: looks on to its end, and returns what
-  /// that head showed, where it is alone and turned far enough to both sides.
-  std::optional<person::Observed> look_ahead(const std::function<bool()>& go_on, bool whole) {
+  /// Hands out the frame sets of the range, kMostFramesAhead at most, until `wants` or go_on says no.
+  void each_set(const std::function<bool()>& go_on, const std::function<bool(const FrameSet&)>& wants) const {
     const std::unique_ptr<PictureSource> pictures = open_();
     pictures->start();
-    const auto ahead = make_tracker();
-    person::KeyframeCollector collector(*model_);
-    std::optional<std::uint32_t> first;  // TrackResult::subject of who was adopted
-    bool alone = true;                   // nobody else is seen: one shape is followed from end to end
     FrameSet set;
-    for (std::uint64_t seen = 0; seen < kMostFramesAhead && (whole || !first) && go_on();) {
+    for (std::uint64_t seen = 0; seen < kMostFramesAhead && go_on();) {
       const CaptureOutcome outcome = pictures->next(set, std::chrono::milliseconds(100));
       if (outcome == CaptureOutcome::Timeout) {
         continue;
       }
       if (outcome != CaptureOutcome::Delivered || set.slot >= config_.frames.end) {
-        break;
+        return;
       }
       if (set.slot >= config_.frames.first) {
-        const track::TrackResult& tracked = ahead->process(set.frames);
         ++seen;
-        if (!first && adopt(*ahead, set)) {
-          first = tracked.subject;
-        }
-        if (whole && first) {
-          alone = alone && first == tracked.subject;
-          collector.offer(tracked, set.frames.front());
+        if (!wants(set)) {
+          return;
         }
       }
     }
-    if (!go_on()) {
-      return std::nullopt;  // the work of a second, for nobody
-    }
-    if (!first) {
-      ahead->settle_subject();
-      adopt(*ahead, set);
-    }
-    return whole && alone && person::turned_enough(collector.span())
-               ? collector.observed(person::EnrolmentOptions().keyframes)
-               : std::nullopt;
   }
 
-  /// False where nobody is known yet.
-  bool adopt(const track::Tracker& ahead, const FrameSet& set) {
-    const std::optional<track::Person> subject = ahead.person();
-    if (subject) {
-      tracker_->adopt(*subject, set.frames.front().width_px, set.frames.front().height_px);
+  /// Lets the tracker adopt who is first known in the recording.
+  void look_ahead(const std::function<bool()>& go_on) {
+    const auto ahead = make_tracker();
+    each_set(go_on, [&](const FrameSet& set) {
+      width_px_ = set.frames.front().width_px;
+      height_px_ = set.frames.front().height_px;
+      ahead->process(set.frames);
+      return !ahead->person();
+    });
+    if (!go_on()) {
+      return;  // the work of a second, for nobody
     }
-    return subject.has_value();
+    ahead->settle_subject();
+    subject_ = ahead->person();
+    if (subject_) {
+      tracker_->adopt(*subject_, width_px_, height_px_);
+    }
+  }
+
+  /// What the head of who was adopted shows from the recording's first frame on, where nobody else is seen
+  /// and it turns far enough to both sides.
+  std::optional<person::Observed> observe(const std::function<bool()>& go_on) const {
+    const auto tracker = make_tracker();
+    tracker->adopt(*subject_, width_px_, height_px_);
+    person::KeyframeCollector collector(*model_);
+    std::optional<std::uint32_t> first;  // TrackResult::subject
+    bool alone = true;
+    each_set(go_on, [&](const FrameSet& set) {
+      const track::TrackResult& tracked = tracker->process(set.frames);
+      first = first.value_or(tracked.subject);
+      alone = first == tracked.subject;
+      collector.offer(tracked, set.frames.front());
+      return alone;
+    });
+    return alone && person::turned_enough(collector.span())
+               ? collector.observed(person::EnrolmentOptions().keyframes)
+               : std::nullopt;
   }
 
   /// What can't be learned leaves the guess in its place.
@@ -128,8 +142,7 @@ class TrackerStage final : public CoarseStage {
       }
       learned_.note = fmt::format(
           "the head turns: its own shape is followed, learned from {} of the recording's pictures (focal "
-          "length "
-          "{:.0f} px)",
+          "length {:.0f} px)",
           shape.keyframes.size(), shape.focal_px);
     } catch (const std::exception& error) {
       learned_.note = fmt::format("the head turns, but its shape was not learned: {}", error.what());
@@ -139,6 +152,9 @@ class TrackerStage final : public CoarseStage {
   std::shared_ptr<const face::FaceModel> model_;
   ShadingConfig config_;
   OpenPictures open_;
+  std::optional<track::Person> subject_;  ///< who was adopted, from pictures of this size:
+  int width_px_ = 0;
+  int height_px_ = 0;
   LearnedPerson learned_;
   std::unique_ptr<track::Tracker> tracker_;
 };
