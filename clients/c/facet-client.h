@@ -104,6 +104,9 @@ typedef struct facet_subject {
   uint32_t triangle_count;          /* of the finest level */
   const uint32_t* triangles;        /* [triangle_count][3] counter-clockwise from outside */
   const float* texture_coordinates; /* [vertex_count][2] u right, v up */
+  const char* person;               /* whose enrolled shape is followed; NULL: nobody was named */
+  const float* neutral_mm;          /* [control_vertex_count][3] the face at rest, head frame; NULL: it is the
+                                       model's of this identity, or not FACET_DISPLACEMENTS */
 } facet_subject;
 
 typedef struct facet_albedo {

@@ -347,7 +347,15 @@ const char* wire_subject(const uint8_t* message, size_t size, struct wire_subjec
   out->shown.identity_count = identity.count;
   if (get_subtable(&in, &body, 4, &hierarchy)) {
     read_hierarchy(&in, &hierarchy, out);
+    const struct vector neutral = get_vector(&in, &body, 6, 4, 4);
+    require(&in,
+            neutral.count == 0 || (neutral.count == 3 * (size_t)out->shown.control_vertex_count &&
+                                   all_finite(floats(neutral), neutral.count)),
+            "subject: neutral");
+    out->shown.neutral_mm = neutral.count != 0 ? floats(neutral) : NULL;
   }
+  const char* person = get_string(&in, &body, 5, WIRE_MAX_NAME_BYTES, "subject: person");
+  out->shown.person = *person != 0 ? person : NULL;
   return in.wrong;
 }
 

@@ -54,7 +54,8 @@ class _Subject(ctypes.Structure):
         ("id", ctypes.c_uint64), ("expression_names", ctypes.POINTER(ctypes.c_char_p)), ("expression_count", ctypes.c_size_t),
         ("identity", ctypes.POINTER(ctypes.c_float)), ("identity_count", ctypes.c_size_t),
         ("control_vertex_count", ctypes.c_uint32), ("vertex_count", ctypes.c_uint32), ("triangle_count", ctypes.c_uint32),
-        ("triangles", ctypes.POINTER(ctypes.c_uint32)), ("texture_coordinates", ctypes.POINTER(ctypes.c_float))]
+        ("triangles", ctypes.POINTER(ctypes.c_uint32)), ("texture_coordinates", ctypes.POINTER(ctypes.c_float)),
+        ("person", ctypes.c_char_p), ("neutral_mm", ctypes.POINTER(ctypes.c_float))]
 
 
 class _Albedo(ctypes.Structure):
@@ -207,7 +208,9 @@ class Client:
                 id=subject.id, expression_names=[subject.expression_names[k].decode(errors="replace") for k in range(subject.expression_count)],
                 identity=_copy(subject.identity, subject.identity_count), vertex_count=subject.vertex_count,
                 triangles=_copy(subject.triangles, subject.triangle_count, 3),
-                texture_coordinates=_copy(subject.texture_coordinates, subject.vertex_count, 2))
+                texture_coordinates=_copy(subject.texture_coordinates, subject.vertex_count, 2),
+                person=subject.person.decode(errors="replace") if subject.person else None,
+                neutral_mm=_copy(subject.neutral_mm, subject.control_vertex_count, 3) if subject.neutral_mm else None)
             return self._subject[1]
 
     @property

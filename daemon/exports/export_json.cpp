@@ -80,6 +80,7 @@ std::string frame_json(const mesh::MeshFrame& frame, std::int64_t index) {
   out["camera_from_head"] = meshed ? pose_json(frame.camera_from_head) : Json(nullptr);
   out["expression"] = meshed ? expression_json(frame) : Json::object();
   out["identity"] = meshed ? Json(frame.subject->identity) : Json::array();
+  out["person"] = meshed && !frame.subject->person.empty() ? Json(frame.subject->person) : Json(nullptr);
   out["lighting"] = meshed ? Json(frame.lighting) : Json::array();
   Json landmarks = Json::array();
   for (const Eigen::Vector2f& point : frame.landmarks_px) {

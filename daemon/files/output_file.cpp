@@ -96,10 +96,30 @@ void OutputFile::flush() {
 }
 
 void OutputFile::commit() {
+  finish(0);
+}
+
+void OutputFile::commit_new() {
+  finish(RENAME_NOREPLACE);
+}
+
+void OutputFile::finish(unsigned rename_flags) {
   flush();
   // Some files (of FUSE, of devices) can't be synced and say EINVAL: there is nothing more to be had there.
-  if ((disk().sync(out_.get()) != 0 && errno != EINVAL) || !out_.close() ||
-      disk().rename(temporary_.c_str(), file_.c_str(), 0) != 0) {
+  if ((disk().sync(out_.get()) != 0 && errno != EINVAL) || !out_.close()) {
+    fail(errno);
+  }
+  int renamed = disk().rename(temporary_.c_str(), file_.c_str(), rename_flags);
+  if (renamed != 0 && errno == EINVAL && rename_flags != 0) {
+    // A file system that knows no flags: a look must do.
+    errno = EEXIST;
+    renamed = ::access(file_.c_str(), F_OK) == 0 ? -1 : disk().rename(temporary_.c_str(), file_.c_str(), 0);
+  }
+  if (renamed != 0 && errno == EEXIST) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("'{}' exists already: give another name, or remove it", file_.string()));
+  }
+  if (renamed != 0) {
     fail(errno);
   }
   committed_ = true;
@@ -170,7 +190,8 @@ std::string set_aside(const std::filesystem::path& file) {
   return fmt::format("it could not be set aside: {}", std::strerror(errno));
 }
 
-void make_folder(const std::filesystem::path& folder, mode_t mode) {
+void make_folder(const std::filesystem::path& given, mode_t mode) {
+  const std::filesystem::path folder = given.has_filename() ? given : given.parent_path();  // "a/b/" is "a/b"
   std::error_code failure;
   if (folder.has_parent_path()) {
     std::filesystem::create_directories(folder.parent_path(), failure);

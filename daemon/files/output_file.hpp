@@ -37,10 +37,13 @@ class OutputFile {
   void write_at(std::uint64_t position, std::span<const std::byte> bytes);
   /// The file is on the disk under its name when this returns.
   void commit();
+  /// The same, for a name that must be free: throws Error(Usage) where something has it meanwhile.
+  void commit_new();
 
  private:
   [[noreturn]] void fail(int error) const;
   void flush();
+  void finish(unsigned rename_flags);
 
   std::filesystem::path file_;
   std::filesystem::path temporary_;

@@ -42,8 +42,9 @@ void RecoveringRefiner::request_stop() {
 void RecoveringRefiner::set_subject(const SubjectSetup& subject) {
   subject_ = subject;
   has_subject_ = true;
+  subject_given_ = false;
   adopt_reopened();
-  if (stage_ != nullptr) {
+  if (stage_ != nullptr && !subject_given_) {
     give_subject();
   }
 }

@@ -146,6 +146,9 @@ void check(std::span<const std::uint8_t> message) {
         for (std::size_t k = 0; k < subject.shown.expression_count; ++k) {
           must(std::strlen(subject.names[k]) <= 64);
         }
+        must(subject.shown.person == nullptr || std::strlen(subject.shown.person) <= 64);
+        sum(subject.shown.neutral_mm,
+            subject.shown.neutral_mm != nullptr ? std::size_t{3} * subject.shown.control_vertex_count : 0);
       }
       if (const auto decoded = accepted([&] { return stream::decode_subject(message); })) {
         must(sound && subject.shown.id == (*decoded)->id);

@@ -165,6 +165,34 @@ INSTANTIATE_TEST_SUITE_P(Profiles, EveryWay,
                          testing::Combine(testing::Values(FACET_SIGNALS, FACET_DISPLACEMENTS, FACET_VERTICES),
                                           testing::Values(0U, static_cast<unsigned>(FACET_WANT_RING))));
 
+TEST_F(Client, TellsWhoseShapeIsFollowed) {
+  start();
+  const CClient displacements = connect(FACET_DISPLACEMENTS, 0);
+  const CClient vertices = connect(FACET_VERTICES, 0);
+  publish(0);
+  for (const CClient* client : {&displacements, &vertices}) {
+    ASSERT_EQ(facet_client_next(client->get(), kPatienceMs), FACET_OK);
+    EXPECT_EQ(facet_client_subject(client->get())->person, nullptr);
+    EXPECT_EQ(facet_client_subject(client->get())->neutral_mm, nullptr);
+  }
+  auto known = std::make_shared<mesh::Subject>(*test::patch_subject(subject->id + 1, 7));
+  known->person = "Zo\xC3\xAB";
+  known->neutral_mm = mesh::Vertices::Random(3, known->hierarchy->control_vertex_count);
+  subject = known;
+  albedo = test::patch_albedo(*subject, 1);
+  publish(1);
+  for (const CClient* client : {&displacements, &vertices}) {
+    ASSERT_EQ(facet_client_next(client->get(), kPatienceMs), FACET_OK);
+    EXPECT_STREQ(facet_client_subject(client->get())->person, known->person.c_str());
+  }
+  const facet_subject* shown = facet_client_subject(displacements.get());
+  ASSERT_NE(shown->neutral_mm, nullptr);
+  ASSERT_EQ(shown->control_vertex_count, known->hierarchy->control_vertex_count);
+  EXPECT_TRUE(same_bits(shown->neutral_mm, known->neutral_mm.data(),
+                        static_cast<std::size_t>(known->neutral_mm.size())));
+  EXPECT_EQ(facet_client_subject(vertices.get())->neutral_mm, nullptr);
+}
+
 TEST_F(Client, SeveralSeedsOfMeshesAreRebuiltToTheBit) {
   start();
   const CClient client = connect(FACET_DISPLACEMENTS, 0);

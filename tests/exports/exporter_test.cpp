@@ -280,6 +280,12 @@ TEST_F(Exporter, JsonHasEveryPromisedField) {
   EXPECT_EQ(json["camera_from_head"][3], nlohmann::json({0, 0, 0, 1}));
   EXPECT_FLOAT_EQ(json["expression"]["jawOpen"], frame.expression[0]);
   EXPECT_EQ(json["identity"].size(), 4U);
+  EXPECT_TRUE(json["person"].is_null());
+  auto known = std::make_shared<mesh::Subject>(*frame.subject);
+  known->person = "Ada";
+  mesh::MeshFrame named = frame;
+  named.subject = known;
+  EXPECT_EQ(nlohmann::json::parse(frame_json(named, 12))["person"], "Ada");
   EXPECT_EQ(json["lighting"].size(), 9U);
   EXPECT_EQ(json["landmarks_px"].size(), 468U);
   EXPECT_FLOAT_EQ(json["landmarks_px"][7][1], frame.landmarks_px[7].y());
@@ -295,6 +301,7 @@ TEST_F(Exporter, JsonOfAFrameWithoutFace) {
   EXPECT_TRUE(json["camera_from_head"].is_null());
   EXPECT_TRUE(json["expression"].empty());
   EXPECT_TRUE(json["identity"].empty());
+  EXPECT_TRUE(json["person"].is_null());
   EXPECT_TRUE(json["photometric_rms"].is_null());
 }
 

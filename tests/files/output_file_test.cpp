@@ -11,6 +11,7 @@
 #include <fstream>
 #include <functional>
 #include <iterator>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -135,6 +136,50 @@ TEST_F(Output, HasTheModeThatIsWanted) {
   ASSERT_EQ(::stat(file_.c_str(), &status), 0);
   EXPECT_EQ(status.st_mode & 0777 & ~0640U, 0U);
   EXPECT_NE(status.st_mode & 0400, 0U);
+}
+
+/// Whatever the file system knows of renaming.
+TEST_F(Output, OfANameThatMustBeFreeReplacesNothing) {
+  class OldDisk final : public Disk {
+    int rename(const char* from, const char* to, unsigned flags) override {
+      return flags == 0 ? Disk::rename(from, to, 0) : (errno = EINVAL, -1);
+    }
+  };
+  const auto write_new = [this] {
+    OutputFile output(file_);
+    output.write("new");
+    output.commit_new();
+  };
+  for (const bool old : {false, true}) {
+    SCOPED_TRACE(old);
+    OldDisk disk;
+    std::optional<InstalledDisk> installed;
+    if (old) {
+      installed.emplace(disk);
+    }
+    std::filesystem::remove(file_);
+    write_new();
+    EXPECT_EQ(text(), "new");
+    write("older");
+    try {
+      write_new();
+      FAIL() << "replaced";
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::Usage);
+      EXPECT_THAT(error.what(), HasSubstr("state.json' exists already"));
+    }
+    EXPECT_EQ(text(), "older");
+    EXPECT_THAT(names(), ElementsAre("state.json"));
+  }
+}
+
+TEST_F(Output, AFolderHasItsModeHoweverItIsWritten) {
+  for (const std::string name : {"a/b", "c/d/"}) {
+    make_folder(folder_.path() / name, 0700);
+    struct stat status {};
+    ASSERT_EQ(::stat((folder_.path() / name).c_str(), &status), 0);
+    EXPECT_EQ(status.st_mode & 0777U, 0700U) << name;
+  }
 }
 
 TEST_F(Output, TheLongestNameWorks) {
