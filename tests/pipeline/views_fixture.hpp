@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <chrono>
 #include <fstream>
+#include <memory>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <thread>
@@ -23,10 +24,13 @@ namespace facet::pipeline {
 
 using Frames = std::vector<std::shared_ptr<const mesh::MeshFrame>>;
 
-/// The virtual actor before several cameras: their videos, their rig file, and the truth.
+/// The virtual actor before several cameras: their videos, their rig file, and the truth, which all tests of
+/// a suite share.
 class Views : public ::testing::Test {
  protected:
-  explicit Views(int cameras = 2, int frames = 5) : cameras_(cameras), frames_(frames) {}
+  explicit Views(int cameras = 2, int frames = 5, int rate_hz = 30)
+      : cameras_(cameras), frames_(frames), rate_hz_(rate_hz) {}
+  static void TearDownTestSuite() { sequence_.reset(); }
 
   void SetUp() override {
     config_.model_file = test::default_model();
@@ -37,15 +41,19 @@ class Views : public ::testing::Test {
         GTEST_SKIP() << needed << " is not there: packaging/prepare makes it";
       }
     }
-    simulation::ActorSequenceConfig studio;
-    studio.seed = 3;
-    studio.width_px = 480;
-    studio.height_px = 360;
-    studio.frame_count = frames_;
-    studio.rays_per_pixel = 1;
-    studio.camera_count = cameras_;
-    simulation::write_sequence(simulation::ActorSequence(face::FaceModel::load(config_.model_file), studio),
-                               folder_.path(), {}, [](int) {});
+    if (sequence_ == nullptr) {
+      sequence_ = std::make_unique<test::TemporaryFolder>();
+      simulation::ActorSequenceConfig studio;
+      studio.seed = 3;
+      studio.width_px = 480;
+      studio.height_px = 360;
+      studio.frame_count = frames_;
+      studio.rate_hz = rate_hz_;
+      studio.rays_per_pixel = 1;
+      studio.camera_count = cameras_;
+      simulation::write_sequence(simulation::ActorSequence(face::FaceModel::load(config_.model_file), studio),
+                                 sequence_->path(), {}, [](int) {});
+    }
     rig_ = capture::read_rig(rig_file());
     for (const capture::RigCamera& camera : rig_.cameras) {
       RecordedCamera view;
@@ -56,8 +64,10 @@ class Views : public ::testing::Test {
     }
   }
 
-  std::filesystem::path rig_file() const { return folder_.path() / "rig.toml"; }
-  std::filesystem::path video(const std::string& camera) const { return folder_.path() / (camera + ".mkv"); }
+  std::filesystem::path rig_file() const { return sequence_->path() / "rig.toml"; }
+  std::filesystem::path video(const std::string& camera) const {
+    return sequence_->path() / (camera + ".mkv");
+  }
 
   void film(const std::string& name, int width_px, int height_px, int frames) const {
     simulation::VideoWriter video(folder_.path() / name, width_px, height_px, 30);
@@ -98,7 +108,7 @@ class Views : public ::testing::Test {
   /// Of the head's place, over all frames, as a part of its distance. first: the sequence's frame that the
   /// frame of number 0 shows; it goes round.
   double worst_distance_error(const Frames& frames, std::size_t first = 0) const {
-    std::ifstream stream(folder_.path() / "camera.json");
+    std::ifstream stream(sequence_->path() / "camera.json");
     const auto truth = nlohmann::json::parse(stream).at("frames");
     double worst = 0;
     for (const auto& frame : frames) {
@@ -125,7 +135,9 @@ class Views : public ::testing::Test {
 
   int cameras_;
   int frames_;
-  test::TemporaryFolder folder_;
+  int rate_hz_;
+  static inline std::unique_ptr<test::TemporaryFolder> sequence_;
+  test::TemporaryFolder folder_;  ///< of the test's own files
   ShadingConfig config_;
   capture::Rig rig_;
   PipelineStatus status_;
