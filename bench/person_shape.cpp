@@ -136,7 +136,7 @@ Measured measure(const face::FaceModel& model, const Eigen::Matrix3Xd& neutral_m
 
 void learn(const Options& options, const face::FaceModel& model, const std::filesystem::path& folder,
            const person::Observed& observed, const person::EnrolmentOptions& enrolment,
-           const person::KeyframeCollector::Span& span) {
+           const person::OrientationSpan& span) {
   const double begun = processor_s();
   const person::LearnedShape learned = person::learn_shape(model, observed, enrolment, {});
   const double solved = processor_s();

@@ -31,7 +31,7 @@ nlohmann::json call_daemon(const DaemonOptions& options, const std::string& meth
     socket = config.control.socket;
   }
   // A slow disk may take its time for the beginning and the end of a take; all else is answered at once.
-  const bool waits_for_disk = method.starts_with("record.");
+  const bool waits_for_disk = method.starts_with("record.") || method.starts_with("person.");
   return service::ControlClient(socket, std::chrono::seconds(waits_for_disk ? 60 : 10)).call(method, params);
 }
 

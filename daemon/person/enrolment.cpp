@@ -26,7 +26,6 @@ constexpr int kJudgeSteps = 10;
 /// Of what lies far off: in the earlier rounds, whose shape is still wrong, and in the last.
 constexpr double kWideBoundPx = 4;
 constexpr double kBoundPx = 1;
-constexpr double kLeastYawDeg = 12;
 constexpr std::size_t kFewestKeyframes = 6;
 /// Skin that has turned further, in degrees, has folded over.
 constexpr double kFolds = 75;
@@ -88,7 +87,7 @@ class Enrolment {
  private:
   /// How far the head was seen to turn to both sides: without that there is nothing to solve for.
   bool turned_enough(LearnedShape& out) const {
-    KeyframeCollector::Span span;
+    OrientationSpan span;
     for (const Keyframe& keyframe : observed_.keyframes) {
       span.largest_yaw = std::max(span.largest_yaw, keyframe.yaw_deg);
       span.least_yaw = std::min(span.least_yaw, keyframe.yaw_deg);
@@ -129,20 +128,25 @@ class Enrolment {
     }
     out.focal_px = solver_.focal_px();
     if (solved && options_.uncertainty) {
-      out.sigma_mm = solver_.uncertainty_mm();
+      out.sigma_mm = solver_.uncertainty_mm([this] { return go_on(); });
     }
   }
 
   bool last(int round) const { return round + 1 == options_.rounds; }
   int turns_of(int round) const { return last(round) ? kTurns : 1; }
 
-  /// A piece of work is done. Throws BrokenOff.
-  void say() {
+  bool go_on() const {
     const int pictures = (2 * options_.rounds + 1) * static_cast<int>(order_.size());
     const int steps = (options_.rounds + kTurns - 1) * kShapeSteps;
-    if (progress_ && !progress_(done_++, pictures + steps)) {
+    return !progress_ || progress_(done_, pictures + steps);
+  }
+
+  /// A piece of work is done. Throws BrokenOff.
+  void say() {
+    if (!go_on()) {
       throw BrokenOff();
     }
+    ++done_;
   }
 
   /// The keyframes from the most frontal outwards, and which of them judge.
@@ -212,6 +216,9 @@ class Enrolment {
     solver_.use_generic(generic);
     std::vector<double> residuals;
     for (std::size_t k = 0; k < kept.size(); ++k) {
+      if (!go_on()) {
+        throw BrokenOff();
+      }
       if (solves_[k] == 0) {
         solver_.heads()[k].translation_mm.z() *= generic ? nearer : 1;
         solver_.resect(k, kJudgeSteps,
@@ -279,7 +286,7 @@ class Enrolment {
 
 }  // namespace
 
-bool turned_enough(const KeyframeCollector::Span& span) {
+bool turned_enough(const OrientationSpan& span) {
   return span.largest_yaw >= kLeastYawDeg && -span.least_yaw >= kLeastYawDeg;
 }
 

@@ -54,8 +54,11 @@ struct LearnedShape {
 /// Asked several times a second with what is done of the total; false breaks the solve off. May be empty.
 using EnrolmentProgress = std::function<bool(int done, int total)>;
 
+/// A head's turn to each side that its shape is solved from, degrees; 20 are better.
+inline constexpr double kLeastYawDeg = 12;
+
 /// Whether a head was seen to turn far enough to both sides for its shape to be solved for.
-bool turned_enough(const KeyframeCollector::Span& span);
+bool turned_enough(const OrientationSpan& span);
 
 /// Solves a head's shape from what it showed. Refusals are results, not errors, and so is what was broken
 /// off. Some ten seconds; allocates; any thread.

@@ -151,15 +151,17 @@ void KeyframeCollector::offer(const track::TrackResult& tracked, const Frame& pi
     return;
   }
   now.picture = cut_out(picture, tracked);
-  if (now.picture.rgb.empty()) {
+  const std::size_t bytes =
+      picture_bytes_ + now.picture.rgb.size() - (held == bins_.end() ? 0 : held->second.picture.rgb.size());
+  if (now.picture.rgb.empty() || bytes > kMostBytes) {
     return;
   }
-  picture_bytes_ += now.picture.rgb.size() - (held == bins_.end() ? 0 : held->second.picture.rgb.size());
+  picture_bytes_ = bytes;
   bins_.insert_or_assign(bin, std::move(now));
 }
 
-KeyframeCollector::Span KeyframeCollector::span() const {
-  Span out;
+OrientationSpan KeyframeCollector::span() const {
+  OrientationSpan out;
   for (const auto& [bin, keyframe] : bins_) {
     out.least_yaw = std::min(out.least_yaw, keyframe.yaw_deg);
     out.largest_yaw = std::max(out.largest_yaw, keyframe.yaw_deg);
@@ -181,7 +183,7 @@ std::optional<Observed> KeyframeCollector::observed(int most) const {
   if (bins_.empty()) {
     return std::nullopt;
   }
-  Observed out{camera_, identity_, Eigen::VectorXd::Zero(model_->expression_count()), 0, {}};
+  Observed out{camera_, identity_, Eigen::VectorXd::Zero(model_->expression_count()), 0, {}, span()};
   std::vector<float> values(expressions_.size());
   for (Eigen::Index e = 0; e < out.rest.size(); ++e) {
     std::transform(expressions_.begin(), expressions_.end(), values.begin(),

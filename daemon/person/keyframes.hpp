@@ -34,6 +34,11 @@ struct Keyframe {
   HeadPicture picture;
 };
 
+/// The widest angles that were seen: yaw to both sides, pitch down and up, degrees.
+struct OrientationSpan {
+  double least_yaw = 0, largest_yaw = 0, least_pitch = 0, largest_pitch = 0;
+};
+
 /// What a tracked head showed so far, as its shape is to be learned from it.
 struct Observed {
   CameraIntrinsics camera;      ///< focal length as the tracker took it
@@ -41,6 +46,7 @@ struct Observed {
   Eigen::VectorXd rest;         ///< [expression_count] median of the tracked expressions
   double usual_reprojection_px = 0;
   std::vector<Keyframe> keyframes;  ///< in the order of time
+  OrientationSpan span;             ///< of all that was kept
 };
 
 /// Keeps of a tracked head the calmest picture for each orientation, in bins of 4 degrees of yaw and 5 of
@@ -59,12 +65,9 @@ class KeyframeCollector {
   /// Forgets everything.
   void clear();
 
-  bool empty() const { return bins_.empty(); }
-  /// The widest angles that were kept: yaw to both sides, pitch down and up, degrees.
-  struct Span {
-    double least_yaw = 0, largest_yaw = 0, least_pitch = 0, largest_pitch = 0;
-  };
-  Span span() const;
+  std::size_t size() const { return bins_.size(); }
+  /// Of all that is kept.
+  OrientationSpan span() const;
   /// The bins that are filled: (yaw, pitch) of their middles, degrees.
   std::vector<std::pair<double, double>> filled() const;
 

@@ -2,16 +2,19 @@
 
 #include "person/person_file.hpp"
 
+#include <fmt/chrono.h>
 #include <fmt/format.h>
 
 #include <algorithm>
 #include <array>
+#include <chrono>
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <string_view>
 
 #include "face/chunk_file.hpp"
 #include "face/person_model.hpp"
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "files/json_text.hpp"
 #include "files/output_file.hpp"
@@ -169,6 +172,25 @@ PersonFile parse_person(std::span<const std::byte> bytes, const std::string& sou
   return person;
 }
 
+PersonFile person_of(const face::FaceModel& model, const Observed& observed, const LearnedShape& learned) {
+  PersonFile person;
+  person.created_utc = fmt::format(
+      "{:%Y-%m-%dT%H:%M:%SZ}", fmt::gmtime(std::chrono::time_point_cast<std::chrono::seconds>(Clock::utc())));
+  person.model_name = model.name;
+  person.model_checksum = model_checksum(model);
+  person.keyframes = static_cast<int>(learned.keyframes.size());
+  person.span = observed.span;
+  person.focal_px = learned.focal_px;
+  person.width_px = observed.camera.width_px;
+  person.height_px = observed.camera.height_px;
+  person.gates = learned.gates;
+  person.identity = learned.identity;
+  person.neutral_mm = learned.neutral_mm.cast<float>();
+  const Eigen::VectorXf sigma = learned.sigma_mm.cast<float>();
+  person.sigma_mm.assign(sigma.begin(), sigma.end());
+  return person;
+}
+
 bool begins_as_person(const std::filesystem::path& file) {
   const files::InputFile in(file, "person");
   std::array<char, kFormat.magic.size()> magic{};
@@ -197,7 +219,7 @@ void write_person(const PersonFile& person, const std::filesystem::path& file) {
   }
   files::OutputFile out(file, kOwnerAlone);
   out.write(writer.file());
-  out.commit();
+  out.commit_new();
 }
 
 face::FaceModel model_of(const PersonFile& person, const face::FaceModel& model, const std::string& source) {

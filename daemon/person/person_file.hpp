@@ -22,15 +22,18 @@ struct PersonFile {
   std::string model_name;            ///< of the face model that it was found with
   std::uint64_t model_checksum = 0;  ///< of that model's topology, names and core
   int keyframes = 0;
-  KeyframeCollector::Span span;  ///< degrees
-  double focal_px = 0;           ///< of the camera it was seen by, for pictures of
-  int width_px = 0;              ///< this size
+  OrientationSpan span;  ///< degrees
+  double focal_px = 0;   ///< of the camera it was seen by, for pictures of
+  int width_px = 0;      ///< this size
   int height_px = 0;
   std::vector<Gate> gates;      ///< what they measured
   std::vector<float> identity;  ///< [identity_count] of the model's face that the solve began with
   mesh::Vertices neutral_mm;    ///< [3][vertex_count]
   std::vector<float> sigma_mm;  ///< [vertex_count] standard deviation along the normal; NaN: not known
 };
+
+/// What was learned of a head, as of now. Whoever keeps it gives it a name and says what software does.
+PersonFile person_of(const face::FaceModel& model, const Observed& observed, const LearnedShape& learned);
 
 /// What tells one face model from another, as a person is concerned.
 std::uint64_t model_checksum(const face::FaceModel& model);
@@ -46,7 +49,8 @@ bool begins_as_person(const std::filesystem::path& file);
 PersonFile read_person(const std::filesystem::path& file);
 PersonFile parse_person(std::span<const std::byte> bytes, const std::string& source);
 
-/// Written whole or not at all, readable by its owner alone. Throws Error(Storage).
+/// Written whole or not at all, readable by its owner alone. Throws Error(Storage), and Error(Usage) where
+/// the file is there already: nobody is replaced.
 void write_person(const PersonFile& person, const std::filesystem::path& file);
 
 /// The person as a face model (face::person_model). Throws Error(Usage) naming both models where it was found

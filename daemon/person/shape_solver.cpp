@@ -575,7 +575,7 @@ double ShapeSolver::offset_mm() const {
   return lengths.empty() ? 0 : maths::quantile_of(lengths, 0.95);
 }
 
-Eigen::VectorXd ShapeSolver::uncertainty_mm() {
+Eigen::VectorXd ShapeSolver::uncertainty_mm(const std::function<bool()>& go_on) {
   Impl& impl = *impl_;
   Eigen::VectorXd out =
       Eigen::VectorXd::Constant(impl.model.vertex_count(), std::numeric_limits<double>::quiet_NaN());
@@ -617,7 +617,7 @@ Eigen::VectorXd ShapeSolver::uncertainty_mm() {
   constexpr std::size_t kEvery = 4;
   std::vector<std::int32_t> known;
   Eigen::MatrixXd along = Eigen::MatrixXd::Zero(3 * static_cast<Eigen::Index>(impl.free.size()), 1);
-  for (std::size_t i = 0; i < impl.skin.size(); i += kEvery) {
+  for (std::size_t i = 0; i < impl.skin.size() && go_on(); i += kEvery) {
     const std::int32_t v = impl.skin[i];
     known.push_back(v);
     const Eigen::Index row = 3 * static_cast<Eigen::Index>(impl.place[static_cast<std::size_t>(v)]);
@@ -634,7 +634,7 @@ Eigen::VectorXd ShapeSolver::uncertainty_mm() {
   }
   // It changes slowly over the skin: what was not solved for is as uncertain as its nearest.
   for (const std::int32_t v : impl.skin) {
-    if (std::isnan(out[v])) {
+    if (std::isnan(out[v]) && !known.empty()) {
       out[v] = out[*std::min_element(known.begin(), known.end(), [&](std::int32_t a, std::int32_t b) {
         return (impl.generic_control.col(a) - impl.generic_control.col(v)).squaredNorm() <
                (impl.generic_control.col(b) - impl.generic_control.col(v)).squaredNorm();

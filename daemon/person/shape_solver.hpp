@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <vector>
 
@@ -79,8 +80,9 @@ class ShapeSolver {
   double identity_distance() const;
   double offset_mm() const;
   /// Standard deviation of each vertex along its normal, mm, with poses and focal length unknown; NaN where
-  /// the vertex is held. After bundle(). Seconds.
-  Eigen::VectorXd uncertainty_mm();
+  /// the vertex is held. After bundle(). Seconds; go_on is asked all the while, and where it says no the rest
+  /// is not known.
+  Eigen::VectorXd uncertainty_mm(const std::function<bool()>& go_on);
 
   /// [n] the vertices that pictures tell of.
   const std::vector<std::int32_t>& skin() const;

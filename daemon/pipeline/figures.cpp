@@ -9,6 +9,11 @@
 
 namespace facet::pipeline {
 
+const char* to_string(LearningStatus::State state) {
+  constexpr std::array kNames = {"looking", "solving", "learned"};
+  return kNames.at(static_cast<std::size_t>(state));
+}
+
 const char* to_string(PipelineState state) {
   switch (state) {
     case PipelineState::Idle:

@@ -18,6 +18,9 @@ class MeshSink {
   /// (`facet-refine`, `facet-perform`, `facet-sets`). Must not throw; may block only where nothing may be
   /// lost (recorded sources). May keep the frame as long as it likes.
   virtual void deliver(std::shared_ptr<const mesh::MeshFrame> frame) = 0;
+
+  /// Whether a person's mesh should stay the one that it is: what is learned meanwhile waits. Any thread.
+  virtual bool wants_one_mesh() const { return false; }
 };
 
 }  // namespace facet::pipeline

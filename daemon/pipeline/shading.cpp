@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <optional>
@@ -106,6 +107,8 @@ struct ShadingPipeline::Impl {
   std::uint32_t identity_count = 0;  ///< TrackResult::subject that `identity` belongs to
   std::shared_ptr<const std::vector<float>> identity;
   std::shared_ptr<const face::FaceModel> model;
+  std::string learned_note;                        ///< of the person, as it was last logged
+  std::shared_ptr<const LearningStatus> learning;  ///< as it was last shown
 
   // facet-refine only.
   refine::RecoveringRefiner refiner;
@@ -125,6 +128,7 @@ struct ShadingPipeline::Impl {
   void note_camera();
   bool take(Captured&& item);
   void track();
+  void note_model();
   void track_one(Captured&& item);
   void fill(mesh::MeshFrame& mesh, const Captured& item, const track::TrackResult& result) const;
   void refine();
@@ -225,11 +229,7 @@ void ShadingPipeline::Impl::track() {
     beat();
     return !stopping;
   });
-  const LearnedPerson learned = stages.coarse->learned();
-  model = learned.model != nullptr ? learned.model : stages.model;
-  if (!learned.note.empty()) {
-    messages.info(learned.note);
-  }
+  note_model();
   board.set_state(PipelineState::Running);
   next_sequence = options.frames.first;
   // A frame is taken only when the GPU has begun the one before: what waits is the newest, not a tracked one.
@@ -247,6 +247,22 @@ void ShadingPipeline::Impl::track() {
   tracked.close();
 }
 
+/// Says in the log what was learned of the person.
+void ShadingPipeline::Impl::note_model() {
+  const LearnedPerson& learned = stages.coarse->learned();
+  model = learned.model != nullptr ? learned.model : stages.model;
+  if (learned.note != learned_note) {
+    learned_note = learned.note;
+    if (!learned_note.empty()) {
+      messages.info(learned_note);
+    }
+  }
+  if (learned.learning != learning) {
+    learning = learned.learning;
+    board.change([&](PipelineStatus& shown) { shown.learning = learning; });
+  }
+}
+
 void ShadingPipeline::Impl::track_one(Captured&& item) {
   // What a recorded source leaves out was not there.
   if (source.live && item.set.slot > next_sequence) {
@@ -254,7 +270,10 @@ void ShadingPipeline::Impl::track_one(Captured&& item) {
         [left_out = item.set.slot - next_sequence](PipelineStatus& shown) { shown.dropped += left_out; });
   }
   next_sequence = item.set.slot + 1;
+  stages.coarse->keep_model(
+      std::any_of(sinks.begin(), sinks.end(), [](const MeshSink* sink) { return sink->wants_one_mesh(); }));
   const track::TrackResult& result = stages.coarse->process(item.set.frames);
+  note_model();
   if (identity == nullptr || identity_count != result.subject) {
     identity = std::make_shared<const std::vector<float>>(result.identity);
     identity_count = result.subject;
@@ -449,6 +468,7 @@ void ShadingPipeline::request_stop() {
   impl_->stopping = true;
   impl_->captured.close();
   impl_->tracked.close();
+  impl_->stages.coarse->request_stop();
   impl_->refiner.request_stop();
 }
 

@@ -35,8 +35,10 @@ struct ShadingConfig {
   /// (person::is_person_path). Empty: nobody who is known.
   std::string person;
   std::filesystem::path persons_folder;  ///< where persons are kept; empty: nowhere
-  /// A recording is looked at whole first, and where its head turns far enough its own shape is followed.
-  bool learn_person = false;
+  /// Where a head turns far enough its own shape is learned and followed: of one live camera beside the
+  /// frames, of one recorded camera before the first frame, which takes longer than the recording.
+  bool learn_live = false;
+  bool learn_ahead = false;
   track::TrackerConfig tracker;
   mesh::HierarchyOptions hierarchy;
   refine::RefinerConfig refiner;

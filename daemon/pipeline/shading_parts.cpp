@@ -3,17 +3,16 @@
 #include <fmt/format.h>
 
 #include <chrono>
-#include <exception>
 #include <optional>
 #include <utility>
 #include <vector>
 
-#include "face/person_model.hpp"
 #include "facet/error.hpp"
 #include "person/enrolment.hpp"
 #include "person/keyframes.hpp"
 #include "person/person_file.hpp"
 #include "person/person_folder.hpp"
+#include "pipeline/learning_tracker.hpp"
 
 namespace facet::pipeline {
 namespace {
@@ -32,7 +31,7 @@ class TrackerStage final : public CoarseStage {
       return;
     }
     look_ahead(go_on);
-    if (!subject_ || !config_.learn_person || !config_.tracker.further_views.empty() ||
+    if (!subject_ || !config_.learn_ahead || !config_.tracker.further_views.empty() ||
         model_->identity_count() == 0) {
       return;
     }
@@ -45,12 +44,13 @@ class TrackerStage final : public CoarseStage {
       look_ahead(go_on);
     }
   }
-  LearnedPerson learned() const override { return learned_; }
-
+  const LearnedPerson& learned() const override { return learned_; }
+  void keep_model(bool /*keep*/) override {}  // nothing changes after prepare
   const track::TrackResult& process(std::span<const Frame> views) override {
     return tracker_->process(views);
   }
   void reset_identity() override { tracker_->reset_identity(); }
+  void request_stop() override {}  // prepare asks whether to go on
 
  private:
   std::unique_ptr<track::Tracker> make_tracker() const {
@@ -124,28 +124,11 @@ class TrackerStage final : public CoarseStage {
     person::EnrolmentOptions how;
     how.focal_is_known = config_.tracker.intrinsics.has_value();
     how.uncertainty = false;
-    try {
-      const person::LearnedShape shape =
-          person::learn_shape(*model_, observed, how, [&](int, int) { return go_on(); });
-      if (!go_on()) {
-        return;
-      }
-      if (!shape.accepted) {
-        learned_.note = "the head turns, but its shape was not learned: " + shape.refused;
-        return;
-      }
-      learned_.model = std::make_shared<const face::FaceModel>(
-          face::person_model(*model_, shape.identity, shape.neutral_mm, "learned from the recording"));
-      if (!how.focal_is_known) {
-        config_.tracker.intrinsics = observed.camera;
-        config_.tracker.intrinsics->fx = config_.tracker.intrinsics->fy = static_cast<float>(shape.focal_px);
-      }
-      learned_.note = fmt::format(
-          "the head turns: its own shape is followed, learned from {} of the recording's pictures (focal "
-          "length {:.0f} px)",
-          shape.keyframes.size(), shape.focal_px);
-    } catch (const std::exception& error) {
-      learned_.note = fmt::format("the head turns, but its shape was not learned: {}", error.what());
+    LearnedFace face = learn_face(*model_, observed, how, "the recording", go_on);
+    learned_.model = std::move(face.model);
+    learned_.note = std::move(face.note);
+    if (learned_.model != nullptr) {
+      config_.tracker.intrinsics = face.camera;
     }
   }
 
@@ -225,8 +208,12 @@ ShadingParts open_shading(const ShadingConfig& given, OpenPictures open) {
   }
   load_model(config, stages);
   const bool recorded = !reference.info.live && !config.source.loop;
-  stages.coarse =
-      std::make_unique<TrackerStage>(stages.model, config, recorded ? std::move(open) : OpenPictures());
+  if (!recorded && config.learn_live && cameras.size() == 1 && stages.model->identity_count() > 0) {
+    stages.coarse = std::make_unique<LearningTracker>(stages.model, config.tracker);
+  } else {
+    stages.coarse =
+        std::make_unique<TrackerStage>(stages.model, config, recorded ? std::move(open) : OpenPictures());
+  }
   if (config.gpu_device != kNoDevice) {
     stages.open_refiner = refine::refiner_opener({.device = config.gpu_device}, config.refiner);
     stages.refiner = stages.open_refiner();

@@ -8,15 +8,17 @@
 #include "face/face_model.hpp"
 #include "pipeline/picture_source.hpp"
 #include "pipeline/shading_config.hpp"
+#include "pipeline/status.hpp"
 #include "refine/refine_stage.hpp"
 #include "track/tracker.hpp"
 
 namespace facet::pipeline {
 
-/// What looking ahead over a recording told of the person in it.
+/// What the pictures told of the person in them.
 struct LearnedPerson {
-  std::shared_ptr<const face::FaceModel> model;  ///< null: the configured one is followed
-  std::string note;                              ///< for the log; empty where nothing is to be said
+  std::shared_ptr<const face::FaceModel> model;    ///< null: the configured one is followed
+  std::string note;                                ///< for the log; empty where nothing is to be said
+  std::shared_ptr<const LearningStatus> learning;  ///< live sources; another object whenever it changes
 };
 
 /// The coarse tracker as the pipeline uses it; tests script one. One thread.
@@ -31,12 +33,16 @@ class CoarseStage {
   /// have meshes too. Asks `go_on` before each frame, which also says that it gets on; returns early where
   /// the answer is no.
   virtual void prepare(const std::function<bool()>& go_on) = 0;
-  /// Valid once prepare() is back.
-  virtual LearnedPerson learned() const { return {}; }
+  /// Valid once prepare() is back; of live sources it may be another after each process().
+  virtual const LearnedPerson& learned() const = 0;
+  /// While `keep` is set, learned() changes for no other reason than that somebody else is seen.
+  virtual void keep_model(bool keep) = 0;
   /// As track::Tracker::process: one picture of each camera, the reference camera's first.
   virtual const track::TrackResult& process(std::span<const Frame> views) = 0;
   /// As track::Tracker::reset_identity.
   virtual void reset_identity() = 0;
+  /// What goes on beside the frames is broken off. Any thread, returns at once.
+  virtual void request_stop() = 0;
 };
 
 /// What the pipeline connects.

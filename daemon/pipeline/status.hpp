@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -12,6 +13,10 @@
 #include "facet/error.hpp"
 #include "facet/trigger.hpp"
 #include "mesh/mesh_frame.hpp"
+
+namespace facet::person {
+struct PersonFile;
+}
 
 namespace facet::pipeline {
 
@@ -81,6 +86,23 @@ struct DevicesStatus {
   capture::CaptureStatistics sets;
 };
 
+/// What the head before a live camera has shown of its own shape. A snapshot.
+struct LearningStatus {
+  enum class State { Looking, Solving, Learned };
+
+  State state = State::Looking;
+  std::uint32_t subject = 0;  ///< whose it is: track::TrackResult::subject
+  std::string
+      note;  ///< for people: why nothing was learned, or what waits; empty where nothing is to be said
+  std::vector<std::array<float, 2>> seen_deg;  ///< orientations with a picture: where the camera stands in
+                                               ///< the head's axes, yaw (to its left positive) and pitch (up)
+  float turned_left_deg = 0;                   ///< the head, so far
+  float turned_right_deg = 0;
+  float needed_deg = 0;                              ///< of each
+  std::shared_ptr<const person::PersonFile> person;  ///< Learned: the shape, without a name
+};
+const char* to_string(LearningStatus::State state);
+
 /// What the pipeline has done and how it does now. A snapshot.
 struct PipelineStatus {
   PipelineState state = PipelineState::Idle;
@@ -111,6 +133,7 @@ struct PipelineStatus {
   std::size_t queued_captured = 0;                                ///< frames that wait for the tracker
   std::size_t queued_tracked = 0;                                 ///< and for the refinement
   float photometric_rms = 0;                                      ///< mean over the last refined frames
+  std::shared_ptr<const LearningStatus> learning;                 ///< null where no shape is learned
 };
 
 }  // namespace facet::pipeline

@@ -19,6 +19,8 @@ namespace facet::pipeline {
 class TakeSink final : public MeshSink {
  public:
   void deliver(std::shared_ptr<const mesh::MeshFrame> frame) override;
+  /// While something is recorded.
+  bool wants_one_mesh() const override { return current() != nullptr; }
 
   /// Begins a take with the next frame. Throws Error(Usage) where one is being recorded, and what
   /// take::TakeRecorder throws.

@@ -512,6 +512,7 @@ Config default_config() {
   Config config;
   config.pipeline.model_file = default_model_file();
   config.pipeline.tracker.landmark_nets = default_landmark_nets();
+  config.pipeline.learn_live = true;
   config.stream.socket = "/run/facet/stream.sock";
   const std::filesystem::path page = share_beside_program() / "kiosk";
   std::error_code ignored;

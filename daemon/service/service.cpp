@@ -33,6 +33,7 @@
 #include "service/memory_reserve.hpp"
 #include "service/metrics.hpp"
 #include "service/modes.hpp"
+#include "service/person_methods.hpp"
 #include "service/pipeline_opener.hpp"
 #include "service/recording.hpp"
 #include "service/service_manager.hpp"
@@ -295,6 +296,8 @@ ControlMethods Service::Impl::methods() {
         }}},
   };
   all.merge(studio_methods(studio, looking));
+  all.merge(person_methods([this] { return pipeline ? pipeline->status() : pipeline::PipelineStatus(); },
+                           config.pipeline.persons_folder, recording.errands(), log));
   return all;
 }
 

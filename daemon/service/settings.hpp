@@ -79,7 +79,7 @@ inline constexpr Setting<Config> kBoothSettings[] = {
 
 inline constexpr Setting<pipeline::ShadingConfig> kModelSettings[] = {
     {"path", &at<&pipeline::ShadingConfig::model_file>},
-    {"learn", &at<&pipeline::ShadingConfig::learn_person>},
+    {"learn", &at<&pipeline::ShadingConfig::learn_live>},
     {"landmark_nets", &at<&pipeline::ShadingConfig::tracker, &track::TrackerConfig::landmark_nets>},
 };
 

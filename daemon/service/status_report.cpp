@@ -103,6 +103,16 @@ json to_json(const pipeline::DevicesStatus& rig, const std::vector<booth::RigPai
             {"worst_skew_us", static_cast<double>(rig.sets.worst_skew_ns) * 1e-3}}}};
 }
 
+json to_json(const pipeline::LearningStatus& learning) {
+  return {{"state", to_string(learning.state)},
+          {"subject", learning.subject},
+          {"note", learning.note},
+          {"seen_deg", learning.seen_deg},
+          {"turned_left_deg", learning.turned_left_deg},
+          {"turned_right_deg", learning.turned_right_deg},
+          {"needed_deg", learning.needed_deg}};
+}
+
 }  // namespace
 
 json to_json(const pipeline::PipelineStatus& status) {
@@ -135,6 +145,7 @@ json to_json(const pipeline::PipelineStatus& status) {
        {{"subjects", status.subjects},
         {"levels", status.levels},
         {"finest_vertices", status.finest_vertices}}},
+      {"learning", status.learning != nullptr ? to_json(*status.learning) : json(nullptr)},
   };
 }
 

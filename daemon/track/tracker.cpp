@@ -200,6 +200,10 @@ void Tracker::reset_identity() {
   impl_->subject_tracker.reset_identity();
 }
 
+std::uint32_t Tracker::subjects() const {
+  return impl_->result.subject;
+}
+
 std::optional<Person> Tracker::person() const {
   const SubjectTracker& tracker = impl_->subject_tracker;
   return tracker.has_person() ? std::optional<Person>(tracker.person()) : std::nullopt;

@@ -72,6 +72,9 @@ class Tracker {
   /// at the end. All results are in the reference camera's frame.
   const TrackResult& process(std::span<const Frame> views);
 
+  /// Identity estimates so far, adopted ones included: the last TrackResult::subject. Same thread as process.
+  std::uint32_t subjects() const;
+
   /// The person being tracked; nothing before the first identity estimate. Same thread as process.
   std::optional<Person> person() const;
 

@@ -73,6 +73,11 @@ await runTest(service, chromiumFile, async (browser, step) => {
   const before = await drawn();
   await eventually('further pictures', async () => (await drawn()) > before + 3);
 
+  // What the head has turned through so far.
+  await eventually('the ring of the own shape', async () => (await page.locator('#shape-ring .turned[d^="M"]').count()) > 0);
+  assert.match(await text('shape-step'), /[Tt]urn|still|learned|shape/);
+  assert.match(await page.locator('#shape-ring').getAttribute('aria-label'), /turned \d+ degrees to its left and \d+ to its right; 12 to each/);
+
   // The other views: each another picture, by key or by button.
   await page.keyboard.press('2');
   await eventually('normals are blue where the face looks at us', async () => {

@@ -105,7 +105,7 @@ TEST_F(KeyframesTest, WhereTheyAreDenseTheyAreThinnedOut) {
 TEST_F(KeyframesTest, WithoutAMeshNothingIsKept) {
   tracked_.state = mesh::TrackingState::Acquiring;
   show(0, 0, 0);
-  EXPECT_TRUE(collector_.empty());
+  EXPECT_EQ(collector_.size(), 0U);
   EXPECT_FALSE(collector_.observed(5));
 }
 

@@ -51,6 +51,7 @@ class PersonFileTest : public ::testing::Test {
   }
 
   std::string written() const {
+    std::filesystem::remove(file_);
     write_person(person_, file_);
     std::ifstream in(file_, std::ios::binary);
     return {std::istreambuf_iterator<char>(in), {}};
@@ -82,6 +83,20 @@ TEST_F(PersonFileTest, IsReadableByItsOwnerAlone) {
   struct stat status {};
   ASSERT_EQ(::stat(file_.c_str(), &status), 0);
   EXPECT_EQ(status.st_mode & 0777U, 0600U);
+}
+
+TEST_F(PersonFileTest, NobodyIsReplaced) {
+  const std::string earlier = written();
+  person_.name = "Grace";
+  try {
+    write_person(person_, file_);
+    FAIL() << "replaced";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::Usage);
+    EXPECT_THAT(error.what(), HasSubstr("ada.person' exists already"));
+  }
+  EXPECT_EQ(read_person(file_).name, "Ada");
+  EXPECT_EQ(std::distance(std::filesystem::directory_iterator(folder_.path()), {}), 1) << "no part is left";
 }
 
 TEST_F(PersonFileTest, ACutOrDamagedFileIsRefusedByName) {

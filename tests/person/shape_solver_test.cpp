@@ -181,7 +181,7 @@ TEST_F(ShapeSolverTest, TheUncertaintyFallsWhereTheHeadTurnsFurther) {
       head.translation_mm.z() *= kTrueFocalPx / kGuessedFocalPx;
     }
     EXPECT_TRUE(solver.bundle(4, true, false));
-    const Eigen::VectorXd sigma = solver.uncertainty_mm();
+    const Eigen::VectorXd sigma = solver.uncertainty_mm([] { return true; });
     double sum = 0;
     for (const std::int32_t v : solver.skin()) {
       EXPECT_TRUE(std::isfinite(sigma[v]));

@@ -9,8 +9,6 @@
 #include "facet/error.hpp"
 #include "pipeline/shading.hpp"
 #include "scripted_stages.hpp"
-#include "simulation/actor_sequence.hpp"
-#include "simulation/video_writer.hpp"
 #include "support/paths.hpp"
 
 namespace facet::pipeline {
@@ -59,56 +57,6 @@ TEST_F(RealStages, EveryFrameOfAClipBecomesARefinedMesh) {
     EXPECT_TRUE(frame->control_vertices_mm.allFinite());
     EXPECT_GT(frame->camera_from_head.translation().z(), 100);
   }
-}
-
-/// An actor who turns calmly is learned from his own recording, unasked: what is followed is nearer to the
-/// truth's camera, goes with the meshes, and a stop does not wait for the solve.
-TEST_F(RealStages, AHeadThatTurnsIsLearnedFromItsRecording) {
-#ifdef FACET_SANITIZED
-  GTEST_SKIP() << "minutes under a sanitizer; the parts have tests of their own";
-#endif
-  const auto model = face::FaceModel::load(config_.model_file);
-  simulation::ActorSequenceConfig turn;
-  turn.seed = 352;
-  turn.width_px = 480;
-  turn.height_px = 360;
-  turn.frame_count = 300;
-  turn.calm_turn = true;
-  turn.sensor_noise = false;
-  const simulation::ActorSequence actor(model, turn);
-  const test::TemporaryFolder folder;
-  config_.source.path = folder.path() / "turn.mkv";
-  config_.frames = {};
-  config_.gpu_device = kNoDevice;
-  config_.learn_person = true;
-  {
-    simulation::VideoWriter video(config_.source.path, turn.width_px, turn.height_px, 6);  // as slow as it is
-    for (int frame = 0; frame < 30; ++frame) {
-      video.append(actor.render(frame, nullptr).picture);
-    }
-    for (int frame = 30; frame < turn.frame_count; frame += 5) {
-      video.append(actor.render(frame, nullptr).picture);
-    }
-    video.finish();
-  }
-  ShadingParts stages = open_shading(config_);
-  stages.coarse->prepare([] { return true; });
-  const LearnedPerson learned = stages.coarse->learned();
-  ASSERT_NE(learned.model, nullptr) << learned.note;
-  EXPECT_EQ(learned.model->identity_count(), 0);
-  stages.pictures->start();
-  FrameSet set;
-  while (stages.pictures->next(set, std::chrono::milliseconds(100)) == CaptureOutcome::Timeout) {
-  }
-  const track::TrackResult& first = stages.coarse->process(set.frames);
-  EXPECT_EQ(first.state, mesh::TrackingState::Tracking) << "known from the first frame on";
-  EXPECT_NEAR(first.camera.fx / actor.camera().fx, 1, 0.08);
-
-  ShadingParts stopped = open_shading(config_);
-  int asked = 0;
-  stopped.coarse->prepare([&] { return ++asked < 150; });  // the solve has begun by then
-  EXPECT_LT(asked, 160);
-  EXPECT_EQ(stopped.coarse->learned().model, nullptr);
 }
 
 TEST(TrackerConfig, TheSourcesIntrinsicsCountUnlessOthersAreGiven) {

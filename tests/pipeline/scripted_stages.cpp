@@ -93,7 +93,8 @@ class ScriptedTracker final : public pipeline::CoarseStage {
       std::this_thread::sleep_for(std::chrono::milliseconds(1));
     }
   }
-  pipeline::LearnedPerson learned() const override { return script_.learned; }
+  const pipeline::LearnedPerson& learned() const override { return script_.learned; }
+  void keep_model(bool keep) override { script_.keeps_model = keep; }
   const track::TrackResult& process(std::span<const Frame> views) override {
     const Frame& frame = views.front();
     script_.tracker_gate.pass();
@@ -110,6 +111,7 @@ class ScriptedTracker final : public pipeline::CoarseStage {
     return result_;
   }
   void reset_identity() override { ++script_.identity_resets; }
+  void request_stop() override { script_.tracker_stopped = true; }
 
  private:
   Script& script_;

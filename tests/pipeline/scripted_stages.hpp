@@ -58,10 +58,12 @@ struct Script {
   std::function<std::uint32_t(std::uint64_t sequence)> subject_of;
   std::uint64_t tracker_throws_at = ~0ULL;
   bool prepare_waits_for_stop = false;
-  pipeline::LearnedPerson learned;  ///< by prepare
-  Gate tracker_gate;                ///< before every frame
+  pipeline::LearnedPerson learned;       ///< by prepare; the tracker may change it at its gate
+  std::atomic<bool> keeps_model{false};  ///< as the pipeline last told the tracker
+  Gate tracker_gate;                     ///< before every frame
   std::atomic<bool> preparing{false};
   std::atomic<int> identity_resets{0};
+  std::atomic<bool> tracker_stopped{false};
 
   // The refiner.
   bool has_refiner = true;

@@ -224,6 +224,62 @@ TEST_F(Shading, WhatWasLearnedAheadIsFollowedAndGoesWithTheMeshes) {
   EXPECT_EQ(frames.front()->subject->identity, identity);
 }
 
+TEST_F(Shading, WhatIsLearnedMeanwhileIsFollowedFromThenOn) {
+  const std::vector<float> identity(static_cast<std::size_t>(script_.model->identity_count()), 0.5F);
+  Eigen::Matrix3Xd own = script_.model->contract_identity(identity).neutral_mm.cast<double>();
+  own.row(0) *= 1.05;
+  const auto learned =
+      std::make_shared<const face::FaceModel>(face::person_model(*script_.model, identity, own, "learned"));
+  script_.state_of = [&](std::uint64_t sequence) {  // on the tracker's thread
+    if (sequence == 2) {
+      auto solving = std::make_shared<LearningStatus>();
+      solving->state = LearningStatus::State::Solving;
+      script_.learned.learning = solving;
+    } else if (sequence == 4) {
+      script_.learned.model = learned;
+      script_.learned.note = "its own shape is followed";
+    }
+    return TrackingState::Tracking;
+  };
+  script_.subject_of = [](std::uint64_t sequence) { return sequence < 4 ? 1U : 2U; };
+  const PipelineStatus status = run();
+  EXPECT_EQ(status.subjects, 2U);
+  ASSERT_NE(status.learning, nullptr);
+  EXPECT_EQ(status.learning->state, LearningStatus::State::Solving);
+  const auto frames = sink_.frames();
+  EXPECT_EQ(frames[3]->subject->neutral_mm.size(), 0);
+  EXPECT_LT((frames[4]->subject->neutral_mm - own.cast<float>()).cwiseAbs().maxCoeff(), 1e-4F);
+  int said = 0;
+  for (const Messages::Message& message : pipeline_->take_messages()) {
+    said += message.text == script_.learned.note ? 1 : 0;
+  }
+  EXPECT_EQ(said, 1);
+}
+
+/// A take keeps the mesh that it began with.
+TEST_F(Shading, WhileASinkWantsOneMeshTheTrackerIsToldToKeepIt) {
+  class Recording final : public MeshSink {
+   public:
+    void deliver(std::shared_ptr<const mesh::MeshFrame> /*frame*/) override {}
+    bool wants_one_mesh() const override { return wants; }
+    std::atomic<bool> wants{false};
+  } recording;
+  std::vector<bool> kept;
+  script_.state_of = [&](std::uint64_t sequence) {  // on the tracker's thread
+    kept.push_back(script_.keeps_model);
+    recording.wants = sequence >= 2 && sequence < 5;  // from the next frame on
+    return TrackingState::Tracking;
+  };
+  script_.frame_count = 8;
+  ShadingPipeline pipeline(script_.stages(), options(), {&sink_, &recording});
+  pipeline.start();
+  while (!pipeline.finished()) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+  pipeline.stop();
+  EXPECT_EQ(kept, std::vector<bool>({false, false, false, true, true, true, false, false}));
+}
+
 TEST_F(Shading, ANewSubjectGetsItsOwnHierarchy) {
   script_.subject_of = [](std::uint64_t sequence) { return sequence < 4 ? 1U : 2U; };
   const PipelineStatus status = run();

@@ -25,6 +25,7 @@ TEST(TakeSink, RecordsOneTakeAtATime) {
   };
   deliver(0);
   EXPECT_FALSE(sink.status().has_value());
+  EXPECT_FALSE(sink.wants_one_mesh());
   EXPECT_FALSE(sink.end({}).has_value());
 
   take::TakeRecorderConfig config;
@@ -39,9 +40,11 @@ TEST(TakeSink, RecordsOneTakeAtATime) {
     deliver(sequence);
   }
   EXPECT_EQ(sink.status()->file, config.file);
+  EXPECT_TRUE(sink.wants_one_mesh());
   const auto ended = sink.end({});
   ASSERT_TRUE(ended.has_value());
   EXPECT_EQ(ended->frames, 5U);
+  EXPECT_FALSE(sink.wants_one_mesh());
   EXPECT_EQ(ended->file, config.file);
   deliver(6);
   EXPECT_THROW(sink.begin(config), Error) << "a take is never overwritten";

@@ -38,6 +38,13 @@ TEST(PersonsConfig, APersonIsANameOrAFile) {
   EXPECT_THAT(error_of("[model]\nperson = 3"), HasSubstr("model.person: must be a name or a file"));
 }
 
+TEST(PersonsConfig, WhoTurnsBeforeALiveCameraIsLearnedUnlessThatIsLeftOut) {
+  EXPECT_TRUE(read("").learn_live);
+  EXPECT_FALSE(read("[model]\nlearn = false\n").learn_live);
+  EXPECT_FALSE(read("").learn_ahead) << "a daemon does not look at a recording for a minute before it begins";
+  EXPECT_THAT(error_of("[model]\nlearn = \"yes\""), HasSubstr("model.learn: must be"));
+}
+
 TEST(PersonsConfig, NobodyIsKeptUnlessAsked) {
   EXPECT_EQ(default_config().pipeline.persons_folder, "");
   EXPECT_EQ(read("[persons]\nfolder = \"\"\n").persons_folder, "");

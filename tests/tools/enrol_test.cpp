@@ -3,11 +3,18 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <chrono>
 #include <filesystem>
 #include <fstream>
+#include <nlohmann/json.hpp>
 #include <string>
+#include <thread>
+#include <utility>
 #include <vector>
 
+#include "facet/error.hpp"
+#include "service/control_server.hpp"
 #include "support/child_process.hpp"
 #include "support/paths.hpp"
 #include "support/videos.hpp"
@@ -82,6 +89,89 @@ TEST_F(Enrol, APlaceThatCannotBeIsRefusedBeforeAnythingIsLearned) {
   std::ofstream(file("kept/ada.person")) << "cut";
   EXPECT_EQ(run({"enrol", clip(), "--name", "ada", "--config", file("facet.toml")}), 2);
   EXPECT_THAT(output_, HasSubstr("somebody is called 'ada' already"));
+}
+
+/// A daemon's control socket: what it answers is the test's.
+class Answering {
+ public:
+  Answering(const std::filesystem::path& socket, service::ControlMethods methods)
+      : server_(config(socket), std::move(methods)) {}
+
+ private:
+  static service::ControlConfig config(const std::filesystem::path& socket) {
+    service::ControlConfig config;
+    config.socket = socket;
+    return config;
+  }
+
+  service::ControlServer server_;
+  std::jthread thread_{[this](const std::stop_token& stop) {
+    while (!stop.stop_requested()) {
+      server_.serve();
+      std::this_thread::sleep_for(std::chrono::milliseconds(2));
+    }
+  }};
+};
+
+TEST_F(Enrol, LiveSaysWhatToDoAndHasTheDaemonKeepThePerson) {
+  using nlohmann::json;
+  const auto learning = [](const char* state, double left, double right, const char* note = "") {
+    return json{{"state", state},           {"subject", 2},     {"note", note},
+                {"turned_left_deg", left},  {"needed_deg", 12}, {"turned_right_deg", right},
+                {"seen_deg", json::array()}};
+  };
+  std::vector<json> shown = {
+      learning("looking", 0, 0),   learning("looking", 14, 3),
+      learning("looking", 14, 15), learning("looking", 14, 15, "the shape found folds"),
+      learning("solving", 14, 15), learning("learned", 14, 15)};
+  std::size_t asked = 0;
+  json kept;
+  service::ControlMethods methods;
+  methods["status"] = {false, {}, [&](const json&) {
+                         return json{{"learning", shown[std::min(asked++, shown.size() - 1)]}};
+                       }};
+  methods["person.check"] = {
+      true, {{"name", service::ControlParam::Type::Text, true}}, [&](const json& params) {
+        if (params["name"] == "bob") {
+          throw Error(ErrorKind::Usage, "somebody is called 'bob' already");
+        }
+        return json{{"file", "kept/ada.person"}};
+      }};
+  methods["person.keep"] = {
+      true,
+      {{"name", service::ControlParam::Type::Text, true}, {"subject", service::ControlParam::Type::Number}},
+      [&](const json& params) {
+        kept = params;
+        return json{{"file", "kept/ada.person"}};
+      }};
+  const Answering daemon(file("control.sock"), std::move(methods));
+  const auto live = [&](const std::string& name) {
+    return run({"enrol", "--live", "--name", name, "--socket", file("control.sock")});
+  };
+  EXPECT_EQ(live("bob"), 2);
+  EXPECT_THAT(output_, HasSubstr("'bob' already")) << "before anybody turned";
+  EXPECT_EQ(asked, 0U);
+  EXPECT_EQ(live("ada"), 0) << output_;
+  EXPECT_THAT(
+      output_,
+      AllOf(HasSubstr("turn the head slowly to both sides"),
+            HasSubstr("turn the head to its right: 14 degrees to its left, 3 to its right of 12"),
+            HasSubstr("hold still for two seconds"), HasSubstr("the shape found folds; turn once more"),
+            HasSubstr("solving:"), HasSubstr("kept/ada.person"), HasSubstr("person = \"ada\"")));
+  EXPECT_EQ(kept, (json{{"name", "ada"}, {"subject", 2}}));
+  EXPECT_EQ(live("ada"), 0);
+  EXPECT_THAT(output_, HasSubstr("was learned already"));
+}
+
+TEST_F(Enrol, LiveAndAVideoDoNotGoTogether) {
+  EXPECT_EQ(run({"enrol", "--live", clip(), "--name", "ada"}), 2);
+  EXPECT_THAT(output_, HasSubstr("--live takes no video"));
+  EXPECT_EQ(run({"enrol", "--live"}), 2);
+  EXPECT_THAT(output_, HasSubstr("give the person's --name"));
+  EXPECT_EQ(run({"enrol", "--name", "ada"}), 2);
+  EXPECT_THAT(output_, HasSubstr("give a video of the head, or --live"));
+  EXPECT_EQ(run({"enrol", clip(), "--name", "ada", "--socket", file("control.sock")}), 2);
+  EXPECT_THAT(output_, HasSubstr("--socket goes with --live"));
 }
 
 }  // namespace

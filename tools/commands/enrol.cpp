@@ -1,15 +1,18 @@
-// `facet enrol VIDEO --name NAME`: the shape of a face from its head's turning, kept.
+// `facet enrol VIDEO --name NAME`, `facet enrol --live --name NAME`: the shape of a face from its head's
+// turning, kept.
 
-#include <fmt/chrono.h>
 #include <fmt/format.h>
 
 #include <chrono>
+#include <cstdio>
 #include <filesystem>
 #include <memory>
+#include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
+#include <thread>
 
-#include "facet/clock.hpp"
+#include "daemon_options.hpp"
 #include "facet/error.hpp"
 #include "options.hpp"
 #include "person/enrolment.hpp"
@@ -25,18 +28,17 @@
 namespace facet::tools {
 namespace {
 
+using nlohmann::json;
+
 struct Options {
   std::string video;
   std::string person;
   std::string name;
   std::string config;
   std::string frames;
+  std::string socket;
+  bool live = false;
 };
-
-std::string now_utc() {
-  const auto seconds = std::chrono::time_point_cast<std::chrono::seconds>(Clock::utc());
-  return fmt::format("{:%Y-%m-%dT%H:%M:%SZ}", fmt::gmtime(seconds));
-}
 
 pipeline::ObservedHead look(const pipeline::ShadingConfig& config, const std::string& video,
                             pipeline::ShadingParts& parts, const StopSignals& signals) {
@@ -102,6 +104,12 @@ Place place_of(const Options& options) {
 }
 
 void run(const Options& options) {
+  if (!options.socket.empty()) {
+    throw Error(ErrorKind::Usage, "--socket goes with --live: a video needs no daemon");
+  }
+  if (options.video.empty()) {
+    throw Error(ErrorKind::Usage, "give a video of the head, or --live for the running daemon's camera");
+  }
   service::Config config =
       options.config.empty() ? service::default_config() : service::load_config(options.config);
   pipeline::ShadingConfig& shading = config.pipeline;
@@ -109,7 +117,7 @@ void run(const Options& options) {
   shading.source.path = options.video;
   shading.person.clear();  // whoever the configuration says stands there is not who is learned now
   shading.gpu_device = pipeline::kNoDevice;
-  shading.learn_person = false;
+  shading.learn_live = false;
   if (!options.frames.empty()) {
     shading.frames = pipeline::parse_frame_range(options.frames);
   }
@@ -131,7 +139,7 @@ void run(const Options& options) {
             options.video, how.keyframes, head.mesh_frames));
   }
   const person::LearnedShape learned = learn(*parts.model, *observed, how, signals);
-  const person::KeyframeCollector::Span span = head.keyframes.span();
+  const person::OrientationSpan& span = observed->span;
   tell(
       "seen from {:.0f} degrees at its right to {:.0f} at its left, {:.0f} below to {:.0f} above; {} "
       "pictures used\n",
@@ -144,26 +152,75 @@ void run(const Options& options) {
     throw Error(ErrorKind::NoFace,
                 fmt::format("'{}': no person was learned: {}", options.video, learned.refused));
   }
-  person::PersonFile person;
+  person::PersonFile person = person::person_of(*parts.model, *observed, learned);
   person.name = place.name;
-  person.created_utc = now_utc();
   person.software = "facet enrol " FACET_VERSION;
-  person.model_name = parts.model->name;
-  person.model_checksum = person::model_checksum(*parts.model);
-  person.keyframes = static_cast<int>(learned.keyframes.size());
-  person.span = span;
-  person.focal_px = learned.focal_px;
-  person.width_px = observed->camera.width_px;
-  person.height_px = observed->camera.height_px;
-  person.gates = learned.gates;
-  person.identity = learned.identity;
-  person.neutral_mm = learned.neutral_mm.cast<float>();
-  const Eigen::VectorXf sigma = learned.sigma_mm.cast<float>();
-  person.sigma_mm.assign(sigma.begin(), sigma.end());
   person::write_person(person, place.file);
   tell("{}: focal length {:.0f} px of {}x{} (was taken for {:.0f}); follow this face with --person {}\n",
        place.file.string(), learned.focal_px, person.width_px, person.height_px,
        static_cast<double>(observed->camera.fx), options.person.empty() ? place.name : options.person);
+}
+
+/// What the person before the camera is to do, or waits for.
+std::string next_step(const json& learning) {
+  const double needed = learning["needed_deg"];
+  const double left = learning["turned_left_deg"];
+  const double right = learning["turned_right_deg"];
+  if (learning["state"] == "solving") {
+    const std::string note = learning["note"];
+    return note.empty() ? "solving: half a minute and more; frames come first" : note;
+  }
+  if (left < needed || right < needed) {
+    return fmt::format(
+        "face at rest, turn the head {}: {:.0f} degrees to its left, {:.0f} to its right of {:.0f}",
+        left < needed && right < needed ? "slowly to both sides"
+        : left < needed                 ? "to its left"
+                                        : "to its right",
+        left, right, needed);
+  }
+  const std::string note = learning["note"];
+  return note.empty() ? "enough was seen: hold still for two seconds"
+                      : note + "; turn once more, further, the face at rest";
+}
+
+/// Has the daemon keep what the head before its camera shows.
+void run_live(const Options& options) {
+  if (!options.video.empty() || !options.person.empty() || !options.frames.empty()) {
+    throw Error(ErrorKind::Usage,
+                "--live takes no video, no --frames and no -o: the daemon's camera sees the "
+                "head, and its [persons] folder keeps who is named with --name");
+  }
+  if (options.name.empty()) {
+    throw Error(ErrorKind::Usage, "give the person's --name, to be kept in the daemon's folder of persons");
+  }
+  person::check_person_name(options.name);
+  const DaemonOptions daemon{options.socket, options.config};
+  call_daemon(daemon, "person.check", {{"name", options.name}});  // before somebody turns the head for it
+  const StopSignals signals;
+  std::string said;
+  json learning = call_daemon(daemon, "status")["learning"];
+  while (!learning.is_null() && learning["state"] != "learned") {
+    if (const std::string step = next_step(learning); step != said) {
+      tell("{}\n", step);
+      std::fflush(stdout);
+      said = step;
+    }
+    std::this_thread::sleep_for(std::chrono::milliseconds(250));
+    if (signals.pending() != 0) {
+      signals.die_of(signals.pending());
+    }
+    learning = call_daemon(daemon, "status")["learning"];
+  }
+  if (!learning.is_null() && said.empty()) {
+    tell("who is before the camera was learned already ('facet reset-identity' forgets that)\n");
+  }
+  json params = {{"name", options.name}};
+  if (!learning.is_null()) {
+    params["subject"] = learning["subject"];
+  }
+  const json kept = call_daemon(daemon, "person.keep", params);
+  tell("{}: the daemon follows this face with person = \"{}\" in [model]\n", kept["file"].get<std::string>(),
+       options.name);
 }
 
 }  // namespace
@@ -172,12 +229,12 @@ void add_enrol_command(Command program) {
   auto options = std::make_shared<Options>();
   const Command command = program.subcommand(
       "enrol", "Learn the shape of a face from a video in which the head turns, and keep it for later takes");
-  command
-      .option("video", options->video,
-              "A video of five to ten seconds: the face at rest looks at the camera, then turns left, right, "
-              "up and "
-              "down, 20 degrees and more to both sides")
-      .required();
+  command.option("video", options->video,
+                 "A video of five to ten seconds: the face at rest looks at the camera, then turns left, "
+                 "right, up and down, 20 degrees and more to both sides");
+  command.flag(
+      "--live", options->live,
+      "In place of a video the running daemon's camera: says what to do, and the daemon keeps the person");
   command
       .option("-o,--output", options->person,
               "The file to write, NAME.person; must not exist yet. It is biometric data: whoever has it can "
@@ -188,7 +245,9 @@ void add_enrol_command(Command program) {
                  "Configuration file; of [source], only frames and intrinsics count. Its [persons] folder is "
                  "where the person goes, without it that of the installed configuration");
   command.option("--frames", options->frames, kFramesHelp);
-  command.callback([options] { run(*options); });
+  command.option("--socket", options->socket,
+                 "With --live: the daemon's control socket; default: that of its configuration");
+  command.callback([options] { options->live ? run_live(*options) : run(*options); });
 }
 
 }  // namespace facet::tools

@@ -165,7 +165,8 @@ service::Config configure(const Options& options) {
       monocular.persons_folder = persons_folder(options.config);
     }
   }
-  monocular.learn_person = !options.live;
+  monocular.learn_ahead = !options.live;
+  monocular.learn_live = false;
   if (!options.device.empty()) {
     monocular.gpu_device = options.device;
   }

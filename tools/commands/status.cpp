@@ -131,6 +131,12 @@ void print_refinement(const json& status) {
   if (const std::string given_up = status["given_up"]; !given_up.empty()) {
     tell("given up      {}\n", given_up);
   }
+  if (const json learning = status.value("learning", json()); learning.is_object()) {
+    const std::string note = learning["note"];
+    tell("own shape     {}; the head turned {:.0f} degrees to its left, {:.0f} to its right{}\n",
+         learning["state"].get<std::string>(), learning["turned_left_deg"].get<double>(),
+         learning["turned_right_deg"].get<double>(), note.empty() ? "" : ": " + note);
+  }
   tell("photometric   {:.4f} mean rms error (linear light, 0 to 1)\n",
        status["photometric_rms"].get<double>());
 }

@@ -2,6 +2,7 @@
 import type { Frame } from '../generated/facet/stream/wire/frame';
 import { ControlConnection, ControlError, StreamConnection, kPermissionDenied, kTooManyTokens } from './connection';
 import { FaceView, kViews, type View } from './face_view';
+import { OwnShape } from './own_shape';
 import { Expressions, Plot, element, showCamera, showDevices, showTakes } from './panels';
 import { baseName, type NamedDevice, type Recording, type Status, type Takes } from './status';
 import { Studio } from './studio';
@@ -44,6 +45,7 @@ let latency_ms = 0;
 let lastPanels_ms = 0;
 
 const expressions = new Expressions();
+const ownShape = new OwnShape(() => { void keepPerson(); });
 const plots = [new Plot('rate', 'rate', '#7fd6c8', ''), new Plot('latency', 'latency', '#e0b062', ' ms')];
 
 const stream = new StreamConnection({
@@ -322,6 +324,7 @@ function showAll(): void {
   }
   showDevices(status, unlocked);
   showTakes(takes);
+  ownShape.show(status?.learning ?? null);
   studio?.draw();
   showState();
   showRecording();
@@ -402,6 +405,25 @@ function pressRecord(): void {
   }
 }
 
+/** Asks for a name and has the daemon keep the person before the camera, who is the one that was there when it was asked. */
+async function keepPerson(): Promise<void> {
+  const subject = status?.learning?.subject;
+  if (!unlocked) {
+    openTokenDialog();
+    return;
+  }
+  const dialog = element<HTMLDialogElement>('person-dialog');
+  const name = element<HTMLInputElement>('person-name');
+  name.value = '';
+  dialog.returnValue = '';
+  dialog.showModal();
+  await new Promise((closed) => dialog.addEventListener('close', closed, { once: true }));
+  const wanted = name.value.trim();
+  if (dialog.returnValue === 'keep' && await command('person.keep', { name: wanted, subject }, 'person_failed')) {
+    tell(text('person_kept', { name: wanted }));
+  }
+}
+
 function openTokenDialog(): void {
   const dialog = element<HTMLDialogElement>('token-dialog');
   if (!dialog.open) {
@@ -449,7 +471,7 @@ function listen(): void {
     dialog.returnValue = '';
   });
   document.addEventListener('keydown', (event) => {
-    if (dialog.open || event.ctrlKey || event.altKey || event.metaKey) {
+    if (document.querySelector('dialog[open]') || event.ctrlKey || event.altKey || event.metaKey) {
       return;
     }
     if (event.key >= '1' && event.key <= String(kViews.length)) {

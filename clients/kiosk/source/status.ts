@@ -59,6 +59,16 @@ export interface Key {
 export interface Keys {
   keys: Key[];
 }
+/** What the head before a live camera has shown of its own shape. */
+export interface Learning {
+  state: 'looking' | 'solving' | 'learned';
+  subject: number;
+  note: string;
+  seen_deg: [number, number][];
+  turned_left_deg: number;
+  turned_right_deg: number;
+  needed_deg: number;
+}
 export interface Status {
   version: string;
   state: string;
@@ -76,6 +86,7 @@ export interface Status {
   studio: StudioStatus | null;
   stream: { readers: { frames_dropped: number }[] };
   recording: Recording | null;
+  learning: Learning | null;
   takes: { list: number };
 }
 export interface Take {
