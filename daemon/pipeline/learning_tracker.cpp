@@ -233,7 +233,7 @@ void LearningTracker::solve(const std::function<bool()>& go_on, const person::Ob
     }
   } catch (const std::exception&) {
     solved.tracker.reset();
-    solved.face.note.clear();  // want of memory leaves none for words
+    solved.face.note.clear();  // want of memory leaves none for words: take_solved finds them
   }
   const Lock lock(mutex_);
   solved_ = std::move(solved);
@@ -310,6 +310,9 @@ void LearningTracker::take_solved() {
   }
   learned_.note = std::move(solved->face.note);
   if (solved->tracker == nullptr) {
+    if (learned_.note.empty()) {
+      learned_.note = "the head turns, but memory ran out while its shape was learned";
+    }
     show(LearningStatus::State::Looking);
     return;
   }
