@@ -78,6 +78,17 @@ await runTest(service, chromiumFile, async (browser, step) => {
     await eventually('its handle', async () => (await handle.count()) === count + 1);
   }
   await page.locator('.hint').first().waitFor();
+  // Pictures of the take may still be under way: the pose is seen where a hint lies still while three more frames come.
+  const received = () => page.evaluate(() => Number(document.body.dataset.frames ?? 0));
+  await eventually('the pose is seen', async () => {
+    const place = () => page.locator('.hint[data-place="nose"]').boundingBox();
+    const before = await place();
+    const until = (await received()) + 3;
+    await eventually('three more frames', async () => (await received()) >= until);
+    await freshPicture();
+    const after = await place();
+    return before && after && before.x === after.x && before.y === after.y;
+  });
   // A press beside the hints: the vertex that is seen there.
   const nose = await page.locator('.hint[data-place="nose"]').boundingBox();
   await page.mouse.click(nose.x + nose.width / 2, nose.y - 30);
