@@ -21,6 +21,8 @@
 #include "maths/statistics.hpp"
 #include "mesh/quads.hpp"
 #include "person/enrolment.hpp"
+#include "person/improved_person.hpp"
+#include "person/person_file.hpp"
 #include "pipeline/observe_head.hpp"
 #include "report/evaluation.hpp"
 #include "simulation/truth_mesh.hpp"
@@ -37,6 +39,8 @@ struct Options {
   person::EnrolmentOptions enrolment;
   std::vector<double> curvatures{person::AnchorStrength().curvature};
   bool solve_expressions = false;
+  std::filesystem::path person;
+  std::vector<std::filesystem::path> against;
 };
 
 double processor_s() {
@@ -140,6 +144,10 @@ void learn(const Options& options, const face::FaceModel& model, const std::file
   const double begun = processor_s();
   const person::LearnedShape learned = person::learn_shape(model, observed, enrolment, {});
   const double solved = processor_s();
+  if (learned.neutral_mm.cols() == 0) {
+    fmt::print("{}: {}\n", folder.filename().string(), learned.refused);
+    return;
+  }
   const report::Truth truth(simulation::read_truth_ply(folder / "truth/neutral.ply"));
   const Eigen::Matrix3Xd before = model.contract_identity(observed.identity).neutral_mm.cast<double>();
   const Measured generic = measure(model, before, truth, nullptr);
@@ -178,6 +186,23 @@ void learn(const Options& options, const face::FaceModel& model, const std::file
   }
 }
 
+/// A person who was kept, against the truth of the only folder.
+void measure_person(const Options& options, const face::FaceModel& model) {
+  const person::PersonFile person = person::read_person(options.person);
+  const report::Truth truth(simulation::read_truth_ply(options.folders.front() / "truth/neutral.ply"));
+  const Eigen::VectorXd sigma = Eigen::Map<const Eigen::VectorXf>(
+                                    person.sigma_mm.data(), static_cast<Eigen::Index>(person.sigma_mm.size()))
+                                    .cast<double>();
+  const Measured own = measure(model, person.neutral_mm.cast<double>(), truth, &sigma);
+  fmt::print("{}: {:.3f} mm, p95 {:.2f}, normals {:.1f}, 2 sigma {:.0f} %\n",
+             options.person.filename().string(), own.mean_mm, own.p95_mm, own.normals_deg,
+             100 * own.within_two_sigma);
+  for (const std::filesystem::path& file : options.against) {
+    fmt::print("    from {}: {:.2f} standard deviations apart\n", file.filename().string(),
+               person::improved(model, person, person::read_person(file)).disagreement);
+  }
+}
+
 void run_one(const Options& options, const face::FaceModel& model, const std::filesystem::path& folder) {
   pipeline::ShadingConfig config;
   config.source.path = folder / "video.mkv";
@@ -213,6 +238,11 @@ int main(int argc, char** argv) {
       ->required()
       ->check(CLI::ExistingDirectory);
   app.add_option("--model", options.model)->check(CLI::ExistingFile);
+  app.add_option("--person", options.person,
+                 "nothing is learned: this person is measured against the folder's")
+      ->check(CLI::ExistingFile);
+  app.add_option("--against", options.against, "with --person: other persons, how far apart they are")
+      ->check(CLI::ExistingFile);
   app.add_option("--save", options.save, "folder for the persons' face models");
   app.add_option("--keyframes", options.enrolment.keyframes);
   app.add_option("--rounds", options.enrolment.rounds);
@@ -223,6 +253,10 @@ int main(int argc, char** argv) {
   CLI11_PARSE(app, argc, argv);
   try {
     const face::FaceModel model = face::FaceModel::load(options.model);
+    if (!options.person.empty()) {
+      measure_person(options, model);
+      return 0;
+    }
     for (const std::filesystem::path& folder : options.folders) {
       run_one(options, model, folder);
     }

@@ -200,7 +200,7 @@ Score refine_sequence(gpu::Context& context, const face::FaceModel& model, const
                       const std::function<void(std::size_t, const refine::RefineOutput&)>& at_measured) {
   refine::Refiner refiner(context, config);
   refiner.set_subject({sequence.subject->hierarchy, model.mean_albedo, model.control.refinable,
-                       sequence.true_albedo, face::shading_trust(model)});
+                       sequence.true_albedo, face::shading_trust(model), model.identity_count() == 0});
   report::FigureSum sum;
   report::WrinkleSum wrinkles;
   Score score;

@@ -44,6 +44,7 @@ void set(RefinerConfig& config, const std::string& name, float value) {
     config.weights.displacement_hierarchy = value;
   } else if (name == "w5") {
     config.weights.displacement_coarse = value;
+    config.weights.displacement_coarse_known = value;
   } else if (name == "fold") {
     config.fold_slope = value;
   } else if (name == "robust") {

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -29,6 +30,9 @@ constexpr double kBoundPx = 1;
 constexpr std::size_t kFewestKeyframes = 6;
 /// Skin that has turned further, in degrees, has folded over.
 constexpr double kFolds = 75;
+/// Of the guess's depth: three and a half standard deviations of heads that were scanned. A photo shows 0.5
+/// to 0.7.
+constexpr double kFlat = 0.78;
 
 double median_of_finite(std::vector<double> values) {
   values.erase(std::remove_if(values.begin(), values.end(), [](double v) { return !std::isfinite(v); }),
@@ -246,6 +250,18 @@ class Enrolment {
     return std::acos(std::clamp(static_cast<double>(least), -1.0, 1.0)) * 180 / std::numbers::pi;
   }
 
+  /// How deep the skin is from nose to ears against how wide and high it is, as a factor of the guess's.
+  double depth_against_guess(const Eigen::Matrix3Xd& neutral_mm) const {
+    const std::vector<std::int32_t>& skin = solver_.skin();
+    Eigen::Matrix3Xd before = solver_.generic_control()(Eigen::all, skin);
+    Eigen::Matrix3Xd after = neutral_mm(Eigen::all, skin);
+    before.colwise() -= before.rowwise().mean().eval();
+    after.colwise() -= after.rowwise().mean().eval();
+    const Eigen::Matrix3d map =
+        (before * before.transpose()).ldlt().solve(before * after.transpose()).transpose();
+    return map(2, 2) / std::sqrt(std::max(map(0, 0) * map(1, 1), 1e-9));
+  }
+
   void judge(LearnedShape& out) {
     const auto gate = [&](const char* name, double value, double limit, bool passed, std::string sentence) {
       out.gates.push_back({name, value, limit, passed, passed ? "" : std::move(sentence)});
@@ -259,6 +275,9 @@ class Enrolment {
     const double turned = most_turned_deg(out.neutral_mm);
     gate("skin turned against the model's, degrees", turned, kFolds, turned <= kFolds,
          "the shape found folds");
+    const double depth = depth_against_guess(out.neutral_mm);
+    gate("depth against the model's", depth, kFlat, depth >= kFlat,
+         "what was seen is flat, as a photo of a face is");
     gate("distance from the model's heads", solver_.identity_distance(), 2.5,
          solver_.identity_distance() <= 2.5, "this is no head, or not one head");
     gate("offset from the model, mm", solver_.offset_mm(), 8, solver_.offset_mm() <= 8,

@@ -120,6 +120,21 @@ void fill(PersonFile& person, const Info& info, const face::ChunkReader& chunks)
   }
 }
 
+std::vector<std::byte> bytes_of_file(const PersonFile& person) {
+  const std::string info = document_of(person).dump();
+  face::ChunkWriter writer(kFormat);
+  writer.add("INFO", face::bytes_of(info.data(), info.size()), false);
+  writer.add("MODL", face::bytes_of(&person.model_checksum, 1), false);
+  writer.add("NEUT",
+             face::bytes_of(person.neutral_mm.data(), static_cast<std::size_t>(person.neutral_mm.size())),
+             false);
+  writer.add("IDEN", face::bytes_of(person.identity.data(), person.identity.size()), false);
+  if (!person.sigma_mm.empty()) {
+    writer.add("SIGM", face::bytes_of(person.sigma_mm.data(), person.sigma_mm.size()), false);
+  }
+  return writer.file();
+}
+
 }  // namespace
 
 std::uint64_t model_checksum(const face::FaceModel& model) {
@@ -206,20 +221,15 @@ PersonFile read_person(const std::filesystem::path& file) {
 }
 
 void write_person(const PersonFile& person, const std::filesystem::path& file) {
-  const std::string info = document_of(person).dump();
-  face::ChunkWriter writer(kFormat);
-  writer.add("INFO", face::bytes_of(info.data(), info.size()), false);
-  writer.add("MODL", face::bytes_of(&person.model_checksum, 1), false);
-  writer.add("NEUT",
-             face::bytes_of(person.neutral_mm.data(), static_cast<std::size_t>(person.neutral_mm.size())),
-             false);
-  writer.add("IDEN", face::bytes_of(person.identity.data(), person.identity.size()), false);
-  if (!person.sigma_mm.empty()) {
-    writer.add("SIGM", face::bytes_of(person.sigma_mm.data(), person.sigma_mm.size()), false);
-  }
   files::OutputFile out(file, kOwnerAlone);
-  out.write(writer.file());
+  out.write(bytes_of_file(person));
   out.commit_new();
+}
+
+void replace_person(const PersonFile& person, const std::filesystem::path& file) {
+  files::OutputFile out(file, kOwnerAlone);
+  out.write(bytes_of_file(person));
+  out.commit();
 }
 
 face::FaceModel model_of(const PersonFile& person, const face::FaceModel& model, const std::string& source) {

@@ -389,7 +389,8 @@ void ShadingPipeline::Impl::follow_subject(const Tracked& item) {
   refiner.set_subject({.hierarchy = subject->hierarchy,
                        .mean_albedo = item.model->mean_albedo,
                        .refinable = item.model->control.refinable,
-                       .trust = face::shading_trust(*item.model)});
+                       .trust = face::shading_trust(*item.model),
+                       .known_shape = item.model->identity_count() == 0});
 }
 
 void ShadingPipeline::Impl::add_displacements(Tracked& item) {

@@ -54,12 +54,13 @@ struct Level {
   std::optional<DeviceArray> in_finer;  ///< fine_albedo: [vertex_count] device index in the next finer level
 };
 
-DisplacementOptions displacement_options(const RefinerConfig& config, bool has_prior, int steps,
-                                         int pcg_iterations) {
+DisplacementOptions displacement_options(const RefinerConfig& config, bool known_shape, bool has_prior,
+                                         int steps, int pcg_iterations) {
   DisplacementOptions out;
   out.smooth_weight = config.weights.displacement_smooth;
   out.hierarchy_weight = has_prior ? config.weights.displacement_hierarchy : 0;
-  out.coarse_weight = config.weights.displacement_coarse;
+  out.coarse_weight =
+      known_shape ? config.weights.displacement_coarse_known : config.weights.displacement_coarse;
   out.robust_scale = config.robust_scale;
   out.fold_slope = config.fold_slope;
   out.bound_mm = config.displacement_bound_mm;
@@ -135,6 +136,7 @@ struct SubjectBuffers {
   SubjectBuffers(gpu::Context& context, const RefinerConfig& config, const SubjectSetup& subject);
 
   std::uint32_t control_vertex_count;
+  bool known_shape = false;
   std::vector<std::unique_ptr<Level>> levels;
   mesh::Triangles triangles;  ///< of the coarsest level, in device order
   DeviceArray handed_out_as;  ///< [finest vertex_count] DeviceOrder::host_index
@@ -216,6 +218,7 @@ struct Refiner::Impl {
 SubjectBuffers::SubjectBuffers(gpu::Context& context, const RefinerConfig& config,
                                const SubjectSetup& subject)
     : control_vertex_count(static_cast<std::uint32_t>(subject.hierarchy->control_vertex_count)),
+      known_shape(subject.known_shape),
       levels([&] {
         const auto free = free_vertices(*subject.hierarchy, subject.refinable);
         const auto trust = trust_of_levels(*subject.hierarchy, subject.trust);
@@ -369,7 +372,7 @@ void Kernels::record_displacements(gpu::Batch& batch, const RefinerConfig& confi
     }
     const bool has_prior = prolonged || (l == 0 && config.given_prior);
     const DisplacementOptions options =
-        displacement_options(config, has_prior, plan.steps[l], plan.pcg_iterations);
+        displacement_options(config, subject.known_shape, has_prior, plan.steps[l], plan.pcg_iterations);
     const std::uint32_t slot = first_energy_slot(config, l);
     displacement.record(batch, level.topology, level.state, subject.scratch, subject.lighting.light, options,
                         slot);

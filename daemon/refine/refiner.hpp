@@ -21,9 +21,10 @@ namespace facet::refine {
 struct Weights {
   float lighting_temporal = 0.05F;  ///< w1 [MD19 eq. 3], in units of what all visible vertices weigh together
   float albedo_smooth = 600.0F;     ///< w2 [MD19 eq. 4], against a vertex of mean brightness
-  float displacement_smooth = 10.0F;    ///< w3 [MD19 eq. 6], of the squared slope (L d) / spacing
-  float displacement_hierarchy = 1.0F;  ///< w4 [MD19 eq. 6], of the squared slope (pd - d) / spacing
-  float displacement_coarse = 0.004F;   ///< w5 [MD19 eq. 6], of d^2 in mm^2
+  float displacement_smooth = 10.0F;        ///< w3 [MD19 eq. 6], of the squared slope (L d) / spacing
+  float displacement_hierarchy = 1.0F;      ///< w4 [MD19 eq. 6], of the squared slope (pd - d) / spacing
+  float displacement_coarse = 0.004F;       ///< w5 [MD19 eq. 6], of d^2 in mm^2
+  float displacement_coarse_known = 0.03F;  ///< w5 where SubjectSetup::known_shape
 };
 
 struct RefinerConfig {
@@ -75,6 +76,9 @@ struct SubjectSetup {
   /// [control_vertex_count] 0 to 1: how far what shades the skin there is its shape (face::shading_trust);
   /// its product with what is seen of a vertex is the weight of its data. Empty: 1.
   std::vector<float> trust = {};
+  /// The coarse mesh is of the person's own shape, learned or enrolled: it is nearer than a guess, and what
+  /// shading says against it counts for less.
+  bool known_shape = false;
 };
 
 /// What a camera beside the reference camera adds to a frame.

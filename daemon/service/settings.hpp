@@ -160,6 +160,7 @@ inline constexpr Setting<refine::Weights> kWeights[] = {
     {"displacement_smooth", &at<&refine::Weights::displacement_smooth>, 0, 1e9},
     {"displacement_hierarchy", &at<&refine::Weights::displacement_hierarchy>, 0, 1e9},
     {"displacement_coarse", &at<&refine::Weights::displacement_coarse>, 0, 1e9},
+    {"displacement_coarse_known", &at<&refine::Weights::displacement_coarse_known>, 0, 1e9},
 };
 
 inline constexpr Setting<stream::StreamServerConfig> kStream[] = {

@@ -3,19 +3,13 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <algorithm>
-#include <cmath>
 #include <filesystem>
-#include <utility>
 
+#include "actors_turn.hpp"
 #include "facet/assets.hpp"
-#include "report/evaluation.hpp"
-#include "simulation/actor_sequence.hpp"
 
 namespace facet::person {
 namespace {
-
-constexpr double kGuess = 0.85;  // of the true focal length
 
 class EnrolmentTest : public ::testing::Test {
  protected:
@@ -26,50 +20,6 @@ class EnrolmentTest : public ::testing::Test {
     model_ = face::FaceModel::load(default_model_file());
   }
 
-  /// What a tracker that guesses a mean face and a focal length that is short would have of an actor's calm
-  /// turn.
-  Observed look(const simulation::ActorSequence& actor, const std::vector<int>& frames) const {
-    Observed out;
-    out.camera = actor.camera();
-    out.camera.fx *= static_cast<float>(kGuess);
-    out.camera.fy = out.camera.fx;
-    out.identity.assign(static_cast<std::size_t>(model_.identity_count()), 0);
-    out.rest = Eigen::VectorXd::Zero(model_.expression_count());
-    out.usual_reprojection_px = 1;
-    for (const int index : frames) {
-      const simulation::SyntheticFrame frame = actor.render(index, nullptr);
-      Keyframe keyframe;
-      keyframe.sequence = static_cast<std::uint64_t>(index);
-      keyframe.camera_from_head = frame.camera_from_head.cast<double>();
-      keyframe.camera_from_head.translation().z() *= kGuess;
-      keyframe.expression = out.rest;
-      std::tie(keyframe.yaw_deg, keyframe.pitch_deg) = orientation_deg(keyframe.camera_from_head);
-      keyframe.picture = {0, 0, frame.picture.width_px, frame.picture.height_px, frame.picture.rgb};
-      out.keyframes.push_back(std::move(keyframe));
-    }
-    return out;
-  }
-
-  /// Mean distance of the skin from the actor's face at rest, mm.
-  double error_mm(const Eigen::Matrix3Xd& neutral_mm, const report::Truth& truth) const {
-    report::Reconstruction mesh;
-    mesh::apply(surface_rows(model_), neutral_mm.cast<float>().eval(), mesh.vertices_mm);
-    mesh.normals = Eigen::Matrix3Xf::Zero(3, mesh.vertices_mm.cols());
-    for (std::int32_t v = 0; v < model_.vertex_count(); ++v) {
-      if (model_.control.refinable[static_cast<std::size_t>(v)] != 0) {
-        mesh.measured.push_back(v);
-      }
-    }
-    mesh.normals.row(2).setOnes();
-    const report::Comparison compared = report::measure(
-        mesh, truth, report::align_from({&mesh, &truth}, report::Alignment::Similarity, maths::Similarity()));
-    double sum = 0;
-    for (const float distance : compared.signed_distance_mm) {
-      sum += std::isfinite(distance) ? static_cast<double>(std::abs(distance)) : 10;
-    }
-    return sum / static_cast<double>(mesh.measured.size());
-  }
-
   face::FaceModel model_;
 };
 
@@ -77,15 +27,8 @@ TEST_F(EnrolmentTest, AnActorsTurnShowsTheShape) {
 #ifdef FACET_SANITIZED
   GTEST_SKIP() << "minutes under a sanitizer; the parts have tests of their own";
 #endif
-  simulation::ActorSequenceConfig config;
-  config.seed = 352;
-  config.width_px = 480;
-  config.height_px = 360;
-  config.frame_count = 300;
-  config.calm_turn = true;
-  config.sensor_noise = false;
-  const simulation::ActorSequence actor(model_, config);
-  const Observed observed = look(actor, {30, 45, 75, 105, 135, 150, 165});
+  const simulation::ActorSequence actor(model_, actors_turn());
+  const Observed observed = look_at(model_, actor);
   EnrolmentOptions options;
   options.rounds = 2;
   options.chart_texels = 448;
@@ -105,8 +48,8 @@ TEST_F(EnrolmentTest, AnActorsTurnShowsTheShape) {
   EXPECT_TRUE(learned.accepted) << learned.refused;
   EXPECT_NEAR(learned.focal_px / static_cast<double>(actor.camera().fx), 1, 0.06);
   const report::Truth truth(actor.neutral());
-  const double before = error_mm(model_.core_row(0, 0).cast<double>(), truth);
-  const double after = error_mm(learned.neutral_mm, truth);
+  const double before = error_mm(model_, model_.core_row(0, 0).cast<double>(), truth);
+  const double after = error_mm(model_, learned.neutral_mm, truth);
   EXPECT_LT(after, 0.7 * before) << "before: " << before;
   EXPECT_EQ(learned.keyframes.size(), observed.keyframes.size());
 }

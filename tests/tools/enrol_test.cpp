@@ -91,6 +91,19 @@ TEST_F(Enrol, APlaceThatCannotBeIsRefusedBeforeAnythingIsLearned) {
   EXPECT_THAT(output_, HasSubstr("somebody is called 'ada' already"));
 }
 
+TEST_F(Enrol, WhoIsToBeImprovedMustBeThere) {
+  std::ofstream(file("facet.toml")) << "[persons]\nfolder = \"kept\"\n";
+  std::filesystem::create_directory(file("kept"));
+  EXPECT_EQ(run({"enrol", clip(), "--improve", "ada", "--config", file("facet.toml")}), 2);
+  EXPECT_THAT(output_, HasSubstr("ada"));
+  EXPECT_EQ(run({"enrol", clip(), "--improve", file("ada.person")}), 3);
+  std::ofstream(file("kept/ada.person")) << "cut";
+  EXPECT_EQ(run({"enrol", clip(), "--improve", "ada", "--config", file("facet.toml")}), 3);
+  EXPECT_THAT(output_, HasSubstr("unreadable person"));
+  EXPECT_EQ(run({"enrol", clip(), "--improve", "ada", "--name", "ada"}), 2);
+  EXPECT_THAT(output_, HasSubstr("leave --name out"));
+}
+
 /// A daemon's control socket: what it answers is the test's.
 class Answering {
  public:
@@ -166,6 +179,8 @@ TEST_F(Enrol, LiveSaysWhatToDoAndHasTheDaemonKeepThePerson) {
 TEST_F(Enrol, LiveAndAVideoDoNotGoTogether) {
   EXPECT_EQ(run({"enrol", "--live", clip(), "--name", "ada"}), 2);
   EXPECT_THAT(output_, HasSubstr("--live takes no video"));
+  EXPECT_EQ(run({"enrol", "--live", "--improve", "ada", "--name", "ada"}), 2);
+  EXPECT_THAT(output_, HasSubstr("no --improve"));
   EXPECT_EQ(run({"enrol", "--live"}), 2);
   EXPECT_THAT(output_, HasSubstr("give the person's --name"));
   EXPECT_EQ(run({"enrol", "--name", "ada"}), 2);

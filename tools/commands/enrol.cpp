@@ -11,11 +11,13 @@
 #include <optional>
 #include <string>
 #include <thread>
+#include <utility>
 
 #include "daemon_options.hpp"
 #include "facet/error.hpp"
 #include "options.hpp"
 #include "person/enrolment.hpp"
+#include "person/improved_person.hpp"
 #include "person/person_folder.hpp"
 #include "persons.hpp"
 #include "pipeline/observe_head.hpp"
@@ -37,6 +39,7 @@ struct Options {
   std::string config;
   std::string frames;
   std::string socket;
+  std::string improve;
   bool live = false;
 };
 
@@ -76,22 +79,43 @@ person::LearnedShape learn(const face::FaceModel& model, const person::Observed&
   return learned;
 }
 
-/// Where the person goes, and what for a name.
+/// Where the person goes, what for a name, and who it is.
 struct Place {
   std::filesystem::path file;
   std::string name;
+  std::optional<person::PersonFile> before;  ///< who is enrolled once more
+  bool replaces = false;                     ///< the file is there, and theirs
 };
 
 /// Refuses before anything is learned what could not be written after it.
 Place place_of(const Options& options) {
+  if (!options.improve.empty()) {
+    if (!options.name.empty()) {
+      throw Error(ErrorKind::Usage, "--improve keeps the person's name: leave --name out");
+    }
+    const std::filesystem::path known = person::person_file(
+        options.improve,
+        person::is_person_path(options.improve) ? std::filesystem::path() : persons_folder(options.config));
+    Place place{known, "", person::read_person(known), true};
+    place.name = place.before->name;
+    if (!options.person.empty()) {
+      place.file = options.person;
+      place.replaces = false;
+    }
+    if (!place.replaces && std::filesystem::exists(place.file)) {
+      throw Error(ErrorKind::Usage,
+                  fmt::format("'{}' exists already: give another name, or remove it", options.person));
+    }
+    return place;
+  }
   if (options.person.empty() && options.name.empty()) {
     throw Error(ErrorKind::Usage,
                 "give the person's --name, to be kept in the folder of persons, or a file with -o");
   }
   if (options.person.empty()) {
-    return {person::new_person_file(persons_folder(options.config), options.name), options.name};
+    return {person::new_person_file(persons_folder(options.config), options.name), options.name, {}, false};
   }
-  Place place{options.person, options.name};
+  Place place{options.person, options.name, {}, false};
   if (place.name.empty()) {
     place.name = place.file.stem().string();
   }
@@ -101,6 +125,21 @@ Place place_of(const Options& options) {
                 fmt::format("'{}' exists already: give another name, or remove it", options.person));
   }
   return place;
+}
+
+/// The person before, made better by what was learned now.
+person::PersonFile improve(const face::FaceModel& model, const person::PersonFile& before,
+                           const person::PersonFile& now, const Options& options) {
+  person::ImprovedPerson both = person::improved(model, before, now);
+  tell("  {:<34} {:8.3f}   (limit {:.3f}){}\n", "distance from who is known, sigma", both.disagreement,
+       person::kSameHead, both.same_head ? "" : "   refused");
+  if (!both.same_head) {
+    throw Error(ErrorKind::NoFace,
+                fmt::format("'{}': this is not the head of '{}': nothing was changed; give the right person, "
+                            "or enrol this one with --name",
+                            options.video, options.improve));
+  }
+  return std::move(both.person);
 }
 
 void run(const Options& options) {
@@ -155,7 +194,10 @@ void run(const Options& options) {
   person::PersonFile person = person::person_of(*parts.model, *observed, learned);
   person.name = place.name;
   person.software = "facet enrol " FACET_VERSION;
-  person::write_person(person, place.file);
+  if (place.before) {
+    person = improve(*parts.model, *place.before, person, options);
+  }
+  place.replaces ? person::replace_person(person, place.file) : person::write_person(person, place.file);
   tell("{}: focal length {:.0f} px of {}x{} (was taken for {:.0f}); follow this face with --person {}\n",
        place.file.string(), learned.focal_px, person.width_px, person.height_px,
        static_cast<double>(observed->camera.fx), options.person.empty() ? place.name : options.person);
@@ -185,9 +227,10 @@ std::string next_step(const json& learning) {
 
 /// Has the daemon keep what the head before its camera shows.
 void run_live(const Options& options) {
-  if (!options.video.empty() || !options.person.empty() || !options.frames.empty()) {
+  if (!options.video.empty() || !options.person.empty() || !options.frames.empty() ||
+      !options.improve.empty()) {
     throw Error(ErrorKind::Usage,
-                "--live takes no video, no --frames and no -o: the daemon's camera sees the "
+                "--live takes no video, no --frames, no --improve and no -o: the daemon's camera sees the "
                 "head, and its [persons] folder keeps who is named with --name");
   }
   if (options.name.empty()) {
@@ -241,6 +284,10 @@ void add_enrol_command(Command program) {
               "recognise the face. Default: NAME.person of --name, in the folder of persons")
       .ends_in({".person"});
   command.option("--name", options->name, "The person's name; default: the file's");
+  command.option("--improve", options->improve,
+                 "A person who is known already, by name or file: the mean of both shapes, each weighted by "
+                 "how certain it is, goes in the place of the first one (with -o into that file). Refused "
+                 "where it is another head");
   command.option("--config", options->config,
                  "Configuration file; of [source], only frames and intrinsics count. Its [persons] folder is "
                  "where the person goes, without it that of the installed configuration");

@@ -1,0 +1,25 @@
+#pragma once
+
+#include <Eigen/Geometry>
+#include <vector>
+
+#include "face/face_model.hpp"
+#include "person/keyframes.hpp"
+#include "report/evaluation.hpp"
+#include "simulation/actor_sequence.hpp"
+
+namespace facet::person {
+
+/// An actor who turns calmly in small pictures, as enrolment gets to see it.
+simulation::ActorSequenceConfig actors_turn();
+
+/// What a tracker that guesses a mean face and a focal length that is short by kShort would have of an
+/// actor's calm turn: seven pictures.
+Observed look_at(const face::FaceModel& model, const simulation::ActorSequence& actor);
+
+inline constexpr double kShort = 0.85;
+
+/// Mean distance of the skin from the actor's face at rest, mm.
+double error_mm(const face::FaceModel& model, const Eigen::Matrix3Xd& neutral_mm, const report::Truth& truth);
+
+}  // namespace facet::person
