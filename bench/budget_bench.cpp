@@ -38,7 +38,7 @@ Run run(facet::gpu::Context& context, const facet::face::FaceModel& model, const
   config.record_energies = true;
   facet::refine::Refiner refiner(context, config);
   refiner.set_subject({sequence.subject->hierarchy, model.mean_albedo, model.control.refinable, albedo,
-                       facet::face::shading_trust(model)});
+                       facet::face::shading_trust(model), model.identity_count() == 0});
   Run out;
   out.name = name;
   facet::refine::RefineOutput output;

@@ -206,7 +206,7 @@ void plot_convergence(facet::gpu::Context& context, const facet::face::FaceModel
     config.record_energies = true;
     facet::refine::Refiner refiner(context, config);
     refiner.set_subject({sequence.subject->hierarchy, model.mean_albedo, model.control.refinable, albedo,
-                         facet::face::shading_trust(model)});
+                         facet::face::shading_trust(model), model.identity_count() == 0});
     refiner.submit({frame.image, frame.camera, frame.camera_from_head, &frame.control_vertices_mm});
     facet::refine::RefineOutput output;
     if (refiner.collect(output) != facet::refine::RefineOutcome::Refined) {

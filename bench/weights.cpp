@@ -44,6 +44,7 @@ void set(RefinerConfig& config, const std::string& name, float value) {
     config.weights.displacement_hierarchy = value;
   } else if (name == "w5") {
     config.weights.displacement_coarse = value;
+  } else if (name == "w5_known") {
     config.weights.displacement_coarse_known = value;
   } else if (name == "fold") {
     config.fold_slope = value;
@@ -67,7 +68,7 @@ void set(RefinerConfig& config, const std::string& name, float value) {
     config.budget = value != 0 ? facet::refine::Budget::Paper : facet::refine::Budget::Auto;
   } else {
     throw Error(ErrorKind::Usage,
-                fmt::format("no setting {}; there are w1 to w5, fold, robust, metric, steps, "
+                fmt::format("no setting {}; there are w1 to w5, w5_known, fold, robust, metric, steps, "
                             "pcg, albedo_frames, fine_albedo, hierarchical, paper",
                             name));
   }

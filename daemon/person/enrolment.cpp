@@ -30,8 +30,7 @@ constexpr double kBoundPx = 1;
 constexpr std::size_t kFewestKeyframes = 6;
 /// Skin that has turned further, in degrees, has folded over.
 constexpr double kFolds = 75;
-/// Of the guess's depth: three and a half standard deviations of heads that were scanned. A photo shows 0.5
-/// to 0.7.
+/// Of the guess's depth (docs/decisions/person.md, "A photo").
 constexpr double kFlat = 0.78;
 
 double median_of_finite(std::vector<double> values) {
@@ -259,7 +258,8 @@ class Enrolment {
     after.colwise() -= after.rowwise().mean().eval();
     const Eigen::Matrix3d map =
         (before * before.transpose()).ldlt().solve(before * after.transpose()).transpose();
-    return map(2, 2) / std::sqrt(std::max(map(0, 0) * map(1, 1), 1e-9));
+    const bool upright = map(0, 0) > 0 && map(1, 1) > 0 && map(2, 2) > 0;
+    return upright ? map(2, 2) / std::sqrt(map(0, 0) * map(1, 1)) : 0;
   }
 
   void judge(LearnedShape& out) {

@@ -184,6 +184,10 @@ PersonFile parse_person(std::span<const std::byte> bytes, const std::string& sou
                   [](float y) { return !(std::abs(y) <= 100); })) {
     chunks.fail("its face is no face: a coordinate is not finite or far off");
   }
+  if (std::any_of(person.sigma_mm.begin(), person.sigma_mm.end(),
+                  [](float sigma) { return !std::isnan(sigma) && !(sigma >= 0 && sigma <= kFarthestMm); })) {
+    chunks.fail("a standard deviation is negative or far off");
+  }
   return person;
 }
 
@@ -226,19 +230,29 @@ void write_person(const PersonFile& person, const std::filesystem::path& file) {
   out.commit_new();
 }
 
-void replace_person(const PersonFile& person, const std::filesystem::path& file) {
+void replace_person(const PersonFile& person, const PersonFile& before, const std::filesystem::path& file) {
+  std::error_code error;
+  if (!std::filesystem::is_regular_file(std::filesystem::symlink_status(file, error)) ||
+      bytes_of_file(read_person(file)) != bytes_of_file(before)) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("'{}' was deleted or changed meanwhile: it stays as it is now", file.string()));
+  }
   files::OutputFile out(file, kOwnerAlone);
   out.write(bytes_of_file(person));
   out.commit();
 }
 
-face::FaceModel model_of(const PersonFile& person, const face::FaceModel& model, const std::string& source) {
+void check_model(const PersonFile& person, const face::FaceModel& model, const std::string& source) {
   if (person.model_checksum != model_checksum(model) || person.neutral_mm.cols() != model.vertex_count() ||
       person.identity.size() != static_cast<std::size_t>(model.identity_count())) {
     throw Error(ErrorKind::Usage, fmt::format("{}: this person was enrolled with the face model '{}', not "
                                               "with '{}': give that one, or enrol again",
                                               source, person.model_name, model.name));
   }
+}
+
+face::FaceModel model_of(const PersonFile& person, const face::FaceModel& model, const std::string& source) {
+  check_model(person, model, source);
   return face::person_model(model, person.identity, person.neutral_mm.cast<double>(), person.name);
 }
 

@@ -52,8 +52,13 @@ PersonFile parse_person(std::span<const std::byte> bytes, const std::string& sou
 /// Written whole or not at all, readable by its owner alone. Throws Error(Storage), and Error(Usage) where
 /// the file is there already: nobody is replaced.
 void write_person(const PersonFile& person, const std::filesystem::path& file);
-/// The same in place of the file that is there, for who was enrolled once more.
-void replace_person(const PersonFile& person, const std::filesystem::path& file);
+/// The same in place of the file that `before` was read from, for who was enrolled once more. Throws
+/// Error(Usage) where that is not what is there any more: who was deleted meanwhile stays so.
+void replace_person(const PersonFile& person, const PersonFile& before, const std::filesystem::path& file);
+
+/// Throws Error(Usage) naming both models where a person was found with another one. source: the person's
+/// file, for messages.
+void check_model(const PersonFile& person, const face::FaceModel& model, const std::string& source);
 
 /// The person as a face model (face::person_model). Throws Error(Usage) naming both models where it was found
 /// with another one. source: the person's file, for messages.

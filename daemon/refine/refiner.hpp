@@ -76,8 +76,8 @@ struct SubjectSetup {
   /// [control_vertex_count] 0 to 1: how far what shades the skin there is its shape (face::shading_trust);
   /// its product with what is seen of a vertex is the weight of its data. Empty: 1.
   std::vector<float> trust = {};
-  /// The coarse mesh is of the person's own shape, learned or enrolled: it is nearer than a guess, and what
-  /// shading says against it counts for less.
+  /// The coarse mesh is of one head's own shape and no guess among many (a face model without identities:
+  /// a person's, learned or enrolled): it is nearer, and what shading says against it counts for less.
   bool known_shape = false;
 };
 

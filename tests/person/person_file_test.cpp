@@ -99,6 +99,43 @@ TEST_F(PersonFileTest, NobodyIsReplaced) {
   EXPECT_EQ(std::distance(std::filesystem::directory_iterator(folder_.path()), {}), 1) << "no part is left";
 }
 
+TEST_F(PersonFileTest, WhoIsEnrolledOnceMoreIsReplaced) {
+  written();
+  const PersonFile before = read_person(file_);
+  PersonFile better = before;
+  better.keyframes = 28;
+  replace_person(better, before, file_);
+  EXPECT_EQ(read_person(file_).keyframes, 28);
+  struct stat status {};
+  ASSERT_EQ(::stat(file_.c_str(), &status), 0);
+  EXPECT_EQ(status.st_mode & 0777U, 0600U);
+  EXPECT_EQ(std::distance(std::filesystem::directory_iterator(folder_.path()), {}), 1) << "no part is left";
+}
+
+/// A solve takes minutes: what somebody else did with the file meanwhile stands.
+TEST_F(PersonFileTest, WhoWasDeletedOrChangedMeanwhileStaysSo) {
+  written();
+  const PersonFile before = read_person(file_);
+  PersonFile other = before;
+  other.keyframes = 21;
+  replace_person(other, before, file_);
+  EXPECT_THROW(replace_person(before, before, file_), Error);
+  EXPECT_EQ(read_person(file_).keyframes, 21);
+  std::filesystem::rename(file_, folder_.path() / "elsewhere.person");
+  std::filesystem::create_symlink(folder_.path() / "elsewhere.person", file_);
+  EXPECT_THROW(replace_person(before, other, file_), Error) << "a link";
+  std::filesystem::remove(file_);
+  EXPECT_THROW(replace_person(before, other, file_), Error);
+  EXPECT_FALSE(std::filesystem::exists(file_));
+}
+
+TEST_F(PersonFileTest, AnUncertaintyThatIsNoneIsRefused) {
+  for (const float bad : {std::numeric_limits<float>::infinity(), -0.1F, 1e6F}) {
+    person_.sigma_mm[7] = bad;
+    EXPECT_THAT(refusal(written()), HasSubstr("a standard deviation is negative or far off")) << bad;
+  }
+}
+
 TEST_F(PersonFileTest, ACutOrDamagedFileIsRefusedByName) {
   const std::string whole = written();
   EXPECT_THAT(refusal(whole.substr(0, whole.size() / 2)), HasSubstr("x.person: unreadable person: it is"));

@@ -126,6 +126,7 @@ class ScriptedRefiner final : public refine::RefineStage {
   std::string device() const override { return "scripted GPU"; }
   void set_subject(const refine::SubjectSetup& subject) override {
     ++script_.subjects_set;
+    script_.known_shapes.push_back(subject.known_shape);
     vertex_count_ = static_cast<std::size_t>(subject.hierarchy->finest().vertex_count);
   }
   void restart() override { restarted_ = true; }

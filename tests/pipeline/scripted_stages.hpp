@@ -73,6 +73,7 @@ struct Script {
   std::atomic<int> failing_opens{0};   ///< so many attempts to open fail
   std::atomic<int> opens{0};
   std::atomic<int> subjects_set{0};
+  std::vector<bool> known_shapes;  ///< refine::SubjectSetup::known_shape of each; on the refiner's thread
   std::vector<std::uint64_t> restarted_before;  ///< sequences of the frames refined first after a restart
   std::atomic<int> refiners_alive{0};
   std::atomic<float> time_limit_ms{-1};  ///< of the last frame

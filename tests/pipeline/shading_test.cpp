@@ -254,6 +254,7 @@ TEST_F(Shading, WhatIsLearnedMeanwhileIsFollowedFromThenOn) {
     said += message.text == script_.learned.note ? 1 : 0;
   }
   EXPECT_EQ(said, 1);
+  EXPECT_EQ(script_.known_shapes, (std::vector<bool>{false, true})) << "refinement knows whom it refines";
 }
 
 /// A take keeps the mesh that it began with.

@@ -428,6 +428,25 @@ TEST_F(RefinerTest, PhotometricErrorAndConfidenceAreThoseOfTheOutput) {
   EXPECT_NEAR(static_cast<double>(session.output.photometric_rms), expected, 3e-4);
 }
 
+/// A mesh of the person's own shape is held to more than a guess is.
+TEST_F(RefinerTest, AKnownShapeIsMovedLess) {
+  std::vector<double> moved;
+  for (const bool known : {false, true}) {
+    Session session(context(), small_scene(), {});
+    session.refiner.set_subject({.hierarchy = session.hierarchy,
+                                 .mean_albedo = session.cap.mean_albedo,
+                                 .refinable = session.cap.control.refinable,
+                                 .known_shape = known});
+    session.run(5);
+    const Eigen::Map<const Eigen::VectorXf> displacements(
+        session.output.displacements_mm.data(),
+        static_cast<Eigen::Index>(session.output.displacements_mm.size()));
+    moved.push_back(displacements.cwiseAbs().cast<double>().mean());
+  }
+  EXPECT_GT(moved[0], 0.02);
+  EXPECT_LT(moved[1], 0.8 * moved[0]);
+}
+
 TEST_F(RefinerTest, GivenDisplacementsHoldAgainstTheShadingByTheirWeight) {
   constexpr float kGiven_mm = 0.7F;
   constexpr float kOneLevel_px = 1e6F;

@@ -101,7 +101,7 @@ TEST_F(Enrol, WhoIsToBeImprovedMustBeThere) {
   EXPECT_EQ(run({"enrol", clip(), "--improve", "ada", "--config", file("facet.toml")}), 3);
   EXPECT_THAT(output_, HasSubstr("unreadable person"));
   EXPECT_EQ(run({"enrol", clip(), "--improve", "ada", "--name", "ada"}), 2);
-  EXPECT_THAT(output_, HasSubstr("leave --name out"));
+  EXPECT_THAT(output_, HasSubstr("--improve keeps the person's name"));
 }
 
 /// A daemon's control socket: what it answers is the test's.

@@ -1,8 +1,12 @@
-// `facet enrol VIDEO --name NAME`, `facet enrol --live --name NAME`: the shape of a face from its head's
-// turning, kept.
+// `facet enrol VIDEO --name NAME`, `facet enrol VIDEO --improve NAME`, `facet enrol --live --name NAME`: the
+// shape of a face from its head's turning, kept.
 
+#include <fcntl.h>
 #include <fmt/format.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
+#include <cerrno>
 #include <chrono>
 #include <cstdio>
 #include <filesystem>
@@ -10,6 +14,7 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
+#include <system_error>
 #include <thread>
 #include <utility>
 
@@ -83,39 +88,13 @@ person::LearnedShape learn(const face::FaceModel& model, const person::Observed&
 struct Place {
   std::filesystem::path file;
   std::string name;
-  std::optional<person::PersonFile> before;  ///< who is enrolled once more
-  bool replaces = false;                     ///< the file is there, and theirs
+  std::optional<person::PersonFile> before = std::nullopt;  ///< who is enrolled once more
+  bool replaces = false;                                    ///< the file is there, and theirs
 };
 
-/// Refuses before anything is learned what could not be written after it.
-Place place_of(const Options& options) {
-  if (!options.improve.empty()) {
-    if (!options.name.empty()) {
-      throw Error(ErrorKind::Usage, "--improve keeps the person's name: leave --name out");
-    }
-    const std::filesystem::path known = person::person_file(
-        options.improve,
-        person::is_person_path(options.improve) ? std::filesystem::path() : persons_folder(options.config));
-    Place place{known, "", person::read_person(known), true};
-    place.name = place.before->name;
-    if (!options.person.empty()) {
-      place.file = options.person;
-      place.replaces = false;
-    }
-    if (!place.replaces && std::filesystem::exists(place.file)) {
-      throw Error(ErrorKind::Usage,
-                  fmt::format("'{}' exists already: give another name, or remove it", options.person));
-    }
-    return place;
-  }
-  if (options.person.empty() && options.name.empty()) {
-    throw Error(ErrorKind::Usage,
-                "give the person's --name, to be kept in the folder of persons, or a file with -o");
-  }
-  if (options.person.empty()) {
-    return {person::new_person_file(persons_folder(options.config), options.name), options.name, {}, false};
-  }
-  Place place{options.person, options.name, {}, false};
+/// -o, and --name or what the file is called.
+Place new_file(const Options& options) {
+  Place place{options.person, options.name};
   if (place.name.empty()) {
     place.name = place.file.stem().string();
   }
@@ -127,6 +106,65 @@ Place place_of(const Options& options) {
   return place;
 }
 
+/// Throws where who is known can't be put back where they are.
+void check_replaceable(const std::filesystem::path& file) {
+  struct stat found {};
+  if (::lstat(file.c_str(), &found) != 0 || !S_ISREG(found.st_mode)) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("'{}' is a link: name the person's file itself", file.string()));
+  }
+  if (found.st_uid != ::geteuid()) {
+    throw Error(ErrorKind::Usage, fmt::format("'{}' belongs to another user, who could not read it any more: "
+                                              "run this command as that user, or write elsewhere with -o",
+                                              file.string()));
+  }
+  const std::filesystem::path folder = std::filesystem::absolute(file).parent_path();
+  if (::faccessat(AT_FDCWD, folder.c_str(), W_OK | X_OK, AT_EACCESS) != 0) {
+    throw Error(ErrorKind::Storage, fmt::format("folder '{}' can't be written to: {}", folder.string(),
+                                                std::system_category().message(errno)));
+  }
+}
+
+Place improved_place(const Options& options) {
+  if (options.person.empty() && !options.name.empty()) {
+    throw Error(ErrorKind::Usage, "--improve keeps the person's name: give --name with -o, or leave it out");
+  }
+  const bool by_file = person::is_person_path(options.improve);
+  const std::filesystem::path known = person::person_file(
+      options.improve, by_file ? std::filesystem::path() : persons_folder(options.config));
+  person::PersonFile before = person::read_person(known);
+  if (before.sigma_mm.empty()) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("'{}' does not say how certain its shape is: it can't be weighed "
+                            "against another one; enrol the person anew",
+                            known.string()));
+  }
+  Place place;
+  if (options.person.empty()) {
+    check_replaceable(known);
+    place = {known, before.name};
+    place.replaces = true;
+  } else {
+    place = new_file(options);
+  }
+  place.before = std::move(before);
+  return place;
+}
+
+/// Refuses before anything is learned what could not be written after it.
+Place place_of(const Options& options) {
+  if (!options.improve.empty()) {
+    return improved_place(options);
+  }
+  if (options.person.empty() && options.name.empty()) {
+    throw Error(ErrorKind::Usage,
+                "give the person's --name, to be kept in the folder of persons, or a file with -o");
+  }
+  return options.person.empty()
+             ? Place{person::new_person_file(persons_folder(options.config), options.name), options.name}
+             : new_file(options);
+}
+
 /// The person before, made better by what was learned now.
 person::PersonFile improve(const face::FaceModel& model, const person::PersonFile& before,
                            const person::PersonFile& now, const Options& options) {
@@ -134,12 +172,24 @@ person::PersonFile improve(const face::FaceModel& model, const person::PersonFil
   tell("  {:<34} {:8.3f}   (limit {:.3f}){}\n", "distance from who is known, sigma", both.disagreement,
        person::kSameHead, both.same_head ? "" : "   refused");
   if (!both.same_head) {
-    throw Error(ErrorKind::NoFace,
-                fmt::format("'{}': this is not the head of '{}': nothing was changed; give the right person, "
-                            "or enrol this one with --name",
-                            options.video, options.improve));
+    throw Error(
+        ErrorKind::NoFace,
+        fmt::format("'{}': this is not the head of '{}', or one of the two turns was bad: nothing was "
+                    "changed; give the right person, film the turn again, or enrol anew with --name",
+                    options.video, options.improve));
   }
   return std::move(both.person);
+}
+
+/// Writes who was learned, and says where.
+void keep(const Place& place, person::PersonFile person, const Options& options) {
+  person.name = place.name;
+  person.software = "facet enrol " FACET_VERSION;
+  place.replaces ? person::replace_person(person, *place.before, place.file)
+                 : person::write_person(person, place.file);
+  const bool by_file = !options.person.empty() || person::is_person_path(options.improve);
+  tell("{}: focal length {:.0f} px of {}x{}; follow this face with --person {}\n", place.file.string(),
+       person.focal_px, person.width_px, person.height_px, by_file ? place.file.string() : place.name);
 }
 
 void run(const Options& options) {
@@ -163,6 +213,9 @@ void run(const Options& options) {
   const Place place = place_of(options);
   const StopSignals signals;
   pipeline::ShadingParts parts = pipeline::open_shading(shading);
+  if (place.before) {
+    person::check_model(*place.before, *parts.model, options.improve);
+  }
   const pipeline::ObservedHead head = look(shading, options.video, parts, signals);
   if (signals.pending() != 0) {
     signals.die_of(signals.pending());
@@ -192,15 +245,11 @@ void run(const Options& options) {
                 fmt::format("'{}': no person was learned: {}", options.video, learned.refused));
   }
   person::PersonFile person = person::person_of(*parts.model, *observed, learned);
-  person.name = place.name;
-  person.software = "facet enrol " FACET_VERSION;
   if (place.before) {
     person = improve(*parts.model, *place.before, person, options);
   }
-  place.replaces ? person::replace_person(person, place.file) : person::write_person(person, place.file);
-  tell("{}: focal length {:.0f} px of {}x{} (was taken for {:.0f}); follow this face with --person {}\n",
-       place.file.string(), learned.focal_px, person.width_px, person.height_px,
-       static_cast<double>(observed->camera.fx), options.person.empty() ? place.name : options.person);
+  tell("the focal length was taken for {:.0f} px\n", static_cast<double>(observed->camera.fx));
+  keep(place, std::move(person), options);
 }
 
 /// What the person before the camera is to do, or waits for.
@@ -281,9 +330,11 @@ void add_enrol_command(Command program) {
   command
       .option("-o,--output", options->person,
               "The file to write, NAME.person; must not exist yet. It is biometric data: whoever has it can "
-              "recognise the face. Default: NAME.person of --name, in the folder of persons")
+              "recognise the face. Default: NAME.person of --name, in the folder of persons; with --improve "
+              "the file of who is known")
       .ends_in({".person"});
-  command.option("--name", options->name, "The person's name; default: the file's");
+  command.option("--name", options->name,
+                 "The person's name; default: the file's, and with --improve that of who is known");
   command.option("--improve", options->improve,
                  "A person who is known already, by name or file: the mean of both shapes, each weighted by "
                  "how certain it is, goes in the place of the first one (with -o into that file). Refused "
