@@ -95,7 +95,7 @@ TEST_F(Enrol, WhoIsToBeImprovedMustBeThere) {
   std::ofstream(file("facet.toml")) << "[persons]\nfolder = \"kept\"\n";
   std::filesystem::create_directory(file("kept"));
   EXPECT_EQ(run({"enrol", clip(), "--improve", "ada", "--config", file("facet.toml")}), 2);
-  EXPECT_THAT(output_, HasSubstr("ada"));
+  EXPECT_THAT(output_, HasSubstr("nobody is called 'ada'"));
   EXPECT_EQ(run({"enrol", clip(), "--improve", file("ada.person")}), 3);
   std::ofstream(file("kept/ada.person")) << "cut";
   EXPECT_EQ(run({"enrol", clip(), "--improve", "ada", "--config", file("facet.toml")}), 3);

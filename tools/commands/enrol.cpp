@@ -182,14 +182,15 @@ person::PersonFile improve(const face::FaceModel& model, const person::PersonFil
 }
 
 /// Writes who was learned, and says where.
-void keep(const Place& place, person::PersonFile person, const Options& options) {
+void keep(const Place& place, person::PersonFile person, float guessed_focal_px, const Options& options) {
   person.name = place.name;
   person.software = "facet enrol " FACET_VERSION;
   place.replaces ? person::replace_person(person, *place.before, place.file)
                  : person::write_person(person, place.file);
   const bool by_file = !options.person.empty() || person::is_person_path(options.improve);
-  tell("{}: focal length {:.0f} px of {}x{}; follow this face with --person {}\n", place.file.string(),
-       person.focal_px, person.width_px, person.height_px, by_file ? place.file.string() : place.name);
+  tell("{}: focal length {:.0f} px of {}x{} (was taken for {:.0f}); follow this face with --person {}\n",
+       place.file.string(), person.focal_px, person.width_px, person.height_px, guessed_focal_px,
+       by_file ? place.file.string() : place.name);
 }
 
 void run(const Options& options) {
@@ -248,8 +249,7 @@ void run(const Options& options) {
   if (place.before) {
     person = improve(*parts.model, *place.before, person, options);
   }
-  tell("the focal length was taken for {:.0f} px\n", static_cast<double>(observed->camera.fx));
-  keep(place, std::move(person), options);
+  keep(place, std::move(person), observed->camera.fx, options);
 }
 
 /// What the person before the camera is to do, or waits for.
