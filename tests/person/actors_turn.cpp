@@ -21,6 +21,15 @@ simulation::ActorSequenceConfig actors_turn() {
 }
 
 Observed look_at(const face::FaceModel& model, const simulation::ActorSequence& actor) {
+  Observed out = look_at(model, actor, {30, 45, 75, 105, 135, 150, 165});
+  for (Keyframe& keyframe : out.keyframes) {
+    keyframe.expression = out.rest;
+  }
+  return out;
+}
+
+Observed look_at(const face::FaceModel& model, const simulation::ActorSequence& actor,
+                 const std::vector<int>& frames) {
   Observed out;
   out.camera = actor.camera();
   out.camera.fx *= static_cast<float>(kShort);
@@ -28,13 +37,14 @@ Observed look_at(const face::FaceModel& model, const simulation::ActorSequence& 
   out.identity.assign(static_cast<std::size_t>(model.identity_count()), 0);
   out.rest = Eigen::VectorXd::Zero(model.expression_count());
   out.usual_reprojection_px = 1;
-  for (const int index : {30, 45, 75, 105, 135, 150, 165}) {
+  for (const int index : frames) {
     const simulation::SyntheticFrame frame = actor.render(index, nullptr);
     Keyframe keyframe;
     keyframe.sequence = static_cast<std::uint64_t>(index);
     keyframe.camera_from_head = frame.camera_from_head.cast<double>();
     keyframe.camera_from_head.translation().z() *= kShort;
-    keyframe.expression = out.rest;
+    keyframe.expression =
+        Eigen::Map<const Eigen::VectorXf>(frame.expression.data(), model.expression_count()).cast<double>();
     std::tie(keyframe.yaw_deg, keyframe.pitch_deg) = orientation_deg(keyframe.camera_from_head);
     keyframe.picture = {0, 0, frame.picture.width_px, frame.picture.height_px, frame.picture.rgb};
     out.keyframes.push_back(std::move(keyframe));

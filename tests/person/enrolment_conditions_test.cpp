@@ -270,6 +270,29 @@ TEST_F(EnrolmentConditions, ARollingShutterIsSlowEnough) {
   expect_learned(learn(look_at(*model_, simulation::ActorSequence(*model_, config))), actor_->neutral());
 }
 
+/// Who talks while turning, seen with the expressions that nets would see: what is taken is no worse than the
+/// guess, and what can't be is refused with words.
+TEST_F(EnrolmentConditions, TalkingWhileTurningDoesNoHarm) {
+  simulation::ActorSequenceConfig config = actors_turn();
+  config.calm_turn = false;
+  config.turn_deg = 35;
+  config.frame_count = 200;
+  const simulation::ActorSequence actor(*model_, config);
+  const Observed talking = look_at(*model_, actor, {20, 45, 60, 75, 90, 110, 130, 160});
+  double moved = 0;
+  for (const Keyframe& keyframe : talking.keyframes) {
+    moved = std::max(moved, keyframe.expression.cwiseAbs().maxCoeff());
+  }
+  ASSERT_GT(moved, 0.3) << "this one keeps still";
+  const LearnedShape learned = learn(talking);
+  if (!learned.accepted) {
+    EXPECT_FALSE(learned.refused.empty());
+    return;
+  }
+  const report::Truth truth(actor.neutral());
+  EXPECT_LT(error_mm(*model_, learned.neutral_mm, truth), 1.05 * error_mm(*model_, mean_face(), truth));
+}
+
 /// Painted lips, cheeks and lids move with the skin, as freckles and moles do.
 TEST_F(EnrolmentConditions, MakeUpIsNoShape) {
   simulation::ActorSequenceConfig config = actors_turn();
