@@ -62,6 +62,8 @@ void set(RefinerConfig& config, const std::string& name, float value) {
     config.albedo_frames = static_cast<int>(value);
   } else if (name == "fine_albedo") {
     config.fine_albedo = value != 0;
+  } else if (name == "room_lamps") {
+    config.room_lamps = value != 0 ? facet::refine::RoomLamps::Always : facet::refine::RoomLamps::Never;
   } else if (name == "hierarchical") {
     config.hierarchical = value != 0;
   } else if (name == "paper") {
@@ -69,7 +71,7 @@ void set(RefinerConfig& config, const std::string& name, float value) {
   } else {
     throw Error(ErrorKind::Usage,
                 fmt::format("no setting {}; there are w1 to w5, w5_known, fold, robust, metric, steps, "
-                            "pcg, albedo_frames, fine_albedo, hierarchical, paper",
+                            "pcg, albedo_frames, fine_albedo, room_lamps, hierarchical, paper",
                             name));
   }
 }

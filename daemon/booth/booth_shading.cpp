@@ -48,6 +48,7 @@ refine::RefinerConfig booth_refinement() {
   config.budget = refine::Budget::Fixed;  // the booth's frames wait for depth, not for shading
   config.given_prior = true;
   config.fine_albedo = true;
+  config.room_lamps = refine::RoomLamps::Never;  // its lamps and projectors blink from frame to frame
   config.weights.displacement_hierarchy = 3;
   config.weights.displacement_smooth = 3;
   config.weights.displacement_coarse = 0;

@@ -46,7 +46,6 @@ AlbedoKernels::AlbedoKernels(gpu::Context& context)
       update_(context, shaders::refine::kernels(), "refine/albedo_update"),
       luminance_(context, shaders::refine::kernels(), "refine/albedo_luminance"),
       normalise_(context, shaders::refine::kernels(), "refine/albedo_normalise"),
-      prolong_(context, shaders::refine::kernels(), "refine/prolong_albedo"),
       restrict_(context, shaders::refine::kernels(), "refine/restrict_albedo") {}
 
 void AlbedoKernels::record(gpu::Batch& batch, const LevelTopology& topology, const LevelState& state,
@@ -62,6 +61,7 @@ void AlbedoKernels::record(gpu::Batch& batch, const LevelTopology& topology, con
                   {"normals", state.normals.view},
                   {"colours", state.colours.view},
                   {"mean_albedo", albedo.mean.view},
+                  {"irradiance", state.irradiance.view},
                   {"light", light},
                   {"albedo_tints", albedo.tints},
                   {"albedo_sums", albedo.sums.buffer},
@@ -129,18 +129,6 @@ void AlbedoKernels::record(gpu::Batch& batch, const LevelTopology& topology, con
                   {"albedo", state.albedo.buffer},
                   {"light", light}},
                  groups, push);
-}
-
-void AlbedoKernels::record_prolong(gpu::Batch& batch, const LevelTopology& topology,
-                                   const LevelStencils& stencils, const LevelState& coarser,
-                                   const LevelState& state) const {
-  const shaders::refine::LevelPush push{topology.vertex_count, 0, 0, 0};
-  batch.dispatch(prolong_,
-                 {{"stencil_rows", stencils.stencil_rows.view},
-                  {"stencil_entries", stencils.stencil_entries.view},
-                  {"coarser", coarser.albedo.view},
-                  {"albedo", state.albedo.buffer}},
-                 {topology.workgroup_count}, push);
 }
 
 void AlbedoKernels::record_restrict(gpu::Batch& batch, const LevelTopology& finer_topology,

@@ -52,10 +52,6 @@ class AlbedoKernels {
               const AlbedoState& albedo, const gpu::Buffer& frame, const gpu::Buffer& light,
               const AlbedoOptions& options) const;
 
-  /// Records the albedo of a finer level from the next coarser one's.
-  void record_prolong(gpu::Batch& batch, const LevelTopology& topology, const LevelStencils& stencils,
-                      const LevelState& coarser, const LevelState& state) const;
-
   /// Records the albedo of a coarser level from the next finer one's.
   /// finer_topology, finer  of the finer level
   /// in_finer               [vertex_count] of the coarser level: the vertex in the finer one
@@ -71,7 +67,6 @@ class AlbedoKernels {
   gpu::Kernel update_;
   gpu::Kernel luminance_;
   gpu::Kernel normalise_;
-  gpu::Kernel prolong_;
   gpu::Kernel restrict_;
 };
 

@@ -70,6 +70,7 @@ void DisplacementKernels::record_energy(gpu::Batch& batch, const LevelTopology& 
                   {"normals", state.normals.view},
                   {"colours", state.colours.view},
                   {"albedo", state.albedo.view},
+                  {"irradiance", state.irradiance.view},
                   {"priors", state.priors.view},
                   {"light", light},
                   {"slopes", scratch.slopes.buffer},

@@ -82,8 +82,10 @@ LevelState::LevelState(gpu::Context& context, std::uint32_t vertex_count)
       normals(context, vertex_count, gpu::TexelFormat::Rgba32f, "normals"),
       colours(context, vertex_count, gpu::TexelFormat::Rgba32f, "colours"),
       albedo(context, vertex_count, gpu::TexelFormat::Rgba32f, "albedo"),
+      irradiance(context, vertex_count, gpu::TexelFormat::Rgba32f, "irradiance"),
       priors(context, vertex_count, gpu::TexelFormat::R32f, "priors") {
-  clear(context, {&positions.buffer, &normals.buffer, &colours.buffer, &albedo.buffer, &priors.buffer});
+  clear(context, {&positions.buffer, &normals.buffer, &colours.buffer, &albedo.buffer, &irradiance.buffer,
+                  &priors.buffer});
 }
 
 std::vector<std::vector<std::uint8_t>> free_vertices(const mesh::Hierarchy& hierarchy,

@@ -42,11 +42,12 @@ struct LevelStencils {
 struct LevelState {
   LevelState(gpu::Context& context, std::uint32_t vertex_count);
 
-  DeviceArray positions;  ///< shading frame, mm; displacement, mm
-  DeviceArray normals;    ///< unit coarse normal; mean distance to the ring, mm
-  DeviceArray colours;    ///< linear RGB as seen; weight 0 to 1
-  DeviceArray albedo;     ///< linear RGB; confidence 0 to 1
-  DeviceArray priors;     ///< displacement prolonged from the coarser level, mm
+  DeviceArray positions;   ///< shading frame, mm; displacement, mm
+  DeviceArray normals;     ///< unit coarse normal; mean distance to the ring, mm
+  DeviceArray colours;     ///< linear RGB as seen; weight 0 to 1
+  DeviceArray albedo;      ///< linear RGB; confidence 0 to 1
+  DeviceArray irradiance;  ///< of the room's lamps as the normal sees it: x + yzw . n (RoomLight)
+  DeviceArray priors;      ///< displacement prolonged from the coarser level, mm
 };
 
 /// Which vertices of every level shading may move: those that come from refinable control vertices, and not

@@ -6,12 +6,20 @@ namespace facet::refine {
 namespace {
 
 // As in shaders/refine/lighting.glsl.
-constexpr std::size_t kLightingSums = 19;
+constexpr std::size_t kLightingSums = 22;
 
 }  // namespace
 
 shaders::refine::Light pack_light(const std::array<float, 9>& l, float gain) {
-  return {{l[0], l[1], l[2], l[3]}, {l[4], l[5], l[6], l[7]}, l[8], gain, 0, 1, {1, 1, 1, 0}, {0, 0, 0, 0}};
+  return {{l[0], l[1], l[2], l[3]},
+          {l[4], l[5], l[6], l[7]},
+          l[8],
+          gain,
+          0,
+          1,
+          {1, 1, 1, 0},
+          {0, 0, 0, 0},
+          {1, 0, 0, 0}};
 }
 
 std::array<float, 9> unpack_light(const shaders::refine::Light& light) {
@@ -43,6 +51,7 @@ void LightingKernels::record_pass(gpu::Batch& batch, const LevelTopology& topolo
                   {"normals", state.normals.view},
                   {"colours", state.colours.view},
                   {"albedo", state.albedo.view},
+                  {"irradiance", state.irradiance.view},
                   {"light", lighting.light},
                   {"lighting_sums", lighting.sums}},
                  {topology.workgroup_count}, push);

@@ -188,6 +188,7 @@ ObservationKernels::ObservationKernels(gpu::Context& context)
       small_mips_(context, shaders::refine::kernels(), "refine/small_mips"),
       rasterise_depth_(context, shaders::refine::kernels(), "refine/rasterise_depth"),
       prolong_(context, shaders::refine::kernels(), "refine/prolong"),
+      prolong_values_(context, shaders::refine::kernels(), "refine/prolong_values"),
       observe_(context, shaders::refine::kernels(), "refine/observe"),
       view_sums_(context, shaders::refine::kernels(), "refine/view_sums"),
       view_gain_(context, shaders::refine::kernels(), "refine/view_gain"),
@@ -237,6 +238,18 @@ void ObservationKernels::record_prolong(gpu::Batch& batch, const LevelTopology& 
                   {"coarser", coarser},
                   {"positions", state.positions.buffer},
                   {"priors", state.priors.buffer}},
+                 {topology.workgroup_count}, push);
+}
+
+void ObservationKernels::record_prolong_values(gpu::Batch& batch, const LevelTopology& topology,
+                                               const LevelStencils& stencils, const DeviceArray& coarser,
+                                               const DeviceArray& values) const {
+  const shaders::refine::LevelPush push{topology.vertex_count, 0, 0, 0};
+  batch.dispatch(prolong_values_,
+                 {{"stencil_rows", stencils.stencil_rows.view},
+                  {"stencil_entries", stencils.stencil_entries.view},
+                  {"coarser", coarser.view},
+                  {"values", values.buffer}},
                  {topology.workgroup_count}, push);
 }
 

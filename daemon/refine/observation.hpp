@@ -110,6 +110,10 @@ class ObservationKernels {
                       const gpu::TexelView& coarser, const LevelState& state, const gpu::Buffer& frame,
                       const LevelStart& start) const;
 
+  /// Records four numbers a vertex of a level (albedo, irradiance) from the next coarser one's.
+  void record_prolong_values(gpu::Batch& batch, const LevelTopology& topology, const LevelStencils& stencils,
+                             const DeviceArray& coarser, const DeviceArray& values) const;
+
   /// Records the depth map from the positions of M0.
   void record_depth(gpu::Batch& batch, const LevelState& coarsest, const OcclusionMap& map,
                     const gpu::Buffer& frame) const;
@@ -136,6 +140,7 @@ class ObservationKernels {
   gpu::Kernel small_mips_;
   gpu::Kernel rasterise_depth_;
   gpu::Kernel prolong_;
+  gpu::Kernel prolong_values_;
   gpu::Kernel observe_;
   gpu::Kernel view_sums_;
   gpu::Kernel view_gain_;

@@ -18,6 +18,8 @@
 #include "refine/lighting.hpp"
 #include "refine/observation.hpp"
 #include "refine/recorded_frames.hpp"
+#include "refine/refiner_options.hpp"
+#include "refine/room_light.hpp"
 #include "refine/subject_setup.hpp"
 #include "refine_shaders.hpp"
 #include "shaders/refine/layout.h"
@@ -29,8 +31,6 @@ using shaders::vec4;
 using shaders::refine::FrameParameters;
 using shaders::refine::Light;
 
-constexpr int kPaperGaussNewtonSteps = 10;
-constexpr int kPaperPcgIterations = 7;
 constexpr std::size_t kMostTimedKernels = 4096;
 // After the first frames the albedo looks for vertices not yet seen in one frame of this many.
 constexpr std::uint64_t kAlbedoRefreshFrames = 8;
@@ -53,49 +53,6 @@ struct Level {
   LevelState state;
   std::optional<DeviceArray> in_finer;  ///< fine_albedo: [vertex_count] device index in the next finer level
 };
-
-DisplacementOptions displacement_options(const RefinerConfig& config, bool known_shape, bool has_prior,
-                                         int steps, int pcg_iterations) {
-  DisplacementOptions out;
-  out.smooth_weight = config.weights.displacement_smooth;
-  out.hierarchy_weight = has_prior ? config.weights.displacement_hierarchy : 0;
-  out.coarse_weight =
-      known_shape ? config.weights.displacement_coarse_known : config.weights.displacement_coarse;
-  out.robust_scale = config.robust_scale;
-  out.fold_slope = config.fold_slope;
-  out.bound_mm = config.displacement_bound_mm;
-  out.gauss_newton_steps = steps;
-  out.pcg_iterations = pcg_iterations;
-  return out;
-}
-
-/// The plan of every frame where the budget is not Budget::Auto.
-StepPlan constant_plan(const RefinerConfig& config, std::size_t levels) {
-  const bool paper = config.budget == Budget::Paper;
-  StepPlan plan;
-  plan.steps.assign(levels, config.hierarchical ? 1 : 0);
-  plan.steps.back() = 1;
-  for (int& steps : plan.steps) {
-    steps *= paper ? kPaperGaussNewtonSteps : config.gauss_newton_steps;
-  }
-  plan.pcg_iterations = paper ? kPaperPcgIterations : config.pcg_iterations;
-  plan.last_energy = config.record_energies;
-  return plan;
-}
-
-/// Whether a StepPlanner plans every frame; refining the finest level alone is a fixed comparison.
-bool plans_frames(const RefinerConfig& config) {
-  return config.budget == Budget::Auto && config.hierarchical;
-}
-
-/// Gauss-Newton steps that a plan may have at most.
-int most_steps(const RefinerConfig& config) {
-  return plans_frames(config) ? StepPlanner::kMostSteps : constant_plan(config, 1).steps.back();
-}
-
-std::uint32_t first_energy_slot(const RefinerConfig& config, std::size_t level) {
-  return static_cast<std::uint32_t>(level) * static_cast<std::uint32_t>(most_steps(config) + 1);
-}
 
 std::vector<std::uint32_t> vertex_counts(const mesh::Hierarchy& hierarchy) {
   std::vector<std::uint32_t> out;
@@ -152,6 +109,9 @@ struct SubjectBuffers {
   gpu::Buffer errors_out;  ///< [workgroup] vec4
   gpu::Buffer light_out;
   gpu::Buffer albedo_out;
+  std::optional<RoomLight> room;
+  std::optional<DeviceArray>
+      room_irradiance;  ///< [M0's vertex count] RoomLight::irradiance; the host writes it
   std::optional<ImagePyramid> pyramid;
   std::vector<std::unique_ptr<FurtherCameraState>> further_views;
   std::optional<DeviceArray> view_colours;  ///< [finest vertex_count] of one further view at a time
@@ -207,6 +167,7 @@ struct Refiner::Impl {
 
   void fit_views(std::span<const FurtherCamera> views);
   void write_views(std::span<const FurtherCamera> views, std::span<const vec4> control) const;
+  void write_room(const RefineInput& input, std::span<const vec4> control);
   void read(RefineOutput& output);
   void read_albedo();
   bool learns(std::uint64_t frame) const;
@@ -259,6 +220,12 @@ SubjectBuffers::SubjectBuffers(gpu::Context& context, const RefinerConfig& confi
   const bool known = subject.albedo != nullptr;
   const std::vector<mesh::Vertices> start =
       known ? known_albedo_of_levels(subject) : mean_albedo_of_levels(subject);
+  if (config.room_lamps == RoomLamps::Always ||
+      (config.room_lamps == RoomLamps::KnownShapes && subject.known_shape)) {
+    room.emplace(subject.hierarchy, counts_for_light(subject), start.front());
+    room_irradiance.emplace(context, levels.front()->topology.vertex_count, gpu::TexelFormat::Rgba32f,
+                            "room's irradiance", gpu::Memory::Upload);
+  }
   for (std::size_t l = 0; l < levels.size(); ++l) {
     const std::vector<vec4> packed = reordered(with_fourth(start[l], known ? 1 : 0), levels[l]->order);
     gpu::upload(context, levels[l]->state.albedo.buffer, std::as_bytes(std::span(packed)));
@@ -302,6 +269,9 @@ void Kernels::record(gpu::Batch& batch, const RefinerConfig& config, const Subje
   record_observe(batch, subject, coarsest);
 
   batch.stage("lighting");
+  if (subject.room_irradiance) {
+    batch.copy(subject.room_irradiance->buffer, coarsest.state.irradiance.buffer);
+  }
   lighting.record(batch, coarsest.topology, coarsest.state, subject.lighting, subject.frame,
                   {config.weights.lighting_temporal, config.robust_scale, config.metric_floor});
 
@@ -344,7 +314,8 @@ void Kernels::record_albedo(gpu::Batch& batch, const RefinerConfig& config,
                              level.in_finer->view);
     } else {
       const Level& level = *subject.levels[l];
-      albedo.record_prolong(batch, level.topology, level.stencils, subject.levels[l - 1]->state, level.state);
+      observation.record_prolong_values(batch, level.topology, level.stencils,
+                                        subject.levels[l - 1]->state.albedo, level.state.albedo);
     }
   }
 }
@@ -362,6 +333,10 @@ void Kernels::record_displacements(gpu::Batch& batch, const RefinerConfig& confi
       observation.record_prolong(batch, level.topology, level.stencils,
                                  subject.levels[l - 1]->state.positions.view, level.state, subject.frame,
                                  {refined, prolonged ? Prior::Prolonged : Prior::None});
+      if (subject.room_irradiance) {
+        observation.record_prolong_values(batch, level.topology, level.stencils,
+                                          subject.levels[l - 1]->state.irradiance, level.state.irradiance);
+      }
     }
     // The finest level is looked at in any case: its vertices' confidence is handed out.
     if (l > 0 && (refined || l + 1 == subject.levels.size())) {
@@ -397,6 +372,7 @@ void Kernels::record_readback(gpu::Batch& batch, const RefinerConfig& config, co
                   {"normals", finest.state.normals.view},
                   {"colours", finest.state.colours.view},
                   {"albedo", finest.state.albedo.view},
+                  {"irradiance", finest.state.irradiance.view},
                   {"light", subject.lighting.light},
                   {"handed_out_as", subject.handed_out_as.view},
                   {"results", subject.results},
@@ -489,6 +465,7 @@ void Refiner::submit(const RefineInput& input) {
     frame.source_px.z = 0;
   }
   impl.write_views(input.further_views, control);
+  impl.write_room(input, control);
   frame.keep_displacements = impl.warm ? 1.0F : 0.0F;
   frame.keep_lighting = impl.warm ? 1.0F : 0.0F;
   frame.learn_albedo = 1;
@@ -556,6 +533,21 @@ void Refiner::Impl::write_views(std::span<const FurtherCamera> views, std::span<
   }
 }
 
+/// What the room's lamps give every vertex of M0 in this frame.
+void Refiner::Impl::write_room(const RefineInput& input, std::span<const vec4> control) {
+  if (!subject->room) {
+    return;
+  }
+  const Eigen::Matrix3f half_turn = Eigen::Vector3f(1, -1, -1).asDiagonal();
+  subject->room->look(input.image_counts ? input.image : Frame{}, input.camera, control,
+                      half_turn * input.camera_from_head.linear());
+  const std::vector<std::int32_t>& host_index = subject->levels.front()->order.host_index;
+  const std::span<vec4> out = subject->room_irradiance->buffer.mapped_as<vec4>();
+  for (std::size_t i = 0; i < host_index.size(); ++i) {
+    out[i] = subject->room->irradiance()[static_cast<std::size_t>(host_index[i])];
+  }
+}
+
 void Refiner::Impl::clear_output(RefineOutput& output) const {
   const std::size_t count = subject ? subject->levels.back()->topology.vertex_count : 0;
   output.displacements_mm.assign(count, 0.0F);
@@ -613,7 +605,14 @@ void Refiner::Impl::read(RefineOutput& output) {
     output.displacements_mm[i] = results[i].x;
     output.confidence[i] = results[i].y;
   }
-  output.lighting = unpack_light(subject->light_out.mapped_as<Light>().front());
+  const Light light = subject->light_out.mapped_as<Light>().front();
+  output.lighting = unpack_light(light);
+  if (subject->room) {
+    const std::array<float, 9> lamps = subject->room->harmonics();
+    for (std::size_t k = 0; k < lamps.size(); ++k) {
+      output.lighting[k] += light.room.x * lamps[k];
+    }
+  }
   double squares = 0;
   double visible = 0;
   const std::uint32_t workgroups = subject->levels.back()->topology.workgroup_count;
@@ -655,8 +654,10 @@ RefineOutcome Refiner::collect(RefineOutput& output) {
   for (const vec4& sum : impl.subject->errors_out.mapped_as<vec4>().first(workgroups)) {
     failed += static_cast<double>(sum.z);
   }
-  const auto light = unpack_light(impl.subject->light_out.mapped_as<Light>().front());
-  const bool light_finite = std::all_of(light.begin(), light.end(), [](float l) { return std::isfinite(l); });
+  const Light solved = impl.subject->light_out.mapped_as<Light>().front();
+  const auto light = unpack_light(solved);
+  const bool light_finite = std::isfinite(solved.room.x) &&
+                            std::all_of(light.begin(), light.end(), [](float l) { return std::isfinite(l); });
   std::vector<std::vector<double>> energies = impl.read_energies(recorded.plan);
   // A step that did not begin from numbers leaves its level as it was.
   const bool energies_finite = std::all_of(energies.begin(), energies.end(), [](const auto& level) {

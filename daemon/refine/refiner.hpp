@@ -27,6 +27,14 @@ struct Weights {
   float displacement_coarse_known = 0.03F;  ///< w5 where SubjectSetup::known_shape
 };
 
+/// For whom the light is that of lamps all around the room, which the head hides from itself (RoomLight), and
+/// what is left of it [MD19 eq. 3].
+enum class RoomLamps {
+  Never,        ///< [MD19 eq. 3] alone, as in the paper
+  KnownShapes,  ///< where SubjectSetup::known_shape: so many lamps would explain a guess's errors
+  Always,       ///< for benchmarks, whose shapes are the truth's
+};
+
 struct RefinerConfig {
   Weights weights;
   Budget budget = Budget::Auto;
@@ -36,6 +44,7 @@ struct RefinerConfig {
   /// true: the albedo is learned on the finest level, so that brows, lips and moles are not taken for shape;
   /// false: on M0 and prolonged, as in the paper.
   bool fine_albedo = false;
+  RoomLamps room_lamps = RoomLamps::KnownShapes;
   bool hierarchical = true;  ///< false: the finest level only (the paper's figure 6, for comparison)
   /// true: every frame comes with displacements that something else measured
   /// (RefineInput::prior_displacements_mm); w4 draws to them. For subjects of one level.
@@ -114,6 +123,8 @@ enum class RefineOutcome {
 struct RefineOutput {
   std::vector<float> displacements_mm;  ///< [finest vertex_count]
   std::vector<float> confidence;        ///< [finest vertex_count] 0 to 1
+  /// [MD19 eq. 1]; of the room's lamps what nine coefficients come nearest to, where the skin faces the
+  /// camera.
   std::array<float, 9> lighting{};
   std::shared_ptr<const mesh::Albedo> albedo;  ///< the current one; same object while unchanged
   float photometric_rms = 0;
@@ -138,9 +149,11 @@ struct RefineOutput {
 ///   while it learns, albedo [MD19 eq. 4]; then level by level positions, colours, displacements
 ///   [MD19 eq. 5-8].
 /// Further cameras' images take the same way up to the colours; a vertex then has the mean of what all see.
-/// Nothing is allocated per frame but for the first frame, a change of the images' sizes or number, and a new
-/// albedo to hand out (every frame while it is learned, rarely afterwards). Plans of steps (Budget::Auto)
-/// that may come next are recorded behind a submitted frame, one a frame, while the device is at work.
+/// Before all that the host finds the room's lamps (RoomLight: milliseconds, and half a megabyte allocated).
+/// Nothing else is allocated per frame but for the first frame, a change of the images' sizes or number, and
+/// a new albedo to hand out (every frame while it is learned, rarely afterwards). Plans of steps
+/// (Budget::Auto) that may come next are recorded behind a submitted frame, one a frame, while the device is
+/// at work.
 class Refiner {
  public:
   /// Compiles the kernels. Throws Error(NoDevice). The context must outlive the refiner.
@@ -160,8 +173,8 @@ class Refiner {
   /// where nothing is in flight, `failure` says so.
   RefineOutcome collect(RefineOutput& output);
 
-  /// Forgets the previous frame's displacements and light, not the albedo: for a cut or a face that comes
-  /// back.
+  /// Forgets the previous frame's displacements and light, not the albedo nor the room's lamps (which find
+  /// out by themselves where they are others): for a cut or a face that comes back.
   void restart();
 
  private:

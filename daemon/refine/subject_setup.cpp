@@ -5,6 +5,7 @@
 #include <cstddef>
 
 #include "facet/error.hpp"
+#include "refine/level_buffers.hpp"
 
 namespace facet::refine {
 
@@ -32,6 +33,18 @@ std::vector<mesh::Vertices> known_albedo_of_levels(const SubjectSetup& subject) 
         sum += out[l].col(rings.neighbours[k]);
       }
       out[l - 1].col(v) = 0.5F * out[l].col(v) + 0.5F * sum / static_cast<float>(end - first);
+    }
+  }
+  return out;
+}
+
+std::vector<float> counts_for_light(const SubjectSetup& subject) {
+  const std::vector<std::uint8_t> free = free_vertices(*subject.hierarchy, subject.refinable).front();
+  std::vector<float> out(free.begin(), free.end());
+  if (!subject.trust.empty()) {
+    const std::vector<float> trust = trust_of_levels(*subject.hierarchy, subject.trust).front();
+    for (std::size_t v = 0; v < out.size(); ++v) {
+      out[v] *= trust[v];
     }
   }
   return out;

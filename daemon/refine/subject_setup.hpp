@@ -20,6 +20,9 @@ std::vector<mesh::Vertices> mean_albedo_of_levels(const SubjectSetup& subject);
 /// it is compared with do.
 std::vector<mesh::Vertices> known_albedo_of_levels(const SubjectSetup& subject);
 
+/// [M0's vertex count] 0 to 1: what the skin of M0 says of the light. Nothing where shading moves no vertex.
+std::vector<float> counts_for_light(const SubjectSetup& subject);
+
 /// [columns], each with the same fourth component.
 std::vector<shaders::vec4> with_fourth(const mesh::Vertices& columns, float fourth);
 

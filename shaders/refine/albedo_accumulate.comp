@@ -20,6 +20,7 @@ uniform samplerBuffer positions;
 uniform samplerBuffer normals;
 uniform samplerBuffer colours;
 uniform samplerBuffer mean_albedo;
+uniform samplerBuffer irradiance;
 layout(std430) readonly buffer LightBlock {
   Light light;
 };
@@ -52,7 +53,8 @@ void main() {
     if (frame.learn_albedo > 0 && colour.w > 0 && albedo_counts[i] < push.frame_quota) {
       ivec2 ring = texelFetch(vertex_rings, int(i)).xy;
       vec4 own = texelFetch(positions, int(i));
-      float s = shade(light, displaced_unit_normal(ring, own.xyz + own.w * texelFetch(normals, int(i)).xyz));
+      float s = shade(light, texelFetch(irradiance, int(i)),
+                      displaced_unit_normal(ring, own.xyz + own.w * texelFetch(normals, int(i)).xyz));
       if (abs(s) < kStrongest) {
         total_seen += colour.w * light.gain * s * vec4(colour.rgb, s);
         albedo_sums[i] = total_seen;

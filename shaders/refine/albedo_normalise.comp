@@ -55,5 +55,6 @@ void main() {
     light.low /= scale;
     light.middle /= scale;
     light.last /= scale;
+    light.room /= scale;
   }
 }

@@ -18,6 +18,7 @@ uniform samplerBuffer positions;
 uniform samplerBuffer normals;
 uniform samplerBuffer colours;
 uniform samplerBuffer albedo;
+uniform samplerBuffer irradiance;
 uniform isamplerBuffer handed_out_as;  // [vertex_count] index on the host
 layout(std430) readonly buffer LightBlock {
   Light light;
@@ -43,7 +44,7 @@ void main() {
       ivec2 ring = texelFetch(vertex_rings, int(i)).xy;
       vec3 normal = displaced_unit_normal(ring, own.xyz + own.w * texelFetch(normals, int(i)).xyz);
       vec4 rho = texelFetch(albedo, int(i));
-      vec3 residual = colour.rgb - shade(light, normal) * rho.rgb;
+      vec3 residual = colour.rgb - shade(light, texelFetch(irradiance, int(i)), normal) * rho.rgb;
       square = dot(residual, residual);
       confidence = trust_in(ring) * colour.w * clamp(rho.w, 0, 1) * tukey_weight(light.gain * square, push.robust_scale);
       sum.xy += vec2(square, 1);

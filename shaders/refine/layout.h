@@ -43,8 +43,10 @@ struct Light {
   float valid;           // 1 once a frame gave a light
   vec4 metric_diagonal;  // metric of colour residuals: xx, yy, zz, 0
   vec4 metric_mixed;     // xy, xz, yz, 0
+  vec4 room;             // x: what the irradiance of the room's lamps is multiplied with (refine::RoomLight)
 };
-FACET_LAYOUT_SIZE(Light, 80)
+FACET_LAYOUT_SIZE(Light, 96)
+FACET_LAYOUT_OFFSET(Light, room, 80)
 FACET_LAYOUT_OFFSET(Light, metric_diagonal, 48)
 FACET_LAYOUT_OFFSET(Light, last, 32)
 

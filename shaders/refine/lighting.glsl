@@ -1,2 +1,2 @@
 // vec4 values that lighting_sums leaves for lighting_solve.
-const uint kLightingSums = 19;
+const uint kLightingSums = 22;

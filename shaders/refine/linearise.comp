@@ -23,6 +23,7 @@ uniform samplerBuffer positions;  // [vertex_count] position, displacement
 uniform samplerBuffer normals;    // [vertex_count] unit coarse normal, spacing_mm
 uniform samplerBuffer colours;    // [vertex_count] I, weight
 uniform samplerBuffer albedo;     // [vertex_count] rho
+uniform samplerBuffer irradiance;  // [vertex_count] of the room's lamps, x + yzw . n
 uniform samplerBuffer priors;     // [vertex_count] pd
 layout(std430) readonly buffer LightBlock {
   Light light;
@@ -66,12 +67,13 @@ void main() {
       float inverse_length = inversesqrt(max(dot(star, star), 1e-30));
       vec3 normal = star * inverse_length;
       vec3 rho = texelFetch(albedo, int(i)).rgb;
-      vec3 residual = colour.rgb - shade(light, normal) * rho;
+      vec4 room = texelFetch(irradiance, int(i));
+      vec3 residual = colour.rgb - shade(light, room, normal) * rho;
       vec3 metric_rho = metric_times(light, rho);
       float square = light.gain * dot(residual, metric_times(light, residual));
       float root = sqrt(colour.w * light.gain * tukey_weight(square, push.robust_scale));
       float length_rho = sqrt(max(dot(rho, metric_rho), 1e-12));
-      vec3 gradient = shade_gradient(light, normal);
+      vec3 gradient = shade_gradient(light, room, normal);
       slope.xyz = (root * length_rho * inverse_length) * (gradient - normal * dot(normal, gradient));
       slope.w = root * dot(metric_rho, residual) / length_rho;
       energy += colour.w * tukey_loss(square, push.robust_scale);

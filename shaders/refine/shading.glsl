@@ -1,4 +1,4 @@
-// [MD19 eq. 1]: R = (l . SH(n)) rho with
+// [MD19 eq. 1]: R = (l . SH(n)) rho, where the room's lamps are known R = (l . SH(n) + irradiance(n)) rho, with
 // SH(n) = (1, nx, ny, nz, nx ny, nx nz, ny nz, nx^2 - ny^2, 3 nz^2 - 1).
 
 struct Harmonics {
@@ -22,6 +22,15 @@ vec3 shade_gradient(Light l, vec3 n) {
   return l.low.yzw + vec3(l.middle.x * n.y + l.middle.y * n.z + 2 * l.middle.w * n.x,
                           l.middle.x * n.x + l.middle.z * n.z - 2 * l.middle.w * n.y,
                           l.middle.y * n.x + l.middle.z * n.y + 6 * l.last * n.z);
+}
+
+// At a vertex: with what the room's lamps give it there, irradiance.x + irradiance.yzw . n (refine::RoomLight).
+float shade(Light l, vec4 irradiance, vec3 n) {
+  return shade(l, n) + l.room.x * (irradiance.x + dot(irradiance.yzw, n));
+}
+
+vec3 shade_gradient(Light l, vec4 irradiance, vec3 n) {
+  return shade_gradient(l, n) + l.room.x * irradiance.yzw;
 }
 
 // The metric of colour residuals (see lighting_solve) times a colour.

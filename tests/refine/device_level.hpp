@@ -59,18 +59,23 @@ struct DeviceLevel {
     std::vector<vec4> normals;
     std::vector<vec4> colours;
     std::vector<vec4> albedo;
+    std::vector<vec4> irradiance;
     std::vector<float> priors;
     for (Eigen::Index i = 0; i < problem.vertex_count(); ++i) {
       positions.push_back(join(problem.vertices_mm.col(i), small.start_mm[i]));
       normals.push_back(join(problem.normals.col(i), problem.spacing_mm[i]));
       colours.push_back(join(problem.colours.col(i), problem.data_weight[i]));
       albedo.push_back(join(problem.albedo.col(i), 1));
+      irradiance.push_back(
+          {static_cast<float>(problem.irradiance(0, i)), static_cast<float>(problem.irradiance(1, i)),
+           static_cast<float>(problem.irradiance(2, i)), static_cast<float>(problem.irradiance(3, i))});
       priors.push_back(static_cast<float>(problem.prolonged_mm[i]));
     }
     write(context, state.positions.buffer, positions);
     write(context, state.normals.buffer, normals);
     write(context, state.colours.buffer, colours);
     write(context, state.albedo.buffer, albedo);
+    write(context, state.irradiance.buffer, irradiance);
     write(context, state.priors.buffer, priors);
   }
 
@@ -80,6 +85,7 @@ struct DeviceLevel {
            tail_intact<vec4>(context, state.normals.buffer, count) &&
            tail_intact<vec4>(context, state.colours.buffer, count) &&
            tail_intact<vec4>(context, state.albedo.buffer, count) &&
+           tail_intact<vec4>(context, state.irradiance.buffer, count) &&
            tail_intact<float>(context, state.priors.buffer, count);
   }
 

@@ -26,6 +26,7 @@ DisplacementProblem to_gpu(const test::SmallProblem& small) {
   for (int k = 0; k < 9; ++k) {
     out.lighting[static_cast<std::size_t>(k)] = static_cast<float>(from.lighting[k]);
   }
+  out.irradiance = from.irradiance.cast<float>();
   return out;
 }
 

@@ -8,6 +8,7 @@
 #include "refine/albedo.hpp"
 #include "refine/displacement_kernels.hpp"
 #include "refine/lighting.hpp"
+#include "refine/observation.hpp"
 #include "support/gpu.hpp"
 
 namespace facet::refine {
@@ -51,6 +52,15 @@ double weight_unit(const reference::Problem& problem) {
   return sum;
 }
 
+/// What the room's lamps give every vertex.
+Eigen::VectorXd lamps_of(const reference::Problem& problem, const Eigen::Matrix3Xd& normals) {
+  Eigen::VectorXd out(problem.vertex_count());
+  for (Eigen::Index i = 0; i < out.size(); ++i) {
+    out[i] = reference::lit_by_lamps(problem.irradiance.col(i), normals.col(i));
+  }
+  return out;
+}
+
 TEST_F(RefineLighting, AgreesWithTheReference) {
   for (const auto& [columns, rows] : {std::pair{2, 2}, std::pair{5, 11}, std::pair{12, 13}}) {
     SCOPED_TRACE(columns);
@@ -58,9 +68,10 @@ TEST_F(RefineLighting, AgreesWithTheReference) {
     const reference::Problem& problem = small.problem;
     const test::DeviceLevel level(context(), small);
     const LightingState lighting(context());
-    reference::Lighting previous;
-    previous << 0.5, 0.1, 0.2, 0.3, 0, 0.02, 0.01, 0, 0.05;
-    const Light packed = pack_light(to_array(previous), 1);
+    reference::RoomLighting previous;
+    previous << 0.5, 0.1, 0.2, 0.3, 0, 0.02, 0.01, 0, 0.05, 0.8;
+    Light packed = pack_light(to_array(previous.head<9>()), 1);
+    packed.room.x = 0.8F;
     gpu::upload(context(), lighting.light, std::as_bytes(std::span(&packed, 1)));
     const LightingKernels kernels(context());
     constexpr float kTemporal = 0.07F;
@@ -70,11 +81,12 @@ TEST_F(RefineLighting, AgreesWithTheReference) {
     });
     const Light found = test::read<Light>(context(), lighting.light).front();
     const Eigen::Matrix3Xd normals = reference::displaced_normals(problem, small.start_mm);
-    const reference::Lighting expected =
-        reference::estimate_lighting(normals, problem.albedo, problem.colours, problem.data_weight,
-                                     static_cast<double>(kTemporal) * weight_unit(problem), previous);
+    const reference::RoomLighting expected = reference::estimate_lighting(
+        normals, lamps_of(problem, normals), problem.albedo, problem.colours, problem.data_weight,
+        static_cast<double>(kTemporal) * weight_unit(problem), previous);
     // Normal equations in single precision: 1e-7 times their condition, which the prior holds below 1e3.
-    EXPECT_LT((to_reference(found) - expected).norm(), 2e-4 * expected.norm());
+    EXPECT_LT((to_reference(found) - expected.head<9>()).norm(), 2e-4 * expected.norm());
+    EXPECT_NEAR(static_cast<double>(found.room.x), expected[9], 2e-4 * expected.norm());
     double weights = 0;
     double squares = 0;
     for (Eigen::Index i = 0; i < problem.vertex_count(); ++i) {
@@ -91,7 +103,7 @@ TEST_F(RefineLighting, OutliersLoseTheirWeight) {
   reference::Problem& problem = small.problem;
   const Eigen::Matrix3Xd normals = reference::displaced_normals(problem, small.start_mm);
   for (Eigen::Index i = 0; i < problem.vertex_count(); ++i) {
-    problem.colours.col(i) = reference::reflected(problem.lighting, normals.col(i), problem.albedo.col(i));
+    problem.colours.col(i) = reference::reflected(problem, normals.col(i), i);
     if (i % 11 == 0) {
       problem.colours.col(i).setConstant(0.95);
     }
@@ -169,7 +181,8 @@ TEST_F(RefineAlbedo, AgreesWithTheReferenceOverTwoFrames) {
     double unit = 0;
     double seen = 0;
     for (Eigen::Index i = 0; i < count; ++i) {
-      const double shade = problem.lighting.dot(reference::sh_basis(normals.col(i)));
+      const double shade = problem.lighting.dot(reference::sh_basis(normals.col(i))) +
+                           reference::lit_by_lamps(problem.irradiance.col(i), normals.col(i));
       const double weight = 2 * kGain * problem.data_weight[i];
       shade_squared[i] = weight * shade * shade;
       shade_colour.col(i) = weight * shade * problem.colours.col(i);
@@ -208,6 +221,7 @@ TEST_F(RefineAlbedo, AgreesWithTheReferenceOverTwoFrames) {
     }
     const Light scaled = test::read<Light>(context(), lighting.light).front();
     EXPECT_LT((to_reference(scaled) * scale - problem.lighting).norm(), 1e-4);
+    EXPECT_NEAR(static_cast<double>(scaled.room.x) * scale, 1, 1e-4);
     EXPECT_NEAR(static_cast<double>(albedo.gained_in_frame(level.topology.workgroup_count)),
                 problem.data_weight.sum(), 1e-3);
     EXPECT_TRUE(level.tails_intact(context()));
@@ -254,9 +268,9 @@ TEST_F(RefineAlbedo, ProlongsThroughTheStencils) {
     packed.push_back({coarse(0, i), coarse(1, i), coarse(2, i), coarse(3, i)});
   }
   gpu::upload(context(), coarser.albedo.buffer, std::as_bytes(std::span(packed)));
-  const AlbedoKernels kernels(context());
+  const ObservationKernels kernels(context());
   gpu::run_now(context(), "prolong albedo", [&](gpu::Batch& batch) {
-    kernels.record_prolong(batch, level.topology, stencils, coarser, level.state);
+    kernels.record_prolong_values(batch, level.topology, stencils, coarser.albedo, level.state.albedo);
   });
   Eigen::MatrixXf expected;
   mesh::apply(levels[1].from_coarser, coarse, expected);

@@ -21,6 +21,7 @@ std::vector<std::int32_t> SmallProblem::curve() const {
 
 SmallProblem make_problem(int columns, int rows, unsigned seed, int level) {
   std::mt19937 random(seed);
+  std::mt19937 lamps(seed + 1);
   std::normal_distribution<double> normal;
   std::uniform_real_distribution<double> uniform;
 
@@ -65,6 +66,7 @@ SmallProblem make_problem(int columns, int rows, unsigned seed, int level) {
   problem.spacing_mm = reference::ring_spacing(*problem.rings, problem.vertices_mm);
   const Eigen::Index count = problem.vertices_mm.cols();
   problem.lighting << 0.6, 0.2, 0.25, 0.4, 0.05, -0.06, 0.07, -0.03, 0.04;
+  problem.irradiance.resize(4, count);
   problem.albedo.resize(3, count);
   problem.colours.resize(3, count);
   problem.data_weight.resize(count);
@@ -77,10 +79,12 @@ SmallProblem make_problem(int columns, int rows, unsigned seed, int level) {
     problem.fixed[v] = problem.rings->on_boundary[v] != 0 || excluded ? 1 : 0;
     problem.albedo.col(i) << 0.5 + 0.1 * uniform(random), 0.35 + 0.1 * uniform(random),
         0.25 + 0.1 * uniform(random);
+    problem.irradiance.col(i) << 0.05 + 0.01 * normal(lamps), 0.02 * normal(lamps), 0.02 * normal(lamps),
+        0.05 + 0.02 * normal(lamps);
     const Eigen::Vector3d bent =
         (problem.normals.col(i) + 0.2 * Eigen::Vector3d(normal(random), normal(random), normal(random)))
             .normalized();
-    problem.colours.col(i) = reference::reflected(problem.lighting, bent, problem.albedo.col(i)) +
+    problem.colours.col(i) = reference::reflected(problem, bent, i) +
                              0.01 * Eigen::Vector3d(normal(random), normal(random), normal(random));
     problem.data_weight[i] = problem.fixed[v] != 0 || uniform(random) < 0.15 ? 0 : 0.2 + uniform(random);
     problem.prolonged_mm[i] = problem.fixed[v] != 0 ? 0 : 0.1 * normal(random);

@@ -47,6 +47,18 @@ Eigen::Vector3d reflected(const Lighting& lighting, const Eigen::Vector3d& norma
   return lighting.dot(sh_basis(normal)) * albedo;
 }
 
+double lit_by_lamps(const Eigen::Vector4d& irradiance, const Eigen::Vector3d& normal) {
+  return irradiance[0] + irradiance.tail<3>().dot(normal);
+}
+
+Eigen::Vector3d reflected(const Problem& problem, const Eigen::Vector3d& normal, Eigen::Index vertex) {
+  Eigen::Vector3d out = reflected(problem.lighting, normal, problem.albedo.col(vertex));
+  if (problem.irradiance.cols() > 0) {
+    out += lit_by_lamps(problem.irradiance.col(vertex), normal) * problem.albedo.col(vertex);
+  }
+  return out;
+}
+
 Eigen::VectorXd ring_spacing(const mesh::OneRings& rings, const Eigen::Matrix3Xd& vertices_mm) {
   Eigen::VectorXd out(vertices_mm.cols());
   for (Eigen::Index i = 0; i < out.size(); ++i) {
@@ -132,8 +144,7 @@ Eigen::VectorXd step_weights(const Problem& problem, const Eigen::VectorXd& disp
     out[count + i] = problem.smooth_weight * fold_weight(bend, problem.fold_slope);
     if (problem.data_weight[i] > 0) {
       const Eigen::Vector3d normal = displaced_normal(problem, displacements_mm, i).normalized();
-      const double residual =
-          (problem.colours.col(i) - reflected(problem.lighting, normal, problem.albedo.col(i))).norm();
+      const double residual = (problem.colours.col(i) - reflected(problem, normal, i)).norm();
       out[i] = problem.data_weight[i] * tukey_weight(residual, problem.robust_scale);
     }
   }
@@ -145,8 +156,7 @@ double energy(const Problem& problem, const Eigen::VectorXd& displacements_mm) {
   for (Eigen::Index i = 0; i < problem.vertex_count(); ++i) {
     if (problem.data_weight[i] > 0) {
       const Eigen::Vector3d normal = displaced_normal(problem, displacements_mm, i).normalized();
-      const double residual =
-          (problem.colours.col(i) - reflected(problem.lighting, normal, problem.albedo.col(i))).norm();
+      const double residual = (problem.colours.col(i) - reflected(problem, normal, i)).norm();
       sum += problem.data_weight[i] * tukey_loss(residual, problem.robust_scale);
     }
     const double bend = graph_laplacian(*problem.rings, displacements_mm, i) / problem.spacing_mm[i];
@@ -166,8 +176,7 @@ Eigen::VectorXd residuals(const Problem& problem, const Eigen::VectorXd& displac
     if (weights[i] > 0) {
       const Eigen::Vector3d normal = displaced_normal(problem, displacements_mm, i).normalized();
       out.segment<3>(3 * i) =
-          std::sqrt(weights[i]) *
-          (problem.colours.col(i) - reflected(problem.lighting, normal, problem.albedo.col(i)));
+          std::sqrt(weights[i]) * (problem.colours.col(i) - reflected(problem, normal, i));
     }
     const double spacing = problem.spacing_mm[i];
     out[3 * count + i] =
@@ -196,8 +205,11 @@ Eigen::SparseMatrix<double> jacobian(const Problem& problem, const Eigen::Vector
       const Eigen::Vector3d normal = star.normalized();
       const Eigen::Matrix3d unit_from_star =
           (Eigen::Matrix3d::Identity() - normal * normal.transpose()) / star.norm();
-      const Eigen::RowVector3d shade_from_star =
-          (sh_gradient(normal) * problem.lighting).transpose() * unit_from_star;
+      Eigen::Vector3d slope = sh_gradient(normal) * problem.lighting;
+      if (problem.irradiance.cols() > 0) {
+        slope += problem.irradiance.col(i).tail<3>();
+      }
+      const Eigen::RowVector3d shade_from_star = slope.transpose() * unit_from_star;
       const auto data = [&](Eigen::Index vertex, const Eigen::Vector3d& star_change) {
         const double shade_change = shade_from_star * star_change;
         for (int channel = 0; channel < 3; ++channel) {
@@ -303,19 +315,24 @@ Eigen::VectorXd gauss_newton_step(const Problem& problem, const Eigen::VectorXd&
   return displacements_mm + factor.solve(j.transpose() * r);
 }
 
-Lighting estimate_lighting(const Eigen::Matrix3Xd& normals, const Eigen::Matrix3Xd& albedo,
-                           const Eigen::Matrix3Xd& colours, const Eigen::VectorXd& weights,
-                           double temporal_weight, const Lighting& previous) {
+RoomLighting estimate_lighting(const Eigen::Matrix3Xd& normals, const Eigen::VectorXd& lamps,
+                               const Eigen::Matrix3Xd& albedo, const Eigen::Matrix3Xd& colours,
+                               const Eigen::VectorXd& weights, double temporal_weight,
+                               const RoomLighting& previous) {
   const Eigen::Index count = normals.cols();
-  Eigen::MatrixXd a(3 * count + 9, 9);
-  Eigen::VectorXd b(3 * count + 9);
+  Eigen::MatrixXd a = Eigen::MatrixXd::Zero(3 * count + 10, 10);
+  Eigen::VectorXd b(3 * count + 10);
   for (Eigen::Index i = 0; i < count; ++i) {
     const double root = std::sqrt(weights[i]);
-    a.middleRows<3>(3 * i) = root * albedo.col(i) * sh_basis(normals.col(i)).transpose();
+    a.block<3, 9>(3 * i, 0) = root * albedo.col(i) * sh_basis(normals.col(i)).transpose();
+    a.block<3, 1>(3 * i, 9) = root * lamps[i] * albedo.col(i);
     b.segment<3>(3 * i) = root * colours.col(i);
   }
-  a.bottomRows<9>() = std::sqrt(temporal_weight) * Eigen::Matrix<double, 9, 9>::Identity();
-  b.tail<9>() = std::sqrt(temporal_weight) * previous;
+  RoomLighting roots = RoomLighting::Constant(std::sqrt(temporal_weight));
+  // In the unit of the factor: what the frame says of it, as temporal_weight is in that of sum w |rho|^2.
+  roots[9] *= a.col(9).norm() / std::sqrt(weights.dot(albedo.colwise().squaredNorm().transpose()));
+  a.bottomRows<10>() = roots.asDiagonal();
+  b.tail<10>() = roots.cwiseProduct(previous);
   return a.householderQr().solve(b);
 }
 

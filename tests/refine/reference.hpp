@@ -13,6 +13,8 @@
 namespace facet::refine::reference {
 
 using Lighting = Eigen::Matrix<double, 9, 1>;
+/// The 9 coefficients and the factor of the room's irradiance.
+using RoomLighting = Eigen::Matrix<double, 10, 1>;
 using Matrix39d = Eigen::Matrix<double, 3, 9>;
 
 /// 9 spherical-harmonics values of a unit normal [MD19 eq. 1].
@@ -25,6 +27,9 @@ Matrix39d sh_gradient(const Eigen::Vector3d& normal);
 Eigen::Vector3d reflected(const Lighting& lighting, const Eigen::Vector3d& normal,
                           const Eigen::Vector3d& albedo);
 
+/// What the room's lamps give a vertex: irradiance[0] + irradiance[1..3] . n.
+double lit_by_lamps(const Eigen::Vector4d& irradiance, const Eigen::Vector3d& normal);
+
 /// The displacement problem of one level [MD19 eq. 6]. Columns are vertices.
 struct Problem {
   const mesh::OneRings* rings = nullptr;
@@ -36,6 +41,7 @@ struct Problem {
   Eigen::VectorXd data_weight;      ///< 0 where unseen, excluded or on the boundary
   std::vector<std::uint8_t> fixed;  ///< 1: d = 0 (boundary, excluded)
   Lighting lighting = Lighting::Zero();
+  Eigen::Matrix4Xd irradiance;   ///< of the room's lamps: row 0 + rows 1 to 3 . n; empty: there are none
   Eigen::VectorXd prolonged_mm;  ///< pd; 0 at fixed vertices
   double smooth_weight = 0;      ///< w3, on (L d)_i / spacing_i
   double hierarchy_weight = 0;   ///< w4, on (pd_i - d_i) / spacing_i
@@ -45,6 +51,9 @@ struct Problem {
 
   Eigen::Index vertex_count() const { return vertices_mm.cols(); }
 };
+
+/// R of a vertex with a unit normal: [MD19 eq. 1] and what the room's lamps give it.
+Eigen::Vector3d reflected(const Problem& problem, const Eigen::Vector3d& normal, Eigen::Index vertex);
 
 /// Mean distance of every vertex to its ring, mm.
 Eigen::VectorXd ring_spacing(const mesh::OneRings& rings, const Eigen::Matrix3Xd& vertices_mm);
@@ -107,10 +116,12 @@ Eigen::VectorXd pcg(const Eigen::SparseMatrix<double>& jacobian, const Eigen::Ve
 Eigen::VectorXd gauss_newton_step(const Problem& problem, const Eigen::VectorXd& displacements_mm,
                                   int pcg_iterations);
 
-/// min over l of [MD19 eq. 3]: sum of weight_i |I_i - R_i|^2 + temporal_weight |l - previous|^2.
-Lighting estimate_lighting(const Eigen::Matrix3Xd& normals, const Eigen::Matrix3Xd& albedo,
-                           const Eigen::Matrix3Xd& colours, const Eigen::VectorXd& weights,
-                           double temporal_weight, const Lighting& previous);
+/// min over l and the factor of what lamps give each vertex of [MD19 eq. 3]: sum of weight_i |I_i - R_i|^2 +
+/// temporal_weight |l - previous|^2, and the same of the factor in its own unit.
+RoomLighting estimate_lighting(const Eigen::Matrix3Xd& normals, const Eigen::VectorXd& lamps,
+                               const Eigen::Matrix3Xd& albedo, const Eigen::Matrix3Xd& colours,
+                               const Eigen::VectorXd& weights, double temporal_weight,
+                               const RoomLighting& previous);
 
 /// min over rho of [MD19 eq. 4] over several frames: sum of shade_squared_i rho_i^2 - 2 shade_colour_i rho_i
 /// + smooth_weight |L rho - L mean|^2, solved exactly.

@@ -112,12 +112,19 @@ TEST(RefineReference, LightingRecoversTheTruth) {
         Eigen::Vector3d(0.5, 0.4, 0.3) + 0.05 * Eigen::Vector3d(normal(random), normal(random), 0);
     colours.col(i) = reflected(truth, normals.col(i), albedo.col(i));
   }
-  const Lighting found =
-      estimate_lighting(normals, albedo, colours, Eigen::VectorXd::Ones(600), 1e-9, Lighting::Zero());
-  EXPECT_LT((found - truth).norm(), 1e-6);
-  const Lighting held =
-      estimate_lighting(normals, albedo, colours, Eigen::VectorXd::Ones(600), 1e9, 2 * truth);
-  EXPECT_LT((held - 2 * truth).norm(), 1e-4);
+  Eigen::VectorXd lamps(600);
+  for (Eigen::Index i = 0; i < lamps.size(); ++i) {
+    lamps[i] = 0.3 + 0.1 * normal(random);
+    colours.col(i) += lamps[i] * albedo.col(i);
+  }
+  RoomLighting wanted;
+  wanted << truth, 1;
+  const Eigen::VectorXd ones = Eigen::VectorXd::Ones(600);
+  const RoomLighting found =
+      estimate_lighting(normals, lamps, albedo, colours, ones, 1e-9, RoomLighting::Zero());
+  EXPECT_LT((found - wanted).norm(), 1e-6);
+  const RoomLighting held = estimate_lighting(normals, lamps, albedo, colours, ones, 1e9, 2 * wanted);
+  EXPECT_LT((held - 2 * wanted).norm(), 1e-4);
 }
 
 TEST(RefineReference, AlbedoFollowsTheDataOrThePrior) {

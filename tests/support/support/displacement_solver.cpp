@@ -115,6 +115,7 @@ LoadedProblem::LoadedProblem(gpu::Context& context, const DisplacementKernels& k
   std::vector<vec4> normals(topology.vertex_count);
   std::vector<vec4> colours(topology.vertex_count);
   std::vector<vec4> albedo(topology.vertex_count);
+  std::vector<vec4> irradiance(topology.vertex_count, vec4{0, 0, 0, 0});
   for (std::size_t v = 0; v < topology.vertex_count; ++v) {
     const auto column = static_cast<Eigen::Index>(v);
     const bool fixed = problem.fixed[v] != 0 || problem.one_rings->on_boundary[v] != 0;
@@ -123,11 +124,16 @@ LoadedProblem::LoadedProblem(gpu::Context& context, const DisplacementKernels& k
     colours[v] =
         join(problem.colours, column, problem.one_rings->on_boundary[v] != 0 ? 0 : problem.data_weight[v]);
     albedo[v] = join(problem.albedo, column, 1);
+    if (problem.irradiance.cols() > 0) {
+      const auto value = problem.irradiance.col(column);
+      irradiance[v] = {value[0], value[1], value[2], value[3]};
+    }
   }
   gpu::upload(context, start, std::as_bytes(std::span(positions)));
   gpu::upload(context, state.normals.buffer, std::as_bytes(std::span(normals)));
   gpu::upload(context, state.colours.buffer, std::as_bytes(std::span(colours)));
   gpu::upload(context, state.albedo.buffer, std::as_bytes(std::span(albedo)));
+  gpu::upload(context, state.irradiance.buffer, std::as_bytes(std::span(irradiance)));
   gpu::upload(context, state.priors.buffer, std::as_bytes(std::span(problem.prolonged_mm)));
   const shaders::refine::Light packed = pack_light(problem.lighting, problem.gain);
   gpu::upload(context, light, std::as_bytes(std::span(&packed, 1)));

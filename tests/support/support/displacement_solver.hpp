@@ -22,6 +22,7 @@ struct DisplacementProblem {
   Eigen::Matrix3Xf colours;         ///< [3][vertex_count] I, linear RGB
   std::vector<float> data_weight;   ///< [vertex_count] of the vertex's data residuals; 0 where unseen
   Eigen::Matrix3Xf albedo;          ///< [3][vertex_count] rho, linear RGB
+  Eigen::Matrix4Xf irradiance;      ///< [4][vertex_count] of the room's lamps (RoomLight); empty: none
   std::vector<std::uint8_t> fixed;  ///< [vertex_count] 1: d = 0; boundary vertices are fixed anyway, and
                                     ///< carry no data
   std::array<float, 9> lighting{};

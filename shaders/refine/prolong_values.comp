@@ -3,7 +3,8 @@
 #include "layout.h"
 #include "common/workgroup.glsl"
 
-// Albedo and its confidence of a finer level, through the same stencils as its positions.
+// Four numbers a vertex (albedo and its confidence, the irradiance of the room's lamps) of a finer level, through the
+// same stencils as its positions.
 
 layout(push_constant) uniform Push {
   LevelPush push;
@@ -11,8 +12,8 @@ layout(push_constant) uniform Push {
 uniform isamplerBuffer stencil_rows;
 uniform isamplerBuffer stencil_entries;
 uniform samplerBuffer coarser;
-layout(std430) writeonly buffer Albedo {
-  vec4 albedo[];
+layout(std430) writeonly buffer Values {
+  vec4 values[];
 };
 
 void main() {
@@ -24,6 +25,6 @@ void main() {
       ivec2 entry = texelFetch(stencil_entries, row.x + k).xy;
       sum += intBitsToFloat(entry.y) * texelFetch(coarser, entry.x);
     }
-    albedo[i] = sum;
+    values[i] = sum;
   }
 }

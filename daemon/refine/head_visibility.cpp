@@ -1,0 +1,133 @@
+#include "refine/head_visibility.hpp"
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numbers>
+
+namespace facet::refine {
+namespace {
+
+// Side of a depth map's pixel, mm: a third of the distance between the vertices of M0.
+constexpr float kPixelMm = 1.25F;
+// A vertex looks from so far above the skin, so that a flat mesh does not hide itself.
+constexpr float kLiftMm = 2;
+// Concentration of the bell by which directions are blended: half of its height at 8 degrees.
+constexpr float kConcentration = 70;
+
+/// Depths of a head seen from far away in one direction; what is nearer to the eye is larger.
+class DepthMap {
+ public:
+  DepthMap(const mesh::Vertices& vertices_mm, const mesh::Triangles& triangles,
+           const Eigen::Vector3f& direction) {
+    const Eigen::Vector3f beside = direction.unitOrthogonal();
+    map_from_head_.row(0) = beside.transpose() / kPixelMm;
+    map_from_head_.row(1) = direction.cross(beside).transpose() / kPixelMm;
+    map_from_head_.row(2) = direction.transpose();
+    const Eigen::Matrix3Xf points = map_from_head_ * vertices_mm;
+    low_ = points.topRows<2>().rowwise().minCoeff().array() - 2;
+    const Eigen::Array2f high = points.topRows<2>().rowwise().maxCoeff().array() + 3;
+    size_ = (high - low_).ceil().cast<int>();
+    depths_.assign(static_cast<std::size_t>(size_.x()) * static_cast<std::size_t>(size_.y()),
+                   -std::numeric_limits<float>::infinity());
+    for (Eigen::Index t = 0; t < triangles.cols(); ++t) {
+      draw(points.col(triangles(0, t)), points.col(triangles(1, t)), points.col(triangles(2, t)));
+    }
+  }
+
+  /// Share of the four pixels around a point that nothing nearer covers, 0 to 1, by bilinear weights.
+  float seen_from(const Eigen::Vector3f& head_mm) const {
+    const Eigen::Vector3f point = map_from_head_ * head_mm;
+    const Eigen::Array2f at = point.head<2>().array() - low_;
+    const Eigen::Array2i first = at.floor().cast<int>();
+    if ((first < 0).any() || (first + 1 >= size_).any()) {
+      return 1;
+    }
+    const Eigen::Array2f share = at - first.cast<float>();
+    const auto open = [&](int x, int y) {
+      return depths_[place(first.x() + x, first.y() + y)] > point.z() ? 0.0F : 1.0F;
+    };
+    return (1 - share.y()) * ((1 - share.x()) * open(0, 0) + share.x() * open(1, 0)) +
+           share.y() * ((1 - share.x()) * open(0, 1) + share.x() * open(1, 1));
+  }
+
+ private:
+  std::size_t place(int x, int y) const {
+    return static_cast<std::size_t>(y) * static_cast<std::size_t>(size_.x()) + static_cast<std::size_t>(x);
+  }
+
+  void draw(const Eigen::Vector3f& a, const Eigen::Vector3f& b, const Eigen::Vector3f& c) {
+    const Eigen::Vector2f ab = (b - a).head<2>();
+    const Eigen::Vector2f ac = (c - a).head<2>();
+    const float area = ab.x() * ac.y() - ab.y() * ac.x();
+    if (!(std::abs(area) > 1e-6F)) {
+      return;
+    }
+    const Eigen::Vector2f slope((ac.y() * (b - a).z() - ab.y() * (c - a).z()) / area,
+                                (ab.x() * (c - a).z() - ac.x() * (b - a).z()) / area);
+    const Eigen::Array2f least = a.head<2>().cwiseMin(b.head<2>()).cwiseMin(c.head<2>()).array() - low_;
+    const Eigen::Array2f most = a.head<2>().cwiseMax(b.head<2>()).cwiseMax(c.head<2>()).array() - low_;
+    const Eigen::Array2i first = least.ceil().cast<int>().max(0);
+    const Eigen::Array2i last = most.floor().cast<int>().min(size_ - 1);
+    for (int y = first.y(); y <= last.y(); ++y) {
+      for (int x = first.x(); x <= last.x(); ++x) {
+        const Eigen::Vector2f from_a(static_cast<float>(x) + low_.x() - a.x(),
+                                     static_cast<float>(y) + low_.y() - a.y());
+        const float u = (from_a.x() * ac.y() - from_a.y() * ac.x()) / area;
+        const float v = (ab.x() * from_a.y() - ab.y() * from_a.x()) / area;
+        if (u >= 0 && v >= 0 && u + v <= 1) {
+          float& there = depths_[place(x, y)];
+          there = std::max(there, a.z() + slope.dot(from_a));
+        }
+      }
+    }
+  }
+
+  Eigen::Matrix3f map_from_head_;
+  Eigen::Array2f low_;
+  Eigen::Array2i size_;
+  std::vector<float> depths_;  ///< [height][width] along the direction, mm
+};
+
+}  // namespace
+
+const Eigen::Matrix3Xf& room_directions() {
+  static const Eigen::Matrix3Xf directions = [] {
+    Eigen::Matrix3Xf out(3, kRoomDirections);
+    const double golden = std::numbers::pi * (1 + std::sqrt(5.0));
+    for (int d = 0; d < kRoomDirections; ++d) {
+      const double z = 1 - (2 * d + 1) / static_cast<double>(kRoomDirections);
+      const double radius = std::sqrt(1 - z * z);
+      const double angle = golden * (d + 0.5);
+      out.col(d) = Eigen::Vector3d(radius * std::cos(angle), radius * std::sin(angle), z).cast<float>();
+    }
+    return out;
+  }();
+  return directions;
+}
+
+Eigen::MatrixXd turned_lamps(const Eigen::Matrix3f& to_from_from) {
+  const Eigen::Matrix3Xf& directions = room_directions();
+  const Eigen::MatrixXf cosines = directions.transpose() * (to_from_from * directions);
+  Eigen::MatrixXd out = (kConcentration * (cosines.array() - 1)).exp().cast<double>();
+  out.array().rowwise() /= out.colwise().sum().array().eval();
+  return out;
+}
+
+HeadVisibility::HeadVisibility(const mesh::Vertices& vertices_mm, const Eigen::Matrix3Xf& normals,
+                               const mesh::Triangles& triangles)
+    : vertex_count_(static_cast<std::size_t>(vertices_mm.cols())),
+      seen_(vertex_count_ * static_cast<std::size_t>(kRoomDirections)) {
+  const mesh::Vertices lifted = vertices_mm + kLiftMm * normals;
+  for (int d = 0; d < kRoomDirections; ++d) {
+    const DepthMap map(vertices_mm, triangles, room_directions().col(d));
+    std::uint8_t* const out = seen_.data() + static_cast<std::size_t>(d) * vertex_count_;
+    for (std::size_t v = 0; v < vertex_count_; ++v) {
+      out[v] = static_cast<std::uint8_t>(
+          std::lround(255 * map.seen_from(lifted.col(static_cast<Eigen::Index>(v)))));
+    }
+  }
+}
+
+}  // namespace facet::refine

@@ -1,0 +1,51 @@
+#include "refine/refiner_options.hpp"
+
+namespace facet::refine {
+namespace {
+
+constexpr int kPaperGaussNewtonSteps = 10;
+constexpr int kPaperPcgIterations = 7;
+
+}  // namespace
+
+DisplacementOptions displacement_options(const RefinerConfig& config, bool known_shape, bool has_prior,
+                                         int steps, int pcg_iterations) {
+  DisplacementOptions out;
+  out.smooth_weight = config.weights.displacement_smooth;
+  out.hierarchy_weight = has_prior ? config.weights.displacement_hierarchy : 0;
+  out.coarse_weight =
+      known_shape ? config.weights.displacement_coarse_known : config.weights.displacement_coarse;
+  out.robust_scale = config.robust_scale;
+  out.fold_slope = config.fold_slope;
+  out.bound_mm = config.displacement_bound_mm;
+  out.gauss_newton_steps = steps;
+  out.pcg_iterations = pcg_iterations;
+  return out;
+}
+
+StepPlan constant_plan(const RefinerConfig& config, std::size_t levels) {
+  const bool paper = config.budget == Budget::Paper;
+  StepPlan plan;
+  plan.steps.assign(levels, config.hierarchical ? 1 : 0);
+  plan.steps.back() = 1;
+  for (int& steps : plan.steps) {
+    steps *= paper ? kPaperGaussNewtonSteps : config.gauss_newton_steps;
+  }
+  plan.pcg_iterations = paper ? kPaperPcgIterations : config.pcg_iterations;
+  plan.last_energy = config.record_energies;
+  return plan;
+}
+
+bool plans_frames(const RefinerConfig& config) {
+  return config.budget == Budget::Auto && config.hierarchical;
+}
+
+int most_steps(const RefinerConfig& config) {
+  return plans_frames(config) ? StepPlanner::kMostSteps : constant_plan(config, 1).steps.back();
+}
+
+std::uint32_t first_energy_slot(const RefinerConfig& config, std::size_t level) {
+  return static_cast<std::uint32_t>(level) * static_cast<std::uint32_t>(most_steps(config) + 1);
+}
+
+}  // namespace facet::refine
