@@ -57,7 +57,7 @@ struct Options {
   std::string uploads = "auto";
   bool kernels = false;
   bool learning = false;
-  bool plain_light = false;
+  bool room_lamps = false;
   bool determinism = false;
   bool loss = false;
 };
@@ -92,8 +92,9 @@ facet::gpu::ContextOptions context_options(const Options& options) {
 RefinerConfig config_of(const std::string& budget, const Options& options) {
   RefinerConfig config;
   config.albedo_frames = options.learn + (options.learning ? options.frames : 0);
-  config.room_lamps =
-      options.plain_light ? facet::refine::RoomLamps::Never : facet::refine::RoomLamps::Always;
+  if (options.room_lamps) {
+    config.room_lamps = facet::refine::RoomLamps::Always;
+  }
   if (budget == "auto") {
     config.budget = facet::refine::Budget::Auto;
   } else if (budget == "paper") {
@@ -499,7 +500,7 @@ int main(int argc, char** argv) {
   app.add_option("--uploads", options.uploads, "memory that the host writes for the device")
       ->check(CLI::IsMember({"auto", "host", "device"}))
       ->capture_default_str();
-  app.add_flag("--plain-light", options.plain_light, "nine coefficients of light alone, as in the paper");
+  app.add_flag("--room-lamps", options.room_lamps, "with the room's lamps, as where the shape is known");
   app.add_flag("--learning", options.learning, "the albedo learns in the measured frames, too");
   app.add_flag("--kernels", options.kernels, "time every kernel on every level, too");
   app.add_flag("--determinism", options.determinism,

@@ -11,6 +11,7 @@
 #include "maths/srgb.hpp"
 #include "maths/statistics.hpp"
 #include "mesh/quads.hpp"
+#include "mesh/triangle_points.hpp"
 #include "person/texture_chart.hpp"
 
 namespace facet::person {
@@ -127,12 +128,12 @@ class NearestDepth {
       if (depths.minCoeff() < 1) {
         continue;
       }
-      for_each_point(cells.col(corners[0]) - least_, cells.col(corners[1]) - least_,
-                     cells.col(corners[2]) - least_, nearest_.cols, nearest_.rows,
-                     [&](int x, int y, const Eigen::Vector3f& barycentric) {
-                       float& nearest = nearest_.at<float>(y, x);
-                       nearest = std::min(nearest, barycentric.dot(depths));
-                     });
+      mesh::for_each_point(cells.col(corners[0]) - least_, cells.col(corners[1]) - least_,
+                           cells.col(corners[2]) - least_, nearest_.cols, nearest_.rows,
+                           [&](int x, int y, const Eigen::Vector3f& barycentric) {
+                             float& nearest = nearest_.at<float>(y, x);
+                             nearest = std::min(nearest, barycentric.dot(depths));
+                           });
     }
   }
 

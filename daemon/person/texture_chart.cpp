@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "mesh/triangle_points.hpp"
+
 namespace facet::person {
 namespace {
 
@@ -44,7 +46,7 @@ TextureChart::TextureChart(const mesh::TextureCoordinates& coordinates, const me
     if (!counts || longest > kLongestShare * static_cast<float>(longer_side)) {
       continue;
     }
-    for_each_point(a, b, c, width_, height_, [&](int x, int y, const Eigen::Vector3f& barycentric) {
+    mesh::for_each_point(a, b, c, width_, height_, [&](int x, int y, const Eigen::Vector3f& barycentric) {
       const auto texel = static_cast<std::size_t>(y * width_ + x);
       triangle_[texel] = static_cast<std::int32_t>(t);
       barycentric_[texel] = barycentric;

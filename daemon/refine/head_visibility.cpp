@@ -6,6 +6,8 @@
 #include <limits>
 #include <numbers>
 
+#include "mesh/triangle_points.hpp"
+
 namespace facet::refine {
 namespace {
 
@@ -58,30 +60,13 @@ class DepthMap {
   }
 
   void draw(const Eigen::Vector3f& a, const Eigen::Vector3f& b, const Eigen::Vector3f& c) {
-    const Eigen::Vector2f ab = (b - a).head<2>();
-    const Eigen::Vector2f ac = (c - a).head<2>();
-    const float area = ab.x() * ac.y() - ab.y() * ac.x();
-    if (!(std::abs(area) > 1e-6F)) {
-      return;
-    }
-    const Eigen::Vector2f slope((ac.y() * (b - a).z() - ab.y() * (c - a).z()) / area,
-                                (ab.x() * (c - a).z() - ac.x() * (b - a).z()) / area);
-    const Eigen::Array2f least = a.head<2>().cwiseMin(b.head<2>()).cwiseMin(c.head<2>()).array() - low_;
-    const Eigen::Array2f most = a.head<2>().cwiseMax(b.head<2>()).cwiseMax(c.head<2>()).array() - low_;
-    const Eigen::Array2i first = least.ceil().cast<int>().max(0);
-    const Eigen::Array2i last = most.floor().cast<int>().min(size_ - 1);
-    for (int y = first.y(); y <= last.y(); ++y) {
-      for (int x = first.x(); x <= last.x(); ++x) {
-        const Eigen::Vector2f from_a(static_cast<float>(x) + low_.x() - a.x(),
-                                     static_cast<float>(y) + low_.y() - a.y());
-        const float u = (from_a.x() * ac.y() - from_a.y() * ac.x()) / area;
-        const float v = (ab.x() * from_a.y() - ab.y() * from_a.x()) / area;
-        if (u >= 0 && v >= 0 && u + v <= 1) {
-          float& there = depths_[place(x, y)];
-          there = std::max(there, a.z() + slope.dot(from_a));
-        }
-      }
-    }
+    const Eigen::Vector3f depths(a.z(), b.z(), c.z());
+    const Eigen::Vector2f low = low_.matrix();
+    mesh::for_each_point(a.head<2>() - low, b.head<2>() - low, c.head<2>() - low, size_.x(), size_.y(),
+                         [&](int x, int y, const Eigen::Vector3f& barycentric) {
+                           float& there = depths_[place(x, y)];
+                           there = std::max(there, barycentric.dot(depths));
+                         });
   }
 
   Eigen::Matrix3f map_from_head_;

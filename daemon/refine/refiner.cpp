@@ -110,8 +110,7 @@ struct SubjectBuffers {
   gpu::Buffer light_out;
   gpu::Buffer albedo_out;
   std::optional<RoomLight> room;
-  std::optional<DeviceArray>
-      room_irradiance;  ///< [M0's vertex count] RoomLight::irradiance; the host writes it
+  std::optional<DeviceArray> room_irradiance;  ///< [M0's vertex count] RoomLight::irradiance
   std::optional<ImagePyramid> pyramid;
   std::vector<std::unique_ptr<FurtherCameraState>> further_views;
   std::optional<DeviceArray> view_colours;  ///< [finest vertex_count] of one further view at a time

@@ -149,11 +149,11 @@ struct RefineOutput {
 ///   while it learns, albedo [MD19 eq. 4]; then level by level positions, colours, displacements
 ///   [MD19 eq. 5-8].
 /// Further cameras' images take the same way up to the colours; a vertex then has the mean of what all see.
-/// Before all that the host finds the room's lamps (RoomLight: milliseconds, and half a megabyte allocated).
-/// Nothing else is allocated per frame but for the first frame, a change of the images' sizes or number, and
-/// a new albedo to hand out (every frame while it is learned, rarely afterwards). Plans of steps
-/// (Budget::Auto) that may come next are recorded behind a submitted frame, one a frame, while the device is
-/// at work.
+/// Before all that the host finds the room's lamps (RoomLight: milliseconds, half a megabyte allocated and
+/// more where they are solved). Nothing else is allocated per frame but for the first frame, a change of the
+/// images' sizes or number, and a new albedo to hand out (every frame while it is learned, rarely
+/// afterwards). Plans of steps (Budget::Auto) that may come next are recorded behind a submitted frame, one a
+/// frame, while the device is at work.
 class Refiner {
  public:
   /// Compiles the kernels. Throws Error(NoDevice). The context must outlive the refiner.

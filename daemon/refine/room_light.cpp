@@ -47,15 +47,6 @@ constexpr std::uint8_t kSaturated = 250;
 constexpr float kLargestHeadMm = 2000;
 // Share of the strongest lamp below which a lamp of a frame is left out.
 constexpr double kNoLamp = 1e-3;
-
-std::array<float, 256> linear_values() {
-  std::array<float, 256> out{};
-  for (std::size_t i = 0; i < out.size(); ++i) {
-    out[i] = maths::decode_srgb(static_cast<float>(i) / 255.0F);
-  }
-  return out;
-}
-
 // Lamps far away and near ones: distance from the head's middle.
 constexpr int kLamps = 2 * kRoomDirections;
 constexpr float kNearMm = 500;
@@ -123,8 +114,8 @@ struct RoomLight::Rows {
 };
 
 RoomLight::RoomLight(std::shared_ptr<const mesh::Hierarchy> hierarchy, std::vector<float> counts,
-                     mesh::Vertices mean_albedo)
-    : hierarchy_(std::move(hierarchy)), counts_(std::move(counts)), albedo_(std::move(mean_albedo)) {
+                     mesh::Vertices albedo)
+    : hierarchy_(std::move(hierarchy)), counts_(std::move(counts)), albedo_(std::move(albedo)) {
   irradiance_.assign(counts_.size(), vec4{0, 0, 0, 0});
   const auto counted = static_cast<std::size_t>(
       std::count_if(counts_.begin(), counts_.end(), [](float count) { return count > 0; }));
@@ -182,7 +173,7 @@ bool RoomLight::place(std::span<const vec4> control_mm, const Eigen::Matrix3f& s
 /// distance.
 void RoomLight::sample(const Frame& image, const CameraIntrinsics& camera,
                        const Eigen::Matrix3f& shading_from_head, Rows& rows) const {
-  static const std::array<float, 256> linear = linear_values();
+  const std::array<float, 256>& linear = maths::decoded_srgb8();
   Eigen::Index to_camera = 0;
   (room_directions().transpose() * (shading_from_head.transpose() * -middle())).maxCoeff(&to_camera);
   const std::uint8_t* const seen = visibility_.of_direction(static_cast<int>(to_camera));
@@ -338,10 +329,12 @@ void RoomLight::find_anew(const Rows& rows, const Eigen::MatrixXd& head_from_roo
 
 /// Follows the lamps by what a frame shows.
 void RoomLight::learn(const Rows& rows, const Eigen::MatrixXd& head_from_room) {
+  const bool due = frames_++ % kSolveEvery == 0;
   if (known_.strengths.maxCoeff() <= 0) {
-    gain_ = 1;
-    solve(rows, head_from_room);
-    frames_ = 1;
+    if (due) {
+      gain_ = 1;
+      solve(rows, head_from_room);
+    }
     return;
   }
   compare(rows);
@@ -350,10 +343,9 @@ void RoomLight::learn(const Rows& rows, const Eigen::MatrixXd& head_from_room) {
   if (doubtful_ >= kDoubtfulFrames) {
     doubtful_ = 0;
     find_anew(rows, head_from_room);
-  } else if (!doubtful && frames_ % kSolveEvery == 0) {
+  } else if (!doubtful && due) {
     solve(rows, head_from_room);
   }
-  ++frames_;
 }
 
 /// a and b of every vertex of M0 from the lamps' strengths in the head's frame.

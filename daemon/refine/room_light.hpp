@@ -18,8 +18,7 @@ namespace facet::refine {
 /// and one half a metre away, none of which takes light away, each hidden from what the head itself covers.
 /// Spherical harmonics [MD19 eq. 1] know neither shadows of the nose and the brow nor that a lamp cannot
 /// shine from behind; here
-///   E_i(n) = sum over lamps of c_d V_id max(0, n . w_d),   c_d >= 0                  [SKS02, without
-///   bounces]
+///   E_i(n) = sum over lamps of c_d V_id max(0, n . w_d),   c_d >= 0    [SKS02], without bounces,
 /// with the visibility V of HeadVisibility (a near lamp's fades with the square of its distance). The
 /// strengths c stand still in the camera's frame while the head turns under them; they follow from what
 /// frames show of M0's skin, by robust non-negative least squares over the last seconds. What the refiner
@@ -30,15 +29,16 @@ class RoomLight {
   /// What belongs to one subject.
   ///
   /// counts       [M0's vertex count] 0 to 1: what the skin there says of the light
-  /// mean_albedo  [3][M0's vertex count] linear RGB
+  /// albedo       [3][M0's vertex count] linear RGB: the model's mean, or the skin's where it is known
   RoomLight(std::shared_ptr<const mesh::Hierarchy> hierarchy, std::vector<float> counts,
-            mesh::Vertices mean_albedo);
+            mesh::Vertices albedo);
 
   /// Looks at a frame and sets irradiance() for it. Of the first frame that shows enough of the face the
-  /// strengths are solved at once (0.1 s), then followed at every eighth; where six in a row are not what the
-  /// lamps predict, they are found anew, and kept where nothing better is found (a hand before the face).
-  /// Without a picture the light stays and follows the head alone; of a broken mesh nothing is said.
-  /// Allocates half a megabyte.
+  /// strengths are solved at once (0.1 s), then followed at every eighth (where no lamps explain it, tried
+  /// anew there); where six in a row are not what the lamps predict, they are found anew, and kept where
+  /// nothing better is found (a hand before the face). Without a picture the light stays and follows the head
+  /// alone; of a broken mesh nothing is said. Allocates half a megabyte, and several where strengths are
+  /// solved.
   ///
   /// control_mm         [control_vertex_count] shading frame, as the refiner uploads it
   /// shading_from_head  rotation

@@ -36,14 +36,6 @@ constexpr int kTurns = 3;
 constexpr double kFewestVertices = 300;
 constexpr double kSmallestWeight = 0.002;
 
-std::array<float, 256> linear_values() {
-  std::array<float, 256> out{};
-  for (std::size_t i = 0; i < out.size(); ++i) {
-    out[i] = static_cast<float>(maths::decode_srgb(static_cast<double>(i) / 255));
-  }
-  return out;
-}
-
 Eigen::Matrix<double, 9, 1> harmonics(const Eigen::Vector3d& n) {
   return Eigen::Matrix<double, 9, 1>(maths::harmonics(n.x(), n.y(), n.z()).data());
 }
@@ -142,7 +134,7 @@ IdentityShading::IdentityShading(const face::FaceModel& model) : model_(&model) 
 }
 
 void IdentityShading::add_frame(const Frame& image, const landmark::FaceLandmarks* face) {
-  static const std::array<float, 256> kLinear = linear_values();
+  const std::array<float, 256>& linear = maths::decoded_srgb8();
   LookedAt& frame = frames_.emplace_back();
   if (face == nullptr || image.empty()) {
     return;
@@ -179,7 +171,7 @@ void IdentityShading::add_frame(const Frame& image, const landmark::FaceLandmark
         const std::uint8_t* pixel = image.row(sy) + static_cast<std::ptrdiff_t>(x_first) * 4;
         for (int sx = x_first; sx < x_end; ++sx, pixel += 4) {
           for (std::size_t c = 0; c < 3; ++c) {
-            sum[c] += kLinear[pixel[c]];
+            sum[c] += linear[pixel[c]];
           }
           sum[3] += std::max({pixel[0], pixel[1], pixel[2]}) >= kSaturated ? 0.0F : 1.0F;
         }

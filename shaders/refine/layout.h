@@ -8,9 +8,9 @@ FACET_LAYOUT_BEGIN(refine)
 
 // linear_image makes blocks of so many pixels squared: whole pixels of the quarter image.
 FACET_LAYOUT_CONSTANT int kImageBlockPx = 4;
-// A pixel of its last mip covers so many squared, and the image is whole tiles, so that every mip is half the one
-// before. A vertex reads a mip of half its distance to its neighbours: 64 px are more than any face's are in a picture
-// of 2,048 px.
+// A pixel of its last mip covers so many squared, and the image is whole tiles, so that every mip is half the
+// one before. A vertex reads a mip of half its distance to its neighbours: 64 px are more than any face's are
+// in a picture of 2,048 px.
 FACET_LAYOUT_CONSTANT int kImageTilePx = 32;
 FACET_LAYOUT_CONSTANT int kImageMips = 6;  // with the image itself
 

@@ -11,7 +11,6 @@
 #include <functional>
 #include <memory>
 #include <random>
-#include <string>
 #include <tuple>
 #include <utility>
 
@@ -270,27 +269,24 @@ TEST_F(EnrolmentConditions, ARollingShutterIsSlowEnough) {
   expect_learned(learn(look_at(*model_, simulation::ActorSequence(*model_, config))), actor_->neutral());
 }
 
-/// Who talks while turning, seen with the expressions that nets would see: what is taken is no worse than the
-/// guess, and what can't be is refused with words.
+/// Who talks while turning, of all of whose pictures none was passed over (KeyframesTest: most are): what is
+/// made of them is nearer than the guess.
 TEST_F(EnrolmentConditions, TalkingWhileTurningDoesNoHarm) {
   simulation::ActorSequenceConfig config = actors_turn();
   config.calm_turn = false;
   config.turn_deg = 35;
   config.frame_count = 200;
   const simulation::ActorSequence actor(*model_, config);
-  const Observed talking = look_at(*model_, actor, {20, 45, 60, 75, 90, 110, 130, 160});
+  const Observed talking = look_at(*model_, actor, {22, 40, 118, 124, 130, 148, 178, 184, 190});
   double moved = 0;
   for (const Keyframe& keyframe : talking.keyframes) {
-    moved = std::max(moved, keyframe.expression.cwiseAbs().maxCoeff());
+    moved = std::max(moved, keyframe.expression.norm());
   }
-  ASSERT_GT(moved, 0.3) << "this one keeps still";
+  ASSERT_GT(moved, 1) << "this one keeps still";
   const LearnedShape learned = learn(talking);
-  if (!learned.accepted) {
-    EXPECT_FALSE(learned.refused.empty());
-    return;
-  }
+  ASSERT_TRUE(learned.accepted) << learned.refused;
   const report::Truth truth(actor.neutral());
-  EXPECT_LT(error_mm(*model_, learned.neutral_mm, truth), 1.05 * error_mm(*model_, mean_face(), truth));
+  EXPECT_LT(error_mm(*model_, learned.neutral_mm, truth), error_mm(*model_, mean_face(), truth));
 }
 
 /// Painted lips, cheeks and lids move with the skin, as freckles and moles do.
