@@ -201,7 +201,7 @@ struct SkinFlow::Impl {
     cv::Mat brightest = cv::Mat::zeros(rgb.size(), CV_32F);
     for (int row = 0; row < rgb.rows; ++row) {
       for (int column = 0; column < rgb.cols; ++column) {
-        const auto pixel = rgb.at<cv::Vec3b>(row, column);
+        const auto& pixel = rgb.at<cv::Vec3b>(row, column);
         brightest.at<float>(row, column) =
             static_cast<float>(std::max({pixel[0], pixel[1], pixel[2]})) >= kSaturated ? 1.0F : 0.0F;
       }
@@ -355,7 +355,7 @@ struct SkinFlow::Impl {
     const cv::Mat position = sample(shot.position, to_x, to_y);
     const cv::Mat whole = sample(covered, to_x, to_y);
     for (int v = 0; v < model.vertex_count(); ++v) {
-      const auto point = position.at<cv::Vec3f>(v);
+      const auto& point = position.at<cv::Vec3f>(v);
       if (telling[static_cast<std::size_t>(v)] == 0 || whole.at<float>(v) < 0.99F || point[2] < 1) {
         continue;
       }
