@@ -11,6 +11,7 @@
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <numbers>
 #include <string>
 #include <vector>
 
@@ -23,6 +24,8 @@
 #include "person/enrolment.hpp"
 #include "person/improved_person.hpp"
 #include "person/person_file.hpp"
+#include "person/surface_anchor.hpp"
+#include "person/texture_chart.hpp"
 #include "pipeline/observe_head.hpp"
 #include "report/evaluation.hpp"
 #include "simulation/truth_mesh.hpp"
@@ -35,7 +38,7 @@ struct Options {
   std::vector<std::filesystem::path> folders;
   std::filesystem::path model = default_model_file();
   std::filesystem::path nets = default_landmark_nets();
-  std::filesystem::path save;
+  std::filesystem::path save, pictures;
   person::EnrolmentOptions enrolment;
   std::vector<double> curvatures{person::AnchorStrength().curvature};
   bool solve_expressions = false;
@@ -138,6 +141,274 @@ Measured measure(const face::FaceModel& model, const Eigen::Matrix3Xd& neutral_m
   return out;
 }
 
+/// A head's chart beside the truth: what the surface that was found has at each texel and what is true there.
+struct SkinTruth {
+  person::TextureChart chart;
+  mesh::Vertices placed_mm;  ///< [3][vertex_count] in the truth's frame
+  float scale = 1;           ///< of the truth's frame against the head's
+  Eigen::Matrix3Xf normals;  ///< [3][texel] of the surface
+  Eigen::Matrix3Xf true_normals, true_albedo;
+  /// [texel] of the truth over the surface through the vertices as it bends between them (half of Phong's
+  /// tessellation), mm; and over the triangles.
+  Eigen::ArrayXf height_mm, over_triangles_mm;
+  std::vector<char> known;  ///< [texel]
+  std::vector<char> plain;  ///< [texel] skin, and neither lids, nose nor mouth
+};
+
+float brightness(const Eigen::Vector3f& rgb) {
+  return rgb.dot(Eigen::Vector3f(0.2126F, 0.7152F, 0.0722F));
+}
+
+SkinTruth skin_truth(const face::FaceModel& model, const person::LearnedShape& learned, int texels,
+                     const report::Truth& truth) {
+  const mesh::Triangles triangles = mesh::split_quads(model.control.quads);
+  report::Reconstruction mesh;
+  mesh::apply(person::surface_rows(model), learned.neutral_mm.cast<float>().eval(), mesh.vertices_mm);
+  mesh::vertex_normals(mesh.vertices_mm, triangles, mesh.normals);
+  for (std::int32_t v = 0; v < model.vertex_count(); ++v) {
+    if (model.control.refinable[static_cast<std::size_t>(v)] != 0) {
+      mesh.measured.push_back(v);
+    }
+  }
+  const maths::Similarity onto = report::align_from({&mesh, &truth}, report::Alignment::Similarity, {});
+  SkinTruth out{person::face_chart(model, texels),
+                onto.apply(mesh.vertices_mm),
+                onto.scale,
+                {},
+                {},
+                {},
+                {},
+                {},
+                {},
+                {}};
+  const auto count = static_cast<Eigen::Index>(out.chart.triangle().size());
+  out.normals = out.true_normals = out.true_albedo = Eigen::Matrix3Xf::Zero(3, count);
+  out.height_mm = out.over_triangles_mm = Eigen::ArrayXf::Zero(count);
+  out.known.assign(static_cast<std::size_t>(count), 0);
+  out.plain = out.known;
+  const std::vector<face::FacePart> parts = face::control_parts(model);
+  Eigen::Matrix3Xf normals;
+  mesh::vertex_normals(out.placed_mm, triangles, normals);
+  Eigen::Matrix3Xf true_normals;
+  mesh::vertex_normals(truth.mesh().vertices_mm, truth.mesh().triangles, true_normals);
+  for (Eigen::Index i = 0; i < count; ++i) {
+    const auto texel = static_cast<std::size_t>(i);
+    if (out.chart.triangle()[texel] < 0) {
+      continue;
+    }
+    const Eigen::Vector3f at = out.chart.spread(out.placed_mm, texel);
+    out.normals.col(i) = out.chart.spread(normals, texel).stableNormalized();
+    const auto closest = truth.caster().closest_point(at, 20);
+    const auto of_texel = triangles.col(out.chart.triangle()[texel]);
+    out.plain[texel] = std::all_of(of_texel.begin(), of_texel.end(), [&](std::int32_t v) {
+      const face::FacePart part = parts[static_cast<std::size_t>(v)];
+      return model.control.refinable[static_cast<std::size_t>(v)] != 0 && part != face::FacePart::Lids &&
+             part != face::FacePart::Nose && part != face::FacePart::Mouth;
+    });
+    if (closest.triangle < 0) {
+      continue;
+    }
+    out.known[texel] = 1;
+    const auto corners = truth.mesh().triangles.col(closest.triangle);
+    const Eigen::Vector3f shares(1 - closest.barycentric.sum(), closest.barycentric[0],
+                                 closest.barycentric[1]);
+    const auto mix = [&](const Eigen::Matrix3Xf& values) -> Eigen::Vector3f {
+      return values(Eigen::all, corners) * shares;
+    };
+    out.true_albedo.col(i) = mix(truth.mesh().albedo);
+    out.true_normals.col(i) = mix(true_normals).stableNormalized();
+    out.over_triangles_mm[i] = (mix(truth.mesh().vertices_mm) - at).dot(out.normals.col(i));
+    float bends = 0;
+    for (int c = 0; c < 3; ++c) {
+      bends += 0.5F * out.chart.barycentric()[texel][c] *
+               (out.placed_mm.col(of_texel[c]) - at).dot(normals.col(of_texel[c]));
+    }
+    out.height_mm[i] = out.over_triangles_mm[i] - bends;
+  }
+  return out;
+}
+
+/// [height][width] by a bell of this standard deviation, texels.
+Eigen::ArrayXf blurred(const Eigen::ArrayXf& image, int width, float sigma) {
+  const int reach = static_cast<int>(std::ceil(4 * sigma));
+  Eigen::ArrayXf bell(2 * reach + 1);
+  for (int i = -reach; i <= reach; ++i) {
+    bell[i + reach] = std::exp(-0.5F * static_cast<float>(i * i) / (sigma * sigma));
+  }
+  bell /= bell.sum();
+  const auto height = static_cast<int>(image.size()) / width;
+  const auto along = [&](const Eigen::ArrayXf& from, int step, int length) {
+    Eigen::ArrayXf out = Eigen::ArrayXf::Zero(from.size());
+    for (Eigen::Index p = 0; p < from.size(); ++p) {
+      const int at = static_cast<int>(p) / step % length;
+      for (int i = std::max(-reach, -at); i <= std::min(reach, length - 1 - at); ++i) {
+        out[p] += bell[i + reach] * from[p + static_cast<Eigen::Index>(i) * step];
+      }
+    }
+    return out;
+  };
+  return along(along(image, 1, width), width, height);
+}
+
+/// What of an image lies between two widths, texels, where weight is 1.
+Eigen::ArrayXf band(const Eigen::ArrayXf& image, const Eigen::ArrayXf& weight, int width, float low,
+                    float high) {
+  const auto mean = [&](float wide) -> Eigen::ArrayXf {
+    return blurred(image * weight, width, wide / 4) / (blurred(weight, width, wide / 4) + 1e-4F);
+  };
+  const Eigen::ArrayXf fine = low > 0 ? mean(low) : image;
+  return fine - mean(high);
+}
+
+struct Agreement {
+  double n = 0, a = 0, b = 0, aa = 0, bb = 0, ab = 0;
+  void add(float found, float truth) {
+    const auto x = static_cast<double>(found);
+    const auto y = static_cast<double>(truth);
+    n += 1, a += x, b += y, aa += x * x, bb += y * y, ab += x * y;
+  }
+  double correlation() const {
+    return (ab / n - a * b / n / n) /
+           std::sqrt(std::max((aa / n - a * a / n / n) * (bb / n - b * b / n / n), 1e-30));
+  }
+  double depth() const { return ab / std::max(bb, 1e-30); }
+};
+
+/// Two pictures [3][texel] beside each other, what was found to the left.
+void write_pictures(const Options& options, const std::string& name, int width,
+                    const std::array<Eigen::Matrix3Xf, 2>& pictures) {
+  std::filesystem::create_directories(options.pictures);
+  std::ofstream out(options.pictures / (name + ".ppm"), std::ios::binary);
+  const auto height = static_cast<int>(pictures[0].cols()) / width;
+  out << "P6\n" << 2 * width << " " << height << "\n255\n";
+  // The chart's rows begin at the chin.
+  for (int row = height - 1; row >= 0; --row) {
+    for (const Eigen::Matrix3Xf& picture : pictures) {
+      for (int column = 0; column < width; ++column) {
+        for (int c = 0; c < 3; ++c) {
+          const float value = std::clamp(picture(c, row * width + column), 0.0F, 1.0F);
+          out.put(static_cast<char>(static_cast<unsigned char>(255 * std::pow(value, 1 / 2.2F))));
+        }
+      }
+    }
+  }
+}
+
+void print_albedo(const Options& options, const face::FaceModel& model, const person::Skin& skin,
+                  const SkinTruth& truth, const std::string& name) {
+  Agreement before;
+  Agreement after;
+  const Eigen::Map<const Eigen::Matrix3Xf> found(skin.albedo.data(), 3, truth.height_mm.size());
+  const auto logarithm = [](const Eigen::Vector3f& rgb) {
+    return std::log(std::max(brightness(rgb), 1e-4F));
+  };
+  for (Eigen::Index i = 0; i < truth.height_mm.size(); ++i) {
+    const auto texel = static_cast<std::size_t>(i);
+    if (truth.known[texel] != 0 && skin.seen[texel] > 1 && std::abs(truth.over_triangles_mm[i]) < 3 &&
+        truth.true_albedo(0, i) > 0) {
+      const float there = logarithm(truth.true_albedo.col(i));
+      before.add(logarithm(truth.chart.spread(model.mean_albedo, texel)), there);
+      after.add(logarithm(found.col(i)), there);
+    }
+  }
+  fmt::print("    albedo: correlation {:.3f} -> {:.3f}; residual {:.3f}, gains", before.correlation(),
+             after.correlation(), skin.residual);
+  for (const float gain : skin.gains) {
+    fmt::print(" {:.2f}", gain);
+  }
+  fmt::print("\n");
+  if (!options.pictures.empty()) {
+    write_pictures(options, name + "-albedo", skin.chart.width, {found, truth.true_albedo});
+  }
+}
+
+/// What the relief makes of the surface's normals, [3][texel]; zero where a texel lacks a neighbour.
+Eigen::Matrix3Xf with_relief(const person::Skin& skin, const SkinTruth& truth, double& texel_mm) {
+  Eigen::Matrix3Xf out = Eigen::Matrix3Xf::Zero(3, truth.height_mm.size());
+  std::vector<float> lengths;
+  const auto held = [&](int texel) { return truth.chart.triangle()[static_cast<std::size_t>(texel)] >= 0; };
+  for (int row = 0; row + 1 < skin.chart.height; ++row) {
+    for (int column = 0; column + 1 < skin.chart.width; ++column) {
+      const int i = row * skin.chart.width + column;
+      const int below = i + skin.chart.width;
+      if (!held(i) || !held(i + 1) || !held(below)) {
+        continue;
+      }
+      const auto at = [&](int texel) -> Eigen::Vector3f {
+        return truth.chart.spread(truth.placed_mm, static_cast<std::size_t>(texel)) / truth.scale;
+      };
+      const Eigen::Vector3f u = at(i + 1) - at(i);
+      const Eigen::Vector3f v = at(below) - at(i);
+      lengths.push_back(u.norm());
+      const float uu = u.squaredNorm();
+      const float uv = u.dot(v);
+      const float vv = v.squaredNorm();
+      const float area = std::max(uu * vv - uv * uv, 1e-6F);
+      const auto relief = [&](int texel) { return skin.chart.relief_mm[static_cast<std::size_t>(texel)]; };
+      const Eigen::Vector3f rises = (vv * u - uv * v) / area * (relief(i + 1) - relief(i)) +
+                                    (uu * v - uv * u) / area * (relief(below) - relief(i));
+      out.col(i) = (truth.normals.col(i) - rises).stableNormalized();
+    }
+  }
+  texel_mm = lengths.empty() ? 1 : static_cast<double>(maths::median_of(lengths));
+  return out;
+}
+
+void print_relief(const Options& options, const person::Skin& skin, const SkinTruth& truth,
+                  const std::string& name) {
+  double texel_mm = 1;
+  const Eigen::Matrix3Xf normals = with_relief(skin, truth, texel_mm);
+  const Eigen::Index count = truth.height_mm.size();
+  const auto per_mm = static_cast<float>(1 / texel_mm);
+  Eigen::ArrayXf weight = Eigen::ArrayXf::Zero(count);
+  for (Eigen::Index i = 0; i < count; ++i) {
+    const auto texel = static_cast<std::size_t>(i);
+    weight[i] = truth.known[texel] != 0 && truth.plain[texel] != 0 && skin.seen[texel] > 1 &&
+                        std::abs(truth.height_mm[i]) < 3 && normals.col(i).squaredNorm() > 0
+                    ? 1.0F
+                    : 0.0F;
+  }
+  const Eigen::ArrayXf whole = blurred(weight, skin.chart.width, 2 * per_mm);
+  const Eigen::Map<const Eigen::ArrayXf> relief(skin.chart.relief_mm.data(), count);
+  std::array<Eigen::Matrix3Xf, 2> pictures{Eigen::Matrix3Xf::Zero(3, count),
+                                           Eigen::Matrix3Xf::Zero(3, count)};
+  fmt::print("    relief:");
+  for (const auto& [low, high] : {std::pair(0.0F, 4.0F), std::pair(4.0F, 15.0F)}) {
+    const Eigen::ArrayXf found = band(relief, weight, skin.chart.width, low * per_mm, high * per_mm);
+    const Eigen::ArrayXf there = band(truth.height_mm, weight, skin.chart.width, low * per_mm, high * per_mm);
+    Agreement agreement;
+    for (Eigen::Index i = 0; i < count; ++i) {
+      if (whole[i] > 0.97F) {
+        agreement.add(found[i], there[i]);
+      }
+      if (weight[i] > 0) {
+        pictures[0].col(i).array() += 0.25F + 2 * found[i];
+        pictures[1].col(i).array() += 0.25F + 2 * there[i];
+      }
+    }
+    fmt::print(" {:.0f} to {:.0f} mm correlation {:.3f}, depth {:.3f};", low, high, agreement.correlation(),
+               agreement.depth());
+  }
+  double before = 0;
+  double after = 0;
+  int facing = 0;
+  const auto degrees = [](float cosine) {
+    return std::acos(std::clamp(static_cast<double>(cosine), -1.0, 1.0)) * 180 / std::numbers::pi;
+  };
+  for (Eigen::Index i = 0; i < count; ++i) {
+    const float cosine = normals.col(i).dot(truth.true_normals.col(i));
+    if (whole[i] > 0.97F && cosine > 0.2F) {
+      before += degrees(truth.normals.col(i).dot(truth.true_normals.col(i)));
+      after += degrees(cosine);
+      ++facing;
+    }
+  }
+  fmt::print(" normals {:.2f} -> {:.2f}\n", before / std::max(facing, 1), after / std::max(facing, 1));
+  if (!options.pictures.empty()) {
+    write_pictures(options, name + "-relief", skin.chart.width, pictures);
+  }
+}
+
 void learn(const Options& options, const face::FaceModel& model, const std::filesystem::path& folder,
            const person::Observed& observed, const person::EnrolmentOptions& enrolment,
            const person::OrientationSpan& span) {
@@ -176,11 +447,17 @@ void learn(const Options& options, const face::FaceModel& model, const std::file
     fmt::print("    {} {:.3f} (limit {:.3f}){}\n", gate.name, gate.value, gate.limit,
                gate.passed ? "" : ": " + gate.sentence);
   }
+  if (learned.skin.chart.width > 0) {
+    const SkinTruth skin = skin_truth(model, learned, enrolment.skin_texels, truth);
+    print_albedo(options, model, learned.skin, skin, folder.filename().string());
+    print_relief(options, learned.skin, skin, folder.filename().string());
+  }
   if (!options.save.empty()) {
     std::filesystem::create_directories(options.save);
     const std::string name = folder.filename().string();
-    face::person_model(model, learned.identity, learned.neutral_mm, name)
-        .save(options.save / (name + ".facemodel"));
+    face::FaceModel person = face::person_model(model, learned.identity, learned.neutral_mm, name);
+    person.skin = learned.skin.chart;
+    person.save(options.save / (name + ".facemodel"));
     std::ofstream(options.save / (name + ".focal"))
         << learned.focal_px / std::max(observed.camera.width_px, observed.camera.height_px) << "\n";
   }
@@ -218,6 +495,7 @@ void run_one(const Options& options, const face::FaceModel& model, const std::fi
   person::EnrolmentOptions enrolment = options.enrolment;
   enrolment.expression =
       options.solve_expressions ? person::KeyframeExpression::Solved : person::KeyframeExpression::Rest;
+  enrolment.skin = enrolment.skin_texels > 0;
   const auto observed = collector.observed(enrolment.keyframes);
   if (!observed) {
     fmt::print("{}: no keyframe\n", folder.filename().string());
@@ -244,9 +522,12 @@ int main(int argc, char** argv) {
   app.add_option("--against", options.against, "with --person: other persons, how far apart they are")
       ->check(CLI::ExistingFile);
   app.add_option("--save", options.save, "folder for the persons' face models");
+  app.add_option("--pictures", options.pictures,
+                 "folder for the albedo and the relief that were found, each beside the truth");
   app.add_option("--keyframes", options.enrolment.keyframes);
   app.add_option("--rounds", options.enrolment.rounds);
   app.add_option("--chart", options.enrolment.chart_texels);
+  app.add_option("--skin", options.enrolment.skin_texels, "of the skin's chart; 0: no skin");
   app.add_option("--distance", options.enrolment.anchor.distance);
   app.add_option("--curvature", options.curvatures, "of the anchor; each is tried")->delimiter(',');
   app.add_flag("--solve-expressions", options.solve_expressions);

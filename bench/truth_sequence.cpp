@@ -199,8 +199,13 @@ Score refine_sequence(gpu::Context& context, const face::FaceModel& model, const
                       const refine::RefinerConfig& config,
                       const std::function<void(std::size_t, const refine::RefineOutput&)>& at_measured) {
   refine::Refiner refiner(context, config);
-  refiner.set_subject({sequence.subject->hierarchy, model.mean_albedo, model.control.refinable,
-                       sequence.true_albedo, face::shading_trust(model), model.identity_count() == 0});
+  refine::SubjectSetup setup{sequence.subject->hierarchy, model.mean_albedo,
+                             model.control.refinable,     sequence.true_albedo,
+                             face::shading_trust(model),  model.identity_count() == 0};
+  if (!model.skin.empty()) {
+    setup.relief_mm = face::relief_at(model.skin, sequence.subject->hierarchy->texture_coordinates);
+  }
+  refiner.set_subject(setup);
   report::FigureSum sum;
   report::WrinkleSum wrinkles;
   Score score;

@@ -30,6 +30,7 @@ struct Options : facet::bench::SequenceOptions {
   std::string device = "auto";
   bool reach = false;
   bool coarse_alone = false;
+  bool without_skin = false;
 };
 
 /// A setting of the refiner by name.
@@ -180,7 +181,10 @@ void run(const Options& options) {
     RefinerConfig probe;
     set(probe, sweeps.back().name, sweeps.back().values.front());
   }
-  const facet::face::FaceModel model = facet::face::FaceModel::load(options.model);
+  facet::face::FaceModel model = facet::face::FaceModel::load(options.model);
+  if (options.without_skin) {
+    model.skin = {};
+  }
   if (options.coarse_alone) {
     for (const std::filesystem::path& folder : options.folders) {
       facet::bench::load_sequence(model, options, folder);
@@ -237,6 +241,7 @@ int main(int argc, char** argv) {
       "--reach", options.reach,
       "First what displacements could reach at best: the truth's own along the coarse normals, whole and "
       "smoothed");
+  app.add_flag("--without-skin", options.without_skin, "Leave out what a person's model knows of the skin");
   app.add_flag("--coarse-alone", options.coarse_alone, "Measure the coarse meshes and refine nothing");
   app.add_option("--model", options.model, "Face model file")->capture_default_str();
   app.add_option("--device", options.device, "GPU, by part of its name")->capture_default_str();

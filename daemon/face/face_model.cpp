@@ -184,7 +184,10 @@ std::string FaceModel::check() const {
     return "a number of the core is not finite";
   }
   std::string wrong = check_expressions(*this);
-  return wrong.empty() ? check_landmarks(*this) : wrong;
+  if (wrong.empty()) {
+    wrong = check_landmarks(*this);
+  }
+  return wrong.empty() && !skin.empty() ? skin.check() : wrong;
 }
 
 }  // namespace facet::face

@@ -10,6 +10,7 @@
 #include <string_view>
 #include <vector>
 
+#include "face/skin_chart.hpp"
 #include "mesh/hierarchy.hpp"
 #include "mesh/mesh.hpp"
 
@@ -121,6 +122,7 @@ class FaceModel {
   std::vector<LandmarkAnchor>
       landmarks;  ///< [468] MediaPipe face mesh order; empty before `facet model build` has found them
   mesh::Vertices mean_albedo;  ///< [3][vertex_count] linear RGB
+  SkinChart skin;              ///< of a person's model: what is known of the skin
   int identity_modes = 0;      ///< identity_count + 1, mean first
   int expression_modes = 0;    ///< expression_count + 1, neutral first
   /// [identity_modes][expression_modes][vertex_count][3], mm

@@ -194,6 +194,7 @@ FaceModel FaceModel::parse(std::span<const std::byte> bytes, const std::string& 
   if (counts.landmarks > 0) {
     chunks.read("LAND", model.landmarks.data(), model.landmarks.size());
   }
+  model.skin = read_skin(chunks);
   parse_core(chunks, max_core_values, model);
 
   const std::string wrong = model.check();
@@ -245,6 +246,7 @@ void FaceModel::save(const std::filesystem::path& file) const {
   if (!landmarks.empty()) {
     writer.add("LAND", bytes_of(landmarks.data(), landmarks.size()), false);
   }
+  add_skin(skin, writer);
   add_core(*this, writer);
   files::OutputFile output(file);
   output.write(writer.file());

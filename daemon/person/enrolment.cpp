@@ -130,6 +130,12 @@ class Enrolment {
       judge(out);
     }
     out.focal_px = solver_.focal_px();
+    const bool passed =
+        std::all_of(out.gates.begin(), out.gates.end(), [](const Gate& gate) { return gate.passed; });
+    if (passed && options_.skin) {
+      out.skin = find_skin(model_, options_.skin_texels, observed_.keyframes, solver_, centre_px_,
+                           [this] { say(); });
+    }
     if (solved && options_.uncertainty) {
       out.sigma_mm = solver_.uncertainty_mm([this] { return go_on(); });
     }
@@ -141,7 +147,8 @@ class Enrolment {
   bool go_on() const {
     const int pictures = (2 * options_.rounds + 1) * static_cast<int>(order_.size());
     const int steps = (options_.rounds + kTurns - 1) * kShapeSteps;
-    return !progress_ || progress_(done_, pictures + steps);
+    const int skin = options_.skin ? skin_pieces(static_cast<int>(order_.size())) : 0;
+    return !progress_ || progress_(done_, pictures + steps + skin);
   }
 
   /// A piece of work is done. Throws BrokenOff.

@@ -9,6 +9,7 @@
 #include "face/face_model.hpp"
 #include "person/keyframes.hpp"
 #include "person/shape_solver.hpp"
+#include "person/skin_relief.hpp"
 
 namespace facet::person {
 
@@ -24,6 +25,8 @@ struct EnrolmentOptions {
   int chart_texels = 640;
   bool focal_is_known = false;
   bool uncertainty = true;  ///< LearnedShape::sigma_mm is asked for: seconds
+  bool skin = true;         ///< LearnedShape::skin is asked for: some ten seconds
+  int skin_texels = 768;
   KeyframeExpression expression = KeyframeExpression::Rest;
   AnchorStrength anchor;
 };
@@ -47,6 +50,7 @@ struct LearnedShape {
   double focal_px = 0;          ///< for pictures of Observed::camera's size
   Eigen::VectorXd sigma_mm;  ///< [vertex_count] standard deviation along the normal; NaN: held to the model;
                              ///< empty where it was not asked for or nothing was solved
+  Skin skin;                 ///< without texels where it was not asked for or a gate refused
   Eigen::VectorXd rest;      ///< [expression_count] that it was solved with
   std::vector<std::uint64_t> keyframes;  ///< sequence numbers
 };
@@ -61,7 +65,7 @@ inline constexpr double kLeastYawDeg = 12;
 bool turned_enough(const OrientationSpan& span);
 
 /// Solves a head's shape from what it showed. Refusals are results, not errors, and so is what was broken
-/// off. Some ten seconds; allocates; any thread.
+/// off. Half a minute; allocates; any thread.
 LearnedShape learn_shape(const face::FaceModel& model, const Observed& observed,
                          const EnrolmentOptions& options, const EnrolmentProgress& progress);
 

@@ -79,7 +79,7 @@ double disagreement_of(const face::FaceModel& model, const std::vector<std::int3
   return apart.empty() ? std::numeric_limits<double>::infinity() : maths::median_of(std::move(apart));
 }
 
-/// The camera, the gates and the date are the second's; what was seen is both's.
+/// The camera, the skin, the gates and the date are the second's; what was seen is both's.
 void take_over(const PersonFile& second, PersonFile& person) {
   person.created_utc = second.created_utc;
   person.software = second.software;
@@ -92,6 +92,9 @@ void take_over(const PersonFile& second, PersonFile& person) {
   person.width_px = second.width_px;
   person.height_px = second.height_px;
   person.gates = second.gates;
+  if (!second.skin.empty()) {
+    person.skin = second.skin;
+  }
 }
 
 }  // namespace

@@ -132,6 +132,7 @@ std::vector<std::byte> bytes_of_file(const PersonFile& person) {
   if (!person.sigma_mm.empty()) {
     writer.add("SIGM", face::bytes_of(person.sigma_mm.data(), person.sigma_mm.size()), false);
   }
+  face::add_skin(person.skin, writer);
   return writer.file();
 }
 
@@ -188,6 +189,7 @@ PersonFile parse_person(std::span<const std::byte> bytes, const std::string& sou
                   [](float sigma) { return !std::isnan(sigma) && !(sigma >= 0 && sigma <= kFarthestMm); })) {
     chunks.fail("a standard deviation is negative or far off");
   }
+  person.skin = face::read_skin(chunks);
   return person;
 }
 
@@ -207,6 +209,7 @@ PersonFile person_of(const face::FaceModel& model, const Observed& observed, con
   person.neutral_mm = learned.neutral_mm.cast<float>();
   const Eigen::VectorXf sigma = learned.sigma_mm.cast<float>();
   person.sigma_mm.assign(sigma.begin(), sigma.end());
+  person.skin = learned.skin.chart;
   return person;
 }
 
@@ -253,7 +256,10 @@ void check_model(const PersonFile& person, const face::FaceModel& model, const s
 
 face::FaceModel model_of(const PersonFile& person, const face::FaceModel& model, const std::string& source) {
   check_model(person, model, source);
-  return face::person_model(model, person.identity, person.neutral_mm.cast<double>(), person.name);
+  face::FaceModel own =
+      face::person_model(model, person.identity, person.neutral_mm.cast<double>(), person.name);
+  own.skin = person.skin;
+  return own;
 }
 
 }  // namespace facet::person

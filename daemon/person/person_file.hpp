@@ -30,6 +30,7 @@ struct PersonFile {
   std::vector<float> identity;  ///< [identity_count] of the model's face that the solve began with
   mesh::Vertices neutral_mm;    ///< [3][vertex_count]
   std::vector<float> sigma_mm;  ///< [vertex_count] standard deviation along the normal; NaN: not known
+  face::SkinChart skin;         ///< empty where nothing was found of it
 };
 
 /// What was learned of a head, as of now. Whoever keeps it gives it a name and says what software does.

@@ -11,20 +11,12 @@
 #include "maths/srgb.hpp"
 #include "maths/statistics.hpp"
 #include "mesh/quads.hpp"
-#include "mesh/triangle_points.hpp"
+#include "person/chart_view.hpp"
 #include "person/texture_chart.hpp"
 
 namespace facet::person {
 namespace {
 
-/// Cosines of the angle to the camera between which skin begins to count.
-constexpr float kGrazing = 0.25F;
-constexpr float kFacing = 0.55F;
-/// A texel that lies so far behind what is nearest to the camera there is hidden.
-constexpr float kHiddenMm = 4;
-constexpr float kDepthCellMm = 1.5F;
-constexpr int kMostCells = 1024;  ///< of a side
-constexpr float kSaturated = 250;
 /// What is wider than this is mostly shading, which stays with the light while the skin turns under it.
 constexpr double kWindowMm = 0.7;
 /// Of the brightness; what stands out less is the camera's noise.
@@ -35,23 +27,12 @@ constexpr float kGreyMiddle = 128;
 constexpr float kGreyPerDeviation = 42;
 constexpr int kPatchTexels = 13;
 
-float smoothstep(float x, float low, float high) {
-  const float t = std::clamp((x - low) / (high - low), 0.0F, 1.0F);
-  return t * t * (3 - 2 * t);
-}
-
 /// A keyframe's picture on the chart.
 struct Unwrapped {
   cv::Mat texture;   ///< [height][width] deviations from the mean around
   cv::Mat weight;    ///< [height][width] 0: the picture does not show it
   cv::Mat position;  ///< [height][width][3] camera frame, mm
 };
-
-cv::Mat sample(const cv::Mat& image, const cv::Mat& x, const cv::Mat& y) {
-  cv::Mat out;
-  cv::remap(image, out, x, y, cv::INTER_LINEAR, cv::BORDER_CONSTANT);
-  return out;
-}
 
 /// [256] the logarithm of what a camera's value is of light.
 cv::Mat log_of_grey() {
@@ -87,69 +68,6 @@ std::vector<std::uint8_t> telling_of(const face::FaceModel& model) {
   return telling;
 }
 
-/// The skin, and what shares a quad with it.
-std::vector<std::uint8_t> face_of(const face::FaceModel& model) {
-  std::vector<std::uint8_t> face = model.control.refinable;
-  for (Eigen::Index q = 0; q < model.control.quads.cols(); ++q) {
-    const auto corners = model.control.quads.col(q);
-    if (std::any_of(corners.begin(), corners.end(), [&](std::int32_t v) {
-          return model.control.refinable[static_cast<std::size_t>(v)] != 0;
-        })) {
-      for (const std::int32_t v : corners) {
-        face[static_cast<std::size_t>(v)] = 1;
-      }
-    }
-  }
-  return face;
-}
-
-/// What of a mesh is nearest to the camera, in cells of the picture plane.
-class NearestDepth {
- public:
-  NearestDepth(const mesh::Vertices& camera_mm, const mesh::Triangles& triangles) {
-    least_ = Eigen::Vector2f::Constant(1e9F);
-    Eigen::Vector2f largest = Eigen::Vector2f::Constant(-1e9F);
-    const Eigen::Index count = camera_mm.cols();
-    const float depth = std::max(camera_mm.row(2).mean(), 1.0F);
-    scale_ = depth / kDepthCellMm;
-    Eigen::Matrix2Xf cells(2, count);
-    for (Eigen::Index v = 0; v < count; ++v) {
-      cells.col(v) = scale_ * camera_mm.col(v).head<2>() / std::max(camera_mm(2, v), 1.0F);
-      least_ = least_.cwiseMin(cells.col(v));
-      largest = largest.cwiseMax(cells.col(v));
-    }
-    const Eigen::Vector2f extent = (largest - least_).cwiseMin(static_cast<float>(kMostCells - 2));
-    nearest_ = cv::Mat(static_cast<int>(extent.y()) + 2, static_cast<int>(extent.x()) + 2, CV_32F,
-                       cv::Scalar(std::numeric_limits<float>::max()));
-    for (Eigen::Index t = 0; t < triangles.cols(); ++t) {
-      const auto corners = triangles.col(t);
-      const Eigen::Vector3f depths(camera_mm(2, corners[0]), camera_mm(2, corners[1]),
-                                   camera_mm(2, corners[2]));
-      if (depths.minCoeff() < 1) {
-        continue;
-      }
-      mesh::for_each_point(cells.col(corners[0]) - least_, cells.col(corners[1]) - least_,
-                           cells.col(corners[2]) - least_, nearest_.cols, nearest_.rows,
-                           [&](int x, int y, const Eigen::Vector3f& barycentric) {
-                             float& nearest = nearest_.at<float>(y, x);
-                             nearest = std::min(nearest, barycentric.dot(depths));
-                           });
-    }
-  }
-
-  bool hides(const Eigen::Vector3f& point_mm) const {
-    const Eigen::Vector2f cell = scale_ * point_mm.head<2>() / std::max(point_mm.z(), 1.0F) - least_;
-    const int x = std::clamp(static_cast<int>(std::lround(cell.x())), 0, nearest_.cols - 1);
-    const int y = std::clamp(static_cast<int>(std::lround(cell.y())), 0, nearest_.rows - 1);
-    return point_mm.z() > nearest_.at<float>(y, x) + kHiddenMm;
-  }
-
- private:
-  Eigen::Vector2f least_;
-  float scale_ = 1;
-  cv::Mat nearest_;
-};
-
 cv::Mat as_bytes(const cv::Mat& texture) {
   cv::Mat out;
   texture.convertTo(out, CV_8U, kGreyPerDeviation, kGreyMiddle);
@@ -170,7 +88,7 @@ struct SkinFlow::Impl {
   Impl(const face::FaceModel& given, int texels)
       : model(given),
         triangles(mesh::split_quads(given.control.quads)),
-        chart(given.control.texture_coordinates, triangles, face_of(given), texels),
+        chart(face_chart(given, texels)),
         telling(telling_of(given)),
         x(chart.height(), chart.width(), CV_32F),
         y(chart.height(), chart.width(), CV_32F),
@@ -187,56 +105,12 @@ struct SkinFlow::Impl {
 
   Unwrapped unwrap(const Keyframe& keyframe, const ShapeSolver& solver, const HeadState& head,
                    const Eigen::Vector2d& centre_px) {
-    const mesh::Vertices camera_mm =
-        ((head.rotation * solver.surface(head.expression)).colwise() + head.translation_mm).cast<float>();
-    Eigen::Matrix3Xf normals;
-    mesh::vertex_normals(camera_mm, triangles, normals);
-    const NearestDepth nearest(camera_mm, triangles);
-    const HeadPicture& picture = keyframe.picture;
-    const cv::Mat rgb(picture.height_px, picture.width_px, CV_8UC3,
-                      const_cast<std::uint8_t*>(picture.rgb.data()));
+    ChartView view = chart_view(chart, triangles, keyframe.picture, solver, head, centre_px);
     cv::Mat grey;
-    cv::cvtColor(rgb, grey, cv::COLOR_RGB2GRAY);
+    cv::cvtColor(rgb_of(keyframe.picture), grey, cv::COLOR_RGB2GRAY);
     cv::LUT(grey, log_of_grey(), grey);
-    cv::Mat brightest = cv::Mat::zeros(rgb.size(), CV_32F);
-    for (int row = 0; row < rgb.rows; ++row) {
-      for (int column = 0; column < rgb.cols; ++column) {
-        const auto& pixel = rgb.at<cv::Vec3b>(row, column);
-        brightest.at<float>(row, column) =
-            static_cast<float>(std::max({pixel[0], pixel[1], pixel[2]})) >= kSaturated ? 1.0F : 0.0F;
-      }
-    }
-    const auto focal = static_cast<float>(solver.focal_px());
-    const Eigen::Vector2f origin =
-        centre_px.cast<float>() -
-        Eigen::Vector2f(static_cast<float>(picture.left_px), static_cast<float>(picture.top_px));
-    Unwrapped out{{}, cv::Mat::zeros(covered.size(), CV_32F), cv::Mat::zeros(covered.size(), CV_32FC3)};
-    cv::Mat px(covered.size(), CV_32F, cv::Scalar(-10));
-    cv::Mat py(covered.size(), CV_32F, cv::Scalar(-10));
-    for (int row = 0; row < chart.height(); ++row) {
-      for (int column = 0; column < chart.width(); ++column) {
-        const auto texel = static_cast<std::size_t>(row * chart.width() + column);
-        if (chart.triangle()[texel] < 0) {
-          continue;
-        }
-        const Eigen::Vector3f point = chart.spread(camera_mm, texel);
-        const Eigen::Vector3f normal = chart.spread(normals, texel);
-        out.position.at<cv::Vec3f>(row, column) = {point.x(), point.y(), point.z()};
-        const Eigen::Vector2f at = focal / std::max(point.z(), 1.0F) * point.head<2>() + origin;
-        px.at<float>(row, column) = at.x();
-        py.at<float>(row, column) = at.y();
-        const bool inside = at.x() > 1 && at.y() > 1 && at.x() < static_cast<float>(rgb.cols - 2) &&
-                            at.y() < static_cast<float>(rgb.rows - 2);
-        if (!inside || nearest.hides(point)) {
-          continue;
-        }
-        const float facing = -normal.dot(point) / std::max(normal.norm() * point.norm(), 1e-9F);
-        out.weight.at<float>(row, column) = smoothstep(facing, kGrazing, kFacing);
-      }
-    }
-    const cv::Mat saturated = sample(brightest, px, py);
-    out.weight.setTo(0, saturated > 0.1F);
-    normalise(sample(grey, px, py), out);
+    Unwrapped out{{}, std::move(view.weight), std::move(view.position_mm)};
+    normalise(sample(grey, view.x_px, view.y_px), out);
     return out;
   }
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "mesh/quads.hpp"
 #include "mesh/triangle_points.hpp"
 
 namespace facet::person {
@@ -18,21 +19,21 @@ constexpr float kLongestShare = 0.4F;
 TextureChart::TextureChart(const mesh::TextureCoordinates& coordinates, const mesh::Triangles& triangles,
                            const std::vector<std::uint8_t>& face, int longer_side)
     : triangles_(triangles) {
-  Eigen::Vector2f least = Eigen::Vector2f::Constant(1e9F);
+  least_.setConstant(1e9F);
   Eigen::Vector2f largest = Eigen::Vector2f::Constant(-1e9F);
   for (Eigen::Index v = 0; v < coordinates.cols(); ++v) {
     if (face[static_cast<std::size_t>(v)] != 0) {
-      least = least.cwiseMin(coordinates.col(v));
+      least_ = least_.cwiseMin(coordinates.col(v));
       largest = largest.cwiseMax(coordinates.col(v));
     }
   }
-  least.array() -= kBorder;
+  least_.array() -= kBorder;
   largest.array() += kBorder;
-  const Eigen::Vector2f extent = largest - least;
-  const float scale = static_cast<float>(longer_side) / extent.maxCoeff();
-  width_ = std::max(1, static_cast<int>(std::ceil(extent.x() * scale)));
-  height_ = std::max(1, static_cast<int>(std::ceil(extent.y() * scale)));
-  texels_ = (coordinates.colwise() - least) * scale;
+  const Eigen::Vector2f extent = largest - least_;
+  scale_ = static_cast<float>(longer_side) / extent.maxCoeff();
+  width_ = std::max(1, static_cast<int>(std::ceil(extent.x() * scale_)));
+  height_ = std::max(1, static_cast<int>(std::ceil(extent.y() * scale_)));
+  texels_ = (coordinates.colwise() - least_) * scale_;
   triangle_.assign(static_cast<std::size_t>(width_) * static_cast<std::size_t>(height_), -1);
   barycentric_.assign(triangle_.size(), Eigen::Vector3f::Zero());
   for (Eigen::Index t = 0; t < triangles.cols(); ++t) {
@@ -52,6 +53,26 @@ TextureChart::TextureChart(const mesh::TextureCoordinates& coordinates, const me
       barycentric_[texel] = barycentric;
     });
   }
+}
+
+std::vector<std::uint8_t> skin_with_rim(const face::FaceModel& model) {
+  std::vector<std::uint8_t> face = model.control.refinable;
+  for (Eigen::Index q = 0; q < model.control.quads.cols(); ++q) {
+    const auto corners = model.control.quads.col(q);
+    if (std::any_of(corners.begin(), corners.end(), [&](std::int32_t v) {
+          return model.control.refinable[static_cast<std::size_t>(v)] != 0;
+        })) {
+      for (const std::int32_t v : corners) {
+        face[static_cast<std::size_t>(v)] = 1;
+      }
+    }
+  }
+  return face;
+}
+
+TextureChart face_chart(const face::FaceModel& model, int longer_side) {
+  return {model.control.texture_coordinates, mesh::split_quads(model.control.quads), skin_with_rim(model),
+          longer_side};
 }
 
 }  // namespace facet::person

@@ -79,8 +79,9 @@ LearnedFace learn_face(const face::FaceModel& model, const person::Observed& obs
     out.note = fmt::format(
         "the head turns: its own shape is followed, learned from {} pictures of {} (focal length {:.0f} px)",
         shape.keyframes.size(), from, shape.focal_px);
-    out.model = std::make_shared<const face::FaceModel>(
-        face::person_model(model, shape.identity, shape.neutral_mm, "learned from " + from));
+    face::FaceModel own = face::person_model(model, shape.identity, shape.neutral_mm, "learned from " + from);
+    own.skin = shape.skin.chart;
+    out.model = std::make_shared<const face::FaceModel>(std::move(own));
   } catch (const std::exception& error) {
     out.note = fmt::format("the head turns, but its shape was not learned: {}", error.what());
   }

@@ -390,7 +390,10 @@ void ShadingPipeline::Impl::follow_subject(const Tracked& item) {
                        .mean_albedo = item.model->mean_albedo,
                        .refinable = item.model->control.refinable,
                        .trust = face::shading_trust(*item.model),
-                       .known_shape = item.model->identity_count() == 0});
+                       .known_shape = item.model->identity_count() == 0,
+                       .relief_mm = item.model->skin.empty()
+                                        ? std::vector<float>()
+                                        : face::relief_at(item.model->skin, hierarchy.texture_coordinates)});
 }
 
 void ShadingPipeline::Impl::add_displacements(Tracked& item) {

@@ -83,9 +83,10 @@ LevelState::LevelState(gpu::Context& context, std::uint32_t vertex_count)
       colours(context, vertex_count, gpu::TexelFormat::Rgba32f, "colours"),
       albedo(context, vertex_count, gpu::TexelFormat::Rgba32f, "albedo"),
       irradiance(context, vertex_count, gpu::TexelFormat::Rgba32f, "irradiance"),
-      priors(context, vertex_count, gpu::TexelFormat::R32f, "priors") {
+      priors(context, vertex_count, gpu::TexelFormat::R32f, "priors"),
+      reliefs(context, vertex_count, gpu::TexelFormat::Rgba32f, "reliefs") {
   clear(context, {&positions.buffer, &normals.buffer, &colours.buffer, &albedo.buffer, &irradiance.buffer,
-                  &priors.buffer});
+                  &priors.buffer, &reliefs.buffer});
 }
 
 std::vector<std::vector<std::uint8_t>> free_vertices(const mesh::Hierarchy& hierarchy,

@@ -48,6 +48,9 @@ struct LevelState {
   DeviceArray albedo;      ///< linear RGB; confidence 0 to 1
   DeviceArray irradiance;  ///< of the room's lamps as the normal sees it: x + yzw . n (RoomLight)
   DeviceArray priors;      ///< displacement prolonged from the coarser level, mm
+  /// Of a known relief r, mm: r, its L r (what it stands out of its ring's mean), what it has beyond the
+  /// coarser level's.
+  DeviceArray reliefs;
 };
 
 /// Which vertices of every level shading may move: those that come from refinable control vertices, and not

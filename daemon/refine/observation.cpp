@@ -236,6 +236,7 @@ void ObservationKernels::record_prolong(gpu::Batch& batch, const LevelTopology& 
                   {"stencil_rows", stencils.stencil_rows.view},
                   {"stencil_entries", stencils.stencil_entries.view},
                   {"coarser", coarser},
+                  {"reliefs", state.reliefs.view},
                   {"positions", state.positions.buffer},
                   {"priors", state.priors.buffer}},
                  {topology.workgroup_count}, push);

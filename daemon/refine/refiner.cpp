@@ -225,6 +225,13 @@ SubjectBuffers::SubjectBuffers(gpu::Context& context, const RefinerConfig& confi
     room_irradiance.emplace(context, levels.front()->topology.vertex_count, gpu::TexelFormat::Rgba32f,
                             "room's irradiance", gpu::Memory::Upload);
   }
+  if (!subject.relief_mm.empty()) {
+    const std::vector<mesh::Vertices> reliefs = relief_of_levels(subject);
+    for (std::size_t l = 0; l < levels.size(); ++l) {
+      const std::vector<vec4> packed = reordered(with_fourth(reliefs[l], 0), levels[l]->order);
+      gpu::upload(context, levels[l]->state.reliefs.buffer, std::as_bytes(std::span(packed)));
+    }
+  }
   for (std::size_t l = 0; l < levels.size(); ++l) {
     const std::vector<vec4> packed = reordered(with_fourth(start[l], known ? 1 : 0), levels[l]->order);
     gpu::upload(context, levels[l]->state.albedo.buffer, std::as_bytes(std::span(packed)));

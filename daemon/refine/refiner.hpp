@@ -88,6 +88,9 @@ struct SubjectSetup {
   /// The coarse mesh is of one head's own shape and no guess among many (a face model without identities:
   /// a person's, learned or enrolled): it is nearer, and what shading says against it counts for less.
   bool known_shape = false;
+  /// Relief of the face at rest known from before, [finest vertex_count] along the normals, mm: displacements
+  /// begin there, and w3, w4 and w5 count from there on. Empty: none.
+  std::vector<float> relief_mm = {};
 };
 
 /// What a camera beside the reference camera adds to a frame.

@@ -37,9 +37,6 @@ constexpr double kLeastBelieved = 0.5;
 constexpr double kRidge = 0.03;
 constexpr int kSweeps = 60;
 constexpr int kFirstSweeps = 300;
-// Cosine by which max(0, n . w) is rounded off at its edge: lamps have a size, and a vertex stands for skin
-// that bends.
-constexpr float kEdge = 0.1F;
 // Cosine to the viewing ray from which on a vertex is looked at.
 constexpr float kFacing = 0.35F;
 constexpr float kMostReachPx = 8;
@@ -47,54 +44,6 @@ constexpr std::uint8_t kSaturated = 250;
 constexpr float kLargestHeadMm = 2000;
 // Share of the strongest lamp below which a lamp of a frame is left out.
 constexpr double kNoLamp = 1e-3;
-// Lamps far away and near ones: distance from the head's middle.
-constexpr int kLamps = 2 * kRoomDirections;
-constexpr float kNearMm = 500;
-constexpr float kLeastMm = 100;  // from a near lamp to any skin
-
-/// What a near lamp gives a place x against the head's middle: (r / |r w - x|)^2. along: w . x
-float falloff(float along, float square) {
-  const float distance = kNearMm * kNearMm - 2 * kNearMm * along + square;
-  return kNearMm * kNearMm / std::max(distance, kLeastMm * kLeastMm);
-}
-
-/// max(0, c), rounded off within kEdge of 0, and its derivative.
-struct Clamped {
-  float value;
-  float slope;
-};
-Clamped clamped(float cosine) {
-  const float t = std::clamp((cosine + kEdge) / (2 * kEdge), 0.0F, 1.0F);
-  return {kEdge * t * t + std::max(0.0F, cosine - kEdge), t};
-}
-
-/// min |A x - b| by A's normal equations with x >= 0: coordinate descent from x on.
-void descend(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right, int sweeps, Eigen::VectorXd& x) {
-  const double ridge = kRidge * matrix.diagonal().mean();
-  Eigen::VectorXd gradient = matrix * x - right;
-  for (int sweep = 0; sweep < sweeps; ++sweep) {
-    for (Eigen::Index d = 0; d < x.size(); ++d) {
-      const double diagonal = matrix(d, d) + ridge;
-      if (!(diagonal > 0)) {
-        continue;
-      }
-      const double next = std::max(0.0, x[d] - (gradient[d] + ridge * x[d]) / diagonal);
-      const double step = next - x[d];
-      if (step != 0) {
-        gradient += step * matrix.col(d);
-        x[d] = next;
-      }
-    }
-  }
-}
-
-/// Far and near lamps in another frame.
-Eigen::VectorXd turned(const Eigen::MatrixXd& to_from_from, const Eigen::VectorXd& lamps) {
-  Eigen::VectorXd out(kLamps);
-  out.head(kRoomDirections) = to_from_from * lamps.head(kRoomDirections);
-  out.tail(kRoomDirections) = to_from_from * lamps.tail(kRoomDirections);
-  return out;
-}
 
 }  // namespace
 
@@ -131,8 +80,8 @@ RoomLight::RoomLight(std::shared_ptr<const mesh::Hierarchy> hierarchy, std::vect
 }
 
 void RoomLight::forget() {
-  known_ = {Eigen::MatrixXd::Zero(kLamps, kLamps), Eigen::VectorXd::Zero(kLamps),
-            Eigen::VectorXd::Zero(kLamps)};
+  known_ = {Eigen::MatrixXd::Zero(light::kLamps, light::kLamps), Eigen::VectorXd::Zero(light::kLamps),
+            Eigen::VectorXd::Zero(light::kLamps)};
   gain_ = 1;
   frames_ = 0;
   doubtful_ = 0;
@@ -164,7 +113,7 @@ bool RoomLight::place(std::span<const vec4> control_mm, const Eigen::Matrix3f& s
   head_normals_ = shading_from_head.transpose() * normals_;
   head_mm_ = shading_from_head.transpose() * (vertices_mm_.colwise() - middle());
   if (visibility_.empty()) {
-    visibility_ = HeadVisibility(head_mm_, head_normals_, coarsest.triangles);
+    visibility_ = light::HeadVisibility(head_mm_, head_normals_, coarsest.triangles);
   }
   return true;
 }
@@ -175,7 +124,7 @@ void RoomLight::sample(const Frame& image, const CameraIntrinsics& camera,
                        const Eigen::Matrix3f& shading_from_head, Rows& rows) const {
   const std::array<float, 256>& linear = maths::decoded_srgb8();
   Eigen::Index to_camera = 0;
-  (room_directions().transpose() * (shading_from_head.transpose() * -middle())).maxCoeff(&to_camera);
+  (light::room_directions().transpose() * (shading_from_head.transpose() * -middle())).maxCoeff(&to_camera);
   const std::uint8_t* const seen = visibility_.of_direction(static_cast<int>(to_camera));
   const mesh::OneRings& rings = hierarchy_->levels.front().one_rings;
   std::vector<double> shading;
@@ -234,17 +183,17 @@ void RoomLight::sample(const Frame& image, const CameraIntrinsics& camera,
 
 /// [row][lamp of the head's frame] what a lamp of strength 1 gives.
 Eigen::MatrixXf RoomLight::lamps_of(const Rows& rows) const {
-  Eigen::MatrixXf out(rows.shading.size(), kLamps);
-  for (int d = 0; d < kRoomDirections; ++d) {
-    const Eigen::Vector3f direction = room_directions().col(d);
+  Eigen::MatrixXf out(rows.shading.size(), light::kLamps);
+  for (int d = 0; d < light::kRoomDirections; ++d) {
+    const Eigen::Vector3f direction = light::room_directions().col(d);
     const std::uint8_t* const seen = visibility_.of_direction(d);
     for (Eigen::Index row = 0; row < out.rows(); ++row) {
       const std::int32_t v = rows.vertices[static_cast<std::size_t>(row)];
       const Eigen::Vector3f at = head_mm_.col(v);
       const float lit =
-          static_cast<float>(seen[v]) / 255 * clamped(head_normals_.col(v).dot(direction)).value;
+          static_cast<float>(seen[v]) / 255 * light::clamped(head_normals_.col(v).dot(direction)).value;
       out(row, d) = lit;
-      out(row, kRoomDirections + d) = lit * falloff(at.dot(direction), at.squaredNorm());
+      out(row, light::kRoomDirections + d) = lit * light::falloff(at.dot(direction), at.squaredNorm());
     }
   }
   return out;
@@ -284,7 +233,7 @@ void RoomLight::solve(const Rows& rows, const Eigen::MatrixXd& head_from_room) {
   for (int round = 0; round < (first ? kFirstRounds : 1); ++round) {
     Eigen::VectorXd weights = rows.weights;
     if (!first || round > 0) {
-      const Eigen::VectorXf predicted = lamps * turned(head_from_room, next.strengths).cast<float>();
+      const Eigen::VectorXf predicted = lamps * light::turned(head_from_room, next.strengths).cast<float>();
       for (Eigen::Index row = 0; row < weights.size(); ++row) {
         weights[row] = rows.believed(row, gain_ * static_cast<double>(predicted[row]));
       }
@@ -296,7 +245,7 @@ void RoomLight::solve(const Rows& rows, const Eigen::MatrixXd& head_from_room) {
         (weighted.transpose() * rows.shading.cast<float>()).cast<double>() / gain_;
     next.matrix = kDecay * known_.matrix;
     next.right = kDecay * known_.right;
-    constexpr Eigen::Index n = kRoomDirections;
+    constexpr Eigen::Index n = light::kRoomDirections;
     for (Eigen::Index i = 0; i < 2; ++i) {
       next.right.segment(i * n, n) += head_from_room.transpose() * head_right.segment(i * n, n);
       for (Eigen::Index j = 0; j < 2; ++j) {
@@ -304,7 +253,7 @@ void RoomLight::solve(const Rows& rows, const Eigen::MatrixXd& head_from_room) {
             head_from_room.transpose() * head_matrix.block(i * n, j * n, n, n) * head_from_room;
       }
     }
-    descend(next.matrix, next.right, first ? kFirstSweeps : kSweeps, next.strengths);
+    light::descend(next.matrix, next.right, kRidge, first ? kFirstSweeps : kSweeps, next.strengths);
   }
   if (!next.strengths.allFinite() || (first && !(believed_ >= kLeastBelieved))) {
     return;
@@ -353,21 +302,21 @@ void RoomLight::spread(const Eigen::VectorXd& head_strengths, const Eigen::Matri
   const auto count = static_cast<Eigen::Index>(irradiance_.size());
   std::fill(irradiance_.begin(), irradiance_.end(), vec4{0, 0, 0, 0});
   const double least = kNoLamp * head_strengths.maxCoeff();
-  for (int d = 0; d < kRoomDirections; ++d) {
-    if (!(head_strengths[d] + head_strengths[kRoomDirections + d] > least)) {
+  for (int d = 0; d < light::kRoomDirections; ++d) {
+    if (!(head_strengths[d] + head_strengths[light::kRoomDirections + d] > least)) {
       continue;
     }
-    const Eigen::Vector3f direction = room_directions().col(d);
+    const Eigen::Vector3f direction = light::room_directions().col(d);
     const Eigen::Vector3f in_room = shading_from_head * direction;
     const auto far = static_cast<float>(head_strengths[d] / 255);
-    const auto near = static_cast<float>(head_strengths[kRoomDirections + d] / 255);
+    const auto near = static_cast<float>(head_strengths[light::kRoomDirections + d] / 255);
     const std::uint8_t* const seen = visibility_.of_direction(d);
     for (Eigen::Index v = 0; v < count; ++v) {
       const float cosine = head_normals_(0, v) * direction.x() + head_normals_(1, v) * direction.y() +
                            head_normals_(2, v) * direction.z();
-      const Clamped lit = clamped(cosine);
+      const light::Clamped lit = light::clamped(cosine);
       const float strength =
-          far + near * falloff(head_mm_.col(v).dot(direction), head_mm_.col(v).squaredNorm());
+          far + near * light::falloff(head_mm_.col(v).dot(direction), head_mm_.col(v).squaredNorm());
       const float light = strength * static_cast<float>(seen[v]);
       const float slope = light * lit.slope;
       vec4& out = irradiance_[static_cast<std::size_t>(v)];
@@ -409,14 +358,14 @@ void RoomLight::look(const Frame& image, const CameraIntrinsics& camera, std::sp
     std::fill(irradiance_.begin(), irradiance_.end(), vec4{0, 0, 0, 0});
     return;
   }
-  const Eigen::MatrixXd head_from_room = turned_lamps(shading_from_head.transpose());
-  spread(turned(head_from_room, known_.strengths), shading_from_head);
+  const Eigen::MatrixXd head_from_room = light::turned_lamps(shading_from_head.transpose());
+  spread(light::turned(head_from_room, known_.strengths), shading_from_head);
   if (!image.empty()) {
     Rows rows;
     sample(image, camera, shading_from_head, rows);
     if (rows.shading.size() >= kLeastRows && rows.rms > 0) {
       learn(rows, head_from_room);
-      spread(turned(head_from_room, known_.strengths), shading_from_head);
+      spread(light::turned(head_from_room, known_.strengths), shading_from_head);
     }
   }
   const auto gain = static_cast<float>(gain_);

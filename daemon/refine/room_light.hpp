@@ -8,18 +8,18 @@
 #include <vector>
 
 #include "facet/frame.hpp"
+#include "light/head_visibility.hpp"
 #include "mesh/hierarchy.hpp"
-#include "refine/head_visibility.hpp"
 #include "shaders/common/layout.h"
 
 namespace facet::refine {
 
-/// The light of the room in which the camera stands: in every direction of room_directions() a lamp far away
-/// and one half a metre away, none of which takes light away, each hidden from what the head itself covers.
-/// Spherical harmonics [MD19 eq. 1] know neither shadows of the nose and the brow nor that a lamp cannot
-/// shine from behind; here
+/// The light of the room in which the camera stands: in every direction of light::room_directions() a lamp
+/// far away and one half a metre away, none of which takes light away, each hidden from what the head itself
+/// covers. Spherical harmonics [MD19 eq. 1] know neither shadows of the nose and the brow nor that a lamp
+/// cannot shine from behind; here
 ///   E_i(n) = sum over lamps of c_d V_id max(0, n . w_d),   c_d >= 0    [SKS02], without bounces,
-/// with the visibility V of HeadVisibility (a near lamp's fades with the square of its distance). The
+/// with the visibility V of light::HeadVisibility (a near lamp's fades with the square of its distance). The
 /// strengths c stand still in the camera's frame while the head turns under them; they follow from what
 /// frames show of M0's skin, by robust non-negative least squares over the last seconds. What the refiner
 /// needs of it is E as a linear function of the normal about the coarse one: a_i + b_i . n, four numbers a
@@ -71,8 +71,8 @@ class RoomLight {
   void find_anew(const Rows& rows, const Eigen::MatrixXd& head_from_room);
   void spread(const Eigen::VectorXd& head_strengths, const Eigen::Matrix3f& shading_from_head);
 
-  /// What frames have said of the lamps, far and then near ones in room_directions() of the shading frame, in
-  /// units of the picture in which they were found.
+  /// What frames have said of the lamps, far and then near ones in light::room_directions() of the shading
+  /// frame, in units of the picture in which they were found.
   struct Known {
     Eigen::MatrixXd matrix;  ///< normal equations
     Eigen::VectorXd right;
@@ -85,7 +85,7 @@ class RoomLight {
   mesh::Vertices albedo_;
   std::vector<std::int32_t> looked_at_;  ///< vertices that rows are made of
 
-  HeadVisibility visibility_;
+  light::HeadVisibility visibility_;
   mesh::Vertices control_mm_;   ///< shading frame
   mesh::Vertices vertices_mm_;  ///< of M0, shading frame
   Eigen::Matrix3Xf normals_;    ///< shading frame

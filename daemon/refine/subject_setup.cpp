@@ -17,22 +17,61 @@ std::vector<mesh::Vertices> mean_albedo_of_levels(const SubjectSetup& subject) {
   return out;
 }
 
-std::vector<mesh::Vertices> known_albedo_of_levels(const SubjectSetup& subject) {
-  const std::vector<mesh::Level>& levels = subject.hierarchy->levels;
-  std::vector<mesh::Vertices> out(levels.size());
-  out.back() =
-      Eigen::Map<const mesh::Vertices>(subject.albedo->linear_rgb.data(), 3, levels.back().vertex_count);
+namespace {
+
+/// [n] mean of the ring's columns of values.
+auto ring_mean(const mesh::OneRings& rings, const Eigen::MatrixXf& values, Eigen::Index vertex) {
+  const auto first = static_cast<std::size_t>(rings.offsets[static_cast<std::size_t>(vertex)]);
+  const auto end = static_cast<std::size_t>(rings.offsets[static_cast<std::size_t>(vertex) + 1]);
+  Eigen::VectorXf sum = Eigen::VectorXf::Zero(values.rows());
+  for (std::size_t k = first; k < end; ++k) {
+    sum += values.col(rings.neighbours[k]);
+  }
+  return (sum / static_cast<float>(end - first)).eval();
+}
+
+/// Values of every level from the finest one's, [n][vertex_count].
+std::vector<Eigen::MatrixXf> restricted(const mesh::Hierarchy& hierarchy, Eigen::MatrixXf finest) {
+  const std::vector<mesh::Level>& levels = hierarchy.levels;
+  std::vector<Eigen::MatrixXf> out(levels.size());
+  out.back() = std::move(finest);
   for (std::size_t l = levels.size() - 1; l > 0; --l) {
-    const mesh::OneRings& rings = levels[l].one_rings;
-    out[l - 1].resize(3, levels[l - 1].vertex_count);
+    out[l - 1].resize(out[l].rows(), levels[l - 1].vertex_count);
     for (Eigen::Index v = 0; v < out[l - 1].cols(); ++v) {
-      const auto first = static_cast<std::size_t>(rings.offsets[static_cast<std::size_t>(v)]);
-      const auto end = static_cast<std::size_t>(rings.offsets[static_cast<std::size_t>(v) + 1]);
-      Eigen::Vector3f sum = Eigen::Vector3f::Zero();
-      for (std::size_t k = first; k < end; ++k) {
-        sum += out[l].col(rings.neighbours[k]);
-      }
-      out[l - 1].col(v) = 0.5F * out[l].col(v) + 0.5F * sum / static_cast<float>(end - first);
+      out[l - 1].col(v) = 0.5F * out[l].col(v) + 0.5F * ring_mean(levels[l].one_rings, out[l], v);
+    }
+  }
+  return out;
+}
+
+}  // namespace
+
+std::vector<mesh::Vertices> known_albedo_of_levels(const SubjectSetup& subject) {
+  const std::vector<Eigen::MatrixXf> found = restricted(
+      *subject.hierarchy, Eigen::Map<const mesh::Vertices>(subject.albedo->linear_rgb.data(), 3,
+                                                           subject.hierarchy->finest().vertex_count));
+  return {found.begin(), found.end()};
+}
+
+std::vector<mesh::Vertices> relief_of_levels(const SubjectSetup& subject) {
+  const std::vector<mesh::Level>& levels = subject.hierarchy->levels;
+  std::vector<Eigen::MatrixXf> relief = restricted(
+      *subject.hierarchy,
+      Eigen::Map<const Eigen::RowVectorXf>(subject.relief_mm.data(), std::ssize(subject.relief_mm)));
+  const std::vector<std::vector<std::uint8_t>> free = free_vertices(*subject.hierarchy, subject.refinable);
+  std::vector<mesh::Vertices> out(levels.size());
+  for (std::size_t l = 0; l < levels.size(); ++l) {
+    for (Eigen::Index v = 0; v < relief[l].cols(); ++v) {
+      relief[l](0, v) *= free[l][static_cast<std::size_t>(v)] != 0 ? 1.0F : 0.0F;
+    }
+    Eigen::MatrixXf coarser = Eigen::RowVectorXf::Zero(relief[l].cols());
+    if (l > 0) {
+      mesh::apply(levels[l].from_coarser, relief[l - 1], coarser);
+    }
+    out[l].resize(3, relief[l].cols());
+    for (Eigen::Index v = 0; v < relief[l].cols(); ++v) {
+      const float own = relief[l](0, v);
+      out[l].col(v) << own, own - ring_mean(levels[l].one_rings, relief[l], v)[0], own - coarser(0, v);
     }
   }
   return out;
@@ -79,6 +118,10 @@ void check(const RefinerConfig& config, const SubjectSetup& subject) {
                                               subject.trust.size()));
   }
   const auto finest = static_cast<std::size_t>(subject.hierarchy->finest().vertex_count);
+  if (!subject.relief_mm.empty() && subject.relief_mm.size() != finest) {
+    throw Error(ErrorKind::Usage, fmt::format("the known relief has {} numbers; the finest level needs {}",
+                                              subject.relief_mm.size(), finest));
+  }
   if (static_cast<std::size_t>(subject.hierarchy->texture_coordinates.cols()) != finest) {
     throw Error(ErrorKind::Usage,
                 fmt::format("the subject's finest level has {} vertices and {} texture coordinates", finest,

@@ -20,6 +20,10 @@ std::vector<mesh::Vertices> mean_albedo_of_levels(const SubjectSetup& subject);
 /// it is compared with do.
 std::vector<mesh::Vertices> known_albedo_of_levels(const SubjectSetup& subject);
 
+/// LevelState::reliefs of every level, [3][vertex_count]: a coarser level has the finest one's relief as
+/// known_albedo_of_levels has its albedo. 0 where shading moves no vertex.
+std::vector<mesh::Vertices> relief_of_levels(const SubjectSetup& subject);
+
 /// [M0's vertex count] 0 to 1: what the skin of M0 says of the light. Nothing where shading moves no vertex.
 std::vector<float> counts_for_light(const SubjectSetup& subject);
 

@@ -20,6 +20,7 @@ uniform samplerBuffer normals;
 uniform samplerBuffer slopes;
 uniform samplerBuffer bends;
 uniform samplerBuffer priors;
+uniform samplerBuffer reliefs;
 layout(std430) writeonly buffer JacobianRows {
   uvec2 jacobian_rows[];  // [group_count] four float16: d e_i / d d_j in the order of the ring
 };
@@ -95,7 +96,7 @@ void main() {
       float diagonal = data_diagonal + own_bends.y * float(size * size) + bend_diagonal + start.z;
       start.x = data - (own_bend - bend_sum) +
                 push.hierarchy_weight * inverse_square * (texelFetch(priors, int(i)).x - own.w) -
-                push.coarse_weight * own.w;
+                push.coarse_weight * (own.w - texelFetch(reliefs, int(i)).x);
       start.y = diagonal > 0 ? 1 / diagonal : 0;
     }
     solver_starts[i] = start;

@@ -25,6 +25,7 @@ uniform samplerBuffer colours;    // [vertex_count] I, weight
 uniform samplerBuffer albedo;     // [vertex_count] rho
 uniform samplerBuffer irradiance;  // [vertex_count] of the room's lamps, x + yzw . n
 uniform samplerBuffer priors;     // [vertex_count] pd
+uniform samplerBuffer reliefs;    // [vertex_count] r, L r: the smoothness and w5 count from a known relief on
 layout(std430) readonly buffer LightBlock {
   Light light;
 };
@@ -53,12 +54,14 @@ void main() {
     vec3 star = displaced_normal(ring, centre, sum);
     float inverse_spacing = 1 / own_normal.w;
     float inverse_size = 1 / float(size);
-    float bend = (own.w - sum * inverse_size) * inverse_spacing;
+    vec2 relief = texelFetch(reliefs, int(i)).xy;
+    float bend = (own.w - sum * inverse_size - relief.y) * inverse_spacing;
+    float off = own.w - relief.x;
     float smooth_weight = push.smooth_weight * fold_weight(bend * bend, push.fold_slope);
     float bend_scale = smooth_weight * inverse_spacing * inverse_size;
     float beyond = (texelFetch(priors, int(i)).x - own.w) * inverse_spacing;
     energy += push.smooth_weight * fold_loss(bend * bend, push.fold_slope) + push.hierarchy_weight * beyond * beyond +
-              push.coarse_weight * own.w * own.w;
+              push.coarse_weight * off * off;
 
     vec4 slope = vec4(0);
     vec4 colour = texelFetch(colours, int(i));

@@ -5,7 +5,8 @@
 #include "topology.glsl"
 
 // Pushes positions and displacements through the stencils to this level. The prolonged displacement is the
-// prior pd [MD19 eq. 6]; the start value adds what this level held beyond its prior in the previous frame.
+// prior pd [MD19 eq. 6], of a known relief with what this level has of it beyond the coarser ones; the start value adds
+// what this level held beyond its prior in the previous frame.
 
 layout(push_constant) uniform Push {
   LevelPush push;
@@ -17,6 +18,7 @@ uniform isamplerBuffer vertex_rings;
 uniform isamplerBuffer stencil_rows;     // [vertex_count] first entry, entry count
 uniform isamplerBuffer stencil_entries;  // column of the coarser level, weight as float bits
 uniform samplerBuffer coarser;           // [coarser vertex_count] position, displacement
+uniform samplerBuffer reliefs;           // [vertex_count] LevelState::reliefs
 layout(std430) buffer Positions {
   vec4 positions[];  // [vertex_count] position, displacement
 };
@@ -33,7 +35,8 @@ void main() {
       ivec2 entry = texelFetch(stencil_entries, row.x + k).xy;
       sum += intBitsToFloat(entry.y) * texelFetch(coarser, entry.x);
     }
-    float prior = sum.w * push.has_prior;
+    vec4 relief = texelFetch(reliefs, int(i));
+    float prior = push.has_prior > 0 ? sum.w + relief.z : relief.x;
     float start = prior;
     if (frame.keep_displacements > 0 && push.refine > 0) {
       start += positions[i].w - priors[i];

@@ -4,6 +4,7 @@
 #include <cstring>
 #include <fstream>
 #include <iterator>
+#include <limits>
 #include <random>
 
 #include "face/face_model.hpp"
@@ -92,6 +93,62 @@ TEST(FaceModelFile, ModelWithoutLandmarksReadsBack) {
   FaceModel model = test::synthetic_model(13);
   model.landmarks.clear();
   expect_same(FaceModel::parse(saved_bytes(model), "bytes"), model);
+}
+
+SkinChart small_skin() {
+  SkinChart skin;
+  skin.width = 3;
+  skin.height = 2;
+  skin.least = {0.25F, 0.5F};
+  skin.texels_per_unit = 8;
+  skin.relief_mm = {0, 0.001F, -0.25F, 1.5F, -2, 0.032F};
+  return skin;
+}
+
+TEST(FaceModelFile, SkinReadsBack) {
+  FaceModel model = test::synthetic_model(13);
+  model.skin = small_skin();
+  const FaceModel read = FaceModel::parse(saved_bytes(model), "bytes");
+  expect_same(read, model);
+  EXPECT_EQ(read.skin.width, 3);
+  EXPECT_EQ(read.skin.height, 2);
+  EXPECT_EQ(read.skin.least, model.skin.least);
+  EXPECT_EQ(read.skin.texels_per_unit, 8);
+  ASSERT_EQ(read.skin.relief_mm.size(), 6U);
+  for (std::size_t i = 0; i < 6; ++i) {
+    EXPECT_NEAR(read.skin.relief_mm[i], model.skin.relief_mm[i], 1e-6F);
+  }
+}
+
+TEST(FaceModelFile, SkinThatIsNoneIsRefused) {
+  FaceModel model = test::synthetic_model(13);
+  const auto refused = [&](auto&& damage) {
+    model.skin = small_skin();
+    damage(model.skin);
+    const test::TemporaryFolder folder;
+    EXPECT_THROW(model.save(folder.path() / "m.facemodel"), Error);
+  };
+  refused([](SkinChart& skin) { skin.width = 4; });
+  refused([](SkinChart& skin) { skin.height = -1; });
+  refused([](SkinChart& skin) { skin.texels_per_unit = 0; });
+  refused([](SkinChart& skin) { skin.least.x() = std::numeric_limits<float>::infinity(); });
+  refused([](SkinChart& skin) { skin.relief_mm[2] = std::numeric_limits<float>::quiet_NaN(); });
+  refused([](SkinChart& skin) { skin.relief_mm[2] = 31; });
+}
+
+TEST(SkinChart, IsReadBetweenItsTexels) {
+  mesh::TextureCoordinates at(2, 5);
+  at.col(0) << 0.25F, 0.5F;             // the first texel
+  at.col(1) << 0.25F + 0.5F / 8, 0.5F;  // between it and the next
+  at.col(2) << 0.25F + 1.0F / 8, 0.5F + 0.25F / 8;
+  at.col(3) << 0.2F, 0.5F;  // beside the chart
+  at.col(4) << 0.3F, std::numeric_limits<float>::quiet_NaN();
+  const std::vector<float> relief_mm = relief_at(small_skin(), at);
+  EXPECT_NEAR(relief_mm[0], 0, 1e-6F);
+  EXPECT_NEAR(relief_mm[1], 0.0005F, 1e-6F);
+  EXPECT_NEAR(relief_mm[2], 0.75F * 0.001F + 0.25F * -2, 1e-5F);
+  EXPECT_EQ(relief_mm[3], 0);
+  EXPECT_EQ(relief_mm[4], 0);
 }
 
 TEST(FaceModelFile, MissingOrForeignFileIsNamed) {

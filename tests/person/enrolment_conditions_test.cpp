@@ -30,6 +30,7 @@ EnrolmentOptions quick() {
   options.rounds = 2;
   options.chart_texels = 448;
   options.uncertainty = false;
+  options.skin = false;
   return options;
 }
 

@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <filesystem>
 
 #include "actors_turn.hpp"
@@ -32,6 +33,7 @@ TEST_F(EnrolmentTest, AnActorsTurnShowsTheShape) {
   EnrolmentOptions options;
   options.rounds = 2;
   options.chart_texels = 448;
+  options.skin_texels = 256;
   int last = 0;
   const LearnedShape learned = learn_shape(model_, observed, options, [&](int done, int total) {
     EXPECT_LE(done, total);
@@ -52,6 +54,8 @@ TEST_F(EnrolmentTest, AnActorsTurnShowsTheShape) {
   const double after = error_mm(model_, learned.neutral_mm, truth);
   EXPECT_LT(after, 0.7 * before) << "before: " << before;
   EXPECT_EQ(learned.keyframes.size(), observed.keyframes.size());
+  EXPECT_EQ(std::max(learned.skin.chart.width, learned.skin.chart.height), 256);
+  EXPECT_EQ(learned.skin.gains.size(), observed.keyframes.size());
 }
 
 TEST_F(EnrolmentTest, AHeadThatNeverTurnsIsRefusedAtOnce) {

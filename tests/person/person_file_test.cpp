@@ -38,6 +38,10 @@ class PersonFileTest : public ::testing::Test {
     person_.sigma_mm.assign(static_cast<std::size_t>(model_.vertex_count()),
                             std::numeric_limits<float>::quiet_NaN());
     person_.sigma_mm[5] = 0.2F;
+    person_.skin.width = 2;
+    person_.skin.height = 2;
+    person_.skin.texels_per_unit = 700;
+    person_.skin.relief_mm = {0, 0.25F, -0.125F, 1};
   }
 
   std::string refusal(const std::string& bytes) const {
@@ -68,6 +72,12 @@ TEST_F(PersonFileTest, ComesBackAsItWas) {
   const PersonFile read = read_person(file_);
   EXPECT_EQ(read.name, "Ada");
   EXPECT_EQ(read.keyframes, 14);
+  EXPECT_EQ(read.skin.width, 2);
+  EXPECT_EQ(read.skin.texels_per_unit, 700);
+  ASSERT_EQ(read.skin.relief_mm.size(), 4U);
+  EXPECT_NEAR(read.skin.relief_mm[2], -0.125F, 1e-6F);
+  const face::FaceModel own = model_of(read, model_, "ada.person");
+  EXPECT_EQ(own.skin.relief_mm, read.skin.relief_mm) << "the person's model has the skin";
   EXPECT_EQ(read.span.largest_yaw, 29);
   EXPECT_EQ(read.focal_px, 1043.5);
   EXPECT_EQ(read.identity, person_.identity);

@@ -447,6 +447,55 @@ TEST_F(RefinerTest, AKnownShapeIsMovedLess) {
   EXPECT_LT(moved[1], 0.8 * moved[0]);
 }
 
+/// True displacement of every vertex, as if an enrolment had found it.
+std::vector<float> true_relief_mm(const Session& session) {
+  std::vector<float> out;
+  for (Eigen::Index i = 0; i < session.cap_xy_mm.cols(); ++i) {
+    out.push_back(
+        synthetic::displacement_mm(session.scene, session.cap_xy_mm(0, i), session.cap_xy_mm(1, i)));
+  }
+  return out;
+}
+
+TEST_F(RefinerTest, AKnownReliefIsThereBeforeAnyPictureSaysSo) {
+  Session session(context(), small_scene(), {});
+  ASSERT_GT(session.hierarchy->levels.size(), 1U);
+  const std::vector<float> relief_mm = true_relief_mm(session);
+  session.refiner.set_subject({.hierarchy = session.hierarchy,
+                               .mean_albedo = session.cap.mean_albedo,
+                               .refinable = session.cap.control.refinable,
+                               .relief_mm = relief_mm});
+  RefineInput input = session.input();
+  input.camera_from_head.pretranslate(Eigen::Vector3f(5000, 0, 0));
+  session.refiner.submit(input);
+  ASSERT_EQ(session.refiner.collect(session.output), RefineOutcome::Refined) << session.output.failure;
+  const std::vector<std::uint8_t> free =
+      free_vertices(*session.hierarchy, session.cap.control.refinable).back();
+  float largest = 0;
+  for (std::size_t v = 0; v < free.size(); ++v) {
+    const float expected = free[v] != 0 ? relief_mm[v] : 0;
+    ASSERT_NEAR(session.output.displacements_mm[v], expected, 1e-4F) << "vertex " << v;
+    largest = std::max(largest, std::abs(expected));
+  }
+  EXPECT_GT(largest, 0.2F);
+}
+
+TEST_F(RefinerTest, AKnownReliefBringsTheMeshNearer) {
+  std::vector<synthetic::Errors> errors;
+  for (const bool known : {false, true}) {
+    Session session(context(), small_scene(), {});
+    session.refiner.set_subject({.hierarchy = session.hierarchy,
+                                 .mean_albedo = session.cap.mean_albedo,
+                                 .refinable = session.cap.control.refinable,
+                                 .known_shape = true,
+                                 .relief_mm = known ? true_relief_mm(session) : std::vector<float>()});
+    session.run(5);
+    errors.push_back(session.errors(session.output.displacements_mm));
+  }
+  EXPECT_LT(errors[1].normal_deg, 0.5 * errors[0].normal_deg);
+  EXPECT_LT(errors[1].distance_mm, 0.5 * errors[0].distance_mm);
+}
+
 TEST_F(RefinerTest, GivenDisplacementsHoldAgainstTheShadingByTheirWeight) {
   constexpr float kGiven_mm = 0.7F;
   constexpr float kOneLevel_px = 1e6F;
@@ -567,6 +616,9 @@ TEST_F(RefinerTest, MisuseIsRefused) {
   input.further_views = {&larger, 1};
   EXPECT_THROW(session.refiner.submit(input), Error);
   SubjectSetup subject{session.hierarchy, session.cap.mean_albedo, {1, 1, 1}};
+  EXPECT_THROW(session.refiner.set_subject(subject), Error);
+  subject.refinable = session.cap.control.refinable;
+  subject.relief_mm = {0.5F};
   EXPECT_THROW(session.refiner.set_subject(subject), Error);
 }
 

@@ -235,11 +235,11 @@ class RoomLightTest : public ::testing::Test {
 
 TEST(HeadVisibilityTest, SeesPastTheHeadAlone) {
   const Mask& head = mask();
-  const HeadVisibility visibility(head.head_mm, head.head_normals, head.triangles());
+  const light::HeadVisibility visibility(head.head_mm, head.head_normals, head.triangles());
   int judged = 0;
   int wrong = 0;
-  for (int d = 0; d < kRoomDirections; d += 7) {
-    const Eigen::Vector3f direction = room_directions().col(d);
+  for (int d = 0; d < light::kRoomDirections; d += 7) {
+    const Eigen::Vector3f direction = light::room_directions().col(d);
     for (Eigen::Index v = 0; v < head.head_mm.cols(); v += 5) {
       const std::uint8_t seen = visibility.of_direction(d)[v];
       if (head.head_normals.col(v).dot(direction) < 0.2F || (seen > 25 && seen < 230)) {
@@ -255,14 +255,15 @@ TEST(HeadVisibilityTest, SeesPastTheHeadAlone) {
 }
 
 TEST(HeadVisibilityTest, TurnedLampsKeepTheirStrengthAndDirection) {
-  EXPECT_NEAR((room_directions().colwise().norm().array() - 1).abs().maxCoeff(), 0, 1e-5);
+  EXPECT_NEAR((light::room_directions().colwise().norm().array() - 1).abs().maxCoeff(), 0, 1e-5);
   const Eigen::Matrix3f turn =
       Eigen::AngleAxisf(0.7F, Eigen::Vector3f(1, 2, -1).normalized()).toRotationMatrix();
-  const Eigen::MatrixXd turned = turned_lamps(turn);
+  const Eigen::MatrixXd turned = light::turned_lamps(turn);
   EXPECT_NEAR((turned.colwise().sum().array() - 1).abs().maxCoeff(), 0, 1e-9);
-  for (int d = 0; d < kRoomDirections; ++d) {
-    const Eigen::Vector3f mean = (room_directions() * turned.col(d).cast<float>()).normalized();
-    EXPECT_GT(mean.dot(turn * room_directions().col(d)), std::cos(5 * std::numbers::pi_v<float> / 180)) << d;
+  for (int d = 0; d < light::kRoomDirections; ++d) {
+    const Eigen::Vector3f mean = (light::room_directions() * turned.col(d).cast<float>()).normalized();
+    EXPECT_GT(mean.dot(turn * light::room_directions().col(d)), std::cos(5 * std::numbers::pi_v<float> / 180))
+        << d;
   }
 }
 

@@ -4,23 +4,10 @@
 #include <cstdint>
 #include <vector>
 
+#include "light/lamps.hpp"
 #include "mesh/mesh.hpp"
 
-namespace facet::refine {
-
-/// How many directions the sphere is divided into: 16 degrees from one to the next.
-constexpr int kRoomDirections = 162;
-
-/// Unit directions spread evenly over the sphere (a Fibonacci lattice), [3][kRoomDirections]. Of whichever
-/// frame one wants.
-const Eigen::Matrix3Xf& room_directions();
-
-/// [kRoomDirections][kRoomDirections] that takes the strengths of lamps in room_directions() of one frame to
-/// those of another: each is shared out among the directions about its own by a bell, half as high 8 degrees
-/// away; columns sum to 1.
-///
-/// to_from_from  rotation
-Eigen::MatrixXd turned_lamps(const Eigen::Matrix3f& to_from_from);
+namespace facet::light {
 
 /// Which directions of the room each vertex of a head sees past the head itself: the visibility of
 /// precomputed radiance transfer [SKS02], one number a direction.
@@ -45,4 +32,4 @@ class HeadVisibility {
   std::vector<std::uint8_t> seen_;  ///< [kRoomDirections][vertex_count]
 };
 
-}  // namespace facet::refine
+}  // namespace facet::light

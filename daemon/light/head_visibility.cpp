@@ -1,22 +1,19 @@
-#include "refine/head_visibility.hpp"
+#include "light/head_visibility.hpp"
 
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <numbers>
 
 #include "mesh/triangle_points.hpp"
 
-namespace facet::refine {
+namespace facet::light {
 namespace {
 
 // Side of a depth map's pixel, mm: a third of the distance between the vertices of M0.
 constexpr float kPixelMm = 1.25F;
 // A vertex looks from so far above the skin, so that a flat mesh does not hide itself.
 constexpr float kLiftMm = 2;
-// Concentration of the bell by which directions are blended: half of its height at 8 degrees.
-constexpr float kConcentration = 70;
 
 /// Depths of a head seen from far away in one direction; what is nearer to the eye is larger.
 class DepthMap {
@@ -77,29 +74,6 @@ class DepthMap {
 
 }  // namespace
 
-const Eigen::Matrix3Xf& room_directions() {
-  static const Eigen::Matrix3Xf directions = [] {
-    Eigen::Matrix3Xf out(3, kRoomDirections);
-    const double golden = std::numbers::pi * (1 + std::sqrt(5.0));
-    for (int d = 0; d < kRoomDirections; ++d) {
-      const double z = 1 - (2 * d + 1) / static_cast<double>(kRoomDirections);
-      const double radius = std::sqrt(1 - z * z);
-      const double angle = golden * (d + 0.5);
-      out.col(d) = Eigen::Vector3d(radius * std::cos(angle), radius * std::sin(angle), z).cast<float>();
-    }
-    return out;
-  }();
-  return directions;
-}
-
-Eigen::MatrixXd turned_lamps(const Eigen::Matrix3f& to_from_from) {
-  const Eigen::Matrix3Xf& directions = room_directions();
-  const Eigen::MatrixXf cosines = directions.transpose() * (to_from_from * directions);
-  Eigen::MatrixXd out = (kConcentration * (cosines.array() - 1)).exp().cast<double>();
-  out.array().rowwise() /= out.colwise().sum().array().eval();
-  return out;
-}
-
 HeadVisibility::HeadVisibility(const mesh::Vertices& vertices_mm, const Eigen::Matrix3Xf& normals,
                                const mesh::Triangles& triangles)
     : vertex_count_(static_cast<std::size_t>(vertices_mm.cols())),
@@ -115,4 +89,4 @@ HeadVisibility::HeadVisibility(const mesh::Vertices& vertices_mm, const Eigen::M
   }
 }
 
-}  // namespace facet::refine
+}  // namespace facet::light

@@ -1,0 +1,41 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <string>
+#include <vector>
+
+#include "mesh/mesh.hpp"
+
+namespace facet::face {
+
+class ChunkReader;
+class ChunkWriter;
+
+/// What is known of one person's skin, on a part of the model's texture chart: a grid of texels, the first of
+/// which lies at `least`. Plain data.
+struct SkinChart {
+  int width = 0;  ///< 0: nothing is known
+  int height = 0;
+  Eigen::Vector2f least{0, 0};  ///< texture coordinates of the first texel's middle
+  float texels_per_unit = 0;
+  std::vector<float> relief_mm;  ///< [height][width] of the face at rest over the model's smooth surface,
+                                 ///< along its normal
+
+  bool empty() const { return width == 0; }
+  /// What is wrong with it; empty where nothing is.
+  std::string check() const;
+};
+
+/// A head's relief stays within this, mm; steps of 1 micrometre are kept in files.
+inline constexpr float kMostReliefMm = 30;
+inline constexpr int kMostChartTexels = 4096;  ///< of a side
+
+/// relief_mm at texture coordinates, linear between texels, 0 beyond the chart. [coordinates] mm.
+std::vector<float> relief_at(const SkinChart& chart, const mesh::TextureCoordinates& coordinates);
+
+/// The chart in chunks 'SKIN' and 'RELI' (docs/face-model-format.md); nothing where there is none.
+void add_skin(const SkinChart& chart, ChunkWriter& writer);
+/// The chart that the chunks hold, if any. Throws Error(UnreadableInput).
+SkinChart read_skin(const ChunkReader& chunks);
+
+}  // namespace facet::face

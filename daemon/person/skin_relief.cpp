@@ -1,0 +1,322 @@
+#include "person/skin_relief.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <opencv2/imgproc.hpp>
+#include <utility>
+
+#include "maths/srgb.hpp"
+#include "mesh/quads.hpp"
+#include "person/chart_view.hpp"
+#include "person/relief_solve.hpp"
+#include "person/skin_albedo.hpp"
+#include "person/skin_registration.hpp"
+
+namespace facet::person {
+namespace {
+
+constexpr int kTurns = 8;  ///< of lamps, exposures and albedo
+/// Tukey's bound: wide at first, while light and albedo are wrong.
+constexpr int kWideTurns = 2;
+constexpr float kWideBound = 0.8F;
+constexpr float kBound = 0.3F;
+/// Every so many-th texel tells of lamps and exposures.
+constexpr Eigen::Index kRowStep = 40;
+constexpr int kAlbedoRounds = 3;
+constexpr int kRegistrations = 2;
+constexpr float kKnown = 0.5F;        ///< pictures' worth of weight, of an albedo to register with
+constexpr float kShown = 0.05F;       ///< a picture's weight
+constexpr float kLeastShade = 0.05F;  ///< of the usual brightness
+constexpr int kReliefSteps = 1;
+constexpr float kReliefBound = 0.2F;
+constexpr float kReliefCounts = 0.02F;  ///< what the albedo found counts as, of one picture's worth
+/// Pictures' worth of weight between which the relief fades in, and its way to the chart's rim.
+constexpr float kFewestSeen = 1;
+constexpr float kEnoughSeen = 3;
+constexpr float kRimMm = 2;
+
+/// [3][texels] of every step-th texel.
+template <typename Values>
+Values every(const Values& values, Eigen::Index step) {
+  return values(Eigen::all, Eigen::seq(0, values.cols() - 1, step));
+}
+
+/// Where the texels lie in a keyframe's picture.
+struct Shot {
+  cv::Mat x_px, y_px;  ///< [height][width]
+};
+
+class SkinSolve {
+ public:
+  SkinSolve(const face::FaceModel& model, int chart_texels, const std::vector<Keyframe>& keyframes,
+            const ShapeSolver& solver, const Eigen::Vector2d& centre_px, const std::function<void()>& between)
+      : keyframes_(keyframes),
+        between_(between),
+        triangles_(mesh::split_quads(model.control.quads)),
+        chart_(face_chart(model, chart_texels)),
+        surface_mm_(solver.surface(solver.heads().front().expression).cast<float>()),
+        texels_(chart_, triangles_, surface_mm_),
+        visibility_(visibility_of(surface_mm_, triangles_)),
+        light_(texels_, visibility_, turns_of(solver)) {
+    const auto count = static_cast<Eigen::Index>(keyframes.size());
+    all_.weight.resize(count, texels_.count());
+    all_.model.resize(3, texels_.count());
+    for (Eigen::Index i = 0; i < texels_.count(); ++i) {
+      all_.model.col(i) = chart_.spread(model.mean_albedo, place(i));
+    }
+    all_.albedo = all_.model;
+    for (std::size_t k = 0; k < keyframes.size(); ++k) {
+      between_();
+      ChartView view =
+          chart_view(chart_, triangles_, keyframes[k].picture, solver, solver.heads()[k], centre_px);
+      for (Eigen::Index i = 0; i < texels_.count(); ++i) {
+        all_.weight(static_cast<Eigen::Index>(k), i) = view.weight.ptr<float>()[place(i)];
+      }
+      shots_.push_back({std::move(view.x_px), std::move(view.y_px)});
+    }
+    sample_pictures();
+  }
+
+  Skin run(double scale) {
+    SkinAlbedo albedo = albedo_of_model();
+    find_albedo(albedo);
+    for (int round = 0; round < kRegistrations; ++round) {
+      bring_together(albedo);
+      sample_pictures();
+      settle(albedo);
+    }
+    Skin out;
+    out.residual = albedo.residual(all_);
+    out.gains.assign(albedo.gains().begin(), albedo.gains().end());
+    out.chart.width = chart_.width();
+    out.chart.height = chart_.height();
+    out.chart.least = chart_.least();
+    out.chart.texels_per_unit = chart_.texels_per_unit();
+    const cv::Mat seen = texels_.image(all_.seen);
+    out.seen.assign(seen.ptr<float>(), seen.ptr<float>() + seen.total());
+    out.albedo.assign(3 * seen.total(), 0);
+    for (Eigen::Index i = 0; i < texels_.count(); ++i) {
+      std::copy_n(all_.albedo.col(i).data(), 3,
+                  out.albedo.begin() + static_cast<std::ptrdiff_t>(3 * place(i)));
+    }
+    const cv::Mat relief = texels_.image(find_relief(albedo).cast<float>()).mul(fade(seen), scale);
+    out.chart.relief_mm.assign(relief.ptr<float>(), relief.ptr<float>() + relief.total());
+    return out;
+  }
+
+ private:
+  static light::HeadVisibility visibility_of(const mesh::Vertices& surface_mm,
+                                             const mesh::Triangles& triangles) {
+    Eigen::Matrix3Xf normals;
+    mesh::vertex_normals(surface_mm, triangles, normals);
+    return {surface_mm, normals, triangles};
+  }
+
+  static std::vector<Eigen::MatrixXd> turns_of(const ShapeSolver& solver) {
+    std::vector<Eigen::MatrixXd> out;
+    for (const HeadState& head : solver.heads()) {
+      out.push_back(light::turned_lamps(head.rotation.transpose().cast<float>()));
+    }
+    return out;
+  }
+
+  std::size_t place(Eigen::Index texel) const {
+    return static_cast<std::size_t>(texels_.grid.place[static_cast<std::size_t>(texel)]);
+  }
+
+  void sample_pictures() {
+    const std::array<float, 256>& decoded = maths::decoded_srgb8();
+    const cv::Mat table(1, 256, CV_32F, const_cast<float*>(decoded.data()));
+    for (Eigen::MatrixXf& plane : all_.rgb) {
+      plane.resize(all_.weight.rows(), all_.weight.cols());
+    }
+    for (std::size_t k = 0; k < shots_.size(); ++k) {
+      cv::Mat linear;
+      cv::LUT(rgb_of(keyframes_[k].picture), table, linear);
+      const cv::Mat sampled = sample(linear, shots_[k].x_px, shots_[k].y_px);
+      for (Eigen::Index i = 0; i < texels_.count(); ++i) {
+        const auto& pixel = sampled.ptr<cv::Vec3f>()[place(i)];
+        for (std::size_t c = 0; c < 3; ++c) {
+          all_.rgb[c](static_cast<Eigen::Index>(k), i) = pixel[static_cast<int>(c)];
+        }
+      }
+    }
+  }
+
+  SkinAlbedo albedo_of_model() const {
+    double sum = 0;
+    double weight = 1e-12;
+    double model = 1e-12;
+    for (Eigen::Index i = 0; i < texels_.count(); ++i) {
+      model += static_cast<double>(brightness(all_.model.col(i)));
+      for (Eigen::Index k = 0; k < all_.weight.rows(); ++k) {
+        sum += static_cast<double>(all_.weight(k, i) * all_.brightness(k, i));
+        weight += static_cast<double>(all_.weight(k, i));
+      }
+    }
+    return {light_, keyframes_.size(), static_cast<float>(std::max(sum / weight, 1e-6)),
+            static_cast<float>(model / static_cast<double>(std::max<Eigen::Index>(texels_.count(), 1)))};
+  }
+
+  /// What tells of the lamps.
+  SkinSamples few() const {
+    SkinSamples out;
+    for (std::size_t c = 0; c < 3; ++c) {
+      out.rgb[c] = every(all_.rgb[c], kRowStep);
+    }
+    out.weight = every(all_.weight, kRowStep);
+    out.model = every(all_.model, kRowStep);
+    out.albedo = every(all_.albedo, kRowStep);
+    if (all_.shading.size() > 0) {
+      out.shading = every(all_.shading, kRowStep);
+    }
+    return out;
+  }
+
+  Eigen::MatrixXf few_rows() const {
+    std::vector<std::int32_t> texels;
+    for (Eigen::Index i = 0; i < texels_.count(); i += kRowStep) {
+      texels.push_back(static_cast<std::int32_t>(i));
+    }
+    return light_.rows(texels);
+  }
+
+  /// Lamps, exposures and the albedo of a few texels in turns, then the albedo of all.
+  void find_albedo(SkinAlbedo& albedo) {
+    SkinSamples samples = few();
+    const Eigen::MatrixXf rows = few_rows();
+    for (int turn = 0; turn < kTurns; ++turn) {
+      between_();
+      albedo.set_bound(turn < kWideTurns ? kWideBound : kBound);
+      albedo.solve_lamps(samples, rows);
+      albedo.solve_gains(samples);
+      albedo.solve_albedo(samples, turn == 0);
+    }
+    all_.shading = light_.shading(albedo.lamps());
+    for (int round = 0; round < kAlbedoRounds; ++round) {
+      albedo.solve_albedo(all_, round == 0);
+    }
+  }
+
+  /// Everything once more, for pictures that lie better on each other.
+  void settle(SkinAlbedo& albedo) {
+    albedo.solve_albedo(all_, false);
+    SkinSamples samples = few();
+    albedo.solve_lamps(samples, few_rows());
+    albedo.solve_gains(samples);
+    all_.shading = light_.shading(albedo.lamps());
+    albedo.solve_albedo(all_, false);
+  }
+
+  void bring_together(const SkinAlbedo& albedo) {
+    const Eigen::ArrayXf known = (all_.seen > kKnown).cast<float>();
+    Eigen::ArrayXf values(texels_.count());
+    for (Eigen::Index i = 0; i < texels_.count(); ++i) {
+      values[i] = all_.albedo_brightness(i);
+    }
+    const SkinRegistration registration(texels_, values, known);
+    for (std::size_t k = 0; k < shots_.size(); ++k) {
+      between_();
+      const auto row = static_cast<Eigen::Index>(k);
+      const float least = kLeastShade * albedo.usual_brightness();
+      for (Eigen::Index i = 0; i < texels_.count(); ++i) {
+        values[i] = all_.brightness(row, i) / std::max(albedo.gains()[row] * all_.shading(row, i), least);
+      }
+      const Eigen::ArrayXf weight = (all_.weight.row(row).transpose().array() > kShown).cast<float>();
+      const std::array<cv::Mat, 2> flow = registration.flow(values, weight);
+      shots_[k] = {moved(shots_[k].x_px, flow), moved(shots_[k].y_px, flow)};
+    }
+  }
+
+  /// Takes the samples: they are needed no more.
+  Eigen::VectorXd find_relief(const SkinAlbedo& albedo) {
+    shots_.clear();
+    AlbedoPrior prior;
+    prior.brightness.resize(texels_.count());
+    ShadedPictures pictures;
+    pictures.brightness.resize(all_.weight.rows(), all_.weight.cols());
+    double sum = 0;
+    for (Eigen::Index i = 0; i < texels_.count(); ++i) {
+      prior.brightness[i] = all_.albedo_brightness(i);
+      sum += static_cast<double>(brightness(albedo.hue() * all_.model.col(i).array()));
+      for (Eigen::Index k = 0; k < all_.weight.rows(); ++k) {
+        pictures.brightness(k, i) = all_.brightness(k, i);
+      }
+    }
+    const auto model =
+        static_cast<float>(sum / static_cast<double>(std::max<Eigen::Index>(texels_.count(), 1)));
+    const float usual_shading = albedo.usual_brightness() / std::max(model, 1e-6F);
+    prior.counts = kReliefCounts * usual_shading * usual_shading;
+    prior.usual_brightness = albedo.usual_brightness();
+    for (Eigen::MatrixXf& plane : all_.rgb) {
+      plane.resize(0, 0);
+    }
+    pictures.weight = std::move(all_.weight);
+    pictures.shading = albedo.gains().asDiagonal() * all_.shading;
+    all_.shading.resize(0, 0);
+    light_.slopes(albedo.lamps(), pictures.slope_u, pictures.slope_v);
+    pictures.slope_u = albedo.gains().asDiagonal() * pictures.slope_u;
+    pictures.slope_v = albedo.gains().asDiagonal() * pictures.slope_v;
+    ReliefPrior relief_prior;
+    relief_prior.texel_mm = texels_.texel_mm;
+    Eigen::VectorXd relief_mm = Eigen::VectorXd::Zero(texels_.count());
+    for (int step = 0; step < kReliefSteps; ++step) {
+      between_();
+      const SlopeSystem system = slope_system(texels_.grid, pictures, prior, relief_mm, kReliefBound);
+      relief_mm += relief_step(texels_.grid, system, relief_prior, relief_mm);
+    }
+    return relief_mm;
+  }
+
+  /// [height][width] 1 where enough is seen, 0 at the rim and beyond.
+  cv::Mat fade(const cv::Mat& seen) const {
+    cv::Mat held = cv::Mat::zeros(seen.size(), CV_8U);
+    for (Eigen::Index i = 0; i < texels_.count(); ++i) {
+      held.ptr<std::uint8_t>()[place(i)] = 1;
+    }
+    cv::Mat out;
+    cv::distanceTransform(held, out, cv::DIST_L2, cv::DIST_MASK_PRECISE);
+    const auto texel_mm = static_cast<float>(texels_.texel_mm);
+    for (int row = 0; row < out.rows; ++row) {
+      for (int column = 0; column < out.cols; ++column) {
+        out.at<float>(row, column) = smoothstep(texel_mm * out.at<float>(row, column), 0, kRimMm) *
+                                     smoothstep(seen.at<float>(row, column), kFewestSeen, kEnoughSeen);
+      }
+    }
+    return out;
+  }
+
+  const std::vector<Keyframe>& keyframes_;
+  const std::function<void()>& between_;
+  mesh::Triangles triangles_;
+  TextureChart chart_;
+  mesh::Vertices surface_mm_;  ///< head frame
+  SkinTexels texels_;
+  light::HeadVisibility visibility_;
+  SkinLight light_;
+  std::vector<Shot> shots_;
+  SkinSamples all_;
+};
+
+/// Of the head as enrolment gives it over the head as the solver has it.
+double scale_of(const ShapeSolver& solver) {
+  const auto size = [](Eigen::Matrix3Xd vertices) {
+    vertices.colwise() -= vertices.rowwise().mean().eval();
+    return vertices.norm();
+  };
+  return size(solver.control_in_gauge()) / std::max(size(solver.control()), 1e-9);
+}
+
+}  // namespace
+
+Skin find_skin(const face::FaceModel& model, int chart_texels, const std::vector<Keyframe>& keyframes,
+               const ShapeSolver& solver, const Eigen::Vector2d& centre_px,
+               const std::function<void()>& between) {
+  return SkinSolve(model, chart_texels, keyframes, solver, centre_px, between).run(scale_of(solver));
+}
+
+int skin_pieces(int keyframes) {
+  return (1 + kRegistrations) * keyframes + kTurns + kReliefSteps;
+}
+
+}  // namespace facet::person

@@ -1,0 +1,42 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <functional>
+#include <vector>
+
+#include "face/face_model.hpp"
+#include "person/keyframes.hpp"
+#include "person/shape_solver.hpp"
+
+namespace facet::person {
+
+/// A head's skin on the texture chart of its model (face_chart()), without the light that it was seen under.
+struct Skin {
+  /// Relief over the smooth surface, for a head of the generic face's size; 0 where little is seen.
+  face::SkinChart chart;
+  std::vector<float> albedo;  ///< [height][width][3] linear RGB of the model's mean brightness; 0 beyond the
+                              ///< face
+  std::vector<float> seen;    ///< [height][width] pictures' worth of weight
+  std::vector<float> gains;   ///< [keyframe] exposure against the mean of all
+  double residual = 0;        ///< rms over brightness of what light and albedo leave unexplained
+};
+
+/// Finds a head's albedo and fine relief d from how its shading changed while it turned under a light that
+/// stayed (docs/person.md): lamps, exposures and albedo in turns, with the shape that `solver` has; then the
+/// pictures are brought onto each other by their flow, and
+///   sum_kt w_kt rho(I_kt - g_k rho_t E_k(n_t - grad d_t))^2 + (l_s |L d|^2 + l_g |grad d|^2) / texel^2
+///     + l_0 |d|^2
+/// is solved for d with rho_t eliminated at every texel: photometric stereo.
+///
+/// chart_texels  of the chart's longer side
+/// keyframes     with pictures; the solver's heads are theirs, all with the first one's expression
+/// between       called skin_pieces() times; may throw
+/// Some ten seconds and 200 MB for 14 keyframes and 768 texels; any thread.
+Skin find_skin(const face::FaceModel& model, int chart_texels, const std::vector<Keyframe>& keyframes,
+               const ShapeSolver& solver, const Eigen::Vector2d& centre_px,
+               const std::function<void()>& between);
+
+/// How often find_skin() calls between().
+int skin_pieces(int keyframes);
+
+}  // namespace facet::person
