@@ -456,7 +456,9 @@ void learn(const Options& options, const face::FaceModel& model, const std::file
     std::filesystem::create_directories(options.save);
     const std::string name = folder.filename().string();
     face::FaceModel person = face::person_model(model, learned.identity, learned.neutral_mm, name);
-    person.skin = learned.skin.chart;
+    if (learned.skin.believed) {
+      person.skin = learned.skin.chart;
+    }
     person.save(options.save / (name + ".facemodel"));
     std::ofstream(options.save / (name + ".focal"))
         << learned.focal_px / std::max(observed.camera.width_px, observed.camera.height_px) << "\n";

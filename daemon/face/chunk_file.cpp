@@ -103,8 +103,11 @@ std::span<const std::byte> ChunkReader::raw(const char* tag) const {
   return stored_bytes(entry, tag);
 }
 
-void ChunkReader::expect_plausible(const char* tag) const {
+void ChunkReader::expect_plausible(const char* tag, std::size_t raw_bytes) const {
   const ChunkEntry& entry = find(tag);
+  if (entry.raw_bytes != raw_bytes) {
+    fail(fmt::format("chunk '{}' holds {} bytes and should hold {}", tag, entry.raw_bytes, raw_bytes));
+  }
   const auto stored = stored_bytes(entry, tag);
   if (entry.compressed == 1 && ZSTD_getFrameContentSize(stored.data(), stored.size()) != entry.raw_bytes) {
     fail(fmt::format("chunk '{}' does not decompress to the size its table entry says", tag));

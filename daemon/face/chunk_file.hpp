@@ -55,8 +55,9 @@ class ChunkReader {
   }
   /// The bytes of a raw chunk of any size.
   std::span<const std::byte> raw(const char* tag) const;
-  /// Whether the compressed size of a chunk is plausible for its raw size, before memory is taken for it.
-  void expect_plausible(const char* tag) const;
+  /// Whether a chunk says to hold so many bytes, and its compressed size is plausible for them, before memory
+  /// is taken for it.
+  void expect_plausible(const char* tag, std::size_t raw_bytes) const;
 
  private:
   const ChunkEntry& find(const char* tag) const;

@@ -108,7 +108,7 @@ void parse_core(const ChunkReader& chunks, std::uint64_t max_core_values, FaceMo
   if (rows * row_values > max_core_values) {
     chunks.fail(fmt::format("its core has {} numbers (allowed: {})", rows * row_values, max_core_values));
   }
-  chunks.expect_plausible("CORE");
+  chunks.expect_plausible("CORE", rows * row_values * sizeof(std::int16_t));
   std::vector<float> step_mm(rows);
   chunks.read("STEP", step_mm.data(), step_mm.size());
   std::vector<std::int16_t> numbers(rows * row_values);

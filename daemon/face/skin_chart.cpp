@@ -7,6 +7,7 @@
 #include <cstdint>
 
 #include "face/chunk_file.hpp"
+#include "facet/error.hpp"
 
 namespace facet::face {
 namespace {
@@ -18,6 +19,7 @@ struct Grid {
   std::uint32_t width, height;
   float least_u, least_v, texels_per_unit;
 };
+static_assert(sizeof(Grid) == 20);
 
 }  // namespace
 
@@ -63,6 +65,9 @@ void add_skin(const SkinChart& chart, ChunkWriter& writer) {
   if (chart.empty()) {
     return;
   }
+  if (const std::string wrong = chart.check(); !wrong.empty()) {
+    throw Error(ErrorKind::Internal, "it can't be saved: " + wrong);
+  }
   const Grid grid{static_cast<std::uint32_t>(chart.width), static_cast<std::uint32_t>(chart.height),
                   chart.least.x(), chart.least.y(), chart.texels_per_unit};
   std::vector<std::int16_t> steps(chart.relief_mm.size());
@@ -75,6 +80,9 @@ void add_skin(const SkinChart& chart, ChunkWriter& writer) {
 SkinChart read_skin(const ChunkReader& chunks) {
   SkinChart out;
   if (!chunks.has("SKIN")) {
+    if (chunks.has("RELI")) {
+      chunks.fail("chunk 'SKIN' is missing");
+    }
     return out;
   }
   Grid grid{};
@@ -88,8 +96,9 @@ SkinChart read_skin(const ChunkReader& chunks) {
   out.height = static_cast<int>(grid.height);
   out.least = {grid.least_u, grid.least_v};
   out.texels_per_unit = grid.texels_per_unit;
-  chunks.expect_plausible("RELI");
-  std::vector<std::int16_t> steps(static_cast<std::size_t>(grid.width) * grid.height);
+  const std::size_t texels = static_cast<std::size_t>(grid.width) * grid.height;
+  chunks.expect_plausible("RELI", texels * sizeof(std::int16_t));
+  std::vector<std::int16_t> steps(texels);
   chunks.read("RELI", steps.data(), steps.size());
   out.relief_mm.resize(steps.size());
   std::transform(steps.begin(), steps.end(), out.relief_mm.begin(),

@@ -132,12 +132,30 @@ class Enrolment {
     out.focal_px = solver_.focal_px();
     const bool passed =
         std::all_of(out.gates.begin(), out.gates.end(), [](const Gate& gate) { return gate.passed; });
-    if (passed && options_.skin) {
-      out.skin = find_skin(model_, options_.skin_texels, observed_.keyframes, solver_, centre_px_,
-                           [this] { say(); });
+    if (passed && options_.skin && options_.expression == KeyframeExpression::Rest) {
+      find_relief(out);
     }
     if (solved && options_.uncertainty) {
       out.sigma_mm = solver_.uncertainty_mm([this] { return go_on(); });
+    }
+  }
+
+  /// What fails here costs the relief, not the shape.
+  void find_relief(LearnedShape& out) {
+    try {
+      out.skin = find_skin(model_, options_.skin_texels, observed_.keyframes, solver_, centre_px_,
+                           [this] { say(); });
+    } catch (const std::exception& error) {
+      out.skin = {};
+      out.skin_note = fmt::format("its relief was not found: {}", error.what());
+      return;
+    }
+    if (!out.skin.believed) {
+      out.skin_note = fmt::format(
+          "its relief is not kept: the pictures don't agree on one ({:.2f} of one half's is in the other, "
+          "0.5 is "
+          "needed; light and albedo leave {:.0f} % of the brightness, 12 are allowed)",
+          out.skin.agreement, 100 * out.skin.residual);
     }
   }
 

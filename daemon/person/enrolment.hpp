@@ -51,6 +51,7 @@ struct LearnedShape {
   Eigen::VectorXd sigma_mm;  ///< [vertex_count] standard deviation along the normal; NaN: held to the model;
                              ///< empty where it was not asked for or nothing was solved
   Skin skin;                 ///< without texels where it was not asked for or a gate refused
+  std::string skin_note;     ///< for people: why there is no relief though the shape was learned
   Eigen::VectorXd rest;      ///< [expression_count] that it was solved with
   std::vector<std::uint64_t> keyframes;  ///< sequence numbers
 };

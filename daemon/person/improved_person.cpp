@@ -79,7 +79,7 @@ double disagreement_of(const face::FaceModel& model, const std::vector<std::int3
   return apart.empty() ? std::numeric_limits<double>::infinity() : maths::median_of(std::move(apart));
 }
 
-/// The camera, the skin, the gates and the date are the second's; what was seen is both's.
+/// The camera, the gates and the date are the second's; what was seen is both's.
 void take_over(const PersonFile& second, PersonFile& person) {
   person.created_utc = second.created_utc;
   person.software = second.software;
@@ -92,9 +92,6 @@ void take_over(const PersonFile& second, PersonFile& person) {
   person.width_px = second.width_px;
   person.height_px = second.height_px;
   person.gates = second.gates;
-  if (!second.skin.empty()) {
-    person.skin = second.skin;
-  }
 }
 
 }  // namespace
@@ -128,6 +125,15 @@ ImprovedPerson improved(const face::FaceModel& model, const PersonFile& before, 
     // Both rest on the same model: what they err by together does not fall.
     const float information = share[i] * information_second[i] + (1 - share[i]) * information_before[i];
     out.person.sigma_mm[i] = information > 0 ? 1 / std::sqrt(information) : kUnknown;
+  }
+  // A mean of two reliefs would blur what lies a little apart: the surer one's.
+  double second_counts = 0;
+  for (const std::int32_t v : skin) {
+    second_counts +=
+        static_cast<double>(share[static_cast<std::size_t>(v)]) / static_cast<double>(skin.size());
+  }
+  if (before.skin.empty() || (second_counts > 0.5 && !second.skin.empty())) {
+    out.person.skin = second.skin;
   }
   face::bring_loose_pieces(model, before.neutral_mm.cast<double>(), neutral_mm);
   out.person.neutral_mm = neutral_mm.cast<float>();

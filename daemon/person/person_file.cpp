@@ -209,7 +209,9 @@ PersonFile person_of(const face::FaceModel& model, const Observed& observed, con
   person.neutral_mm = learned.neutral_mm.cast<float>();
   const Eigen::VectorXf sigma = learned.sigma_mm.cast<float>();
   person.sigma_mm.assign(sigma.begin(), sigma.end());
-  person.skin = learned.skin.chart;
+  if (learned.skin.believed) {
+    person.skin = learned.skin.chart;
+  }
   return person;
 }
 

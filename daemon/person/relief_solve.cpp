@@ -1,7 +1,9 @@
 #include "person/relief_solve.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <vector>
 
 namespace facet::person {
 namespace {
@@ -22,14 +24,19 @@ float tukey(float t) {
 struct TexelSums {
   const float* brightness;
   const float* weight;
+  std::span<const float> counts;
   const float* slope_u;
   const float* slope_v;
   const Eigen::ArrayXf& shading;
   const AlbedoPrior& albedo;
   Eigen::Index pictures;
 
+  float weight_of(Eigen::Index k) const {
+    return weight[k] * (counts.empty() ? 1 : counts[static_cast<std::size_t>(k)]);
+  }
+
   float believed(Eigen::Index k, float rho, float bound) const {
-    return weight[k] * tukey((brightness[k] - rho * shading[k]) / (albedo.usual_brightness * bound));
+    return weight_of(k) * tukey((brightness[k] - rho * shading[k]) / (albedo.usual_brightness * bound));
   }
 
   void add_to(SlopeSystem& out, Eigen::Index i, float bound) const {
@@ -41,7 +48,7 @@ struct TexelSums {
       squares = albedo.counts;
       seen = 0;
       for (Eigen::Index k = 0; k < pictures; ++k) {
-        const float w = round == 0 ? weight[k] : believed(k, rho, bound);
+        const float w = round == 0 ? weight_of(k) : believed(k, rho, bound);
         right += w * shading[k] * brightness[k];
         squares += w * shading[k] * shading[k];
         seen += w;
@@ -138,7 +145,7 @@ class ReliefMatrix {
 }  // namespace
 
 SlopeSystem slope_system(const TexelGrid& grid, const ShadedPictures& pictures, const AlbedoPrior& albedo,
-                         const Eigen::VectorXd& relief_mm, float bound) {
+                         const Eigen::VectorXd& relief_mm, float bound, std::span<const float> counts) {
   const Eigen::ArrayXf none = Eigen::ArrayXf::Zero(grid.count());
   SlopeSystem out{none, none, none, none, none};
   Eigen::ArrayXf shading(pictures.shading.rows());
@@ -150,6 +157,7 @@ SlopeSystem slope_system(const TexelGrid& grid, const ShadedPictures& pictures, 
                   .max(kLeastShading);
     const TexelSums sums{pictures.brightness.col(i).data(),
                          pictures.weight.col(i).data(),
+                         counts,
                          pictures.slope_u.col(i).data(),
                          pictures.slope_v.col(i).data(),
                          shading,
@@ -187,6 +195,34 @@ Eigen::VectorXd relief_step(const TexelGrid& grid, const SlopeSystem& system, co
     along = next;
   }
   return x;
+}
+
+double agreement_of_halves(const TexelGrid& grid, const ShadedPictures& pictures, const AlbedoPrior& albedo,
+                           const ReliefPrior& prior, std::span<const std::size_t> order, float bound) {
+  const Eigen::VectorXd flat = Eigen::VectorXd::Zero(grid.count());
+  std::array<SlopeSystem, 2> systems;
+  std::array<Eigen::VectorXd, 2> reliefs;
+  for (std::size_t half = 0; half < 2; ++half) {
+    std::vector<float> counts(order.size(), 0);
+    for (std::size_t i = half; i < order.size(); i += 2) {
+      counts[order[i]] = 1;
+    }
+    systems[half] = slope_system(grid, pictures, albedo, flat, bound, counts);
+    reliefs[half] = relief_step(grid, systems[half], prior, flat);
+  }
+  double predicted = 0;
+  double expected = 0;
+  for (std::size_t half = 0; half < 2; ++half) {
+    const Eigen::VectorXd& relief = reliefs[half];
+    const SlopeSystem& other = systems[1 - half];
+    for (const std::int32_t i : grid.open) {
+      const auto u = static_cast<float>(relief[i + 1] - relief[i]);
+      const auto v = static_cast<float>(relief[grid.down[static_cast<std::size_t>(i)]] - relief[i]);
+      predicted += static_cast<double>(other.u[i] * u + other.v[i] * v);
+      expected += static_cast<double>(other.uu[i] * u * u + 2 * other.uv[i] * u * v + other.vv[i] * v * v);
+    }
+  }
+  return expected > 0 ? predicted / expected : 0;
 }
 
 }  // namespace facet::person

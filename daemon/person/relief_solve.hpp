@@ -3,6 +3,8 @@
 // Private to this room: photometric stereo on a chart's texels.
 
 #include <Eigen/Core>
+#include <cstddef>
+#include <span>
 
 #include "person/texel_grid.hpp"
 
@@ -46,12 +48,21 @@ struct SlopeSystem {
 ///
 /// relief_mm  [texel_count]
 /// bound      Tukey's, of the usual brightness
+/// counts     [pictures] what each weighs; empty: 1
 SlopeSystem slope_system(const TexelGrid& grid, const ShadedPictures& pictures, const AlbedoPrior& albedo,
-                         const Eigen::VectorXd& relief_mm, float bound);
+                         const Eigen::VectorXd& relief_mm, float bound, std::span<const float> counts = {});
 
 /// The change of relief_mm [texel_count] that the system and the prior ask for: conjugate gradients, 200 at
 /// most.
 Eigen::VectorXd relief_step(const TexelGrid& grid, const SlopeSystem& system, const ReliefPrior& prior,
                             const Eigen::VectorXd& relief_mm);
+
+/// How far the relief that every second picture tells is what the others show, and the other way round: of
+/// both halves s . b over s . H s, with s the slopes of one and H, b of the other. 1 and more where it is,
+/// about 0 where it is noise.
+///
+/// order  [pictures] in which every second one is taken
+double agreement_of_halves(const TexelGrid& grid, const ShadedPictures& pictures, const AlbedoPrior& albedo,
+                           const ReliefPrior& prior, std::span<const std::size_t> order, float bound);
 
 }  // namespace facet::person

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace facet::person {
 namespace {
@@ -32,11 +33,11 @@ float SkinSamples::albedo_brightness(Eigen::Index texel) const {
   return person::brightness(albedo.col(texel));
 }
 
-SkinAlbedo::SkinAlbedo(const SkinLight& light, std::size_t keyframes, float usual_brightness,
+SkinAlbedo::SkinAlbedo(const SkinLight& light, Eigen::VectorXf gains, float usual_brightness,
                        float usual_albedo)
     : light_(light),
       lamps_(Eigen::VectorXd::Zero(light::kLamps)),
-      gains_(Eigen::VectorXf::Ones(static_cast<Eigen::Index>(keyframes))),
+      gains_(std::move(gains)),
       usual_(usual_brightness),
       usual_albedo_(usual_albedo) {}
 
@@ -95,7 +96,7 @@ void SkinAlbedo::scale_lamps(SkinSamples& samples, float factor) {
 
 void SkinAlbedo::solve_gains(SkinSamples& samples) {
   Eigen::ArrayXd both = Eigen::ArrayXd::Zero(gains_.size());
-  Eigen::ArrayXd squares = Eigen::ArrayXd::Constant(gains_.size(), kNothing);
+  Eigen::ArrayXd squares = Eigen::ArrayXd::Zero(gains_.size());
   for (Eigen::Index i = 0; i < samples.weight.cols(); ++i) {
     for (Eigen::Index k = 0; k < gains_.size(); ++k) {
       const float weight = believed(samples, k, i);
@@ -104,7 +105,11 @@ void SkinAlbedo::solve_gains(SkinSamples& samples) {
       squares[k] += static_cast<double>(weight * predicted * predicted);
     }
   }
-  gains_ = (both / squares).cast<float>().max(kLeastGain).min(kMostGain);
+  for (Eigen::Index k = 0; k < gains_.size(); ++k) {
+    if (both[k] > 0 && squares[k] > kNothing) {  // else nothing of it is believed
+      gains_[k] = std::clamp(static_cast<float>(both[k] / squares[k]), kLeastGain, kMostGain);
+    }
+  }
   const float mean = std::exp(gains_.array().log().mean());
   gains_ /= mean;
   scale_lamps(samples, mean);

@@ -27,13 +27,14 @@ struct SkinSamples {
 float brightness(const Eigen::Vector3f& rgb);
 
 /// Solves I_kt = g_k E_kt(lamps) rho_t for lamps, exposures g and albedo rho, each with the others held, by
-/// Tukey-weighted least squares [MD19 eq. 1, with lamps for its harmonics]. Light times albedo is all that
+/// Tukey-weighted least squares [MD19 eq. 1] with lamps for its harmonics. Light times albedo is all that
 /// pictures show: the albedo's brightness is the model's. One thread.
 class SkinAlbedo {
  public:
+  /// gains             [keyframe] to begin with
   /// usual_brightness  of the pictures where they show skin
   /// usual_albedo      of the model there
-  SkinAlbedo(const SkinLight& light, std::size_t keyframes, float usual_brightness, float usual_albedo);
+  SkinAlbedo(const SkinLight& light, Eigen::VectorXf gains, float usual_brightness, float usual_albedo);
 
   /// Tukey's bound on a residual, over the usual brightness.
   void set_bound(float bound) { bound_ = bound; }

@@ -1,9 +1,11 @@
 #include "person/skin_relief.hpp"
 
 #include <algorithm>
-#include <cmath>
+#include <array>
+#include <numeric>
 #include <opencv2/imgproc.hpp>
 #include <utility>
+#include <vector>
 
 #include "maths/srgb.hpp"
 #include "mesh/quads.hpp"
@@ -25,15 +27,22 @@ constexpr Eigen::Index kRowStep = 40;
 constexpr int kAlbedoRounds = 3;
 constexpr int kRegistrations = 2;
 constexpr float kKnown = 0.5F;        ///< pictures' worth of weight, of an albedo to register with
+constexpr float kWhole = 0.999F;      ///< of a texel, that triangles hold
 constexpr float kShown = 0.05F;       ///< a picture's weight
 constexpr float kLeastShade = 0.05F;  ///< of the usual brightness
-constexpr int kReliefSteps = 1;
+/// A relief that half of the pictures tell and the others don't is noise.
+constexpr double kLeastAgreement = 0.5;
+/// Light and albedo that leave more of the brightness explain nothing.
+constexpr double kMostResidual = 0.12;
+constexpr double kLeastGain = 0.2;
+constexpr double kMostGain = 5;
 constexpr float kReliefBound = 0.2F;
 constexpr float kReliefCounts = 0.02F;  ///< what the albedo found counts as, of one picture's worth
 /// Pictures' worth of weight between which the relief fades in, and its way to the chart's rim.
 constexpr float kFewestSeen = 1;
 constexpr float kEnoughSeen = 3;
 constexpr float kRimMm = 2;
+constexpr float kMostMm = 3;  ///< no skin is deeper furrowed at rest
 
 /// [3][texels] of every step-th texel.
 template <typename Values>
@@ -44,6 +53,8 @@ Values every(const Values& values, Eigen::Index step) {
 /// Where the texels lie in a keyframe's picture.
 struct Shot {
   cv::Mat x_px, y_px;  ///< [height][width]
+  cv::Mat weight;      ///< [height][width]
+  cv::Mat held;        ///< [height][width] 1: a triangle holds the texel
 };
 
 class SkinSolve {
@@ -69,10 +80,7 @@ class SkinSolve {
       between_();
       ChartView view =
           chart_view(chart_, triangles_, keyframes[k].picture, solver, solver.heads()[k], centre_px);
-      for (Eigen::Index i = 0; i < texels_.count(); ++i) {
-        all_.weight(static_cast<Eigen::Index>(k), i) = view.weight.ptr<float>()[place(i)];
-      }
-      shots_.push_back({std::move(view.x_px), std::move(view.y_px)});
+      shots_.push_back({std::move(view.x_px), std::move(view.y_px), std::move(view.weight), held_texels()});
     }
     sample_pictures();
   }
@@ -99,8 +107,15 @@ class SkinSolve {
       std::copy_n(all_.albedo.col(i).data(), 3,
                   out.albedo.begin() + static_cast<std::ptrdiff_t>(3 * place(i)));
     }
-    const cv::Mat relief = texels_.image(find_relief(albedo).cast<float>()).mul(fade(seen), scale);
-    out.chart.relief_mm.assign(relief.ptr<float>(), relief.ptr<float>() + relief.total());
+    const cv::Mat relief =
+        texels_.image(find_relief(albedo, out.agreement).cast<float>()).mul(fade(seen), scale);
+    const bool believed = out.agreement >= kLeastAgreement && out.residual <= kMostResidual;
+    out.chart.relief_mm.resize(relief.total(), 0);
+    if (believed) {
+      std::transform(relief.ptr<float>(), relief.ptr<float>() + relief.total(), out.chart.relief_mm.begin(),
+                     [](float mm) { return std::clamp(mm, -kMostMm, kMostMm); });
+    }
+    out.believed = believed;
     return out;
   }
 
@@ -124,6 +139,8 @@ class SkinSolve {
     return static_cast<std::size_t>(texels_.grid.place[static_cast<std::size_t>(texel)]);
   }
 
+  cv::Mat held_texels() const { return texels_.image(Eigen::ArrayXf::Ones(texels_.count())); }
+
   void sample_pictures() {
     const std::array<float, 256>& decoded = maths::decoded_srgb8();
     const cv::Mat table(1, 256, CV_32F, const_cast<float*>(decoded.data()));
@@ -133,8 +150,12 @@ class SkinSolve {
     for (std::size_t k = 0; k < shots_.size(); ++k) {
       cv::Mat linear;
       cv::LUT(rgb_of(keyframes_[k].picture), table, linear);
-      const cv::Mat sampled = sample(linear, shots_[k].x_px, shots_[k].y_px);
+      const Shot& shot = shots_[k];
+      const cv::Mat sampled = sample(linear, shot.x_px, shot.y_px);
       for (Eigen::Index i = 0; i < texels_.count(); ++i) {
+        // Beside what no triangle holds a place between two texels is none.
+        const bool whole = shot.held.ptr<float>()[place(i)] > kWhole;
+        all_.weight(static_cast<Eigen::Index>(k), i) = whole ? shot.weight.ptr<float>()[place(i)] : 0;
         const auto& pixel = sampled.ptr<cv::Vec3f>()[place(i)];
         for (std::size_t c = 0; c < 3; ++c) {
           all_.rgb[c](static_cast<Eigen::Index>(k), i) = pixel[static_cast<int>(c)];
@@ -144,17 +165,22 @@ class SkinSolve {
   }
 
   SkinAlbedo albedo_of_model() const {
-    double sum = 0;
-    double weight = 1e-12;
+    const Eigen::Index count = all_.weight.rows();
+    Eigen::ArrayXd sums = Eigen::ArrayXd::Constant(count, 1e-12);
+    Eigen::ArrayXd weights = Eigen::ArrayXd::Constant(count, 1e-12);
     double model = 1e-12;
     for (Eigen::Index i = 0; i < texels_.count(); ++i) {
       model += static_cast<double>(brightness(all_.model.col(i)));
-      for (Eigen::Index k = 0; k < all_.weight.rows(); ++k) {
-        sum += static_cast<double>(all_.weight(k, i) * all_.brightness(k, i));
-        weight += static_cast<double>(all_.weight(k, i));
+      for (Eigen::Index k = 0; k < count; ++k) {
+        sums[k] += static_cast<double>(all_.weight(k, i) * all_.brightness(k, i));
+        weights[k] += static_cast<double>(all_.weight(k, i));
       }
     }
-    return {light_, keyframes_.size(), static_cast<float>(std::max(sum / weight, 1e-6)),
+    const double usual = sums.sum() / weights.sum();
+    // How bright each picture is, whichever side it shows: nearer to its exposure than none.
+    const Eigen::VectorXf gains =
+        (sums / weights / std::max(usual, 1e-6)).max(kLeastGain).min(kMostGain).cast<float>();
+    return {light_, gains, static_cast<float>(std::max(usual, 1e-6)),
             static_cast<float>(model / static_cast<double>(std::max<Eigen::Index>(texels_.count(), 1)))};
   }
 
@@ -224,12 +250,22 @@ class SkinSolve {
       }
       const Eigen::ArrayXf weight = (all_.weight.row(row).transpose().array() > kShown).cast<float>();
       const std::array<cv::Mat, 2> flow = registration.flow(values, weight);
-      shots_[k] = {moved(shots_[k].x_px, flow), moved(shots_[k].y_px, flow)};
+      Shot& shot = shots_[k];
+      shot = {moved(shot.x_px, flow), moved(shot.y_px, flow), moved(shot.weight, flow),
+              moved(shot.held, flow)};
     }
   }
 
+  std::vector<std::size_t> by_yaw() const {
+    std::vector<std::size_t> out(keyframes_.size());
+    std::iota(out.begin(), out.end(), std::size_t{0});
+    std::sort(out.begin(), out.end(),
+              [&](std::size_t a, std::size_t b) { return keyframes_[a].yaw_deg < keyframes_[b].yaw_deg; });
+    return out;
+  }
+
   /// Takes the samples: they are needed no more.
-  Eigen::VectorXd find_relief(const SkinAlbedo& albedo) {
+  Eigen::VectorXd find_relief(const SkinAlbedo& albedo, double& agreement) {
     shots_.clear();
     AlbedoPrior prior;
     prior.brightness.resize(texels_.count());
@@ -259,13 +295,12 @@ class SkinSolve {
     pictures.slope_v = albedo.gains().asDiagonal() * pictures.slope_v;
     ReliefPrior relief_prior;
     relief_prior.texel_mm = texels_.texel_mm;
-    Eigen::VectorXd relief_mm = Eigen::VectorXd::Zero(texels_.count());
-    for (int step = 0; step < kReliefSteps; ++step) {
-      between_();
-      const SlopeSystem system = slope_system(texels_.grid, pictures, prior, relief_mm, kReliefBound);
-      relief_mm += relief_step(texels_.grid, system, relief_prior, relief_mm);
-    }
-    return relief_mm;
+    between_();
+    agreement = agreement_of_halves(texels_.grid, pictures, prior, relief_prior, by_yaw(), kReliefBound);
+    between_();
+    const Eigen::VectorXd flat = Eigen::VectorXd::Zero(texels_.count());
+    const SlopeSystem system = slope_system(texels_.grid, pictures, prior, flat, kReliefBound);
+    return relief_step(texels_.grid, system, relief_prior, flat);
   }
 
   /// [height][width] 1 where enough is seen, 0 at the rim and beyond.
@@ -316,7 +351,7 @@ Skin find_skin(const face::FaceModel& model, int chart_texels, const std::vector
 }
 
 int skin_pieces(int keyframes) {
-  return (1 + kRegistrations) * keyframes + kTurns + kReliefSteps;
+  return (1 + kRegistrations) * keyframes + kTurns + 2;
 }
 
 }  // namespace facet::person

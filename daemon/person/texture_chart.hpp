@@ -31,8 +31,6 @@ class TextureChart {
   const std::vector<Eigen::Vector3f>& barycentric() const { return barycentric_; }
   /// Where a vertex lies, texels: x to the right, y along v. May be outside for vertices beyond the face.
   Eigen::Vector2f at(Eigen::Index vertex) const { return texels_.col(vertex); }
-  /// Where a texture coordinate lies, likewise.
-  Eigen::Vector2f at(const Eigen::Vector2f& coordinate) const { return scale_ * (coordinate - least_); }
 
   /// values [n][vertex_count] at a texel (row major index) that a triangle holds.
   template <typename Values>

@@ -80,7 +80,12 @@ LearnedFace learn_face(const face::FaceModel& model, const person::Observed& obs
         "the head turns: its own shape is followed, learned from {} pictures of {} (focal length {:.0f} px)",
         shape.keyframes.size(), from, shape.focal_px);
     face::FaceModel own = face::person_model(model, shape.identity, shape.neutral_mm, "learned from " + from);
-    own.skin = shape.skin.chart;
+    if (shape.skin.believed) {
+      own.skin = shape.skin.chart;
+    } else if (!shape.skin_note.empty()) {
+      out.note += "; " + shape.skin_note;
+    }
+    out.shape.skin.albedo = {};  // a texture of the face: pictures are not kept
     out.model = std::make_shared<const face::FaceModel>(std::move(own));
   } catch (const std::exception& error) {
     out.note = fmt::format("the head turns, but its shape was not learned: {}", error.what());

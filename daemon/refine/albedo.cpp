@@ -134,7 +134,7 @@ void AlbedoKernels::record(gpu::Batch& batch, const LevelTopology& topology, con
 void AlbedoKernels::record_restrict(gpu::Batch& batch, const LevelTopology& finer_topology,
                                     const LevelState& finer, const LevelTopology& topology,
                                     const LevelState& state, const gpu::TexelView& in_finer) const {
-  const shaders::refine::LevelPush push{topology.vertex_count, 0, 0, 0};
+  const shaders::refine::LevelPush push{topology.vertex_count, 0, 0, 0, 0};
   batch.dispatch(restrict_,
                  {{"vertex_rings", finer_topology.vertex_rings.view},
                   {"ring_indices", finer_topology.ring_indices.view},

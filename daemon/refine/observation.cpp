@@ -228,8 +228,8 @@ void ObservationKernels::record_prolong(gpu::Batch& batch, const LevelTopology& 
                                         const LevelState& state, const gpu::Buffer& frame,
                                         const LevelStart& start) const {
   const shaders::refine::LevelPush push{topology.vertex_count, start.prior == Prior::None ? 0.0F : 1.0F,
-                                        start.refine ? 1.0F : 0.0F,
-                                        start.prior == Prior::Given ? 1.0F : 0.0F};
+                                        start.refine ? 1.0F : 0.0F, start.prior == Prior::Given ? 1.0F : 0.0F,
+                                        start.bound_mm};
   batch.dispatch(prolong_,
                  {{"frame", frame},
                   {"vertex_rings", topology.vertex_rings.view},
@@ -245,7 +245,7 @@ void ObservationKernels::record_prolong(gpu::Batch& batch, const LevelTopology& 
 void ObservationKernels::record_prolong_values(gpu::Batch& batch, const LevelTopology& topology,
                                                const LevelStencils& stencils, const DeviceArray& coarser,
                                                const DeviceArray& values) const {
-  const shaders::refine::LevelPush push{topology.vertex_count, 0, 0, 0};
+  const shaders::refine::LevelPush push{topology.vertex_count, 0, 0, 0, 0};
   batch.dispatch(prolong_values_,
                  {{"stencil_rows", stencils.stencil_rows.view},
                   {"stencil_entries", stencils.stencil_entries.view},

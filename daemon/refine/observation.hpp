@@ -90,6 +90,7 @@ enum class Prior {
 struct LevelStart {
   bool refine = false;  ///< shading moves this level
   Prior prior = Prior::None;
+  float bound_mm = 1e9F;  ///< displacements begin within +- this
 };
 
 /// What the cameras see of every vertex: linear image pyramid, depth map of the coarse mesh, positions,

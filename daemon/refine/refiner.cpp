@@ -217,24 +217,21 @@ SubjectBuffers::SubjectBuffers(gpu::Context& context, const RefinerConfig& confi
              config.record_energies) {
   gpu::upload(context, handed_out_as.buffer, std::as_bytes(std::span(levels.back()->order.host_index)));
   const bool known = subject.albedo != nullptr;
-  const std::vector<mesh::Vertices> start =
-      known ? known_albedo_of_levels(subject) : mean_albedo_of_levels(subject);
+  const auto start = known ? known_albedo_of_levels(subject) : mean_albedo_of_levels(subject);
   if (config.room_lamps == RoomLamps::Always ||
       (config.room_lamps == RoomLamps::KnownShapes && subject.known_shape)) {
     room.emplace(subject.hierarchy, counts_for_light(subject), start.front());
     room_irradiance.emplace(context, levels.front()->topology.vertex_count, gpu::TexelFormat::Rgba32f,
                             "room's irradiance", gpu::Memory::Upload);
   }
-  if (!subject.relief_mm.empty()) {
-    const std::vector<mesh::Vertices> reliefs = relief_of_levels(subject);
-    for (std::size_t l = 0; l < levels.size(); ++l) {
-      const std::vector<vec4> packed = reordered(with_fourth(reliefs[l], 0), levels[l]->order);
-      gpu::upload(context, levels[l]->state.reliefs.buffer, std::as_bytes(std::span(packed)));
-    }
-  }
+  const auto reliefs = relief_of_levels(subject);
   for (std::size_t l = 0; l < levels.size(); ++l) {
     const std::vector<vec4> packed = reordered(with_fourth(start[l], known ? 1 : 0), levels[l]->order);
     gpu::upload(context, levels[l]->state.albedo.buffer, std::as_bytes(std::span(packed)));
+    if (!reliefs.empty()) {
+      const auto relief = reordered(with_fourth(reliefs[l], 0), levels[l]->order);
+      gpu::upload(context, levels[l]->state.reliefs.buffer, std::as_bytes(std::span(relief)));
+    }
     if (l == (config.fine_albedo ? levels.size() - 1 : 0)) {
       gpu::upload(context, albedo.mean.buffer, std::as_bytes(std::span(packed)));
     }
@@ -259,9 +256,9 @@ void Kernels::record(gpu::Batch& batch, const RefinerConfig& config, const Subje
   }
   batch.stage("upload");
   observation.record_image(batch, *subject.pyramid, subject.frame);
-  observation.record_prolong(batch, coarsest.topology, coarsest.stencils, subject.control.view,
-                             coarsest.state, subject.frame,
-                             {refine_coarsest, config.given_prior ? Prior::Given : Prior::None});
+  observation.record_prolong(
+      batch, coarsest.topology, coarsest.stencils, subject.control.view, coarsest.state, subject.frame,
+      {refine_coarsest, config.given_prior ? Prior::Given : Prior::None, config.displacement_bound_mm});
   for (const std::unique_ptr<FurtherCameraState>& view : subject.further_views) {
     observation.record_image(batch, view->pyramid, view->frame);
   }
@@ -336,9 +333,9 @@ void Kernels::record_displacements(gpu::Batch& batch, const RefinerConfig& confi
     const bool refined = plan.steps[l] > 0;
     const bool prolonged = config.hierarchical && l > 0;
     if (l > 0) {
-      observation.record_prolong(batch, level.topology, level.stencils,
-                                 subject.levels[l - 1]->state.positions.view, level.state, subject.frame,
-                                 {refined, prolonged ? Prior::Prolonged : Prior::None});
+      observation.record_prolong(
+          batch, level.topology, level.stencils, subject.levels[l - 1]->state.positions.view, level.state,
+          subject.frame, {refined, prolonged ? Prior::Prolonged : Prior::None, config.displacement_bound_mm});
       if (subject.room_irradiance) {
         observation.record_prolong_values(batch, level.topology, level.stencils,
                                           subject.levels[l - 1]->state.irradiance, level.state.irradiance);
@@ -472,8 +469,7 @@ void Refiner::submit(const RefineInput& input) {
   }
   impl.write_views(input.further_views, control);
   impl.write_room(input, control);
-  frame.keep_displacements = impl.warm ? 1.0F : 0.0F;
-  frame.keep_lighting = impl.warm ? 1.0F : 0.0F;
+  frame.keep_displacements = frame.keep_lighting = impl.warm ? 1.0F : 0.0F;
   frame.learn_albedo = 1;
   subject.frame.mapped_as<FrameParameters>().front() = frame;
   const bool learn = impl.learns(impl.frame_count);

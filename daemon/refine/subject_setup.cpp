@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cstddef>
 
 #include "facet/error.hpp"
@@ -20,14 +21,14 @@ std::vector<mesh::Vertices> mean_albedo_of_levels(const SubjectSetup& subject) {
 namespace {
 
 /// [n] mean of the ring's columns of values.
-auto ring_mean(const mesh::OneRings& rings, const Eigen::MatrixXf& values, Eigen::Index vertex) {
+Eigen::VectorXf ring_mean(const mesh::OneRings& rings, const Eigen::MatrixXf& values, Eigen::Index vertex) {
   const auto first = static_cast<std::size_t>(rings.offsets[static_cast<std::size_t>(vertex)]);
   const auto end = static_cast<std::size_t>(rings.offsets[static_cast<std::size_t>(vertex) + 1]);
   Eigen::VectorXf sum = Eigen::VectorXf::Zero(values.rows());
   for (std::size_t k = first; k < end; ++k) {
     sum += values.col(rings.neighbours[k]);
   }
-  return (sum / static_cast<float>(end - first)).eval();
+  return sum / static_cast<float>(std::max<std::size_t>(1, end - first));
 }
 
 /// Values of every level from the finest one's, [n][vertex_count].
@@ -54,6 +55,9 @@ std::vector<mesh::Vertices> known_albedo_of_levels(const SubjectSetup& subject) 
 }
 
 std::vector<mesh::Vertices> relief_of_levels(const SubjectSetup& subject) {
+  if (subject.relief_mm.empty()) {
+    return {};
+  }
   const std::vector<mesh::Level>& levels = subject.hierarchy->levels;
   std::vector<Eigen::MatrixXf> relief = restricted(
       *subject.hierarchy,
@@ -118,6 +122,9 @@ void check(const RefinerConfig& config, const SubjectSetup& subject) {
                                               subject.trust.size()));
   }
   const auto finest = static_cast<std::size_t>(subject.hierarchy->finest().vertex_count);
+  if (config.given_prior && !subject.relief_mm.empty()) {
+    throw Error(ErrorKind::Usage, "given displacements and a known relief would both be added");
+  }
   if (!subject.relief_mm.empty() && subject.relief_mm.size() != finest) {
     throw Error(ErrorKind::Usage, fmt::format("the known relief has {} numbers; the finest level needs {}",
                                               subject.relief_mm.size(), finest));

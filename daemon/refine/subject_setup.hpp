@@ -21,7 +21,7 @@ std::vector<mesh::Vertices> mean_albedo_of_levels(const SubjectSetup& subject);
 std::vector<mesh::Vertices> known_albedo_of_levels(const SubjectSetup& subject);
 
 /// LevelState::reliefs of every level, [3][vertex_count]: a coarser level has the finest one's relief as
-/// known_albedo_of_levels has its albedo. 0 where shading moves no vertex.
+/// known_albedo_of_levels has its albedo. 0 where shading moves no vertex. Nothing where none is known.
 std::vector<mesh::Vertices> relief_of_levels(const SubjectSetup& subject);
 
 /// [M0's vertex count] 0 to 1: what the skin of M0 says of the light. Nothing where shading moves no vertex.

@@ -72,8 +72,9 @@ struct LevelPush {
                     // level
   float refine;     // 1: shading refines this level
   float fixed_keep_prior;  // 1: vertices that shading does not move stand at their prior; 0: at 0
+  float bound_mm;          // displacements begin within +- this
 };
-FACET_LAYOUT_SIZE(LevelPush, 16)
+FACET_LAYOUT_SIZE(LevelPush, 20)
 
 struct DepthPush {
   uint triangle_count;

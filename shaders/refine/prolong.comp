@@ -45,7 +45,8 @@ void main() {
       prior *= push.fixed_keep_prior;
       start = prior;
     }
-    positions[i] = vec4(sum.xyz, start);
+    // A level that shading leaves out is not held within the bound by the solver.
+    positions[i] = vec4(sum.xyz, clamp(start, -push.bound_mm, push.bound_mm));
     priors[i] = prior;
   }
 }

@@ -1,12 +1,15 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cstring>
 #include <fstream>
 #include <iterator>
 #include <limits>
+#include <optional>
 #include <random>
 
+#include "face/chunk_file.hpp"
 #include "face/face_model.hpp"
 #include "facet/error.hpp"
 #include "support/paths.hpp"
@@ -134,6 +137,46 @@ TEST(FaceModelFile, SkinThatIsNoneIsRefused) {
   refused([](SkinChart& skin) { skin.least.x() = std::numeric_limits<float>::infinity(); });
   refused([](SkinChart& skin) { skin.relief_mm[2] = std::numeric_limits<float>::quiet_NaN(); });
   refused([](SkinChart& skin) { skin.relief_mm[2] = 31; });
+}
+
+/// Files whose chunks don't fit each other.
+TEST(SkinChart, DamagedChunksAreRefused) {
+  const auto refused = [](std::uint32_t width, std::uint32_t height, float scale, std::size_t grid_bytes,
+                          std::optional<std::size_t> texels) {
+    constexpr ChunkFormat kFormat{{'T', 'E', 'S', 'T', 'S', 'K', 'I', 'N'}, 1, "skin", "none"};
+    std::vector<std::byte> grid(20);
+    const std::array<std::uint32_t, 2> size{width, height};
+    const std::array<float, 3> place{0, 0, scale};
+    std::memcpy(grid.data(), size.data(), sizeof size);
+    std::memcpy(grid.data() + sizeof size, place.data(), sizeof place);
+    grid.resize(grid_bytes);
+    ChunkWriter writer(kFormat);
+    if (!grid.empty()) {
+      writer.add("SKIN", grid, false);
+    }
+    const std::vector<std::int16_t> relief(texels.value_or(0), 100);
+    if (texels) {
+      writer.add("RELI", bytes_of(relief.data(), relief.size()), true);
+    }
+    const std::vector<std::byte> file = writer.file();
+    try {
+      read_skin(ChunkReader(file, "test", kFormat));
+      return std::string();
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::UnreadableInput);
+      return std::string(error.what());
+    }
+  };
+  EXPECT_EQ(refused(3, 2, 8, 20, 6), "");
+  EXPECT_EQ(refused(0, 0, 0, 0, std::nullopt), "") << "no skin is none";
+  EXPECT_THAT(refused(3, 2, 8, 19, 6), HasSubstr("SKIN"));
+  EXPECT_THAT(refused(3, 2, 8, 20, 5), HasSubstr("RELI"));
+  EXPECT_THAT(refused(3, 2, 8, 20, std::nullopt), HasSubstr("RELI"));
+  EXPECT_THAT(refused(3, 2, 8, 0, 6), HasSubstr("SKIN"));
+  EXPECT_THAT(refused(0, 2, 8, 20, 0), HasSubstr("0x2 texels"));
+  EXPECT_THAT(refused(4294967295U, 2, 8, 20, 6), HasSubstr("texels"));
+  EXPECT_THAT(refused(3, 2, 0, 20, 6), HasSubstr("nowhere"));
+  EXPECT_THAT(refused(3, 2, std::numeric_limits<float>::quiet_NaN(), 20, 6), HasSubstr("nowhere"));
 }
 
 TEST(SkinChart, IsReadBetweenItsTexels) {

@@ -79,6 +79,27 @@ TEST_F(ImprovedPersonTest, TwoEnrolmentsAreNearerThanEither) {
   EXPECT_EQ(both.person.focal_px, 1002);
 }
 
+/// A relief of one texel that tells whose it is.
+face::SkinChart relief_of(float mm) {
+  face::SkinChart out;
+  out.width = out.height = 1;
+  out.texels_per_unit = 1;
+  out.relief_mm = {mm};
+  return out;
+}
+
+TEST_F(ImprovedPersonTest, TheSurerOnesReliefIsKept) {
+  PersonFile first = enrolled(1, 0.4F);
+  PersonFile second = enrolled(2, 0.3F);
+  first.skin = relief_of(1);
+  second.skin = relief_of(2);
+  EXPECT_EQ(improved(model_, first, second).person.skin.relief_mm.front(), 2);
+  EXPECT_EQ(improved(model_, second, first).person.skin.relief_mm.front(), 2);
+  second.skin = {};
+  EXPECT_EQ(improved(model_, first, second).person.skin.relief_mm.front(), 1) << "the only one";
+  EXPECT_EQ(improved(model_, second, first).person.skin.relief_mm.front(), 1);
+}
+
 /// Where one of them hardly knows, it hardly counts.
 TEST_F(ImprovedPersonTest, ABadVideoSpoilsNothing) {
   const PersonFile first = enrolled(1, 0.2F);

@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 #include <filesystem>
+#include <random>
 
 #include "actors_turn.hpp"
 #include "facet/assets.hpp"
@@ -39,8 +40,8 @@ class PatchTest : public ::testing::Test {
                        : 0.05F * std::sin(0.3F * static_cast<float>(texel % kSide)));
   }
 
-  /// Finds the relief of pictures of a relief, brightness by exact normals.
-  Eigen::VectorXd found(const Eigen::VectorXd& relief_mm) const {
+  /// Pictures of a relief, brightness by exact normals.
+  ShadedPictures pictures_of(const Eigen::VectorXd& relief_mm) const {
     const std::array<Eigen::Vector3d, 6> lamps{
         Eigen::Vector3d(0.6, 0, 0.8),  Eigen::Vector3d(-0.6, 0, 0.8),    Eigen::Vector3d(0, 0.6, 0.8),
         Eigen::Vector3d(0, -0.6, 0.8), Eigen::Vector3d(0.4, 0.4, 0.825), Eigen::Vector3d(0, 0, 1)};
@@ -48,7 +49,6 @@ class PatchTest : public ::testing::Test {
     ShadedPictures pictures;
     pictures.weight = Eigen::MatrixXf::Ones(count, grid_.count());
     pictures.brightness = pictures.shading = pictures.slope_u = pictures.slope_v = pictures.weight;
-    AlbedoPrior prior{Eigen::ArrayXf::Constant(grid_.count(), 0.4F), 0.02F, 0.3F};
     for (Eigen::Index i = 0; i < grid_.count(); ++i) {
       const bool right = (i + 1) % kSide != 0;
       const bool below = i + kSide < grid_.count();
@@ -63,10 +63,18 @@ class PatchTest : public ::testing::Test {
         pictures.slope_v(k, i) = static_cast<float>(-lamp.y() / kTexelMm);
       }
     }
+    return pictures;
+  }
+
+  AlbedoPrior prior() const { return {Eigen::ArrayXf::Constant(grid_.count(), 0.4F), 0.02F, 0.3F}; }
+
+  /// The relief that is found of pictures of a relief.
+  Eigen::VectorXd found(const Eigen::VectorXd& relief_mm) const {
+    const ShadedPictures pictures = pictures_of(relief_mm);
     const ReliefPrior weak{kTexelMm, 1e-3, 1e-4, 1e-5};
     Eigen::VectorXd out = Eigen::VectorXd::Zero(grid_.count());
     for (int step = 0; step < 3; ++step) {
-      out += relief_step(grid_, slope_system(grid_, pictures, prior, out, 0.5F), weak, out);
+      out += relief_step(grid_, slope_system(grid_, pictures, prior(), out, 0.5F), weak, out);
     }
     return out;
   }
@@ -89,6 +97,19 @@ TEST_F(PatchTest, ABumpIsFoundWithItsSignAndHeight) {
     off.array() -= off.mean();
     EXPECT_LT(off.norm(), 0.15 * bump().norm()) << sign;
   }
+}
+
+TEST_F(PatchTest, HalvesAgreeOnABumpAndNotOnNoise) {
+  const std::array<std::size_t, 6> order{0, 2, 4, 1, 3, 5};
+  const ReliefPrior usual{kTexelMm};
+  EXPECT_GT(agreement_of_halves(grid_, pictures_of(bump()), prior(), usual, order, 0.5F), 0.8);
+  ShadedPictures noise = pictures_of(Eigen::VectorXd::Zero(grid_.count()));
+  std::mt19937 random(5);
+  std::normal_distribution<float> grain(0, 0.02F);
+  for (float& value : noise.brightness.reshaped()) {
+    value += grain(random);
+  }
+  EXPECT_LT(agreement_of_halves(grid_, noise, prior(), usual, order, 0.5F), 0.3);
 }
 
 TEST_F(PatchTest, FrecklesAreNoRelief) {

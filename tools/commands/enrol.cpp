@@ -241,6 +241,15 @@ void run(const Options& options) {
     tell("  {:<34} {:8.3f}   (limit {:.3f}){}\n", gate.name, gate.value, gate.limit,
          gate.passed ? "" : "   refused");
   }
+  if (!learned.skin_note.empty()) {
+    tell("{}\n", learned.skin_note);
+  } else if (learned.skin.believed) {
+    tell(
+        "the skin's relief: {:.2f} of what one half of the pictures shows is in the other (limit 0.50); "
+        "light and "
+        "colour leave {:.1f} % of the brightness\n",
+        learned.skin.agreement, 100 * learned.skin.residual);
+  }
   if (!learned.accepted) {
     throw Error(ErrorKind::NoFace,
                 fmt::format("'{}': no person was learned: {}", options.video, learned.refused));
