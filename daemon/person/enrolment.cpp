@@ -32,6 +32,9 @@ constexpr std::size_t kFewestKeyframes = 6;
 constexpr double kFolds = 75;
 /// Of the guess's depth (docs/decisions/person.md, "A photo").
 constexpr double kFlat = 0.78;
+/// Under a light from about one side gloss is taken for relief (docs/decisions/person.md, "The relief of a
+/// turn").
+constexpr double kReliefYawDeg = 20;
 
 double median_of_finite(std::vector<double> values) {
   values.erase(std::remove_if(values.begin(), values.end(), [](double v) { return !std::isfinite(v); }),
@@ -132,7 +135,7 @@ class Enrolment {
     out.focal_px = solver_.focal_px();
     const bool passed =
         std::all_of(out.gates.begin(), out.gates.end(), [](const Gate& gate) { return gate.passed; });
-    if (passed && options_.skin && options_.expression == KeyframeExpression::Rest) {
+    if (passed && options_.skin) {
       find_relief(out);
     }
     if (solved && options_.uncertainty) {
@@ -140,8 +143,25 @@ class Enrolment {
     }
   }
 
+  /// Whether the light came from sides far enough apart for a relief to be looked for.
+  bool turned_for_relief() const {
+    double left = 0;
+    double right = 0;
+    for (const Keyframe& keyframe : observed_.keyframes) {
+      left = std::max(left, -keyframe.yaw_deg);
+      right = std::max(right, keyframe.yaw_deg);
+    }
+    return std::min(left, right) >= kReliefYawDeg;
+  }
+
   /// What fails here costs the relief, not the shape.
   void find_relief(LearnedShape& out) {
+    if (!looks_for_relief()) {
+      out.skin_note = fmt::format(
+          "its relief was not looked for: for that the head must turn by {:.0f} degrees to both sides",
+          kReliefYawDeg);
+      return;
+    }
     try {
       out.skin = find_skin(model_, options_.skin_texels, observed_.keyframes, solver_, centre_px_,
                            [this] { say(); });
@@ -153,8 +173,7 @@ class Enrolment {
     if (!out.skin.believed) {
       out.skin_note = fmt::format(
           "its relief is not kept: the pictures don't agree on one ({:.2f} of one half's is in the other, "
-          "0.5 is "
-          "needed; light and albedo leave {:.0f} % of the brightness, 12 are allowed)",
+          "0.5 is needed; light and albedo leave {:.0f} % of the brightness, 12 are allowed)",
           out.skin.agreement, 100 * out.skin.residual);
     }
   }
@@ -162,10 +181,14 @@ class Enrolment {
   bool last(int round) const { return round + 1 == options_.rounds; }
   int turns_of(int round) const { return last(round) ? kTurns : 1; }
 
+  bool looks_for_relief() const {
+    return options_.skin && options_.expression == KeyframeExpression::Rest && turned_for_relief();
+  }
+
   bool go_on() const {
     const int pictures = (2 * options_.rounds + 1) * static_cast<int>(order_.size());
     const int steps = (options_.rounds + kTurns - 1) * kShapeSteps;
-    const int skin = options_.skin ? skin_pieces(static_cast<int>(order_.size())) : 0;
+    const int skin = looks_for_relief() ? skin_pieces(static_cast<int>(order_.size())) : 0;
     return !progress_ || progress_(done_, pictures + steps + skin);
   }
 
