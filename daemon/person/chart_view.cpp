@@ -18,6 +18,8 @@ constexpr float kHiddenMm = 4;
 constexpr float kDepthCellMm = 1.5F;
 constexpr int kMostCells = 1024;  ///< of a side
 constexpr float kSaturated = 250;
+constexpr double kGreyMiddle = 128;
+constexpr double kGreyPerDeviation = 42;
 
 /// What of a mesh is nearest to the camera, in cells of the picture plane.
 class NearestDepth {
@@ -88,6 +90,18 @@ cv::Mat rgb_of(const HeadPicture& picture) {
 cv::Mat sample(const cv::Mat& image, const cv::Mat& x, const cv::Mat& y) {
   cv::Mat out;
   cv::remap(image, out, x, y, cv::INTER_LINEAR, cv::BORDER_CONSTANT);
+  return out;
+}
+
+cv::Mat blurred(const cv::Mat& image, double sigma) {
+  cv::Mat out;
+  cv::GaussianBlur(image, out, {0, 0}, sigma);
+  return out;
+}
+
+cv::Mat as_bytes(const cv::Mat& deviations) {
+  cv::Mat out;
+  deviations.convertTo(out, CV_8U, kGreyPerDeviation, kGreyMiddle);
   return out;
 }
 

@@ -30,6 +30,12 @@ cv::Mat rgb_of(const HeadPicture& picture);
 /// image at (x, y), linear in between, 0 outside.
 cv::Mat sample(const cv::Mat& image, const cv::Mat& x, const cv::Mat& y);
 
+/// By a Gaussian; sigma in texels.
+cv::Mat blurred(const cv::Mat& image, double sigma);
+
+/// Bytes for a flow of what is told in deviations: 42 each from 128 on, three to both sides.
+cv::Mat as_bytes(const cv::Mat& deviations);
+
 /// 0 below low, 1 above high, smooth in between.
 float smoothstep(float x, float low, float high);
 

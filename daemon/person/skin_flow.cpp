@@ -23,8 +23,6 @@ constexpr double kWindowMm = 0.7;
 constexpr float kLeastContrast = 0.03F;
 constexpr float kDarkest = 0.01F;  ///< linear, below which brightness tells nothing
 constexpr double kSmoothTexels = 0.6;
-constexpr float kGreyMiddle = 128;
-constexpr float kGreyPerDeviation = 42;
 constexpr int kPatchTexels = 13;
 
 /// A keyframe's picture on the chart.
@@ -41,12 +39,6 @@ cv::Mat log_of_grey() {
     table.at<float>(value) = std::log(maths::decode_srgb(static_cast<float>(value) / 255) + kDarkest);
   }
   return table;
-}
-
-cv::Mat blurred(const cv::Mat& image, double sigma) {
-  cv::Mat out;
-  cv::GaussianBlur(image, out, {0, 0}, sigma);
-  return out;
 }
 
 cv::Mat boxed(const cv::Mat& image) {
@@ -66,12 +58,6 @@ std::vector<std::uint8_t> telling_of(const face::FaceModel& model) {
     }
   }
   return telling;
-}
-
-cv::Mat as_bytes(const cv::Mat& texture) {
-  cv::Mat out;
-  texture.convertTo(out, CV_8U, kGreyPerDeviation, kGreyMiddle);
-  return out;
 }
 
 }  // namespace

@@ -3,6 +3,8 @@
 #include <opencv2/imgproc.hpp>
 #include <opencv2/video/tracking.hpp>
 
+#include "person/chart_view.hpp"
+
 namespace facet::person {
 namespace {
 
@@ -16,22 +18,8 @@ constexpr int kCoarser = 2;
 constexpr float kWhole = 0.99F;
 constexpr float kDarkest = 0.01F;        ///< albedo, below which it is taken to be this
 constexpr float kLeastContrast = 0.03F;  ///< of the logarithm
-constexpr double kGreyMiddle = 128;
-constexpr double kGreyPerDeviation = 42;
 constexpr double kLeastWeight = 1e-4;
 constexpr double kLeastConfidence = 1e-3;
-
-cv::Mat blurred(const cv::Mat& image, double sigma) {
-  cv::Mat out;
-  cv::GaussianBlur(image, out, {0, 0}, sigma);
-  return out;
-}
-
-cv::Mat as_bytes(const cv::Mat& texture) {
-  cv::Mat out;
-  texture.convertTo(out, CV_8U, kGreyPerDeviation, kGreyMiddle);
-  return out;
-}
 
 cv::Mat coarse(const cv::Mat& image) {
   cv::Mat out;
