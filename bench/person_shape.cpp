@@ -298,7 +298,7 @@ void print_albedo(const Options& options, const face::FaceModel& model, const pe
                   const SkinTruth& truth, const std::string& name) {
   Agreement before;
   Agreement after;
-  const Eigen::Map<const Eigen::Matrix3Xf> found(skin.albedo.data(), 3, truth.height_mm.size());
+  const Eigen::Map<const Eigen::Matrix3Xf> found(skin.chart.albedo.data(), 3, truth.height_mm.size());
   const auto logarithm = [](const Eigen::Vector3f& rgb) {
     return std::log(std::max(brightness(rgb), 1e-4F));
   };

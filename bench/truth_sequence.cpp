@@ -5,12 +5,15 @@
 #include <cmath>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <utility>
 
 #include "camera/factory.hpp"
 #include "face/face_parts.hpp"
 #include "face/subject_builder.hpp"
 #include "facet/error.hpp"
+#include "person/skin_follower.hpp"
+#include "report/skin_points.hpp"
 #include "simulation/sequence.hpp"
 #include "track/tracker.hpp"
 
@@ -48,6 +51,10 @@ void track(const face::FaceModel& model, const SequenceOptions& options, const s
   tracker.adopt(*first_pass.person(), frames.front().width_px, frames.front().height_px);
   mesh::HierarchyOptions hierarchy;
   hierarchy.min_edge_px = options.min_edge_px;
+  std::optional<person::SkinFollower> follower;
+  if (options.follow_skin && !model.skin.albedo.empty()) {
+    follower.emplace(model);
+  }
   for (const Frame& frame : frames) {
     const track::TrackResult& result = tracker.process(frame);
     if (result.state != mesh::TrackingState::Tracking) {
@@ -63,6 +70,9 @@ void track(const face::FaceModel& model, const SequenceOptions& options, const s
       sequence.subject = face::build_subject(model, hierarchy, good, result.identity, result.subject);
     }
     sequence.frames.push_back({frame, result.camera, result.camera_from_head, result.vertices_mm});
+    if (follower) {
+      follower->follow(frame, result, sequence.frames.back().control_vertices_mm);
+    }
   }
 }
 
@@ -167,6 +177,7 @@ Sequence load_sequence(const face::FaceModel& model, const SequenceOptions& opti
     track(model, options, frames, sequence);
   }
   report::FigureSum sum;
+  report::SkinPointSum skin_points;
   for (std::size_t k = 0; k < sequence.frames.size(); k += static_cast<std::size_t>(options.measure_every)) {
     const TrackedFrame& frame = sequence.frames[k];
     MeasuredFrame measured;
@@ -180,6 +191,7 @@ Sequence load_sequence(const face::FaceModel& model, const SequenceOptions& opti
     measured.true_displacements_mm =
         report::true_displacements_mm(coarse, measured.truth_from_camera, *measured.truth);
     sum.add(static_cast<std::int64_t>(k), measured.vertices, comparison, 0);
+    skin_points.add(sequence.subject->id, static_cast<double>(k), coarse, comparison, measured.truth->mesh());
     if (options.albedo == "truth" && !sequence.true_albedo) {
       sequence.true_albedo = true_albedo(coarse, measured);
     }
@@ -190,8 +202,9 @@ Sequence load_sequence(const face::FaceModel& model, const SequenceOptions& opti
   for (const mesh::Level& level : sequence.subject->hierarchy->levels) {
     fmt::print(" {}", level.vertex_count);
   }
-  fmt::print(" vertices; coarse {:.3f} mm, {:.2f} deg\n", sequence.coarse.mean_mm,
-             sequence.coarse.normal_error_deg);
+  const report::SkinPointFigures skin = skin_points.figures();
+  fmt::print(" vertices; coarse {:.3f} mm, {:.2f} deg, the same skin {:.3f} mm off, {:.3f} along it\n",
+             sequence.coarse.mean_mm, sequence.coarse.normal_error_deg, skin.mean_mm, skin.tangential_mm);
   return sequence;
 }
 
@@ -202,8 +215,10 @@ Score refine_sequence(gpu::Context& context, const face::FaceModel& model, const
   refine::SubjectSetup setup{sequence.subject->hierarchy, model.mean_albedo,
                              model.control.refinable,     sequence.true_albedo,
                              face::shading_trust(model),  model.identity_count() == 0};
-  if (!model.skin.empty()) {
-    setup.relief_mm = face::relief_at(model.skin, sequence.subject->hierarchy->texture_coordinates);
+  face::KnownSkin skin = face::known_skin(model, *sequence.subject->hierarchy);
+  setup.relief_mm = std::move(skin.relief_mm);
+  if (sequence.true_albedo == nullptr) {
+    setup.skin_albedo = std::move(skin.albedo);
   }
   refiner.set_subject(setup);
   report::FigureSum sum;

@@ -29,6 +29,7 @@ struct SequenceOptions {
   float min_edge_px = 3;           ///< of the hierarchy
   std::string coarse = "tracker";  ///< or "truth": the true shape inside the model's span, at the true pose
   std::string albedo = "learned";  ///< or "truth"
+  bool follow_skin = true;         ///< where the model knows the skin
 };
 
 /// A frame of which the truth is known.

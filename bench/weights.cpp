@@ -31,6 +31,7 @@ struct Options : facet::bench::SequenceOptions {
   bool reach = false;
   bool coarse_alone = false;
   bool without_skin = false;
+  bool without_skin_albedo = false;
 };
 
 /// A setting of the refiner by name.
@@ -43,6 +44,8 @@ void set(RefinerConfig& config, const std::string& name, float value) {
     config.weights.displacement_smooth = value;
   } else if (name == "w4") {
     config.weights.displacement_hierarchy = value;
+  } else if (name == "w2_known") {
+    config.weights.albedo_smooth_known = value;
   } else if (name == "w5") {
     config.weights.displacement_coarse = value;
   } else if (name == "w5_known") {
@@ -70,10 +73,11 @@ void set(RefinerConfig& config, const std::string& name, float value) {
   } else if (name == "paper") {
     config.budget = value != 0 ? facet::refine::Budget::Paper : facet::refine::Budget::Auto;
   } else {
-    throw Error(ErrorKind::Usage,
-                fmt::format("no setting {}; there are w1 to w5, w5_known, fold, robust, metric, steps, "
-                            "pcg, albedo_frames, fine_albedo, room_lamps, hierarchical, paper",
-                            name));
+    throw Error(
+        ErrorKind::Usage,
+        fmt::format("no setting {}; there are w1 to w5, w2_known, w5_known, fold, robust, metric, steps, "
+                    "pcg, albedo_frames, fine_albedo, room_lamps, hierarchical, paper",
+                    name));
   }
 }
 
@@ -185,6 +189,9 @@ void run(const Options& options) {
   if (options.without_skin) {
     model.skin = {};
   }
+  if (options.without_skin_albedo) {
+    model.skin.albedo.clear();
+  }
   if (options.coarse_alone) {
     for (const std::filesystem::path& folder : options.folders) {
       facet::bench::load_sequence(model, options, folder);
@@ -242,6 +249,8 @@ int main(int argc, char** argv) {
       "First what displacements could reach at best: the truth's own along the coarse normals, whole and "
       "smoothed");
   app.add_flag("--without-skin", options.without_skin, "Leave out what a person's model knows of the skin");
+  app.add_flag("--without-skin-albedo", options.without_skin_albedo, "Of it leave out the albedo");
+  app.add_flag("!--without-following", options.follow_skin, "Leave the mesh where the tracker has it");
   app.add_flag("--coarse-alone", options.coarse_alone, "Measure the coarse meshes and refine nothing");
   app.add_option("--model", options.model, "Face model file")->capture_default_str();
   app.add_option("--device", options.device, "GPU, by part of its name")->capture_default_str();

@@ -20,6 +20,9 @@ struct SkinChart {
   float texels_per_unit = 0;
   std::vector<float> relief_mm;  ///< [height][width] of the face at rest over the model's smooth surface,
                                  ///< along its normal
+  /// [height][width][3] linear RGB, of the brightness that the model's mean has; 0 where nothing is known.
+  /// Empty: none is.
+  std::vector<float> albedo;
 
   bool empty() const { return width == 0; }
   /// What is wrong with it; empty where nothing is.
@@ -33,7 +36,15 @@ inline constexpr int kMostChartTexels = 4096;  ///< of a side
 /// relief_mm at texture coordinates, linear between texels, 0 beyond the chart. [coordinates] mm.
 std::vector<float> relief_at(const SkinChart& chart, const mesh::TextureCoordinates& coordinates);
 
-/// The chart in chunks 'SKIN' and 'RELI' (docs/face-model-format.md); nothing where there is none.
+/// Albedo at texture coordinates, linear between texels; where a texel beside knows none, `elsewhere` with
+/// the hue and brightness that what is known has against it. Nothing where the chart has no albedo.
+///
+/// elsewhere  [3][coordinates] linear RGB, the model's mean
+/// Returns [3][coordinates].
+mesh::Vertices albedo_at(const SkinChart& chart, const mesh::TextureCoordinates& coordinates,
+                         const mesh::Vertices& elsewhere);
+
+/// The chart in chunks 'SKIN', 'RELI' and 'TONE' (docs/face-model-format.md); nothing where there is none.
 void add_skin(const SkinChart& chart, ChunkWriter& writer);
 /// The chart that the chunks hold, if any. Throws Error(UnreadableInput).
 SkinChart read_skin(const ChunkReader& chunks);

@@ -62,4 +62,14 @@ std::shared_ptr<const mesh::Subject> build_subject(const FaceModel& model,
   return subject;
 }
 
+KnownSkin known_skin(const FaceModel& model, const mesh::Hierarchy& hierarchy) {
+  if (model.skin.empty()) {
+    return {};
+  }
+  std::vector<mesh::Vertices> mean_albedo;
+  mesh::push_positions(hierarchy, model.mean_albedo, mean_albedo);
+  return {relief_at(model.skin, hierarchy.texture_coordinates),
+          albedo_at(model.skin, hierarchy.texture_coordinates, mean_albedo.back())};
+}
+
 }  // namespace facet::face

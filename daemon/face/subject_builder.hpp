@@ -26,6 +26,13 @@ std::shared_ptr<const mesh::Subject> build_subject(const FaceModel& model,
                                                    const std::vector<float>& identity, std::uint32_t count,
                                                    const std::string& person = {});
 
+/// What the model knows of its person's skin at a subject's finest vertices; empty where it knows nothing.
+struct KnownSkin {
+  std::vector<float> relief_mm;  ///< [finest vertex_count] of the face at rest
+  mesh::Vertices albedo;         ///< [3][finest vertex_count] linear RGB
+};
+KnownSkin known_skin(const FaceModel& model, const mesh::Hierarchy& hierarchy);
+
 /// Projections of head-frame vertices, px; NaN where they are behind or at the camera.
 mesh::TextureCoordinates project(const mesh::Vertices& vertices_mm, const Eigen::Isometry3f& camera_from_head,
                                  const CameraIntrinsics& camera);

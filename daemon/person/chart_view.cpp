@@ -111,17 +111,14 @@ float smoothstep(float x, float low, float high) {
 }
 
 ChartView chart_view(const TextureChart& chart, const mesh::Triangles& triangles, const HeadPicture& picture,
-                     const ShapeSolver& solver, const HeadState& head, const Eigen::Vector2d& centre_px) {
-  const mesh::Vertices camera_mm =
-      ((head.rotation * solver.surface(head.expression)).colwise() + head.translation_mm).cast<float>();
+                     const CameraIntrinsics& camera, const mesh::Vertices& surface_mm) {
   Eigen::Matrix3Xf normals;
-  mesh::vertex_normals(camera_mm, triangles, normals);
-  const NearestDepth nearest(camera_mm, triangles);
+  mesh::vertex_normals(surface_mm, triangles, normals);
+  const NearestDepth nearest(surface_mm, triangles);
   const cv::Mat rgb = rgb_of(picture);
-  const auto focal = static_cast<float>(solver.focal_px());
-  const Eigen::Vector2f origin =
-      centre_px.cast<float>() -
-      Eigen::Vector2f(static_cast<float>(picture.left_px), static_cast<float>(picture.top_px));
+  const Eigen::Array2f focal(camera.fx, camera.fy);
+  const Eigen::Array2f origin(camera.cx - static_cast<float>(picture.left_px),
+                              camera.cy - static_cast<float>(picture.top_px));
   const cv::Size size(chart.width(), chart.height());
   ChartView out{cv::Mat(size, CV_32F, cv::Scalar(-10)), cv::Mat(size, CV_32F, cv::Scalar(-10)),
                 cv::Mat::zeros(size, CV_32F), cv::Mat::zeros(size, CV_32FC3), cv::Mat::zeros(size, CV_32FC3)};
@@ -131,11 +128,11 @@ ChartView chart_view(const TextureChart& chart, const mesh::Triangles& triangles
       if (chart.triangle()[texel] < 0) {
         continue;
       }
-      const Eigen::Vector3f point = chart.spread(camera_mm, texel);
+      const Eigen::Vector3f point = chart.spread(surface_mm, texel);
       const Eigen::Vector3f normal = chart.spread(normals, texel).stableNormalized();
       out.position_mm.at<cv::Vec3f>(row, column) = {point.x(), point.y(), point.z()};
       out.normal.at<cv::Vec3f>(row, column) = {normal.x(), normal.y(), normal.z()};
-      const Eigen::Vector2f at = focal / std::max(point.z(), 1.0F) * point.head<2>() + origin;
+      const Eigen::Array2f at = focal / std::max(point.z(), 1.0F) * point.head<2>().array() + origin;
       out.x_px.at<float>(row, column) = at.x();
       out.y_px.at<float>(row, column) = at.y();
       const bool inside = at.x() > 1 && at.y() > 1 && at.x() < static_cast<float>(rgb.cols - 2) &&
@@ -148,6 +145,17 @@ ChartView chart_view(const TextureChart& chart, const mesh::Triangles& triangles
   }
   out.weight.setTo(0, sample(saturated(rgb), out.x_px, out.y_px) > 0.1F);
   return out;
+}
+
+ChartView chart_view(const TextureChart& chart, const mesh::Triangles& triangles, const HeadPicture& picture,
+                     const ShapeSolver& solver, const HeadState& head, const Eigen::Vector2d& centre_px) {
+  CameraIntrinsics camera;
+  camera.fx = camera.fy = static_cast<float>(solver.focal_px());
+  camera.cx = static_cast<float>(centre_px.x());
+  camera.cy = static_cast<float>(centre_px.y());
+  return chart_view(
+      chart, triangles, picture, camera,
+      ((head.rotation * solver.surface(head.expression)).colwise() + head.translation_mm).cast<float>());
 }
 
 }  // namespace facet::person

@@ -20,7 +20,14 @@ struct ChartView {
   cv::Mat normal;       ///< [3] camera frame, unit
 };
 
-/// Reads a picture with the head as the solver holds it to be. centre_px  of the whole picture
+/// Reads a picture of a surface.
+///
+/// camera      of the whole picture
+/// surface_mm  [3][vertex_count] camera frame
+ChartView chart_view(const TextureChart& chart, const mesh::Triangles& triangles, const HeadPicture& picture,
+                     const CameraIntrinsics& camera, const mesh::Vertices& surface_mm);
+
+/// The same of the head as the solver holds it to be. centre_px  of the whole picture
 ChartView chart_view(const TextureChart& chart, const mesh::Triangles& triangles, const HeadPicture& picture,
                      const ShapeSolver& solver, const HeadState& head, const Eigen::Vector2d& centre_px);
 

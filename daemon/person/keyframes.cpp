@@ -31,8 +31,9 @@ double degrees(double radians) {
   return radians * 180 / std::numbers::pi;
 }
 
-/// The part of the picture that holds the mesh.
-HeadPicture cut_out(const Frame& picture, const track::TrackResult& tracked) {
+}  // namespace
+
+HeadPicture head_picture(const Frame& picture, const track::TrackResult& tracked) {
   Eigen::Vector2f least = Eigen::Vector2f::Constant(1e9F);
   Eigen::Vector2f largest = Eigen::Vector2f::Constant(-1e9F);
   for (Eigen::Index v = 0; v < tracked.vertices_mm.cols(); ++v) {
@@ -62,8 +63,6 @@ HeadPicture cut_out(const Frame& picture, const track::TrackResult& tracked) {
   }
   return out;
 }
-
-}  // namespace
 
 std::pair<double, double> orientation_deg(const Eigen::Isometry3d& camera_from_head) {
   const Eigen::Vector3d camera =
@@ -150,7 +149,7 @@ void KeyframeCollector::offer(const track::TrackResult& tracked, const Frame& pi
                           : cost(held->second, mean_expression_) <= cost(now, mean_expression_)) {
     return;
   }
-  now.picture = cut_out(picture, tracked);
+  now.picture = head_picture(picture, tracked);
   const std::size_t bytes =
       picture_bytes_ + now.picture.rgb.size() - (held == bins_.end() ? 0 : held->second.picture.rgb.size());
   if (now.picture.rgb.empty() || bytes > kMostBytes) {

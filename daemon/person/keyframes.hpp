@@ -22,6 +22,9 @@ struct HeadPicture {
   std::vector<std::uint8_t> rgb;  ///< [height_px][width_px][3] sRGB
 };
 
+/// The part of a picture that holds the mesh tracked in it, and a margin.
+HeadPicture head_picture(const Frame& picture, const track::TrackResult& tracked);
+
 /// A head as it was seen and tracked at one moment.
 struct Keyframe {
   std::uint64_t sequence = 0;

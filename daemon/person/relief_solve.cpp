@@ -39,23 +39,32 @@ struct TexelSums {
     return weight_of(k) * tukey((brightness[k] - rho * shading[k]) / (albedo.usual_brightness * bound));
   }
 
-  void add_to(SlopeSystem& out, Eigen::Index i, float bound) const {
+  struct Albedo {
     float rho = 0;
-    float squares = 0;
+    float squares = 0;  ///< of the shading, weighted as rho leaves it
     float seen = 0;
+  };
+
+  Albedo solve_albedo(Eigen::Index i, float bound) const {
+    Albedo out;
     for (int round = 0; round <= kAlbedoRounds; ++round) {
       float right = albedo.counts * albedo.brightness[i];
-      squares = albedo.counts;
-      seen = 0;
+      out.squares = albedo.counts;
+      out.seen = 0;
       for (Eigen::Index k = 0; k < pictures; ++k) {
-        const float w = round == 0 ? weight_of(k) : believed(k, rho, bound);
+        const float w = round == 0 ? weight_of(k) : believed(k, out.rho, bound);
         right += w * shading[k] * brightness[k];
-        squares += w * shading[k] * shading[k];
-        seen += w;
+        out.squares += w * shading[k] * shading[k];
+        out.seen += w;
       }
       // The last round is for the sums under the last weights alone.
-      rho = round < kAlbedoRounds ? right / squares : rho;
+      out.rho = round < kAlbedoRounds ? right / out.squares : out.rho;
     }
+    return out;
+  }
+
+  void add_to(SlopeSystem& out, Eigen::Index i, float bound) const {
+    const auto [rho, squares, seen] = solve_albedo(i, bound);
     if (seen < kFewestPictures) {
       return;
     }
@@ -79,6 +88,23 @@ struct TexelSums {
     out.v[i] = unit * rho * v;
   }
 };
+
+/// call  with every open texel and its pictures' sums, where the skin has a relief
+template <typename Call>
+void for_each_open(const TexelGrid& grid, const ShadedPictures& pictures, const AlbedoPrior& albedo,
+                   const Eigen::VectorXd& relief_mm, std::span<const float> counts, Call&& call) {
+  Eigen::ArrayXf shading(pictures.shading.rows());
+  for (const std::int32_t i : grid.open) {
+    const auto u = static_cast<float>(relief_mm[i + 1] - relief_mm[i]);
+    const auto v = static_cast<float>(relief_mm[grid.down[static_cast<std::size_t>(i)]] - relief_mm[i]);
+    shading = (pictures.shading.col(i) + u * pictures.slope_u.col(i) + v * pictures.slope_v.col(i))
+                  .array()
+                  .max(kLeastShading);
+    call(i, TexelSums{pictures.brightness.col(i).data(), pictures.weight.col(i).data(), counts,
+                      pictures.slope_u.col(i).data(), pictures.slope_v.col(i).data(), shading, albedo,
+                      shading.size()});
+  }
+}
 
 /// The matrix of pictures and prior.
 class ReliefMatrix {
@@ -148,23 +174,16 @@ SlopeSystem slope_system(const TexelGrid& grid, const ShadedPictures& pictures, 
                          const Eigen::VectorXd& relief_mm, float bound, std::span<const float> counts) {
   const Eigen::ArrayXf none = Eigen::ArrayXf::Zero(grid.count());
   SlopeSystem out{none, none, none, none, none};
-  Eigen::ArrayXf shading(pictures.shading.rows());
-  for (const std::int32_t i : grid.open) {
-    const auto u = static_cast<float>(relief_mm[i + 1] - relief_mm[i]);
-    const auto v = static_cast<float>(relief_mm[grid.down[static_cast<std::size_t>(i)]] - relief_mm[i]);
-    shading = (pictures.shading.col(i) + u * pictures.slope_u.col(i) + v * pictures.slope_v.col(i))
-                  .array()
-                  .max(kLeastShading);
-    const TexelSums sums{pictures.brightness.col(i).data(),
-                         pictures.weight.col(i).data(),
-                         counts,
-                         pictures.slope_u.col(i).data(),
-                         pictures.slope_v.col(i).data(),
-                         shading,
-                         albedo,
-                         shading.size()};
-    sums.add_to(out, i, bound);
-  }
+  for_each_open(grid, pictures, albedo, relief_mm, counts,
+                [&](Eigen::Index i, const TexelSums& sums) { sums.add_to(out, i, bound); });
+  return out;
+}
+
+Eigen::ArrayXf albedo_with_relief(const TexelGrid& grid, const ShadedPictures& pictures,
+                                  const AlbedoPrior& albedo, const Eigen::VectorXd& relief_mm, float bound) {
+  Eigen::ArrayXf out = albedo.brightness;
+  for_each_open(grid, pictures, albedo, relief_mm, {},
+                [&](Eigen::Index i, const TexelSums& sums) { out[i] = sums.solve_albedo(i, bound).rho; });
   return out;
 }
 

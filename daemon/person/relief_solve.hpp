@@ -52,6 +52,11 @@ struct SlopeSystem {
 SlopeSystem slope_system(const TexelGrid& grid, const ShadedPictures& pictures, const AlbedoPrior& albedo,
                          const Eigen::VectorXd& relief_mm, float bound, std::span<const float> counts = {});
 
+/// What the pictures say of the texels' albedo where the skin has a relief, [texel_count]: its brightness.
+/// The prior's where a texel has no neighbour to the right or below.
+Eigen::ArrayXf albedo_with_relief(const TexelGrid& grid, const ShadedPictures& pictures,
+                                  const AlbedoPrior& albedo, const Eigen::VectorXd& relief_mm, float bound);
+
 /// The change of relief_mm [texel_count] that the system and the prior ask for: conjugate gradients, 200 at
 /// most.
 Eigen::VectorXd relief_step(const TexelGrid& grid, const SlopeSystem& system, const ReliefPrior& prior,

@@ -54,6 +54,28 @@ cv::Mat moved(const cv::Mat& image, const std::array<cv::Mat, 2>& flow) {
   return out;
 }
 
+cv::Mat deviations(const cv::Mat& logs, const cv::Mat& shows, double sigma) {
+  const cv::Mat around = blurred(shows, sigma) + kLeastWeight;
+  cv::Mat out = logs - blurred(shows.mul(logs), sigma) / around;
+  cv::Mat spread;
+  cv::sqrt(blurred(shows.mul(out.mul(out)), sigma) / around, spread);
+  out /= spread + kLeastContrast;
+  out.setTo(0, shows == 0);
+  return out;
+}
+
+BelievedFlow flow_there_and_back(const cv::Mat& from, const cv::Mat& to, float trip_texels) {
+  const cv::Mat earlier = as_bytes(from);
+  const cv::Mat later = as_bytes(to);
+  BelievedFlow out{flow_between(earlier, later), {}};
+  const std::array<cv::Mat, 2> back = flow_between(later, earlier);
+  cv::Mat trip;
+  cv::magnitude(out.step[0] + moved(back[0], out.step), out.step[1] + moved(back[1], out.step), trip);
+  out.confidence = cv::max(1 - trip / trip_texels, 0);
+  out.confidence = out.confidence.mul(out.confidence);
+  return out;
+}
+
 SkinRegistration::SkinRegistration(const SkinTexels& texels, const Eigen::ArrayXf& albedo,
                                    const Eigen::ArrayXf& known)
     : texels_(texels) {
@@ -70,13 +92,7 @@ cv::Mat SkinRegistration::deviations(const Eigen::ArrayXf& values, const Eigen::
       coarse(texels_.image(weight * values.max(kDarkest).log())) / cv::max(share, kLeastWeight);
   shows = cv::Mat::zeros(share.size(), CV_32F);
   shows.setTo(1, share > kWhole);
-  const cv::Mat around = blurred(shows, sigma) + kLeastWeight;
-  cv::Mat out = logs - blurred(shows.mul(logs), sigma) / around;
-  cv::Mat spread;
-  cv::sqrt(blurred(shows.mul(out.mul(out)), sigma) / around, spread);
-  out /= spread + kLeastContrast;
-  out.setTo(0, shows == 0);
-  return out;
+  return person::deviations(logs, shows, sigma);
 }
 
 std::array<cv::Mat, 2> SkinRegistration::flow(const Eigen::ArrayXf& shown,
@@ -84,14 +100,8 @@ std::array<cv::Mat, 2> SkinRegistration::flow(const Eigen::ArrayXf& shown,
   cv::Mat shows;
   cv::Mat texture = deviations(shown, weight, shows);
   reference_.copyTo(texture, shows == 0);  // nothing is seen to move there
-  const cv::Mat from = as_bytes(reference_);
-  const cv::Mat to = as_bytes(texture);
-  std::array<cv::Mat, 2> there = flow_between(from, to);
-  const std::array<cv::Mat, 2> back = flow_between(to, from);
-  cv::Mat trip;
-  cv::magnitude(there[0] + moved(back[0], there), there[1] + moved(back[1], there), trip);
-  cv::Mat confidence = cv::max(1 - kCoarser * trip, 0);
-  confidence = confidence.mul(confidence).mul(shows);
+  auto [there, confidence] = flow_there_and_back(reference_, texture, 1.0F / kCoarser);
+  confidence = confidence.mul(shows);
   const double sigma = kSmoothMm / texels_.texel_mm / kCoarser;
   const cv::Mat around = blurred(confidence, sigma) + kLeastConfidence;
   for (cv::Mat& step : there) {

@@ -37,6 +37,7 @@ constexpr double kMostResidual = 0.12;
 constexpr double kLeastGain = 0.2;
 constexpr double kMostGain = 5;
 constexpr float kReliefBound = 0.2F;
+constexpr float kMostAlbedoFactor = 2;
 constexpr float kReliefCounts = 0.02F;  ///< what the albedo found counts as, of one picture's worth
 /// Pictures' worth of weight between which the relief fades in, and its way to the chart's rim.
 constexpr float kFewestSeen = 1;
@@ -102,20 +103,21 @@ class SkinSolve {
     out.chart.texels_per_unit = chart_.texels_per_unit();
     const cv::Mat seen = texels_.image(all_.seen);
     out.seen.assign(seen.ptr<float>(), seen.ptr<float>() + seen.total());
-    out.albedo.assign(3 * seen.total(), 0);
+    const cv::Mat fading = fade(seen);
+    Eigen::ArrayXf albedo_factor;
+    const Eigen::VectorXd relief = find_relief(albedo, of_texels(fading), out.agreement, albedo_factor);
+    out.believed = out.agreement >= kLeastAgreement && out.residual <= kMostResidual;
+    out.chart.relief_mm.assign(seen.total(), 0);
+    out.chart.albedo.assign(3 * seen.total(), 0);
     for (Eigen::Index i = 0; i < texels_.count(); ++i) {
-      std::copy_n(all_.albedo.col(i).data(), 3,
-                  out.albedo.begin() + static_cast<std::ptrdiff_t>(3 * place(i)));
+      if (out.believed) {
+        out.chart.relief_mm[place(i)] = std::clamp(static_cast<float>(scale * relief[i]), -kMostMm, kMostMm);
+      }
+      const Eigen::Array3f rgb = albedo_factor[i] * all_.albedo.col(i).array();
+      for (std::size_t c = 0; c < 3; ++c) {
+        out.chart.albedo[3 * place(i) + c] = std::clamp(rgb[static_cast<Eigen::Index>(c)], 0.0F, 1.0F);
+      }
     }
-    const cv::Mat relief =
-        texels_.image(find_relief(albedo, out.agreement).cast<float>()).mul(fade(seen), scale);
-    const bool believed = out.agreement >= kLeastAgreement && out.residual <= kMostResidual;
-    out.chart.relief_mm.resize(relief.total(), 0);
-    if (believed) {
-      std::transform(relief.ptr<float>(), relief.ptr<float>() + relief.total(), out.chart.relief_mm.begin(),
-                     [](float mm) { return std::clamp(mm, -kMostMm, kMostMm); });
-    }
-    out.believed = believed;
     return out;
   }
 
@@ -264,8 +266,21 @@ class SkinSolve {
     return out;
   }
 
-  /// Takes the samples: they are needed no more.
-  Eigen::VectorXd find_relief(const SkinAlbedo& albedo, double& agreement) {
+  /// [texel_count] of an image [height][width].
+  Eigen::ArrayXf of_texels(const cv::Mat& image) const {
+    Eigen::ArrayXf out(texels_.count());
+    for (Eigen::Index i = 0; i < out.size(); ++i) {
+      out[i] = image.ptr<float>()[place(i)];
+    }
+    return out;
+  }
+
+  /// Takes the samples' pictures: they are needed no more.
+  ///
+  /// fade           [texel_count] what of the relief is kept
+  /// albedo_factor  [texel_count] what the relief makes of the albedo
+  Eigen::VectorXd find_relief(const SkinAlbedo& albedo, const Eigen::ArrayXf& fade, double& agreement,
+                              Eigen::ArrayXf& albedo_factor) {
     shots_.clear();
     AlbedoPrior prior;
     prior.brightness.resize(texels_.count());
@@ -300,7 +315,13 @@ class SkinSolve {
     between_();
     const Eigen::VectorXd flat = Eigen::VectorXd::Zero(texels_.count());
     const SlopeSystem system = slope_system(texels_.grid, pictures, prior, flat, kReliefBound);
-    return relief_step(texels_.grid, system, relief_prior, flat);
+    const Eigen::VectorXd relief =
+        relief_step(texels_.grid, system, relief_prior, flat).cwiseProduct(fade.matrix().cast<double>());
+    const auto of = [&](const Eigen::VectorXd& relief_mm) {
+      return albedo_with_relief(texels_.grid, pictures, prior, relief_mm, kReliefBound);
+    };
+    albedo_factor = (of(relief) / of(flat).max(1e-6F)).max(1 / kMostAlbedoFactor).min(kMostAlbedoFactor);
+    return relief;
   }
 
   /// [height][width] 1 where enough is seen, 0 at the rim and beyond.

@@ -14,13 +14,11 @@ namespace facet::person {
 struct Skin {
   /// Relief over the smooth surface, for a head of the generic face's size; 0 where little is seen.
   face::SkinChart chart;
-  std::vector<float> albedo;  ///< [height][width][3] linear RGB of the model's mean brightness; 0 beyond the
-                              ///< face
-  std::vector<float> seen;    ///< [height][width] pictures' worth of weight
-  std::vector<float> gains;   ///< [keyframe] exposure against the mean of all
-  double residual = 0;        ///< rms over brightness of what light and albedo leave unexplained
-  double agreement = 0;       ///< agreement_of_halves()
-  bool believed = false;      ///< both say that there is a relief; else it is 0
+  std::vector<float> seen;   ///< [height][width] pictures' worth of weight
+  std::vector<float> gains;  ///< [keyframe] exposure against the mean of all
+  double residual = 0;       ///< rms over brightness of what light and albedo leave unexplained
+  double agreement = 0;      ///< agreement_of_halves()
+  bool believed = false;     ///< both say that there is a relief; else it is 0
 };
 
 /// Finds a head's albedo and fine relief d from how its shading changed while it turned under a light that
@@ -28,7 +26,8 @@ struct Skin {
 /// pictures are brought onto each other by their flow, and
 ///   sum_kt w_kt rho(I_kt - g_k rho_t E_k(n_t - grad d_t))^2 + (l_s |L d|^2 + l_g |grad d|^2) / texel^2
 ///     + l_0 |d|^2
-/// is solved for d with rho_t eliminated at every texel: photometric stereo [Woo80].
+/// is solved for d with rho_t eliminated at every texel: photometric stereo [Woo80]. The albedo handed out is
+/// what the pictures say of a skin with that relief.
 ///
 /// chart_texels  of the chart's longer side
 /// keyframes     with pictures; the solver's heads are theirs, all with the first one's expression

@@ -85,7 +85,6 @@ LearnedFace learn_face(const face::FaceModel& model, const person::Observed& obs
     } else if (!shape.skin_note.empty()) {
       out.note += "; " + shape.skin_note;
     }
-    out.shape.skin.albedo = {};  // a texture of the face: pictures are not kept
     out.model = std::make_shared<const face::FaceModel>(std::move(own));
   } catch (const std::exception& error) {
     out.note = fmt::format("the head turns, but its shape was not learned: {}", error.what());
@@ -232,6 +231,7 @@ void LearningTracker::solve(const std::function<bool()>& go_on, const person::Ob
     if (solved.face.model != nullptr) {
       solved.person = std::make_shared<const person::PersonFile>(
           person::person_of(*generic_model_, observed, solved.face.shape));
+      solved.face.shape.skin = {};  // the model and the person have it
       solved.tracker = follower_of(solved.face, observed, go_on);
       if (solved.tracker == nullptr) {
         solved.face.note = "the head turns, but with the shape learned it could not be followed";

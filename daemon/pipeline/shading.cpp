@@ -12,6 +12,7 @@
 #include "face/face_parts.hpp"
 #include "face/subject_builder.hpp"
 #include "facet/clock.hpp"
+#include "person/skin_follower.hpp"
 #include "pipeline/bounded_queue.hpp"
 #include "pipeline/frame_pool.hpp"
 #include "pipeline/pipeline_board.hpp"
@@ -109,6 +110,8 @@ struct ShadingPipeline::Impl {
   std::shared_ptr<const face::FaceModel> model;
   std::string learned_note;                        ///< of the person, as it was last logged
   std::shared_ptr<const LearningStatus> learning;  ///< as it was last shown
+  std::unique_ptr<person::SkinFollower> skin;      ///< where skin_model knows the skin's albedo
+  std::shared_ptr<const face::FaceModel> skin_model;
 
   // facet-refine only.
   refine::RecoveringRefiner refiner;
@@ -131,6 +134,7 @@ struct ShadingPipeline::Impl {
   void note_model();
   void track_one(Captured&& item);
   void fill(mesh::MeshFrame& mesh, const Captured& item, const track::TrackResult& result) const;
+  void follow_skin(mesh::MeshFrame& mesh, const Captured& item, const track::TrackResult& result);
   void refine();
   void refine_one(Tracked& item);
   void add_provisional_subject(const Tracked& item);
@@ -287,6 +291,7 @@ void ShadingPipeline::Impl::track_one(Captured&& item) {
     tracked_item.view_used = result.view_used;
   }
   fill(*tracked_item.mesh, item, result);
+  follow_skin(*tracked_item.mesh, item, result);
   tracked_item.captured = std::move(item);
   tracked.push(std::move(tracked_item), [this] { workers.beat(kTrack); });
 }
@@ -319,6 +324,28 @@ void ShadingPipeline::Impl::fill(mesh::MeshFrame& mesh, const Captured& item,
   mesh.expression.assign(result.expression.begin(), result.expression.end());
   mesh.reprojection_px = result.reprojection_px;
   mesh.control_vertices_mm = result.vertices_mm;
+}
+
+/// Brings the mesh of a person whose skin is known to where the reference camera shows it.
+void ShadingPipeline::Impl::follow_skin(mesh::MeshFrame& mesh, const Captured& item,
+                                        const track::TrackResult& result) {
+  const bool seen = result.view_used.empty() || result.view_used.front() != 0;
+  if (result.state != mesh::TrackingState::Tracking || model->skin.albedo.empty() || !seen ||
+      item.reference().empty() || item.reference().corrupt) {
+    return;
+  }
+  const Clock::time_point begun = Clock::now();
+  try {
+    if (skin_model != model) {
+      skin = std::make_unique<person::SkinFollower>(*model);
+      skin_model = model;
+    }
+    skin->follow(item.reference(), result, mesh.control_vertices_mm);
+  } catch (const std::exception& error) {
+    mesh.control_vertices_mm = result.vertices_mm;
+    degrade(mesh, fmt::format("the skin was not followed: {}", error.what()));
+  }
+  mesh.stage_ms.fit_ms += std::chrono::duration<float, std::milli>(Clock::now() - begun).count();
 }
 
 void ShadingPipeline::Impl::refine() {
@@ -386,14 +413,14 @@ void ShadingPipeline::Impl::follow_subject(const Tracked& item) {
   messages.info(fmt::format("subject {}: hierarchy of {} levels, {} to {} vertices", item.subject_count,
                             hierarchy.levels.size(), hierarchy.levels.front().vertex_count,
                             hierarchy.finest().vertex_count));
+  face::KnownSkin known = face::known_skin(*item.model, hierarchy);
   refiner.set_subject({.hierarchy = subject->hierarchy,
                        .mean_albedo = item.model->mean_albedo,
                        .refinable = item.model->control.refinable,
                        .trust = face::shading_trust(*item.model),
                        .known_shape = item.model->identity_count() == 0,
-                       .relief_mm = item.model->skin.empty()
-                                        ? std::vector<float>()
-                                        : face::relief_at(item.model->skin, hierarchy.texture_coordinates)});
+                       .relief_mm = std::move(known.relief_mm),
+                       .skin_albedo = std::move(known.albedo)});
 }
 
 void ShadingPipeline::Impl::add_displacements(Tracked& item) {

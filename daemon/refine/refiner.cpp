@@ -62,22 +62,6 @@ std::vector<std::uint32_t> vertex_counts(const mesh::Hierarchy& hierarchy) {
   return out;
 }
 
-AlbedoOptions albedo_options(const RefinerConfig& config) {
-  AlbedoOptions out;
-  out.smooth_weight = config.weights.albedo_smooth;
-  out.frame_quota = static_cast<float>(std::max(1, config.albedo_frames));
-  return out;
-}
-
-void check(const RefinerConfig& config) {
-  if (config.gauss_newton_steps < 1 || config.pcg_iterations < 1) {
-    throw Error(ErrorKind::Usage,
-                fmt::format("refinement needs at least 1 Gauss-Newton step and 1 PCG iteration, not "
-                            "{} and {}",
-                            config.gauss_newton_steps, config.pcg_iterations));
-  }
-}
-
 std::uint32_t most_places(const std::vector<std::unique_ptr<Level>>& levels) {
   std::uint32_t most = 0;
   for (const std::unique_ptr<Level>& level : levels) {
@@ -94,6 +78,7 @@ struct SubjectBuffers {
 
   std::uint32_t control_vertex_count;
   bool known_shape = false;
+  bool known_skin = false;
   std::vector<std::unique_ptr<Level>> levels;
   mesh::Triangles triangles;  ///< of the coarsest level, in device order
   DeviceArray handed_out_as;  ///< [finest vertex_count] DeviceOrder::host_index
@@ -161,7 +146,8 @@ struct Refiner::Impl {
   bool warm = false;              ///< the previous frame's displacements and light can be used
   std::uint64_t frame_count = 0;  ///< of this subject
   std::uint64_t albedo_version = 0;
-  bool albedo_known = false;  ///< the subject came with one: it is held
+  bool albedo_known = false;   ///< the subject came with one: it is held
+  mesh::Vertices skin_albedo;  ///< SubjectSetup::skin_albedo
   std::shared_ptr<const mesh::Albedo> albedo;
 
   void fit_views(std::span<const FurtherCamera> views);
@@ -179,6 +165,7 @@ SubjectBuffers::SubjectBuffers(gpu::Context& context, const RefinerConfig& confi
                                const SubjectSetup& subject)
     : control_vertex_count(static_cast<std::uint32_t>(subject.hierarchy->control_vertex_count)),
       known_shape(subject.known_shape),
+      known_skin(subject.skin_albedo.cols() > 0),
       levels([&] {
         const auto free = free_vertices(*subject.hierarchy, subject.refinable);
         const auto trust = trust_of_levels(*subject.hierarchy, subject.trust);
@@ -202,7 +189,7 @@ SubjectBuffers::SubjectBuffers(gpu::Context& context, const RefinerConfig& confi
       depth(context, triangles),
       lighting(context),
       albedo(context, (config.fine_albedo ? levels.back() : levels.front())->topology.vertex_count,
-             albedo_options(config).pcg_iterations),
+             albedo_options(config, known_skin).pcg_iterations),
       results(context, sizeof(shaders::vec2) * levels.back()->topology.vertex_count, gpu::Memory::Device,
               "results"),
       results_out(context, sizeof(shaders::vec2) * levels.back()->topology.vertex_count,
@@ -217,7 +204,7 @@ SubjectBuffers::SubjectBuffers(gpu::Context& context, const RefinerConfig& confi
              config.record_energies) {
   gpu::upload(context, handed_out_as.buffer, std::as_bytes(std::span(levels.back()->order.host_index)));
   const bool known = subject.albedo != nullptr;
-  const auto start = known ? known_albedo_of_levels(subject) : mean_albedo_of_levels(subject);
+  const std::vector<mesh::Vertices> start = albedo_of_levels(subject);
   if (config.room_lamps == RoomLamps::Always ||
       (config.room_lamps == RoomLamps::KnownShapes && subject.known_shape)) {
     room.emplace(subject.hierarchy, counts_for_light(subject), start.front());
@@ -308,7 +295,7 @@ void Kernels::record_albedo(gpu::Batch& batch, const RefinerConfig& config,
                             const SubjectBuffers& subject) const {
   const Level& learned = config.fine_albedo ? *subject.levels.back() : *subject.levels.front();
   albedo.record(batch, learned.topology, learned.state, subject.albedo, subject.frame, subject.lighting.light,
-                albedo_options(config));
+                albedo_options(config, subject.known_skin));
   for (std::size_t l = 1; l < subject.levels.size(); ++l) {
     if (config.fine_albedo) {
       const Level& finer = *subject.levels[subject.levels.size() - l];
@@ -409,6 +396,7 @@ void Refiner::set_subject(const SubjectSetup& subject) {
   impl_->frame_count = 0;
   impl_->albedo = subject.albedo;
   impl_->albedo_known = subject.albedo != nullptr;
+  impl_->skin_albedo = subject.skin_albedo;
 }
 
 void Refiner::restart() {
@@ -580,6 +568,13 @@ void Refiner::Impl::read_albedo() {
     rgb[0] = values[i].x;
     rgb[1] = values[i].y;
     rgb[2] = values[i].z;
+  }
+  if (skin_albedo.cols() > 0) {
+    std::vector<float> counts(values.size());
+    for (std::size_t i = 0; i < values.size(); ++i) {
+      counts[static_cast<std::size_t>(host_index[i])] = values[i].w;
+    }
+    take_hue(skin_albedo, counts, next->linear_rgb);
   }
   albedo = std::move(next);
 }

@@ -21,6 +21,7 @@ namespace facet::refine {
 struct Weights {
   float lighting_temporal = 0.05F;  ///< w1 [MD19 eq. 3], in units of what all visible vertices weigh together
   float albedo_smooth = 600.0F;     ///< w2 [MD19 eq. 4], against a vertex of mean brightness
+  float albedo_smooth_known = 3000.0F;      ///< w2 where SubjectSetup::skin_albedo
   float displacement_smooth = 10.0F;        ///< w3 [MD19 eq. 6], of the squared slope (L d) / spacing
   float displacement_hierarchy = 1.0F;      ///< w4 [MD19 eq. 6], of the squared slope (pd - d) / spacing
   float displacement_coarse = 0.004F;       ///< w5 [MD19 eq. 6], of d^2 in mm^2
@@ -91,6 +92,10 @@ struct SubjectSetup {
   /// Relief of the face at rest known from before, [finest vertex_count] along the normals, mm: displacements
   /// begin there, and w3, w4 and w5 count from there on. Empty: none.
   std::vector<float> relief_mm = {};
+  /// The skin's albedo known from another session, in that one's hue: [3][finest vertex_count] linear RGB.
+  /// The mean albedo is brought to its tone, as far as that is wider than 15 mm, and what is handed out is
+  /// this one in the hue that frames teach. Empty: mean_albedo.
+  mesh::Vertices skin_albedo = {};
 };
 
 /// What a camera beside the reference camera adds to a frame.

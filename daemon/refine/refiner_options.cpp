@@ -1,5 +1,11 @@
 #include "refine/refiner_options.hpp"
 
+#include <fmt/format.h>
+
+#include <algorithm>
+
+#include "facet/error.hpp"
+
 namespace facet::refine {
 namespace {
 
@@ -7,6 +13,22 @@ constexpr int kPaperGaussNewtonSteps = 10;
 constexpr int kPaperPcgIterations = 7;
 
 }  // namespace
+
+void check(const RefinerConfig& config) {
+  if (config.gauss_newton_steps < 1 || config.pcg_iterations < 1) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("refinement needs at least 1 Gauss-Newton step and 1 PCG iteration, not "
+                            "{} and {}",
+                            config.gauss_newton_steps, config.pcg_iterations));
+  }
+}
+
+AlbedoOptions albedo_options(const RefinerConfig& config, bool known_skin) {
+  AlbedoOptions out;
+  out.smooth_weight = known_skin ? config.weights.albedo_smooth_known : config.weights.albedo_smooth;
+  out.frame_quota = static_cast<float>(std::max(1, config.albedo_frames));
+  return out;
+}
 
 DisplacementOptions displacement_options(const RefinerConfig& config, bool known_shape, bool has_prior,
                                          int steps, int pcg_iterations) {

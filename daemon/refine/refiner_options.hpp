@@ -5,11 +5,18 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "refine/albedo.hpp"
 #include "refine/displacement_kernels.hpp"
 #include "refine/refiner.hpp"
 #include "refine/step_planner.hpp"
 
 namespace facet::refine {
+
+/// Throws Error(Usage) where it makes no step.
+void check(const RefinerConfig& config);
+
+/// Of the level that learns it. known_skin: SubjectSetup::skin_albedo
+AlbedoOptions albedo_options(const RefinerConfig& config, bool known_skin);
 
 /// Of one level's solve. has_prior: there is a coarser level, or displacements were given
 DisplacementOptions displacement_options(const RefinerConfig& config, bool known_shape, bool has_prior,

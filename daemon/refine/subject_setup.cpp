@@ -12,13 +12,12 @@ namespace facet::refine {
 
 using shaders::vec4;
 
-std::vector<mesh::Vertices> mean_albedo_of_levels(const SubjectSetup& subject) {
-  std::vector<mesh::Vertices> out;
-  mesh::push_positions(*subject.hierarchy, subject.mean_albedo, out);
-  return out;
-}
-
 namespace {
+
+constexpr float kLeastAlbedo = 1e-3F;
+constexpr float kMostAlbedo = 1.2F;  ///< as albedo_normalise.comp has it
+/// Of smoothing on M0, about 15 mm: what is finer in the albedo of a turn is furrows as well.
+constexpr int kToneRounds = 16;
 
 /// [n] mean of the ring's columns of values.
 Eigen::VectorXf ring_mean(const mesh::OneRings& rings, const Eigen::MatrixXf& values, Eigen::Index vertex) {
@@ -45,13 +44,48 @@ std::vector<Eigen::MatrixXf> restricted(const mesh::Hierarchy& hierarchy, Eigen:
   return out;
 }
 
+/// What is wider than some millimetres of an albedo of M0 over another, onto that one.
+mesh::Vertices in_tone(const mesh::OneRings& rings, const mesh::Vertices& of, const mesh::Vertices& onto) {
+  Eigen::MatrixXf tone = (of.array().max(kLeastAlbedo) / onto.array().max(kLeastAlbedo)).log();
+  Eigen::MatrixXf smoother = tone;
+  for (int round = 0; round < kToneRounds; ++round) {
+    for (Eigen::Index v = 0; v < tone.cols(); ++v) {
+      smoother.col(v) = 0.5F * tone.col(v) + 0.5F * ring_mean(rings, tone, v);
+    }
+    tone.swap(smoother);
+  }
+  return onto.array() * tone.array().exp();
+}
+
 }  // namespace
 
-std::vector<mesh::Vertices> known_albedo_of_levels(const SubjectSetup& subject) {
-  const std::vector<Eigen::MatrixXf> found = restricted(
-      *subject.hierarchy, Eigen::Map<const mesh::Vertices>(subject.albedo->linear_rgb.data(), 3,
-                                                           subject.hierarchy->finest().vertex_count));
-  return {found.begin(), found.end()};
+std::vector<mesh::Vertices> albedo_of_levels(const SubjectSetup& subject) {
+  const mesh::Hierarchy& hierarchy = *subject.hierarchy;
+  if (subject.albedo != nullptr) {
+    const std::vector<Eigen::MatrixXf> found =
+        restricted(hierarchy, Eigen::Map<const mesh::Vertices>(subject.albedo->linear_rgb.data(), 3,
+                                                               hierarchy.finest().vertex_count));
+    return {found.begin(), found.end()};
+  }
+  std::vector<mesh::Vertices> out;
+  mesh::push_positions(hierarchy, subject.mean_albedo, out);
+  if (subject.skin_albedo.cols() > 0) {
+    out.front() = in_tone(hierarchy.levels.front().one_rings,
+                          restricted(hierarchy, subject.skin_albedo).front(), out.front());
+    for (std::size_t l = 1; l < out.size(); ++l) {
+      mesh::apply(hierarchy.levels[l].from_coarser, out[l - 1], out[l]);
+    }
+  }
+  return out;
+}
+
+void take_hue(const mesh::Vertices& skin, std::span<const float> counts, std::vector<float>& linear_rgb) {
+  Eigen::Map<mesh::Vertices> taught(linear_rgb.data(), 3, skin.cols());
+  const Eigen::Map<const Eigen::VectorXf> weights(counts.data(), skin.cols());
+  const Eigen::Array3f known = (skin * weights).array();
+  const Eigen::Array3f hue =
+      known.minCoeff() > 0 ? ((taught * weights).array() / known).eval() : Eigen::Array3f::Ones();
+  taught = (skin.array().colwise() * hue).min(kMostAlbedo);
 }
 
 std::vector<mesh::Vertices> relief_of_levels(const SubjectSetup& subject) {
@@ -128,6 +162,13 @@ void check(const RefinerConfig& config, const SubjectSetup& subject) {
   if (!subject.relief_mm.empty() && subject.relief_mm.size() != finest) {
     throw Error(ErrorKind::Usage, fmt::format("the known relief has {} numbers; the finest level needs {}",
                                               subject.relief_mm.size(), finest));
+  }
+  const auto skin = static_cast<std::size_t>(subject.skin_albedo.cols());
+  if (skin != 0 && (skin != finest || subject.albedo != nullptr)) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("the skin's albedo has {} colours; the finest level needs {}, and "
+                            "no other known albedo beside it",
+                            skin, finest));
   }
   if (static_cast<std::size_t>(subject.hierarchy->texture_coordinates.cols()) != finest) {
     throw Error(ErrorKind::Usage,

@@ -105,6 +105,8 @@ SkinChart small_skin() {
   skin.least = {0.25F, 0.5F};
   skin.texels_per_unit = 8;
   skin.relief_mm = {0, 0.001F, -0.25F, 1.5F, -2, 0.032F};
+  skin.albedo = {0.5F, 0.4F, 0.3F, 0.1F,  0.05F, 0.02F, 0,    0,    0,
+                 1,    1,    1,    0.25F, 0.2F,  0.15F, 0.5F, 0.4F, 0.3F};
   return skin;
 }
 
@@ -121,6 +123,13 @@ TEST(FaceModelFile, SkinReadsBack) {
   for (std::size_t i = 0; i < 6; ++i) {
     EXPECT_NEAR(read.skin.relief_mm[i], model.skin.relief_mm[i], 1e-6F);
   }
+  ASSERT_EQ(read.skin.albedo.size(), 18U);
+  for (std::size_t i = 0; i < 18; ++i) {
+    EXPECT_NEAR(read.skin.albedo[i], model.skin.albedo[i], 0.004F);
+  }
+  EXPECT_EQ(read.skin.albedo[6], 0) << "what is not known stays so";
+  model.skin.albedo.clear();
+  EXPECT_TRUE(FaceModel::parse(saved_bytes(model), "bytes").skin.albedo.empty()) << "a relief alone";
 }
 
 TEST(FaceModelFile, SkinThatIsNoneIsRefused) {
@@ -137,12 +146,15 @@ TEST(FaceModelFile, SkinThatIsNoneIsRefused) {
   refused([](SkinChart& skin) { skin.least.x() = std::numeric_limits<float>::infinity(); });
   refused([](SkinChart& skin) { skin.relief_mm[2] = std::numeric_limits<float>::quiet_NaN(); });
   refused([](SkinChart& skin) { skin.relief_mm[2] = 31; });
+  refused([](SkinChart& skin) { skin.albedo.pop_back(); });
+  refused([](SkinChart& skin) { skin.albedo[4] = 1.5F; });
+  refused([](SkinChart& skin) { skin.albedo[4] = std::numeric_limits<float>::quiet_NaN(); });
 }
 
 /// Files whose chunks don't fit each other.
 TEST(SkinChart, DamagedChunksAreRefused) {
   const auto refused = [](std::uint32_t width, std::uint32_t height, float scale, std::size_t grid_bytes,
-                          std::optional<std::size_t> texels) {
+                          std::optional<std::size_t> texels, std::optional<std::size_t> tones = {}) {
     constexpr ChunkFormat kFormat{{'T', 'E', 'S', 'T', 'S', 'K', 'I', 'N'}, 1, "skin", "none"};
     std::vector<std::byte> grid(20);
     const std::array<std::uint32_t, 2> size{width, height};
@@ -158,6 +170,10 @@ TEST(SkinChart, DamagedChunksAreRefused) {
     if (texels) {
       writer.add("RELI", bytes_of(relief.data(), relief.size()), true);
     }
+    if (tones) {
+      const std::vector<std::uint8_t> albedo(*tones, 100);
+      writer.add("TONE", bytes_of(albedo.data(), albedo.size()), true);
+    }
     const std::vector<std::byte> file = writer.file();
     try {
       read_skin(ChunkReader(file, "test", kFormat));
@@ -168,6 +184,9 @@ TEST(SkinChart, DamagedChunksAreRefused) {
     }
   };
   EXPECT_EQ(refused(3, 2, 8, 20, 6), "");
+  EXPECT_EQ(refused(3, 2, 8, 20, 6, 18), "");
+  EXPECT_THAT(refused(3, 2, 8, 20, 6, 17), HasSubstr("TONE"));
+  EXPECT_THAT(refused(3, 2, 8, 0, std::nullopt, 18), HasSubstr("SKIN"));
   EXPECT_EQ(refused(0, 0, 0, 0, std::nullopt), "") << "no skin is none";
   EXPECT_THAT(refused(3, 2, 8, 19, 6), HasSubstr("SKIN"));
   EXPECT_THAT(refused(3, 2, 8, 20, 5), HasSubstr("RELI"));
@@ -192,6 +211,27 @@ TEST(SkinChart, IsReadBetweenItsTexels) {
   EXPECT_NEAR(relief_mm[2], 0.75F * 0.001F + 0.25F * -2, 1e-5F);
   EXPECT_EQ(relief_mm[3], 0);
   EXPECT_EQ(relief_mm[4], 0);
+}
+
+/// What the chart does not know is the model's mean in the hue and brightness of what it knows.
+TEST(SkinChart, AlbedoGoesOnInItsOwnHue) {
+  mesh::TextureCoordinates at(2, 4);
+  at.col(0) << 0.25F, 0.5F;             // the first texel
+  at.col(1) << 0.25F + 0.5F / 8, 0.5F;  // between it and the next
+  at.col(2) << 0.25F + 1.5F / 8, 0.5F;  // beside one that is not known
+  at.col(3) << 0.2F, 0.5F;              // beside the chart
+  const mesh::Vertices mean = Eigen::Vector3f(0.4F, 0.3F, 0.2F).replicate(1, 4);
+  const mesh::Vertices albedo = albedo_at(small_skin(), at, mean);
+  ASSERT_EQ(albedo.cols(), 4);
+  EXPECT_TRUE(albedo.col(0).isApprox(Eigen::Vector3f(0.5F, 0.4F, 0.3F)));
+  EXPECT_TRUE(albedo.col(1).isApprox(Eigen::Vector3f(0.3F, 0.225F, 0.16F)));
+  // (0.5 + 0.3) / 2 over 0.4 and so on.
+  const Eigen::Vector3f elsewhere(0.4F, 0.3125F, 0.23F);
+  EXPECT_TRUE(albedo.col(2).isApprox(elsewhere));
+  EXPECT_TRUE(albedo.col(3).isApprox(elsewhere));
+  SkinChart without = small_skin();
+  without.albedo.clear();
+  EXPECT_EQ(albedo_at(without, at, mean).cols(), 0);
 }
 
 TEST(FaceModelFile, MissingOrForeignFileIsNamed) {

@@ -42,6 +42,7 @@ class PersonFileTest : public ::testing::Test {
     person_.skin.height = 2;
     person_.skin.texels_per_unit = 700;
     person_.skin.relief_mm = {0, 0.25F, -0.125F, 1};
+    person_.skin.albedo.assign(12, 0.25F);
   }
 
   std::string refusal(const std::string& bytes) const {
@@ -76,6 +77,8 @@ TEST_F(PersonFileTest, ComesBackAsItWas) {
   EXPECT_EQ(read.skin.texels_per_unit, 700);
   ASSERT_EQ(read.skin.relief_mm.size(), 4U);
   EXPECT_NEAR(read.skin.relief_mm[2], -0.125F, 1e-6F);
+  ASSERT_EQ(read.skin.albedo.size(), 12U);
+  EXPECT_NEAR(read.skin.albedo[2], 0.25F, 0.004F);
   const face::FaceModel own = model_of(read, model_, "ada.person");
   EXPECT_EQ(own.skin.relief_mm, read.skin.relief_mm) << "the person's model has the skin";
   EXPECT_EQ(read.span.largest_yaw, 29);

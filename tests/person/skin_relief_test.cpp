@@ -112,6 +112,23 @@ TEST_F(PatchTest, HalvesAgreeOnABumpAndNotOnNoise) {
   EXPECT_LT(agreement_of_halves(grid_, noise, prior(), usual, order, 0.5F), 0.3);
 }
 
+/// What a relief shades is no albedo once the relief is known.
+TEST_F(PatchTest, TheAlbedoIsFreeOfAKnownRelief) {
+  ShadedPictures pictures = pictures_of(bump());
+  pictures.weight(std::vector<int>{1, 3}, Eigen::all).setZero();  // light from one side
+  AlbedoPrior weak = prior();
+  weak.counts = 1e-4F;
+  Eigen::ArrayXf there(grid_.count());
+  for (Eigen::Index i = 0; i < there.size(); ++i) {
+    there[i] = albedo(i);
+  }
+  const auto off = [&](const Eigen::VectorXd& relief_mm) {
+    return (albedo_with_relief(grid_, pictures, weak, relief_mm, 0.5F) / there - 1).abs().mean();
+  };
+  const float flat = off(Eigen::VectorXd::Zero(grid_.count()));
+  EXPECT_LT(off(bump()), 0.8F * flat);
+}
+
 TEST_F(PatchTest, FrecklesAreNoRelief) {
   EXPECT_LT(found(Eigen::VectorXd::Zero(grid_.count())).cwiseAbs().maxCoeff(), 0.01 * kBumpMm);
 }
@@ -171,7 +188,7 @@ TEST(SkinTest, AnActorsTurnShowsTheAlbedo) {
     EXPECT_TRUE(std::isfinite(skin.chart.relief_mm[texel]));
     if (chart.triangle()[texel] < 0) {
       EXPECT_EQ(skin.chart.relief_mm[texel], 0);
-      EXPECT_EQ(skin.albedo[3 * texel], 0);
+      EXPECT_EQ(skin.chart.albedo[3 * texel], 0);
       continue;
     }
     const auto closest = truth.caster().closest_point(chart.spread(surface_mm, texel), 3);
@@ -183,7 +200,7 @@ TEST(SkinTest, AnActorsTurnShowsTheAlbedo) {
         truth.mesh().albedo(Eigen::all, corners) *
         Eigen::Vector3f(1 - closest.barycentric.sum(), closest.barycentric[0], closest.barycentric[1]);
     generic.add(chart.spread(model.mean_albedo, texel), there);
-    own.add(Eigen::Map<const Eigen::Vector3f>(skin.albedo.data() + 3 * texel), there);
+    own.add(Eigen::Map<const Eigen::Vector3f>(skin.chart.albedo.data() + 3 * texel), there);
   }
   RecordProperty("correlation", std::to_string(own.correlation()));
   EXPECT_GT(own.correlation(), generic.correlation() + 0.2)

@@ -127,6 +127,7 @@ class ScriptedRefiner final : public refine::RefineStage {
   void set_subject(const refine::SubjectSetup& subject) override {
     ++script_.subjects_set;
     script_.known_shapes.push_back(subject.known_shape);
+    script_.known_skins.push_back(subject.skin_albedo.cols() > 0);
     vertex_count_ = static_cast<std::size_t>(subject.hierarchy->finest().vertex_count);
   }
   void restart() override { restarted_ = true; }

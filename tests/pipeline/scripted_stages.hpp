@@ -74,6 +74,7 @@ struct Script {
   std::atomic<int> opens{0};
   std::atomic<int> subjects_set{0};
   std::vector<bool> known_shapes;  ///< refine::SubjectSetup::known_shape of each; on the refiner's thread
+  std::vector<bool> known_skins;   ///< whether each came with the skin's albedo; on the refiner's thread
   std::vector<std::uint64_t> restarted_before;  ///< sequences of the frames refined first after a restart
   std::atomic<int> refiners_alive{0};
   std::atomic<float> time_limit_ms{-1};  ///< of the last frame

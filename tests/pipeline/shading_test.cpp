@@ -229,7 +229,11 @@ TEST_F(Shading, WhatIsLearnedMeanwhileIsFollowedFromThenOn) {
   Eigen::Matrix3Xd own = script_.model->contract_identity(identity).neutral_mm.cast<double>();
   own.row(0) *= 1.05;
   const auto learned =
-      std::make_shared<const face::FaceModel>(face::person_model(*script_.model, identity, own, "learned"));
+      std::make_shared<face::FaceModel>(face::person_model(*script_.model, identity, own, "learned"));
+  learned->skin.width = learned->skin.height = 2;
+  learned->skin.texels_per_unit = 1;
+  learned->skin.relief_mm.assign(4, 0);
+  learned->skin.albedo.assign(12, 0.3F);
   script_.state_of = [&](std::uint64_t sequence) {  // on the tracker's thread
     if (sequence == 2) {
       auto solving = std::make_shared<LearningStatus>();
@@ -255,6 +259,10 @@ TEST_F(Shading, WhatIsLearnedMeanwhileIsFollowedFromThenOn) {
   }
   EXPECT_EQ(said, 1);
   EXPECT_EQ(script_.known_shapes, (std::vector<bool>{false, true})) << "refinement knows whom it refines";
+  EXPECT_EQ(script_.known_skins, (std::vector<bool>{false, true}));
+  // Pictures without a face: the skin is looked for and not known again, and the mesh stays as it was
+  // tracked.
+  EXPECT_FALSE(frames[4]->degraded) << frames[4]->degraded_reason;
 }
 
 /// A take keeps the mesh that it began with.

@@ -496,6 +496,42 @@ TEST_F(RefinerTest, AKnownReliefBringsTheMeshNearer) {
   EXPECT_LT(errors[1].distance_mm, 0.5 * errors[0].distance_mm);
 }
 
+/// True albedo of every vertex under a light of another colour, as if an enrolment had found it.
+mesh::Vertices true_albedo(const Session& session, const Eigen::Array3f& hue) {
+  mesh::Vertices out(3, session.cap_xy_mm.cols());
+  for (Eigen::Index i = 0; i < out.cols(); ++i) {
+    out.col(i) =
+        hue * synthetic::albedo(session.scene, session.cap_xy_mm(0, i), session.cap_xy_mm(1, i)).array();
+  }
+  return out;
+}
+
+/// A skin that is known brings its tone along and is handed out with its moles; in which light it was met
+/// before does not count.
+TEST_F(RefinerTest, AKnownSkinIsHandedOutInItsOwnDetail) {
+  synthetic::Scene marked = small_scene();
+  marked.marks = true;
+  std::vector<synthetic::Errors> errors;
+  std::vector<double> albedo_off;
+  for (const bool known : {false, true}) {
+    Session session(context(), marked, {});
+    const mesh::Vertices skin = true_albedo(session, {1.3F, 1, 0.8F});
+    session.refiner.set_subject({.hierarchy = session.hierarchy,
+                                 .mean_albedo = session.cap.mean_albedo,
+                                 .refinable = session.cap.control.refinable,
+                                 .known_shape = true,
+                                 .skin_albedo = known ? skin : mesh::Vertices()});
+    session.run(8);
+    errors.push_back(session.errors(session.output.displacements_mm));
+    const Eigen::Map<const mesh::Vertices> found(session.output.albedo->linear_rgb.data(), 3, skin.cols());
+    const Eigen::ArrayXXf ratio = found.array() / true_albedo(session, {1, 1, 1}).array();
+    const Eigen::ArrayXf usual = ratio.rowwise().mean();
+    albedo_off.push_back(static_cast<double>((ratio.colwise() / usual - 1).abs().mean()));
+  }
+  EXPECT_LT(errors[1].normal_deg, 1.05 * errors[0].normal_deg);
+  EXPECT_LT(albedo_off[1], 0.5 * albedo_off[0]);
+}
+
 TEST_F(RefinerTest, GivenDisplacementsHoldAgainstTheShadingByTheirWeight) {
   constexpr float kGiven_mm = 0.7F;
   constexpr float kOneLevel_px = 1e6F;

@@ -1,0 +1,36 @@
+#pragma once
+
+#include <memory>
+
+#include "face/face_model.hpp"
+#include "facet/frame.hpp"
+#include "mesh/mesh.hpp"
+#include "track/tracker.hpp"
+
+namespace facet::person {
+
+/// Follows a known person's skin: what a picture shows of the face, on the person's texture chart, against
+/// the skin's albedo there tells how far every point of the skin lies from where the tracked mesh has it
+/// (docs/person.md, "Following the skin"). The reference is the person and no earlier frame: nothing drifts.
+/// One thread.
+class SkinFollower {
+ public:
+  /// model  with the skin's albedo (FaceModel::skin), which must outlive the follower. Throws Error(Usage)
+  /// without one.
+  explicit SkinFollower(const face::FaceModel& model);
+  ~SkinFollower();
+
+  /// Lets the tracked mesh slide along its own surface to where its skin is seen; what is not seen, or not
+  /// known again, follows what is around it and else stays. Returns the share of the skin seen that was known
+  /// again, 0 to 1; where that is too little nothing moves. Allocates some MB.
+  ///
+  /// tracked      of this picture, with a mesh
+  /// vertices_mm  [3][vertex_count] out: head frame
+  double follow(const Frame& picture, const track::TrackResult& tracked, mesh::Vertices& vertices_mm);
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace facet::person
