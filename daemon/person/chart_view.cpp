@@ -18,6 +18,9 @@ constexpr float kHiddenMm = 4;
 constexpr float kDepthCellMm = 1.5F;
 constexpr int kMostCells = 1024;  ///< of a side
 constexpr float kSaturated = 250;
+/// Wider blurs are made of pictures that many times as small.
+constexpr double kWideTexels = 8;
+constexpr int kCoarser = 4;
 constexpr double kGreyMiddle = 128;
 constexpr double kGreyPerDeviation = 42;
 
@@ -95,7 +98,14 @@ cv::Mat sample(const cv::Mat& image, const cv::Mat& x, const cv::Mat& y) {
 
 cv::Mat blurred(const cv::Mat& image, double sigma) {
   cv::Mat out;
-  cv::GaussianBlur(image, out, {0, 0}, sigma);
+  if (sigma < kWideTexels) {
+    cv::GaussianBlur(image, out, {0, 0}, sigma);
+    return out;
+  }
+  cv::Mat small;
+  cv::resize(image, small, {}, 1.0 / kCoarser, 1.0 / kCoarser, cv::INTER_AREA);
+  cv::GaussianBlur(small, small, {0, 0}, sigma / kCoarser);
+  cv::resize(small, out, image.size(), 0, 0, cv::INTER_LINEAR);
   return out;
 }
 

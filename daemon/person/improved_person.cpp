@@ -132,7 +132,8 @@ ImprovedPerson improved(const face::FaceModel& model, const PersonFile& before, 
     second_counts +=
         static_cast<double>(share[static_cast<std::size_t>(v)]) / static_cast<double>(skin.size());
   }
-  if (before.skin.empty() || (second_counts > 0.5 && !second.skin.empty())) {
+  const bool more = before.skin.albedo.empty() && !second.skin.albedo.empty();
+  if (before.skin.empty() || more || (second_counts > 0.5 && !second.skin.empty())) {
     out.person.skin = second.skin;
   }
   face::bring_loose_pieces(model, before.neutral_mm.cast<double>(), neutral_mm);

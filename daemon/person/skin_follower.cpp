@@ -20,37 +20,38 @@
 namespace facet::person {
 namespace {
 
-constexpr int kTexels = 384;  ///< of the chart's longer side
+constexpr int kTexels = 256;  ///< of the chart's longer side
+constexpr int kRow = 1024;    ///< cv::remap takes no rows as long as some meshes have vertices
 /// What is wider is shading, which stays with the light.
-constexpr double kWindowMm = 10;
+constexpr double kWindowMm = 2.5;
 /// A point moves as what is believed so far around does on average; without any it stays.
 constexpr double kSmoothMm = 8;
 constexpr double kLeastBelieved = 0.05;
 constexpr float kTripTexels = 1.5F;
-constexpr float kWhole = 0.99F;  ///< of a texel, that has to be known
+constexpr float kWhole = 0.9999F;  ///< of a texel, that has to be known
 /// A place is known again by its deviations from this mean square on, of what is so far around.
 constexpr double kTelling = 0.6;
 constexpr double kTellingMm = 2;
 constexpr float kShown = 0.05F;  ///< a texel's weight in the picture
 constexpr float kDarkest = 0.01F;
-constexpr float kCertainMm = 0.6F;    ///< what a flow errs by: so much nearer it leaves a point than it says
-constexpr float kMostMm = 4;          ///< no tracker is further off along the skin
-constexpr double kLeastKnown = 0.15;  ///< of the skin seen, that has to be known again
+constexpr float kCertainMm = 0.6F;  ///< what a flow errs by: so much nearer it leaves a point than it says
+constexpr float kMostMm = 4;        ///< no tracker is further off along the skin
+/// Of the skin seen, that has to be known again: between them the mesh begins to follow.
+constexpr float kLeastKnown = 0.1F;
+constexpr float kEnoughKnown = 0.25F;
 
-/// [256] what a camera's value is of light.
-cv::Mat linear_of_byte() {
-  cv::Mat table(1, 256, CV_32F);
-  std::copy(maths::decoded_srgb8().begin(), maths::decoded_srgb8().end(), table.ptr<float>());
-  return table;
+/// [height][width] logarithm of what skin is judged by, of linear RGB.
+cv::Mat log_of_brightness(const cv::Mat& rgb) {
+  cv::Mat out(rgb.size(), CV_32F);
+  for (std::size_t i = 0; i < rgb.total(); ++i) {
+    const auto& pixel = rgb.ptr<cv::Vec3f>()[i];
+    out.ptr<float>()[i] = std::log(std::max(brightness({pixel[0], pixel[1], pixel[2]}), kDarkest));
+  }
+  return out;
 }
 
-/// [height][width] logarithm of what skin is judged by.
-cv::Mat log_of_brightness(const cv::Mat& rgb) {
-  std::array<cv::Mat, 3> planes;
-  cv::split(rgb, planes.data());
-  cv::Mat out;
-  cv::log(cv::max(0.5 * (planes[0] + planes[1]), kDarkest), out);
-  return out;
+int rows_for(std::size_t values) {
+  return static_cast<int>((values + kRow - 1) / kRow);
 }
 
 std::vector<Eigen::Index> on_chart(const face::FaceModel& model) {
@@ -72,9 +73,8 @@ struct SkinFollower::Impl {
         chart(face_chart(model, kTexels)),
         to_surface(surface_rows(model)),
         vertices(on_chart(model)),
-        at_x(1, static_cast<int>(vertices.size()), CV_32F),
-        at_y(1, static_cast<int>(vertices.size()), CV_32F),
-        decoded(linear_of_byte()),
+        at_x(rows_for(vertices.size()), kRow, CV_32F, cv::Scalar(-10)),
+        at_y(at_x.clone()),
         known(chart.height(), chart.width(), CV_32F, cv::Scalar(0)) {
     for (std::size_t i = 0; i < vertices.size(); ++i) {
       at_x.ptr<float>()[i] = chart.at(vertices[i]).x();
@@ -107,84 +107,112 @@ struct SkinFollower::Impl {
       }
     }
     reference = deviations(log_of_brightness(rgb), known, kWindowMm / texel_mm);
-    telling = blurred(reference.mul(reference), kTellingMm / texel_mm) / kTelling;
-    telling = cv::min(telling, 1).mul(known);
+    telling = told_by(reference);
+    slides_mm = Eigen::Matrix3Xf::Zero(3, static_cast<Eigen::Index>(vertices.size()));
+    wanted_mm = slides_mm;
   }
 
   mesh::Triangles triangles;
   TextureChart chart;
   mesh::SparseRows to_surface;
   std::vector<Eigen::Index> vertices;  ///< that lie on the chart
-  cv::Mat at_x, at_y;                  ///< [1][vertices] texels
-  cv::Mat decoded;
-  cv::Mat known;      ///< [height][width] 1 where the skin's albedo is known
-  cv::Mat reference;  ///< [height][width] its deviations
-  cv::Mat telling;    ///< [height][width] 0 to 1: how much there is to be known again by
+  cv::Mat at_x, at_y;                  ///< [vertices], in rows of kRow, texels
+  cv::Mat known;                       ///< [height][width] 1 where the skin's albedo is known
+  cv::Mat reference;                   ///< [height][width] its deviations
+  cv::Mat telling;                     ///< [height][width] 0 to 1: how much there is to be known again by
   double texel_mm = 1;
+  int look_every = 1;
+  std::uint64_t frames = 0;
+  double again = 0;            ///< share of the skin seen that the last look knew again
+  Eigen::Matrix3Xf slides_mm;  ///< [3][vertices] head frame, as handed out last
+  Eigen::Matrix3Xf wanted_mm;  ///< of the last look
+
+  /// [height][width] 0 to 1: how much deviations say of a place.
+  cv::Mat told_by(const cv::Mat& deviations) const {
+    return cv::min(blurred(deviations.mul(deviations), kTellingMm / texel_mm) / kTelling, 1);
+  }
 
   /// How the skin lies in the picture's chart, texels; confidence 0 where nothing is known.
   BelievedFlow flow(const HeadPicture& head, const ChartView& view) const {
-    cv::Mat linear;
-    cv::LUT(rgb_of(head), decoded, linear);
-    const cv::Mat logs = sample(log_of_brightness(linear), view.x_px, view.y_px);
+    const cv::Mat bytes = sample(rgb_of(head), view.x_px, view.y_px);
+    cv::Mat linear(bytes.size(), CV_32FC3);
+    const std::array<float, 256>& decoded = maths::decoded_srgb8();
+    std::transform(bytes.ptr<std::uint8_t>(), bytes.ptr<std::uint8_t>() + 3 * bytes.total(),
+                   linear.ptr<float>(), [&](std::uint8_t byte) { return decoded[byte]; });
     cv::Mat shows = cv::Mat::zeros(known.size(), CV_32F);
     shows.setTo(1, (view.weight > kShown) & (known > 0));
-    cv::Mat texture = deviations(logs, shows, kWindowMm / texel_mm);
+    const cv::Mat shown = deviations(log_of_brightness(linear), shows, kWindowMm / texel_mm);
+    cv::Mat texture = shown.clone();
     reference.copyTo(texture, shows == 0);  // nothing is seen to move there
     BelievedFlow out = flow_there_and_back(reference, texture, kTripTexels);
-    out.confidence = out.confidence.mul(telling).mul(view.weight);
+    // A picture that shows nothing comes back to where it began, too.
+    out.confidence = out.confidence.mul(telling).mul(told_by(shown)).mul(view.weight);
     out.confidence.setTo(0, shows == 0);
     return out;
   }
+
+  /// Sets what the picture wants of the mesh.
+  void look(const HeadPicture& head, const track::TrackResult& tracked) {
+    wanted_mm.setZero();
+    again = 0;
+    if (head.width_px < 2 || head.height_px < 2) {
+      return;
+    }
+    mesh::Vertices surface_mm;
+    mesh::apply(to_surface, mesh::Vertices(tracked.camera_from_head * tracked.vertices_mm), surface_mm);
+    const ChartView view = chart_view(chart, triangles, head, tracked.camera, surface_mm);
+    BelievedFlow found = flow(head, view);
+    const double seen = cv::sum(view.weight.mul(telling))[0];
+    again = seen > 0 ? cv::sum(found.confidence)[0] / seen : 0;
+    const float trusted = smoothstep(static_cast<float>(again), kLeastKnown, kEnoughKnown);
+    if (!(trusted > 0)) {
+      return;
+    }
+    const double sigma = kSmoothMm / texel_mm;
+    const cv::Mat around = blurred(found.confidence, sigma) + kLeastBelieved;
+    for (cv::Mat& step : found.step) {
+      step = blurred(found.confidence.mul(step), sigma) / around;
+    }
+    const cv::Mat to_x = at_x + sample(found.step[0], at_x, at_y);
+    const cv::Mat to_y = at_y + sample(found.step[1], at_x, at_y);
+    const cv::Mat here = sample(view.position_mm, at_x, at_y);
+    const cv::Mat there = sample(view.position_mm, to_x, to_y);
+    const cv::Mat whole = sample(known, at_x, at_y).mul(sample(known, to_x, to_y));
+    const Eigen::Matrix3f head_from_camera = tracked.camera_from_head.linear().transpose();
+    for (std::size_t i = 0; i < vertices.size(); ++i) {
+      const cv::Vec3f step = there.ptr<cv::Vec3f>()[i] - here.ptr<cv::Vec3f>()[i];
+      const Eigen::Vector3f slide(step[0], step[1], step[2]);
+      const float length = slide.norm();
+      if (whole.ptr<float>()[i] > kWhole && length > kCertainMm) {  // beside what is known positions are none
+        wanted_mm.col(static_cast<Eigen::Index>(i)) =
+            trusted * std::min(length - kCertainMm, kMostMm) / length * (head_from_camera * slide);
+      }
+    }
+  }
 };
 
-SkinFollower::SkinFollower(const face::FaceModel& model) {
+SkinFollower::SkinFollower(const face::FaceModel& model, int look_every) {
   if (model.skin.albedo.empty()) {
     throw Error(ErrorKind::Usage, "a person's skin can't be followed: the model has no albedo of it");
   }
   impl_ = std::make_unique<Impl>(model);
+  impl_->look_every = std::max(1, look_every);
 }
 SkinFollower::~SkinFollower() = default;
 
 double SkinFollower::follow(const Frame& picture, const track::TrackResult& tracked,
                             mesh::Vertices& vertices_mm) {
-  const Impl& impl = *impl_;
+  Impl& impl = *impl_;
+  if (impl.frames++ % static_cast<std::uint64_t>(impl.look_every) == 0) {
+    impl.look(head_picture(picture, tracked), tracked);
+  }
+  const float nearer = 2.0F / static_cast<float>(1 + impl.look_every);
+  impl.slides_mm += nearer * (impl.wanted_mm - impl.slides_mm);
   vertices_mm = tracked.vertices_mm;
-  const HeadPicture head = head_picture(picture, tracked);
-  if (head.width_px < 2 || head.height_px < 2) {
-    return 0;
+  for (std::size_t i = 0; i < impl.vertices.size(); ++i) {
+    vertices_mm.col(impl.vertices[i]) += impl.slides_mm.col(static_cast<Eigen::Index>(i));
   }
-  mesh::Vertices camera_mm = tracked.camera_from_head * tracked.vertices_mm;
-  mesh::Vertices surface_mm;
-  mesh::apply(impl.to_surface, camera_mm, surface_mm);
-  const ChartView view = chart_view(impl.chart, impl.triangles, head, tracked.camera, surface_mm);
-  BelievedFlow found = impl.flow(head, view);
-  const double seen = cv::sum(view.weight.mul(impl.telling))[0];
-  const double again = seen > 0 ? cv::sum(found.confidence)[0] / seen : 0;
-  if (again < kLeastKnown) {
-    return again;
-  }
-  const double sigma = kSmoothMm / impl.texel_mm;
-  const cv::Mat around = blurred(found.confidence, sigma) + kLeastBelieved;
-  for (cv::Mat& step : found.step) {
-    step = blurred(found.confidence.mul(step), sigma) / around;
-  }
-  const cv::Mat to_x = impl.at_x + sample(found.step[0], impl.at_x, impl.at_y);
-  const cv::Mat to_y = impl.at_y + sample(found.step[1], impl.at_x, impl.at_y);
-  const cv::Mat here = sample(view.position_mm, impl.at_x, impl.at_y);
-  const cv::Mat there = sample(view.position_mm, to_x, to_y);
-  const cv::Mat whole = sample(impl.known, impl.at_x, impl.at_y).mul(sample(impl.known, to_x, to_y));
-  const Eigen::Matrix3f head_from_camera = tracked.camera_from_head.linear().transpose();
-  for (int i = 0; i < whole.cols; ++i) {
-    const cv::Vec3f step = there.at<cv::Vec3f>(i) - here.at<cv::Vec3f>(i);
-    Eigen::Vector3f slide(step[0], step[1], step[2]);
-    const float length = slide.norm();
-    if (whole.at<float>(i) > kWhole && length > 0) {  // beside what is known positions are none
-      slide *= std::clamp(length - kCertainMm, 0.0F, kMostMm) / length;
-      vertices_mm.col(impl.vertices[static_cast<std::size_t>(i)]) += head_from_camera * slide;
-    }
-  }
-  return again;
+  return impl.again;
 }
 
 }  // namespace facet::person

@@ -15,14 +15,16 @@ namespace facet::person {
 /// One thread.
 class SkinFollower {
  public:
-  /// model  with the skin's albedo (FaceModel::skin), which must outlive the follower. Throws Error(Usage)
-  /// without one.
-  explicit SkinFollower(const face::FaceModel& model);
+  /// model       with the skin's albedo (FaceModel::skin). Throws Error(Usage) without one.
+  /// look_every  frames from one look at a picture to the next (30 ms each); in between, and towards what it
+  ///             shows, the mesh slides by and by. 1: it looks at every one and slides at once.
+  explicit SkinFollower(const face::FaceModel& model, int look_every = 1);
   ~SkinFollower();
 
   /// Lets the tracked mesh slide along its own surface to where its skin is seen; what is not seen, or not
   /// known again, follows what is around it and else stays. Returns the share of the skin seen that was known
-  /// again, 0 to 1; where that is too little nothing moves. Allocates some MB.
+  /// again in the last look, 0 to 1; where that is too little nothing moves. A look allocates the head's part
+  /// of the picture and some MB of charts, which OpenCV makes anew.
   ///
   /// tracked      of this picture, with a mesh
   /// vertices_mm  [3][vertex_count] out: head frame

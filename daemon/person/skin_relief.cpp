@@ -113,6 +113,9 @@ class SkinSolve {
       if (out.believed) {
         out.chart.relief_mm[place(i)] = std::clamp(static_cast<float>(scale * relief[i]), -kMostMm, kMostMm);
       }
+      if (!(all_.seen[i] > kFewestSeen)) {
+        continue;  // the model's, which everybody has
+      }
       const Eigen::Array3f rgb = albedo_factor[i] * all_.albedo.col(i).array();
       for (std::size_t c = 0; c < 3; ++c) {
         out.chart.albedo[3 * place(i) + c] = std::clamp(rgb[static_cast<Eigen::Index>(c)], 0.0F, 1.0F);

@@ -29,6 +29,8 @@ constexpr std::size_t kRecordedQueue = 4;
 constexpr std::size_t kLiveQueue = 1;
 /// Share of a live camera's frame interval that refinement may take; the rest is for handing the mesh out.
 constexpr double kRefineShare = 0.9;
+/// Of a live camera's frames every so many-th is looked at for the skin.
+constexpr int kLiveLookEvery = 4;
 
 /// The workers, as Progress counts them.
 enum Worker : std::size_t { kCapture, kTrack, kRefine };
@@ -330,16 +332,23 @@ void ShadingPipeline::Impl::fill(mesh::MeshFrame& mesh, const Captured& item,
 void ShadingPipeline::Impl::follow_skin(mesh::MeshFrame& mesh, const Captured& item,
                                         const track::TrackResult& result) {
   const bool seen = result.view_used.empty() || result.view_used.front() != 0;
-  if (result.state != mesh::TrackingState::Tracking || model->skin.albedo.empty() || !seen ||
-      item.reference().empty() || item.reference().corrupt) {
+  if (skin_model != model) {
+    skin.reset();
+    skin_model = model;
+    try {
+      if (!model->skin.albedo.empty()) {
+        skin = std::make_unique<person::SkinFollower>(*model, source.live ? kLiveLookEvery : 1);
+      }
+    } catch (const std::exception& error) {
+      messages.warning(fmt::format("the skin is not followed: {}", error.what()));
+    }
+  }
+  if (skin == nullptr || result.state != mesh::TrackingState::Tracking || !seen || item.reference().empty() ||
+      item.reference().corrupt) {
     return;
   }
   const Clock::time_point begun = Clock::now();
   try {
-    if (skin_model != model) {
-      skin = std::make_unique<person::SkinFollower>(*model);
-      skin_model = model;
-    }
     skin->follow(item.reference(), result, mesh.control_vertices_mm);
   } catch (const std::exception& error) {
     mesh.control_vertices_mm = result.vertices_mm;

@@ -16,7 +16,8 @@ namespace {
 
 constexpr float kLeastAlbedo = 1e-3F;
 constexpr float kMostAlbedo = 1.2F;  ///< as albedo_normalise.comp has it
-/// Of smoothing on M0, about 15 mm: what is finer in the albedo of a turn is furrows as well.
+/// Of smoothing on M0, about 15 mm of the default model's: what is finer in the albedo of a turn is furrows
+/// as well.
 constexpr int kToneRounds = 16;
 
 /// [n] mean of the ring's columns of values.
@@ -44,7 +45,7 @@ std::vector<Eigen::MatrixXf> restricted(const mesh::Hierarchy& hierarchy, Eigen:
   return out;
 }
 
-/// What is wider than some millimetres of an albedo of M0 over another, onto that one.
+/// What is wider than kToneRounds say of an albedo of M0 over another, onto that one.
 mesh::Vertices in_tone(const mesh::OneRings& rings, const mesh::Vertices& of, const mesh::Vertices& onto) {
   Eigen::MatrixXf tone = (of.array().max(kLeastAlbedo) / onto.array().max(kLeastAlbedo)).log();
   Eigen::MatrixXf smoother = tone;
@@ -164,11 +165,10 @@ void check(const RefinerConfig& config, const SubjectSetup& subject) {
                                               subject.relief_mm.size(), finest));
   }
   const auto skin = static_cast<std::size_t>(subject.skin_albedo.cols());
-  if (skin != 0 && (skin != finest || subject.albedo != nullptr)) {
-    throw Error(ErrorKind::Usage,
-                fmt::format("the skin's albedo has {} colours; the finest level needs {}, and "
-                            "no other known albedo beside it",
-                            skin, finest));
+  if (skin != 0 && (skin != finest || subject.albedo != nullptr || !subject.skin_albedo.allFinite())) {
+    throw Error(ErrorKind::Usage, fmt::format("the skin's albedo has {} colours; the finest level needs {}, "
+                                              "finite, and no other known albedo beside it",
+                                              skin, finest));
   }
   if (static_cast<std::size_t>(subject.hierarchy->texture_coordinates.cols()) != finest) {
     throw Error(ErrorKind::Usage,

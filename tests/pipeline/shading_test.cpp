@@ -260,9 +260,6 @@ TEST_F(Shading, WhatIsLearnedMeanwhileIsFollowedFromThenOn) {
   EXPECT_EQ(said, 1);
   EXPECT_EQ(script_.known_shapes, (std::vector<bool>{false, true})) << "refinement knows whom it refines";
   EXPECT_EQ(script_.known_skins, (std::vector<bool>{false, true}));
-  // Pictures without a face: the skin is looked for and not known again, and the mesh stays as it was
-  // tracked.
-  EXPECT_FALSE(frames[4]->degraded) << frames[4]->degraded_reason;
 }
 
 /// A take keeps the mesh that it began with.
