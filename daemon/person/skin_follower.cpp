@@ -85,8 +85,9 @@ struct SkinFollower::Impl {
     const mesh::Vertices neutral_mm = model.core_row(0, 0);
     mesh::TextureCoordinates coordinates(2, static_cast<Eigen::Index>(count));
     for (std::size_t texel = 0; texel < count; ++texel) {
+      const std::size_t row = texel / static_cast<std::size_t>(chart.width());
       const auto x = static_cast<float>(texel % static_cast<std::size_t>(chart.width()));
-      const auto y = static_cast<float>(texel / static_cast<std::size_t>(chart.width()));
+      const auto y = static_cast<float>(row);
       coordinates.col(static_cast<Eigen::Index>(texel)) =
           chart.least() + Eigen::Vector2f(x, y) / chart.texels_per_unit();
       const bool beside = texel > 0 && chart.triangle()[texel] >= 0 && chart.triangle()[texel - 1] >= 0;

@@ -318,7 +318,7 @@ class SkinSolve {
     between_();
     const Eigen::VectorXd flat = Eigen::VectorXd::Zero(texels_.count());
     const SlopeSystem system = slope_system(texels_.grid, pictures, prior, flat, kReliefBound);
-    const Eigen::VectorXd relief =
+    Eigen::VectorXd relief =
         relief_step(texels_.grid, system, relief_prior, flat).cwiseProduct(fade.matrix().cast<double>());
     const auto of = [&](const Eigen::VectorXd& relief_mm) {
       return albedo_with_relief(texels_.grid, pictures, prior, relief_mm, kReliefBound);

@@ -33,7 +33,9 @@ constexpr double kRefineShare = 0.9;
 constexpr int kLiveLookEvery = 4;
 
 /// The workers, as Progress counts them.
-enum Worker : std::size_t { kCapture, kTrack, kRefine };
+constexpr std::size_t kCapture = 0;
+constexpr std::size_t kTrack = 1;
+constexpr std::size_t kRefine = 2;
 
 struct Captured {
   FrameSet set;

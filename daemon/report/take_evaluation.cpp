@@ -13,6 +13,7 @@
 #include "face/person_model.hpp"
 #include "facet/assets.hpp"
 #include "facet/error.hpp"
+#include "maths/statistics.hpp"
 #include "report/heat_map.hpp"
 #include "report/take_pictures.hpp"
 #include "report/truth_folder.hpp"
@@ -266,10 +267,9 @@ class TakesModel {
     // (docs/person.md) what lies on the face slides along it; eyes, inner mouth and scalp are where the model
     // has them.
     constexpr float kMostDifference_mm = 0.1F;
-    Eigen::VectorXf apart = (rebuilt_mm - frame.control_vertices_mm).colwise().norm().transpose();
-    const auto quarter = apart.begin() + apart.size() / 4;
-    std::nth_element(apart.begin(), quarter, apart.end());
-    if (model_->expression_names != subject.expression_names || !(*quarter <= kMostDifference_mm)) {
+    const Eigen::VectorXf apart = (rebuilt_mm - frame.control_vertices_mm).colwise().norm().transpose();
+    const float nearest_quarter = maths::quantile_of(std::vector<float>(apart.begin(), apart.end()), 0.25);
+    if (model_->expression_names != subject.expression_names || !(nearest_quarter <= kMostDifference_mm)) {
       why = "the take's meshes are not what its face model makes of its weights: of a booth's template?";
       return std::nullopt;
     }
