@@ -204,7 +204,7 @@ SkinFollower::~SkinFollower() = default;
 double SkinFollower::follow(const Frame& picture, const track::TrackResult& tracked,
                             mesh::Vertices& vertices_mm) {
   Impl& impl = *impl_;
-  if (impl.frames++ % static_cast<std::uint64_t>(impl.look_every) == 0) {
+  if (!picture.empty() && impl.frames++ % static_cast<std::uint64_t>(impl.look_every) == 0) {
     impl.look(head_picture(picture, tracked), tracked);
   }
   const float nearer = 2.0F / static_cast<float>(1 + impl.look_every);

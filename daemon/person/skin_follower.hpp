@@ -26,6 +26,7 @@ class SkinFollower {
   /// again in the last look, 0 to 1; where that is too little nothing moves. A look allocates the head's part
   /// of the picture and some MB of charts, which OpenCV makes anew.
   ///
+  /// picture      empty: it shows nothing, and the mesh slides as the last one said
   /// tracked      of this picture, with a mesh
   /// vertices_mm  [3][vertex_count] out: head frame
   double follow(const Frame& picture, const track::TrackResult& tracked, mesh::Vertices& vertices_mm);

@@ -333,7 +333,6 @@ void ShadingPipeline::Impl::fill(mesh::MeshFrame& mesh, const Captured& item,
 /// Brings the mesh of a person whose skin is known to where the reference camera shows it.
 void ShadingPipeline::Impl::follow_skin(mesh::MeshFrame& mesh, const Captured& item,
                                         const track::TrackResult& result) {
-  const bool seen = result.view_used.empty() || result.view_used.front() != 0;
   if (skin_model != model) {
     skin.reset();
     skin_model = model;
@@ -345,13 +344,13 @@ void ShadingPipeline::Impl::follow_skin(mesh::MeshFrame& mesh, const Captured& i
       messages.warning(fmt::format("the skin is not followed: {}", error.what()));
     }
   }
-  if (skin == nullptr || result.state != mesh::TrackingState::Tracking || !seen || item.reference().empty() ||
-      item.reference().corrupt) {
+  if (skin == nullptr || result.state != mesh::TrackingState::Tracking) {
     return;
   }
+  const bool seen = (result.view_used.empty() || result.view_used.front() != 0) && !item.reference().corrupt;
   const Clock::time_point begun = Clock::now();
   try {
-    skin->follow(item.reference(), result, mesh.control_vertices_mm);
+    skin->follow(seen ? item.reference() : Frame{}, result, mesh.control_vertices_mm);
   } catch (const std::exception& error) {
     mesh.control_vertices_mm = result.vertices_mm;
     degrade(mesh, fmt::format("the skin was not followed: {}", error.what()));

@@ -134,7 +134,9 @@ struct RefineOutput {
   /// [MD19 eq. 1]; of the room's lamps what nine coefficients come nearest to, where the skin faces the
   /// camera.
   std::array<float, 9> lighting{};
-  std::shared_ptr<const mesh::Albedo> albedo;  ///< the current one; same object while unchanged
+  /// The current one; same object while unchanged. With SubjectSetup::skin_albedo not what was solved with,
+  /// but that one in the hue taught.
+  std::shared_ptr<const mesh::Albedo> albedo;
   float photometric_rms = 0;
   std::vector<int> steps;  ///< [level] Gauss-Newton steps made; 0: interpolated from the coarser level
   std::string given_up;    ///< what the time limit took, for people; empty where nothing

@@ -263,13 +263,16 @@ class TakesModel {
     mesh::Vertices rebuilt_mm;
     const face::ExpressionBasis basis = face::expressions_of(*model_, subject);
     basis.evaluate(frame.expression, rebuilt_mm);
-    // The take's vertices are rounded to a hundredth of a millimetre. Where a known skin is followed
-    // (docs/person.md) what lies on the face slides along it; eyes, inner mouth and scalp are where the model
-    // has them.
+    // The take's vertices are rounded to a hundredth of a millimetre. Where the shape is the person's own its
+    // skin may have been followed (docs/person.md): what lies on the face has slid by some millimetres then;
+    // eyes, inner mouth and scalp are where the model has them.
     constexpr float kMostDifference_mm = 0.1F;
+    constexpr float kMostSlide_mm = 4.1F;
+    const bool own = subject.neutral_mm.cols() > 0;
     const Eigen::VectorXf apart = (rebuilt_mm - frame.control_vertices_mm).colwise().norm().transpose();
     const float nearest_quarter = maths::quantile_of(std::vector<float>(apart.begin(), apart.end()), 0.25);
-    if (model_->expression_names != subject.expression_names || !(nearest_quarter <= kMostDifference_mm)) {
+    if (model_->expression_names != subject.expression_names || !(nearest_quarter <= kMostDifference_mm) ||
+        !(apart.maxCoeff() <= (own ? kMostSlide_mm : kMostDifference_mm))) {
       why = "the take's meshes are not what its face model makes of its weights: of a booth's template?";
       return std::nullopt;
     }
