@@ -52,6 +52,7 @@ void track(const face::FaceModel& model, const SequenceOptions& options, const s
   mesh::HierarchyOptions hierarchy;
   hierarchy.min_edge_px = options.min_edge_px;
   std::optional<person::SkinFollower> follower;
+  person::FollowedHead followed;
   if (options.follow_skin && !model.skin.albedo.empty()) {
     follower.emplace(model);
   }
@@ -71,7 +72,9 @@ void track(const face::FaceModel& model, const SequenceOptions& options, const s
     }
     sequence.frames.push_back({frame, result.camera, result.camera_from_head, result.vertices_mm});
     if (follower) {
-      follower->follow(frame, result, sequence.frames.back().control_vertices_mm);
+      follower->follow(frame, result, followed);
+      sequence.frames.back().camera_from_head = followed.camera_from_head;
+      sequence.frames.back().control_vertices_mm = followed.vertices_mm;
     }
   }
 }

@@ -10,9 +10,11 @@
 #include "maths/srgb.hpp"
 #include "maths/statistics.hpp"
 #include "mesh/quads.hpp"
+#include "person/chart_flow.hpp"
 #include "person/chart_view.hpp"
 #include "person/keyframes.hpp"
 #include "person/skin_albedo.hpp"
+#include "person/skin_motion.hpp"
 #include "person/skin_registration.hpp"
 #include "person/surface_anchor.hpp"
 #include "person/texture_chart.hpp"
@@ -24,21 +26,41 @@ constexpr int kTexels = 256;  ///< of the chart's longer side
 constexpr int kRow = 1024;    ///< cv::remap takes no rows as long as some meshes have vertices
 /// What is wider is shading, which stays with the light.
 constexpr double kWindowMm = 2.5;
-/// A point moves as what is believed so far around does on average; without any it stays.
-constexpr double kSmoothMm = 8;
-constexpr double kLeastBelieved = 0.05;
-constexpr float kTripTexels = 1.5F;
-constexpr float kWhole = 0.9999F;  ///< of a texel, that has to be known
+/// How far skin is beside where it was tracked, and what of that the head's movement does not explain.
+constexpr double kTrackedMm = 1.5;
+constexpr double kLeftMm = 0.7;
+constexpr double kSmoothMm = 7;  ///< of slides: what is rougher costs normals
 /// A place is known again by its deviations from this mean square on, of what is so far around.
 constexpr double kTelling = 0.6;
 constexpr double kTellingMm = 2;
-constexpr float kShown = 0.05F;  ///< a texel's weight in the picture
+constexpr float kWhole = 0.9999F;  ///< of a texel, that has to be known
+constexpr float kShown = 0.05F;    ///< a texel's weight in the picture
 constexpr float kDarkest = 0.01F;
-constexpr float kCertainMm = 0.6F;  ///< what a flow errs by: so much nearer it leaves a point than it says
-constexpr float kMostMm = 4;        ///< no tracker is further off along the skin
+constexpr float kMostMm = 4;  ///< no tracker is further off along the skin
+constexpr float kBelieved = 0.02F;
+constexpr std::size_t kEvery = 3;  ///< of the vertices that the movement is found by
 /// Of the skin seen, that has to be known again: between them the mesh begins to follow.
 constexpr float kLeastKnown = 0.1F;
 constexpr float kEnoughKnown = 0.25F;
+
+using Motion = Eigen::Matrix<float, 6, 1>;  ///< rotation vector, then shift in mm: about the head's origin
+
+Eigen::Isometry3f isometry(const Motion& motion) {
+  Eigen::Isometry3f out = Eigen::Isometry3f::Identity();
+  const float angle = motion.head<3>().norm();
+  if (angle > 0) {
+    out.linear() = Eigen::AngleAxisf(angle, motion.head<3>() / angle).toRotationMatrix();
+  }
+  out.translation() = motion.tail<3>();
+  return out;
+}
+
+Motion motion(const Eigen::Isometry3f& isometry) {
+  const Eigen::AngleAxisf turn(isometry.linear());
+  Motion out;
+  out << turn.angle() * turn.axis(), isometry.translation();
+  return out;
+}
 
 /// [height][width] logarithm of what skin is judged by, of linear RGB.
 cv::Mat log_of_brightness(const cv::Mat& rgb) {
@@ -109,8 +131,8 @@ struct SkinFollower::Impl {
     }
     reference = deviations(log_of_brightness(rgb), known, kWindowMm / texel_mm);
     telling = told_by(reference);
-    slides_mm = Eigen::Matrix3Xf::Zero(3, static_cast<Eigen::Index>(vertices.size()));
-    wanted_mm = slides_mm;
+    followed.slides_mm = Eigen::Matrix3Xf::Zero(3, static_cast<Eigen::Index>(vertices.size()));
+    wanted = followed;
   }
 
   mesh::Triangles triangles;
@@ -124,17 +146,28 @@ struct SkinFollower::Impl {
   double texel_mm = 1;
   int look_every = 1;
   std::uint64_t frames = 0;
-  double again = 0;            ///< share of the skin seen that the last look knew again
-  Eigen::Matrix3Xf slides_mm;  ///< [3][vertices] head frame, as handed out last
-  Eigen::Matrix3Xf wanted_mm;  ///< of the last look
+  double again = 0;  ///< share of the skin seen that the last look knew again
+
+  /// How a mesh is moved from where it was tracked.
+  struct Correction {
+    Motion head = Motion::Zero();  ///< head frame
+    Eigen::Matrix3Xf slides_mm;    ///< [3][vertices] head frame
+  };
+  Correction wanted;    ///< by the last look
+  Correction followed;  ///< as handed out last
 
   /// [height][width] 0 to 1: how much deviations say of a place.
   cv::Mat told_by(const cv::Mat& deviations) const {
     return cv::min(blurred(deviations.mul(deviations), kTellingMm / texel_mm) / kTelling, 1);
   }
 
-  /// How the skin lies in the picture's chart, texels; confidence 0 where nothing is known.
-  BelievedFlow flow(const HeadPicture& head, const ChartView& view) const {
+  /// How the skin lies in the picture's chart.
+  struct Sight {
+    ChartFlow flow;
+    cv::Mat confidence;  ///< [height][width] 0 to 1; 0 where nothing is known or seen
+    double seen = 0;     ///< sum of what could have been known again
+  };
+  Sight sight(const HeadPicture& head, const ChartView& view, double usual_mm) const {
     const cv::Mat bytes = sample(rgb_of(head), view.x_px, view.y_px);
     cv::Mat linear(bytes.size(), CV_32FC3);
     const std::array<float, 256>& decoded = maths::decoded_srgb8();
@@ -143,50 +176,95 @@ struct SkinFollower::Impl {
     cv::Mat shows = cv::Mat::zeros(known.size(), CV_32F);
     shows.setTo(1, (view.weight > kShown) & (known > 0));
     const cv::Mat shown = deviations(log_of_brightness(linear), shows, kWindowMm / texel_mm);
-    cv::Mat texture = shown.clone();
-    reference.copyTo(texture, shows == 0);  // nothing is seen to move there
-    BelievedFlow out = flow_there_and_back(reference, texture, kTripTexels);
-    // A picture that shows nothing comes back to where it began, too.
-    out.confidence = out.confidence.mul(telling).mul(told_by(shown)).mul(view.weight);
-    out.confidence.setTo(0, shows == 0);
+    const cv::Mat weight = view.weight.mul(shows);
+    Sight out;
+    out.flow = flow_on_chart(reference, shown, weight, texel_mm, usual_mm);
+    out.confidence = weight.mul(telling);
+    out.seen = cv::sum(out.confidence)[0];
+    out.confidence = out.confidence.mul(told_by(shown)).mul(out.flow.agreement);
     return out;
+  }
+
+  /// The chart's vertices where a view has them and where a flow says that they are.
+  struct AtVertices {
+    cv::Mat here, there;  ///< in rows of kRow: camera frame, mm
+    cv::Mat normal;       ///< their normals' mean, any length
+    cv::Mat whole;        ///< 1 where both are known
+  };
+  AtVertices at_vertices(const ChartView& view, const ChartFlow& flow) const {
+    const cv::Mat to_x = at_x + sample(flow.step[0], at_x, at_y);
+    const cv::Mat to_y = at_y + sample(flow.step[1], at_x, at_y);
+    return {sample(view.position_mm, at_x, at_y), sample(view.position_mm, to_x, to_y),
+            sample(view.normal, at_x, at_y) + sample(view.normal, to_x, to_y),
+            sample(known, at_x, at_y).mul(sample(known, to_x, to_y))};
+  }
+
+  /// How the head has to move in the camera's frame.
+  Eigen::Isometry3f moved(const ChartView& view, const Sight& seen, const CameraIntrinsics& camera) const {
+    const AtVertices at = at_vertices(view, seen.flow);
+    const cv::Mat confidence = sample(seen.confidence, at_x, at_y);
+    std::vector<std::size_t> chosen;
+    for (std::size_t i = 0; i < vertices.size(); i += kEvery) {
+      if (at.whole.ptr<float>()[i] > kWhole && confidence.ptr<float>()[i] > kBelieved) {
+        chosen.push_back(i);
+      }
+    }
+    const auto count = static_cast<Eigen::Index>(chosen.size());
+    SeenSkin skin{Eigen::Matrix3Xf(3, count), Eigen::Matrix3Xf(3, count), Eigen::VectorXf(count)};
+    for (Eigen::Index k = 0; k < count; ++k) {
+      const std::size_t i = chosen[static_cast<std::size_t>(k)];
+      const cv::Vec3f here = at.here.ptr<cv::Vec3f>()[i];
+      const cv::Vec3f there = at.there.ptr<cv::Vec3f>()[i];
+      skin.tracked_mm.col(k) << here[0], here[1], here[2];
+      skin.seen_mm.col(k) << there[0], there[1], there[2];
+      skin.weight[k] = confidence.ptr<float>()[i];
+    }
+    return motion_of(skin, camera);
+  }
+
+  ChartView view_of(const HeadPicture& head, const track::TrackResult& tracked,
+                    const Eigen::Isometry3f& camera_from_head) const {
+    mesh::Vertices surface_mm;
+    mesh::apply(to_surface, mesh::Vertices(camera_from_head * tracked.vertices_mm), surface_mm);
+    return chart_view(chart, triangles, head, tracked.camera, surface_mm);
   }
 
   /// Sets what the picture wants of the mesh.
   void look(const HeadPicture& head, const track::TrackResult& tracked) {
-    wanted_mm.setZero();
+    wanted.head.setZero();
+    wanted.slides_mm.setZero();
     again = 0;
     if (head.width_px < 2 || head.height_px < 2) {
       return;
     }
-    mesh::Vertices surface_mm;
-    mesh::apply(to_surface, mesh::Vertices(tracked.camera_from_head * tracked.vertices_mm), surface_mm);
-    const ChartView view = chart_view(chart, triangles, head, tracked.camera, surface_mm);
-    BelievedFlow found = flow(head, view);
-    const double seen = cv::sum(view.weight.mul(telling))[0];
-    again = seen > 0 ? cv::sum(found.confidence)[0] / seen : 0;
+    ChartView view = view_of(head, tracked, tracked.camera_from_head);
+    Sight seen = sight(head, view, kTrackedMm);
+    again = seen.seen > 0 ? cv::sum(seen.confidence)[0] / seen.seen : 0;
     const float trusted = smoothstep(static_cast<float>(again), kLeastKnown, kEnoughKnown);
     if (!(trusted > 0)) {
       return;
     }
-    const double sigma = kSmoothMm / texel_mm;
-    const cv::Mat around = blurred(found.confidence, sigma) + kLeastBelieved;
-    for (cv::Mat& step : found.step) {
-      step = blurred(found.confidence.mul(step), sigma) / around;
+    if (tracked.view_used.size() < 2) {  // several cameras know the pose better than one of them
+      const Eigen::Isometry3f found = moved(view, seen, tracked.camera);
+      wanted.head = trusted * motion(tracked.camera_from_head.inverse() * found * tracked.camera_from_head);
+      view = view_of(head, tracked, tracked.camera_from_head * isometry(wanted.head));
     }
-    const cv::Mat to_x = at_x + sample(found.step[0], at_x, at_y);
-    const cv::Mat to_y = at_y + sample(found.step[1], at_x, at_y);
-    const cv::Mat here = sample(view.position_mm, at_x, at_y);
-    const cv::Mat there = sample(view.position_mm, to_x, to_y);
-    const cv::Mat whole = sample(known, at_x, at_y).mul(sample(known, to_x, to_y));
-    const Eigen::Matrix3f head_from_camera = tracked.camera_from_head.linear().transpose();
+    seen = sight(head, view, kLeftMm);
+    for (cv::Mat& step : seen.flow.step) {
+      step = blurred(step, kSmoothMm / texel_mm);
+    }
+    const AtVertices at = at_vertices(view, seen.flow);
+    const Eigen::Matrix3f head_from_camera =
+        (tracked.camera_from_head * isometry(wanted.head)).linear().transpose();
     for (std::size_t i = 0; i < vertices.size(); ++i) {
-      const cv::Vec3f step = there.ptr<cv::Vec3f>()[i] - here.ptr<cv::Vec3f>()[i];
-      const Eigen::Vector3f slide(step[0], step[1], step[2]);
-      const float length = slide.norm();
-      if (whole.ptr<float>()[i] > kWhole && length > kCertainMm) {  // beside what is known positions are none
-        wanted_mm.col(static_cast<Eigen::Index>(i)) =
-            trusted * std::min(length - kCertainMm, kMostMm) / length * (head_from_camera * slide);
+      const cv::Vec3f step = at.there.ptr<cv::Vec3f>()[i] - at.here.ptr<cv::Vec3f>()[i];
+      const cv::Vec3f mean = at.normal.ptr<cv::Vec3f>()[i];
+      const Eigen::Vector3f normal = Eigen::Vector3f(mean[0], mean[1], mean[2]).normalized();
+      Eigen::Vector3f slide(step[0], step[1], step[2]);
+      slide -= slide.dot(normal) * normal;      // a chord of the surface, which triangles lie below
+      if (at.whole.ptr<float>()[i] > kWhole) {  // beside what is known positions are none
+        wanted.slides_mm.col(static_cast<Eigen::Index>(i)) =
+            trusted * std::min(1.0F, kMostMm / std::max(slide.norm(), kMostMm)) * (head_from_camera * slide);
       }
     }
   }
@@ -201,17 +279,19 @@ SkinFollower::SkinFollower(const face::FaceModel& model, int look_every) {
 }
 SkinFollower::~SkinFollower() = default;
 
-double SkinFollower::follow(const Frame& picture, const track::TrackResult& tracked,
-                            mesh::Vertices& vertices_mm) {
+double SkinFollower::follow(const Frame& picture, const track::TrackResult& tracked, FollowedHead& out) {
   Impl& impl = *impl_;
   if (!picture.empty() && impl.frames++ % static_cast<std::uint64_t>(impl.look_every) == 0) {
     impl.look(head_picture(picture, tracked), tracked);
   }
   const float nearer = 2.0F / static_cast<float>(1 + impl.look_every);
-  impl.slides_mm += nearer * (impl.wanted_mm - impl.slides_mm);
-  vertices_mm = tracked.vertices_mm;
+  Impl::Correction& followed = impl.followed;
+  followed.slides_mm += nearer * (impl.wanted.slides_mm - followed.slides_mm);
+  followed.head += nearer * (impl.wanted.head - followed.head);
+  out.camera_from_head = tracked.camera_from_head * isometry(followed.head);
+  out.vertices_mm = tracked.vertices_mm;
   for (std::size_t i = 0; i < impl.vertices.size(); ++i) {
-    vertices_mm.col(impl.vertices[i]) += impl.slides_mm.col(static_cast<Eigen::Index>(i));
+    out.vertices_mm.col(impl.vertices[i]) += followed.slides_mm.col(static_cast<Eigen::Index>(i));
   }
   return impl.again;
 }

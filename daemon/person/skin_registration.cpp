@@ -38,6 +38,26 @@ std::array<cv::Mat, 2> flow_between(const cv::Mat& from, const cv::Mat& to) {
   return out;
 }
 
+/// A flow and, [height][width], how far it is believed: 1 where it comes back to where it began, 0 at
+/// `trip_texels` from there.
+struct BelievedFlow {
+  std::array<cv::Mat, 2> step;  ///< x, y, texels
+  cv::Mat confidence;
+};
+
+/// from, to  of deviations()
+BelievedFlow flow_there_and_back(const cv::Mat& from, const cv::Mat& to, float trip_texels) {
+  const cv::Mat earlier = as_bytes(from);
+  const cv::Mat later = as_bytes(to);
+  BelievedFlow out{flow_between(earlier, later), {}};
+  const std::array<cv::Mat, 2> back = flow_between(later, earlier);
+  cv::Mat trip;
+  cv::magnitude(out.step[0] + moved(back[0], out.step), out.step[1] + moved(back[1], out.step), trip);
+  out.confidence = cv::max(1 - trip / trip_texels, 0);
+  out.confidence = out.confidence.mul(out.confidence);
+  return out;
+}
+
 }  // namespace
 
 cv::Mat moved(const cv::Mat& image, const std::array<cv::Mat, 2>& flow) {
@@ -61,18 +81,6 @@ cv::Mat deviations(const cv::Mat& logs, const cv::Mat& shows, double sigma) {
   cv::sqrt(blurred(shows.mul(out.mul(out)), sigma) / around, spread);
   out /= spread + kLeastContrast;
   out.setTo(0, shows == 0);
-  return out;
-}
-
-BelievedFlow flow_there_and_back(const cv::Mat& from, const cv::Mat& to, float trip_texels) {
-  const cv::Mat earlier = as_bytes(from);
-  const cv::Mat later = as_bytes(to);
-  BelievedFlow out{flow_between(earlier, later), {}};
-  const std::array<cv::Mat, 2> back = flow_between(later, earlier);
-  cv::Mat trip;
-  cv::magnitude(out.step[0] + moved(back[0], out.step), out.step[1] + moved(back[1], out.step), trip);
-  out.confidence = cv::max(1 - trip / trip_texels, 0);
-  out.confidence = out.confidence.mul(out.confidence);
   return out;
 }
 

@@ -34,15 +34,6 @@ class SkinRegistration {
 /// shows  [height][width] 1: known; 0. sigma  texels
 cv::Mat deviations(const cv::Mat& logs, const cv::Mat& shows, double sigma);
 
-/// A flow and, [height][width], how far it is believed: 1 where it comes back to where it began, 0 at
-/// `trip_texels` from there.
-struct BelievedFlow {
-  std::array<cv::Mat, 2> step;  ///< x, y, texels
-  cv::Mat confidence;
-};
-/// from, to  of deviations()
-BelievedFlow flow_there_and_back(const cv::Mat& from, const cv::Mat& to, float trip_texels);
-
 /// image [height][width] at each texel's place moved by a flow, linear in between; beyond it its edge.
 cv::Mat moved(const cv::Mat& image, const std::array<cv::Mat, 2>& flow);
 

@@ -116,6 +116,7 @@ struct ShadingPipeline::Impl {
   std::shared_ptr<const LearningStatus> learning;  ///< as it was last shown
   std::unique_ptr<person::SkinFollower> skin;      ///< where skin_model knows the skin's albedo
   std::shared_ptr<const face::FaceModel> skin_model;
+  person::FollowedHead followed;
 
   // facet-refine only.
   refine::RecoveringRefiner refiner;
@@ -330,7 +331,7 @@ void ShadingPipeline::Impl::fill(mesh::MeshFrame& mesh, const Captured& item,
   mesh.control_vertices_mm = result.vertices_mm;
 }
 
-/// Brings the mesh of a person whose skin is known to where the reference camera shows it.
+/// Brings the head of a person whose skin is known to where the reference camera shows it.
 void ShadingPipeline::Impl::follow_skin(mesh::MeshFrame& mesh, const Captured& item,
                                         const track::TrackResult& result) {
   if (skin_model != model) {
@@ -350,9 +351,10 @@ void ShadingPipeline::Impl::follow_skin(mesh::MeshFrame& mesh, const Captured& i
   const bool seen = (result.view_used.empty() || result.view_used.front() != 0) && !item.reference().corrupt;
   const Clock::time_point begun = Clock::now();
   try {
-    skin->follow(seen ? item.reference() : Frame{}, result, mesh.control_vertices_mm);
+    skin->follow(seen ? item.reference() : Frame{}, result, followed);
+    mesh.camera_from_head = followed.camera_from_head;
+    mesh.control_vertices_mm = followed.vertices_mm;
   } catch (const std::exception& error) {
-    mesh.control_vertices_mm = result.vertices_mm;
     degrade(mesh, fmt::format("the skin was not followed: {}", error.what()));
   }
   mesh.stage_ms.fit_ms += std::chrono::duration<float, std::milli>(Clock::now() - begun).count();

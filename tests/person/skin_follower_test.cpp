@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <random>
+#include <utility>
 #include <vector>
 
 #include "facet/error.hpp"
@@ -49,12 +50,16 @@ class SkinFollowerTest : public ::testing::Test {
     tracked_.vertices_mm = model_.core_row(0, 0);
   }
 
-  /// What the camera shows of a face with these vertices. lit  brightness by place in the picture
+  /// What the camera shows of a face with these vertices. light  brightness by place in the picture
   template <typename Light>
   Frame picture(const mesh::Vertices& vertices_mm, Light&& light) {
+    return picture(tracked_.camera_from_head, vertices_mm, std::forward<Light>(light));
+  }
+  template <typename Light>
+  Frame picture(const Eigen::Isometry3f& camera_from_head, const mesh::Vertices& vertices_mm, Light&& light) {
     mesh::Vertices surface_mm;
     mesh::apply(surface_rows(model_), vertices_mm, surface_mm);
-    const mesh::Vertices camera_mm = tracked_.camera_from_head * surface_mm;
+    const mesh::Vertices camera_mm = camera_from_head * surface_mm;
     const mesh::Triangles triangles = mesh::split_quads(model_.control.quads);
     pixels_.assign(std::size_t{4} * kWidthPx * kHeightPx, 128);
     const auto px = [&](std::int32_t v) -> Eigen::Vector2f {
@@ -121,6 +126,12 @@ class SkinFollowerTest : public ::testing::Test {
     return sum / count;
   }
 
+  double off_mm(const FollowedHead& found, const mesh::Vertices& truth, float least_mm = 0) const {
+    const mesh::Vertices in_tracked_head =
+        tracked_.camera_from_head.inverse() * found.camera_from_head * found.vertices_mm;
+    return off_mm(in_tracked_head, truth, least_mm);
+  }
+
   face::FaceModel model_;
   track::TrackResult tracked_;
   std::vector<std::uint8_t> pixels_;
@@ -129,17 +140,55 @@ class SkinFollowerTest : public ::testing::Test {
 TEST_F(SkinFollowerTest, TheMeshSlidesToWhereItsSkinIs) {
   SkinFollower follower(model_);
   const mesh::Vertices truth = slid(3);
-  mesh::Vertices found;
+  FollowedHead found;
   const double known = follower.follow(picture(truth, side_light), tracked_, found);
   EXPECT_GT(known, 0.5);
-  // All but what a flow errs by, which is left out of every step.
   EXPECT_LT(off_mm(found, truth, 1.5F), 0.9);
   EXPECT_GT(off_mm(tracked_.vertices_mm, truth, 1.5F), 2);
 }
 
+TEST_F(SkinFollowerTest, ThePoseFollowsAHeadThatWasTrackedBesideItself) {
+  SkinFollower follower(model_);
+  Eigen::Isometry3f really = tracked_.camera_from_head;
+  really.rotate(Eigen::AngleAxisf(0.02F, Eigen::Vector3f::UnitY()));
+  really.pretranslate(Eigen::Vector3f(1.5F, -1, 0));
+  const auto off = [&](const Eigen::Isometry3f& camera_from_head, const mesh::Vertices& vertices_mm) {
+    return off_mm(camera_from_head * vertices_mm, really * tracked_.vertices_mm);
+  };
+  FollowedHead found;
+  follower.follow(picture(really, tracked_.vertices_mm, side_light), tracked_, found);
+  const double before = off(tracked_.camera_from_head, tracked_.vertices_mm);
+  EXPECT_GT(before, 1);
+  EXPECT_LT(off(found.camera_from_head, found.vertices_mm), before / 5);
+  EXPECT_LT(off(found.camera_from_head, tracked_.vertices_mm), before / 3) << "the pose alone";
+
+  // Two cameras have said where it is.
+  tracked_.view_used = {1, 1};
+  follower.follow(picture(really, tracked_.vertices_mm, side_light), tracked_, found);
+  EXPECT_TRUE(found.camera_from_head.isApprox(tracked_.camera_from_head));
+}
+
+/// A hand before the face is no skin of it, and moves nothing beside it.
+TEST_F(SkinFollowerTest, WhatStandsBeforeTheFaceLeadsNowhere) {
+  SkinFollower follower(model_);
+  std::mt19937 random(3);
+  std::vector<float> fingers(std::size_t{kWidthPx} * kHeightPx);
+  for (float& value : fingers) {
+    value = std::uniform_real_distribution<float>(0.2F, 1.2F)(random);
+  }
+  FollowedHead found;
+  follower.follow(picture(tracked_.vertices_mm,
+                          [&](int x, int y) {
+                            return x < 240 ? fingers[static_cast<std::size_t>(y * kWidthPx + x)]
+                                           : side_light(x, y);
+                          }),
+                  tracked_, found);
+  EXPECT_LT(off_mm(found, tracked_.vertices_mm), 0.2);
+}
+
 TEST_F(SkinFollowerTest, WhatLiesRightStaysInAnyLight) {
   SkinFollower follower(model_);
-  mesh::Vertices found;
+  FollowedHead found;
   for (const float strength : {0.3F, 1.0F}) {
     follower.follow(picture(tracked_.vertices_mm, [&](int x, int y) { return strength * side_light(x, y); }),
                     tracked_, found);
@@ -150,7 +199,7 @@ TEST_F(SkinFollowerTest, WhatLiesRightStaysInAnyLight) {
 /// The edge of a shadow is no skin that moves.
 TEST_F(SkinFollowerTest, AShadowLeadsNowhere) {
   SkinFollower follower(model_);
-  mesh::Vertices found;
+  FollowedHead found;
   const auto shaded = [](int x, int y) { return side_light(x, y) * (x + y / 2 < 340 ? 0.35F : 1.0F); };
   follower.follow(picture(tracked_.vertices_mm, shaded), tracked_, found);
   EXPECT_LT(off_mm(found, tracked_.vertices_mm), 0.15);
@@ -162,10 +211,10 @@ TEST_F(SkinFollowerTest, SkinThatIsNotKnownAgainStays) {
   for (float& value : model_.skin.albedo) {
     value = std::uniform_real_distribution<float>(0.1F, 0.6F)(random);
   }
-  mesh::Vertices found;
+  FollowedHead found;
   const double known = follower.follow(picture(tracked_.vertices_mm, side_light), tracked_, found);
   EXPECT_LT(known, 0.2);
-  EXPECT_LT((found - tracked_.vertices_mm).colwise().norm().mean(), 0.1F);
+  EXPECT_LT((found.vertices_mm - tracked_.vertices_mm).colwise().norm().mean(), 0.1F);
 }
 
 /// Who looks at every fourth picture comes there by and by, and stays there in between.
@@ -174,7 +223,7 @@ TEST_F(SkinFollowerTest, LooksNowAndThenAndSlidesInBetween) {
   const mesh::Vertices truth = slid(3);
   const Frame shown = picture(truth, side_light);
   Frame nothing;
-  mesh::Vertices found;
+  FollowedHead found;
   std::vector<double> off{off_mm(tracked_.vertices_mm, truth, 1.5F)};
   for (int frame = 0; frame < 4; ++frame) {
     follower.follow(frame == 0 ? shown : nothing, tracked_, found);
@@ -186,14 +235,14 @@ TEST_F(SkinFollowerTest, LooksNowAndThenAndSlidesInBetween) {
 
 TEST_F(SkinFollowerTest, BadInputIsSurvived) {
   SkinFollower follower(model_);
-  mesh::Vertices found;
+  FollowedHead found;
   const Frame dark = picture(tracked_.vertices_mm, [](int, int) { return 0.0F; });
   EXPECT_LT(follower.follow(dark, tracked_, found), 0.1);
-  EXPECT_EQ(found, tracked_.vertices_mm);
+  EXPECT_EQ(found.vertices_mm, tracked_.vertices_mm);
   track::TrackResult away = tracked_;
   away.camera_from_head.translation() << 5000, 0, 600;
   EXPECT_EQ(follower.follow(dark, away, found), 0);
-  EXPECT_EQ(found, away.vertices_mm);
+  EXPECT_EQ(found.vertices_mm, away.vertices_mm);
   model_.skin.albedo.clear();
   EXPECT_THROW(SkinFollower{model_}, Error);
 }
