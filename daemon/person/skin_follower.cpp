@@ -40,27 +40,8 @@ constexpr float kMostMm = 4;  ///< no tracker is further off along the skin
 constexpr float kBelieved = 0.02F;
 constexpr std::size_t kEvery = 3;  ///< of the vertices that the movement is found by
 /// Of the skin seen, that has to be known again: between them the mesh begins to follow.
-constexpr float kLeastKnown = 0.1F;
-constexpr float kEnoughKnown = 0.25F;
-
-using Motion = Eigen::Matrix<float, 6, 1>;  ///< rotation vector, then shift in mm: about the head's origin
-
-Eigen::Isometry3f isometry(const Motion& motion) {
-  Eigen::Isometry3f out = Eigen::Isometry3f::Identity();
-  const float angle = motion.head<3>().norm();
-  if (angle > 0) {
-    out.linear() = Eigen::AngleAxisf(angle, motion.head<3>() / angle).toRotationMatrix();
-  }
-  out.translation() = motion.tail<3>();
-  return out;
-}
-
-Motion motion(const Eigen::Isometry3f& isometry) {
-  const Eigen::AngleAxisf turn(isometry.linear());
-  Motion out;
-  out << turn.angle() * turn.axis(), isometry.translation();
-  return out;
-}
+constexpr float kLeastKnown = 0.15F;
+constexpr float kEnoughKnown = 0.3F;
 
 /// [height][width] logarithm of what skin is judged by, of linear RGB.
 cv::Mat log_of_brightness(const cv::Mat& rgb) {
@@ -163,9 +144,9 @@ struct SkinFollower::Impl {
 
   /// How the skin lies in the picture's chart.
   struct Sight {
+    cv::Mat weight;  ///< [height][width] 0 to 1: known and shown
+    cv::Mat shown;   ///< [height][width] deviations
     ChartFlow flow;
-    cv::Mat confidence;  ///< [height][width] 0 to 1; 0 where nothing is known or seen
-    double seen = 0;     ///< sum of what could have been known again
   };
   Sight sight(const HeadPicture& head, const ChartView& view, double usual_mm) const {
     const cv::Mat bytes = sample(rgb_of(head), view.x_px, view.y_px);
@@ -175,13 +156,8 @@ struct SkinFollower::Impl {
                    linear.ptr<float>(), [&](std::uint8_t byte) { return decoded[byte]; });
     cv::Mat shows = cv::Mat::zeros(known.size(), CV_32F);
     shows.setTo(1, (view.weight > kShown) & (known > 0));
-    const cv::Mat shown = deviations(log_of_brightness(linear), shows, kWindowMm / texel_mm);
-    const cv::Mat weight = view.weight.mul(shows);
-    Sight out;
-    out.flow = flow_on_chart(reference, shown, weight, texel_mm, usual_mm);
-    out.confidence = weight.mul(telling);
-    out.seen = cv::sum(out.confidence)[0];
-    out.confidence = out.confidence.mul(told_by(shown)).mul(out.flow.agreement);
+    Sight out{view.weight.mul(shows), deviations(log_of_brightness(linear), shows, kWindowMm / texel_mm), {}};
+    out.flow = flow_on_chart(reference, out.shown, out.weight, texel_mm, usual_mm);
     return out;
   }
 
@@ -199,18 +175,22 @@ struct SkinFollower::Impl {
             sample(known, at_x, at_y).mul(sample(known, to_x, to_y))};
   }
 
-  /// How the head has to move in the camera's frame.
-  Eigen::Isometry3f moved(const ChartView& view, const Sight& seen, const CameraIntrinsics& camera) const {
-    const AtVertices at = at_vertices(view, seen.flow);
-    const cv::Mat confidence = sample(seen.confidence, at_x, at_y);
+  /// How the head has to move in the camera's frame. told  [height][width] 0 to 1
+  Eigen::Isometry3f moved(const ChartView& view, const ChartFlow& flow, const cv::Mat& told,
+                          const CameraIntrinsics& camera) const {
+    const AtVertices at = at_vertices(view, flow);
+    const cv::Mat confidence = sample(told, at_x, at_y);
+    const cv::Mat could_tell = sample(telling, at_x, at_y);
+    float whole = 0;
     std::vector<std::size_t> chosen;
     for (std::size_t i = 0; i < vertices.size(); i += kEvery) {
+      whole += could_tell.ptr<float>()[i];
       if (at.whole.ptr<float>()[i] > kWhole && confidence.ptr<float>()[i] > kBelieved) {
         chosen.push_back(i);
       }
     }
     const auto count = static_cast<Eigen::Index>(chosen.size());
-    SeenSkin skin{Eigen::Matrix3Xf(3, count), Eigen::Matrix3Xf(3, count), Eigen::VectorXf(count)};
+    SeenSkin skin{Eigen::Matrix3Xf(3, count), Eigen::Matrix3Xf(3, count), Eigen::VectorXf(count), whole};
     for (Eigen::Index k = 0; k < count; ++k) {
       const std::size_t i = chosen[static_cast<std::size_t>(k)];
       const cv::Vec3f here = at.here.ptr<cv::Vec3f>()[i];
@@ -239,17 +219,20 @@ struct SkinFollower::Impl {
     }
     ChartView view = view_of(head, tracked, tracked.camera_from_head);
     Sight seen = sight(head, view, kTrackedMm);
-    again = seen.seen > 0 ? cv::sum(seen.confidence)[0] / seen.seen : 0;
+    const cv::Mat could_tell = seen.weight.mul(telling);
+    const cv::Mat told = could_tell.mul(told_by(seen.shown)).mul(seen.flow.agreement);
+    const double all = cv::sum(could_tell)[0];
+    again = all > 0 ? cv::sum(told)[0] / all : 0;
     const float trusted = smoothstep(static_cast<float>(again), kLeastKnown, kEnoughKnown);
     if (!(trusted > 0)) {
       return;
     }
     if (tracked.view_used.size() < 2) {  // several cameras know the pose better than one of them
-      const Eigen::Isometry3f found = moved(view, seen, tracked.camera);
+      const Eigen::Isometry3f found = moved(view, seen.flow, told, tracked.camera);
       wanted.head = trusted * motion(tracked.camera_from_head.inverse() * found * tracked.camera_from_head);
       view = view_of(head, tracked, tracked.camera_from_head * isometry(wanted.head));
+      seen = sight(head, view, kLeftMm);
     }
-    seen = sight(head, view, kLeftMm);
     for (cv::Mat& step : seen.flow.step) {
       step = blurred(step, kSmoothMm / texel_mm);
     }
@@ -267,6 +250,18 @@ struct SkinFollower::Impl {
             trusted * std::min(1.0F, kMostMm / std::max(slide.norm(), kMostMm)) * (head_from_camera * slide);
       }
     }
+    if (!wanted.head.allFinite() || !wanted.slides_mm.allFinite()) {
+      forget();
+    }
+  }
+
+  void forget() {
+    for (Correction* each : {&wanted, &followed}) {
+      each->head.setZero();
+      each->slides_mm.setZero();
+    }
+    frames = 0;
+    again = 0;
   }
 };
 
@@ -278,6 +273,10 @@ SkinFollower::SkinFollower(const face::FaceModel& model, int look_every) {
   impl_->look_every = std::max(1, look_every);
 }
 SkinFollower::~SkinFollower() = default;
+
+void SkinFollower::forget() {
+  impl_->forget();
+}
 
 double SkinFollower::follow(const Frame& picture, const track::TrackResult& tracked, FollowedHead& out) {
   Impl& impl = *impl_;

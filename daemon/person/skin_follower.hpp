@@ -28,7 +28,7 @@ class SkinFollower {
   explicit SkinFollower(const face::FaceModel& model, int look_every = 1);
   ~SkinFollower();
 
-  /// Moves a tracked head to where its skin is seen; what is not seen, or not known again, follows what is
+  /// Moves a tracked head to where its skin is seen; what is not seen, or tells nothing, follows what is
   /// around it and else stays. Returns the share of the skin seen that was known again in the last look, 0 to
   /// 1; where that is too little nothing moves. A look allocates the head's part of the picture and some MB
   /// of charts, which OpenCV makes anew.
@@ -36,6 +36,9 @@ class SkinFollower {
   /// picture  empty: it shows nothing, and the head moves as the last one said
   /// tracked  of this picture, with a mesh. Of several views the pose stays as it is
   double follow(const Frame& picture, const track::TrackResult& tracked, FollowedHead& out);
+
+  /// The head was away, or another one is tracked: the next picture is looked at.
+  void forget();
 
  private:
   struct Impl;

@@ -109,6 +109,7 @@ struct ShadingPipeline::Impl {
 
   // facet-track only.
   std::uint64_t next_sequence = 0;
+  std::uint32_t skin_subject = 0;    ///< TrackResult::subject that `skin` follows
   std::uint32_t identity_count = 0;  ///< TrackResult::subject that `identity` belongs to
   std::shared_ptr<const std::vector<float>> identity;
   std::shared_ptr<const face::FaceModel> model;
@@ -116,7 +117,6 @@ struct ShadingPipeline::Impl {
   std::shared_ptr<const LearningStatus> learning;  ///< as it was last shown
   std::unique_ptr<person::SkinFollower> skin;      ///< where skin_model knows the skin's albedo
   std::shared_ptr<const face::FaceModel> skin_model;
-  person::FollowedHead followed;
 
   // facet-refine only.
   refine::RecoveringRefiner refiner;
@@ -345,12 +345,20 @@ void ShadingPipeline::Impl::follow_skin(mesh::MeshFrame& mesh, const Captured& i
       messages.warning(fmt::format("the skin is not followed: {}", error.what()));
     }
   }
-  if (skin == nullptr || result.state != mesh::TrackingState::Tracking) {
+  if (skin == nullptr) {
+    return;
+  }
+  if (result.state != mesh::TrackingState::Tracking || result.subject != skin_subject) {
+    skin_subject = result.subject;
+    skin->forget();
+  }
+  if (result.state != mesh::TrackingState::Tracking) {
     return;
   }
   const bool seen = (result.view_used.empty() || result.view_used.front() != 0) && !item.reference().corrupt;
   const Clock::time_point begun = Clock::now();
   try {
+    person::FollowedHead followed;
     skin->follow(seen ? item.reference() : Frame{}, result, followed);
     mesh.camera_from_head = followed.camera_from_head;
     mesh.control_vertices_mm = followed.vertices_mm;
