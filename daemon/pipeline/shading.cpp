@@ -30,7 +30,7 @@ constexpr std::size_t kLiveQueue = 1;
 /// Share of a live camera's frame interval that refinement may take; the rest is for handing the mesh out.
 constexpr double kRefineShare = 0.9;
 /// Of a live camera's frames every so many-th is looked at for the skin.
-constexpr int kLiveLookEvery = 4;
+constexpr int kLiveLookEvery = 30;
 
 /// The workers, as Progress counts them.
 constexpr std::size_t kCapture = 0;
