@@ -85,7 +85,7 @@ struct MeshFrame {
   std::vector<float> expression;  ///< [expression_count] 0 to 1, order of Subject::expression_names
   std::vector<Eigen::Vector2f>
       landmarks_px;              ///< [landmark_count] as measured in the image; may be there while Acquiring
-  float reprojection_px = 0;     ///< median distance of the model's landmarks to the measured ones
+  float reprojection_px = 0;     ///< median distance of the tracked model's landmarks to the measured
   Vertices control_vertices_mm;  ///< [3][control_vertex_count] head frame
   std::vector<float>
       displacements_mm;           ///< [finest vertex_count] along the coarse normals; empty where not refined
