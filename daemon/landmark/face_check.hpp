@@ -5,8 +5,8 @@
 #include <span>
 #include <string>
 
+#include "facet/aside.hpp"
 #include "facet/frame.hpp"
-#include "landmark/aside.hpp"
 #include "landmark/face_detector.hpp"
 #include "landmark/region.hpp"
 

@@ -3,9 +3,12 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <exception>
 #include <opencv2/imgproc.hpp>
+#include <utility>
 #include <vector>
 
+#include "facet/aside.hpp"
 #include "facet/error.hpp"
 #include "maths/srgb.hpp"
 #include "maths/statistics.hpp"
@@ -42,6 +45,8 @@ constexpr std::size_t kEvery = 3;  ///< of the vertices that the movement is fou
 /// Of the skin seen, that has to be known again: between them the mesh begins to follow.
 constexpr float kLeastKnown = 0.15F;
 constexpr float kEnoughKnown = 0.3F;
+/// Pace::Beside: frames from one look to the next.
+constexpr int kLookEvery = 10;
 
 /// [height][width] logarithm of what skin is judged by, of linear RGB.
 cv::Mat log_of_brightness(const cv::Mat& rgb) {
@@ -71,14 +76,15 @@ std::vector<Eigen::Index> on_chart(const face::FaceModel& model) {
 }  // namespace
 
 struct SkinFollower::Impl {
-  explicit Impl(const face::FaceModel& model)
+  Impl(const face::FaceModel& model, Pace given)
       : triangles(mesh::split_quads(model.control.quads)),
         chart(face_chart(model, kTexels)),
         to_surface(surface_rows(model)),
         vertices(on_chart(model)),
         at_x(rows_for(vertices.size()), kRow, CV_32F, cv::Scalar(-10)),
         at_y(at_x.clone()),
-        known(chart.height(), chart.width(), CV_32F, cv::Scalar(0)) {
+        known(chart.height(), chart.width(), CV_32F, cv::Scalar(0)),
+        pace(given) {
     for (std::size_t i = 0; i < vertices.size(); ++i) {
       at_x.ptr<float>()[i] = chart.at(vertices[i]).x();
       at_y.ptr<float>()[i] = chart.at(vertices[i]).y();
@@ -113,7 +119,7 @@ struct SkinFollower::Impl {
     reference = deviations(log_of_brightness(rgb), known, kWindowMm / texel_mm);
     telling = told_by(reference);
     followed.slides_mm = Eigen::Matrix3Xf::Zero(3, static_cast<Eigen::Index>(vertices.size()));
-    wanted = followed;
+    wanted = seen.wanted = followed;
   }
 
   mesh::Triangles triangles;
@@ -125,17 +131,26 @@ struct SkinFollower::Impl {
   cv::Mat reference;                   ///< [height][width] its deviations
   cv::Mat telling;                     ///< [height][width] 0 to 1: how much there is to be known again by
   double texel_mm = 1;
-  int look_every = 1;
-  std::uint64_t frames = 0;
-  double again = 0;  ///< share of the skin seen that the last look knew again
 
   /// How a mesh is moved from where it was tracked.
   struct Correction {
     Motion head = Motion::Zero();  ///< head frame
     Eigen::Matrix3Xf slides_mm;    ///< [3][vertices] head frame
   };
+  /// What a look is at, and what it found. Between Aside::begin and wait it is the helper's.
+  struct Look {
+    track::TrackResult tracked;
+    double again = 0;  ///< share of the skin seen that was known again
+    HeadPicture head;
+    Correction wanted;
+  };
+  Look seen;
+  double again = 0;     ///< by the last look
   Correction wanted;    ///< by the last look
   Correction followed;  ///< as handed out last
+  Pace pace;
+  int frames_since = kLookEvery;  ///< frames since the last look was begun
+  bool dropped = false;           ///< what is being looked at is of no interest any more
 
   /// [height][width] 0 to 1: how much deviations say of a place.
   cv::Mat told_by(const cv::Mat& deviations) const {
@@ -209,36 +224,39 @@ struct SkinFollower::Impl {
     return chart_view(chart, triangles, head, tracked.camera, surface_mm);
   }
 
-  /// Sets what the picture wants of the mesh.
-  void look(const HeadPicture& head, const track::TrackResult& tracked) {
-    wanted.head.setZero();
-    wanted.slides_mm.setZero();
-    again = 0;
+  /// Finds what the picture wants of the mesh.
+  void look(Look& now) const {
+    const HeadPicture& head = now.head;
+    const track::TrackResult& tracked = now.tracked;
+    now.wanted.head.setZero();
+    now.wanted.slides_mm.setZero();
+    now.again = 0;
     if (head.width_px < 2 || head.height_px < 2) {
       return;
     }
     ChartView view = view_of(head, tracked, tracked.camera_from_head);
-    Sight seen = sight(head, view, kTrackedMm);
-    const cv::Mat could_tell = seen.weight.mul(telling);
-    const cv::Mat told = could_tell.mul(told_by(seen.shown)).mul(seen.flow.agreement);
+    Sight sight_now = sight(head, view, kTrackedMm);
+    const cv::Mat could_tell = sight_now.weight.mul(telling);
+    const cv::Mat told = could_tell.mul(told_by(sight_now.shown)).mul(sight_now.flow.agreement);
     const double all = cv::sum(could_tell)[0];
-    again = all > 0 ? cv::sum(told)[0] / all : 0;
-    const float trusted = smoothstep(static_cast<float>(again), kLeastKnown, kEnoughKnown);
+    now.again = all > 0 ? cv::sum(told)[0] / all : 0;
+    const float trusted = smoothstep(static_cast<float>(now.again), kLeastKnown, kEnoughKnown);
     if (!(trusted > 0)) {
       return;
     }
     if (tracked.view_used.size() < 2) {  // several cameras know the pose better than one of them
-      const Eigen::Isometry3f found = moved(view, seen.flow, told, tracked.camera);
-      wanted.head = trusted * motion(tracked.camera_from_head.inverse() * found * tracked.camera_from_head);
-      view = view_of(head, tracked, tracked.camera_from_head * isometry(wanted.head));
-      seen = sight(head, view, kLeftMm);
+      const Eigen::Isometry3f found = moved(view, sight_now.flow, told, tracked.camera);
+      now.wanted.head =
+          trusted * motion(tracked.camera_from_head.inverse() * found * tracked.camera_from_head);
+      view = view_of(head, tracked, tracked.camera_from_head * isometry(now.wanted.head));
+      sight_now = sight(head, view, kLeftMm);
     }
-    for (cv::Mat& step : seen.flow.step) {
+    for (cv::Mat& step : sight_now.flow.step) {
       step = blurred(step, kSmoothMm / texel_mm);
     }
-    const AtVertices at = at_vertices(view, seen.flow);
+    const AtVertices at = at_vertices(view, sight_now.flow);
     const Eigen::Matrix3f head_from_camera =
-        (tracked.camera_from_head * isometry(wanted.head)).linear().transpose();
+        (tracked.camera_from_head * isometry(now.wanted.head)).linear().transpose();
     for (std::size_t i = 0; i < vertices.size(); ++i) {
       const cv::Vec3f step = at.there.ptr<cv::Vec3f>()[i] - at.here.ptr<cv::Vec3f>()[i];
       const cv::Vec3f mean = at.normal.ptr<cv::Vec3f>()[i];
@@ -246,13 +264,49 @@ struct SkinFollower::Impl {
       Eigen::Vector3f slide(step[0], step[1], step[2]);
       slide -= slide.dot(normal) * normal;      // a chord of the surface, which triangles lie below
       if (at.whole.ptr<float>()[i] > kWhole) {  // beside what is known positions are none
-        wanted.slides_mm.col(static_cast<Eigen::Index>(i)) =
+        now.wanted.slides_mm.col(static_cast<Eigen::Index>(i)) =
             trusted * std::min(1.0F, kMostMm / std::max(slide.norm(), kMostMm)) * (head_from_camera * slide);
       }
     }
-    if (!wanted.head.allFinite() || !wanted.slides_mm.allFinite()) {
-      forget();
+    if (!now.wanted.head.allFinite() || !now.wanted.slides_mm.allFinite()) {
+      now.wanted.head.setZero();
+      now.wanted.slides_mm.setZero();
     }
+  }
+
+  /// A look at this picture, at once or beside the frames.
+  void begin_look(const Frame& picture, const track::TrackResult& tracked) {
+    frames_since = 0;
+    seen.head = head_picture(picture, tracked);
+    seen.tracked = tracked;
+    if (pace == Pace::Beside) {
+      aside.begin();
+    } else {
+      look(seen);
+      take_seen();
+    }
+  }
+
+  /// Ends a look beside the frames that is done, or that nobody else does.
+  void end_look() {
+    if (!aside.begun() || !(aside.ready() || !aside.helped())) {
+      return;
+    }
+    if (!std::exchange(dropped, false)) {
+      aside.wait();
+      take_seen();
+      return;
+    }
+    try {
+      aside.wait();
+    } catch (const std::exception&) {
+      // It was of somebody else.
+    }
+  }
+
+  void take_seen() {
+    std::swap(wanted, seen.wanted);
+    again = seen.again;
   }
 
   void forget() {
@@ -260,17 +314,19 @@ struct SkinFollower::Impl {
       each->head.setZero();
       each->slides_mm.setZero();
     }
-    frames = 0;
     again = 0;
+    dropped = aside.begun();
+    frames_since = kLookEvery;
   }
+
+  Aside aside{"facet-skin", [this] { look(seen); }};
 };
 
-SkinFollower::SkinFollower(const face::FaceModel& model, int look_every) {
+SkinFollower::SkinFollower(const face::FaceModel& model, Pace pace) {
   if (model.skin.albedo.empty()) {
     throw Error(ErrorKind::Usage, "a person's skin can't be followed: the model has no albedo of it");
   }
-  impl_ = std::make_unique<Impl>(model);
-  impl_->look_every = std::max(1, look_every);
+  impl_ = std::make_unique<Impl>(model, pace);
 }
 SkinFollower::~SkinFollower() = default;
 
@@ -280,10 +336,12 @@ void SkinFollower::forget() {
 
 double SkinFollower::follow(const Frame& picture, const track::TrackResult& tracked, FollowedHead& out) {
   Impl& impl = *impl_;
-  if (!picture.empty() && impl.frames++ % static_cast<std::uint64_t>(impl.look_every) == 0) {
-    impl.look(head_picture(picture, tracked), tracked);
+  const int every = impl.pace == Pace::Beside ? kLookEvery : 1;
+  impl.end_look();
+  if (!picture.empty() && ++impl.frames_since >= every && !impl.aside.begun()) {
+    impl.begin_look(picture, tracked);
   }
-  const float nearer = 2.0F / static_cast<float>(1 + impl.look_every);
+  const float nearer = 2.0F / static_cast<float>(1 + every);
   Impl::Correction& followed = impl.followed;
   followed.slides_mm += nearer * (impl.wanted.slides_mm - followed.slides_mm);
   followed.head += nearer * (impl.wanted.head - followed.head);

@@ -19,13 +19,17 @@ struct FollowedHead {
 /// Follows a known person's skin: what a picture shows of the face, on the person's texture chart, against
 /// the skin's albedo there tells how far every point of the skin lies from where the tracked mesh has it
 /// (docs/person.md, "Following the skin"). The head's pose takes its share of that, the rest is a slide along
-/// the surface. The reference is the person and no earlier frame: nothing drifts. One thread.
+/// the surface. The reference is the person and no earlier frame: nothing drifts. Used by one thread.
 class SkinFollower {
  public:
-  /// model       with the skin's albedo (FaceModel::skin). Throws Error(Usage) without one.
-  /// look_every  frames from one look at a picture to the next; in between, and towards what it shows, the
-  ///             mesh moves by and by. 1: it looks at every one and moves at once.
-  explicit SkinFollower(const face::FaceModel& model, int look_every = 1);
+  enum class Pace {
+    EveryFrame,  ///< every picture is looked at, and the mesh moves at once
+    Beside,      ///< now and then a picture is, on the helper thread `facet-skin`, of low priority, while the
+                 ///< frames go on and wait for nothing; towards what it showed the mesh moves by and by
+  };
+
+  /// model  with the skin's albedo (FaceModel::skin). Throws Error(Usage) without one.
+  explicit SkinFollower(const face::FaceModel& model, Pace pace = Pace::EveryFrame);
   ~SkinFollower();
 
   /// Moves a tracked head to where its skin is seen; what is not seen, or tells nothing, follows what is

@@ -29,8 +29,6 @@ constexpr std::size_t kRecordedQueue = 4;
 constexpr std::size_t kLiveQueue = 1;
 /// Share of a live camera's frame interval that refinement may take; the rest is for handing the mesh out.
 constexpr double kRefineShare = 0.9;
-/// Of a live camera's frames every so many-th is looked at for the skin.
-constexpr int kLiveLookEvery = 30;
 
 /// The workers, as Progress counts them.
 constexpr std::size_t kCapture = 0;
@@ -339,7 +337,8 @@ void ShadingPipeline::Impl::follow_skin(mesh::MeshFrame& mesh, const Captured& i
     skin_model = model;
     try {
       if (!model->skin.albedo.empty()) {
-        skin = std::make_unique<person::SkinFollower>(*model, source.live ? kLiveLookEvery : 1);
+        using Pace = person::SkinFollower::Pace;
+        skin = std::make_unique<person::SkinFollower>(*model, source.live ? Pace::Beside : Pace::EveryFrame);
       }
     } catch (const std::exception& error) {
       messages.warning(fmt::format("the skin is not followed: {}", error.what()));

@@ -24,6 +24,10 @@ namespace facet::pipeline {
 /// * `facet-detect`, one for each camera: the tracker's checks of a followed face, begun and ended by it; of
 /// low
 ///   priority. Its work. longest_silence does not look at it, for no frame of a live source waits for it.
+/// * `facet-skin`, where the skin of somebody live is followed: the looks at it, begun and ended by the
+/// tracker's thread; of
+///   low priority. Its work. longest_silence does not look at it: no frame waits for it, but for the change
+///   to another person's model, which lets a look end.
 /// * `facet-regpu`: RecoveringRefiner, after a device loss. The driver. longest_silence does not look at it.
 ///
 /// start begins the first three, stop joins them. The tracker works on frame n + 1 while the GPU works on n.

@@ -1,4 +1,4 @@
-#include "landmark/aside.hpp"
+#include "facet/aside.hpp"
 
 #include <gtest/gtest.h>
 #include <sys/resource.h>
