@@ -27,6 +27,7 @@
 #include "person/surface_anchor.hpp"
 #include "person/texture_chart.hpp"
 #include "pipeline/observe_head.hpp"
+#include "pipeline/refined_relief.hpp"
 #include "report/evaluation.hpp"
 #include "simulation/truth_mesh.hpp"
 
@@ -409,6 +410,19 @@ void print_relief(const Options& options, const person::Skin& skin, const SkinTr
   }
 }
 
+/// Refines the relief as the product does.
+void refine(const Options& options, const person::Observed& observed, double focal_px,
+            face::FaceModel& person) {
+  track::TrackerConfig tracker;
+  tracker.landmark_nets = options.nets;
+  tracker.intrinsics = observed.camera;
+  tracker.intrinsics->fx = tracker.intrinsics->fy = static_cast<float>(focal_px);
+  const double begun = processor_s();
+  const std::string missed = pipeline::refine_relief(
+      person, observed, tracker, {{}, refine::refiner_opener({}, {})}, [] { return true; });
+  fmt::print("    {} ({:.1f} s)\n", missed.empty() ? "refined" : missed, processor_s() - begun);
+}
+
 void learn(const Options& options, const face::FaceModel& model, const std::filesystem::path& folder,
            const person::Observed& observed, const person::EnrolmentOptions& enrolment,
            const person::OrientationSpan& span) {
@@ -452,13 +466,18 @@ void learn(const Options& options, const face::FaceModel& model, const std::file
     print_albedo(options, model, learned.skin, skin, folder.filename().string());
     print_relief(options, learned.skin, skin, folder.filename().string());
   }
+  const std::string name = folder.filename().string();
+  face::FaceModel person = face::person_model(model, learned.identity, learned.neutral_mm, name);
+  if (learned.skin.believed) {
+    person.skin = learned.skin.chart;
+    refine(options, observed, learned.focal_px, person);
+    person::Skin refined = learned.skin;
+    refined.chart = person.skin;
+    print_relief(options, refined, skin_truth(model, learned, enrolment.skin_texels, truth),
+                 name + ", refined");
+  }
   if (!options.save.empty()) {
     std::filesystem::create_directories(options.save);
-    const std::string name = folder.filename().string();
-    face::FaceModel person = face::person_model(model, learned.identity, learned.neutral_mm, name);
-    if (learned.skin.believed) {
-      person.skin = learned.skin.chart;
-    }
     person.save(options.save / (name + ".facemodel"));
     std::ofstream(options.save / (name + ".focal"))
         << learned.focal_px / std::max(observed.camera.width_px, observed.camera.height_px) << "\n";

@@ -42,6 +42,8 @@ void set(RefinerConfig& config, const std::string& name, float value) {
     config.weights.albedo_smooth = value;
   } else if (name == "w3") {
     config.weights.displacement_smooth = value;
+  } else if (name == "w3_known") {
+    config.weights.displacement_smooth_known = value;
   } else if (name == "w4") {
     config.weights.displacement_hierarchy = value;
   } else if (name == "w2_known") {
@@ -75,9 +77,10 @@ void set(RefinerConfig& config, const std::string& name, float value) {
   } else {
     throw Error(
         ErrorKind::Usage,
-        fmt::format("no setting {}; there are w1 to w5, w2_known, w5_known, fold, robust, metric, steps, "
-                    "pcg, albedo_frames, fine_albedo, room_lamps, hierarchical, paper",
-                    name));
+        fmt::format(
+            "no setting {}; there are w1 to w5, w2_known, w3_known, w5_known, fold, robust, metric, steps, "
+            "pcg, albedo_frames, fine_albedo, room_lamps, hierarchical, paper",
+            name));
   }
 }
 

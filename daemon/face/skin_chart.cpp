@@ -10,6 +10,7 @@
 
 #include "face/chunk_file.hpp"
 #include "facet/error.hpp"
+#include "mesh/triangle_points.hpp"
 
 namespace facet::face {
 namespace {
@@ -115,6 +116,31 @@ mesh::Vertices albedo_at(const SkinChart& chart, const mesh::TextureCoordinates&
     }
   }
   return out;
+}
+
+void add_relief(const mesh::Triangles& triangles, const mesh::TextureCoordinates& coordinates,
+                const std::vector<float>& more_mm, SkinChart& chart) {
+  // Neighbours share texels of an edge: what they say there is one and the same.
+  std::vector<float> more(chart.relief_mm.size(), 0);
+  for (Eigen::Index t = 0; t < triangles.cols(); ++t) {
+    const auto corners = triangles.col(t);
+    const auto texel = [&](int corner) -> Eigen::Vector2f {
+      return chart.texels_per_unit * (coordinates.col(corners[corner]) - chart.least);
+    };
+    const auto at = [&](int corner) { return more_mm[static_cast<std::size_t>(corners[corner])]; };
+    if (at(0) == 0 && at(1) == 0 && at(2) == 0) {
+      continue;  // what is not refined may lie on the chart more than once
+    }
+    mesh::for_each_point(texel(0), texel(1), texel(2), chart.width, chart.height,
+                         [&](int x, int y, const Eigen::Vector3f& share) {
+                           more[static_cast<std::size_t>(y) * static_cast<std::size_t>(chart.width) +
+                                static_cast<std::size_t>(x)] =
+                               share[0] * at(0) + share[1] * at(1) + share[2] * at(2);
+                         });
+  }
+  std::transform(
+      more.begin(), more.end(), chart.relief_mm.begin(), chart.relief_mm.begin(),
+      [](float added, float relief) { return std::clamp(relief + added, -kMostReliefMm, kMostReliefMm); });
 }
 
 void add_skin(const SkinChart& chart, ChunkWriter& writer) {

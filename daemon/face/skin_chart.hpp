@@ -44,6 +44,14 @@ std::vector<float> relief_at(const SkinChart& chart, const mesh::TextureCoordina
 mesh::Vertices albedo_at(const SkinChart& chart, const mesh::TextureCoordinates& coordinates,
                          const mesh::Vertices& elsewhere);
 
+/// Adds to the chart's relief what a mesh that lies on it has more, linear within its triangles; texels that
+/// no triangle covers stay. What would pass kMostReliefMm ends there.
+///
+/// coordinates  [2][vertices] texture coordinates
+/// more_mm      [vertices]
+void add_relief(const mesh::Triangles& triangles, const mesh::TextureCoordinates& coordinates,
+                const std::vector<float>& more_mm, SkinChart& chart);
+
 /// The chart in chunks 'SKIN', 'RELI' and 'TONE' (docs/face-model-format.md); nothing where there is none.
 void add_skin(const SkinChart& chart, ChunkWriter& writer);
 /// The chart that the chunks hold, if any. Throws Error(UnreadableInput).

@@ -64,6 +64,28 @@ HeadPicture head_picture(const Frame& picture, const track::TrackResult& tracked
   return out;
 }
 
+Frame picture_of(const Keyframe& keyframe, const CameraIntrinsics& camera) {
+  Frame out;
+  out.sequence = keyframe.sequence;
+  out.width_px = camera.width_px;
+  out.height_px = camera.height_px;
+  out.stride_bytes = 4 * static_cast<std::size_t>(camera.width_px);
+  std::shared_ptr<std::uint8_t[]> pixels(
+      new std::uint8_t[out.stride_bytes * static_cast<std::size_t>(camera.height_px)]());
+  const HeadPicture& head = keyframe.picture;
+  const std::uint8_t* rgb = head.rgb.data();
+  for (int y = 0; y < head.height_px; ++y) {
+    std::uint8_t* pixel = pixels.get() + static_cast<std::size_t>(head.top_px + y) * out.stride_bytes +
+                          4 * static_cast<std::size_t>(head.left_px);
+    for (int x = 0; x < head.width_px; ++x, pixel += 4, rgb += 3) {
+      std::copy_n(rgb, 3, pixel);
+      pixel[3] = 255;
+    }
+  }
+  out.pixels = std::move(pixels);
+  return out;
+}
+
 std::pair<double, double> orientation_deg(const Eigen::Isometry3d& camera_from_head) {
   const Eigen::Vector3d camera =
       -(camera_from_head.linear().transpose() * camera_from_head.translation()).normalized();

@@ -37,6 +37,10 @@ struct Keyframe {
   HeadPicture picture;
 };
 
+/// The whole picture of which a keyframe holds the head, black around it; for people and programs that look
+/// at whole ones. camera  with the size of its pictures
+Frame picture_of(const Keyframe& keyframe, const CameraIntrinsics& camera);
+
 /// The widest angles that were seen: yaw to both sides, pitch down and up, degrees.
 struct OrientationSpan {
   double least_yaw = 0, largest_yaw = 0, least_pitch = 0, largest_pitch = 0;

@@ -30,40 +30,15 @@ constexpr std::size_t kInFront = 3;
 constexpr int kTimesToFit = 4;
 /// Frames come first: of a processor that they want this thread gets a tenth.
 constexpr int kNice = 10;
-/// Between the keyframes as they are shown to a new tracker: each by itself, none after a loss.
-constexpr std::int64_t kKeyframeStep_ns = 400'000'000;
-
-/// The whole picture of which a keyframe holds the head; black around it.
-Frame picture_of(const person::Keyframe& keyframe, const CameraIntrinsics& camera) {
-  Frame out;
-  out.sequence = keyframe.sequence;
-  out.width_px = camera.width_px;
-  out.height_px = camera.height_px;
-  out.stride_bytes = 4 * static_cast<std::size_t>(camera.width_px);
-  std::shared_ptr<std::uint8_t[]> pixels(
-      new std::uint8_t[out.stride_bytes * static_cast<std::size_t>(camera.height_px)]());
-  const person::HeadPicture& head = keyframe.picture;
-  const std::uint8_t* rgb = head.rgb.data();
-  for (int y = 0; y < head.height_px; ++y) {
-    std::uint8_t* pixel = pixels.get() + static_cast<std::size_t>(head.top_px + y) * out.stride_bytes +
-                          4 * static_cast<std::size_t>(head.left_px);
-    for (int x = 0; x < head.width_px; ++x, pixel += 4, rgb += 3) {
-      std::copy_n(rgb, 3, pixel);
-      pixel[3] = 255;
-    }
-  }
-  out.pixels = std::move(pixels);
-  return out;
-}
 
 }  // namespace
 
 LearnedFace learn_face(const face::FaceModel& model, const person::Observed& observed,
-                       const person::EnrolmentOptions& options, const std::string& from,
+                       const LearnOptions& options, const std::string& from,
                        const std::function<bool()>& go_on) {
   LearnedFace out;
   try {
-    out.shape = person::learn_shape(model, observed, options, [&](int, int) { return go_on(); });
+    out.shape = person::learn_shape(model, observed, options.enrolment, [&](int, int) { return go_on(); });
     const person::LearnedShape& shape = out.shape;
     if (!go_on()) {
       return out;
@@ -73,7 +48,7 @@ LearnedFace learn_face(const face::FaceModel& model, const person::Observed& obs
       return out;
     }
     out.camera = observed.camera;
-    if (!options.focal_is_known) {
+    if (!options.enrolment.focal_is_known) {
       out.camera.fx = out.camera.fy = static_cast<float>(shape.focal_px);
     }
     out.note = fmt::format(
@@ -82,6 +57,13 @@ LearnedFace learn_face(const face::FaceModel& model, const person::Observed& obs
     face::FaceModel own = face::person_model(model, shape.identity, shape.neutral_mm, "learned from " + from);
     if (shape.skin.believed) {
       own.skin = shape.skin.chart;
+      track::TrackerConfig tracker = options.tracker;
+      tracker.intrinsics = out.camera;
+      const std::string missed = refine_relief(own, observed, tracker, options.relief, go_on);
+      if (!missed.empty()) {
+        out.note += "; " + missed;
+      }
+      out.shape.skin.chart = own.skin;
     } else if (!shape.skin_note.empty()) {
       out.note += "; " + shape.skin_note;
     }
@@ -93,9 +75,10 @@ LearnedFace learn_face(const face::FaceModel& model, const person::Observed& obs
 }
 
 LearningTracker::LearningTracker(std::shared_ptr<const face::FaceModel> model,
-                                 const track::TrackerConfig& config)
+                                 const track::TrackerConfig& config, ReliefRefinement relief)
     : generic_model_(std::move(model)),
       config_(config),
+      relief_(std::move(relief)),
       generic_(*generic_model_, config),
       keyframes_(*generic_model_) {
   show(LearningStatus::State::Looking);
@@ -225,8 +208,8 @@ void LearningTracker::solve(const std::function<bool()>& go_on, const person::Ob
   [[maybe_unused]] const int ignored = ::nice(kNice);  // refused, it is as important as the others
   Solved solved;
   try {
-    person::EnrolmentOptions how;
-    how.focal_is_known = config_.intrinsics.has_value();
+    LearnOptions how{{}, config_, relief_};
+    how.enrolment.focal_is_known = config_.intrinsics.has_value();
     solved.face = learn_face(*generic_model_, observed, how, "this session", go_on);
     if (solved.face.model != nullptr) {
       solved.person = std::make_shared<const person::PersonFile>(
@@ -258,7 +241,7 @@ std::unique_ptr<track::Tracker> LearningTracker::follower_of(const LearnedFace& 
   std::int64_t now_ns = 0;
   const auto show_keyframe = [&](const person::Keyframe& keyframe) {
     if (go_on()) {
-      Frame picture = picture_of(keyframe, observed.camera);
+      Frame picture = person::picture_of(keyframe, observed.camera);
       picture.media_time_ns = now_ns += kKeyframeStep_ns;
       acquirer.process(picture);
     }

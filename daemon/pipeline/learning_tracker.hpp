@@ -12,10 +12,18 @@
 #include "facet/mutex.hpp"
 #include "person/enrolment.hpp"
 #include "person/keyframes.hpp"
+#include "pipeline/refined_relief.hpp"
 #include "pipeline/shading_parts.hpp"
 #include "track/tracker.hpp"
 
 namespace facet::pipeline {
+
+/// How a head is learned.
+struct LearnOptions {
+  person::EnrolmentOptions enrolment;
+  track::TrackerConfig tracker;  ///< of the pictures' camera
+  ReliefRefinement relief;
+};
 
 /// A head's own shape as a face model, and its camera.
 struct LearnedFace {
@@ -28,10 +36,10 @@ struct LearnedFace {
 /// Solves for the shape of a head that turned, judges it and makes a face model of it (docs/person.md).
 ///
 /// from    what it was learned from, for people: "this session"
-/// go_on   asked several times a second; false breaks off
-/// Ten seconds and more of one processor. Any thread; throws nothing.
+/// go_on   asked several times a second, while the relief is refined every second or so; false breaks off
+/// Ten seconds and more of one processor, and of the device a second. Any thread; throws nothing.
 LearnedFace learn_face(const face::FaceModel& model, const person::Observed& observed,
-                       const person::EnrolmentOptions& options, const std::string& from,
+                       const LearnOptions& options, const std::string& from,
                        const std::function<bool()>& go_on);
 
 /// The tracker of one live camera, which learns the shape of the head before it beside the frames, on a
@@ -40,8 +48,9 @@ LearnedFace learn_face(const face::FaceModel& model, const person::Observed& obs
 /// followed by the generic model again. One shape is learned of each person. As CoarseStage: one thread.
 class LearningTracker final : public CoarseStage {
  public:
-  /// Throws as track::Tracker.
-  LearningTracker(std::shared_ptr<const face::FaceModel> model, const track::TrackerConfig& config);
+  /// Throws as track::Tracker. relief  on a device of its own
+  LearningTracker(std::shared_ptr<const face::FaceModel> model, const track::TrackerConfig& config,
+                  ReliefRefinement relief = {});
   ~LearningTracker() override;
 
   void prepare(const std::function<bool()>& /*go_on*/) override {}
@@ -73,6 +82,7 @@ class LearningTracker final : public CoarseStage {
 
   std::shared_ptr<const face::FaceModel> generic_model_;
   track::TrackerConfig config_;
+  ReliefRefinement relief_;
   track::Tracker generic_;
   LearnedPerson learned_;
   std::unique_ptr<track::Tracker> own_;  ///< follows learned_.model; null: the generic one follows

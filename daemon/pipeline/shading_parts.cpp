@@ -23,8 +23,13 @@ constexpr std::uint64_t kMostFramesAhead = 3000;
 class TrackerStage final : public CoarseStage {
  public:
   /// open: a recorded source once more, to look ahead; empty for others.
-  TrackerStage(std::shared_ptr<const face::FaceModel> model, const ShadingConfig& config, OpenPictures open)
-      : model_(std::move(model)), config_(config), open_(std::move(open)), tracker_(make_tracker()) {}
+  TrackerStage(std::shared_ptr<const face::FaceModel> model, const ShadingConfig& config, OpenPictures open,
+               ReliefRefinement relief)
+      : model_(std::move(model)),
+        config_(config),
+        open_(std::move(open)),
+        relief_(std::move(relief)),
+        tracker_(make_tracker()) {}
 
   void prepare(const std::function<bool()>& go_on) override {
     if (!open_) {
@@ -121,9 +126,9 @@ class TrackerStage final : public CoarseStage {
 
   /// What can't be learned leaves the guess in its place.
   void learn(const person::Observed& observed, const std::function<bool()>& go_on) {
-    person::EnrolmentOptions how;
-    how.focal_is_known = config_.tracker.intrinsics.has_value();
-    how.uncertainty = false;
+    LearnOptions how{{}, config_.tracker, relief_};
+    how.enrolment.focal_is_known = config_.tracker.intrinsics.has_value();
+    how.enrolment.uncertainty = false;
     LearnedFace face = learn_face(*model_, observed, how, "the recording", go_on);
     learned_.model = std::move(face.model);
     learned_.note = std::move(face.note);
@@ -135,6 +140,7 @@ class TrackerStage final : public CoarseStage {
   std::shared_ptr<const face::FaceModel> model_;
   ShadingConfig config_;
   OpenPictures open_;
+  ReliefRefinement relief_;
   std::optional<track::Person> subject_;  ///< who was adopted, from pictures of this size:
   int width_px_ = 0;
   int height_px_ = 0;
@@ -207,15 +213,20 @@ ShadingParts open_shading(const ShadingConfig& given, OpenPictures open) {
         {cameras[i].info.intrinsics.value(), cameras[i].camera_from_reference.value()});
   }
   load_model(config, stages);
-  const bool recorded = !reference.info.live && !config.source.loop;
-  if (!recorded && config.learn_live && cameras.size() == 1 && stages.model->identity_count() > 0) {
-    stages.coarse = std::make_unique<LearningTracker>(stages.model, config.tracker);
-  } else {
-    stages.coarse =
-        std::make_unique<TrackerStage>(stages.model, config, recorded ? std::move(open) : OpenPictures());
-  }
+  ReliefRefinement relief{config.hierarchy, {}};
   if (config.gpu_device != kNoDevice) {
     stages.open_refiner = refine::refiner_opener({.device = config.gpu_device}, config.refiner);
+    // What a person's relief is does not depend on how it is to be shown.
+    relief.open = refine::refiner_opener({.device = config.gpu_device}, {});
+  }
+  const bool recorded = !reference.info.live && !config.source.loop;
+  if (!recorded && config.learn_live && cameras.size() == 1 && stages.model->identity_count() > 0) {
+    stages.coarse = std::make_unique<LearningTracker>(stages.model, config.tracker, std::move(relief));
+  } else {
+    stages.coarse = std::make_unique<TrackerStage>(
+        stages.model, config, recorded ? std::move(open) : OpenPictures(), std::move(relief));
+  }
+  if (stages.open_refiner) {
     stages.refiner = stages.open_refiner();
   }
   return stages;

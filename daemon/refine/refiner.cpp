@@ -77,8 +77,7 @@ struct SubjectBuffers {
   SubjectBuffers(gpu::Context& context, const RefinerConfig& config, const SubjectSetup& subject);
 
   std::uint32_t control_vertex_count;
-  bool known_shape = false;
-  bool known_skin = false;
+  Weights weights;
   std::vector<std::unique_ptr<Level>> levels;
   mesh::Triangles triangles;  ///< of the coarsest level, in device order
   DeviceArray handed_out_as;  ///< [finest vertex_count] DeviceOrder::host_index
@@ -164,8 +163,7 @@ struct Refiner::Impl {
 SubjectBuffers::SubjectBuffers(gpu::Context& context, const RefinerConfig& config,
                                const SubjectSetup& subject)
     : control_vertex_count(static_cast<std::uint32_t>(subject.hierarchy->control_vertex_count)),
-      known_shape(subject.known_shape),
-      known_skin(subject.skin_albedo.cols() > 0),
+      weights(weights_for(subject, config.weights)),
       levels([&] {
         const auto free = free_vertices(*subject.hierarchy, subject.refinable);
         const auto trust = trust_of_levels(*subject.hierarchy, subject.trust);
@@ -189,7 +187,7 @@ SubjectBuffers::SubjectBuffers(gpu::Context& context, const RefinerConfig& confi
       depth(context, triangles),
       lighting(context),
       albedo(context, (config.fine_albedo ? levels.back() : levels.front())->topology.vertex_count,
-             albedo_options(config, known_skin).pcg_iterations),
+             albedo_options(config, weights).pcg_iterations),
       results(context, sizeof(shaders::vec2) * levels.back()->topology.vertex_count, gpu::Memory::Device,
               "results"),
       results_out(context, sizeof(shaders::vec2) * levels.back()->topology.vertex_count,
@@ -295,7 +293,7 @@ void Kernels::record_albedo(gpu::Batch& batch, const RefinerConfig& config,
                             const SubjectBuffers& subject) const {
   const Level& learned = config.fine_albedo ? *subject.levels.back() : *subject.levels.front();
   albedo.record(batch, learned.topology, learned.state, subject.albedo, subject.frame, subject.lighting.light,
-                albedo_options(config, subject.known_skin));
+                albedo_options(config, subject.weights));
   for (std::size_t l = 1; l < subject.levels.size(); ++l) {
     if (config.fine_albedo) {
       const Level& finer = *subject.levels[subject.levels.size() - l];
@@ -337,7 +335,7 @@ void Kernels::record_displacements(gpu::Batch& batch, const RefinerConfig& confi
     }
     const bool has_prior = prolonged || (l == 0 && config.given_prior);
     const DisplacementOptions options =
-        displacement_options(config, subject.known_shape, has_prior, plan.steps[l], plan.pcg_iterations);
+        displacement_options(config, subject.weights, has_prior, plan.steps[l], plan.pcg_iterations);
     const std::uint32_t slot = first_energy_slot(config, l);
     displacement.record(batch, level.topology, level.state, subject.scratch, subject.lighting.light, options,
                         slot);

@@ -23,20 +23,32 @@ void check(const RefinerConfig& config) {
   }
 }
 
-AlbedoOptions albedo_options(const RefinerConfig& config, bool known_skin) {
+Weights weights_for(const SubjectSetup& subject, Weights weights) {
+  if (subject.skin_albedo.cols() > 0) {
+    weights.albedo_smooth = weights.albedo_smooth_known;
+  }
+  if (!subject.relief_mm.empty()) {
+    weights.displacement_smooth = weights.displacement_smooth_known;
+  }
+  if (subject.known_shape) {
+    weights.displacement_coarse = weights.displacement_coarse_known;
+  }
+  return weights;
+}
+
+AlbedoOptions albedo_options(const RefinerConfig& config, const Weights& weights) {
   AlbedoOptions out;
-  out.smooth_weight = known_skin ? config.weights.albedo_smooth_known : config.weights.albedo_smooth;
+  out.smooth_weight = weights.albedo_smooth;
   out.frame_quota = static_cast<float>(std::max(1, config.albedo_frames));
   return out;
 }
 
-DisplacementOptions displacement_options(const RefinerConfig& config, bool known_shape, bool has_prior,
+DisplacementOptions displacement_options(const RefinerConfig& config, const Weights& weights, bool has_prior,
                                          int steps, int pcg_iterations) {
   DisplacementOptions out;
-  out.smooth_weight = config.weights.displacement_smooth;
-  out.hierarchy_weight = has_prior ? config.weights.displacement_hierarchy : 0;
-  out.coarse_weight =
-      known_shape ? config.weights.displacement_coarse_known : config.weights.displacement_coarse;
+  out.smooth_weight = weights.displacement_smooth;
+  out.hierarchy_weight = has_prior ? weights.displacement_hierarchy : 0;
+  out.coarse_weight = weights.displacement_coarse;
   out.robust_scale = config.robust_scale;
   out.fold_slope = config.fold_slope;
   out.bound_mm = config.displacement_bound_mm;

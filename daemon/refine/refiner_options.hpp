@@ -15,11 +15,15 @@ namespace facet::refine {
 /// Throws Error(Usage) where it makes no step.
 void check(const RefinerConfig& config);
 
-/// Of the level that learns it. known_skin: SubjectSetup::skin_albedo
-AlbedoOptions albedo_options(const RefinerConfig& config, bool known_skin);
+/// The weights for a subject: of what is known of it beforehand those for that.
+Weights weights_for(const SubjectSetup& subject, Weights weights);
 
-/// Of one level's solve. has_prior: there is a coarser level, or displacements were given
-DisplacementOptions displacement_options(const RefinerConfig& config, bool known_shape, bool has_prior,
+/// Of the level that learns it. weights: weights_for the subject
+AlbedoOptions albedo_options(const RefinerConfig& config, const Weights& weights);
+
+/// Of one level's solve. weights: weights_for the subject; has_prior: there is a coarser level, or
+/// displacements were given
+DisplacementOptions displacement_options(const RefinerConfig& config, const Weights& weights, bool has_prior,
                                          int steps, int pcg_iterations);
 
 /// The plan of every frame where the budget is not Budget::Auto.

@@ -158,6 +158,7 @@ inline constexpr Setting<refine::Weights> kWeights[] = {
     {"lighting_temporal", &at<&refine::Weights::lighting_temporal>, 0, 1e9},
     {"albedo_smooth", &at<&refine::Weights::albedo_smooth>, 0, 1e9},
     {"displacement_smooth", &at<&refine::Weights::displacement_smooth>, 0, 1e9},
+    {"displacement_smooth_known", &at<&refine::Weights::displacement_smooth_known>, 0, 1e9},
     {"displacement_hierarchy", &at<&refine::Weights::displacement_hierarchy>, 0, 1e9},
     {"displacement_coarse", &at<&refine::Weights::displacement_coarse>, 0, 1e9},
     {"displacement_coarse_known", &at<&refine::Weights::displacement_coarse_known>, 0, 1e9},

@@ -213,6 +213,30 @@ TEST(SkinChart, IsReadBetweenItsTexels) {
   EXPECT_EQ(relief_mm[4], 0);
 }
 
+TEST(SkinChart, TakesWhatAMeshOnItHasMore) {
+  SkinChart chart;
+  chart.width = chart.height = 11;
+  chart.texels_per_unit = 10;
+  chart.relief_mm.assign(121, 1);
+  mesh::TextureCoordinates at(2, 5);
+  at << 0, 0.8F, 0, 0.8F, 1,  //
+      0, 0, 0.8F, 0.8F, 1;
+  mesh::Triangles triangles(3, 3);
+  triangles << 0, 1, 1,  //
+      1, 3, 3,           //
+      2, 2, 4;
+  add_relief(triangles, at, {0, 0.8F, 0, 0.8F, 2 * kMostReliefMm}, chart);
+  const auto relief_mm = [&](int x, int y) { return chart.relief_mm[static_cast<std::size_t>(11 * y + x)]; };
+  EXPECT_NEAR(relief_mm(0, 0), 1, 1e-5F);
+  EXPECT_NEAR(relief_mm(3, 5), 1.3F, 1e-5F) << "linear";
+  EXPECT_NEAR(relief_mm(8, 4), 1.8F, 1e-5F) << "an edge counts once";
+  EXPECT_EQ(relief_mm(2, 10), 1) << "where no triangle lies";
+  EXPECT_EQ(relief_mm(10, 10), kMostReliefMm);
+  const std::vector<float> before = chart.relief_mm;
+  add_relief(triangles, at, std::vector<float>(5, 0), chart);
+  EXPECT_EQ(chart.relief_mm, before);
+}
+
 /// What the chart does not know is the model's mean in the hue and brightness of what it knows.
 TEST(SkinChart, AlbedoGoesOnInItsOwnHue) {
   mesh::TextureCoordinates at(2, 4);

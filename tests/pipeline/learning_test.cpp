@@ -6,10 +6,15 @@
 #include <chrono>
 #include <memory>
 #include <optional>
+#include <string>
 #include <thread>
 #include <vector>
 
+#include "face/person_model.hpp"
+#include "facet/error.hpp"
 #include "pipeline/learning_tracker.hpp"
+#include "pipeline/observe_head.hpp"
+#include "pipeline/refined_relief.hpp"
 #include "pipeline/shading_parts.hpp"
 #include "simulation/actor_sequence.hpp"
 #include "simulation/video_writer.hpp"
@@ -19,6 +24,8 @@ namespace facet::pipeline {
 namespace {
 
 using namespace std::chrono_literals;
+using ::testing::Each;
+using ::testing::FloatNear;
 using ::testing::HasSubstr;
 
 /// An actor who turns calmly, and another person.
@@ -104,6 +111,87 @@ class ATurningHead : public ::testing::Test {
   static inline float focal_px_ = 0;
   ShadingConfig config_;
 };
+
+/// Stands in for a device: every other picture shows a good deal more of a relief than is known, those
+/// between a little; the first ones fail.
+class MoreRelief final : public refine::RefineStage {
+ public:
+  explicit MoreRelief(int failing, refine::RefineOutcome failure = refine::RefineOutcome::NumericalFailure)
+      : failing_(failing), failure_(failure) {}
+  std::string device() const override { return "scripted"; }
+  void set_subject(const refine::SubjectSetup& subject) override { known_mm_ = subject.relief_mm; }
+  void restart() override {}
+  refine::RefineOutcome refine(const refine::RefineInput& input, refine::RefineOutput& output) override {
+    EXPECT_FALSE(input.image.empty());
+    output.displacements_mm = known_mm_;
+    for (float& mm : output.displacements_mm) {
+      mm += count_ % 2 == 0 ? 0.6F : 0.2F;
+    }
+    const bool fails = count_++ < failing_;
+    output.failure = fails ? "scripted failure" : "";
+    return fails ? failure_ : refine::RefineOutcome::Refined;
+  }
+
+ private:
+  int failing_;
+  refine::RefineOutcome failure_;
+  int count_ = 0;
+  std::vector<float> known_mm_;
+};
+
+TEST_F(ATurningHead, ItsReliefIsTheMeanOfWhatItsPicturesShow) {
+  ShadingParts parts = open_shading(config_);
+  const ObservedHead head = observe_head(parts, config_.frames, [](std::uint64_t) { return true; });
+  const std::optional<person::Observed> observed = head.keyframes.observed(6);
+  ASSERT_TRUE(observed);
+  ASSERT_EQ(observed->keyframes.size(), 6U);
+  const face::FaceModel& model = *parts.model;
+  face::FaceModel own =
+      face::person_model(model, observed->identity,
+                         model.contract_identity(observed->identity).neutral_mm.cast<double>(), "him");
+  own.skin.width = own.skin.height = 300;
+  own.skin.texels_per_unit = 299;
+  own.skin.relief_mm.assign(std::size_t{300} * 300, 1);
+  track::TrackerConfig tracker = config_.tracker;
+  tracker.intrinsics = observed->camera;
+  const auto refined_mm = [&](int failing, std::string& missed, int asked = 1000) {
+    face::FaceModel refined = own;
+    missed = refine_relief(refined, *observed, tracker,
+                           {{.max_levels = 1}, [&] { return std::make_unique<MoreRelief>(failing); }},
+                           [&] { return asked-- > 0; });
+    std::vector<float> relief_mm = face::relief_at(refined.skin, model.control.texture_coordinates);
+    std::vector<float> of_skin;
+    for (std::size_t v = 0; v < relief_mm.size(); ++v) {
+      const auto at = model.control.texture_coordinates.col(static_cast<Eigen::Index>(v)).array();
+      if (model.control.refinable[v] != 0 && at.minCoeff() > 0.01F && at.maxCoeff() < 0.99F) {
+        of_skin.push_back(relief_mm[v]);
+      }
+    }
+    return of_skin;
+  };
+  std::string missed;
+  EXPECT_THAT(refined_mm(0, missed), Each(FloatNear(1.4F, 0.01F)));
+  EXPECT_EQ(missed, "");
+  EXPECT_THAT(refined_mm(1, missed), Each(FloatNear(1.36F, 0.01F))) << "of those that were refined";
+  EXPECT_EQ(missed, "");
+  EXPECT_THAT(refined_mm(4, missed), Each(FloatNear(1, 1e-5F))) << "too few";
+  EXPECT_THAT(missed, HasSubstr("scripted failure"));
+  for (const int asked : {0, 7, 12, 13, 16}) {  // pictures are tracked twice, then refined
+    EXPECT_THAT(refined_mm(0, missed, asked), Each(FloatNear(1, 1e-5F))) << "broken off after " << asked;
+    EXPECT_EQ(missed, "");
+  }
+  missed = refine_relief(
+      own, *observed, tracker,
+      {{.max_levels = 1}, [] { return std::make_unique<MoreRelief>(1, refine::RefineOutcome::DeviceLost); }},
+      [] { return true; });
+  EXPECT_THAT(missed, HasSubstr("scripted failure")) << "a lost device is not asked again";
+  missed = refine_relief(
+      own, *observed, tracker,
+      {{},
+       []() -> std::unique_ptr<refine::RefineStage> { throw Error(ErrorKind::NoDevice, "scripted: none"); }},
+      [] { return true; });
+  EXPECT_THAT(missed, HasSubstr("scripted: none"));
+}
 
 /// From his own recording, unasked: what is followed is nearer to the truth's camera, goes with the meshes,
 /// and a stop does not wait for the solve.

@@ -11,6 +11,7 @@
 #include "facet/error.hpp"
 #include "reference.hpp"
 #include "refine/level_buffers.hpp"
+#include "refine/refiner_options.hpp"
 #include "support/gpu.hpp"
 #include "support/synthetic_face.hpp"
 
@@ -660,6 +661,27 @@ TEST_F(RefinerTest, MisuseIsRefused) {
   subject.refinable = session.cap.control.refinable;
   subject.relief_mm = {0.5F};
   EXPECT_THROW(session.refiner.set_subject(subject), Error);
+}
+
+TEST(WeightsFor, WhatIsKnownBeforehandHasAWeightOfItsOwn) {
+  const Weights usual;
+  const auto differing = [&](const SubjectSetup& subject) {
+    const Weights weights = weights_for(subject, usual);
+    return std::array{weights.albedo_smooth / usual.albedo_smooth,
+                      weights.displacement_smooth / usual.displacement_smooth,
+                      weights.displacement_coarse / usual.displacement_coarse};
+  };
+  const float skin = usual.albedo_smooth_known / usual.albedo_smooth;
+  const float relief = usual.displacement_smooth_known / usual.displacement_smooth;
+  const float shape = usual.displacement_coarse_known / usual.displacement_coarse;
+  EXPECT_EQ(differing(SubjectSetup()), (std::array{1.0F, 1.0F, 1.0F}));
+  SubjectSetup subject;
+  subject.skin_albedo = mesh::Vertices::Zero(3, 2);
+  EXPECT_EQ(differing(subject), (std::array{skin, 1.0F, 1.0F}));
+  subject.relief_mm = {0, 0};
+  EXPECT_EQ(differing(subject), (std::array{skin, relief, 1.0F}));
+  subject.known_shape = true;
+  EXPECT_EQ(differing(subject), (std::array{skin, relief, shape}));
 }
 
 }  // namespace

@@ -19,6 +19,7 @@ TEST(Detail, NamesWeightsAndAnExpertsOwnCountFirst) {
       "[refiner]\ndetail = \"expressive\"\n[expert.refiner.weights]\ndisplacement_hierarchy = 0.7\n");
   EXPECT_LT(expressive.weights.displacement_smooth, defaults.displacement_smooth);
   EXPECT_EQ(expressive.weights.displacement_hierarchy, 0.7F);
+  EXPECT_LT(expressive.weights.displacement_smooth_known, defaults.displacement_smooth_known);
   const refine::RefinerConfig faithful = refiner_of("[refiner]\ndetail = \"faithful\"");
   EXPECT_EQ(faithful.weights.displacement_smooth, defaults.displacement_smooth);
   EXPECT_EQ(faithful.weights.displacement_hierarchy, defaults.displacement_hierarchy);

@@ -6,8 +6,10 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <chrono>
+#include <cstdint>
 #include <cstdio>
 #include <filesystem>
 #include <memory>
@@ -19,6 +21,7 @@
 #include <utility>
 
 #include "daemon_options.hpp"
+#include "face/person_model.hpp"
 #include "facet/error.hpp"
 #include "options.hpp"
 #include "person/enrolment.hpp"
@@ -26,6 +29,7 @@
 #include "person/person_folder.hpp"
 #include "persons.hpp"
 #include "pipeline/observe_head.hpp"
+#include "pipeline/refined_relief.hpp"
 #include "progress.hpp"
 #include "service/config.hpp"
 #include "stop_signals.hpp"
@@ -82,6 +86,38 @@ person::LearnedShape learn(const face::FaceModel& model, const person::Observed&
     signals.die_of(signals.pending());
   }
   return learned;
+}
+
+/// Refines the relief that was found. Returns why it was not, for people.
+std::string refine(const face::FaceModel& model, const person::Observed& observed,
+                   const pipeline::ShadingConfig& shading, const StopSignals& signals,
+                   person::LearnedShape& learned) {
+  if (!learned.accepted || !learned.skin.believed || shading.gpu_device == pipeline::kNoDevice) {
+    return {};
+  }
+  face::FaceModel own = face::person_model(model, learned.identity, learned.neutral_mm, "enrolled");
+  own.skin = learned.skin.chart;
+  track::TrackerConfig tracker = shading.tracker;
+  if (!tracker.intrinsics) {
+    tracker.intrinsics = observed.camera;
+    tracker.intrinsics->fx = tracker.intrinsics->fy = static_cast<float>(learned.focal_px);
+  }
+  constexpr std::uint64_t kTimes = 3;  // a picture is tracked twice and refined once
+  const std::uint64_t total = kTimes * observed.keyframes.size();
+  Progress progress("Refining", total, "steps");
+  std::uint64_t done = 0;
+  std::string missed = pipeline::refine_relief(
+      own, observed, tracker, {shading.hierarchy, refine::refiner_opener({.device = shading.gpu_device}, {})},
+      [&] {
+        progress.set(std::min(done++, total));
+        return signals.pending() == 0;
+      });
+  progress.finish();
+  if (signals.pending() != 0) {
+    signals.die_of(signals.pending());
+  }
+  learned.skin.chart = std::move(own.skin);
+  return missed;
 }
 
 /// Where the person goes, what for a name, and who it is.
@@ -206,14 +242,15 @@ void run(const Options& options) {
   shading.source = {};
   shading.source.path = options.video;
   shading.person.clear();  // whoever the configuration says stands there is not who is learned now
-  shading.gpu_device = pipeline::kNoDevice;
   shading.learn_live = false;
   if (!options.frames.empty()) {
     shading.frames = pipeline::parse_frame_range(options.frames);
   }
   const Place place = place_of(options);
   const StopSignals signals;
-  pipeline::ShadingParts parts = pipeline::open_shading(shading);
+  pipeline::ShadingConfig coarse = shading;
+  coarse.gpu_device = pipeline::kNoDevice;
+  pipeline::ShadingParts parts = pipeline::open_shading(coarse);
   if (place.before) {
     person::check_model(*place.before, *parts.model, options.improve);
   }
@@ -231,7 +268,8 @@ void run(const Options& options) {
             "'{}' is too short: {} frames of one face that is known are needed, it has {} with a mesh",
             options.video, how.keyframes, head.mesh_frames));
   }
-  const person::LearnedShape learned = learn(*parts.model, *observed, how, signals);
+  person::LearnedShape learned = learn(*parts.model, *observed, how, signals);
+  const std::string not_refined = refine(*parts.model, *observed, shading, signals, learned);
   const person::OrientationSpan& span = observed->span;
   tell(
       "seen from {:.0f} degrees at its right to {:.0f} at its left, {:.0f} below to {:.0f} above; {} "
@@ -249,6 +287,9 @@ void run(const Options& options) {
         "light and "
         "colour leave {:.1f} % of the brightness\n",
         learned.skin.agreement, 100 * learned.skin.residual);
+    if (!not_refined.empty()) {
+      tell("{}\n", not_refined);
+    }
   }
   if (!learned.accepted) {
     throw Error(ErrorKind::NoFace,
@@ -348,9 +389,11 @@ void add_enrol_command(Command program) {
                  "A person who is known already, by name or file: the mean of both shapes, each weighted by "
                  "how certain it is, goes in the place of the first one (with -o into that file). Refused "
                  "where it is another head");
-  command.option("--config", options->config,
-                 "Configuration file; of [source], only frames and intrinsics count. Its [persons] folder is "
-                 "where the person goes, without it that of the installed configuration");
+  command.option(
+      "--config", options->config,
+      "Configuration file; of [source], only frames and intrinsics count; the skin's relief is refined on "
+      "the device of [gpu]. Its [persons] folder is where the person goes, without it that of the "
+      "installed configuration");
   command.option("--frames", options->frames, kFramesHelp);
   command.option("--socket", options->socket,
                  "With --live: the daemon's control socket; default: that of its configuration");
