@@ -94,6 +94,11 @@ void take_over(const PersonFile& second, PersonFile& person) {
   person.gates = second.gates;
 }
 
+bool same_grid(const face::SkinChart& a, const face::SkinChart& b) {
+  return !a.empty() && a.width == b.width && a.height == b.height && a.least == b.least &&
+         a.texels_per_unit == b.texels_per_unit;
+}
+
 }  // namespace
 
 ImprovedPerson improved(const face::FaceModel& model, const PersonFile& before, const PersonFile& second) {
@@ -126,7 +131,6 @@ ImprovedPerson improved(const face::FaceModel& model, const PersonFile& before, 
     const float information = share[i] * information_second[i] + (1 - share[i]) * information_before[i];
     out.person.sigma_mm[i] = information > 0 ? 1 / std::sqrt(information) : kUnknown;
   }
-  // A mean of two reliefs would blur what lies a little apart: the surer one's.
   double second_counts = 0;
   for (const std::int32_t v : skin) {
     second_counts +=
@@ -135,6 +139,13 @@ ImprovedPerson improved(const face::FaceModel& model, const PersonFile& before, 
   const bool more = before.skin.albedo.empty() && !second.skin.albedo.empty();
   if (before.skin.empty() || more || (second_counts > 0.5 && !second.skin.empty())) {
     out.person.skin = second.skin;
+  }
+  if (same_grid(before.skin, second.skin)) {
+    // Each errs as its light led it.
+    const auto counts = static_cast<float>(second_counts);
+    std::transform(before.skin.relief_mm.begin(), before.skin.relief_mm.end(), second.skin.relief_mm.begin(),
+                   out.person.skin.relief_mm.begin(),
+                   [&](float first, float other) { return first + counts * (other - first); });
   }
   face::bring_loose_pieces(model, before.neutral_mm.cast<double>(), neutral_mm);
   out.person.neutral_mm = neutral_mm.cast<float>();

@@ -19,9 +19,10 @@ inline constexpr double kSameHead = 0.75;
 
 /// Every vertex' mean of two enrolments of one head, each weighted by 1 / sigma^2, the second brought to the
 /// size and place of the first; beside the skin weights go on as at its edge. sigma is no smaller than the
-/// better one's, for both may err alike. Name, model and the expressions' origin are those of the first;
-/// camera, gates and date those of the second. Allocates; any thread.
-/// Throws Error(Usage) naming both models where one of them was found with another one.
+/// better one's, for both may err alike. Reliefs on one chart are weighted by what the shapes count as on the
+/// whole; the albedo, and reliefs on two, are the surer one's. Name, model and the expressions' origin are
+/// those of the first; camera, gates and date those of the second. Allocates; any thread. Throws Error(Usage)
+/// naming both models where one of them was found with another one.
 ImprovedPerson improved(const face::FaceModel& model, const PersonFile& before, const PersonFile& second);
 
 }  // namespace facet::person

@@ -88,13 +88,16 @@ face::SkinChart relief_of(float mm) {
   return out;
 }
 
-TEST_F(ImprovedPersonTest, TheSurerOnesReliefIsKept) {
+TEST_F(ImprovedPersonTest, ReliefsCountAsTheirShapesDo) {
   PersonFile first = enrolled(1, 0.4F);
-  PersonFile second = enrolled(2, 0.3F);
+  PersonFile second = enrolled(2, 0.2F);
   first.skin = relief_of(1);
   second.skin = relief_of(2);
-  EXPECT_EQ(improved(model_, first, second).person.skin.relief_mm.front(), 2);
-  EXPECT_EQ(improved(model_, second, first).person.skin.relief_mm.front(), 2);
+  EXPECT_NEAR(improved(model_, first, second).person.skin.relief_mm.front(), 1.8F, 0.02F);
+  EXPECT_NEAR(improved(model_, second, first).person.skin.relief_mm.front(), 1.8F, 0.02F);
+  second.skin.texels_per_unit = 2;
+  EXPECT_EQ(improved(model_, first, second).person.skin.relief_mm.front(), 2)
+      << "another chart: the surer one's";
   second.skin = {};
   EXPECT_EQ(improved(model_, first, second).person.skin.relief_mm.front(), 1) << "the only one";
   EXPECT_EQ(improved(model_, second, first).person.skin.relief_mm.front(), 1);
