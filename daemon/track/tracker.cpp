@@ -25,12 +25,19 @@ ExpressionPriorStrength prior_strength(const TrackerConfig& config) {
   return strength;
 }
 
+/// Good frames over which the focal length, and how its landmarks lie, are estimated of a live head whose
+/// shape is known.
+constexpr int kKnownFrames = 3;
+
 SubjectTrackerConfig subject_config(const TrackerConfig& config, const face::FaceModel& model) {
   SubjectTrackerConfig result;
-  result.acquisition_frames = config.acquisition_frames;
+  // Whose shape is known needs to be found, not to be guessed.
+  const bool at_once = config.live && model.identity_count() == 0;
+  result.acquisition_frames =
+      at_once ? std::min(config.acquisition_frames, kKnownFrames) : config.acquisition_frames;
   result.intrinsics = config.intrinsics;
   result.further_views = config.further_views;
-  result.shading_model = config.identity_shading ? &model : nullptr;
+  result.shading_model = config.identity_shading && !at_once ? &model : nullptr;
   result.temporal.strength *= static_cast<double>(config.temporal_prior);
   return result;
 }
