@@ -23,7 +23,7 @@ struct Weights {
   float albedo_smooth = 600.0F;     ///< w2 [MD19 eq. 4], against a vertex of mean brightness
   float albedo_smooth_known = 3000.0F;      ///< w2 where SubjectSetup::skin_albedo
   float displacement_smooth = 10.0F;        ///< w3 [MD19 eq. 6], of the squared slope (L d) / spacing
-  float displacement_smooth_known = 30.0F;  ///< w3 where SubjectSetup::relief_mm
+  float displacement_smooth_known = 20.0F;  ///< w3 where SubjectSetup::relief_mm
   float displacement_hierarchy = 1.0F;      ///< w4 [MD19 eq. 6], of the squared slope (pd - d) / spacing
   float displacement_coarse = 0.004F;       ///< w5 [MD19 eq. 6], of d^2 in mm^2
   float displacement_coarse_known = 0.03F;  ///< w5 where SubjectSetup::known_shape

@@ -3,10 +3,12 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <optional>
 #include <vector>
 
 #include "allocation_counter.hpp"
 #include "camera/factory.hpp"
+#include "face/person_model.hpp"
 #include "facet/error.hpp"
 #include "support/frames.hpp"
 #include "support/paths.hpp"
@@ -98,6 +100,37 @@ TEST_F(TrackerTest, FollowsARealFaceCloselyFromTheFirstFrameOnOnceAdopted) {
     back = second.process(frame).state;
   }
   EXPECT_EQ(back, TrackingState::Tracking);
+}
+
+TEST_F(TrackerTest, ALiveHeadOfAKnownShapeIsFoundAndNotGuessedAnew) {
+  const auto clip = test::assets() / "video" / "cap13_edit2.mp4";
+  if (!std::filesystem::exists(clip)) {
+    GTEST_SKIP() << clip << " is missing: run packaging/fetch-assets";
+  }
+  auto camera = camera::open_camera({.kind = "file", .path = clip});
+  camera->start();
+  std::vector<Frame> frames(60);
+  for (Frame& frame : frames) {
+    ASSERT_EQ(camera->next(frame, std::chrono::seconds(10)), CaptureOutcome::Delivered);
+    tracker->process(frame);
+  }
+  ASSERT_TRUE(tracker->settle_subject());
+  const std::optional<Person> guess = tracker->person();
+  ASSERT_TRUE(guess);
+  const std::vector<float> identity(guess->shape.identity.begin(), guess->shape.identity.end());
+  const face::FaceModel his = face::person_model(
+      *model, identity, model->contract_identity(identity).neutral_mm.cast<double>(), "him");
+  const auto first_tracked = [&](const face::FaceModel& whose, bool live) {
+    Tracker fresh(whose, {.landmark_nets = test::landmark_nets(), .intrinsics = {}, .live = live});
+    const auto found = std::find_if(frames.begin(), frames.end(), [&](const Frame& frame) {
+      return fresh.process(frame).state == TrackingState::Tracking;
+    });
+    return found - frames.begin();
+  };
+  const auto known = first_tracked(his, true);
+  EXPECT_LE(known, 20);
+  EXPECT_GT(first_tracked(his, false), 2 * known) << "a recording has the time to look longer";
+  EXPECT_GT(first_tracked(*model, true), 2 * known) << "so has a guess";
 }
 
 TEST_F(TrackerTest, AFollowedFaceCostsNoAllocation) {
