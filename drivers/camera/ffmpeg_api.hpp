@@ -11,6 +11,7 @@ extern "C" {
 #include <libavcodec/avcodec.h>
 #include <libavformat/avformat.h>
 #include <libavutil/display.h>
+#include <libavutil/parseutils.h>
 #include <libavutil/pixdesc.h>
 #include <libswscale/swscale.h>
 }
@@ -42,10 +43,12 @@ namespace facet::camera {
   X(av_packet_unref)
 
 #define FACET_AVUTIL_FUNCTIONS(X) \
+  X(av_dict_get)                  \
   X(av_display_rotation_get)      \
   X(av_frame_alloc)               \
   X(av_frame_free)                \
   X(av_log_set_level)             \
+  X(av_parse_time)                \
   X(av_pix_fmt_desc_get)          \
   X(av_rescale)                   \
   X(av_rescale_q)                 \

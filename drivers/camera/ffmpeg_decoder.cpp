@@ -83,6 +83,7 @@ class FfmpegDecoder final : public VideoDecoder {
   const AVStream& open_stream(const std::string& path);
   void set_sizes(const std::string& path, const AVStream& stream);
   void set_times(const AVStream& stream);
+  std::int64_t duration_ns(const AVStream& stream) const;
   bool convert(std::uint8_t* rgba, int stride);
   void turn(std::uint8_t* rgba, int stride) const;
   void describe_trouble(const char* what, int av_error);
@@ -180,17 +181,29 @@ void FfmpegDecoder::set_sizes(const std::string& path, const AVStream& stream) {
 void FfmpegDecoder::set_times(const AVStream& stream) {
   const AVRational rate = api_.av_guess_frame_rate(format_.get(), format_->streams[stream_index_], nullptr);
   facts_.rate_hz = rate.num > 0 && rate.den > 0 ? av_q2d(rate) : 0;
+  facts_.duration_ns = duration_ns(stream);
   if (stream.nb_frames > 0) {
     facts_.frame_count = static_cast<std::uint64_t>(stream.nb_frames);
-  } else if (format_->duration > 0 && facts_.rate_hz > 0) {
-    const double seconds = static_cast<double>(format_->duration) / AV_TIME_BASE;
+  } else if (facts_.duration_ns > 0 && facts_.rate_hz > 0) {
+    const double seconds = static_cast<double>(facts_.duration_ns) / kNanosecond.den;
     facts_.frame_count = static_cast<std::uint64_t>(std::lround(seconds * facts_.rate_hz));
   }
+}
+
+/// The stream's own; of a Matroska file, which has it as a tag alone, that. Only where nobody says it the
+/// file's, which is its longest stream's: sound may outlast the picture.
+std::int64_t FfmpegDecoder::duration_ns(const AVStream& stream) const {
   if (stream.duration > 0) {
-    facts_.duration_ns = api_.av_rescale_q(stream.duration, stream.time_base, kNanosecond);
-  } else if (format_->duration > 0) {
-    facts_.duration_ns = api_.av_rescale(format_->duration, kNanosecond.den, AV_TIME_BASE);
+    return api_.av_rescale_q(stream.duration, stream.time_base, kNanosecond);
   }
+  std::int64_t duration_us = format_->duration;
+  const AVDictionaryEntry* tag =
+      api_.av_dict_get(stream.metadata, "DURATION", nullptr, AV_DICT_IGNORE_SUFFIX);
+  if (std::int64_t told_us = 0;
+      tag != nullptr && api_.av_parse_time(&told_us, tag->value, 1) == 0 && told_us > 0) {
+    duration_us = told_us;
+  }
+  return duration_us > 0 ? api_.av_rescale(duration_us, kNanosecond.den, AV_TIME_BASE) : 0;
 }
 
 /// what   with {} for the frame and for the reason

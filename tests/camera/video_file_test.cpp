@@ -247,6 +247,22 @@ TEST_F(VideoFileTest, FewerFramesThanTheContainerCountsAreNoTruncation) {
   }
 }
 
+TEST_F(VideoFileTest, SoundThatOutlastsThePictureIsNoTruncation) {
+  const std::string sound = "-f lavfi -i sine=d=3 -c:a flac ";
+  const auto whole = make("sound.mkv", "-f lavfi -i testsrc=s=320x240:r=25:d=2 " + sound + "-c:v mpeg4");
+  auto camera = started(whole);
+  EXPECT_EQ(camera->info().frame_count, 50U);
+  EXPECT_EQ(all_frames(*camera).size(), 50U);
+  EXPECT_EQ(camera->last_error(), "");
+  // Cut short it still is one.
+  const auto cut = folder_.path() / "cut-sound.mkv";
+  std::filesystem::copy_file(whole, cut);
+  std::filesystem::resize_file(cut, std::filesystem::file_size(whole) / 2);
+  camera = started(cut);
+  EXPECT_LT(all_frames(*camera).size(), 49U);
+  EXPECT_THAT(camera->last_error(), HasSubstr("cut-sound.mkv"));
+}
+
 TEST_F(VideoFileTest, DamagedPacketsCostTheirFramesOnly) {
   const auto file = make("damaged.mkv", "-f lavfi -i testsrc=s=320x240:r=25:d=4 -c:v mpeg4");
   {
