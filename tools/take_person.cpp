@@ -35,7 +35,7 @@ face::ExpressionBasis person_shapes(const mesh::MeshFrame& frame, const std::str
     throw mismatch("it has another number of identities");
   }
   mesh::Vertices rebuilt_mm;
-  basis.evaluate(frame.expression, rebuilt_mm);
+  basis.evaluate(mesh::shape_weights(frame), rebuilt_mm);
   const float difference_mm = (rebuilt_mm - frame.control_vertices_mm).colwise().norm().maxCoeff();
   // The take's vertices are rounded to a hundredth of a millimetre.
   constexpr float kMostDifference_mm = 0.1F;

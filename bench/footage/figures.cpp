@@ -78,7 +78,7 @@ mesh::Vertices neutral_of(const face::FaceModel& model, const mesh::MeshFrame& f
   }
   const face::ExpressionBasis basis = face::expressions_of(model, *frame.subject);
   mesh::Vertices posed;
-  basis.evaluate(frame.expression, posed);
+  basis.evaluate(mesh::shape_weights(frame), posed);
   return frame.control_vertices_mm - (posed - basis.neutral_mm);
 }
 

@@ -23,10 +23,10 @@ Json pose_json(const Eigen::Isometry3f& pose) {
   return rows;
 }
 
-Json expression_json(const mesh::MeshFrame& frame) {
+Json weights_json(const mesh::MeshFrame& frame, const std::vector<float>& weights) {
   Json out = Json::object();
-  for (std::size_t i = 0; i < frame.expression.size(); ++i) {
-    out[frame.subject->expression_names.at(i)] = frame.expression[i];
+  for (std::size_t i = 0; i < weights.size(); ++i) {
+    out[frame.subject->expression_names.at(i)] = weights[i];
   }
   return out;
 }
@@ -78,7 +78,8 @@ std::string frame_json(const mesh::MeshFrame& frame, std::int64_t index) {
   out["degraded_reason"] = frame.degraded_reason;
   out["camera"] = camera_json(frame.camera);
   out["camera_from_head"] = meshed ? pose_json(frame.camera_from_head) : Json(nullptr);
-  out["expression"] = meshed ? expression_json(frame) : Json::object();
+  out["expression"] = meshed ? weights_json(frame, frame.expression) : Json::object();
+  out["model_weights"] = meshed ? weights_json(frame, frame.model_weights) : Json::object();
   out["identity"] = meshed ? Json(frame.subject->identity) : Json::array();
   out["person"] = meshed && !frame.subject->person.empty() ? Json(frame.subject->person) : Json(nullptr);
   out["lighting"] = meshed ? Json(frame.lighting) : Json::array();

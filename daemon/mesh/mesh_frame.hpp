@@ -83,6 +83,10 @@ struct MeshFrame {
   std::shared_ptr<const Subject> subject;
   Eigen::Isometry3f camera_from_head = Eigen::Isometry3f::Identity();
   std::vector<float> expression;  ///< [expression_count] 0 to 1, order of Subject::expression_names
+  /// [expression_count] weights of the face model's shapes that make the control vertices, where those are
+  /// not `expression`, which was read off the landmarks (track::ExpressionReader). Empty: they are. See
+  /// shape_weights().
+  std::vector<float> model_weights;
   std::vector<Eigen::Vector2f>
       landmarks_px;              ///< [landmark_count] as measured in the image; may be there while Acquiring
   float reprojection_px = 0;     ///< median distance of the tracked model's landmarks to the measured
@@ -99,5 +103,10 @@ struct MeshFrame {
 
 /// True where the frame has a mesh: a subject with levels, and a vertex for each of its control vertices.
 bool has_mesh(const MeshFrame& frame);
+
+/// What the face model makes the frame's control vertices of: MeshFrame::model_weights, or `expression`.
+inline const std::vector<float>& shape_weights(const MeshFrame& frame) {
+  return frame.model_weights.empty() ? frame.expression : frame.model_weights;
+}
 
 }  // namespace facet::mesh

@@ -324,7 +324,13 @@ void ShadingPipeline::Impl::fill(mesh::MeshFrame& mesh, const Captured& item,
     return;
   }
   mesh.camera_from_head = result.camera_from_head;
-  mesh.expression.assign(result.expression.begin(), result.expression.end());
+  const bool read = !result.values.empty() && result.values != result.expression;
+  const std::vector<float>& values = read ? result.values : result.expression;
+  mesh.expression.assign(values.begin(), values.end());
+  mesh.model_weights.clear();
+  if (read) {
+    mesh.model_weights.assign(result.expression.begin(), result.expression.end());
+  }
   mesh.reprojection_px = result.reprojection_px;
   mesh.control_vertices_mm = result.vertices_mm;
 }

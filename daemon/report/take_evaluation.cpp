@@ -262,7 +262,7 @@ class TakesModel {
     }
     mesh::Vertices rebuilt_mm;
     const face::ExpressionBasis basis = face::expressions_of(*model_, subject);
-    basis.evaluate(frame.expression, rebuilt_mm);
+    basis.evaluate(mesh::shape_weights(frame), rebuilt_mm);
     // The take's vertices are rounded to a hundredth of a millimetre. Where the shape is the person's own its
     // skin may have been followed (docs/person.md): what lies on the face has slid by some millimetres then;
     // eyes, inner mouth and scalp are where the model has them.

@@ -298,6 +298,11 @@ void decode_mesh_part(const wire::Frame& in, const Arrays& arrays, DecodedFrame&
   require(size_of(in.expression()) == frame.subject->expression_names.size() && all_finite(in.expression()),
           "frame: expression");
   frame.expression = floats(in.expression());
+  if (in.model_weights() != nullptr) {
+    require(size_of(in.model_weights()) == frame.expression.size() && all_finite(in.model_weights()),
+            "frame: weights of the model");
+    frame.model_weights = floats(in.model_weights());
+  }
   require(in.lighting() != nullptr, "frame: mesh without lighting");
   for (std::uint16_t i = 0; i < 9; ++i) {
     frame.lighting[i] = in.lighting()->sh()->Get(i);

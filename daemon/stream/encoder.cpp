@@ -143,6 +143,9 @@ std::string_view mesh_fault(const mesh::MeshFrame& frame) {
   if (frame.expression.size() != subject.expression_names.size()) {
     return "mesh left out: number of expression weights differs from the subject's";
   }
+  if (!frame.model_weights.empty() && frame.model_weights.size() != frame.expression.size()) {
+    return "mesh left out: number of the model's weights differs from the subject's";
+  }
   if (!frame.displacements_mm.empty() && frame.displacements_mm.size() != finest) {
     return "mesh left out: number of displacements differs from the finest level's vertices";
   }
@@ -150,7 +153,7 @@ std::string_view mesh_fault(const mesh::MeshFrame& frame) {
     return "mesh left out: number of confidences differs from the finest level's vertices";
   }
   if (!frame.camera_from_head.matrix().allFinite() || !all_finite(frame.expression) ||
-      !all_finite(frame.lighting)) {
+      !all_finite(frame.model_weights) || !all_finite(frame.lighting)) {
     return "mesh left out: pose, expression or lighting is not finite";
   }
   return "";
@@ -211,6 +214,7 @@ struct Encoder::Impl {
     Offset<wire::StageTimes> stage_ms;
     Offset<flatbuffers::Vector<const wire::Point*>> landmarks_px;
     Offset<flatbuffers::Vector<float>> expression;
+    Offset<flatbuffers::Vector<float>> model_weights;
     Offset<wire::FixedPoint> control_vertices;
     Offset<wire::FixedPoint> displacements;
     Offset<wire::FixedPoint> vertices;
@@ -385,6 +389,9 @@ Offset<wire::FixedPoint> Encoder::Impl::fixed_point(std::size_t which, std::span
 
 void Encoder::Impl::geometry_parts(const mesh::MeshFrame& frame, Profile profile, Parts& parts) {
   parts.expression = builder.CreateVector(frame.expression);
+  if (profile == Profile::Displacements && !frame.model_weights.empty()) {
+    parts.model_weights = builder.CreateVector(frame.model_weights);
+  }
   if (profile == Profile::Signals) {
     return;
   }
@@ -488,6 +495,7 @@ std::span<const std::uint8_t> Encoder::Impl::frame_message(const mesh::MeshFrame
     table.add_subject_id(wire_id(*frame.subject));
     table.add_camera_from_head(&pose);
     table.add_expression(parts.expression);
+    table.add_model_weights(parts.model_weights);
     table.add_photometric_rms(finite_or_zero(frame.photometric_rms));
     table.add_lighting(&lighting);
     table.add_albedo_version(frame.albedo != nullptr ? frame.albedo->version : 0);

@@ -108,6 +108,10 @@ class SubjectTracker {
 
   CameraIntrinsics camera() const;
 
+  /// Landmarks of the shape in use, with its bias.
+  const LandmarkBasis& basis() const { return basis_; }
+  const FitCamera& camera_of(std::size_t view) const { return views_[view].camera; }
+
  private:
   /// One camera and what it shows in this frame.
   struct ViewState {

@@ -9,6 +9,7 @@
 #include "landmark/landmarker.hpp"
 #include "track/depth_filter.hpp"
 #include "track/expression_prior.hpp"
+#include "track/expression_reader.hpp"
 #include "track/landmark_model.hpp"
 #include "track/subject_tracker.hpp"
 
@@ -81,9 +82,11 @@ struct Tracker::Impl {
         landmark_model(face_model),
         prior(face_model.expression_names, face_model.expression_sigma, prior_strength(config),
               landmark_model.sees_gaze()),
-        subject_tracker(landmark_model, prior, subject_config(config, face_model)) {
+        subject_tracker(landmark_model, prior, subject_config(config, face_model)),
+        reader(landmark_model, face_model.expression_names, learned_reading()) {
     result.identity.resize(static_cast<std::size_t>(face_model.identity_count()));
     result.expression.resize(static_cast<std::size_t>(face_model.expression_count()));
+    result.values.resize(result.expression.size());
     result.vertices_mm.setZero(3, face_model.vertex_count());
     result.landmarks_px.reserve(landmark::landmark_count);
     for (std::size_t v = 0; v < lenses.size(); ++v) {
@@ -122,10 +125,25 @@ struct Tracker::Impl {
     }
     std::copy(subject.face.expression.begin(), subject.face.expression.end(), result.expression.begin());
     basis.evaluate(result.expression, result.vertices_mm);
+    read_values(subject);
     result.camera_from_head.linear() = subject.face.pose.rotation.cast<float>();
     result.camera_from_head.translation() = calmed(subject.face.pose.translation_mm, time_ns).cast<float>();
     result.reprojection_px = static_cast<float>(subject.reprojection_px);
     result.fit_ms += ms_since(start);
+  }
+
+  /// From the reference camera, or where that one shows no face the first one that does.
+  void read_values(const SubjectFrame& subject) {
+    std::copy(result.expression.begin(), result.expression.end(), result.values.begin());
+    const auto used = std::find(subject.view_used.begin(), subject.view_used.end(), 1);
+    if (used == subject.view_used.end()) {
+      return;
+    }
+    const auto view = static_cast<std::size_t>(used - subject.view_used.begin());
+    landmark_movements(landmark_model, subject_tracker.basis(), *view_landmarks[view].face,
+                       subject_tracker.camera_of(view), subject_tracker.shape().focal_px, subject.face,
+                       result.movements_mm);
+    reader.read(result.movements_mm, result.values);
   }
 
   /// The head's place with its distance filtered, along the ray on which it is seen.
@@ -153,6 +171,7 @@ struct Tracker::Impl {
   LandmarkModel landmark_model;
   ExpressionPrior prior;
   SubjectTracker subject_tracker;
+  ExpressionReader reader;
 };
 
 Tracker::Tracker(const face::FaceModel& model, const TrackerConfig& config)

@@ -40,7 +40,11 @@ struct TrackResult {
   CameraIntrinsics camera;
   Eigen::Isometry3f camera_from_head = Eigen::Isometry3f::Identity();
   std::vector<float> identity;    ///< [identity_count]
-  std::vector<float> expression;  ///< [expression_count]
+  std::vector<float> expression;  ///< [expression_count] of the model's shapes, as fitted
+  /// [expression_count] 0 to 1: what the face does by ARKit's names, as read off the landmarks; the fitted
+  /// ones where nothing is read (another model's names).
+  std::vector<float> values;
+  Eigen::Matrix2Xf movements_mm;  ///< what they are read off (landmark_movements); valid where has_mesh
   /// [3][vertex_count] head frame; valid where has_mesh.
   mesh::Vertices vertices_mm;
   std::vector<Eigen::Vector2f> landmarks_px;  ///< [468] measured; empty where no face was found

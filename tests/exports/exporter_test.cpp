@@ -279,6 +279,7 @@ TEST_F(Exporter, JsonHasEveryPromisedField) {
   EXPECT_FLOAT_EQ(json["camera_from_head"][2][3], 600.0F);
   EXPECT_EQ(json["camera_from_head"][3], nlohmann::json({0, 0, 0, 1}));
   EXPECT_FLOAT_EQ(json["expression"]["jawOpen"], frame.expression[0]);
+  EXPECT_TRUE(json["model_weights"].empty()) << "the expression is them";
   EXPECT_EQ(json["identity"].size(), 4U);
   EXPECT_TRUE(json["person"].is_null());
   auto known = std::make_shared<mesh::Subject>(*frame.subject);

@@ -76,6 +76,7 @@ TEST_F(Shading, ARecordingLosesNoFrame) {
   for (std::size_t i = 0; i < frames.size(); ++i) {
     const mesh::MeshFrame& frame = *frames[i];
     EXPECT_EQ(frame.sequence, i);
+    EXPECT_TRUE(frame.model_weights.empty()) << "nothing was read";
     EXPECT_EQ(frame.timestamp_ns, static_cast<std::int64_t>(i) * 33'000'000);
     EXPECT_EQ(frame.control_vertices_mm.cols(), script_.model->vertex_count());
     EXPECT_EQ(frame.subject, frames[0]->subject);
@@ -207,6 +208,16 @@ TEST_F(Shading, AFaceThatIsNotKnownYetHasAProvisionalMesh) {
     EXPECT_FALSE(frames[f]->degraded);
   }
   EXPECT_EQ(frames[7]->subject, frames[3]->subject);
+}
+
+TEST_F(Shading, WhatIsReadOffAFaceGoesOutWithTheWeightsThatMakeItsMesh) {
+  script_.read_values.assign(static_cast<std::size_t>(script_.model->expression_count()), 0.75F);
+  run();
+  ASSERT_FALSE(sink_.frames().empty());
+  for (const auto& frame : sink_.frames()) {
+    EXPECT_EQ(frame->expression, script_.read_values);
+    EXPECT_EQ(mesh::shape_weights(*frame), std::vector<float>(script_.read_values.size(), 0.25F));
+  }
 }
 
 TEST_F(Shading, WhatWasLearnedAheadIsFollowedAndGoesWithTheMeshes) {

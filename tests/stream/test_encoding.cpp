@@ -68,6 +68,7 @@ void expect_same_signals(const mesh::MeshFrame& got, const mesh::MeshFrame& sent
   EXPECT_EQ(got.stage_ms.depth_ms, sent.stage_ms.depth_ms);
   EXPECT_EQ(got.camera_from_head.matrix(), sent.camera_from_head.matrix());
   EXPECT_EQ(got.expression, sent.expression);
+  EXPECT_EQ(got.model_weights, sent.model_weights);
   EXPECT_EQ(got.lighting, sent.lighting);
   EXPECT_EQ(got.photometric_rms, sent.photometric_rms);
 }
@@ -83,6 +84,8 @@ float largest_difference(const std::vector<float>& a, const std::vector<float>& 
 TEST_F(Encoding, DisplacementsKeepEverythingWithinAHundredthOfAMillimetre) {
   mesh::MeshFrame sent = test::patch_frame(7, subject, albedo);
   sent.stage_ms.depth_ms = 7.25F;
+  sent.model_weights = sent.expression;
+  sent.model_weights.front() += 0.125F;
   const mesh::MeshFrame got = round_trip(sent, Profile::Displacements).frame;
   expect_same_signals(got, sent);
   ASSERT_EQ(got.control_vertices_mm.cols(), sent.control_vertices_mm.cols());
@@ -221,6 +224,13 @@ TEST_F(Encoding, UnsoundMeshIsLeftOutWithAReason) {
   };
   constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
   EXPECT_THAT(reason_for([](mesh::MeshFrame& f) { f.expression.pop_back(); }), HasSubstr("expression"));
+  EXPECT_THAT(reason_for([](mesh::MeshFrame& f) { f.model_weights.assign(f.expression.size() + 1, 0); }),
+              HasSubstr("model's weights"));
+  EXPECT_THAT(reason_for([](mesh::MeshFrame& f) {
+                f.model_weights.assign(f.expression.size(), 1);
+                f.model_weights.front() = kNaN;
+              }),
+              HasSubstr("finite"));
   EXPECT_THAT(reason_for([](mesh::MeshFrame& f) { f.displacements_mm.pop_back(); }),
               HasSubstr("displacements"));
   EXPECT_THAT(reason_for([](mesh::MeshFrame& f) { f.confidence.pop_back(); }), HasSubstr("confidences"));

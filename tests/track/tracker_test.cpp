@@ -83,6 +83,9 @@ TEST_F(TrackerTest, FollowsARealFaceCloselyFromTheFirstFrameOnOnceAdopted) {
     EXPECT_EQ(result.subject, 1U);
     EXPECT_GE(*std::min_element(result.expression.begin(), result.expression.end()), 0.0F);
     EXPECT_LE(*std::max_element(result.expression.begin(), result.expression.end()), 1.0F);
+    EXPECT_GE(*std::min_element(result.values.begin(), result.values.end()), 0.0F);
+    EXPECT_LE(*std::max_element(result.values.begin(), result.values.end()), 1.0F);
+    EXPECT_NE(result.values, result.expression) << "they are read";
     // A source that is worked off slowly gives the same result: only its own clock counts.
     Frame late = frame;
     late.timestamp_ns = static_cast<std::int64_t>(f) * 2'000'000'000;

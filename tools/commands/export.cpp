@@ -238,7 +238,7 @@ int export_sequence(take::TakeReader& reader, const Selection& selection, const 
     const auto frame = reader.frame(index, take::Pictures::Described);
     next.sequence = frame->sequence;
     next.camera_from_head = frame->camera_from_head;
-    next.expression = frame->expression;
+    next.expression = expressions ? mesh::shape_weights(*frame) : frame->expression;
     exports::build_export_mesh(*frame, level, exports::MeshSpace::Head, next.mesh);
     if (writer == nullptr) {
       if (expressions) {

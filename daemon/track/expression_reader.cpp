@@ -1,0 +1,131 @@
+#include "track/expression_reader.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <string_view>
+
+namespace facet::track {
+namespace {
+
+/// From here on a landmark lies further off its fit than an expression brings it: the net errs.
+constexpr double kFarOff_mm = 5;
+
+struct Row {
+  std::string_view name;
+  float step;  ///< of its numbers, per mm
+};
+
+#include "track/expression_reading.inc"
+
+}  // namespace
+
+void landmark_movements(const LandmarkModel& model, const LandmarkBasis& basis,
+                        const landmark::FaceLandmarks& face, const FitCamera& camera, double focal_px,
+                        const FrameState& state, Eigen::Matrix2Xf& out) {
+  const Eigen::Matrix3d view_from_head = camera.view_from_reference.linear() * state.pose.rotation;
+  const double focal = camera.focal_ratio * focal_px;
+  out.resize(2, model.count());
+  for (Eigen::Index l = 0; l < out.cols(); ++l) {
+    const Eigen::Vector3d by_fit = basis.deltas_mm.middleRows<3>(3 * l) * state.expression;
+    const Eigen::Vector3d head_mm =
+        basis.neutral_mm.segment<3>(3 * l) + basis.bias_mm.segment<3>(3 * l) + by_fit;
+    const Eigen::Vector3d seen_from =
+        camera.view_from_reference * (state.pose.rotation * head_mm + state.pose.translation_mm);
+    const int landmark = model.landmarks()[static_cast<std::size_t>(l)];
+    const double seen = landmark::confidence_of(face, landmark);
+    Eigen::Vector3d off = Eigen::Vector3d::Zero();
+    if (seen > 0 && seen_from.z() > kNearestDepthMm) {
+      const Eigen::Vector2d measured = landmark::place_of(face, landmark).head<2>().cast<double>();
+      off.head<2>() = (measured - camera.centre_px) * (seen_from.z() / focal) - seen_from.head<2>();
+      off *= seen / (1 + off.squaredNorm() / (kFarOff_mm * kFarOff_mm));
+    }
+    out.col(l) = (by_fit + view_from_head.transpose() * off).head<2>().cast<float>();
+  }
+}
+
+const ExpressionReading& learned_reading() {
+  static const ExpressionReading reading = [] {
+    const auto numbers = [](const auto& rows, const auto& table) {
+      const auto count = static_cast<Eigen::Index>(rows.size());
+      ExpressionReading::Numbers out(count, static_cast<Eigen::Index>(table.size()) / count);
+      for (Eigen::Index r = 0; r < count; ++r) {
+        for (Eigen::Index c = 0; c < out.cols(); ++c) {
+          out(r, c) = rows[static_cast<std::size_t>(r)].step *
+                      static_cast<float>(table[static_cast<std::size_t>(r * out.cols() + c)]);
+        }
+      }
+      return out;
+    };
+    ExpressionReading made;
+    made.landmarks.assign(kLandmarks.begin(), kLandmarks.end());
+    for (const Row& row : kEvidenceRows) {
+      made.names.emplace_back(row.name);
+    }
+    made.evidence = numbers(kEvidenceRows, kEvidence);
+    const ExpressionReading::Numbers rounded = numbers(kCertaintyRows, kCertainty);
+    made.certainty = 0.5F * (rounded + rounded.transpose());
+    made.rare = kRare;
+    return made;
+  }();
+  return reading;
+}
+
+ExpressionReader::ExpressionReader(const LandmarkModel& model, std::span<const std::string> expression_names,
+                                   const ExpressionReading& reading)
+    : reading_(&reading),
+      seen_(reading.evidence.cols()),
+      pull_(reading.evidence.rows()),
+      read_(reading.evidence.rows()) {
+  for (const std::string& name : reading.names) {
+    const auto found = std::find(expression_names.begin(), expression_names.end(), name);
+    if (found == expression_names.end()) {
+      return;
+    }
+    indices_.push_back(static_cast<int>(found - expression_names.begin()));
+  }
+  std::vector<int> places;
+  for (const int landmark : reading.landmarks) {
+    places.push_back(model.position_of(landmark));
+  }
+  if (std::find(places.begin(), places.end(), -1) == places.end()) {
+    places_ = places;
+  }
+}
+
+void ExpressionReader::read(const Eigen::Matrix2Xf& movements_mm, std::vector<float>& values) {
+  if (places_.empty()) {
+    return;
+  }
+  const auto names = static_cast<Eigen::Index>(indices_.size());
+  for (std::size_t k = 0; k < places_.size(); ++k) {
+    seen_.segment<2>(static_cast<Eigen::Index>(2 * k)) = movements_mm.col(places_[k]);
+  }
+  for (Eigen::Index e = 0; e < names; ++e) {
+    seen_[seen_.size() - names + e] =
+        kFittedMm * values[static_cast<std::size_t>(indices_[static_cast<std::size_t>(e)])];
+  }
+  pull_.noalias() = reading_->evidence * seen_;
+  pull_.array() -= reading_->rare;
+  // One value at a time within its bounds, round and round: P is positive definite, so it settles.
+  constexpr int kMostRounds = 200;
+  constexpr float kSettled = 1e-4F;
+  const ExpressionReading::Numbers& certainty = reading_->certainty;
+  read_.setZero();
+  float change = 1;
+  for (int round = 0; round < kMostRounds && change > kSettled; ++round) {
+    change = 0;
+    for (Eigen::Index e = 0; e < names; ++e) {
+      const float others = certainty.row(e).dot(read_) - certainty(e, e) * read_[e];
+      const float value = std::clamp((pull_[e] - others) / certainty(e, e), 0.0F, 1.0F);
+      change = std::max(change, std::abs(value - read_[e]));
+      read_[e] = value;
+    }
+  }
+  for (Eigen::Index e = 0; e < names; ++e) {
+    values[static_cast<std::size_t>(indices_[static_cast<std::size_t>(e)])] = read_[e];
+  }
+}
+
+}  // namespace facet::track

@@ -1,0 +1,70 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "landmark/landmarker.hpp"
+#include "track/landmark_term.hpp"
+
+namespace facet::track {
+
+/// How far landmarks have moved from the person's face at rest in the head frame, to the subject's left and
+/// up: where the fit has them, and from there to where one view shows them, at their own distance. What is
+/// not seen, and what lies further off than an expression brings it, is where the fit has it.
+///
+/// model     whose landmarks these are
+/// basis     of the person, bias included
+/// face      what the view shows
+/// camera    of that view; focal_px: of the reference camera
+/// state     the frame's fit
+/// out       [2][model.count()] mm; resized at its first use only
+void landmark_movements(const LandmarkModel& model, const LandmarkBasis& basis,
+                        const landmark::FaceLandmarks& face, const FitCamera& camera, double focal_px,
+                        const FrameState& state, Eigen::Matrix2Xf& out);
+
+/// What reads expressions off landmarks, found by bench/expression-reading on faces that the model was not
+/// made from (docs/tracking.md, "Values"). The values w, 0 to 1, of a frame are those of least
+///   1/2 w^T P w - w^T E x + rare sum w,   x = (movements in mm, kFittedMm times the fit's weights)
+/// P: how certain they are together, C^-1 + D S^-1 D^T; E: D S^-1. Plain data.
+struct ExpressionReading {
+  using Numbers = Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+  std::vector<std::string> names;  ///< ARKit's
+  std::vector<int> landmarks;      ///< of the face mesh, and irises; ascending
+  Numbers evidence;   ///< E [names][2 landmarks + names]: movements to the left and up, then fitted weights
+  Numbers certainty;  ///< P [names][names]
+  float rare = 0;     ///< few values rather than many small ones
+};
+
+/// A fitted weight of 1 counts as so many mm of a landmark.
+inline constexpr float kFittedMm = 4;
+
+/// The one that the product has: of the default model's fit.
+const ExpressionReading& learned_reading();
+
+/// Reads a frame's expression, 0.1 ms. One thread; no allocation after construction.
+class ExpressionReader {
+ public:
+  /// Reads nothing where the model lacks a landmark or is without an expression of the reading's.
+  ///
+  /// expression_names   the face model's
+  ExpressionReader(const LandmarkModel& model, std::span<const std::string> expression_names,
+                   const ExpressionReading& reading);
+
+  /// Puts what it reads, 0 to 1, into `values`; the others stay, and all where nothing is read.
+  ///
+  /// movements_mm  [2][model.count()] of landmark_movements
+  /// values        in: the fit's weights, [the face model's expression_count]
+  void read(const Eigen::Matrix2Xf& movements_mm, std::vector<float>& values);
+
+ private:
+  std::vector<int> places_;   ///< [landmarks of the reading] in the model's landmarks
+  std::vector<int> indices_;  ///< [names of the reading] in the face model's expressions
+  const ExpressionReading* reading_;
+  Eigen::VectorXf seen_;  ///< x, scratch
+  Eigen::VectorXf pull_;  ///< E x - rare, scratch
+  Eigen::VectorXf read_;  ///< w, scratch
+};
+
+}  // namespace facet::track

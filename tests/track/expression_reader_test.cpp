@@ -1,0 +1,195 @@
+#include "track/expression_reader.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+#include <random>
+#include <set>
+
+#include "mesh/arkit.hpp"
+#include "support/synthetic_model.hpp"
+#include "synthetic_landmarks.hpp"
+
+namespace facet::track {
+namespace {
+
+class LandmarkMovements : public testing::Test {
+ protected:
+  LandmarkMovements() : face_model(test::synthetic_model()), model(face_model) {
+    const Eigen::VectorXd identity = test::random_identity(model, random);
+    view = test::random_view(model, identity, random, 0.15);
+    model.contract_identity(identity, basis);
+    basis.bias_mm = Eigen::VectorXd::Zero(Eigen::Index{3} * model.count());
+    face = test::synthetic_landmarks(model, view, 0, random);
+  }
+
+  Eigen::Matrix2Xf movements(const FrameState& state, const FitCamera& camera = {}) const {
+    FitCamera used = camera;
+    used.centre_px = view.centre_px();
+    Eigen::Matrix2Xf out;
+    landmark_movements(model, basis, face, used, view.focal_px, state, out);
+    return out;
+  }
+  /// rms difference from where an expression has the landmarks, mm.
+  double apart(const Eigen::Matrix2Xf& got, const Eigen::VectorXd& expression) const {
+    const Eigen::VectorXd moved = basis.deltas_mm * expression;
+    double sum = 0;
+    for (Eigen::Index l = 0; l < got.cols(); ++l) {
+      sum += (got.col(l).cast<double>() - moved.segment<2>(3 * l)).squaredNorm();
+    }
+    return std::sqrt(sum / static_cast<double>(got.cols()));
+  }
+
+  std::mt19937 random{7};
+  face::FaceModel face_model;
+  LandmarkModel model;
+  LandmarkBasis basis;
+  test::SyntheticView view;
+  landmark::FaceLandmarks face;
+};
+
+TEST_F(LandmarkMovements, AreWhatThePictureShowsWhateverTheFitSays) {
+  EXPECT_LT(apart(movements({view.pose, view.expression}), view.expression), 1e-3);
+  // The fit has not followed: what it lacks comes from the picture, but for the depth that it hides and for
+  // what is drawn in, of landmarks that are some millimetres off.
+  const FrameState at_rest{view.pose, Eigen::VectorXd::Zero(view.expression.size())};
+  const double shown = apart(Eigen::Matrix2Xf::Zero(2, model.count()), view.expression);
+  ASSERT_GT(shown, 0.3) << "the view has an expression";
+  EXPECT_LT(apart(movements(at_rest), view.expression), 0.3 * shown);
+}
+
+TEST_F(LandmarkMovements, AreTheSameFromAnotherCamera) {
+  FitCamera beside{.focal_ratio = 1.2};
+  beside.view_from_reference =
+      Eigen::Translation3d(-150, 10, 40) * Eigen::AngleAxisd(0.3, Eigen::Vector3d::UnitY());
+  test::SyntheticView from_there = view;
+  from_there.focal_px *= beside.focal_ratio;
+  from_there.pose.rotation = beside.view_from_reference.linear() * view.pose.rotation;
+  from_there.pose.translation_mm = beside.view_from_reference * view.pose.translation_mm;
+  face = test::synthetic_landmarks(model, from_there, 0, random);
+  const FrameState at_rest{view.pose, Eigen::VectorXd::Zero(view.expression.size())};
+  EXPECT_LT(apart(movements({view.pose, view.expression}, beside), view.expression), 1e-3);
+  const double shown = apart(Eigen::Matrix2Xf::Zero(2, model.count()), view.expression);
+  EXPECT_LT(apart(movements(at_rest, beside), view.expression), 0.4 * shown);
+}
+
+TEST_F(LandmarkMovements, WhatIsNotSeenIsWhereTheFitHasIt) {
+  face.confidence.setZero();
+  face.iris_confidence = {0, 0};
+  const Eigen::VectorXd fitted = 0.5 * view.expression;
+  EXPECT_LT(apart(movements({view.pose, fitted}), fitted), 1e-3);
+}
+
+TEST_F(LandmarkMovements, ALandmarkThatIsFarOffHardlyCounts) {
+  const FrameState state{view.pose, view.expression};
+  const int landmark = model.landmarks().front();
+  face.points_px(0, landmark) += 200;
+  EXPECT_LT(apart(movements(state), view.expression), 0.5) << "100 mm off";
+}
+
+TEST_F(LandmarkMovements, TheLandmarksBiasIsNoMovement) {
+  basis.bias_mm.setConstant(0.4);
+  const FrameState state{view.pose, view.expression};
+  const Eigen::Matrix2Xf got = movements(state);
+  EXPECT_NEAR((got.cast<double>().row(0).transpose() -
+               (basis.deltas_mm * view.expression)(Eigen::seq(0, Eigen::last, 3)))
+                  .mean(),
+              -0.4, 0.1)
+      << "the landmarks lie without the bias that the person has";
+}
+
+class Reader : public testing::Test {
+ protected:
+  Reader() : face_model(test::synthetic_model()), model(face_model) {
+    reading.names = {face_model.expression_names[1], face_model.expression_names[0]};
+    reading.landmarks = {model.landmarks()[2], model.landmarks()[5]};
+    reading.evidence.setZero(2, 6);
+    reading.certainty.setIdentity(2, 2);
+    values.assign(face_model.expression_names.size(), 0.5F);
+    movements.setZero(2, model.count());
+    movements.col(2) << 2, 7;
+    movements.col(5) << 7, 1;
+  }
+
+  face::FaceModel face_model;
+  LandmarkModel model;
+  ExpressionReading reading;
+  Eigen::Matrix2Xf movements;
+  std::vector<float> values;
+};
+
+TEST_F(Reader, ReadsItsNamesAndLeavesTheOthers) {
+  // 2 mm to the left of one landmark, 1 mm up of the other, and half of the second name's fitted weight.
+  reading.evidence.row(0) << 0.1F, 0, 0, 0.2F, 0, 0.1F / kFittedMm;
+  reading.evidence.row(1) << -1, 0, 0, 0, 0, 0;
+  reading.rare = 0.05F;
+  ExpressionReader(model, face_model.expression_names, reading).read(movements, values);
+  EXPECT_NEAR(values[1], 0.2 + 0.2 + 0.05 - 0.05, 1e-6);
+  EXPECT_EQ(values[0], 0) << "below 0";
+  for (std::size_t e = 2; e < values.size(); ++e) {
+    EXPECT_EQ(values[e], 0.5F);
+  }
+}
+
+TEST_F(Reader, FindsTheValuesThatFitTogetherWithinTheirBounds) {
+  reading.certainty << 1, 0.5F, 0.5F, 1;
+  reading.evidence(0, 0) = 0.2F;
+  reading.evidence(1, 0) = 0.25F;
+  ExpressionReader reader(model, face_model.expression_names, reading);
+  reader.read(movements, values);
+  EXPECT_NEAR(values[1], 0.2, 1e-3) << "(0.4, 0.5) by the inverse of the certainty";
+  EXPECT_NEAR(values[0], 0.4, 1e-3);
+  movements.col(2) << 4, 0;
+  reading.evidence(0, 0) = 0.5F;
+  reading.evidence(1, 0) = 0.225F;
+  reader.read(movements, values);
+  EXPECT_EQ(values[1], 1) << "2 less a half of the other, at its bound";
+  EXPECT_NEAR(values[0], 0.9 - 0.5, 1e-3) << "the other knows";
+}
+
+TEST_F(Reader, AModelThatLacksALandmarkOrANameIsNotRead) {
+  ExpressionReading unknown = reading;
+  unknown.names[1] = "earWiggle";
+  ExpressionReader(model, face_model.expression_names, unknown).read(movements, values);
+  ExpressionReading elsewhere = reading;
+  elsewhere.landmarks[1] = landmark::kRightIris;
+  ASSERT_EQ(model.position_of(landmark::kRightIris), -1) << "the model has no eyeballs";
+  ExpressionReader(model, face_model.expression_names, elsewhere).read(movements, values);
+  EXPECT_THAT(values, testing::Each(0.5F));
+}
+
+TEST(LearnedReading, KnowsArkitsNamesAndBothSidesAlike) {
+  const ExpressionReading& reading = learned_reading();
+  EXPECT_TRUE(std::is_sorted(reading.landmarks.begin(), reading.landmarks.end()));
+  EXPECT_EQ(std::set<int>(reading.landmarks.begin(), reading.landmarks.end()).size(),
+            reading.landmarks.size());
+  const auto names = static_cast<Eigen::Index>(reading.names.size());
+  ASSERT_EQ(reading.evidence.rows(), names);
+  ASSERT_EQ(reading.evidence.cols(), static_cast<Eigen::Index>(2 * reading.landmarks.size()) + names);
+  ASSERT_EQ(reading.certainty.rows(), names);
+  ASSERT_EQ(reading.certainty.cols(), names);
+  const Eigen::MatrixXf certainty = reading.certainty;
+  EXPECT_EQ(certainty, certainty.transpose().eval());
+  EXPECT_GT(Eigen::SelfAdjointEigenSolver<Eigen::MatrixXf>(certainty).eigenvalues().minCoeff(), 0);
+  EXPECT_EQ(reading.names.size(), mesh::kArkitNames.size() - 1) << "all but tongueOut";
+  for (std::size_t n = 0; n < reading.names.size(); ++n) {
+    EXPECT_GE(mesh::arkit_index(reading.names[n]), 0) << reading.names[n];
+    const std::string& left = reading.names[n];
+    if (!left.ends_with("Left")) {
+      continue;
+    }
+    const auto right =
+        std::find(reading.names.begin(), reading.names.end(), left.substr(0, left.size() - 4) + "Right");
+    ASSERT_NE(right, reading.names.end()) << left;
+    const auto size = [&](Eigen::Index row) { return static_cast<double>(reading.evidence.row(row).norm()); };
+    const double here = size(static_cast<Eigen::Index>(n));
+    EXPECT_GT(here, 0);
+    EXPECT_NEAR(size(right - reading.names.begin()) / here, 1, 0.2) << left;
+  }
+}
+
+}  // namespace
+}  // namespace facet::track
