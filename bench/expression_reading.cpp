@@ -97,7 +97,7 @@ class Trainer {
       actor.truth.push_back(notes->expression);
       fitted.push_back(result.expression);
       movements.emplace_back(
-          Eigen::Map<const Eigen::RowVectorXf>(result.movements_mm.data(), result.movements_mm.size())
+          Eigen::Map<const Eigen::RowVectorXf>(result.movements.mm.data(), result.movements.mm.size())
               .cast<double>());
     }
     const auto count = static_cast<Eigen::Index>(movements.size());
@@ -173,8 +173,8 @@ class Trainer {
     noise.diagonal().array() += choice_.measured_mm2;
     const Rows evidence = noise.llt().solve(response.transpose()).transpose();
     const Rows certainty = prior_.inverse() + evidence * response.transpose();
-    track::ExpressionReading reading{
-        names_, {}, evidence.cast<float>(), certainty.cast<float>(), choice_.rare};
+    track::ExpressionReading reading{names_,       {}, evidence.cast<float>(), certainty.cast<float>(),
+                                     choice_.rare, {}};
     for (const int l : chosen_) {
       reading.landmarks.push_back(landmarks_.landmarks()[static_cast<std::size_t>(l)]);
     }
@@ -186,16 +186,22 @@ class Trainer {
     track::ExpressionReader reader(landmarks_, names_, reading);
     Rows out = actor.weights;
     std::vector<float> values(names_.size());
+    std::vector<float> ignored;
+    track::LandmarkMovements moved;
+    moved.seen.setOnes(landmarks_.count());
     for (Eigen::Index f = 0; f < out.rows(); ++f) {
       const Eigen::RowVectorXf movements = actor.movements_mm.row(f).cast<float>();
       Eigen::Map<Eigen::RowVectorXf>(values.data(), out.cols()) = actor.weights.row(f).cast<float>();
-      reader.read(Eigen::Map<const Eigen::Matrix2Xf>(movements.data(), 2, landmarks_.count()), values);
+      moved.mm = Eigen::Map<const Eigen::Matrix2Xf>(movements.data(), 2, landmarks_.count());
+      reader.read(moved, values, ignored);
       out.row(f) = Eigen::Map<Eigen::RowVectorXf>(values.data(), out.cols()).cast<double>();
     }
     return out;
   }
 
   const std::vector<std::string>& names() const { return names_; }
+  /// The name of the other side, or the same.
+  std::size_t twin_of(std::size_t name) const { return static_cast<std::size_t>(name_twin_[name]); }
 
   void write(const track::ExpressionReading& reading, const std::filesystem::path& file) const {
     std::ofstream out(file);
@@ -207,6 +213,8 @@ class Trainer {
                fmt::join(reading.landmarks, ","));
     write_table(out, "Evidence", reading.evidence);
     write_table(out, "Certainty", reading.certainty);
+    fmt::print(out, "constexpr std::array<float, {}> kTold = {{{:.3f}F}};\n", names_.size(),
+               fmt::join(reading.told, "F,"));
     fmt::print(out, "// clang-format on\n");
     if (!out.flush()) {
       throw Error(ErrorKind::Storage, fmt::format("cannot write {}", file.string()));
@@ -388,6 +396,29 @@ class ByName {
       }
     }
   }
+  /// Square of the mean correlation of what is read, either side alike; 0 of what never moved.
+  Eigen::VectorXf told(const Trainer& trainer) const {
+    const auto& names = trainer.names();
+    Eigen::VectorXf out(static_cast<Eigen::Index>(names.size()));
+    for (std::size_t n = 0; n < names.size(); ++n) {
+      double sum = 0;
+      double count = 0;
+      for (const std::size_t name : {n, trainer.twin_of(n)}) {
+        const auto found = pairs_.find(names[name]);
+        if (found == pairs_.end()) {
+          continue;
+        }
+        for (const auto& pair : found->second) {
+          const double correlation = pair.second.correlation;
+          sum += std::isnan(correlation) ? 0 : correlation;
+          ++count;
+        }
+      }
+      const double mean = count > 0 ? std::max(0.0, sum / count) : 0;
+      out[static_cast<Eigen::Index>(n)] = static_cast<float>(mean * mean);
+    }
+    return out;
+  }
   void print() const {
     fmt::print("\nname,sequences,fit_correlation,fit_slope,correlation,slope,error\n");
     for (const auto& entry : pairs_) {
@@ -414,6 +445,10 @@ class ByName {
 };
 
 void run(const Options& options) {
+  if (!options.output.empty() && options.judged.empty()) {
+    throw Error(ErrorKind::Usage,
+                "--output needs sequences to judge by: they say how far each value is told");
+  }
   Trainer trainer(options.model);
   std::vector<Actor> actors;
   for (const auto& folder : options.folders) {
@@ -449,7 +484,9 @@ void run(const Options& options) {
   }
   if (!options.output.empty()) {
     trainer.hear(options.curves, "");
-    trainer.write(trainer.learn(all), options.output);
+    track::ExpressionReading reading = trainer.learn(all);
+    reading.told = by_name.told(trainer);
+    trainer.write(reading, options.output);
     fmt::print(stderr, "{} written\n", options.output.string());
   }
 }

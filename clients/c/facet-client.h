@@ -90,6 +90,9 @@ typedef struct facet_frame {
   const int16_t* normals;             /* FACET_VERTICES: [vertex_count][3] unit normals, 32767 is 1 */
   const uint8_t* confidence;          /* [vertex_count] 255 is 1; NULL: not there */
   int32_t in_ring;                    /* 1: normals, confidence and values lie in shared memory */
+
+  const uint8_t* expression_confidence; /* [expression_count] 255 is 1: how far a value can be believed; NULL:
+                                           not known */
 } facet_frame;
 
 /* What does not change from frame to frame. */

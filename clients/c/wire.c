@@ -477,6 +477,10 @@ static void read_mesh_part(struct reader* in, const struct table* frame, const s
   require(in, expression.count == subject->shown.expression_count, "frame: expression");
   out->expression = floats(expression);
   out->expression_count = expression.count;
+  const struct vector confidence = get_vector(in, frame, 23, 1, 1);
+  require(in, confidence.data == NULL || confidence.count == expression.count,
+          "frame: confidence of the expression");
+  out->expression_confidence = confidence.data;
   read_geometry(in, frame, &subject->shown, arrays, out);
 }
 

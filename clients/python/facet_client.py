@@ -46,7 +46,7 @@ class _Frame(ctypes.Structure):
         ("photometric_rms", ctypes.c_float), ("lighting", ctypes.c_float * 9),
         ("control_vertices", _FixedPoint), ("displacements", _FixedPoint), ("vertices", _FixedPoint),
         ("normals", ctypes.POINTER(ctypes.c_int16)), ("confidence", ctypes.POINTER(ctypes.c_uint8)),
-        ("in_ring", ctypes.c_int32)]
+        ("in_ring", ctypes.c_int32), ("expression_confidence", ctypes.POINTER(ctypes.c_uint8))]
 
 
 class _Subject(ctypes.Structure):
@@ -178,6 +178,8 @@ class Client:
                 subject_id=frame.subject_id, albedo_version=frame.albedo_version,
                 camera_from_head=numpy.array(frame.camera_from_head, numpy.float32).reshape(3, 4),
                 expression=_copy(frame.expression, frame.expression_count),
+                expression_confidence=(_copy(frame.expression_confidence, frame.expression_count) / numpy.float32(255)
+                                       if frame.expression_confidence else None),
                 photometric_rms=frame.photometric_rms, lighting=numpy.array(frame.lighting, numpy.float32))
 
     def mesh(self):

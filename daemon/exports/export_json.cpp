@@ -79,6 +79,7 @@ std::string frame_json(const mesh::MeshFrame& frame, std::int64_t index) {
   out["camera"] = camera_json(frame.camera);
   out["camera_from_head"] = meshed ? pose_json(frame.camera_from_head) : Json(nullptr);
   out["expression"] = meshed ? weights_json(frame, frame.expression) : Json::object();
+  out["expression_confidence"] = meshed ? weights_json(frame, frame.expression_confidence) : Json::object();
   out["model_weights"] = meshed ? weights_json(frame, frame.model_weights) : Json::object();
   out["identity"] = meshed ? Json(frame.subject->identity) : Json::array();
   out["person"] = meshed && !frame.subject->person.empty() ? Json(frame.subject->person) : Json(nullptr);

@@ -83,6 +83,9 @@ struct MeshFrame {
   std::shared_ptr<const Subject> subject;
   Eigen::Isometry3f camera_from_head = Eigen::Isometry3f::Identity();
   std::vector<float> expression;  ///< [expression_count] 0 to 1, order of Subject::expression_names
+  /// [expression_count] 0 to 1: how far `expression` can be believed (track::ExpressionReader). Empty: not
+  /// known.
+  std::vector<float> expression_confidence;
   /// [expression_count] weights of the face model's shapes that make the control vertices, where those are
   /// not `expression`, which was read off the landmarks (track::ExpressionReader). Empty: they are. See
   /// shape_weights().

@@ -9,12 +9,14 @@ void clear(mesh::MeshFrame& frame) {
   mesh::MeshFrame empty;
   empty.degraded_reason = std::move(frame.degraded_reason);
   empty.expression = std::move(frame.expression);
+  empty.expression_confidence = std::move(frame.expression_confidence);
   empty.model_weights = std::move(frame.model_weights);
   empty.landmarks_px = std::move(frame.landmarks_px);
   empty.displacements_mm = std::move(frame.displacements_mm);
   empty.confidence = std::move(frame.confidence);
   empty.degraded_reason.clear();
   empty.expression.clear();
+  empty.expression_confidence.clear();
   empty.model_weights.clear();
   empty.landmarks_px.clear();
   empty.displacements_mm.clear();

@@ -327,6 +327,7 @@ void ShadingPipeline::Impl::fill(mesh::MeshFrame& mesh, const Captured& item,
   const bool read = !result.values.empty() && result.values != result.expression;
   const std::vector<float>& values = read ? result.values : result.expression;
   mesh.expression.assign(values.begin(), values.end());
+  mesh.expression_confidence.assign(result.value_confidence.begin(), result.value_confidence.end());
   mesh.model_weights.clear();
   if (read) {
     mesh.model_weights.assign(result.expression.begin(), result.expression.end());

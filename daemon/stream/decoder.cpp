@@ -298,6 +298,12 @@ void decode_mesh_part(const wire::Frame& in, const Arrays& arrays, DecodedFrame&
   require(size_of(in.expression()) == frame.subject->expression_names.size() && all_finite(in.expression()),
           "frame: expression");
   frame.expression = floats(in.expression());
+  if (const auto* confidence = in.expression_confidence()) {
+    require(confidence->size() == frame.expression.size(), "frame: confidence of the expression");
+    frame.expression_confidence.resize(confidence->size());
+    std::transform(confidence->begin(), confidence->end(), frame.expression_confidence.begin(),
+                   [](std::uint8_t byte) { return static_cast<float>(byte) / 255; });
+  }
   if (in.model_weights() != nullptr) {
     require(size_of(in.model_weights()) == frame.expression.size() && all_finite(in.model_weights()),
             "frame: weights of the model");

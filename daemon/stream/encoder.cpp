@@ -146,6 +146,9 @@ std::string_view mesh_fault(const mesh::MeshFrame& frame) {
   if (!frame.model_weights.empty() && frame.model_weights.size() != frame.expression.size()) {
     return "mesh left out: number of the model's weights differs from the subject's";
   }
+  if (!frame.expression_confidence.empty() && frame.expression_confidence.size() != frame.expression.size()) {
+    return "mesh left out: number of the expression's confidences differs from the subject's";
+  }
   if (!frame.displacements_mm.empty() && frame.displacements_mm.size() != finest) {
     return "mesh left out: number of displacements differs from the finest level's vertices";
   }
@@ -153,7 +156,8 @@ std::string_view mesh_fault(const mesh::MeshFrame& frame) {
     return "mesh left out: number of confidences differs from the finest level's vertices";
   }
   if (!frame.camera_from_head.matrix().allFinite() || !all_finite(frame.expression) ||
-      !all_finite(frame.model_weights) || !all_finite(frame.lighting)) {
+      !all_finite(frame.model_weights) || !all_finite(frame.expression_confidence) ||
+      !all_finite(frame.lighting)) {
     return "mesh left out: pose, expression or lighting is not finite";
   }
   return "";
@@ -214,6 +218,7 @@ struct Encoder::Impl {
     Offset<wire::StageTimes> stage_ms;
     Offset<flatbuffers::Vector<const wire::Point*>> landmarks_px;
     Offset<flatbuffers::Vector<float>> expression;
+    Offset<flatbuffers::Vector<std::uint8_t>> expression_confidence;
     Offset<flatbuffers::Vector<float>> model_weights;
     Offset<wire::FixedPoint> control_vertices;
     Offset<wire::FixedPoint> displacements;
@@ -389,6 +394,12 @@ Offset<wire::FixedPoint> Encoder::Impl::fixed_point(std::size_t which, std::span
 
 void Encoder::Impl::geometry_parts(const mesh::MeshFrame& frame, Profile profile, Parts& parts) {
   parts.expression = builder.CreateVector(frame.expression);
+  if (!frame.expression_confidence.empty()) {
+    std::uint8_t* bytes = nullptr;
+    parts.expression_confidence =
+        builder.CreateUninitializedVector(frame.expression_confidence.size(), &bytes);
+    std::transform(frame.expression_confidence.begin(), frame.expression_confidence.end(), bytes, to_uint8);
+  }
   if (profile == Profile::Displacements && !frame.model_weights.empty()) {
     parts.model_weights = builder.CreateVector(frame.model_weights);
   }
@@ -496,6 +507,7 @@ std::span<const std::uint8_t> Encoder::Impl::frame_message(const mesh::MeshFrame
     table.add_camera_from_head(&pose);
     table.add_expression(parts.expression);
     table.add_model_weights(parts.model_weights);
+    table.add_expression_confidence(parts.expression_confidence);
     table.add_photometric_rms(finite_or_zero(frame.photometric_rms));
     table.add_lighting(&lighting);
     table.add_albedo_version(frame.albedo != nullptr ? frame.albedo->version : 0);

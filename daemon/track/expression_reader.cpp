@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <limits>
 #include <string_view>
 
 namespace facet::track {
@@ -23,11 +24,12 @@ struct Row {
 
 void landmark_movements(const LandmarkModel& model, const LandmarkBasis& basis,
                         const landmark::FaceLandmarks& face, const FitCamera& camera, double focal_px,
-                        const FrameState& state, Eigen::Matrix2Xf& out) {
+                        const FrameState& state, LandmarkMovements& out) {
   const Eigen::Matrix3d view_from_head = camera.view_from_reference.linear() * state.pose.rotation;
   const double focal = camera.focal_ratio * focal_px;
-  out.resize(2, model.count());
-  for (Eigen::Index l = 0; l < out.cols(); ++l) {
+  out.mm.resize(2, model.count());
+  out.seen.setZero(model.count());
+  for (Eigen::Index l = 0; l < out.mm.cols(); ++l) {
     const Eigen::Vector3d by_fit = basis.deltas_mm.middleRows<3>(3 * l) * state.expression;
     const Eigen::Vector3d head_mm =
         basis.neutral_mm.segment<3>(3 * l) + basis.bias_mm.segment<3>(3 * l) + by_fit;
@@ -39,9 +41,11 @@ void landmark_movements(const LandmarkModel& model, const LandmarkBasis& basis,
     if (seen > 0 && seen_from.z() > kNearestDepthMm) {
       const Eigen::Vector2d measured = landmark::place_of(face, landmark).head<2>().cast<double>();
       off.head<2>() = (measured - camera.centre_px) * (seen_from.z() / focal) - seen_from.head<2>();
-      off *= seen / (1 + off.squaredNorm() / (kFarOff_mm * kFarOff_mm));
+      const double believed = seen / (1 + off.squaredNorm() / (kFarOff_mm * kFarOff_mm));
+      off *= believed;
+      out.seen[l] = static_cast<float>(believed);
     }
-    out.col(l) = (by_fit + view_from_head.transpose() * off).head<2>().cast<float>();
+    out.mm.col(l) = (by_fit + view_from_head.transpose() * off).head<2>().cast<float>();
   }
 }
 
@@ -67,6 +71,7 @@ const ExpressionReading& learned_reading() {
     const ExpressionReading::Numbers rounded = numbers(kCertaintyRows, kCertainty);
     made.certainty = 0.5F * (rounded + rounded.transpose());
     made.rare = kRare;
+    made.told = Eigen::Map<const Eigen::VectorXf>(kTold.data(), static_cast<Eigen::Index>(kTold.size()));
     return made;
   }();
   return reading;
@@ -77,7 +82,8 @@ ExpressionReader::ExpressionReader(const LandmarkModel& model, std::span<const s
     : reading_(&reading),
       seen_(reading.evidence.cols()),
       pull_(reading.evidence.rows()),
-      read_(reading.evidence.rows()) {
+      read_(reading.evidence.rows()),
+      shown_(static_cast<Eigen::Index>(reading.landmarks.size())) {
   for (const std::string& name : reading.names) {
     const auto found = std::find(expression_names.begin(), expression_names.end(), name);
     if (found == expression_names.end()) {
@@ -92,15 +98,26 @@ ExpressionReader::ExpressionReader(const LandmarkModel& model, std::span<const s
   if (std::find(places.begin(), places.end(), -1) == places.end()) {
     places_ = places;
   }
+  if (reading.told.size() == reading.evidence.rows()) {
+    shares_.resize(reading.evidence.rows(), shown_.size());
+    for (Eigen::Index k = 0; k < shares_.cols(); ++k) {
+      shares_.col(k) = reading.evidence.middleCols<2>(2 * k).rowwise().squaredNorm();
+    }
+    const Eigen::VectorXf whole = shares_.rowwise().sum().cwiseMax(std::numeric_limits<float>::min());
+    shares_ = reading.told.cwiseQuotient(whole).asDiagonal() * shares_;
+  }
 }
 
-void ExpressionReader::read(const Eigen::Matrix2Xf& movements_mm, std::vector<float>& values) {
+void ExpressionReader::read(const LandmarkMovements& movements, std::vector<float>& values,
+                            std::vector<float>& confidence) {
+  confidence.clear();
   if (places_.empty()) {
     return;
   }
   const auto names = static_cast<Eigen::Index>(indices_.size());
   for (std::size_t k = 0; k < places_.size(); ++k) {
-    seen_.segment<2>(static_cast<Eigen::Index>(2 * k)) = movements_mm.col(places_[k]);
+    seen_.segment<2>(static_cast<Eigen::Index>(2 * k)) = movements.mm.col(places_[k]);
+    shown_[static_cast<Eigen::Index>(k)] = movements.seen[places_[k]];
   }
   for (Eigen::Index e = 0; e < names; ++e) {
     seen_[seen_.size() - names + e] =
@@ -125,6 +142,14 @@ void ExpressionReader::read(const Eigen::Matrix2Xf& movements_mm, std::vector<fl
   }
   for (Eigen::Index e = 0; e < names; ++e) {
     values[static_cast<std::size_t>(indices_[static_cast<std::size_t>(e)])] = read_[e];
+  }
+  if (shares_.size() > 0) {
+    confidence.resize(values.size());
+    pull_.noalias() = shares_ * shown_;
+    for (Eigen::Index e = 0; e < names; ++e) {
+      confidence[static_cast<std::size_t>(indices_[static_cast<std::size_t>(e)])] =
+          std::clamp(pull_[e], 0.0F, 1.0F);
+    }
   }
 }
 

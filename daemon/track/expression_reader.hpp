@@ -6,23 +6,22 @@
 #include <vector>
 
 #include "landmark/landmarker.hpp"
+#include "track/landmark_movements.hpp"
 #include "track/landmark_term.hpp"
 
 namespace facet::track {
 
-/// How far landmarks have moved from the person's face at rest in the head frame, to the subject's left and
-/// up: where the fit has them, and from there to where one view shows them, at their own distance. What is
-/// not seen, and what lies further off than an expression brings it, is where the fit has it.
+/// What a fit and one view say of how far landmarks have moved.
 ///
 /// model     whose landmarks these are
 /// basis     of the person, bias included
 /// face      what the view shows
 /// camera    of that view; focal_px: of the reference camera
 /// state     the frame's fit
-/// out       [2][model.count()] mm; resized at its first use only
+/// out       resized at its first use only
 void landmark_movements(const LandmarkModel& model, const LandmarkBasis& basis,
                         const landmark::FaceLandmarks& face, const FitCamera& camera, double focal_px,
-                        const FrameState& state, Eigen::Matrix2Xf& out);
+                        const FrameState& state, LandmarkMovements& out);
 
 /// What reads expressions off landmarks, found by bench/expression-reading on faces that the model was not
 /// made from (docs/tracking.md, "Values"). The values w, 0 to 1, of a frame are those of least
@@ -35,6 +34,9 @@ struct ExpressionReading {
   Numbers evidence;   ///< E [names][2 landmarks + names]: movements to the left and up, then fitted weights
   Numbers certainty;  ///< P [names][names]
   float rare = 0;     ///< few values rather than many small ones
+  /// [names] 0 to 1: share of a value's ups and downs that reading tells, of strangers that it was not
+  /// learned from: the square of the mean correlation with the truth. Empty: not known.
+  Eigen::VectorXf told;
 };
 
 /// A fitted weight of 1 counts as so many mm of a landmark.
@@ -54,17 +56,20 @@ class ExpressionReader {
 
   /// Puts what it reads, 0 to 1, into `values`; the others stay, and all where nothing is read.
   ///
-  /// movements_mm  [2][model.count()] of landmark_movements
-  /// values        in: the fit's weights, [the face model's expression_count]
-  void read(const Eigen::Matrix2Xf& movements_mm, std::vector<float>& values);
+  /// values      in: the fit's weights, [the face model's expression_count]
+  /// confidence  [the same count] ExpressionReading::told, times how far the view shows what the value is
+  ///             read off; 0 of what is not read, and empty where nothing is or nothing is known of it
+  void read(const LandmarkMovements& movements, std::vector<float>& values, std::vector<float>& confidence);
 
  private:
   std::vector<int> places_;   ///< [landmarks of the reading] in the model's landmarks
   std::vector<int> indices_;  ///< [names of the reading] in the face model's expressions
   const ExpressionReading* reading_;
-  Eigen::VectorXf seen_;  ///< x, scratch
-  Eigen::VectorXf pull_;  ///< E x - rare, scratch
-  Eigen::VectorXf read_;  ///< w, scratch
+  Eigen::MatrixXf shares_;  ///< [names][landmarks] how much of a value is read off each; sums to told
+  Eigen::VectorXf seen_;    ///< x, scratch
+  Eigen::VectorXf pull_;    ///< E x - rare, scratch
+  Eigen::VectorXf read_;    ///< w, scratch
+  Eigen::VectorXf shown_;   ///< [landmarks of the reading], scratch
 };
 
 }  // namespace facet::track

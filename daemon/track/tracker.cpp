@@ -87,6 +87,7 @@ struct Tracker::Impl {
     result.identity.resize(static_cast<std::size_t>(face_model.identity_count()));
     result.expression.resize(static_cast<std::size_t>(face_model.expression_count()));
     result.values.resize(result.expression.size());
+    result.value_confidence.reserve(result.expression.size());
     result.vertices_mm.setZero(3, face_model.vertex_count());
     result.landmarks_px.reserve(landmark::landmark_count);
     for (std::size_t v = 0; v < lenses.size(); ++v) {
@@ -135,6 +136,7 @@ struct Tracker::Impl {
   /// From the reference camera, or where that one shows no face the first one that does.
   void read_values(const SubjectFrame& subject) {
     std::copy(result.expression.begin(), result.expression.end(), result.values.begin());
+    result.value_confidence.clear();
     const auto used = std::find(subject.view_used.begin(), subject.view_used.end(), 1);
     if (used == subject.view_used.end()) {
       return;
@@ -142,8 +144,8 @@ struct Tracker::Impl {
     const auto view = static_cast<std::size_t>(used - subject.view_used.begin());
     landmark_movements(landmark_model, subject_tracker.basis(), *view_landmarks[view].face,
                        subject_tracker.camera_of(view), subject_tracker.shape().focal_px, subject.face,
-                       result.movements_mm);
-    reader.read(result.movements_mm, result.values);
+                       result.movements);
+    reader.read(result.movements, result.values, result.value_confidence);
   }
 
   /// The head's place with its distance filtered, along the ray on which it is seen.

@@ -12,6 +12,7 @@
 #include "facet/frame.hpp"
 #include "mesh/mesh_frame.hpp"
 #include "track/further_camera.hpp"
+#include "track/landmark_movements.hpp"
 #include "track/person.hpp"
 
 namespace facet::track {
@@ -44,7 +45,8 @@ struct TrackResult {
   /// [expression_count] 0 to 1: what the face does by ARKit's names, as read off the landmarks; the fitted
   /// ones where nothing is read (another model's names).
   std::vector<float> values;
-  Eigen::Matrix2Xf movements_mm;  ///< what they are read off (landmark_movements); valid where has_mesh
+  std::vector<float> value_confidence;  ///< [expression_count] 0 to 1 of each value; empty: not known
+  LandmarkMovements movements;          ///< what they are read off (landmark_movements); valid where has_mesh
   /// [3][vertex_count] head frame; valid where has_mesh.
   mesh::Vertices vertices_mm;
   std::vector<Eigen::Vector2f> landmarks_px;  ///< [468] measured; empty where no face was found

@@ -85,6 +85,8 @@ void check_frame(std::span<const std::uint8_t> message) {
     if (sound) {
       read += sum(frame.landmarks_px, 2 * frame.landmark_count) +
               sum(frame.expression, frame.expression_count) +
+              sum(frame.expression_confidence,
+                  frame.expression_confidence != nullptr ? frame.expression_count : 0) +
               sum(frame.confidence, frame.confidence != nullptr ? known.parsed[k].shown.vertex_count : 0) +
               std::strlen(frame.degraded_reason);
     }

@@ -66,7 +66,10 @@ class Client : public testing::Test {
     server->start();
   }
   void publish(std::uint64_t sequence) {
-    server->publish(std::make_shared<mesh::MeshFrame>(test::patch_frame(sequence, subject, albedo)));
+    mesh::MeshFrame frame = test::patch_frame(sequence, subject, albedo);
+    frame.expression_confidence.assign(frame.expression.size(), 0.2F);
+    frame.expression_confidence.back() = 1;
+    server->publish(std::make_shared<mesh::MeshFrame>(std::move(frame)));
   }
   void wait_for_readers(std::size_t count) {
     ASSERT_TRUE(eventually([&] {
@@ -111,6 +114,9 @@ TEST_P(EveryWay, SameBitsAsTheCppClient) {
     EXPECT_EQ(frame->photometric_rms, expected.frame.photometric_rms);
     ASSERT_EQ(frame->expression_count, 3U);
     EXPECT_TRUE(same_bits(frame->expression, expected.frame.expression.data(), 3));
+    ASSERT_NE(frame->expression_confidence, nullptr);
+    EXPECT_EQ(frame->expression_confidence[0], 51);
+    EXPECT_EQ(frame->expression_confidence[2], 255);
     ASSERT_EQ(frame->landmark_count, expected.frame.landmarks_px.size());
     EXPECT_TRUE(
         same_bits(frame->landmarks_px, expected.frame.landmarks_px[0].data(), 2 * frame->landmark_count));

@@ -280,6 +280,10 @@ TEST_F(Exporter, JsonHasEveryPromisedField) {
   EXPECT_EQ(json["camera_from_head"][3], nlohmann::json({0, 0, 0, 1}));
   EXPECT_FLOAT_EQ(json["expression"]["jawOpen"], frame.expression[0]);
   EXPECT_TRUE(json["model_weights"].empty()) << "the expression is them";
+  EXPECT_TRUE(json["expression_confidence"].empty()) << "not known";
+  mesh::MeshFrame believed = frame;
+  believed.expression_confidence.assign(frame.expression.size(), 0.25F);
+  EXPECT_EQ(nlohmann::json::parse(frame_json(believed, 12))["expression_confidence"]["jawOpen"], 0.25);
   EXPECT_EQ(json["identity"].size(), 4U);
   EXPECT_TRUE(json["person"].is_null());
   auto known = std::make_shared<mesh::Subject>(*frame.subject);

@@ -106,6 +106,7 @@ class ScriptedTracker final : public pipeline::CoarseStage {
                        (result_.state == mesh::TrackingState::Acquiring && script_.mesh_while_acquiring);
     result_.subject = script_.subject_of(frame.sequence);
     result_.values = script_.read_values;
+    result_.value_confidence = script_.read_confidence;
     result_.landmarks_px.assign(result_.state == mesh::TrackingState::Searching ? 0 : 468,
                                 Eigen::Vector2f(1, 2));
     script_.model->evaluate(result_.identity, result_.expression, result_.vertices_mm);

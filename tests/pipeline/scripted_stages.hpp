@@ -58,8 +58,9 @@ struct Script {
   std::function<std::uint32_t(std::uint64_t sequence)> subject_of;
   std::uint64_t tracker_throws_at = ~0ULL;
   bool prepare_waits_for_stop = false;
-  std::vector<float> read_values;   ///< track::TrackResult::values; empty: as a tracker that reads nothing
-  pipeline::LearnedPerson learned;  ///< by prepare; the tracker may change it at its gate
+  std::vector<float> read_confidence;  ///< track::TrackResult::value_confidence
+  std::vector<float> read_values;      ///< track::TrackResult::values; empty: as a tracker that reads nothing
+  pipeline::LearnedPerson learned;     ///< by prepare; the tracker may change it at its gate
   std::atomic<bool> keeps_model{false};  ///< as the pipeline last told the tracker
   Gate tracker_gate;                     ///< before every frame
   std::atomic<bool> preparing{false};

@@ -212,10 +212,12 @@ TEST_F(Shading, AFaceThatIsNotKnownYetHasAProvisionalMesh) {
 
 TEST_F(Shading, WhatIsReadOffAFaceGoesOutWithTheWeightsThatMakeItsMesh) {
   script_.read_values.assign(static_cast<std::size_t>(script_.model->expression_count()), 0.75F);
+  script_.read_confidence.assign(script_.read_values.size(), 0.5F);
   run();
   ASSERT_FALSE(sink_.frames().empty());
   for (const auto& frame : sink_.frames()) {
     EXPECT_EQ(frame->expression, script_.read_values);
+    EXPECT_EQ(frame->expression_confidence, script_.read_confidence);
     EXPECT_EQ(mesh::shape_weights(*frame), std::vector<float>(script_.read_values.size(), 0.25F));
   }
 }

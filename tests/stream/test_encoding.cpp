@@ -49,6 +49,14 @@ class Encoding : public testing::Test {
   }
 };
 
+float largest_difference(const std::vector<float>& a, const std::vector<float>& b) {
+  float largest = a.size() == b.size() ? 0.0F : std::numeric_limits<float>::infinity();
+  for (std::size_t i = 0; i < std::min(a.size(), b.size()); ++i) {
+    largest = std::max(largest, std::abs(a[i] - b[i]));
+  }
+  return largest;
+}
+
 void expect_same_signals(const mesh::MeshFrame& got, const mesh::MeshFrame& sent) {
   EXPECT_EQ(got.sequence, sent.sequence);
   EXPECT_EQ(got.timestamp_ns, sent.timestamp_ns);
@@ -69,16 +77,9 @@ void expect_same_signals(const mesh::MeshFrame& got, const mesh::MeshFrame& sent
   EXPECT_EQ(got.camera_from_head.matrix(), sent.camera_from_head.matrix());
   EXPECT_EQ(got.expression, sent.expression);
   EXPECT_EQ(got.model_weights, sent.model_weights);
+  EXPECT_LE(largest_difference(got.expression_confidence, sent.expression_confidence), 0.5F / 255 + 1e-6F);
   EXPECT_EQ(got.lighting, sent.lighting);
   EXPECT_EQ(got.photometric_rms, sent.photometric_rms);
-}
-
-float largest_difference(const std::vector<float>& a, const std::vector<float>& b) {
-  float largest = a.size() == b.size() ? 0.0F : std::numeric_limits<float>::infinity();
-  for (std::size_t i = 0; i < std::min(a.size(), b.size()); ++i) {
-    largest = std::max(largest, std::abs(a[i] - b[i]));
-  }
-  return largest;
 }
 
 TEST_F(Encoding, DisplacementsKeepEverythingWithinAHundredthOfAMillimetre) {
@@ -86,6 +87,8 @@ TEST_F(Encoding, DisplacementsKeepEverythingWithinAHundredthOfAMillimetre) {
   sent.stage_ms.depth_ms = 7.25F;
   sent.model_weights = sent.expression;
   sent.model_weights.front() += 0.125F;
+  sent.expression_confidence.assign(sent.expression.size(), 0.25F);
+  sent.expression_confidence.back() = 1;
   const mesh::MeshFrame got = round_trip(sent, Profile::Displacements).frame;
   expect_same_signals(got, sent);
   ASSERT_EQ(got.control_vertices_mm.cols(), sent.control_vertices_mm.cols());
@@ -231,6 +234,9 @@ TEST_F(Encoding, UnsoundMeshIsLeftOutWithAReason) {
                 f.model_weights.front() = kNaN;
               }),
               HasSubstr("finite"));
+  EXPECT_THAT(
+      reason_for([](mesh::MeshFrame& f) { f.expression_confidence.assign(f.expression.size() + 1, 1); }),
+      HasSubstr("expression's confidences"));
   EXPECT_THAT(reason_for([](mesh::MeshFrame& f) { f.displacements_mm.pop_back(); }),
               HasSubstr("displacements"));
   EXPECT_THAT(reason_for([](mesh::MeshFrame& f) { f.confidence.pop_back(); }), HasSubstr("confidences"));

@@ -16,9 +16,9 @@
 namespace facet::track {
 namespace {
 
-class LandmarkMovements : public testing::Test {
+class Movements : public testing::Test {
  protected:
-  LandmarkMovements() : face_model(test::synthetic_model()), model(face_model) {
+  Movements() : face_model(test::synthetic_model()), model(face_model) {
     const Eigen::VectorXd identity = test::random_identity(model, random);
     view = test::random_view(model, identity, random, 0.15);
     model.contract_identity(identity, basis);
@@ -26,12 +26,15 @@ class LandmarkMovements : public testing::Test {
     face = test::synthetic_landmarks(model, view, 0, random);
   }
 
-  Eigen::Matrix2Xf movements(const FrameState& state, const FitCamera& camera = {}) const {
+  LandmarkMovements moved(const FrameState& state, const FitCamera& camera = {}) const {
     FitCamera used = camera;
     used.centre_px = view.centre_px();
-    Eigen::Matrix2Xf out;
+    LandmarkMovements out;
     landmark_movements(model, basis, face, used, view.focal_px, state, out);
     return out;
+  }
+  Eigen::Matrix2Xf movements(const FrameState& state, const FitCamera& camera = {}) const {
+    return moved(state, camera).mm;
   }
   /// rms difference from where an expression has the landmarks, mm.
   double apart(const Eigen::Matrix2Xf& got, const Eigen::VectorXd& expression) const {
@@ -51,7 +54,7 @@ class LandmarkMovements : public testing::Test {
   landmark::FaceLandmarks face;
 };
 
-TEST_F(LandmarkMovements, AreWhatThePictureShowsWhateverTheFitSays) {
+TEST_F(Movements, AreWhatThePictureShowsWhateverTheFitSays) {
   EXPECT_LT(apart(movements({view.pose, view.expression}), view.expression), 1e-3);
   // The fit has not followed: what it lacks comes from the picture, but for the depth that it hides and for
   // what is drawn in, of landmarks that are some millimetres off.
@@ -61,7 +64,7 @@ TEST_F(LandmarkMovements, AreWhatThePictureShowsWhateverTheFitSays) {
   EXPECT_LT(apart(movements(at_rest), view.expression), 0.3 * shown);
 }
 
-TEST_F(LandmarkMovements, AreTheSameFromAnotherCamera) {
+TEST_F(Movements, AreTheSameFromAnotherCamera) {
   FitCamera beside{.focal_ratio = 1.2};
   beside.view_from_reference =
       Eigen::Translation3d(-150, 10, 40) * Eigen::AngleAxisd(0.3, Eigen::Vector3d::UnitY());
@@ -76,21 +79,25 @@ TEST_F(LandmarkMovements, AreTheSameFromAnotherCamera) {
   EXPECT_LT(apart(movements(at_rest, beside), view.expression), 0.4 * shown);
 }
 
-TEST_F(LandmarkMovements, WhatIsNotSeenIsWhereTheFitHasIt) {
+TEST_F(Movements, WhatIsNotSeenIsWhereTheFitHasIt) {
   face.confidence.setZero();
   face.iris_confidence = {0, 0};
   const Eigen::VectorXd fitted = 0.5 * view.expression;
   EXPECT_LT(apart(movements({view.pose, fitted}), fitted), 1e-3);
+  EXPECT_EQ(moved({view.pose, fitted}).seen.maxCoeff(), 0);
 }
 
-TEST_F(LandmarkMovements, ALandmarkThatIsFarOffHardlyCounts) {
+TEST_F(Movements, ALandmarkThatIsFarOffHardlyCounts) {
   const FrameState state{view.pose, view.expression};
   const int landmark = model.landmarks().front();
   face.points_px(0, landmark) += 200;
   EXPECT_LT(apart(movements(state), view.expression), 0.5) << "100 mm off";
+  const Eigen::VectorXf seen = moved(state).seen;
+  EXPECT_LT(seen[0], 0.01);
+  EXPECT_GT(seen.maxCoeff(), 0.99);
 }
 
-TEST_F(LandmarkMovements, TheLandmarksBiasIsNoMovement) {
+TEST_F(Movements, TheLandmarksBiasIsNoMovement) {
   basis.bias_mm.setConstant(0.4);
   const FrameState state{view.pose, view.expression};
   const Eigen::Matrix2Xf got = movements(state);
@@ -109,16 +116,18 @@ class Reader : public testing::Test {
     reading.evidence.setZero(2, 6);
     reading.certainty.setIdentity(2, 2);
     values.assign(face_model.expression_names.size(), 0.5F);
-    movements.setZero(2, model.count());
-    movements.col(2) << 2, 7;
-    movements.col(5) << 7, 1;
+    movements.mm.setZero(2, model.count());
+    movements.seen.setOnes(model.count());
+    movements.mm.col(2) << 2, 7;
+    movements.mm.col(5) << 7, 1;
   }
 
   face::FaceModel face_model;
   LandmarkModel model;
   ExpressionReading reading;
-  Eigen::Matrix2Xf movements;
+  LandmarkMovements movements;
   std::vector<float> values;
+  std::vector<float> confidence;
 };
 
 TEST_F(Reader, ReadsItsNamesAndLeavesTheOthers) {
@@ -126,7 +135,7 @@ TEST_F(Reader, ReadsItsNamesAndLeavesTheOthers) {
   reading.evidence.row(0) << 0.1F, 0, 0, 0.2F, 0, 0.1F / kFittedMm;
   reading.evidence.row(1) << -1, 0, 0, 0, 0, 0;
   reading.rare = 0.05F;
-  ExpressionReader(model, face_model.expression_names, reading).read(movements, values);
+  ExpressionReader(model, face_model.expression_names, reading).read(movements, values, confidence);
   EXPECT_NEAR(values[1], 0.2 + 0.2 + 0.05 - 0.05, 1e-6);
   EXPECT_EQ(values[0], 0) << "below 0";
   for (std::size_t e = 2; e < values.size(); ++e) {
@@ -139,26 +148,47 @@ TEST_F(Reader, FindsTheValuesThatFitTogetherWithinTheirBounds) {
   reading.evidence(0, 0) = 0.2F;
   reading.evidence(1, 0) = 0.25F;
   ExpressionReader reader(model, face_model.expression_names, reading);
-  reader.read(movements, values);
+  reader.read(movements, values, confidence);
   EXPECT_NEAR(values[1], 0.2, 1e-3) << "(0.4, 0.5) by the inverse of the certainty";
   EXPECT_NEAR(values[0], 0.4, 1e-3);
-  movements.col(2) << 4, 0;
+  movements.mm.col(2) << 4, 0;
   reading.evidence(0, 0) = 0.5F;
   reading.evidence(1, 0) = 0.225F;
-  reader.read(movements, values);
+  reader.read(movements, values, confidence);
   EXPECT_EQ(values[1], 1) << "2 less a half of the other, at its bound";
   EXPECT_NEAR(values[0], 0.9 - 0.5, 1e-3) << "the other knows";
+}
+
+TEST_F(Reader, BelievesAValueByWhatIsKnownOfItAndSeen) {
+  // The first name is read off both landmarks, three times as far off the second; the other off the second.
+  reading.evidence.row(0) << 1, 0, 0, std::sqrt(3.0F), 0, 0;
+  reading.evidence.row(1) << 0, 0, 1, 0, 0, 0;
+  ExpressionReader unknown(model, face_model.expression_names, reading);
+  unknown.read(movements, values, confidence);
+  EXPECT_TRUE(confidence.empty()) << "nothing is known of it";
+  reading.told.resize(2);
+  reading.told << 0.8F, 0.4F;
+  ExpressionReader reader(model, face_model.expression_names, reading);
+  movements.seen[5] = 0.5F;
+  reader.read(movements, values, confidence);
+  ASSERT_EQ(confidence.size(), values.size());
+  EXPECT_NEAR(confidence[1], 0.8 * (0.25 + 0.75 * 0.5), 1e-6);
+  EXPECT_NEAR(confidence[0], 0.4 * 0.5, 1e-6);
+  for (std::size_t e = 2; e < confidence.size(); ++e) {
+    EXPECT_EQ(confidence[e], 0) << "is not read";
+  }
 }
 
 TEST_F(Reader, AModelThatLacksALandmarkOrANameIsNotRead) {
   ExpressionReading unknown = reading;
   unknown.names[1] = "earWiggle";
-  ExpressionReader(model, face_model.expression_names, unknown).read(movements, values);
+  ExpressionReader(model, face_model.expression_names, unknown).read(movements, values, confidence);
   ExpressionReading elsewhere = reading;
   elsewhere.landmarks[1] = landmark::kRightIris;
   ASSERT_EQ(model.position_of(landmark::kRightIris), -1) << "the model has no eyeballs";
-  ExpressionReader(model, face_model.expression_names, elsewhere).read(movements, values);
+  ExpressionReader(model, face_model.expression_names, elsewhere).read(movements, values, confidence);
   EXPECT_THAT(values, testing::Each(0.5F));
+  EXPECT_TRUE(confidence.empty());
 }
 
 TEST(LearnedReading, KnowsArkitsNamesAndBothSidesAlike) {
@@ -174,6 +204,14 @@ TEST(LearnedReading, KnowsArkitsNamesAndBothSidesAlike) {
   const Eigen::MatrixXf certainty = reading.certainty;
   EXPECT_EQ(certainty, certainty.transpose().eval());
   EXPECT_GT(Eigen::SelfAdjointEigenSolver<Eigen::MatrixXf>(certainty).eigenvalues().minCoeff(), 0);
+  ASSERT_EQ(reading.told.size(), names);
+  EXPECT_GE(reading.told.minCoeff(), 0);
+  EXPECT_LE(reading.told.maxCoeff(), 1);
+  const auto told = [&](const char* name) {
+    return reading.told[std::find(reading.names.begin(), reading.names.end(), name) - reading.names.begin()];
+  };
+  EXPECT_GT(told("jawOpen"), told("mouthShrugUpper"));
+  EXPECT_EQ(told("eyeBlinkLeft"), told("eyeBlinkRight"));
   EXPECT_EQ(reading.names.size(), mesh::kArkitNames.size() - 1) << "all but tongueOut";
   for (std::size_t n = 0; n < reading.names.size(); ++n) {
     EXPECT_GE(mesh::arkit_index(reading.names[n]), 0) << reading.names[n];
