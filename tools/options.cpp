@@ -104,6 +104,7 @@ template Option Command::option(const std::string&, std::uint64_t&, const std::s
 template Option Command::option(const std::string&, float&, const std::string&) const;
 template Option Command::option(const std::string&, double&, const std::string&) const;
 template Option Command::option(const std::string&, std::optional<std::uint64_t>&, const std::string&) const;
+template Option Command::option(const std::string&, std::optional<double>&, const std::string&) const;
 template Option Command::option(const std::string&, std::vector<float>&, const std::string&) const;
 template Option Command::option(const std::string&, std::vector<std::string>&, const std::string&) const;
 

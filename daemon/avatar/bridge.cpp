@@ -118,6 +118,7 @@ struct Bridge::Impl {
 
   // What holds poses stands first: it is aligned to 32 bytes.
   Smoother smoother;  ///< the thread's own
+  ValueTuner tuner;   ///< the same
   std::optional<NeutralPose> neutral FACET_GUARDED_BY(mutex);
   std::optional<NeutralRecorder> recorder FACET_GUARDED_BY(mutex);  ///< while a neutral pose is recorded
 
@@ -137,6 +138,7 @@ struct Bridge::Impl {
   bool stopping FACET_GUARDED_BY(mutex) = false;
   std::shared_ptr<const mesh::MeshFrame> newest FACET_GUARDED_BY(mutex);  ///< not sent yet
   BridgeStatus status FACET_GUARDED_BY(mutex);
+  std::shared_ptr<const ValueTunings> values FACET_GUARDED_BY(mutex);  ///< those of the status
   Clock::time_point recorded_until FACET_GUARDED_BY(mutex);
 
   // The thread's own.
@@ -162,6 +164,8 @@ Bridge::Impl::Impl(const BridgeConfig& given)
     status.neutral_reason = fmt::format("{}; {}", error.what(), files::set_aside(config.neutral_file));
   }
   status.neutral = neutral ? NeutralState::Set : NeutralState::None;
+  status.values = config.values;
+  values = std::make_shared<const ValueTunings>(config.values);
   for (const BridgeTarget& target : config.targets) {
     const Address address = socket_address(target.address, target.port);
     destinations.push_back({address, open_socket(address.storage.ss_family)});
@@ -225,10 +229,12 @@ void Bridge::Impl::work_once(Clock::time_point& next_send) {
     status.neutral_frames = recorder->frames();
   }
   const bool with_neutral = neutral.has_value();
+  const auto tunings = values;
   if (neutral && state.tracked) {
     subtract(*neutral, state);
   }
   const Unlock unlock(mutex);
+  tuner.apply(*tunings, state);
   smoother.apply(state);
   send(state, with_neutral);
 }
@@ -361,6 +367,13 @@ void Bridge::clear_neutral() {
   impl_->neutral.reset();
   impl_->status.neutral = NeutralState::None;
   impl_->status.neutral_reason.clear();
+}
+
+void Bridge::tune(const ValueTunings& values) {
+  auto taken = std::make_shared<const ValueTunings>(values);
+  const Lock lock(impl_->mutex);
+  impl_->status.values = values;
+  impl_->values.swap(taken);
 }
 
 }  // namespace facet::avatar

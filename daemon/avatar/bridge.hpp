@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "avatar/value_tuning.hpp"
 #include "mesh/mesh_frame.hpp"
 
 namespace facet::avatar {
@@ -34,6 +35,7 @@ struct BridgeConfig {
   double smoothing_ms = 0;            ///< time constant; 0: none
   std::string subject = "facet";      ///< name in Live Link
   std::filesystem::path neutral_file = "/var/lib/facet/neutral.json";
+  ValueTunings values;  ///< until tune() says otherwise
 };
 
 struct BridgeTargetStatus {
@@ -52,6 +54,7 @@ struct BridgeStatus {
   NeutralState neutral = NeutralState::None;
   std::string neutral_reason;  ///< why Failed; the earlier pose, if any, stays
   int neutral_frames = 0;      ///< recorded so far
+  ValueTunings values;
 };
 
 /// Sends every frame's expression and head to configured targets over UDP, on the thread `facet-bridge`.
@@ -80,6 +83,9 @@ class Bridge {
   void record_neutral(std::chrono::milliseconds duration);
   /// Forgets the neutral pose and removes its file. Any thread. Throws Error(Storage) where it can't.
   void clear_neutral();
+  /// Takes these in the place of the configured ones from the next frame on, until the bridge ends. Any
+  /// thread.
+  void tune(const ValueTunings& values);
 
  private:
   struct Impl;

@@ -165,7 +165,7 @@ void TomlDocument::fail(const toml::node* node, const std::string& key, const st
 TomlSection TomlSection::section(const std::string& key) {
   const toml::node* node = find(key, false);
   if (node != nullptr && !node->is_table()) {
-    fail(node, key, "must be a section in square brackets");
+    fail(node, key, "must be a section in square brackets, or { KEY = VALUE, ... }");
   }
   return {document_, node != nullptr ? node->as_table() : nullptr, full(key)};
 }

@@ -13,6 +13,7 @@
 #include "facet/error.hpp"
 #include "files/text_file.hpp"
 #include "files/toml_section.hpp"
+#include "mesh/arkit.hpp"
 #include "person/person_folder.hpp"
 #include "service/listen_address.hpp"
 #include "service/settings.hpp"
@@ -436,6 +437,26 @@ void read_web(Section section, Section& expert, const MetricsConfig& metrics, We
   section.finish();
 }
 
+/// What a name leaves out is as "all" has it.
+void read_values(Section section, avatar::ValueTunings& values) {
+  const auto read = [&](const std::string& name, avatar::ValueTuning& tuning) {
+    Section given = section.section(name);
+    if (given.given()) {
+      given.read(kValueTuningSettings, tuning);
+      given.finish();
+    }
+    return given.given();
+  };
+  read(avatar::kAllValues, values.all);
+  for (std::size_t i = 0; i < mesh::kArkitNames.size(); ++i) {
+    avatar::ValueTuning tuning = values.all;
+    if (read(mesh::arkit_name(i), tuning)) {
+      values.named[i] = tuning;
+    }
+  }
+  section.finish();
+}
+
 void read_bridges(Section section, avatar::BridgeConfig& bridges) {
   for (const avatar::BridgeProtocol protocol :
        {avatar::BridgeProtocol::Vmc, avatar::BridgeProtocol::LiveLinkFace}) {
@@ -454,6 +475,7 @@ void read_bridges(Section section, avatar::BridgeConfig& bridges) {
     }
   }
   section.read(kBridgesSettings, bridges);
+  read_values(section.section("values"), bridges.values);
   if (bridges.subject.empty() || bridges.subject.size() > 64) {
     section.fail(section.find("subject"), "subject", "must be a name of 1 to 64 bytes");
   }

@@ -41,6 +41,7 @@
 #include "service/studio_methods.hpp"
 #include "service/take_index.hpp"
 #include "service/thumbnails.hpp"
+#include "service/value_methods.hpp"
 #include "service/web_server.hpp"
 #include "stream/server.hpp"
 #include "studio/studio.hpp"
@@ -296,6 +297,8 @@ ControlMethods Service::Impl::methods() {
         }}},
   };
   all.merge(studio_methods(studio, looking));
+  all.merge(
+      value_methods([this]() -> avatar::Bridge& { return configured_bridge(); }, config.bridges.values));
   all.merge(person_methods([this] { return pipeline ? pipeline->status() : pipeline::PipelineStatus(); },
                            config.pipeline.persons_folder, recording.errands(), log));
   return all;
@@ -448,7 +451,7 @@ avatar::Bridge& Service::Impl::configured_bridge() {
     throw Error(
         ErrorKind::Usage,
         "no bridge is configured: bridges.vmc and bridges.live_link_face name no target that a neutral pose "
-        "would be for");
+        "or a value's tuning would be for");
   }
   return *bridge;
 }

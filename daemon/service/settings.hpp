@@ -110,6 +110,12 @@ inline constexpr Setting<avatar::BridgeConfig> kBridgesSettings[] = {
     {"neutral", &at<&avatar::BridgeConfig::neutral_file>},
 };
 
+inline constexpr Setting<avatar::ValueTuning> kValueTuningSettings[] = {
+    {"gain", &at<&avatar::ValueTuning::gain>, 0, avatar::kMostGain},
+    {"dead_zone", &at<&avatar::ValueTuning::dead_zone>, 0, avatar::kMostDeadZone},
+    {"smoothing_ms", &at<&avatar::ValueTuning::smoothing_ms>, 0, avatar::kMostValueSmoothing_ms},
+};
+
 inline constexpr Setting<WebConfig> kWebSettings[] = {
     {"page", &at<&WebConfig::page>},
     {"hosts", &at<&WebConfig::hosts>},

@@ -11,6 +11,7 @@
 
 #include "booth/rig_check.hpp"
 #include "facet/error.hpp"
+#include "mesh/arkit.hpp"
 #include "take/reader.hpp"
 
 namespace facet::service {
@@ -188,6 +189,10 @@ json to_json(const take::RecorderStatus& status) {
           {"log_left", status.log_left}};
 }
 
+json to_json(const avatar::ValueTuning& tuning) {
+  return {{"gain", tuning.gain}, {"dead_zone", tuning.dead_zone}, {"smoothing_ms", tuning.smoothing_ms}};
+}
+
 json to_json(const avatar::BridgeStatus& status) {
   json targets = json::array();
   for (const avatar::BridgeTargetStatus& target : status.targets) {
@@ -197,7 +202,18 @@ json to_json(const avatar::BridgeStatus& status) {
                        {"failed", target.failed},
                        {"reason", target.reason}});
   }
+  json values = json::object();
+  const avatar::ValueTuning& all = status.values.all;
+  if (all != avatar::ValueTuning()) {
+    values[avatar::kAllValues] = to_json(all);
+  }
+  for (const auto& [index, tuning] : status.values.named) {
+    if (tuning != all) {
+      values[mesh::arkit_name(index)] = to_json(tuning);
+    }
+  }
   return {{"targets", std::move(targets)},
+          {"values", std::move(values)},
           {"neutral",
            {{"state", avatar::to_string(status.neutral)},
             {"reason", status.neutral_reason},

@@ -17,6 +17,7 @@ nlohmann::json to_json(const stream::StreamStatistics& statistics);
 nlohmann::json to_json(const WebStatistics& web);
 nlohmann::json to_json(const take::RecorderStatus& status);
 nlohmann::json to_json(const avatar::BridgeStatus& status);
+nlohmann::json to_json(const avatar::ValueTuning& tuning);
 
 /// Memory of this process in use, bytes; 0 where the system does not tell.
 std::uint64_t resident_bytes();

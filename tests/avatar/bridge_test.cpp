@@ -69,6 +69,9 @@ class Receiver {
   sockaddr_in address_{};
 };
 
+const auto kJawOpen = static_cast<std::size_t>(mesh::arkit_index("jawOpen"));
+const auto kEyeBlinkLeft = static_cast<std::size_t>(mesh::arkit_index("eyeBlinkLeft"));
+
 /// A frame of somebody who says "ah" and turns the head by 0.3 rad to the own left.
 std::shared_ptr<mesh::MeshFrame> frame(std::uint64_t sequence = 0) {
   static const auto subject = test::patch_subject();  // jawOpen, eyeBlinkLeft, mouthSmileRight
@@ -79,6 +82,15 @@ std::shared_ptr<mesh::MeshFrame> frame(std::uint64_t sequence = 0) {
                                        .toRotationMatrix();
   out->camera_from_head.translation() << 100, -50, 600;
   return out;
+}
+
+json message(const json& messages, const std::string& address, const std::string& name = "") {
+  for (const json& found : messages) {
+    if (found[0] == address && (name.empty() || found[1] == name)) {
+      return found;
+    }
+  }
+  return nullptr;
 }
 
 class BridgeTest : public ::testing::Test {
@@ -116,17 +128,16 @@ class BridgeTest : public ::testing::Test {
     }
   }
 
+  /// A frame with this jawOpen comes out of a bridge as so much.
+  float sent_jaw(Bridge& bridge, const Receiver& receiver, float jaw) const {
+    const auto shown = frame();
+    shown->expression = {jaw, 0.25F, 0.0F};
+    bridge.publish(shown);
+    return message(decode("osc", receiver.receive()), "/VMC/Ext/Blend/Val", "JawOpen")[2].get<float>();
+  }
+
   test::TemporaryFolder folder_;
 };
-
-json message(const json& messages, const std::string& address, const std::string& name = "") {
-  for (const json& found : messages) {
-    if (found[0] == address && (name.empty() || found[1] == name)) {
-      return found;
-    }
-  }
-  return nullptr;
-}
 
 TEST_F(BridgeTest, VmcSendsBlendsAndHead) {
   const Receiver receiver;
@@ -308,6 +319,31 @@ TEST_F(BridgeTest, NeutralPoseIsTakenAwayAndKept) {
   EXPECT_FALSE(std::filesystem::exists(wanted.neutral_file));
 }
 
+TEST_F(BridgeTest, ValuesAreTunedAfterTheNeutralPoseByNameAndLive) {
+  const Receiver receiver;
+  BridgeConfig wanted = config({receiver.target(BridgeProtocol::Vmc)});
+  NeutralPose rest;
+  rest.values.at(kJawOpen) = 0.5F;
+  save_neutral(rest, wanted.neutral_file);
+  wanted.values.named[kJawOpen] = {.gain = 1.5, .dead_zone = 0.2};
+  Bridge bridge(wanted);
+  bridge.start();
+  bridge.publish(frame());  // jawOpen 0.75, which is 0.5 above rest
+  const json messages = decode("osc", receiver.receive());
+  EXPECT_NEAR(message(messages, "/VMC/Ext/Blend/Val", "JawOpen")[2].get<float>(), 0.5625F, 1e-4F)
+      << "1.5 * (0.5 - 0.2) / 0.8";
+  EXPECT_EQ(message(messages, "/VMC/Ext/Blend/Val", "EyeBlinkLeft")[2], 0.25F) << "as it comes";
+  EXPECT_EQ(sent_jaw(bridge, receiver, 0.55F), 0) << "in the dead zone, which counts from the neutral pose";
+
+  ValueTunings values;
+  values.named[kJawOpen] = {.gain = 0.5};
+  bridge.tune(values);
+  EXPECT_EQ(bridge.status().values.of(kJawOpen).gain, 0.5);
+  EXPECT_NEAR(sent_jaw(bridge, receiver, 0.75F), 0.25F, 1e-4F);
+  bridge.tune({});
+  EXPECT_NEAR(sent_jaw(bridge, receiver, 0.75F), 0.5F, 1e-4F);
+}
+
 TEST_F(BridgeTest, NeutralPoseWithoutAFaceFails) {
   const Receiver receiver;
   Bridge bridge(config({receiver.target(BridgeProtocol::Vmc)}));
@@ -354,6 +390,78 @@ TEST(BridgeTargets, AreAddressesInDigits) {
         "127.0.0.1:39539 ", "::1:11111", "[127.0.0.1]:1", "[::1]", ":39539", "127.0.0.1:-1"}) {
     EXPECT_EQ(text(bad), "none") << bad;
   }
+}
+
+/// What becomes of a value at once.
+float tuned(const ValueTuning& tuning, float value) {
+  ValueTunings tunings;
+  tunings.named[kJawOpen] = tuning;
+  FaceState state;
+  state.tracked = true;
+  state.values.fill(value);
+  ValueTuner().apply(tunings, state);
+  EXPECT_EQ(state.values.at(kEyeBlinkLeft), value) << "another name's stays";
+  return state.values.at(kJawOpen);
+}
+
+TEST(ValueTuning, DeadZoneIsContinuousAndThenComesTheGain) {
+  for (const float value : {0.0F, 0.1F, 0.7F, 1.0F}) {
+    EXPECT_EQ(tuned({}, value), value) << "the plain one changes nothing";
+  }
+  const ValueTuning zone{.dead_zone = 0.2};
+  EXPECT_EQ(tuned(zone, 0.1F), 0);
+  EXPECT_EQ(tuned(zone, 0.2F - 1e-4F), 0);
+  EXPECT_NEAR(tuned(zone, 0.2F + 1e-4F), 1.25e-4F, 1e-6F) << "no step";
+  EXPECT_NEAR(tuned(zone, 0.6F), 0.5F, 1e-6F);
+  EXPECT_EQ(tuned(zone, 1), 1);
+  const ValueTuning both{.gain = 3, .dead_zone = 0.2};
+  EXPECT_NEAR(tuned(both, 0.4F), 0.75F, 1e-6F) << "the gain is of what the dead zone leaves";
+  EXPECT_EQ(tuned(both, 0.1F), 0) << "a gain first would lift it out of the dead zone";
+  EXPECT_EQ(tuned(both, 0.9F), 1) << "cut";
+  EXPECT_EQ(tuned({.gain = 0}, 0.9F), 0);
+}
+
+TEST(ValueTuning, AllIsForWhatIsNotNamed) {
+  ValueTunings tunings;
+  tunings.all.gain = 0.5;
+  tunings.named[kJawOpen].gain = 0.25;
+  FaceState state;
+  state.tracked = true;
+  state.values.fill(1);
+  ValueTuner().apply(tunings, state);
+  EXPECT_EQ(state.values.at(kJawOpen), 0.25F);
+  EXPECT_EQ(state.values.at(kEyeBlinkLeft), 0.5F);
+}
+
+TEST(ValueTuning, SmoothsEachNameWithItsOwnTimeAndLast) {
+  ValueTunings tunings;
+  tunings.named[kJawOpen] = {.gain = 4, .smoothing_ms = 100};
+  tunings.named[kEyeBlinkLeft].smoothing_ms = 50;
+  ValueTuner tuner;
+  FaceState state;
+  state.tracked = true;
+  const auto after = [&](int milliseconds, float value) {
+    state.timestamp_ns += milliseconds * 1'000'000LL;
+    state.values.fill(value);
+    tuner.apply(tunings, state);
+  };
+  after(0, 0);
+  after(100, 1);
+  EXPECT_NEAR(state.values.at(kJawOpen), 1 - std::exp(-1.0F), 1e-5F) << "cut to 1 before it is smoothed";
+  EXPECT_NEAR(state.values.at(kEyeBlinkLeft), 1 - std::exp(-2.0F), 1e-5F);
+  EXPECT_EQ(state.values.back(), 1) << "not smoothed";
+  after(100, 0);
+  EXPECT_NEAR(state.values.at(kJawOpen), (1 - std::exp(-1.0F)) * std::exp(-1.0F), 1e-5F)
+      << "from what was sent last";
+  tunings = {};
+  after(10, 0.5F);
+  EXPECT_EQ(state.values.at(kJawOpen), 0.5F) << "changed live";
+  tunings.all.smoothing_ms = 1000;
+  state.tracked = false;
+  after(10, 0);
+  state.tracked = true;
+  after(10, 1);
+  EXPECT_EQ(state.values.at(kJawOpen), 1) << "anew after a pause";
 }
 
 TEST(Smoothing, ComesThroughAfterItsTime) {

@@ -321,6 +321,12 @@ TEST_F(DaemonWithAssets, RecordsOnCommand) {
   EXPECT_EQ(status["recording"], nullptr);
   EXPECT_EQ(status["bridges"], nullptr) << "off unless configured";
   EXPECT_THROW(ask("neutral.record"), Error);
+  EXPECT_THAT(
+      [&] {
+        ask("values.set", {{"name", "jawOpen"}, {"gain", 2}});
+      },
+      ::testing::ThrowsMessage<Error>(HasSubstr("no bridge is configured")));
+  EXPECT_THROW(ask("values.reset"), Error);
   EXPECT_THROW(ask("record.stop"), Error);
   EXPECT_EQ(ask("record.start", {{"name", "first"}})["file"], (folder_.path() / "takes/first.take").string());
   EXPECT_THROW(ask("record.start", {{"name", "second"}}), Error);
@@ -354,7 +360,8 @@ TEST_F(DaemonWithAssets, BridgesSendAndHaveANeutralPose) {
   ASSERT_EQ(::bind(receiver, reinterpret_cast<sockaddr*>(&address), length), 0);
   ASSERT_EQ(::getsockname(receiver, reinterpret_cast<sockaddr*>(&address), &length), 0);
   const auto daemon = start(configure(
-      looped(), fmt::format("[bridges]\nvmc = [\"127.0.0.1:{}\"]\nneutral = \"takes/neutral.json\"\n",
+      looped(), fmt::format("[bridges]\nvmc = [\"127.0.0.1:{}\"]\nneutral = \"takes/neutral.json\"\n"
+                            "[bridges.values]\nmouthSmileLeft = {{ gain = 0.5 }}\n",
                             ntohs(address.sin_port))));
   const auto received = [receiver] {
     std::string all;
@@ -372,6 +379,12 @@ TEST_F(DaemonWithAssets, BridgesSendAndHaveANeutralPose) {
   const std::string sent = received();
   EXPECT_NE(sent.find("/VMC/Ext/Blend/Val"), std::string::npos);
   EXPECT_NE(sent.find("JawOpen"), std::string::npos);
+
+  EXPECT_EQ(status["bridges"]["values"]["mouthSmileLeft"]["gain"], 0.5) << status["bridges"];
+  EXPECT_EQ(ask("values.set", {{"name", "jawOpen"}, {"gain", 2}})["gain"], 2);
+  EXPECT_EQ(ask("status")["bridges"]["values"].size(), 2U);
+  ask("values.reset");
+  EXPECT_EQ(ask("status")["bridges"]["values"], status["bridges"]["values"]);
 
   EXPECT_THROW(ask("neutral.record", {{"seconds", 0}}), Error);
   json neutral = {{"state", "none"}};

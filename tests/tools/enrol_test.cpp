@@ -4,17 +4,15 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
-#include <chrono>
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <string>
-#include <thread>
 #include <utility>
 #include <vector>
 
+#include "answering.hpp"
 #include "facet/error.hpp"
-#include "service/control_server.hpp"
 #include "support/child_process.hpp"
 #include "support/paths.hpp"
 #include "support/videos.hpp"
@@ -104,28 +102,6 @@ TEST_F(Enrol, WhoIsToBeImprovedMustBeThere) {
   EXPECT_THAT(output_, HasSubstr("--improve keeps the person's name"));
 }
 
-/// A daemon's control socket: what it answers is the test's.
-class Answering {
- public:
-  Answering(const std::filesystem::path& socket, service::ControlMethods methods)
-      : server_(config(socket), std::move(methods)) {}
-
- private:
-  static service::ControlConfig config(const std::filesystem::path& socket) {
-    service::ControlConfig config;
-    config.socket = socket;
-    return config;
-  }
-
-  service::ControlServer server_;
-  std::jthread thread_{[this](const std::stop_token& stop) {
-    while (!stop.stop_requested()) {
-      server_.serve();
-      std::this_thread::sleep_for(std::chrono::milliseconds(2));
-    }
-  }};
-};
-
 TEST_F(Enrol, LiveSaysWhatToDoAndHasTheDaemonKeepThePerson) {
   using nlohmann::json;
   const auto learning = [](const char* state, double left, double right, const char* note = "") {
@@ -157,7 +133,7 @@ TEST_F(Enrol, LiveSaysWhatToDoAndHasTheDaemonKeepThePerson) {
         kept = params;
         return json{{"file", "kept/ada.person"}};
       }};
-  const Answering daemon(file("control.sock"), std::move(methods));
+  const test::Answering daemon(file("control.sock"), std::move(methods));
   const auto live = [&](const std::string& name) {
     return run({"enrol", "--live", "--name", name, "--socket", file("control.sock")});
   };

@@ -40,6 +40,9 @@ void print_bridges(const json& bridges) {
   const std::string reason = bridges["neutral"]["reason"];
   tell("neutral pose  {}{}\n", bridges["neutral"]["state"].get<std::string>(),
        reason.empty() ? "" : ": " + reason);
+  if (const std::size_t tuned = bridges["values"].size(); tuned > 0) {
+    tell("tuned values  {} ('facet values' lists them)\n", tuned);
+  }
 }
 
 void print_stages(const json& stages) {

@@ -1,0 +1,104 @@
+// `facet values` as a user meets it.
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "answering.hpp"
+#include "facet/error.hpp"
+#include "mesh/arkit.hpp"
+#include "service/config.hpp"
+#include "service/status_report.hpp"
+#include "service/value_methods.hpp"
+#include "support/child_process.hpp"
+#include "support/paths.hpp"
+
+namespace facet::tools {
+namespace {
+
+using nlohmann::json;
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+
+class ValuesCommand : public ::testing::Test {
+ protected:
+  int run(std::vector<std::string> arguments) {
+    arguments.insert(arguments.begin(), "values");
+    arguments.insert(arguments.end(), {"--socket", (folder_.path() / "control.sock").string()});
+    test::ChildProcess child(FACET_PROGRAM, arguments, folder_.path() / "log");
+    const int status = child.wait();
+    output_ = child.output();
+    return status;
+  }
+  service::ControlMethods methods() {
+    auto all = service::value_methods([this]() -> avatar::Bridge& { return bridge_; }, config_.values);
+    all["status"] = {
+        false, {}, [this](const json&) {
+          return json{{"bridges", has_bridge_ ? service::to_json(bridge_.status()) : json(nullptr)}};
+        }};
+    return all;
+  }
+  static avatar::BridgeConfig config(const std::filesystem::path& folder) {
+    avatar::BridgeConfig config;
+    config.neutral_file = folder / "neutral.json";
+    config.values.all.smoothing_ms = 20;
+    return config;
+  }
+
+  test::TemporaryFolder folder_;
+  avatar::BridgeConfig config_ = config(folder_.path());
+  avatar::Bridge bridge_{config_};
+  bool has_bridge_ = true;
+  test::Answering daemon_{folder_.path() / "control.sock", methods()};
+  std::string output_;
+};
+
+TEST_F(ValuesCommand, SetsTellsTheLineToKeepAndGoesBack) {
+  const std::string all = "all = { gain = 1, dead_zone = 0, smoothing_ms = 20 }\n";
+  EXPECT_EQ(run({}), 0) << output_;
+  EXPECT_EQ(output_, all);
+  const std::string line = "jawOpen = { gain = 1.2, dead_zone = 0.05, smoothing_ms = 20 }\n";
+  EXPECT_EQ(run({"jawOpen", "--gain", "1.2", "--dead-zone", "0.05"}), 0) << output_;
+  EXPECT_THAT(output_,
+              AllOf(HasSubstr("until the daemon ends"), HasSubstr("[bridges.values]"), HasSubstr(line)));
+  // What it says to put into the configuration gives what the daemon has now.
+  const avatar::ValueTunings now = bridge_.status().values;
+  const avatar::ValueTunings kept =
+      service::parse_config("[bridges.values]\n" + all + line, "facet.toml").bridges.values;
+  EXPECT_EQ(kept.all, now.all);
+  EXPECT_EQ(kept.named, now.named);
+  EXPECT_EQ(run({}), 0);
+  EXPECT_EQ(output_, all + line);
+  EXPECT_EQ(run({"all", "--smoothing-ms", "0"}), 0) << output_;
+  EXPECT_EQ(bridge_.status().values.all, avatar::ValueTuning());
+  EXPECT_EQ(run({"--reset"}), 0) << output_;
+  EXPECT_EQ(run({}), 0);
+  EXPECT_EQ(output_, all) << "as configured";
+  bridge_.tune({});
+  EXPECT_EQ(run({}), 0);
+  EXPECT_THAT(output_, HasSubstr("every value is sent as it comes"));
+}
+
+TEST_F(ValuesCommand, RefusesWhatIsNoTuning) {
+  const int usage = static_cast<int>(ErrorKind::Usage);
+  const auto refused = [&](const std::vector<std::string>& arguments, const char* why) {
+    EXPECT_EQ(run(arguments), usage) << why;
+    EXPECT_THAT(output_, HasSubstr(why));
+  };
+  refused({"jaw", "--gain", "2"}, "'jaw' is none of ARKit's values");
+  refused({"jawOpen"}, "nothing to set");
+  refused({"jawOpen", "--gain", "11"}, "--gain: Value 11 not in range 0");
+  refused({"jawOpen", "--dead-zone", "0.95"}, "--dead-zone: Value 0.95 not in range 0");
+  refused({"jawOpen", "--smoothing-ms", "2001"}, "--smoothing-ms: Value 2001 not in range 0");
+  refused({"--gain", "2"}, "--gain requires name");
+  refused({"jawOpen", "--reset"}, "name excludes --reset");
+  EXPECT_EQ(bridge_.status().values.named.size(), 0U);
+  has_bridge_ = false;
+  refused({}, "no bridge is configured");
+}
+
+}  // namespace
+}  // namespace facet::tools
