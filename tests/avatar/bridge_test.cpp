@@ -26,7 +26,6 @@ namespace {
 
 using nlohmann::json;
 using namespace std::chrono_literals;
-using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 
 /// A program that listens on a port of this machine.
