@@ -202,8 +202,8 @@ void write_map(const MapPicture& picture, MapKind kind, PictureFormat format,
 
 /// One line of the jsonl export, without the newline: index, sequence, timestamp_ns, media_time_ns, state,
 /// degraded, camera, camera_from_head, expression, expression_confidence, model_weights, identity, lighting,
-/// landmarks_px, reprojection_px, photometric_rms, stage_ms. Without a mesh camera_from_head is null and the lists are
-/// empty.
+/// landmarks_px, reprojection_px, photometric_rms, stage_ms. Without a mesh camera_from_head is null and the
+/// lists are empty.
 std::string frame_json(const mesh::MeshFrame& frame, std::int64_t index);
 
 }  // namespace facet::exports
