@@ -437,7 +437,7 @@ void read_web(Section section, Section& expert, const MetricsConfig& metrics, We
   section.finish();
 }
 
-/// What a name leaves out is as "all" has it.
+/// A name that is there has nothing of "all": what it leaves out is plain, as facetd has it live.
 void read_values(Section section, avatar::ValueTunings& values) {
   const auto read = [&](const std::string& name, avatar::ValueTuning& tuning) {
     Section given = section.section(name);
@@ -449,7 +449,7 @@ void read_values(Section section, avatar::ValueTunings& values) {
   };
   read(avatar::kAllValues, values.all);
   for (std::size_t i = 0; i < mesh::kArkitNames.size(); ++i) {
-    avatar::ValueTuning tuning = values.all;
+    avatar::ValueTuning tuning;
     if (read(mesh::arkit_name(i), tuning)) {
       values.named[i] = tuning;
     }

@@ -67,7 +67,7 @@ class ExpressionReader {
   const ExpressionReading* reading_;
   Eigen::MatrixXf shares_;  ///< [names][landmarks] how much of a value is read off each; sums to told
   Eigen::VectorXf seen_;    ///< x, scratch
-  Eigen::VectorXf pull_;    ///< E x - rare, scratch
+  Eigen::VectorXf pull_;    ///< E x - rare, then the confidences, scratch
   Eigen::VectorXf read_;    ///< w, scratch
   Eigen::VectorXf shown_;   ///< [landmarks of the reading], scratch
 };

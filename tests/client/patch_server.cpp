@@ -30,8 +30,9 @@ int main(int argc, char** argv) {
   const service::WebServer web(web_config, folder, {}, server, control);
   auto subject = test::patch_subject();
   const auto publish = [&](std::uint64_t sequence) {
-    server.publish(std::make_shared<mesh::MeshFrame>(
-        test::patch_frame(sequence, subject, test::patch_albedo(*subject))));
+    mesh::MeshFrame frame = test::patch_frame(sequence, subject, test::patch_albedo(*subject));
+    frame.expression_confidence.assign(frame.expression.size(), 0.2F);
+    server.publish(std::make_shared<mesh::MeshFrame>(std::move(frame)));
   };
   std::uint64_t sequence = 7;
   publish(sequence);

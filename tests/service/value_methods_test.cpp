@@ -48,8 +48,8 @@ TEST(ConfiguredValues, AreByNameAndForAllOthers) {
       read("jawOpen = { gain = 1.2, dead_zone = 0.02 }\nall = { smoothing_ms = 40, dead_zone = 0.9 }\n");
   EXPECT_EQ(values.all, (ValueTuning{1, 0.9, 40}));
   EXPECT_EQ(values.named.size(), 1U);
-  EXPECT_EQ(values.of(index_of("jawOpen")), (ValueTuning{1.2, 0.02, 40}))
-      << "what it leaves out is as in all";
+  EXPECT_EQ(values.of(index_of("jawOpen")), (ValueTuning{1.2, 0.02, 0}))
+      << "what it leaves out is plain, whatever is said of all";
   EXPECT_EQ(values.of(index_of("tongueOut")), values.all);
   EXPECT_EQ(read("").all, ValueTuning());
   EXPECT_EQ(read("[bridges.values.jawOpen]\ngain = 10\n").of(index_of("jawOpen")).gain, 10);

@@ -237,6 +237,10 @@ TEST_F(Encoding, UnsoundMeshIsLeftOutWithAReason) {
   EXPECT_THAT(
       reason_for([](mesh::MeshFrame& f) { f.expression_confidence.assign(f.expression.size() + 1, 1); }),
       HasSubstr("expression's confidences"));
+  EXPECT_THAT(reason_for([](mesh::MeshFrame& f) {
+                f.expression_confidence.assign(f.expression.size(), std::numeric_limits<float>::quiet_NaN());
+              }),
+              HasSubstr("finite"));
   EXPECT_THAT(reason_for([](mesh::MeshFrame& f) { f.displacements_mm.pop_back(); }),
               HasSubstr("displacements"));
   EXPECT_THAT(reason_for([](mesh::MeshFrame& f) { f.confidence.pop_back(); }), HasSubstr("confidences"));

@@ -14,6 +14,7 @@
 #include <opencv2/imgproc.hpp>
 #include <optional>
 #include <span>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -156,7 +157,11 @@ class AwkwardFaces : public testing::Test {
 
   static std::size_t index_of(const std::string& name) {
     const auto& names = model->expression_names;
-    return static_cast<std::size_t>(std::find(names.begin(), names.end(), name) - names.begin());
+    const auto found = std::find(names.begin(), names.end(), name);
+    if (found == names.end()) {
+      throw std::invalid_argument(name + " is no expression of the model");
+    }
+    return static_cast<std::size_t>(found - names.begin());
   }
   static int meshes(const std::vector<Seen>& seen) {
     return static_cast<int>(
@@ -211,6 +216,8 @@ TEST_F(AwkwardFaces, OneEyeCovered) {
   const auto seen = watch(painted(cover_eye), person);
   EXPECT_EQ(meshes(seen), static_cast<int>(kWatchedFrames));
   EXPECT_LT(change(seen, "eyeBlinkLeft"), 0.13) << "the other eye";
+  EXPECT_GT(confidence(seen, "eyeBlinkRight"), 0.7 * confidence(clean, "eyeBlinkRight"))
+      << "the net draws an eye all the same: that it is not seen is not known (docs/tracking.md)";
   EXPECT_LT(change(seen, "jawOpen"), 0.02);
   EXPECT_LT(turned_deg(seen), 4);
 }
@@ -315,7 +322,7 @@ TEST_F(AwkwardFaces, AThirdOfTheFaceBeyondThePicturesEdge) {
   EXPECT_LT(change(seen, "eyeBlinkLeft"), 0.13);
   EXPECT_LT(change(seen, "jawOpen"), 0.1);
   EXPECT_LT(confidence(seen, "eyeBlinkRight"), 0.8 * confidence(seen, "eyeBlinkLeft"))
-      << "the right eye is cut off";
+      << "the right eye is partly beyond the edge";
   EXPECT_GT(confidence(seen, "eyeBlinkLeft"), 0.85 * confidence(clean, "eyeBlinkLeft"));
 }
 

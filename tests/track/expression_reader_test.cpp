@@ -180,9 +180,13 @@ TEST_F(Reader, BelievesAValueByWhatIsKnownOfItAndSeen) {
 }
 
 TEST_F(Reader, AModelThatLacksALandmarkOrANameIsNotRead) {
+  reading.told.setOnes(2);
+  confidence.assign(values.size(), 1);
   ExpressionReading unknown = reading;
   unknown.names[1] = "earWiggle";
   ExpressionReader(model, face_model.expression_names, unknown).read(movements, values, confidence);
+  EXPECT_TRUE(confidence.empty());
+  confidence.assign(values.size(), 1);
   ExpressionReading elsewhere = reading;
   elsewhere.landmarks[1] = landmark::kRightIris;
   ASSERT_EQ(model.position_of(landmark::kRightIris), -1) << "the model has no eyeballs";

@@ -40,8 +40,10 @@ void print_bridges(const json& bridges) {
   const std::string reason = bridges["neutral"]["reason"];
   tell("neutral pose  {}{}\n", bridges["neutral"]["state"].get<std::string>(),
        reason.empty() ? "" : ": " + reason);
-  if (const std::size_t tuned = bridges["values"].size(); tuned > 0) {
-    tell("tuned values  {} ('facet values' lists them)\n", tuned);
+  const json values = bridges.value("values", json::object());
+  if (const std::size_t named = values.size() - values.count("all"); !values.empty()) {
+    tell("tuned values  {}{} ('facet values' lists them)\n", named,
+         values.contains("all") ? ", and all others" : "");
   }
 }
 

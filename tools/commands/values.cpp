@@ -34,10 +34,11 @@ void list(const DaemonOptions& daemon) {
   if (bridges.is_null()) {
     throw Error(ErrorKind::Usage, "no bridge is configured: nothing sends values (docs/bridges.md)");
   }
-  if (bridges["values"].empty()) {
+  const json values = bridges.value("values", json::object());
+  if (values.empty()) {
     tell("every value is sent as it comes\n");
   }
-  for (const auto& [name, tuning] : bridges["values"].items()) {
+  for (const auto& [name, tuning] : values.items()) {
     print_tuning(name, tuning);
   }
 }
@@ -72,7 +73,7 @@ void add_values_command(Command program) {
       .needs("name");
   command
       .option("--dead-zone", options->dead_zone,
-              "0 for values below this; the range above is stretched to begin at 0")
+              "0 for values below this; the range above is stretched to 0 to 1")
       .range(0.0, avatar::kMostDeadZone)
       .needs("name");
   command
