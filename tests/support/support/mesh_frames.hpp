@@ -89,7 +89,8 @@ inline mesh::MeshFrame patch_frame(std::uint64_t sequence, std::shared_ptr<const
   const int side = static_cast<int>(std::lround(std::sqrt(hierarchy.control_vertex_count)));
   for (int vertex = 0; vertex < hierarchy.control_vertex_count; ++vertex) {
     const float x = 150.0F * (static_cast<float>(vertex % side) / static_cast<float>(side - 1) - 0.5F);
-    const float y = 150.0F * (static_cast<float>(vertex / side) / static_cast<float>(side - 1) - 0.5F);
+    const int row = vertex / side;
+    const float y = 150.0F * (static_cast<float>(row) / static_cast<float>(side - 1) - 0.5F);
     frame.control_vertices_mm.col(vertex) << x, y, 60.0F - 0.008F * (x * x + y * y) + uniform(-0.2F, 0.2F);
   }
   for (int i = 0; i < hierarchy.finest().vertex_count; ++i) {
