@@ -44,6 +44,7 @@ struct Choice {
   double measured_mm2 = 0.02;   ///< variance of any number, mm^2
   double ridge = 0.5;           ///< of D, frames
   double independent = 1e-3;    ///< of C, square of a value
+  double sideways = 1e-2;       ///< least of C for mouths and jaws to a side, square of a value
   double seconds_of_life = 20;  ///< of each recording, from its start on; the check set has later ones
   double at_rest = 0.2;         ///< quantile that a recorded value rests at
   float rare = 2;               ///< track::ExpressionReading::rare
@@ -135,6 +136,14 @@ class Trainer {
           prior_(a, b) += (moment(a, b) + moment(name_twin_[as_size(a)], name_twin_[as_size(b)])) /
                           (2.0 * as_double(heard));
         }
+      }
+    }
+    // People do it when asked to; the recordings, made of talk, have hardly any of it.
+    for (const char* name : {"mouthLeft", "mouthRight", "jawLeft", "jawRight"}) {
+      const auto found = std::find(names_.begin(), names_.end(), name);
+      if (found != names_.end()) {
+        double& variance = prior_(found - names_.begin(), found - names_.begin());
+        variance = std::max(variance, choice_.sideways);
       }
     }
   }

@@ -98,6 +98,16 @@ ExpressionReader::ExpressionReader(const LandmarkModel& model, std::span<const s
   if (std::find(places.begin(), places.end(), -1) == places.end()) {
     places_ = places;
   }
+  for (const char* part : {"mouth", "jaw"}) {
+    const auto place_of = [&](const char* side) {
+      return std::find(reading.names.begin(), reading.names.end(), std::string(part) + side) -
+             reading.names.begin();
+    };
+    const auto count = static_cast<std::ptrdiff_t>(reading.names.size());
+    if (place_of("Left") < count && place_of("Right") < count) {
+      sideways_.push_back({place_of("Left"), place_of("Right")});
+    }
+  }
   if (reading.told.size() == reading.evidence.rows()) {
     shares_.resize(reading.evidence.rows(), shown_.size());
     for (Eigen::Index k = 0; k < shares_.cols(); ++k) {
@@ -140,6 +150,7 @@ void ExpressionReader::read(const LandmarkMovements& movements, std::vector<floa
       read_[e] = value;
     }
   }
+  take_rest_off();
   for (Eigen::Index e = 0; e < names; ++e) {
     values[static_cast<std::size_t>(indices_[static_cast<std::size_t>(e)])] = read_[e];
   }
@@ -150,6 +161,27 @@ void ExpressionReader::read(const LandmarkMovements& movements, std::vector<floa
       confidence[static_cast<std::size_t>(indices_[static_cast<std::size_t>(e)])] =
           std::clamp(pull_[e], 0.0F, 1.0F);
     }
+  }
+}
+
+void ExpressionReader::forget() {
+  read_before_ = 0;
+  for (Sideways& pair : sideways_) {
+    pair.rest = 0;
+  }
+}
+
+void ExpressionReader::take_rest_off() {
+  // Steps towards what is read, however far off it is, find the median. Large at first; later so small that
+  // a mouth held to one side for 20 s keeps two thirds of that at 30 frames a second.
+  constexpr float kFirstStep = 0.3F;
+  constexpr float kLastStep = 5e-4F;
+  const float step = std::max(kLastStep, kFirstStep / static_cast<float>(++read_before_));
+  for (Sideways& pair : sideways_) {
+    const float to_right = read_[pair.right] - read_[pair.left];
+    pair.rest += std::clamp(to_right - pair.rest, -step, step);
+    read_[pair.right] = std::clamp(to_right - pair.rest, 0.0F, 1.0F);
+    read_[pair.left] = std::clamp(pair.rest - to_right, 0.0F, 1.0F);
   }
 }
 

@@ -61,7 +61,18 @@ class ExpressionReader {
   ///             read off; 0 of what is not read, and empty where nothing is or nothing is known of it
   void read(const LandmarkMovements& movements, std::vector<float>& values, std::vector<float>& confidence);
 
+  /// Somebody else is read from here on: forgets where the face before rested sideways.
+  void forget();
+
  private:
+  /// A mouth or a jaw that stands to one side most of the time rests there, whoever's face it is.
+  struct Sideways {
+    Eigen::Index left;  ///< in the reading's names
+    Eigen::Index right;
+    float rest = 0;  ///< running median of right - left
+  };
+  void take_rest_off();
+
   std::vector<int> places_;   ///< [landmarks of the reading] in the model's landmarks
   std::vector<int> indices_;  ///< [names of the reading] in the face model's expressions
   const ExpressionReading* reading_;
@@ -70,6 +81,8 @@ class ExpressionReader {
   Eigen::VectorXf pull_;    ///< E x - rare, then the confidences, scratch
   Eigen::VectorXf read_;    ///< w, scratch
   Eigen::VectorXf shown_;   ///< [landmarks of the reading], scratch
+  std::vector<Sideways> sideways_;
+  int read_before_ = 0;  ///< frames of this face
 };
 
 }  // namespace facet::track

@@ -145,6 +145,10 @@ struct Tracker::Impl {
     landmark_movements(landmark_model, subject_tracker.basis(), *view_landmarks[view].face,
                        subject_tracker.camera_of(view), subject_tracker.shape().focal_px, subject.face,
                        result.movements);
+    if (subject.subject != read_subject) {
+      read_subject = subject.subject;
+      reader.forget();
+    }
     reader.read(result.movements, result.values, result.value_confidence);
   }
 
@@ -174,6 +178,7 @@ struct Tracker::Impl {
   ExpressionPrior prior;
   SubjectTracker subject_tracker;
   ExpressionReader reader;
+  std::uint32_t read_subject = 0;  ///< whose values the reader has seen
 };
 
 Tracker::Tracker(const face::FaceModel& model, const TrackerConfig& config)

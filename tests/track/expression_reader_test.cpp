@@ -179,6 +179,35 @@ TEST_F(Reader, BelievesAValueByWhatIsKnownOfItAndSeen) {
   }
 }
 
+TEST_F(Reader, AMouthThatStandsToOneSideMostOfTheTimeRestsThere) {
+  const std::vector<std::string> sides{"mouthRight", "mouthLeft"};
+  reading.names = {sides[1], sides[0]};  // left, right
+  values.assign(2, 0);
+  reading.evidence(1, 0) = 0.1F;  // right by the first landmark's place to the left
+  reading.evidence(0, 0) = -0.1F;
+  ExpressionReader reader(model, sides, reading);
+  const auto right_of = [&](float mm) {
+    movements.mm.col(2) << mm, 0;
+    reader.read(movements, values, confidence);
+    return values[0] - values[1];
+  };
+  constexpr float kSlack = 0.01F;
+  for (int f = 0; f < 600; ++f) {
+    right_of(f % 3 == 0 ? 6 : 2);  // a third of the time at 0.6
+  }
+  EXPECT_NEAR(right_of(2), 0, kSlack);
+  EXPECT_NEAR(right_of(6), 0.4, kSlack);
+  EXPECT_NEAR(right_of(-2), -0.4, kSlack) << "to the left of where it rests";
+  EXPECT_EQ(values[0], 0);
+  for (int f = 0; f < 300; ++f) {
+    right_of(6);
+  }
+  EXPECT_GT(right_of(6), 0.2) << "held for ten seconds";
+  reader.forget();
+  right_of(0);
+  EXPECT_NEAR(right_of(6), 0.6, 0.16) << "another face";
+}
+
 TEST_F(Reader, AModelThatLacksALandmarkOrANameIsNotRead) {
   reading.told.setOnes(2);
   confidence.assign(values.size(), 1);
