@@ -221,7 +221,7 @@ void run_time(const Options& options) {
     animate::blend(*basis, pose, frame);
     return finest_of(frame);
   };
-  FaceIk ik(basis);
+  FaceIk ik(basis, {.whole = false, .beyond = true, .sharp_folds = true});
   const mesh::Vertices from = captured(ik, basis->frame_count() / 3);
   const mesh::Vertices to = captured(ik, 2 * basis->frame_count() / 3);
   std::vector<ControlTarget> targets;
@@ -355,7 +355,7 @@ void run_folds(const Options& options) {
            [&](int index) { return actor.frame(held_out(index) ? index - index % 60 + 44 : index); });
     const auto basis = TakeBasis::open(file);
     const Eigen::Isometry3f frontal = actor.shape(expression_of(model, {})).camera_from_head;
-    FaceIk ik(basis);
+    FaceIk ik(basis, {.whole = false, .beyond = true, .sharp_folds = true});
     std::vector<std::int32_t> vertices;
     for (const char* place : {"mouth-left", "mouth-right", "lip-lower", "brow-left", "brow-right"}) {
       vertices.push_back(animate::find_vertex(*basis, place));
@@ -376,7 +376,7 @@ void run_folds(const Options& options) {
       real_energy += energy;
       mesh::MeshFrame made[2];
       for (int sharp = 0; sharp < 2; ++sharp) {
-        ik.set_options({.whole = false, .clamp = false, .sharp_folds = sharp == 1});
+        ik.set_options({.whole = false, .beyond = true, .sharp_folds = sharp == 1});
         Pose pose;
         ik.solve(targets, pose);
         mesh::MeshFrame frame = animate::blank_frame(*basis);
@@ -555,7 +555,7 @@ void run_regions(const Options& options) {
       const RegionPca pca(basis, vertices, mask);
       const mesh::MeshFrame likely = pca.solve(cases[k].targets);
       const float pca_miss = worst_miss(likely, cases[k].targets);
-      FaceIk ik(basis);
+      FaceIk ik(basis, {.whole = false, .beyond = true, .sharp_folds = true});
       Pose pose;
       const auto outcomes = ik.solve(cases[k].targets, pose);
       mesh::MeshFrame frame = animate::blank_frame(*basis);

@@ -221,7 +221,7 @@ void measure_steps(const std::vector<FrameSet>& sets) {
             frame.control_vertices_mm.resize(3, 0);
             frame.images = std::make_shared<const FrameSet>(set);
             message_bytes +=
-                compressor.compress(encoder.frame(frame, stream::Profile::Displacements, true)).size();
+                compressor.compress(encoder.frame(frame, stream::Profile::Displacements, {true})).size();
           }
         }));
   if (message_bytes == 0) {

@@ -2,6 +2,7 @@
 
 #include <chrono>
 #include <cstdio>
+#include <cstdlib>
 #include <nlohmann/json.hpp>
 
 #include "service/config.hpp"
@@ -9,6 +10,37 @@
 #include "service/default_paths.hpp"
 
 namespace facet::tools {
+namespace {
+
+service::Config config_of(const std::string& named) {
+  const std::string file = named.empty() ? service::installed_config_file() : named;
+  return file.empty() ? service::default_config() : service::load_config(file);
+}
+
+}  // namespace
+
+std::filesystem::path StreamOptions::path() const {
+  if (!socket.empty()) {
+    return socket;
+  }
+  const char* environment = std::getenv("FACET_SOCKET");
+  if (config.empty() && environment != nullptr && environment[0] != '\0') {
+    return environment;
+  }
+  return config_of(config).stream.socket;
+}
+
+std::shared_ptr<StreamOptions> add_stream_options(Command command, const std::string& purpose) {
+  auto options = std::make_shared<StreamOptions>();
+  command.option("--socket", options->socket,
+                 purpose + " (default: $FACET_SOCKET, else that of the configuration)");
+  command
+      .option("--config", options->config,
+              "The daemon's configuration, which names its stream's socket (default " +
+                  service::default_config_file().string() + ", where it exists)")
+      .excludes("--socket");
+  return options;
+}
 
 std::shared_ptr<DaemonOptions> add_daemon_options(Command command) {
   auto options = std::make_shared<DaemonOptions>();
@@ -26,9 +58,7 @@ nlohmann::json call_daemon(const DaemonOptions& options, const std::string& meth
                            const nlohmann::json& params) {
   std::filesystem::path socket = options.socket;
   if (socket.empty()) {
-    const std::string file = options.config.empty() ? service::installed_config_file() : options.config;
-    const service::Config config = file.empty() ? service::default_config() : service::load_config(file);
-    socket = config.control.socket;
+    socket = config_of(options.config).control.socket;
   }
   // A slow disk may take its time for the beginning and the end of a take; all else is answered at once.
   const bool waits_for_disk = method.starts_with("record.") || method.starts_with("person.");

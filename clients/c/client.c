@@ -1,6 +1,7 @@
 #define _GNU_SOURCE
 #include <errno.h>
 #include <fcntl.h>
+#include <math.h>
 #include <poll.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -9,35 +10,19 @@
 #include <sys/mman.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
-#include <sys/un.h>
 #include <time.h>
 #include <unistd.h>
 
+#include "address.h"
+#include "buffer.h"
 #include "rebuild.h"
+#include "ring.h"
 #include "wire.h"
 
 enum { PASSED_DESCRIPTORS = 2, RING_ATTEMPTS = 64, FIRST_PAUSE_MS = 50, LONGEST_PAUSE_MS = 2000 };
 /* After its deadline a call still takes what has come; from a server that never pauses no longer than this.
  */
 enum { GRACE_MS = 100 };
-
-/* A message whose memory is used again. */
-struct buffer {
-  uint8_t* bytes; /* of malloc: aligned for every number */
-  size_t size;
-  size_t room;
-};
-
-struct ring {
-  uint8_t* memory; /* NULL: none */
-  size_t bytes;
-  size_t slot_count;
-  size_t slot_bytes;
-  int wake;             /* readable with each frame */
-  uint64_t publication; /* that was read last; 0: none */
-  uint64_t number;      /* the server's, of that frame; 0: none */
-  struct facet_ring_slot slot;
-};
 
 struct facet_client {
   struct sockaddr_un address;
@@ -48,6 +33,7 @@ struct facet_client {
   int fd; /* -1: not connected */
   int subscribed;
   int64_t late_ms;  /* when a call ends though the server sends on and on */
+  int64_t heard_ms; /* when the last frame came, or the connection was made */
   int64_t retry_ms; /* when to connect again */
   int pause_ms;
   uint8_t header[WIRE_HEADER_BYTES];
@@ -159,10 +145,11 @@ static int connect_now(facet_client* client) {
       hang_up(client);
       return AGAIN;
     }
-    say(client, "nobody answers at the socket '%s': %s", client->address.sun_path, strerror(errno));
+    address_trouble(&client->address, errno, client->message, sizeof(client->message));
     return lost(client, FACET_UNAVAILABLE);
   }
   ++client->statistics.connections;
+  client->heard_ms = now_ms();
   return FACET_OK;
 }
 
@@ -233,22 +220,6 @@ static int receive_some(facet_client* client, uint8_t* out, size_t size, size_t*
   return FACET_OK;
 }
 
-/* Memory grows with what has come, not with what was announced. */
-static int grow(struct buffer* buffer, size_t announced) {
-  if (buffer->size < buffer->room || buffer->room >= announced) {
-    return 1;
-  }
-  size_t room = buffer->room < 65536 ? 65536 : 2 * buffer->room;
-  room = room < announced ? room : announced;
-  uint8_t* bytes = realloc(buffer->bytes, room);
-  if (bytes == NULL) {
-    return 0;
-  }
-  buffer->bytes = bytes;
-  buffer->room = room;
-  return 1;
-}
-
 /* Reads what is there up to the end of a message. FACET_OK: `incoming` is one. AGAIN: wait for more. */
 static int receive_message(facet_client* client) {
   struct buffer* incoming = &client->incoming;
@@ -274,7 +245,7 @@ static int receive_message(facet_client* client) {
         incoming->size = 0;
       }
     } else {
-      if (!grow(incoming, client->announced)) {
+      if (!buffer_grow(incoming, client->announced)) {
         say(client, "no memory for a message of %zu bytes", client->announced);
         return lost(client, FACET_OUT_OF_MEMORY);
       }
@@ -304,10 +275,6 @@ static void keep(facet_client* client, struct buffer* kept) {
 }
 
 /* the ring */
-
-static uint64_t load_word(const uint8_t* memory) {
-  return __atomic_load_n((const uint64_t*)(const void*)memory, __ATOMIC_RELAXED);
-}
 
 static int open_ring(facet_client* client, uint32_t version) {
   struct ring* ring = &client->ring;
@@ -356,60 +323,18 @@ static int open_ring(facet_client* client, uint32_t version) {
   return AGAIN;
 }
 
-static const uint8_t* slot_of(const struct ring* ring, uint64_t publication) {
-  return ring->memory + FACET_RING_PAGE_BYTES + (publication - 1) % ring->slot_count * ring->slot_bytes;
-}
-
-static int intact(const struct ring* ring) {
-  __atomic_thread_fence(__ATOMIC_ACQUIRE);
-  return load_word(slot_of(ring, ring->publication)) == 2 * ring->publication;
-}
-
-/* Copies slot and head of a publication. 1: whole; 0: it was being written; -1: no memory. */
-static int copy_head(struct ring* ring, uint64_t publication, struct facet_ring_slot* slot,
-                     struct buffer* head) {
-  const uint8_t* from = slot_of(ring, publication);
-  uint64_t words[sizeof(*slot) / 8];
-  words[0] = load_word(from);
-  __atomic_thread_fence(__ATOMIC_ACQUIRE);
-  if (words[0] != 2 * publication) {
-    return 0;
-  }
-  for (size_t k = 1; k < sizeof(*slot) / 8; ++k) {
-    words[k] = load_word(from + 8 * k);
-  }
-  memcpy(slot, words, sizeof(*slot));
-  /* Not known to be whole yet: no more is believed of it than that it stays inside the slot. */
-  const size_t most = ring->slot_bytes - sizeof(*slot);
-  const size_t bytes = slot->head_bytes < most ? slot->head_bytes : most;
-  head->size = 0;
-  while (head->room < bytes + 8) {
-    head->size = head->room;
-    if (!grow(head, bytes + 8)) {
-      return -1;
-    }
-  }
-  for (size_t k = 0; k < bytes; k += 8) {
-    const uint64_t word = load_word(from + sizeof(*slot) + k);
-    memcpy(head->bytes + k, &word, 8);
-  }
-  head->size = bytes;
-  __atomic_thread_fence(__ATOMIC_ACQUIRE);
-  return load_word(from) == 2 * publication;
-}
-
 /* The newest frame's head into frame_message. FACET_OK, AGAIN: there is nothing new, or what lost() says. */
 static int newest_head(facet_client* client) {
   struct ring* ring = &client->ring;
   struct facet_ring_slot slot;
   for (int attempt = 0; attempt < RING_ATTEMPTS; ++attempt) {
-    const uint64_t publication = load_word(ring->memory + offsetof(struct facet_ring_page, published));
+    const uint64_t publication = ring_published(ring);
     __atomic_thread_fence(__ATOMIC_ACQUIRE);
     if (publication == 0 || publication == ring->publication) {
       return AGAIN;
     }
     client->ring_head_waits = 0;
-    const int copied = copy_head(ring, publication, &slot, &client->frame_message);
+    const int copied = ring_copy_head(ring, publication, &slot, &client->frame_message);
     if (copied < 0) {
       say(client, "no memory for a frame");
       return lost(client, FACET_OUT_OF_MEMORY);
@@ -454,7 +379,7 @@ static int next_of_ring(facet_client* client) {
   if (client->ring_head_waits) {
     return AGAIN;
   }
-  const uint8_t* slot = slot_of(ring, ring->publication);
+  const uint8_t* slot = ring_slot(ring, ring->publication);
   for (int k = 0; k < FACET_RING_ARRAY_COUNT; ++k) {
     const struct facet_ring_array* array = &ring->slot.arrays[k];
     arrays[k].data = array->offset != 0 ? slot + array->offset : NULL;
@@ -553,19 +478,16 @@ static int accept_message(facet_client* client) {
 /* the interface */
 
 facet_client* facet_client_new(const char* socket_path, int profile, unsigned flags, const char* name) {
-  const char* path = socket_path != NULL ? socket_path : FACET_DEFAULT_SOCKET;
-  facet_client* client = NULL;
-  if (profile < FACET_SIGNALS || profile > FACET_VERTICES || path[0] == '\0' ||
-      strlen(path) >= sizeof(client->address.sun_path)) {
+  struct sockaddr_un address;
+  if (profile < FACET_SIGNALS || profile > FACET_VERTICES || !address_of(socket_path, &address)) {
     errno = EINVAL;
     return NULL;
   }
-  client = calloc(1, sizeof(*client));
+  facet_client* client = calloc(1, sizeof(*client));
   if (client == NULL) {
     return NULL;
   }
-  client->address.sun_family = AF_UNIX;
-  memcpy(client->address.sun_path, path, strlen(path) + 1);
+  client->address = address;
   client->profile = profile;
   client->flags = flags;
   client->fd = -1;
@@ -640,6 +562,7 @@ int facet_client_next(facet_client* client, int timeout_ms) {
     const int outcome = advance(client);
     if (outcome == FACET_OK) {
       client->has_frame = 1;
+      client->heard_ms = now_ms();
       client->pause_ms = FIRST_PAUSE_MS;
       ++client->statistics.received;
     }
@@ -649,7 +572,8 @@ int facet_client_next(facet_client* client, int timeout_ms) {
     const int64_t left_ms = timeout_ms < 0 ? -1 : deadline_ms - now_ms();
     if (timeout_ms >= 0 && left_ms <= 0) {
       if (client->fd >= 0) {
-        say(client, "no frame within %d ms", timeout_ms);
+        say(client, "connected to '%s', but no frame for %.1f s", client->address.sun_path,
+            (double)(now_ms() - client->heard_ms) * 1e-3);
       }
       return FACET_TIMEOUT;
     }
@@ -663,6 +587,17 @@ const char* facet_client_message(const facet_client* client) {
 
 const facet_frame* facet_client_frame(const facet_client* client) {
   return client->has_frame ? &client->frame : NULL;
+}
+
+float facet_client_expression(const facet_client* client, const char* name) {
+  if (client->has_frame && client->frame.subject_id != 0) {
+    for (size_t k = 0; k < client->frame.expression_count; ++k) {
+      if (strcmp(client->subject.names[k], name) == 0) {
+        return client->frame.expression[k];
+      }
+    }
+  }
+  return NAN;
 }
 
 const facet_subject* facet_client_subject(const facet_client* client) {
@@ -690,7 +625,7 @@ int facet_client_mesh(facet_client* client, const facet_mesh** mesh) {
 }
 
 int facet_client_intact(const facet_client* client) {
-  return !client->has_frame || !client->frame.in_ring || intact(&client->ring);
+  return !client->has_frame || !client->frame.in_ring || ring_intact(&client->ring);
 }
 
 const facet_statistics* facet_client_statistics(const facet_client* client) {

@@ -42,7 +42,7 @@ enum {
 enum {
   FACET_OK = 0,
   FACET_TIMEOUT = 1,     /* no frame within the time given; call again */
-  FACET_UNAVAILABLE = 2, /* nobody answers at the socket */
+  FACET_UNAVAILABLE = 2, /* nobody answers at the socket, or this user may not connect to it */
   FACET_CLOSED = 3,      /* the server said goodbye or is gone */
   FACET_BAD_DATA =
       4, /* what came breaks the protocol, or is of another version; the connection is given up */
@@ -52,6 +52,8 @@ enum {
 };
 
 enum { FACET_SEARCHING = 0, FACET_ACQUIRING = 1, FACET_TRACKING = 2, FACET_LOST = 3 };
+/* What a frame shows: what the cameras see; a recorded take; a face that somebody poses or animates. */
+enum { FACET_LIVE = 0, FACET_TAKE = 1, FACET_POSE = 2 };
 
 /* Fixed point: value = values[k] * step_mm. In a frame that comes through a ring, values lie in shared memory
  * that is overwritten some frames later: what was made of them counts only where facet_client_intact says so
@@ -93,6 +95,7 @@ typedef struct facet_frame {
 
   const uint8_t* expression_confidence; /* [expression_count] 255 is 1: how far a value can be believed; NULL:
                                            not known */
+  int32_t origin;                       /* FACET_LIVE ... */
 } facet_frame;
 
 /* What does not change from frame to frame. */
@@ -138,7 +141,7 @@ typedef struct facet_statistics {
 
 /* Makes a client; it connects with the first facet_client_next.
  *
- * socket   path; NULL: FACET_DEFAULT_SOCKET
+ * socket   path; NULL or "": what FACET_SOCKET of the environment names, else FACET_DEFAULT_SOCKET
  * profile  FACET_SIGNALS, FACET_DISPLACEMENTS or FACET_VERTICES
  * flags    FACET_WANT_ALBEDO and so on, added
  * name     for people, in the server's statistics; 64 bytes of it at most; NULL: "libfacet-client"
@@ -163,6 +166,12 @@ FACET_API const char* facet_client_message(const facet_client* client);
 FACET_API const facet_frame* facet_client_frame(const facet_client* client);
 FACET_API const facet_subject* facet_client_subject(const facet_client* client);
 FACET_API const facet_albedo* facet_client_albedo(const facet_client* client);
+
+/* A value of the frame by its name.
+ *
+ * name     as facet_subject has it: "jawOpen" and so on, ARKit's
+ * returns  0 to 1; NAN where there is no frame, the frame has no face, or its model has no such expression */
+FACET_API float facet_client_expression(const facet_client* client, const char* name);
 
 /* The finest mesh of the frame: rebuilt (coarse mesh through the levels' stencils, vertex + displacement *
  * unit normal; [MD19 sec. 4.3]) or scaled. The memory is the client's.

@@ -502,6 +502,7 @@ const char* wire_frame(const uint8_t* message, size_t size, const struct wire_su
   } camera = {0, 0, 0, 0, 0, 0};
   uint8_t state = 0;
   uint8_t degraded = 0;
+  uint8_t origin = 0;
   const struct table body = open_body(&in, message, size, WIRE_FRAME);
   memset(out, 0, sizeof(*out));
   get_scalar(&in, &body, 0, &out->sequence, sizeof(out->sequence));
@@ -511,7 +512,9 @@ const char* wire_frame(const uint8_t* message, size_t size, const struct wire_su
   get_scalar(&in, &body, 4, &degraded, sizeof(degraded));
   out->degraded_reason = get_string(&in, &body, 5, MAX_TEXT_BYTES, "frame: degraded reason");
   get_scalar(&in, &body, 6, &camera, sizeof(camera));
+  get_scalar(&in, &body, 24, &origin, sizeof(origin));
   require(&in, state <= FACET_LOST, "frame: unknown tracking state");
+  require(&in, origin <= FACET_POSE, "frame: unknown origin");
   require(&in,
           isfinite(camera.fx) && isfinite(camera.fy) && isfinite(camera.cx) && isfinite(camera.cy) &&
               camera.width_px >= 0 && camera.width_px <= 65536 && camera.height_px >= 0 &&
@@ -528,6 +531,7 @@ const char* wire_frame(const uint8_t* message, size_t size, const struct wire_su
   get_scalar(&in, &body, 12, &out->reprojection_px, sizeof(out->reprojection_px));
   require(&in, isfinite(out->reprojection_px), "frame: reprojection");
   out->state = state;
+  out->origin = origin;
   out->degraded = degraded != 0;
   out->fx = camera.fx;
   out->fy = camera.fy;

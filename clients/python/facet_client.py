@@ -3,30 +3,62 @@
     import facet_client
     with facet_client.Client(profile=facet_client.DISPLACEMENTS, ring=True, reconnect=True) as client:
         for frame in client:
+            print(frame.expression_of("jawOpen"))
             mesh = client.mesh()
             if mesh is not None:
                 vertices_mm, normals = mesh  # [vertex_count][3] float32, head frame
 
-Arrays are copies, yours for as long as you like. A client that was closed raises ValueError, one that another thread is
-using RuntimeError. Needs NumPy and libfacet-client (facet-client-dev); FACET_CLIENT_LIBRARY names another file of it.
+Arrays are copies, yours for as long as you like. Ctrl-C ends every wait. A client that was closed raises ValueError, one
+that another thread is using RuntimeError. Needs NumPy and libfacet-client (facet-client-dev); FACET_CLIENT_LIBRARY names
+another file of it.
 """
 import contextlib
 import ctypes
+import math
 import os
 import threading
+import time
 from types import SimpleNamespace
 
 import numpy
 
-DEFAULT_SOCKET = "/run/facet/stream.sock"
+DEFAULT_SOCKET = "/run/facet/stream.sock"  # where FACET_SOCKET names no other
 SIGNALS, DISPLACEMENTS, VERTICES = range(3)
 STATES = ("searching", "acquiring", "tracking", "lost")
+ORIGINS = ("live", "take", "pose")
+_SLICE_MS = 200  # Python runs no handler of a signal while the library waits: it waits no longer at once
 _WANT_ALBEDO, _WANT_RING, _RECONNECT = 1, 2, 4
 _OK, _TIMEOUT, _UNAVAILABLE, _CLOSED, _BAD_DATA, _OVERWRITTEN, _NO_MESH, _OUT_OF_MEMORY = range(8)
 
 
 class Error(Exception):
     """The server is not there, said goodbye, or what it sends breaks the protocol."""
+
+
+class Frame(SimpleNamespace):
+    """A frame; its arrays are copies.
+
+    origin            one of ORIGINS: what the cameras see, a recorded take, a face that somebody poses
+    sequence, timestamp_ns, media_time_ns, state (one of STATES), degraded, degraded_reason, latency_ms
+    camera            (fx, fy, cx, cy, width_px, height_px)
+    landmarks_px      [468][2] float32; None: no face
+    subject_id        0: no mesh, and nothing below is there
+    albedo_version    0: none yet
+    camera_from_head  [3][4] float32, p_camera = camera_from_head * p_head, mm
+    expression        [expression_count] float32, 0 to 1, in the order of subject.expression_names; None: no face
+    expression_names  the names of these
+    expression_confidence  [expression_count] 0 to 1; None: not known
+    photometric_rms   linear; lighting [9] float32
+    """
+
+    def expression_of(self, name):
+        """A value by its name ("jawOpen"), 0 to 1; nan where the frame has no face. KeyError: there is no such expression."""
+        if self.expression is None:
+            return math.nan
+        try:
+            return float(self.expression[self.expression_names.index(name)])
+        except ValueError:
+            raise KeyError(f"no expression '{name}': there are {', '.join(self.expression_names)}") from None
 
 
 class _FixedPoint(ctypes.Structure):
@@ -46,7 +78,8 @@ class _Frame(ctypes.Structure):
         ("photometric_rms", ctypes.c_float), ("lighting", ctypes.c_float * 9),
         ("control_vertices", _FixedPoint), ("displacements", _FixedPoint), ("vertices", _FixedPoint),
         ("normals", ctypes.POINTER(ctypes.c_int16)), ("confidence", ctypes.POINTER(ctypes.c_uint8)),
-        ("in_ring", ctypes.c_int32), ("expression_confidence", ctypes.POINTER(ctypes.c_uint8))]
+        ("in_ring", ctypes.c_int32), ("expression_confidence", ctypes.POINTER(ctypes.c_uint8)),
+        ("origin", ctypes.c_int32)]
 
 
 class _Subject(ctypes.Structure):
@@ -102,19 +135,21 @@ def _copy(pointer, *shape):
 class Client:
     """Reads the stream; connects with the first frame that is asked for.
 
+    socket     path; None or "": what FACET_SOCKET of the environment names, else DEFAULT_SOCKET
     profile    SIGNALS, DISPLACEMENTS or VERTICES: how much of a frame comes
     ring       frames through shared memory where the server offers it
     reconnect  a server that is not there, or no longer, is waited for
     """
 
-    def __init__(self, socket=DEFAULT_SOCKET, profile=DISPLACEMENTS, albedo=False, ring=False, reconnect=False, name="python"):
+    def __init__(self, socket=None, profile=DISPLACEMENTS, albedo=False, ring=False, reconnect=False, name="python"):
         self._client = None
-        self._socket = os.fsdecode(socket)
+        self._socket = os.fsdecode(socket or os.environ.get("FACET_SOCKET") or DEFAULT_SOCKET)
         self._lock = threading.Lock()
         self._subject = (None, None)  # which, and what
+        self._names = (None, [])  # of which, and the names of its expressions
         self._library = _load()
         flags = (_WANT_ALBEDO if albedo else 0) | (_WANT_RING if ring else 0) | (_RECONNECT if reconnect else 0)
-        self._client = self._library.facet_client_new(os.fsencode(socket), profile, flags, name.encode())
+        self._client = self._library.facet_client_new(os.fsencode(self._socket), profile, flags, name.encode())
         if not self._client:
             raise Error(f"no client: {os.strerror(ctypes.get_errno())}")
 
@@ -161,26 +196,48 @@ class Client:
         """The newest frame that was not had yet; None where none comes in time. timeout_s None waits without end.
 
         Raises ConnectionResetError where the server said goodbye or is gone, Error for all else."""
-        timeout_ms = -1 if timeout_s is None else int(1000 * min(max(timeout_s, 0), 2_000_000))
         with self._open() as client:
-            outcome = self._library.facet_client_next(client, timeout_ms)
+            outcome = self._wait(client, math.inf if timeout_s is None else time.monotonic() + timeout_s)
             if outcome == _TIMEOUT:
                 return None
             if outcome != _OK:
                 message = self._library.facet_client_message(client).decode(errors="replace")
                 raise ConnectionResetError(message) if outcome == _CLOSED else Error(message)
             frame = self._library.facet_client_frame(client).contents
-            return SimpleNamespace(
+            return Frame(
                 sequence=frame.sequence, timestamp_ns=frame.timestamp_ns, media_time_ns=frame.media_time_ns,
-                state=STATES[frame.state], degraded=bool(frame.degraded), degraded_reason=frame.degraded_reason.decode(errors="replace"),
+                origin=ORIGINS[frame.origin], state=STATES[frame.state],
+                degraded=bool(frame.degraded), degraded_reason=frame.degraded_reason.decode(errors="replace"),
                 camera=(frame.fx, frame.fy, frame.cx, frame.cy, frame.width_px, frame.height_px),
                 landmarks_px=_copy(frame.landmarks_px, frame.landmark_count, 2), latency_ms=frame.latency_ms,
                 subject_id=frame.subject_id, albedo_version=frame.albedo_version,
                 camera_from_head=numpy.array(frame.camera_from_head, numpy.float32).reshape(3, 4),
-                expression=_copy(frame.expression, frame.expression_count),
+                expression=_copy(frame.expression, frame.expression_count) if frame.subject_id else None,
+                expression_names=self._names_of(client) if frame.subject_id else [],
                 expression_confidence=(_copy(frame.expression_confidence, frame.expression_count) / numpy.float32(255)
                                        if frame.expression_confidence else None),
                 photometric_rms=frame.photometric_rms, lighting=numpy.array(frame.lighting, numpy.float32))
+
+    def _wait(self, client, until):
+        """facet_client_next up to a time of time.monotonic(), in slices."""
+        while True:
+            left_ms = math.ceil(min(max(1000 * (until - time.monotonic()), 0), _SLICE_MS))
+            outcome = self._library.facet_client_next(client, left_ms)
+            if outcome != _TIMEOUT or time.monotonic() >= until:
+                return outcome
+
+    def _which(self, client, subject):
+        """What tells one subject from another: ids begin anew with a server."""
+        return self._library.facet_client_statistics(client).contents.connections, subject.id
+
+    def _names_of(self, client):
+        """The names of the subject's expressions, read once; that of the frame is the newest."""
+        subject = self._library.facet_client_subject(client).contents
+        which = self._which(client, subject)
+        if self._names[0] != which:
+            names = [subject.expression_names[k].decode(errors="replace") for k in range(subject.expression_count)]
+            self._names = which, names
+        return self._names[1]
 
     def mesh(self):
         """(vertices_mm, normals) of the frame, [vertex_count][3] float32 each; None where it has none, or where it was
@@ -203,11 +260,11 @@ class Client:
             if not pointer:
                 return None
             subject = pointer.contents
-            which = self._library.facet_client_statistics(client).contents.connections, subject.id
+            which = self._which(client, subject)
             if self._subject[0] == which:
                 return self._subject[1]
             self._subject = which, SimpleNamespace(
-                id=subject.id, expression_names=[subject.expression_names[k].decode(errors="replace") for k in range(subject.expression_count)],
+                id=subject.id, expression_names=self._names_of(client),
                 identity=_copy(subject.identity, subject.identity_count), vertex_count=subject.vertex_count,
                 triangles=_copy(subject.triangles, subject.triangle_count, 3),
                 texture_coordinates=_copy(subject.texture_coordinates, subject.vertex_count, 2),

@@ -66,7 +66,7 @@ namespace Facet
     /// Reads the stream; connects with the first frame that is asked for. One thread at a time.
     public sealed class Client : IDisposable
     {
-        public const string DefaultSocket = "/run/facet/stream.sock";
+        public const string DefaultSocket = "";  // what FACET_SOCKET names, else where the package's daemon listens
 
         readonly object gate = new object();
         IntPtr client;

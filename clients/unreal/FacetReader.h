@@ -32,7 +32,7 @@ struct Face {
 /// One thread at a time: Unreal's game thread. Never waits, throws nothing but std::bad_alloc.
 class FacetReader {
  public:
-  /// socket: where facetd listens; empty: where the package's does.
+  /// socket: where facetd listens; empty: what FACET_SOCKET names, else where the package's daemon does.
   explicit FacetReader(const std::string& socket);
   ~FacetReader();
   FacetReader(const FacetReader&) = delete;

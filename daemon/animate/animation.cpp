@@ -39,14 +39,21 @@ std::string misses(const std::vector<ControlTarget>& targets, const std::vector<
   std::string text;
   for (std::size_t i = 0; i < outcomes.size(); ++i) {
     const char* unit = targets[i].space == ControlTarget::Space::Screen ? "px" : "mm";
+    const auto add = [&](const std::string& what) {
+      text += fmt::format("{}{}: vertex {} {}", text.empty() ? "" : "; ", where, targets[i].vertex, what);
+    };
     if (!outcomes[i].met) {
-      text += fmt::format("{}{}: vertex {} is {:.2f} {} from its target", text.empty() ? "" : "; ", where,
-                          targets[i].vertex, outcomes[i].miss, unit);
+      add(fmt::format("is {:.2f} {} from its target", outcomes[i].miss, unit));
     }
     if (outcomes[i].outside > kOutsideTolerance) {
-      text += fmt::format("{}{}: vertex {} {} {:.1f} {} outside what was captured", text.empty() ? "" : "; ",
-                          where, targets[i].vertex, outcomes[i].clamped ? "was pulled back from" : "is",
-                          outcomes[i].outside, unit);
+      add(fmt::format("{} {:.1f} {} outside what was captured",
+                      outcomes[i].clamped ? "was pulled back from" : "is", outcomes[i].outside, unit));
+    }
+    if (outcomes[i].nearest_mm > kFarFromCaptured_mm) {
+      add(
+          fmt::format("is in a region {:.1f} mm from the nearest captured face: it may be no face of this "
+                      "person",
+                      outcomes[i].nearest_mm));
     }
   }
   return text;
@@ -58,7 +65,7 @@ class KeySolver {
   KeySolver(std::shared_ptr<const TakeBasis> basis, const KeyList& list)
       : basis_(std::move(basis)), list_(list) {
     options_.whole = list.whole;
-    options_.clamp = list.clamp;
+    options_.beyond = list.beyond;
     const auto add = [&](const std::string& text) {
       const std::int32_t vertex = find_vertex(*basis_, text);
       if (std::find(vertices_.begin(), vertices_.end(), vertex) == vertices_.end()) {
@@ -125,7 +132,8 @@ class KeySolver {
       }
       auto& whole_set = solvers_[vertices_];
       if (whole_set == nullptr) {
-        whole_set = std::make_unique<FaceIk>(basis_, IkOptions{options_.whole, false, true});
+        whole_set = std::make_unique<FaceIk>(
+            basis_, IkOptions{.whole = options_.whole, .beyond = true, .sharp_folds = true});
         whole_set->set_view(basis_->sample().camera, basis_->sample().camera_from_head);
       }
       whole_set->solve(all, pose);

@@ -9,6 +9,7 @@
 #include <numbers>
 #include <optional>
 
+#include "animate/polytope.hpp"
 #include "facet/error.hpp"
 #include "maths/solve.hpp"
 
@@ -55,6 +56,19 @@ Eigen::MatrixXd spread_directions(Eigen::Index dimension) {
   return out;
 }
 
+/// Directions that tell well where positions end: spread evenly where these are as wide along every axis, for
+/// skin often moves along a sheet or a line. positions [2 or 3][any]; returns [2 or 3][kEdgeDirections], unit
+Eigen::MatrixXd directions_around(const Eigen::MatrixXd& positions) {
+  const Eigen::MatrixXd apart = positions.colwise() - Eigen::VectorXd(positions.rowwise().mean());
+  const maths::SymmetricEigen axes = maths::symmetric_eigen(
+      apart * apart.transpose() / static_cast<double>(std::max<Eigen::Index>(1, positions.cols())));
+  const Eigen::VectorXd widths = axes.values.cwiseMax(0).cwiseSqrt().array() + kNoise;
+  Eigen::MatrixXd out =
+      axes.vectors * widths.cwiseInverse().asDiagonal() * spread_directions(positions.rows());
+  out.colwise().normalize();
+  return out;
+}
+
 Eigen::Index dimensions(ControlTarget::Space space) {
   return space == ControlTarget::Space::Screen ? 2 : 3;
 }
@@ -71,11 +85,10 @@ struct FaceIk::Site {
   Eigen::VectorXf influence;                   ///< [region] of the vertex, as the stencils make it
   Eigen::VectorXf detail_influence;            ///< [region] of the finest level's map
   std::vector<Eigen::MatrixXf> from_solution;  ///< [group] of [3][coarse_rank]
-  Eigen::MatrixXd edge_directions;             ///< [2 or 3][kEdgeDirections]
+  Eigen::MatrixXd edge_directions;             ///< [2 or 3][kEdgeDirections] unit
   Eigen::VectorXd edges;                       ///< furthest captured position along each
-  Eigen::VectorXd middle;                      ///< of the captured positions
   Eigen::Vector3d at{0, 0, 0};                 ///< where it was measured last, head frame
-  Eigen::VectorXd aim;                         ///< the target, clamped where that is asked for
+  Eigen::VectorXd aim;                         ///< the target, or where it was pulled back to
 };
 
 /// Control points that are solved together, and their region's solution.
@@ -310,8 +323,7 @@ void FaceIk::rebuild(std::span<const ControlTarget> targets) {
     for (const std::size_t s : group.sites) {
       const Eigen::Index size = dimensions(sites_[s].target.space);
       const auto positions = group.faces->captured().middleRows(row, size);
-      sites_[s].edge_directions = spread_directions(size);
-      sites_[s].middle = positions.rowwise().mean();
+      sites_[s].edge_directions = directions_around(positions);
       sites_[s].edges = Eigen::VectorXd::Constant(kEdgeDirections, -std::numeric_limits<double>::max());
       for (Eigen::Index f = 0; f < positions.cols(); ++f) {
         sites_[s].edges = sites_[s].edges.cwiseMax(sites_[s].edge_directions.transpose() * positions.col(f));
@@ -609,16 +621,10 @@ const std::vector<ControlOutcome>& FaceIk::solve(std::span<const ControlTarget> 
     const Eigen::Index numbers = dimensions(site.target.space);
     site.aim = site.target.target.head(numbers).cast<double>();
     // Inside the captured range: no further along any direction than some captured position.
-    const Eigen::VectorXd beyond = site.edge_directions.transpose() * site.aim - site.edges;
-    outcomes_[s].outside = static_cast<float>(std::max(0.0, beyond.maxCoeff()));
-    if (options_.clamp && outcomes_[s].outside > 0) {
-      const Eigen::VectorXd along = site.edge_directions.transpose() * (site.aim - site.middle);
-      const Eigen::VectorXd room = site.edges - site.edge_directions.transpose() * site.middle;
-      double part = 1;
-      for (Eigen::Index k = 0; k < along.size(); ++k) {
-        part = along[k] > room[k] && along[k] > 0 ? std::min(part, std::max(0.0, room[k]) / along[k]) : part;
-      }
-      site.aim = site.middle + part * (site.aim - site.middle);
+    const Eigen::VectorXd inside = nearest_inside(site.edge_directions, site.edges, site.aim);
+    outcomes_[s].outside = static_cast<float>((site.aim - inside).norm());
+    if (!options_.beyond && outcomes_[s].outside > 0) {
+      site.aim = inside;
       outcomes_[s].clamped = true;
     }
   }

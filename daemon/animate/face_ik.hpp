@@ -28,8 +28,9 @@ struct IkOptions {
   /// false: every control point has a soft region of its own [SF04 eq. 22]; true: all act on the whole face
   /// at once ([SF04 eq. 15-17] alone), which keeps its correlations and can't decouple what was never apart.
   bool whole = false;
-  /// Control points beyond what was captured are pulled back to its edge.
-  bool clamp = false;
+  /// Control points go beyond what was captured. false: they are pulled back to the nearest place of its
+  /// convex hull, so that a face stays one.
+  bool beyond = false;
   /// Folds come from the captured faces nearest to the pose instead of from the average that the weights
   /// make, in which they wash out.
   bool sharp_folds = true;
@@ -51,6 +52,8 @@ inline constexpr float kMetHead_mm = 0.05F;
 inline constexpr float kMetScreen_px = 0.5F;
 /// A control point beyond this much outside the captured range is worth a warning.
 inline constexpr float kOutsideTolerance = 0.5F;
+/// A region further than this from every captured one (ControlOutcome::nearest_mm) is worth one, too.
+inline constexpr float kFarFromCaptured_mm = 5;
 
 /// Poses a face by control points (FaceIK [SF04 sec. 4]).
 ///

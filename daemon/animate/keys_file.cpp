@@ -159,13 +159,14 @@ KeyList parse_keys(std::string_view text, const std::string& source) {
 
 KeyList keys_of(const json& root, const std::string& source) {
   const Reader reader(source);
-  reader.check_names(root, "the file", {"rate_hz", "whole", "clamp", "pace", "regions", "keys"});
+  reader.check_names(root, "the file", {"rate_hz", "whole", "beyond", "clamp", "pace", "regions", "keys"});
   KeyList out;
   if (root.contains("rate_hz")) {
     out.rate_hz = reader.number(root["rate_hz"], "'rate_hz'", 1, kFastest_hz);
   }
   out.whole = reader.flag(root, "whole");
-  out.clamp = reader.flag(root, "clamp");
+  // "clamp" is the old spelling, the other way round: the studio wrote it into every file of keys.
+  out.beyond = root.contains("clamp") ? !reader.flag(root, "clamp") : reader.flag(root, "beyond");
   if (root.contains("pace")) {
     if (root["pace"] != "captured" && root["pace"] != "shortest") {
       reader.fail("'pace'", "must be \"captured\" or \"shortest\"");

@@ -40,9 +40,9 @@ enum class Pace : std::uint8_t {
 
 /// What a keys file says; docs/animation.md is its page.
 struct KeyList {
-  double rate_hz = 0;  ///< of the animation; 0: the take's
-  bool whole = false;  ///< IkOptions::whole
-  bool clamp = false;
+  double rate_hz = 0;   ///< of the animation; 0: the take's
+  bool whole = false;   ///< IkOptions::whole
+  bool beyond = false;  ///< IkOptions::beyond
   Pace pace = Pace::Captured;
   std::vector<std::string> regions;  ///< vertices that have a region though no key drags them
   std::vector<Key> keys;             ///< at least one; times rise

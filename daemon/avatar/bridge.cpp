@@ -2,16 +2,20 @@
 
 #include <arpa/inet.h>
 #include <fmt/format.h>
+#include <netdb.h>
 #include <netinet/in.h>
 #include <pthread.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
 #include <algorithm>
+#include <cctype>
 #include <cerrno>
 #include <charconv>
 #include <cstring>
+#include <memory>
 #include <random>
+#include <string>
 #include <system_error>
 #include <thread>
 #include <utility>
@@ -47,6 +51,43 @@ Address socket_address(const std::string& address, std::uint16_t port) {
     v6->sin6_port = htons(port);
     out.length = sizeof(*v6);
   }
+  return out;
+}
+
+/// Of a host name: letters, digits, "-", "_" and ".", of which the last part is no number (that would be an
+/// address with a fault in it).
+bool is_host_name(const std::string& text) {
+  constexpr std::size_t kLongest = 253;
+  const auto fits = [](unsigned char c) { return std::isalnum(c) != 0 || c == '-' || c == '_' || c == '.'; };
+  const std::string last = text.substr(text.rfind('.') + 1);
+  return !text.empty() && text.size() <= kLongest && std::all_of(text.begin(), text.end(), fits) &&
+         std::any_of(last.begin(), last.end(), [](unsigned char c) { return std::isalpha(c) != 0; });
+}
+
+/// The host's first IPv4 address, else its first; receivers of these protocols rarely listen on others.
+/// trouble: why there is none (length 0)
+Address look_up(const BridgeTarget& target, std::string& trouble) {
+  addrinfo wanted{};
+  wanted.ai_socktype = SOCK_DGRAM;
+  addrinfo* found = nullptr;
+  const int fault =
+      ::getaddrinfo(target.address.c_str(), std::to_string(target.port).c_str(), &wanted, &found);
+  const std::unique_ptr<addrinfo, decltype(&::freeaddrinfo)> kept(found, ::freeaddrinfo);
+  const addrinfo* chosen = found;
+  for (const addrinfo* each = found; each != nullptr; each = each->ai_next) {
+    if (each->ai_family == AF_INET) {
+      chosen = each;
+      break;
+    }
+  }
+  Address out;
+  if (fault != 0 || chosen == nullptr || chosen->ai_addrlen > sizeof(out.storage)) {
+    trouble = fmt::format("no address of the host '{}' was found at the start: {}", target.address,
+                          fault != 0 ? ::gai_strerror(fault) : "none of UDP");
+    return out;
+  }
+  std::memcpy(&out.storage, chosen->ai_addr, chosen->ai_addrlen);
+  out.length = chosen->ai_addrlen;
   return out;
 }
 
@@ -106,7 +147,8 @@ std::optional<BridgeTarget> parse_target(BridgeProtocol protocol, const std::str
   const auto [read, fault] = std::from_chars(text.data() + colon + 1, end, target.port);
   const bool six = target.address.find(':') != std::string::npos;
   if (fault != std::errc() || read != end || target.port == 0 || brackets != six ||
-      socket_address(target.address, target.port).length == 0) {
+      (socket_address(target.address, target.port).length == 0 &&
+       (brackets || !is_host_name(target.address)))) {
     return std::nullopt;
   }
   return target;
@@ -128,6 +170,7 @@ struct Bridge::Impl {
   struct Destination {
     Address address;
     int socket = -1;
+    std::string unknown;  ///< why there is no address
     bool connected = false;
     int sound_frames = 0;  ///< since the last that failed
   };
@@ -167,15 +210,20 @@ Bridge::Impl::Impl(const BridgeConfig& given)
   status.values = config.values;
   values = std::make_shared<const ValueTunings>(config.values);
   for (const BridgeTarget& target : config.targets) {
-    const Address address = socket_address(target.address, target.port);
-    destinations.push_back({address, open_socket(address.storage.ss_family)});
-    status.targets.push_back({target, 0, 0, {}});
+    std::string unknown;
+    Address address = socket_address(target.address, target.port);
+    address = address.length == 0 ? look_up(target, unknown) : address;
+    const int socket = address.length == 0 ? -1 : open_socket(address.storage.ss_family);
+    destinations.push_back({address, socket, unknown});
+    status.targets.push_back({target, 0, 0, unknown});
   }
 }
 
 Bridge::Impl::~Impl() {
   for (const Destination& destination : destinations) {
-    ::close(destination.socket);
+    if (destination.socket >= 0) {
+      ::close(destination.socket);
+    }
   }
 }
 
@@ -268,6 +316,9 @@ void Bridge::Impl::finish_recording() {
 
 /// Empty, or what the network said.
 std::string Bridge::Impl::send_all(Destination& to, const std::vector<std::vector<std::byte>>& datagrams) {
+  if (to.socket < 0) {
+    return to.unknown;
+  }
   // Where there is no route yet, the next frame tries again.
   if (!to.connected &&
       ::connect(to.socket, reinterpret_cast<const sockaddr*>(&to.address.storage), to.address.length) < 0) {

@@ -20,13 +20,13 @@ const char* to_string(BridgeProtocol protocol);
 /// Where a bridge sends to.
 struct BridgeTarget {
   BridgeProtocol protocol = BridgeProtocol::Vmc;
-  std::string address;  ///< IPv4 or IPv6 in digits
+  std::string address;  ///< IPv4 or IPv6 in digits, or the name of a host
   std::uint16_t port = 0;
 
   std::string text() const;  ///< "ADDRESS:PORT", "[ADDRESS]:PORT" for IPv6
 };
 
-/// Reads "ADDRESS:PORT" or "[ADDRESS]:PORT"; nothing where it is none. No name is looked up.
+/// Reads "ADDRESS:PORT", "[ADDRESS]:PORT" or "HOST:PORT"; nothing where it is none. No name is looked up.
 std::optional<BridgeTarget> parse_target(BridgeProtocol protocol, const std::string& text);
 
 struct BridgeConfig {
@@ -63,7 +63,8 @@ struct BridgeStatus {
 class Bridge {
  public:
   /// Reads the neutral pose, where there is one. Throws Error(UnreadableInput) where its file can't be used
-  /// and Error(Internal) where no socket can be opened.
+  /// and Error(Internal) where no socket can be opened. Names of hosts are looked up now and not again, which
+  /// may take seconds; one that is not found is told in the target's reason, and nothing is sent to it.
   explicit Bridge(const BridgeConfig& config);
   ~Bridge();
   Bridge(const Bridge&) = delete;

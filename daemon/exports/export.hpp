@@ -39,18 +39,25 @@ struct ExportMesh {
 /// Builds the mesh of a frame that has one. Buffers in `out` are reused.
 void build_export_mesh(const mesh::MeshFrame& frame, MeshLevel level, MeshSpace space, ExportMesh& out);
 
-/// Writers of meshes in the camera frame. Each writes a temporary file beside `file` and renames it, so that
-/// no reader meets half a file and an interrupted export leaves the earlier one. Throw Error(Storage) naming
-/// the file.
+/// Axes and unit of a mesh that is a file of its own.
+enum class MeshAxes {
+  Upright,  ///< metres, x to the picture's right, y up, z towards the camera: as in every other format
+  Camera,   ///< mm, x right, y down, z forward: the numbers as they are
+};
+/// The same in words.
+const char* words_of(MeshAxes axes);
+
+/// Writers of meshes in the camera frame (MeshSpace::Camera). Each writes a temporary file beside `file` and
+/// renames it, so that no reader meets half a file and an interrupted export leaves the earlier one. Throw
+/// Error(Storage) naming the file.
 ///
 /// PLY: binary little-endian; x y z, nx ny nz, s t, red green blue (sRGB of the albedo; 200 200 200 before
-/// it is learned), displacement_mm, confidence; camera frame, mm.
-void write_ply(const ExportMesh& mesh, const std::filesystem::path& file);
-/// OBJ: v with colour appended, vt, vn. comment: its first line, which says what frame and unit it is in.
-void write_obj(const ExportMesh& mesh, const std::filesystem::path& file,
-               std::string_view comment = "Facet: camera frame, millimetres, x right, y down, z forward");
-/// GLB (glTF 2.0): the same frame turned y up (x, -y, -z), metres; NORMAL, TEXCOORD_0, COLOR_0 (linear
-/// albedo), _DISPLACEMENT_MM, _CONFIDENCE.
+/// it is learned), displacement_mm, confidence.
+void write_ply(const ExportMesh& mesh, const std::filesystem::path& file, MeshAxes axes);
+/// OBJ: v with colour appended (sRGB of the albedo, 0 to 1), vt, vn.
+void write_obj(const ExportMesh& mesh, const std::filesystem::path& file, MeshAxes axes);
+/// GLB (glTF 2.0), which knows MeshAxes::Upright alone; NORMAL, TEXCOORD_0, COLOR_0 (linear albedo),
+/// _DISPLACEMENT_MM, _CONFIDENCE.
 void write_glb(const ExportMesh& mesh, const std::filesystem::path& file);
 
 /// When the frames of a sequence are. At a constant rate the frames' numbers in the source are its clock:

@@ -1,20 +1,14 @@
+#include "exports/export_sequence.hpp"
 #include "exports/glb_file.hpp"
 
 namespace facet::exports {
 namespace {
 
-constexpr float kMetresPerMillimetre = 0.001F;
-
-/// Camera frame x right, y down -> glTF y up, +z towards the viewer.
-Eigen::Vector3f gltf_axes() {
-  return {1.0F, -1.0F, -1.0F};
-}
-
 GltfJson attributes(const ExportMesh& mesh, GlbFile& glb) {
   const auto count = static_cast<std::size_t>(mesh.vertices_mm.cols());
-  const Eigen::Matrix3Xf normals = gltf_axes().asDiagonal() * mesh.normals;
+  const Eigen::Matrix3Xf normals = upright_axes().asDiagonal() * mesh.normals;
   GltfJson out;
-  out["POSITION"] = glb.add_positions((gltf_axes() * kMetresPerMillimetre).asDiagonal() * mesh.vertices_mm);
+  out["POSITION"] = glb.add_positions(factors_of(MeshAxes::Upright).asDiagonal() * mesh.vertices_mm);
   out["NORMAL"] = glb.add_floats(flat(normals), "VEC3", count, kGltfVertices);
   out["TEXCOORD_0"] =
       glb.add_floats(flat(gltf_texture_coordinates(mesh.texture_coordinates)), "VEC2", count, kGltfVertices);

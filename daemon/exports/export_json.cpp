@@ -74,6 +74,7 @@ std::string frame_json(const mesh::MeshFrame& frame, std::int64_t index) {
   out["timestamp_ns"] = frame.timestamp_ns;
   out["media_time_ns"] = frame.media_time_ns;
   out["state"] = mesh::to_string(frame.state);
+  out["origin"] = mesh::to_string(frame.origin);
   out["degraded"] = frame.degraded;
   out["degraded_reason"] = frame.degraded_reason;
   out["camera"] = camera_json(frame.camera);

@@ -16,6 +16,16 @@ std::vector<float> leading(const std::vector<float>& values, std::size_t count) 
 
 }  // namespace
 
+const char* words_of(MeshAxes axes) {
+  return axes == MeshAxes::Upright ? "metres, x to the picture's right, y up, z towards the camera"
+                                   : "camera frame, millimetres, x right, y down, z forward";
+}
+
+Eigen::Vector3f factors_of(MeshAxes axes) {
+  return axes == MeshAxes::Upright ? Eigen::Vector3f(kMetresPerMillimetre * upright_axes())
+                                   : Eigen::Vector3f::Ones();
+}
+
 void mend_normals(Eigen::Matrix3Xf& normals) {
   for (Eigen::Index column = 0; column < normals.cols(); ++column) {
     const float length = normals.col(column).norm();

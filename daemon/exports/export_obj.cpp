@@ -1,21 +1,36 @@
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <iterator>
 
-#include "exports/export.hpp"
+#include "exports/export_sequence.hpp"
 #include "files/output_file.hpp"
+#include "maths/srgb.hpp"
 
 namespace facet::exports {
 
-void write_obj(const ExportMesh& mesh, const std::filesystem::path& file, std::string_view comment) {
+void write_obj(const ExportMesh& mesh, const std::filesystem::path& file, MeshAxes axes) {
+  if (axes == MeshAxes::Camera) {
+    write_obj_as_is(mesh, file, words_of(axes));
+    return;
+  }
+  ExportMesh upright = mesh;
+  upright.vertices_mm = factors_of(axes).asDiagonal() * mesh.vertices_mm;
+  upright.normals = upright_axes().asDiagonal() * mesh.normals;
+  write_obj_as_is(upright, file, words_of(axes));
+}
+
+void write_obj_as_is(const ExportMesh& mesh, const std::filesystem::path& file, std::string_view words) {
   fmt::memory_buffer text;
   const auto out = std::back_inserter(text);
-  fmt::format_to(out, "# {}\n{}", comment, mesh.albedo.cols() > 0 ? "# v x y z r g b: linear albedo\n" : "");
+  fmt::format_to(out, "# Facet: {}\n{}", words,
+                 mesh.albedo.cols() > 0 ? "# v x y z r g b: albedo, sRGB\n" : "");
   for (Eigen::Index i = 0; i < mesh.vertices_mm.cols(); ++i) {
     const auto position = mesh.vertices_mm.col(i);
     fmt::format_to(out, "v {:.8g} {:.8g} {:.8g}", position.x(), position.y(), position.z());
     if (mesh.albedo.cols() > 0) {
-      const auto rgb = mesh.albedo.col(i);
+      const Eigen::Vector3f rgb = mesh.albedo.col(i).unaryExpr(
+          [](float linear) { return maths::encode_srgb(std::clamp(linear, 0.0F, 1.0F)); });
       fmt::format_to(out, " {:.4f} {:.4f} {:.4f}", rgb.x(), rgb.y(), rgb.z());
     }
     fmt::format_to(out, "\n");

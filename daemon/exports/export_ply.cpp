@@ -5,7 +5,7 @@
 #include <cmath>
 #include <span>
 
-#include "exports/export.hpp"
+#include "exports/export_sequence.hpp"
 #include "files/ply.hpp"
 #include "maths/srgb.hpp"
 
@@ -43,12 +43,14 @@ std::array<std::uint8_t, 3> vertex_colour(const ExportMesh& mesh, Eigen::Index v
 
 }  // namespace
 
-void write_ply(const ExportMesh& mesh, const std::filesystem::path& file) {
+void write_ply(const ExportMesh& mesh, const std::filesystem::path& file, MeshAxes axes) {
+  const Eigen::Vector3f factors = factors_of(axes);
+  const Eigen::Vector3f turn = factors.array().sign();
   std::vector<PlyVertex> vertices(static_cast<std::size_t>(mesh.vertices_mm.cols()));
   for (std::size_t i = 0; i < vertices.size(); ++i) {
     const auto column = static_cast<Eigen::Index>(i);
-    const auto position = mesh.vertices_mm.col(column);
-    const auto normal = mesh.normals.col(column);
+    const Eigen::Vector3f position = factors.cwiseProduct(mesh.vertices_mm.col(column));
+    const Eigen::Vector3f normal = turn.cwiseProduct(mesh.normals.col(column));
     const auto [red, green, blue] = vertex_colour(mesh, column);
     vertices[i] = {position.x(),
                    position.y(),
@@ -66,8 +68,7 @@ void write_ply(const ExportMesh& mesh, const std::filesystem::path& file) {
   }
   const char* colour = mesh.albedo.cols() > 0 ? "albedo, sRGB" : "none, the albedo is not learned yet";
   files::write_ply(
-      {.comments = {"Facet: camera frame, millimetres, x right, y down, z forward",
-                    fmt::format("colour: {}", colour)},
+      {.comments = {fmt::format("Facet: {}", words_of(axes)), fmt::format("colour: {}", colour)},
        .fields = {"float x", "float y", "float z", "float nx", "float ny", "float nz", "float s", "float t",
                   "uchar red", "uchar green", "uchar blue", "float displacement_mm", "float confidence"},
        .vertices = std::as_bytes(std::span(vertices)),

@@ -124,10 +124,10 @@ void VertexCache::place(const SequenceFrame& frame) {
 void VertexCache::commit(files::OutputFile& cache) const {
   std::filesystem::path base = options_.file;
   base.replace_extension("obj");
-  write_obj(base_, base,
-            options_.space == MeshSpace::Camera
-                ? "Facet: metres, x right, y up, z towards the camera"
-                : "Facet: metres, x to the subject's left, y up, z out of the face");
+  write_obj_as_is(base_, base,
+                  options_.space == MeshSpace::Camera
+                      ? words_of(MeshAxes::Upright)
+                      : "metres, x to the subject's left, y up, z out of the face");
   cache.commit();
 }
 

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <span>
+#include <string_view>
 #include <vector>
 
 #include "exports/export.hpp"
@@ -11,6 +12,17 @@
 namespace facet::exports {
 
 inline constexpr float kMetresPerMillimetre = 0.001F;
+
+/// What a mesh in the camera frame is multiplied by, axis by axis: x right, y up, z towards the camera. Its
+/// normals by the same.
+inline Eigen::Vector3f upright_axes() {
+  return {1.0F, -1.0F, -1.0F};
+}
+/// The same with the unit: what its vertices are multiplied by.
+Eigen::Vector3f factors_of(MeshAxes axes);
+
+/// write_obj without a change to any number. words: of frame and unit, in its first line
+void write_obj_as_is(const ExportMesh& mesh, const std::filesystem::path& file, std::string_view words);
 
 /// Makes normals unit length; those of vertices that no triangle holds, which no format allows to be 0, point
 /// along -z.

@@ -7,8 +7,8 @@
 namespace facet::exports {
 namespace {
 
-void write_plain_obj(const ExportMesh& mesh, const std::filesystem::path& file) {
-  write_obj(mesh, file);
+void write_upright_glb(const ExportMesh& mesh, const std::filesystem::path& file, MeshAxes /*axes*/) {
+  write_glb(mesh, file);
 }
 
 std::string curves_line(const mesh::MeshFrame& frame, std::int64_t /*index*/, const Timeline& timeline) {
@@ -20,10 +20,11 @@ std::string json_line(const mesh::MeshFrame& frame, std::int64_t index, const Ti
 }
 
 const std::array kFormats = {
-    ExportFormat{"ply", "a mesh for each frame, camera frame, mm, x right, y down, z forward", "ply",
+    ExportFormat{"ply", "a mesh for each frame, metres, y up (or --axes camera)", "ply",
                  FrameFiles{write_ply}},
-    ExportFormat{"obj", "the same as text", "obj", FrameFiles{write_plain_obj}},
-    ExportFormat{"glb", "the same as glTF 2.0, metres, y up", "glb", FrameFiles{write_glb}},
+    ExportFormat{"obj", "the same as text", "obj", FrameFiles{write_obj}},
+    ExportFormat{"glb", "the same as glTF 2.0", "glb",
+                 FrameFiles{.write = write_upright_glb, .has_axes = false}},
     ExportFormat{"glb-frames", "one animated GLB: every frame a morph target, the head's pose on the node",
                  "glb", Animation{.open = open_glb_frames, .compresses = true}},
     ExportFormat{"glb-expressions",

@@ -13,7 +13,8 @@ namespace facet::exports {
 
 /// A file for each frame, `frame_%06d.EXTENSION`.
 struct FrameFiles {
-  void (*write)(const ExportMesh& mesh, const std::filesystem::path& file);
+  void (*write)(const ExportMesh& mesh, const std::filesystem::path& file, MeshAxes axes);
+  bool has_axes = true;  ///< false: the format has its own
 };
 
 /// One file for all frames.

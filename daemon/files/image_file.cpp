@@ -6,6 +6,7 @@
 #include <array>
 #include <csetjmp>
 #include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <type_traits>
 #include <utility>
@@ -397,15 +398,88 @@ class PngWriter {
   Failure failure_;
 };
 
+class JpegWriter {
+ public:
+  JpegWriter() {
+    picture_.err = jpeg_std_error(&errors_);
+    errors_.error_exit = jump;
+    errors_.output_message = say_nothing;
+    picture_.client_data = this;
+  }
+  ~JpegWriter() {
+    jpeg_destroy_compress(&picture_);
+    std::free(bytes_);
+  }
+  JpegWriter(const JpegWriter&) = delete;
+  JpegWriter& operator=(const JpegWriter&) = delete;
+
+  /// values  [height][width][channels]
+  bool write(JDIMENSION width_px, JDIMENSION height_px, int channels, const std::uint8_t* values,
+             int quality) {
+    if (setjmp(escape_) != 0) {
+      return false;
+    }
+    jpeg_create_compress(&picture_);
+    jpeg_mem_dest(&picture_, &bytes_, &size_);
+    picture_.image_width = width_px;
+    picture_.image_height = height_px;
+    picture_.input_components = channels;
+    picture_.in_color_space = channels == 1 ? JCS_GRAYSCALE : JCS_RGB;
+    jpeg_set_defaults(&picture_);
+    jpeg_set_quality(&picture_, quality, TRUE);
+    jpeg_start_compress(&picture_, TRUE);
+    while (picture_.next_scanline < picture_.image_height) {
+      // The library reads alone through this pointer.
+      JSAMPROW row = const_cast<std::uint8_t*>(values) +
+                     picture_.next_scanline * static_cast<std::size_t>(channels) * picture_.image_width;
+      jpeg_write_scanlines(&picture_, &row, 1);
+    }
+    jpeg_finish_compress(&picture_);
+    return true;
+  }
+
+  std::string failure() const { return failure_.text(); }
+  std::vector<std::uint8_t> take() const { return {bytes_, bytes_ + size_}; }
+
+ private:
+  [[noreturn]] static void jump(j_common_ptr picture) {
+    auto& self = *static_cast<JpegWriter*>(picture->client_data);
+    std::array<char, JMSG_LENGTH_MAX> message{};
+    picture->err->format_message(picture, message.data());
+    self.failure_.set(message.data());
+    std::longjmp(self.escape_, 1);
+  }
+  static void say_nothing(j_common_ptr) {}
+
+  jpeg_error_mgr errors_{};
+  jpeg_compress_struct picture_{};
+  unsigned char* bytes_ = nullptr;  ///< the library's, by malloc
+  unsigned long size_ = 0;          ///< NOLINT(google-runtime-int): the library's type
+  std::jmp_buf escape_{};
+  Failure failure_;
+};
+
+/// 1 or 3. Throws Error(Internal) where the values are no picture of that size.
+std::size_t channels_of(int width_px, int height_px, std::size_t values) {
+  const std::size_t pixels =
+      static_cast<std::size_t>(std::max(0, width_px)) * static_cast<std::size_t>(std::max(0, height_px));
+  if (pixels == 0 || (values != pixels && values != 3 * pixels)) {
+    throw Error(ErrorKind::Internal, fmt::format("{} values are no picture of {}x{} px, grey or RGB", values,
+                                                 width_px, height_px));
+  }
+  return values / pixels;
+}
+
+[[noreturn]] void fail_to_encode(int width_px, int height_px, const std::string& why) {
+  throw Error(ErrorKind::Internal,
+              fmt::format("a picture of {}x{} px cannot be encoded: {}", width_px, height_px, why));
+}
+
 template <typename Value>
 std::vector<std::uint8_t> encode(int width_px, int height_px, std::span<const Value> values) {
-  const auto width = static_cast<std::size_t>(std::max(0, width_px));
-  const auto height = static_cast<std::size_t>(std::max(0, height_px));
-  const std::size_t pixels = width * height;
-  if (pixels == 0 || (values.size() != pixels && values.size() != 3 * pixels)) {
-    throw Error(ErrorKind::Internal, fmt::format("{} values are no picture of {}x{} px, grey or RGB",
-                                                 values.size(), width_px, height_px));
-  }
+  const bool colour = channels_of(width_px, height_px, values.size()) == 3;
+  const auto width = static_cast<std::size_t>(width_px);
+  const auto height = static_cast<std::size_t>(height_px);
   std::vector<png_bytep> rows(height);
   for (std::size_t y = 0; y < height; ++y) {
     // The library reads alone through these pointers.
@@ -413,9 +487,8 @@ std::vector<std::uint8_t> encode(int width_px, int height_px, std::span<const Va
   }
   PngWriter writer;
   if (!writer.write(static_cast<png_uint_32>(width), static_cast<png_uint_32>(height), 8 * sizeof(Value),
-                    values.size() != pixels, rows)) {
-    throw Error(ErrorKind::Internal, fmt::format("a picture of {}x{} px cannot be encoded: {}", width_px,
-                                                 height_px, writer.failure()));
+                    colour, rows)) {
+    fail_to_encode(width_px, height_px, writer.failure());
   }
   return writer.take();
 }
@@ -458,6 +531,17 @@ std::vector<std::uint8_t> encode_png(int width_px, int height_px, std::span<cons
 }
 std::vector<std::uint8_t> encode_png(int width_px, int height_px, std::span<const std::uint16_t> values) {
   return encode(width_px, height_px, values);
+}
+
+std::vector<std::uint8_t> encode_jpeg(int width_px, int height_px, std::span<const std::uint8_t> values,
+                                      int quality) {
+  const auto channels = static_cast<int>(channels_of(width_px, height_px, values.size()));
+  JpegWriter writer;
+  if (!writer.write(static_cast<JDIMENSION>(width_px), static_cast<JDIMENSION>(height_px), channels,
+                    values.data(), quality)) {
+    fail_to_encode(width_px, height_px, writer.failure());
+  }
+  return writer.take();
 }
 
 }  // namespace facet::files

@@ -48,4 +48,12 @@ extern template RgbImage<std::uint16_t> read_image(const std::filesystem::path&)
 std::vector<std::uint8_t> encode_png(int width_px, int height_px, std::span<const std::uint8_t> values);
 std::vector<std::uint8_t> encode_png(int width_px, int height_px, std::span<const std::uint16_t> values);
 
+/// A JPEG file's bytes, baseline, colours at half the resolution: for pictures of cameras, which are
+/// compressed by many as they come.
+/// values   [height_px][width_px][channels], channels 1 (grey) or 3 (R G B)
+/// quality  1 to 100
+/// Throws Error(Internal) where the sizes do not agree.
+std::vector<std::uint8_t> encode_jpeg(int width_px, int height_px, std::span<const std::uint8_t> values,
+                                      int quality);
+
 }  // namespace facet::files

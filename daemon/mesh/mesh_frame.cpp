@@ -15,6 +15,18 @@ std::uint64_t fnv1a(std::uint64_t state, std::span<const std::byte> bytes) {
 
 }  // namespace
 
+const char* to_string(Origin origin) {
+  switch (origin) {
+    case Origin::Live:
+      return "live";
+    case Origin::Take:
+      return "take";
+    case Origin::Pose:
+      return "pose";
+  }
+  return "";
+}
+
 const char* to_string(TrackingState state) {
   switch (state) {
     case TrackingState::Searching:

@@ -62,6 +62,15 @@ struct Albedo {
   std::vector<float> linear_rgb;  ///< [finest vertex_count][3]
 };
 
+/// What a frame shows.
+enum class Origin : std::uint8_t {
+  Live,  ///< what the cameras see
+  Take,  ///< a recorded frame, shown again
+  Pose,  ///< a face that somebody posed or animated
+};
+
+const char* to_string(Origin origin);
+
 /// One frame of output: the currency that the pipeline hands to streams and takes. Plain data; shared
 /// read-only between threads. Head frame: x to the subject's left, y up, z out of the face; camera frame: x
 /// right, y down, z forward; both mm.
@@ -72,6 +81,7 @@ struct MeshFrame {
   TrackingState state = TrackingState::Searching;
   bool degraded = false;  ///< something failed for this frame (GPU lost, corrupt image): see degraded_reason
   std::string degraded_reason;
+  Origin origin = Origin::Live;
   CameraIntrinsics camera;
   /// What the cameras saw, for readers of the stream and of takes; null where pictures are not passed on.
   /// What makes meshes is given frame sets, not this.

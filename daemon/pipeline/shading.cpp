@@ -74,6 +74,10 @@ struct ShadingPipeline::Impl {
       further_views.push_back(
           {{}, cameras[i].info.intrinsics.value(), cameras[i].camera_from_reference.value().cast<float>()});
     }
+    if (options.hand_on_pictures && cameras.size() == 1) {
+      // Of several calibrated cameras the pictures have no distortion any more: mode "frames" records those.
+      camera_names = std::make_shared<const std::vector<std::string>>(1, "camera");
+    }
     board.change([&](PipelineStatus& shown) {
       shown.source = source;
       shown.device = refiner.device();
@@ -85,7 +89,8 @@ struct ShadingPipeline::Impl {
   Options options;
   std::vector<MeshSink*> sinks;
   std::vector<PictureCamera> cameras;
-  CameraInfo source;  ///< the reference camera's
+  CameraInfo source;                                             ///< the reference camera's
+  std::shared_ptr<const std::vector<std::string>> camera_names;  ///< null: pictures are not handed on
 
   // facet-capture until it closes `captured`, then facet-refine.
   std::optional<Error> source_failure;
@@ -99,6 +104,7 @@ struct ShadingPipeline::Impl {
   BoundedQueue<Captured> captured;
   BoundedQueue<Tracked> tracked;
   FramePool pool;
+  Pool<FrameSet> handed_on;
   PipelineBoard board;
 
   // facet-capture only.
@@ -294,6 +300,12 @@ void ShadingPipeline::Impl::track_one(Captured&& item) {
     tracked_item.view_used = result.view_used;
   }
   fill(*tracked_item.mesh, item, result);
+  if (camera_names != nullptr) {
+    const std::shared_ptr<FrameSet> set = handed_on.take();
+    *set = item.set;
+    set->camera_names = camera_names;
+    tracked_item.mesh->images = set;
+  }
   follow_skin(*tracked_item.mesh, item, result);
   tracked_item.captured = std::move(item);
   tracked.push(std::move(tracked_item), [this] { workers.beat(kTrack); });

@@ -41,6 +41,8 @@ class ShadingPipeline final : public Pipeline {
     mesh::HierarchyOptions hierarchy;
     FrameRange frames;
     refine::RecoveringRefiner::Pauses pauses;
+    /// One camera's pictures go with the frames (MeshFrame::images), for whoever reads or records them.
+    bool hand_on_pictures = false;
   };
 
   ShadingPipeline(ShadingParts stages, const Options& options, std::vector<MeshSink*> sinks);

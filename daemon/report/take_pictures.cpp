@@ -31,17 +31,48 @@ FrameGeometry geometry_of(const mesh::MeshFrame& frame) {
   return geometry;
 }
 
-SourceImages::SourceImages(std::filesystem::path video) : video_(std::move(video)) {
-  open();
+SourceImages::SourceImages(std::filesystem::path file) : file_(std::move(file)) {
+  if (file_.extension() == ".take") {
+    take_ = std::make_unique<take::TakeReader>(file_);
+  } else {
+    open();
+  }
 }
 
 void SourceImages::open() {
-  camera_ = camera::open_camera({.kind = "file", .path = video_});
+  camera_ = camera::open_camera({.kind = "file", .path = file_});
   camera_->start();
   has_last_ = false;
 }
 
+/// Frames of a take are numbered upwards.
+std::optional<Frame> SourceImages::at_in_take(std::uint64_t sequence) {
+  std::int64_t low = 0;
+  std::int64_t high = take_->frame_count();
+  while (low < high) {
+    const std::int64_t middle = low + (high - low) / 2;
+    take_->entry(middle).sequence < sequence ? low = middle + 1 : high = middle;
+  }
+  if (low == take_->frame_count() || take_->entry(low).sequence != sequence) {
+    return std::nullopt;
+  }
+  const std::shared_ptr<const FrameSet> set = take_->frame(low)->images;
+  return set != nullptr && set->frames.size() == 1 && !set->frames.front().empty()
+             ? std::optional(set->frames.front())
+             : std::nullopt;
+}
+
 std::optional<Frame> SourceImages::at(std::uint64_t sequence) {
+  if (take_ != nullptr) {
+    return at_in_take(sequence);
+  }
+  // Not looked for where the source can't have it (that of a loop counts on): the container's number is an
+  // estimate.
+  constexpr std::uint64_t kEstimate = 100;
+  const std::optional<std::uint64_t> count = camera_->info().frame_count;
+  if (count && sequence > *count + *count / 10 + kEstimate) {
+    return std::nullopt;
+  }
   if (has_last_ && last_.sequence > sequence) {
     open();
   }
@@ -58,6 +89,9 @@ std::optional<Frame> SourceImages::at(std::uint64_t sequence) {
 std::unique_ptr<SourceImages> open_source_images(const take::TakeInfo& info, const std::string& given) {
   if (!given.empty()) {
     return std::make_unique<SourceImages>(given);
+  }
+  if (info.picture_bytes > 0) {
+    return std::make_unique<SourceImages>(info.file);
   }
   std::error_code ignored;
   if (!std::filesystem::is_regular_file(info.source, ignored)) {

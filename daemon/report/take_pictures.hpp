@@ -31,27 +31,31 @@ struct FrameGeometry {
 /// frame must have a mesh.
 FrameGeometry geometry_of(const mesh::MeshFrame& frame);
 
-/// The images that a take was made from, by Frame::sequence. Reads forward; asking for an earlier frame than
-/// before opens the source anew. One thread.
+/// The images that a take was made from, by Frame::sequence. Reads forward; of a video, asking for an earlier
+/// frame than before opens the source anew. One thread.
 class SourceImages {
  public:
-  /// video: a file. Throws Error(UnreadableInput) where it cannot be read.
-  explicit SourceImages(std::filesystem::path video);
+  /// file: a video, or a take (NAME.take) that holds one camera's pictures. Throws Error(UnreadableInput)
+  /// where it cannot be read.
+  explicit SourceImages(std::filesystem::path file);
 
-  /// None where the source ends before that frame or breaks.
+  /// None where the source has no such frame, ends before it or breaks.
   std::optional<Frame> at(std::uint64_t sequence);
 
  private:
   void open();
+  std::optional<Frame> at_in_take(std::uint64_t sequence);
 
-  std::filesystem::path video_;
+  std::filesystem::path file_;
+  std::unique_ptr<take::TakeReader> take_;
   std::unique_ptr<Camera> camera_;
   Frame last_;
   bool has_last_ = false;
 };
 
-/// The video that a take names as its source, or the given one where `given` is not empty; none where the
-/// take's source is not a readable file. Throws Error(UnreadableInput) where the given one cannot be read.
+/// The given file where `given` is not empty; else the take's own pictures, or the video or take that it
+/// names as its source; none where that is not a readable file. Throws Error(UnreadableInput) where the given
+/// one cannot be read.
 std::unique_ptr<SourceImages> open_source_images(const take::TakeInfo& info, const std::string& given);
 
 /// A cut-out of the picture that a camera sees, scaled to a cell: the face with a margin.

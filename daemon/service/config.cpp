@@ -415,6 +415,11 @@ bool same_listener(const std::string& one, const std::string& other) {
          (a.host == b.host || every_address(a.host) || every_address(b.host));
 }
 
+/// Whether an address of "ADDRESS:PORT" is this machine's own alone.
+bool is_loopback(const std::string& host) {
+  return host == "localhost" || host == "::1" || host.starts_with("127.");
+}
+
 void read_web(Section section, Section& expert, const MetricsConfig& metrics, WebConfig& web) {
   read_listen(section, web.listen, 8420);
   if (same_listener(web.listen, metrics.listen)) {
@@ -425,6 +430,13 @@ void read_web(Section section, Section& expert, const MetricsConfig& metrics, We
                     web.listen, metrics.listen));
   }
   section.read(kWebSettings, web);
+  if (!web.listen.empty() && !is_loopback(split_host(web.listen).host) && !web.is_public) {
+    section.fail(section.find("listen"), "listen",
+                 fmt::format("\"{}\" lets everybody who reaches this machine look at faces and load takes, "
+                             "without encryption: listen on 127.0.0.1 behind a proxy with TLS "
+                             "(docs/web.md), or add public = true if that is meant",
+                             web.listen));
+  }
   if (const toml::node* node = section.find("token_file")) {
     if (section.text(*node, "token_file", files::kAnyText).empty()) {
       web.token_file.clear();
@@ -466,10 +478,11 @@ void read_bridges(Section section, avatar::BridgeConfig& bridges) {
     for (const std::string& text : texts) {
       const auto target = avatar::parse_target(protocol, text);
       if (!target) {
-        section.fail(section.find(key), key,
-                     fmt::format("must be a list of \"ADDRESS:PORT\", each an IP address in digits, such as "
-                                 "[\"127.0.0.1:{}\"]; \"{}\" is none",
-                                 protocol == avatar::BridgeProtocol::Vmc ? 39539 : 11111, text));
+        section.fail(
+            section.find(key), key,
+            fmt::format("must be a list of \"ADDRESS:PORT\", each an IP address in digits or the name "
+                        "of a host, such as [\"127.0.0.1:{}\"]; \"{}\" is none",
+                        protocol == avatar::BridgeProtocol::Vmc ? 39539 : 11111, text));
       }
       bridges.targets.push_back(*target);
     }

@@ -28,6 +28,7 @@ struct TakesConfig {
   std::uint64_t disk_reserve_bytes = 256ULL << 20;
   int compression_level = 1;    ///< of zstd, for meshes
   std::string record_at_start;  ///< name of a take that begins with the first frame; empty: none
+  bool pictures = true;         ///< of one live camera, as JPEG
 };
 
 struct MetricsConfig {
@@ -38,6 +39,7 @@ struct MetricsConfig {
 /// The page and its WebSockets (WebServer).
 struct WebConfig {
   std::string listen;                                             ///< "ADDRESS:PORT"; empty: off
+  bool is_public = false;                                         ///< an address that others reach is meant
   std::filesystem::path page;                                     ///< folder of the page's files
   std::filesystem::path token_file = "/var/lib/facet/web-token";  ///< empty: nobody commands over the web
   std::vector<std::string> hosts;    ///< further names under which the page may be asked for

@@ -50,7 +50,7 @@ void tell_devices(OpenedPipeline& opened, const pipeline::Devices& devices) {
 }
 
 pipeline::ShadingPipeline::Options monocular_options(const Config& config) {
-  return {config.pipeline.hierarchy, config.pipeline.frames, {}};
+  return {config.pipeline.hierarchy, config.pipeline.frames, {}, true};
 }
 
 void check_one_source(const camera::CameraConfig& source) {

@@ -371,6 +371,9 @@ void Service::Impl::open_web() {
     const auto opened = std::make_shared<WebServer>(config.web, config.takes.folder, find, *stream, *control);
     log.info(fmt::format("page on {}{}", opened->url(),
                          opened->has_page() ? "" : ": its files are not there, only its WebSockets"));
+    if (config.web.is_public) {
+      log.warning("web.public: whoever reaches the page's address sees the faces and can load the takes");
+    }
     if (!opened->token_fault().empty()) {
       log.warning(opened->token_fault());
     }
@@ -475,8 +478,11 @@ take::TakeRecorderConfig Service::Impl::take_config() const {
   take.source = source_name;
   take.software = software_name();
   take.when_full = live ? take::WhenFull::Drop : take::WhenFull::Wait;
-  take.with_images = config.mode == Mode::Frames ||
+  // A recorded source is its own picture: the take names it.
+  const bool of_one_camera = config.mode == Mode::Monocular && live && config.takes.pictures;
+  take.with_images = of_one_camera || config.mode == Mode::Frames ||
                      (config.mode == Mode::Booth && config.booth_record == BoothRecord::Pictures);
+  take.picture_coding = of_one_camera ? take::PictureCoding::Jpeg : take::PictureCoding::Lossless;
   take.disk_reserve_bytes = config.takes.disk_reserve_bytes;
   take.compression_level = config.takes.compression_level;
   return take;

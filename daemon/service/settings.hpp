@@ -101,6 +101,7 @@ inline constexpr Setting<TakesConfig> kTakesSettings[] = {
     {"folder", &at<&TakesConfig::folder>},
     {"disk_reserve_mb", &at<&TakesConfig::disk_reserve_bytes>, 0, 1 << 30, kMebibyte},
     {"record_at_start", &at<&TakesConfig::record_at_start>},
+    {"pictures", &at<&TakesConfig::pictures>},
 };
 
 inline constexpr Setting<avatar::BridgeConfig> kBridgesSettings[] = {
@@ -118,6 +119,7 @@ inline constexpr Setting<avatar::ValueTuning> kValueTuningSettings[] = {
 
 inline constexpr Setting<WebConfig> kWebSettings[] = {
     {"page", &at<&WebConfig::page>},
+    {"public", &at<&WebConfig::is_public>},
     {"hosts", &at<&WebConfig::hosts>},
     {"origins", &at<&WebConfig::origins>},
 };

@@ -1,9 +1,14 @@
 #include "service/studio_methods.hpp"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
+#include <chrono>
+#include <cmath>
 #include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
 
 #include "facet/error.hpp"
 #include "files/json_text.hpp"
@@ -20,7 +25,7 @@ constexpr double kLatest_s = animate::kLongest_s;
 /// Control points as a key of a keys file has them: one grammar, checked in one place.
 animate::KeyList as_key(const std::string& method, const json& controls, const json& params) {
   json root = {{"keys", {{{"time_s", 0}, {"controls", controls}}}}};
-  for (const char* name : {"whole", "clamp"}) {
+  for (const char* name : {"whole", "beyond"}) {
     if (params.contains(name)) {
       root[name] = params[name];
     }
@@ -38,6 +43,17 @@ double time_of(const json& params, const char* name, double otherwise) {
     throw Error(ErrorKind::Usage, fmt::format("{} must be from 0 to {}", name, kLatest_s));
   }
   return time_s;
+}
+
+std::chrono::seconds lease_of(const json& params) {
+  constexpr double kLongest_s = 86'400;
+  const double seconds =
+      params.contains("lease_s") ? params.at("lease_s").get<double>() : studio::Studio::kLease.count();
+  if (!(seconds >= 0 && seconds <= kLongest_s)) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("lease_s must be from 0 (until it is closed) to {}", kLongest_s));
+  }
+  return std::chrono::seconds(std::llround(std::ceil(seconds)));
 }
 
 studio::Shown shown_of(const json& params) {
@@ -70,21 +86,22 @@ json times_json(const studio::StudioTimes& times) {
 std::string problem_of(const animate::ControlTarget& target, const animate::ControlOutcome& outcome,
                        bool on_boundary) {
   const char* unit = target.space == animate::ControlTarget::Space::Screen ? "px" : "mm";
+  std::vector<std::string> problems;
   if (!outcome.met) {
-    return on_boundary ? fmt::format(
-                             "missed by {:.2f} {}: it is on the open edge of the mesh, where the take moves "
-                             "nothing",
-                             outcome.miss, unit)
-                       : fmt::format(
-                             "missed by {:.2f} {}: the take does not move it so, or other control points "
-                             "hold it",
-                             outcome.miss, unit);
+    problems.push_back(fmt::format("missed by {:.2f} {}: {}", outcome.miss, unit,
+                                   on_boundary
+                                       ? "it is on the open edge of the mesh, where the take moves nothing"
+                                       : "the take does not move it so, or other control points hold it"));
+  } else if (outcome.outside > animate::kOutsideTolerance) {
+    problems.push_back(fmt::format("{} {:.1f} {} outside what was captured{}",
+                                   outcome.clamped ? "pulled back, it was" : "it is", outcome.outside, unit,
+                                   on_boundary ? ": it is on the open edge of the mesh" : ""));
   }
-  if (outcome.outside > animate::kOutsideTolerance) {
-    return fmt::format("{} {:.1f} {} outside what was captured",
-                       outcome.clamped ? "pulled back, it was" : "it is", outcome.outside, unit);
+  if (outcome.nearest_mm > animate::kFarFromCaptured_mm) {
+    problems.push_back(fmt::format(
+        "{:.1f} mm from the nearest captured face: it may be no face of this person", outcome.nearest_mm));
   }
-  return "";
+  return fmt::format("{}", fmt::join(problems, "; "));
 }
 
 json controls_json(const studio::StudioStatus& status) {
@@ -116,11 +133,11 @@ ControlMethods take_methods(studio::Studio& studio, Errands& errands) {
   return {
       {"studio.open",
        {true,
-        {{"take", Type::Text, true}, {"pose", Type::Flag}},
+        {{"take", Type::Text, true}, {"pose", Type::Flag}, {"lease_s", Type::Number}},
         [&studio, &errands](const json& params) {
           return ControlAnswer(errands, [&studio, take = params.at("take").get<std::string>(),
-                                         pose = params.value("pose", true)] {
-            studio.open(take, pose);
+                                         pose = params.value("pose", true), lease = lease_of(params)] {
+            studio.open(take, pose, lease);
             return std::string("{}");
           });
         }}},
@@ -129,6 +146,13 @@ ControlMethods take_methods(studio::Studio& studio, Errands& errands) {
         {},
         [&studio](const json&) {
           studio.close();
+          return json::object();
+        }}},
+      {"studio.keep",
+       {true,
+        {},
+        [&studio](const json&) {
+          studio.keep();
           return json::object();
         }}},
       {"studio.status", {false, {}, [&studio](const json&) { return to_json(studio.status()); }}},
@@ -169,10 +193,10 @@ ControlMethods pose_methods(studio::Studio& studio, Errands& errands) {
   return {
       {"pose.set",
        {true,
-        {{"controls", Type::Any, true}, {"whole"}, {"clamp"}},
+        {{"controls", Type::Any, true}, {"whole"}, {"beyond"}},
         [&studio](const json& params) {
           const animate::KeyList list = as_key("pose.set", params.at("controls"), params);
-          return number_of_event(studio.set_controls(list.keys.front().controls, list.whole, list.clamp));
+          return number_of_event(studio.set_controls(list.keys.front().controls, list.whole, list.beyond));
         }}},
       {"pose.move",
        {true,
@@ -258,6 +282,7 @@ json to_json(const studio::StudioStatus& status) {
           {"shown", to_string(status.shown)},
           {"time_s", status.time_s},
           {"duration_s", status.duration_s},
+          {"lease_s", status.lease.count()},
           {"frame", status.frame},
           {"events", status.events},
           {"superseded", status.superseded},

@@ -134,7 +134,7 @@ json TakeIndex::Impl::entry_of(const std::filesystem::path& file, const FileStat
     entry["created_utc"] = info.created_utc;
     entry["frames"] = info.frame_count;
     entry["mesh_frames"] = info.mesh_frame_count;
-    entry["duration_s"] = static_cast<double>(info.last_timestamp_ns - info.first_timestamp_ns) * 1e-9;
+    entry["duration_s"] = info.duration_s;
     entry["bytes"] = info.file_bytes;
     entry["picture_bytes"] = info.picture_bytes;
     entry["closed"] = info.closed;

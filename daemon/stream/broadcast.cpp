@@ -48,7 +48,7 @@ void Broadcast::take(std::shared_ptr<const mesh::MeshFrame> frame, std::uint64_t
   statistics_.published = number;
   current_number_ = number;
   current_ = std::move(frame);
-  frame_packets_ = {};
+  frame_packets_.clear();
   if (current_->subject == nullptr || !subject_fault(*current_->subject).empty()) {
     return;
   }
@@ -68,13 +68,21 @@ void Broadcast::take(std::shared_ptr<const mesh::MeshFrame> frame, std::uint64_t
 
 std::shared_ptr<const Packet> Broadcast::frame_packet(const Subscription& subscription) {
   FACET_ASSERT(current_ != nullptr, current_number_);
-  const bool with_pixels = subscription.want_images && current_->images != nullptr;
-  auto& cached = frame_packets_.at(with_pixels ? 1 : 0).at(static_cast<std::size_t>(subscription.profile));
-  if (cached == nullptr) {
-    cached = packet(encoder_.frame(*current_, subscription.profile, with_pixels));
-    statistics_.encoded_bytes += cached->bytes.size();
+  WantedPixels pixels;
+  if (subscription.want_images && current_->images != nullptr) {
+    pixels = {true, subscription.longest_image_px};
   }
-  return cached;
+  const auto made = std::find_if(frame_packets_.begin(), frame_packets_.end(), [&](const FramePacket& one) {
+    return one.profile == subscription.profile && one.pixels.any == pixels.any &&
+           one.pixels.longest_px == pixels.longest_px;
+  });
+  if (made != frame_packets_.end()) {
+    return made->packet;
+  }
+  const auto message = packet(encoder_.frame(*current_, subscription.profile, pixels));
+  statistics_.encoded_bytes += message->bytes.size();
+  frame_packets_.push_back({subscription.profile, pixels, message});
+  return message;
 }
 
 bool Broadcast::fill_ring(Profile profile) {

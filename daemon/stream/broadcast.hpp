@@ -75,8 +75,13 @@ class Broadcast {
   /// that a reader that connects anew never takes one subject for another.
   std::uint64_t subject_number_ = static_cast<std::uint64_t>(Clock::now_ns());
   std::shared_ptr<const mesh::Albedo> albedo_;  ///< likewise, of that subject
-  /// Of current_, made when asked for: without pixels, then with them.
-  std::array<std::array<std::shared_ptr<const Packet>, kProfileCount>, 2> frame_packets_;
+  /// A frame's message as somebody wants it.
+  struct FramePacket {
+    Profile profile;
+    WantedPixels pixels;
+    std::shared_ptr<const Packet> packet;
+  };
+  std::vector<FramePacket> frame_packets_;  ///< of current_, made when asked for
   std::array<std::shared_ptr<const Packet>, kProfileCount> subject_packets_;  ///< of subject_
   std::shared_ptr<const Packet> albedo_packet_;                               ///< of albedo_
   std::array<Ring, kProfileCount> rings_;

@@ -324,6 +324,8 @@ void decode_whole_frame(const wire::Frame& body, const RingReader* ring,
                         std::shared_ptr<const mesh::Albedo> albedo, DecodedFrame& out) {
   require(static_cast<std::uint8_t>(body.state()) <= static_cast<std::uint8_t>(mesh::TrackingState::Lost),
           "frame: unknown tracking state");
+  require(static_cast<std::uint8_t>(body.origin()) <= static_cast<std::uint8_t>(mesh::Origin::Pose),
+          "frame: unknown origin");
   require(size_of(body.landmarks_px()) <= kMaxLandmarks, "frame: number of landmarks");
   require(std::isfinite(body.reprojection_px()), "frame: reprojection");
 
@@ -335,6 +337,7 @@ void decode_whole_frame(const wire::Frame& body, const RingReader* ring,
   frame.state = static_cast<mesh::TrackingState>(body.state());
   frame.degraded = body.degraded();
   frame.degraded_reason = text(body.degraded_reason(), kMaxTextBytes, "frame: degraded reason");
+  frame.origin = static_cast<mesh::Origin>(body.origin());
   frame.camera = decode_camera(body.camera());
   frame.stage_ms = decode_stage_times(body.stage_ms());
   frame.reprojection_px = body.reprojection_px();
@@ -442,6 +445,7 @@ Subscription decode_subscription(std::span<const std::uint8_t> message) {
   out.client = text(body.client(), kMaxNameBytes, "subscription: client");
   out.want_images = body.want_images();
   out.ring_version = body.ring_version();
+  out.longest_image_px = body.longest_image_px();
   return out;
 }
 

@@ -105,17 +105,20 @@ Offset<wire::Hierarchy> hierarchy_message(FlatBufferBuilder& builder, const mesh
                                           Profile profile) {
   const bool whole = profile == Profile::Displacements;
   std::vector<Offset<wire::Level>> levels;
+  std::vector<Offset<wire::Level>> coarser;
   for (const mesh::Level& level : hierarchy.levels) {
-    if (whole || &level == &hierarchy.finest()) {
-      levels.push_back(level_message(builder, level, whole));
-    }
+    std::vector<Offset<wire::Level>>& list = whole || &level == &hierarchy.finest() ? levels : coarser;
+    list.push_back(level_message(builder, level, whole));
   }
   const auto level_vector = builder.CreateVector(levels);
+  const auto coarser_vector =
+      whole ? Offset<flatbuffers::Vector<Offset<wire::Level>>>() : builder.CreateVector(coarser);
   const auto coordinates = builder.CreateVector(
       hierarchy.texture_coordinates.data(), static_cast<std::size_t>(hierarchy.texture_coordinates.size()));
   const auto control_vertex_count =
       whole ? static_cast<std::uint32_t>(hierarchy.control_vertex_count) : std::uint32_t{0};
-  return wire::CreateHierarchy(builder, hierarchy.id, control_vertex_count, level_vector, coordinates);
+  return wire::CreateHierarchy(builder, hierarchy.id, control_vertex_count, level_vector, coordinates,
+                               coarser_vector);
 }
 
 bool all_finite(std::span<const float> values) {
@@ -239,7 +242,7 @@ struct Encoder::Impl {
                                        float finest_step_mm);
   void geometry_parts(const mesh::MeshFrame& frame, Profile profile, Parts& parts);
   std::span<const std::uint8_t> frame_message(const mesh::MeshFrame& frame, Profile profile,
-                                              bool with_pixels);
+                                              WantedPixels wanted);
   Offset<wire::StageTimes> stage_times(const mesh::StageTimes& times);
   Offset<flatbuffers::Vector<const wire::Point*>> landmarks(const std::vector<Eigen::Vector2f>& points);
 };
@@ -265,9 +268,10 @@ std::span<const std::uint8_t> Encoder::subscription(const Subscription& subscrip
   FlatBufferBuilder& builder = impl_->builder;
   builder.Clear();
   const auto client = bounded_string(builder, subscription.client, kMaxNameBytes);
-  const auto body = wire::CreateSubscribe(
-      builder, subscription.protocol_version, static_cast<wire::Profile>(subscription.profile),
-      subscription.want_albedo, client, subscription.want_images, subscription.ring_version);
+  const auto body = wire::CreateSubscribe(builder, subscription.protocol_version,
+                                          static_cast<wire::Profile>(subscription.profile),
+                                          subscription.want_albedo, client, subscription.want_images,
+                                          subscription.ring_version, subscription.longest_image_px);
   return finish(builder, wire::Body::Subscribe, body.Union());
 }
 
@@ -432,9 +436,9 @@ void Encoder::Impl::geometry_parts(const mesh::MeshFrame& frame, Profile profile
 }
 
 std::span<const std::uint8_t> Encoder::frame(const mesh::MeshFrame& frame, Profile profile,
-                                             bool with_pixels) {
+                                             const WantedPixels& wanted) {
   impl_->beside = false;
-  return impl_->frame_message(frame, profile, with_pixels);
+  return impl_->frame_message(frame, profile, wanted);
 }
 
 RingFrame Encoder::ring_frame(const mesh::MeshFrame& frame, Profile profile) {
@@ -444,7 +448,7 @@ RingFrame Encoder::ring_frame(const mesh::MeshFrame& frame, Profile profile) {
   impl_->beside_confidence.clear();
   impl_->beside = true;
   RingFrame out;
-  out.head = impl_->frame_message(frame, profile, false);
+  out.head = impl_->frame_message(frame, profile, {});
   for (std::size_t which = 0; which < impl_->beside_numbers.size(); ++which) {
     const std::vector<std::int16_t>& numbers = impl_->beside_numbers.at(which);
     out.arrays.at(which) = {reinterpret_cast<const std::uint8_t*>(numbers.data()),
@@ -455,7 +459,7 @@ RingFrame Encoder::ring_frame(const mesh::MeshFrame& frame, Profile profile) {
 }
 
 std::span<const std::uint8_t> Encoder::Impl::frame_message(const mesh::MeshFrame& frame, Profile profile,
-                                                           bool with_pixels) {
+                                                           WantedPixels wanted) {
   builder.Clear();
   bool with_mesh = carries_mesh(frame);
   bool degraded = frame.degraded;
@@ -467,8 +471,8 @@ std::span<const std::uint8_t> Encoder::Impl::frame_message(const mesh::MeshFrame
       degraded_reason = fault;
     }
   }
-  if (with_pixels && frame.images != nullptr && pixel_bytes(*frame.images) > kMaxPixelBytes) {
-    with_pixels = false;
+  if (frame.images != nullptr && pixel_bytes(*frame.images, wanted) > kMaxPixelBytes) {
+    wanted.any = false;
     degraded = true;
     degraded_reason =
         "pictures left out: together they are larger than a message may be (64 MiB): use smaller pictures";
@@ -482,7 +486,7 @@ std::span<const std::uint8_t> Encoder::Impl::frame_message(const mesh::MeshFrame
     geometry_parts(frame, profile, parts);
   }
   if (frame.images != nullptr && !frame.images->frames.empty()) {
-    parts.frame_set = write_frame_set(builder, *frame.images, with_pixels);
+    parts.frame_set = write_frame_set(builder, *frame.images, wanted);
   }
 
   const CameraIntrinsics& intrinsics = frame.camera;
@@ -518,6 +522,7 @@ std::span<const std::uint8_t> Encoder::Impl::frame_message(const mesh::MeshFrame
     table.add_confidence(parts.confidence);
   }
   table.add_frame_set(parts.frame_set);
+  table.add_origin(static_cast<wire::Origin>(frame.origin));
   return finish(builder, wire::Body::Frame, table.Finish().Union());
 }
 

@@ -43,10 +43,10 @@ class Encoder {
   /// latter is degraded and says why. Profile Vertices rebuilds the finest mesh
   /// here (mesh::rebuild_finest): do it in the server's thread.
   ///
-  /// MeshFrame::images go with it, their pixels only with `with_pixels`, grey ones in one channel. Pictures
+  /// MeshFrame::images go with it, their pixels only where wanted, grey ones in one channel. Pictures
   /// that would make the message too long come without pixels; the frame is degraded and says so.
   std::span<const std::uint8_t> frame(const mesh::MeshFrame& frame, Profile profile,
-                                      bool with_pixels = false);
+                                      const WantedPixels& wanted = {});
   /// The same frame in the two parts that a ring holds; never with pixels.
   RingFrame ring_frame(const mesh::MeshFrame& frame, Profile profile);
 

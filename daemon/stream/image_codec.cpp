@@ -21,19 +21,33 @@ std::size_t pixel_count(const Frame& frame) {
   return static_cast<std::size_t>(frame.width_px) * static_cast<std::size_t>(frame.height_px);
 }
 
+/// So many pixels each way become one, that the longest side is no longer than wanted.
+int scale_of(const Frame& frame, const WantedPixels& wanted) {
+  const int longest = std::max(frame.width_px, frame.height_px);
+  const int shortest = std::min(frame.width_px, frame.height_px);
+  if (!wanted.any || wanted.longest_px <= 0 || longest <= wanted.longest_px) {
+    return 1;
+  }
+  return std::clamp((longest + wanted.longest_px - 1) / wanted.longest_px, 1, std::min(shortest, 255));
+}
+
 Offset<wire::Image> write_image(FlatBufferBuilder& builder, const Frame& frame, std::size_t camera,
-                                bool with_pixels) {
+                                const WantedPixels& wanted) {
   Offset<flatbuffers::Vector<std::uint8_t>> pixels;
-  const std::size_t channels = with_pixels ? channel_count(frame) : 3;
-  if (with_pixels) {
+  const int scale = scale_of(frame, wanted);
+  const std::size_t channels = wanted.any && scale == 1 ? channel_count(frame) : 3;
+  const int width_px = frame.width_px / scale;
+  const int height_px = frame.height_px / scale;
+  if (wanted.any) {
     std::uint8_t* out = nullptr;
-    pixels = builder.CreateUninitializedVector(pixel_count(frame) * channels, &out);
-    pack_pixels(frame, channels, out);
+    pixels = builder.CreateUninitializedVector(
+        static_cast<std::size_t>(width_px) * static_cast<std::size_t>(height_px) * channels, &out);
+    scale == 1 ? pack_pixels(frame, channels, out) : pack_smaller(frame, scale, out);
   }
   return wire::CreateImage(builder, static_cast<std::uint8_t>(camera), frame.sequence, frame.timestamp_ns,
-                           frame.corrupt, static_cast<std::uint16_t>(frame.width_px),
-                           static_cast<std::uint16_t>(frame.height_px), static_cast<std::uint8_t>(channels),
-                           pixels);
+                           frame.corrupt, static_cast<std::uint16_t>(width_px),
+                           static_cast<std::uint16_t>(height_px), static_cast<std::uint8_t>(channels), pixels,
+                           static_cast<std::uint8_t>(scale));
 }
 
 void require(bool holds, const char* what) {
@@ -65,15 +79,19 @@ Frame read_image(const wire::Image& image) {
 
 }  // namespace
 
-std::size_t pixel_bytes(const FrameSet& set) {
+std::size_t pixel_bytes(const FrameSet& set, const WantedPixels& wanted) {
   std::size_t bytes = 0;
   for (const Frame& frame : set.frames) {
-    bytes += frame.empty() ? 0 : pixel_count(frame) * 3;
+    if (wanted.any && !frame.empty()) {
+      const auto scale = static_cast<std::size_t>(scale_of(frame, wanted));
+      bytes += pixel_count(frame) / (scale * scale) * 3;
+    }
   }
   return bytes;
 }
 
-Offset<wire::FrameSet> write_frame_set(FlatBufferBuilder& builder, const FrameSet& set, bool with_pixels) {
+Offset<wire::FrameSet> write_frame_set(FlatBufferBuilder& builder, const FrameSet& set,
+                                       const WantedPixels& wanted) {
   const std::size_t cameras = std::min(set.frames.size(), kMaxCameras);
   std::array<Offset<flatbuffers::String>, kMaxCameras> names;
   std::array<Offset<wire::Image>, kMaxCameras> images;
@@ -87,7 +105,7 @@ Offset<wire::FrameSet> write_frame_set(FlatBufferBuilder& builder, const FrameSe
     const Frame& frame = set.frames[camera];
     if (!frame.empty() && frame.width_px <= static_cast<int>(kMaxImagePx) &&
         frame.height_px <= static_cast<int>(kMaxImagePx)) {
-      images.at(image_count++) = write_image(builder, frame, camera, with_pixels);
+      images.at(image_count++) = write_image(builder, frame, camera, wanted);
     }
   }
   const auto name_vector = builder.CreateVector(names.data(), cameras);

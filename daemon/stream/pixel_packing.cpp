@@ -1,5 +1,6 @@
 #include "stream/pixel_packing.hpp"
 
+#include <array>
 #include <bit>
 #include <cstring>
 
@@ -59,6 +60,28 @@ void pack_pixels(const Frame& frame, std::size_t channels, std::uint8_t* out) {
   for (int y = 0; y < frame.height_px; ++y) {
     channels == 1 ? pack_row<1>(frame.row(y), width, out) : pack_row<3>(frame.row(y), width, out);
     out += width * channels;
+  }
+}
+
+void pack_smaller(const Frame& frame, int scale, std::uint8_t* out) {
+  const auto step = static_cast<std::size_t>(scale);
+  const auto count = static_cast<std::uint32_t>(step * step);
+  const std::size_t width = static_cast<std::size_t>(frame.width_px) / step;
+  for (int y = 0; y + scale <= frame.height_px; y += scale) {
+    for (std::size_t x = 0; x < width; ++x) {
+      std::array<std::uint32_t, 3> sum{};
+      for (int row = y; row < y + scale; ++row) {
+        const std::uint8_t* rgba = frame.row(row) + x * step * kRgbaBytes;
+        for (std::size_t k = 0; k < step * kRgbaBytes; k += kRgbaBytes) {
+          sum[0] += rgba[k];
+          sum[1] += rgba[k + 1];
+          sum[2] += rgba[k + 2];
+        }
+      }
+      for (const std::uint32_t total : sum) {
+        *out++ = static_cast<std::uint8_t>((total + count / 2) / count);
+      }
+    }
   }
 }
 

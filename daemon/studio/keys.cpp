@@ -60,7 +60,7 @@ std::string with_key(const std::string& keys, double time_s,
   kept.insert(later, json({{"time_s", time_s}, {"controls", std::move(controls)}}));
   root["keys"] = std::move(kept);
   root["whole"] = options.whole;
-  root["clamp"] = options.clamp;
+  root["beyond"] = options.beyond;
   return root.dump(1);
 }
 

@@ -87,6 +87,7 @@ mesh::MeshFrame Session::animated(double time_s) const {
   mesh::MeshFrame frame = blank;
   animate::blend(*faces->basis, posed, frame);
   frame.media_time_ns = std::llround(time_s * 1e9);
+  frame.origin = mesh::Origin::Pose;
   return frame;
 }
 

@@ -22,36 +22,6 @@
 
 namespace facet::studio {
 
-const char* to_string(Shown shown) {
-  switch (shown) {
-    case Shown::Pose:
-      return "pose";
-    case Shown::Take:
-      return "take";
-    case Shown::Keys:
-      return "keys";
-  }
-  return "";
-}
-
-const char* to_string(StudioState state) {
-  switch (state) {
-    case StudioState::Closed:
-      return "closed";
-    case StudioState::Opening:
-      return "opening";
-    case StudioState::Ready:
-      return "ready";
-    case StudioState::Preparing:
-      return "preparing";
-    case StudioState::Playing:
-      return "playing";
-    case StudioState::Exporting:
-      return "exporting";
-  }
-  return "";
-}
-
 struct Studio::Impl {
   /// What a controller wants next; the newest takes the place of the one before.
   struct Wish {
@@ -64,6 +34,7 @@ struct Studio::Impl {
   struct Opening {
     std::string take;  ///< "": close
     bool posing = false;
+    std::chrono::seconds lease{0};
   };
   Impl(std::filesystem::path takes, Show shower, std::function<void(bool)> hold, std::string name)
       : folder(std::move(takes)),
@@ -93,6 +64,8 @@ struct Studio::Impl {
   animate::IkOptions options FACET_GUARDED_BY(mutex);
   std::shared_ptr<const animate::InfluenceMaps> maps FACET_GUARDED_BY(mutex);  ///< of the last pose
   std::string keys FACET_GUARDED_BY(mutex);
+  std::chrono::seconds lease FACET_GUARDED_BY(mutex){0};  ///< of the open take; 0: none
+  Clock::time_point last_asked FACET_GUARDED_BY(mutex);   ///< when somebody last wanted something of it
 
   std::unique_ptr<Session> session;  ///< the thread only
   std::jthread thread;
@@ -156,7 +129,7 @@ void Studio::Impl::ask(const Wish& what) {
     ++shown.superseded;
   }
   wish = what;
-  wish->asked = Clock::now();
+  wish->asked = last_asked = Clock::now();
   woken.notify_one();
 }
 
@@ -242,6 +215,9 @@ void Studio::Impl::open_session(const Opening& what) {
     faces = session->faces;
     keys = std::move(session->stored_keys);
     options = {};
+    lease = what.lease;
+    last_asked = Clock::now();
+    shown.lease = lease;
     shown.posing = faces != nullptr;
     shown.events = faces != nullptr ? 1 : 0;  // the resting face
     shown.places = faces != nullptr ? faces->places : decltype(faces->places)();
@@ -273,6 +249,7 @@ void Studio::Impl::solve(const Wish& what) {
   const std::vector<animate::ControlOutcome>& outcomes = ik.solve(targets, session->pose);
   mesh::MeshFrame frame = session->blank;
   animate::blend(*session->faces->basis, session->pose, frame);
+  frame.origin = mesh::Origin::Pose;
   const Clock::time_point made = Clock::now();
   publish(std::move(frame), what.asked);
   const auto& boundary = session->faces->basis->hierarchy().finest().one_rings.on_boundary;
@@ -301,7 +278,9 @@ void Studio::Impl::show_at(Shown what, double time_s) {
   } else {
     const Session::MeshEntry& entry = session->meshes[session->entry_at(at_s)];
     sequence = entry.sequence;
-    publish(*session->reader->frame(entry.index, take::Pictures::Described), {});
+    mesh::MeshFrame frame = *session->reader->frame(entry.index, take::Pictures::Described);
+    frame.origin = mesh::Origin::Take;
+    publish(std::move(frame), {});
   }
   const Lock lock(mutex);
   shown.shown = what;
@@ -382,6 +361,7 @@ void Studio::Impl::export_keys(const std::filesystem::path& file) {
   shown.state = StudioState::Ready;
   shown.reason.clear();
   shown.exported = file;
+  last_asked = Clock::now();
 }
 
 /// A take that is no longer what it was ends the session; whatever else fails stands in the status.
@@ -438,6 +418,11 @@ bool Studio::Impl::work_once() {
     const std::filesystem::path file = std::exchange(export_to, {});
     return unlocked([&] { export_keys(file); });
   }
+  if (lease > lease.zero() && now >= last_asked + lease) {
+    const std::string why = fmt::format("nobody wanted anything of take {} for {} s: the live face is back",
+                                        shown.take, lease.count());
+    return unlocked([&] { close_session(why); });
+  }
   if (session->playing && now >= session->next_due) {
     return unlocked([&] { play_on(); });
   }
@@ -472,6 +457,7 @@ void Studio::Impl::work_until_stopped() {
       woken.wait(mutex, is_asked);
       continue;
     }
+    // The lease is looked at as often as the file: twice a second.
     const Clock::time_point due =
         std::min(session->check_due, session->playing ? session->next_due : session->repeat_due);
     woken.wait_until(mutex, Clock::wake(due), is_asked);
@@ -516,14 +502,14 @@ void Studio::stop() {
   }
 }
 
-void Studio::open(const std::string& take, bool posing) {
+void Studio::open(const std::string& take, bool posing, std::chrono::seconds lease) {
   const std::filesystem::path file = take::named_take(impl_->folder, take);
   std::error_code ignored;
   if (!std::filesystem::is_regular_file(file, ignored)) {
     throw Error(ErrorKind::Usage, fmt::format("there is no take {}", take));
   }
   const Lock lock(impl_->mutex);
-  impl_->opening = {take, posing};
+  impl_->opening = {take, posing, lease};
   impl_->shown.state = StudioState::Opening;
   impl_->woken.notify_one();
 }
@@ -534,14 +520,22 @@ void Studio::close() {
   impl_->woken.notify_one();
 }
 
-std::uint64_t Studio::set_controls(const std::vector<animate::KeyControl>& controls, bool whole, bool clamp) {
+void Studio::keep() {
+  const Lock lock(impl_->mutex);
+  if (impl_->shown.take.empty() && !impl_->opening) {
+    impl_->ready_faces();
+  }
+  impl_->last_asked = Clock::now();
+}
+
+std::uint64_t Studio::set_controls(const std::vector<animate::KeyControl>& controls, bool whole, bool beyond) {
   const Lock lock(impl_->mutex);
   std::vector<animate::ControlTarget> targets;
   targets.reserve(controls.size());
   for (const animate::KeyControl& control : controls) {
     targets.push_back(impl_->resolve(control));
   }
-  return impl_->ask_pose(std::move(targets), {whole, clamp, true});
+  return impl_->ask_pose(std::move(targets), {whole, beyond, true});
 }
 
 std::uint64_t Studio::move_control(const animate::KeyControl& control) {
@@ -638,6 +632,7 @@ void Studio::set_keys(const std::string& text) {
   const Lock lock(impl_->mutex);
   if (impl_->shown.take == take) {
     impl_->keys = text;
+    impl_->last_asked = Clock::now();
   }
 }
 

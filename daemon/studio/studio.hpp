@@ -52,6 +52,7 @@ struct StudioStatus {
   Shown shown = Shown::Take;
   double time_s = 0;                            ///< of what is shown, from its beginning; 0 for a pose
   double duration_s = 0;                        ///< of the take
+  std::chrono::seconds lease{0};                ///< as Studio::open has it
   std::uint64_t frame = 0;                      ///< shown of the take, MeshFrame::sequence there
   std::uint64_t events = 0;                     ///< poses that were asked for since the opening
   std::uint64_t superseded = 0;                 ///< of these, replaced by a newer one before they were solved
@@ -101,13 +102,16 @@ class Studio {
   void stop();            ///< second phase: joins
 
   /// Closes what is open and opens a take; posing: for control points and keys too (makes the reduced basis
-  /// where there is none, which takes long for long takes).
-  void open(const std::string& take, bool posing);
+  /// where there is none, which takes long for long takes). lease: how long it stays open while nobody wants
+  /// anything of it, for whoever opened it may be gone; 0: until it is closed.
+  void open(const std::string& take, bool posing, std::chrono::seconds lease = kLease);
   void close();
+  /// Somebody is still there: the lease begins anew, as with every other wish.
+  void keep();
 
   /// Replaces, adds or moves, and removes control points. Returns the event's number, which stands in
   /// status().events.
-  std::uint64_t set_controls(const std::vector<animate::KeyControl>& controls, bool whole, bool clamp);
+  std::uint64_t set_controls(const std::vector<animate::KeyControl>& controls, bool whole, bool beyond);
   std::uint64_t move_control(const animate::KeyControl& control);
   std::uint64_t remove_control(const std::string& vertex);
 
@@ -133,6 +137,7 @@ class Studio {
   RegionColours regions() const;
   StudioStatus status() const;
 
+  static constexpr std::chrono::seconds kLease{300};
   /// A face that stands is sent again so often, for readers that come.
   static constexpr std::chrono::milliseconds kRepeat{500};
 

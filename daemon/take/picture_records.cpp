@@ -10,6 +10,7 @@
 
 #include "facet/assert.hpp"
 #include "facet/error.hpp"
+#include "files/image_file.hpp"
 #include "stream/pixel_packing.hpp"
 #include "stream/protocol.hpp"
 #include "take/checksum.hpp"
@@ -79,13 +80,16 @@ struct PictureWriter::Impl {
     void operator()(ZSTD_CCtx* owned) const { ZSTD_freeCCtx(owned); }
   };
   std::unique_ptr<ZSTD_CCtx, Free> context{made(ZSTD_createCCtx())};
+  PictureCoding coding = PictureCoding::Lossless;
   std::vector<std::uint8_t> pixels;
   std::vector<std::uint8_t> differences;
 
+  void append_payload(const Frame& frame, std::size_t channels, std::vector<std::uint8_t>& out);
   void append(const Frame& frame, PictureRecord record, std::vector<std::uint8_t>& out);
 };
 
-PictureWriter::PictureWriter() : impl_(std::make_unique<Impl>()) {
+PictureWriter::PictureWriter(PictureCoding coding) : impl_(std::make_unique<Impl>()) {
+  impl_->coding = coding;
   ZSTD_CCtx_setParameter(impl_->context.get(), ZSTD_c_compressionLevel, kLevel);
   ZSTD_CCtx_setParameter(impl_->context.get(), ZSTD_c_hashLog, kHashLog);
   ZSTD_CCtx_setParameter(impl_->context.get(), ZSTD_c_minMatch, kShortestMatch);
@@ -93,19 +97,21 @@ PictureWriter::PictureWriter() : impl_(std::make_unique<Impl>()) {
 
 PictureWriter::~PictureWriter() = default;
 
-void PictureWriter::Impl::append(const Frame& frame, PictureRecord record, std::vector<std::uint8_t>& out) {
-  const std::size_t channels = stream::channel_count(frame);
+void PictureWriter::Impl::append_payload(const Frame& frame, std::size_t channels,
+                                         std::vector<std::uint8_t>& out) {
   const std::size_t bytes = pixel_count(frame) * channels;
-  // What a reader demands of a record.
-  FACET_ASSERT((channels == 1 || channels == 3) && bytes <= kMaxSetBytes, channels, bytes, record.camera);
   pixels.resize(std::max(pixels.size(), bytes));
-  differences.resize(std::max(differences.size(), bytes));
   stream::pack_pixels(frame, channels, pixels.data());
+  if (coding == PictureCoding::Jpeg) {
+    const std::vector<std::uint8_t> file =
+        files::encode_jpeg(frame.width_px, frame.height_px, {pixels.data(), bytes}, kJpegQuality);
+    out.insert(out.end(), file.begin(), file.end());
+    return;
+  }
+  differences.resize(std::max(differences.size(), bytes));
   subtract_rows(pixels.data(), static_cast<std::size_t>(frame.height_px),
                 static_cast<std::size_t>(frame.width_px) * channels, channels, differences.data());
-
-  const std::size_t begin = out.size();
-  const std::size_t payload = begin + sizeof(PictureRecord);
+  const std::size_t payload = out.size();
   out.resize(payload + ZSTD_compressBound(bytes));
   const std::size_t size =
       ZSTD_compress2(context.get(), out.data() + payload, out.size() - payload, differences.data(), bytes);
@@ -113,12 +119,23 @@ void PictureWriter::Impl::append(const Frame& frame, PictureRecord record, std::
     throw Error(ErrorKind::Internal, fmt::format("take: cannot compress: {}", ZSTD_getErrorName(size)));
   }
   out.resize(payload + size);
+}
+
+void PictureWriter::Impl::append(const Frame& frame, PictureRecord record, std::vector<std::uint8_t>& out) {
+  const std::size_t channels = stream::channel_count(frame);
+  // What a reader demands of a record.
+  FACET_ASSERT((channels == 1 || channels == 3) && pixel_count(frame) * channels <= kMaxSetBytes, channels,
+               record.camera);
+  const std::size_t begin = out.size();
+  out.resize(begin + sizeof(PictureRecord));
+  append_payload(frame, channels, out);
+  const std::size_t size = out.size() - begin - sizeof(PictureRecord);
   record.timestamp_ns = frame.timestamp_ns;
   record.payload_bytes = static_cast<std::uint32_t>(size);
   record.width_px = static_cast<std::uint16_t>(frame.width_px);
   record.height_px = static_cast<std::uint16_t>(frame.height_px);
   record.channels = static_cast<std::uint8_t>(channels);
-  record.codec = kRowDifferences;
+  record.codec = coding == PictureCoding::Jpeg ? kJpeg : kRowDifferences;
   std::memcpy(out.data() + begin, &record, sizeof(record));
   record.crc = crc32c(std::span(out).subspan(begin + kCrcEnd));
   std::memcpy(out.data() + begin, &record, kCrcEnd);
@@ -166,12 +183,20 @@ PictureReader::~PictureReader() = default;
 
 void PictureReader::Impl::read(const PictureRecord& record, std::span<const std::uint8_t> payload,
                                const std::string& camera, Frame& frame) {
-  if (record.codec != kRowDifferences) {
+  if (record.codec != kRowDifferences && record.codec != kJpeg) {
     reject(fmt::format("{}: its codec {} is unknown: use a newer Facet", camera, record.codec));
   }
   if (record.width_px != frame.width_px || record.height_px != frame.height_px ||
       (record.channels != 1 && record.channels != 3)) {
     reject(fmt::format("{}: a picture of another size", camera));
+  }
+  if (record.codec == kJpeg) {
+    const auto image = files::parse_image<std::uint8_t>(std::as_bytes(payload), camera, pixel_count(frame));
+    if (image.width_px != frame.width_px || image.height_px != frame.height_px) {
+      reject(fmt::format("{}: a picture of another size", camera));
+    }
+    frame.pixels = stream::unpack_pixels(image.values.data(), 3, pixel_count(frame));
+    return;
   }
   const std::size_t channels = record.channels;
   const std::size_t bytes = pixel_count(frame) * channels;

@@ -8,7 +8,7 @@
 
 #include "facet/frame_set.hpp"
 
-/// The pictures of a frame set as bytes, losslessly: one record a picture; docs/take-format.md is the page.
+/// The pictures of a frame set as bytes: one record a picture; docs/take-format.md is the page.
 namespace facet::take {
 
 /// Most bytes of a set's pixels, three a pixel, that are written or read.
@@ -27,7 +27,7 @@ struct PictureRecord {
   std::uint16_t height_px = 0;
   std::uint8_t camera = 0;
   std::uint8_t channels = 0;  ///< 1 or 3
-  std::uint8_t codec = 0;     ///< kRowDifferences
+  std::uint8_t codec = 0;     ///< kRowDifferences or kJpeg
   std::uint8_t unused[5] = {};
 };
 static_assert(sizeof(PictureRecord) == 48);
@@ -36,11 +36,20 @@ inline constexpr std::uint32_t kRecordMagic = 0x43525046;  // "FPRC" in memory
 /// The payload is one zstd frame of [height_px][width_px * channels] bytes: each the difference, modulo 256,
 /// to the byte above; in the first row to the same channel on the left, and the first pixel as it is.
 inline constexpr std::uint8_t kRowDifferences = 1;
+/// The payload is a JPEG file.
+inline constexpr std::uint8_t kJpeg = 2;
+
+enum class PictureCoding : std::uint8_t {
+  Lossless,  ///< kRowDifferences: for depth and measuring
+  Jpeg,      ///< kJpeg at kJpegQuality: some 0.2 bytes a pixel
+};
+/// Cameras' own Motion JPEG is hardly finer.
+inline constexpr int kJpegQuality = 92;
 
 /// Makes records. One thread; memory is reused.
 class PictureWriter {
  public:
-  PictureWriter();
+  explicit PictureWriter(PictureCoding coding = PictureCoding::Lossless);
   ~PictureWriter();
   PictureWriter(const PictureWriter&) = delete;
   PictureWriter& operator=(const PictureWriter&) = delete;

@@ -295,6 +295,13 @@ void OpenTake::read_counts(Detail detail) {
     info.first_timestamp_ns = database.query_int64("SELECT timestamp_ns FROM frame WHERE number = 0");
     info.last_timestamp_ns = database.query_int64(
         fmt::format("SELECT timestamp_ns FROM frame WHERE number = {}", info.frame_count - 1));
+    const std::int64_t media_ns = database.query_int64(
+        fmt::format("SELECT (SELECT media_time_ns FROM frame WHERE number = {}) - (SELECT media_time_ns FROM "
+                    "frame WHERE number = 0)",
+                    info.frame_count - 1));
+    info.duration_s =
+        static_cast<double>(media_ns > 0 ? media_ns : info.last_timestamp_ns - info.first_timestamp_ns) *
+        1e-9;
   }
   const std::string counted = text("mesh_frames");
   if (detail == Detail::Listed && info.closed && !counted.empty()) {

@@ -36,6 +36,8 @@ struct TakeInfo {
   std::int64_t mesh_frame_count = 0;
   std::int64_t first_timestamp_ns = 0;  ///< of the first and last frame
   std::int64_t last_timestamp_ns = 0;
+  /// From the first frame to the last as the source has them, whatever time it took to make them.
+  double duration_s = 0;
   std::int64_t subject_count = 0;
   std::vector<TakeSegment> segments;  ///< of the pictures, in their order; none in format version 1
   std::uint64_t picture_bytes = 0;    ///< of the segments' files

@@ -122,7 +122,9 @@ struct PackedFrame {
 class FramePacker {
  public:
   explicit FramePacker(const TakeRecorderConfig& config)
-      : with_images_(config.with_images), compressor_(config.compression_level) {}
+      : with_images_(config.with_images),
+        compressor_(config.compression_level),
+        pictures_(config.picture_coding) {}
 
   void pack(const mesh::MeshFrame& frame, std::int64_t number, PackedFrame& out);
 

@@ -7,6 +7,7 @@
 #include <string>
 
 #include "mesh/mesh_frame.hpp"
+#include "take/picture_records.hpp"
 
 namespace facet::take {
 
@@ -25,7 +26,8 @@ struct TakeRecorderConfig {
   /// Recording stops with a reason while this much of the disk is still free, bytes.
   std::uint64_t disk_reserve_bytes = 256ULL << 20;
   int compression_level = 1;  ///< of zstd, 1 to 19; pictures have a codec of their own
-  bool with_images = false;   ///< the pictures of MeshFrame::images too, losslessly, in segments
+  bool with_images = false;   ///< the pictures of MeshFrame::images too, in segments
+  PictureCoding picture_coding = PictureCoding::Lossless;
   /// A segment of pictures is ended before it would be longer, bytes.
   std::uint64_t segment_bytes = 1ULL << 30;
   /// How long another process may hold SQLite's write lock of the take, as a backup does, until recording

@@ -278,9 +278,22 @@ TEST_F(AnimateCommand, PosesAndSaysHowWell) {
   EXPECT_THAT(output_, HasSubstr("lip-lower: 0.0"));
   EXPECT_THAT(output_, HasSubstr("brow-left: 0.0"));
   EXPECT_THAT(output_, Not(HasSubstr("can't be met")));
-  ASSERT_EQ(run({"pose", "--move", "lip-lower=30,-40,9", take, "-o", file("far.glb")}), 0) << output_;
+  const std::vector<std::string> far = {"pose", "--move", "lip-lower=30,-40,9", take, "-o", file("far.glb")};
+  ASSERT_EQ(run(far), 0) << output_;
+  EXPECT_THAT(output_, HasSubstr("pulled back, the target was"));
+  EXPECT_THAT(output_, Not(HasSubstr("can't be met")));
+  EXPECT_THAT(output_, Not(HasSubstr("warning")));
+  std::vector<std::string> beyond = far;
+  beyond.emplace_back("--beyond");
+  ASSERT_EQ(run(beyond), 0) << output_;
   EXPECT_THAT(output_, HasSubstr("lip-lower can't be met"));
   EXPECT_THAT(output_, HasSubstr("outside what was captured"));
+  // A corner pulled up while the lip is pulled down: met, and no face.
+  ASSERT_EQ(run({"pose", take, "--beyond", "--move", "lip-lower=0,-25,0", "--move", "mouth-left=0,12,0", "-o",
+                 file("far.glb")}),
+            0)
+      << output_;
+  EXPECT_THAT(output_, HasSubstr("warning: the region of lip-lower is"));
   EXPECT_EQ(bytes("pose.glb").substr(0, 4), "glTF");
   EXPECT_EQ(run({"pose", take, "--control", "lip-lower=0,nan,0", "-o", file("x.ply")}), 2);
   EXPECT_THAT(output_, HasSubstr("is not 3 numbers"));

@@ -185,7 +185,7 @@ TEST_F(FaceIkTest, SumsAreOneWhateverIsAsked) {
       }
     }
     Pose pose;
-    ik.set_options({.whole = seed % 5 == 0, .clamp = false, .sharp_folds = true});
+    ik.set_options({.whole = seed % 5 == 0, .beyond = true, .sharp_folds = true});
     ik.solve(targets, pose);
     EXPECT_TRUE(pose.state.allFinite());
     EXPECT_TRUE(test::finest_of(*basis, pose).allFinite());
@@ -225,7 +225,7 @@ TEST_F(FaceIkTest, AnAsymmetricSmileComesFromSymmetricOnes) {
   EXPECT_LT((made.col(right) - rest.col(right)).norm(), 0.06F);
   EXPECT_GT((made.col(left) - rest.col(left)).norm(), lift - 0.06F);
   // As a whole the captured faces can't: the corners always move together.
-  ik.set_options({.whole = true, .clamp = false, .sharp_folds = true});
+  ik.set_options({.whole = true, .beyond = true, .sharp_folds = true});
   const auto outcomes = ik.solve(targets, pose);
   EXPECT_FALSE(outcomes[0].met && outcomes[1].met);
   EXPECT_GT(outcomes[0].miss + outcomes[1].miss, 0.3F * lift);
@@ -286,7 +286,7 @@ TEST_F(FaceIkTest, TheSameQuestionHasTheSameAnswerWhateverCameBefore) {
             1e-4F * expected.state.cwiseAbs().maxCoeff());
 }
 
-TEST_F(FaceIkTest, SaysWhatLiesOutsideAndPullsItBack) {
+TEST_F(FaceIkTest, SaysWhatLiesOutsideAndPullsItBackUnlessItMayGoBeyond) {
   const auto basis = open(1);
   std::mt19937 random(3);
   const std::int32_t vertex = test::scattered_vertices(*basis, 1, random).front();
@@ -295,19 +295,47 @@ TEST_F(FaceIkTest, SaysWhatLiesOutsideAndPullsItBack) {
   const Eigen::Vector3f inside = test::captured(*basis, 33).col(vertex);
   EXPECT_LT(ik.solve(std::vector<ControlTarget>{{vertex, Space::Head, inside}}, pose)[0].outside, 0.05F);
   const std::vector<ControlTarget> far{{vertex, Space::Head, inside + Eigen::Vector3f(0, 0, 60)}};
-  const ControlOutcome loose = ik.solve(far, pose)[0];
-  EXPECT_GT(loose.outside, 45);
-  EXPECT_FALSE(loose.clamped);
-  ik.set_options({.whole = false, .clamp = true, .sharp_folds = true});
   const ControlOutcome clamped = ik.solve(far, pose)[0];
   EXPECT_TRUE(clamped.clamped);
+  EXPECT_GT(clamped.outside, 45);
+  EXPECT_LT(clamped.nearest_mm, kFarFromCaptured_mm);
+  ik.set_options({.whole = false, .beyond = true, .sharp_folds = true});
+  const ControlOutcome loose = ik.solve(far, pose)[0];
+  EXPECT_FALSE(loose.clamped);
   EXPECT_NEAR(clamped.outside, loose.outside, 1e-3F);
-  const Eigen::Vector3f made = test::finest_of(*basis, pose).col(vertex);
-  float nearest = std::numeric_limits<float>::max();
-  for (std::size_t face = 0; face < 90; ++face) {
-    nearest = std::min(nearest, (test::captured(*basis, face).col(vertex) - made).norm());
+  EXPECT_GT(loose.nearest_mm, kFarFromCaptured_mm) << "worth a warning";
+}
+
+// The nearest point x of a convex set to p is the one from which all of the set lies behind the plane across
+// p - x.
+TEST_F(FaceIkTest, PullsBackToTheNearestPlaceThatWasCaptured) {
+  const auto basis = open(1);
+  std::mt19937 random(29);
+  std::normal_distribution<float> normal(0, 1);
+  int pulled_back = 0;
+  for (const std::int32_t vertex : test::scattered_vertices(*basis, 5, random)) {
+    Eigen::Matrix3Xf captured(3, 90);
+    for (std::size_t face = 0; face < 90; ++face) {
+      captured.col(static_cast<Eigen::Index>(face)) = test::captured(*basis, face).col(vertex);
+    }
+    FaceIk ik(basis);
+    for (int trial = 0; trial < 8; ++trial) {
+      const Eigen::Vector3f away =
+          12 * Eigen::Vector3f(normal(random), normal(random), normal(random)).normalized();
+      const Eigen::Vector3f target = captured.col(11 * trial) + away;
+      Pose pose;
+      if (!ik.solve(std::vector<ControlTarget>{{vertex, Space::Head, target}}, pose)[0].clamped) {
+        continue;
+      }
+      ++pulled_back;
+      const Eigen::Vector3f made = test::finest_of(*basis, pose).col(vertex);
+      const Eigen::Vector3f back = target - made;
+      constexpr float kTolerance_mm = 0.1F;
+      EXPECT_LT((back.normalized().transpose() * (captured.colwise() - made)).maxCoeff(), kTolerance_mm)
+          << "vertex " << vertex << " trial " << trial;
+    }
   }
-  EXPECT_LT(nearest, 8) << "the clamped point is among the captured ones";
+  EXPECT_GT(pulled_back, 30);
 }
 
 TEST_F(FaceIkTest, RefusesWhatMakesNoSenseAndKeepsThePose) {
@@ -344,7 +372,7 @@ TEST_F(FaceIkTest, RefusesWhatMakesNoSenseAndKeepsThePose) {
 
 TEST_F(FaceIkTest, TellsWhatCantBeMet) {
   const auto basis = open(1, 60);
-  FaceIk ik(basis);
+  FaceIk ik(basis, {.whole = false, .beyond = true, .sharp_folds = true});
   Pose pose;
   // A corner of the open boundary, which no expression moves.
   const auto corner = ik.solve(
@@ -397,7 +425,7 @@ TEST_F(FaceIkTest, FoldsComeAndGoAsCaptured) {
     const auto basis = TakeBasis::open(file);
     FaceIk ik(basis);
     const auto error = [&](bool sharp) {
-      ik.set_options({.whole = false, .clamp = false, .sharp_folds = sharp});
+      ik.set_options({.whole = false, .beyond = true, .sharp_folds = sharp});
       double sum = 0;
       for (const float smile : {0.1F, 0.3F, 0.37F, 0.63F, 0.8F}) {
         const mesh::MeshFrame real = smiling(smile, 0.2F);

@@ -28,7 +28,7 @@ std::string error_of(const std::string& text) {
 
 TEST(KeysFile, IsRead) {
   const KeyList list = parse_keys(R"({
-      "rate_hz": 25, "clamp": true, "pace": "shortest", "regions": ["brow-left", 12],
+      "rate_hz": 25, "beyond": true, "pace": "shortest", "regions": ["brow-left", 12],
       "keys": [{"time_s": 0.5, "frame": 17},
                {"time_s": 2, "controls": [{"vertex": 4711, "at_mm": [1, -2.5, 3e1]},
                                           {"vertex": "chin", "move_mm": [0, -5, 0]},
@@ -36,7 +36,7 @@ TEST(KeysFile, IsRead) {
                {"time_s": 3}]})",
                                   "film.json");
   EXPECT_EQ(list.rate_hz, 25);
-  EXPECT_TRUE(list.clamp);
+  EXPECT_TRUE(list.beyond);
   EXPECT_FALSE(list.whole);
   EXPECT_EQ(list.pace, Pace::Shortest);
   EXPECT_EQ(list.regions, (std::vector<std::string>{"brow-left", "12"}));
@@ -48,6 +48,16 @@ TEST(KeysFile, IsRead) {
   EXPECT_EQ(list.keys[1].controls[1].how, KeyControl::How::Move);
   EXPECT_EQ(list.keys[1].controls[2].how, KeyControl::How::Screen);
   EXPECT_TRUE(list.keys[2].controls.empty());
+}
+
+TEST(KeysFile, TheOldSpellingOfBeyondIsRead) {
+  const auto beyond = [](const std::string& flag) {
+    return parse_keys("{" + flag + R"("keys": [{"time_s": 0}]})", "old.json").beyond;
+  };
+  EXPECT_TRUE(beyond(R"("clamp": false, )"));
+  EXPECT_FALSE(beyond(R"("clamp": true, )"));
+  EXPECT_FALSE(beyond(""));
+  EXPECT_THAT(error_of(R"({"clamp": 1, "keys": [{"time_s": 0}]})"), HasSubstr("clamp"));
 }
 
 TEST(KeysFile, SaysWhatIsWrong) {

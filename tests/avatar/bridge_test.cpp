@@ -18,6 +18,7 @@
 #include "avatar/protocols.hpp"
 #include "facet/error.hpp"
 #include "support/child_process.hpp"
+#include "support/eventually.hpp"
 #include "support/mesh_frames.hpp"
 #include "support/paths.hpp"
 
@@ -170,6 +171,21 @@ TEST_F(BridgeTest, VmcSendsBlendsAndHead) {
   EXPECT_NEAR(head[7].get<float>(), 0, 1e-5F);
   EXPECT_NEAR(head[8].get<float>(), std::cos(0.15F), 1e-5F);
   EXPECT_EQ(bridge.status().targets.at(0).frames, 1U);
+  EXPECT_EQ(bridge.status().targets.at(0).failed, 0U);
+}
+
+TEST_F(BridgeTest, AHostIsFoundByItsNameOrTold) {
+  const Receiver receiver;
+  BridgeTarget local = receiver.target(BridgeProtocol::Vmc);
+  local.address = "localhost";
+  const BridgeTarget nowhere{BridgeProtocol::Vmc, std::string(64, 'a'), 39539};  // no part of a name is so long
+  Bridge bridge(config({local, nowhere}));
+  EXPECT_EQ(bridge.status().targets.at(0).reason, "");
+  EXPECT_THAT(bridge.status().targets.at(1).reason, HasSubstr("no address of the host 'aaa"));
+  bridge.start();
+  bridge.publish(frame());
+  EXPECT_EQ(decode("osc", receiver.receive())[0][0], "/VMC/Ext/OK");
+  EXPECT_TRUE(test::eventually([&] { return bridge.status().targets.at(1).failed == 1; }));
   EXPECT_EQ(bridge.status().targets.at(0).failed, 0U);
 }
 
@@ -377,16 +393,18 @@ TEST_F(BridgeTest, ADamagedNeutralPoseIsSetAsideAndNamed) {
   }
 }
 
-TEST(BridgeTargets, AreAddressesInDigits) {
+TEST(BridgeTargets, AreAddressesInDigitsOrNames) {
   const auto text = [](const std::string& given) {
     const auto target = parse_target(BridgeProtocol::Vmc, given);
     return target ? target->text() : "none";
   };
   EXPECT_EQ(text("127.0.0.1:39539"), "127.0.0.1:39539");
   EXPECT_EQ(text("[::1]:11111"), "[::1]:11111");
-  for (const char* bad :
-       {"", "localhost:39539", "127.0.0.1", "127.0.0.1:", "127.0.0.1:0", "127.0.0.1:65536",
-        "127.0.0.1:39539 ", "::1:11111", "[127.0.0.1]:1", "[::1]", ":39539", "127.0.0.1:-1"}) {
+  EXPECT_EQ(text("localhost:39539"), "localhost:39539");
+  EXPECT_EQ(text("studio-2.example.org:1"), "studio-2.example.org:1");
+  for (const char* bad : {"", "127.0.0.1", "256.0.0.1:1", "127.0.0:1", "a b:1", "a/b:1", "[localhost]:1",
+                          "localhost", "127.0.0.1:", "127.0.0.1:0", "127.0.0.1:65536", "127.0.0.1:39539 ",
+                          "::1:11111", "[127.0.0.1]:1", "[::1]", ":39539", "127.0.0.1:-1"}) {
     EXPECT_EQ(text(bad), "none") << bad;
   }
 }

@@ -70,7 +70,8 @@ static_assert(offsetof(facet_frame, state) == 24 && offsetof(facet_frame, landma
               offsetof(facet_frame, subject_id) == 88 && offsetof(facet_frame, camera_from_head) == 104 &&
               offsetof(facet_frame, expression) == 152 && offsetof(facet_frame, lighting) == 172 &&
               offsetof(facet_frame, control_vertices) == 208 && offsetof(facet_frame, normals) == 280 &&
-              offsetof(facet_frame, in_ring) == 296 && offsetof(facet_frame, expression_confidence) == 304);
+              offsetof(facet_frame, in_ring) == 296 && offsetof(facet_frame, expression_confidence) == 304 &&
+              offsetof(facet_frame, origin) == 312);
 static_assert(offsetof(facet_subject, control_vertex_count) == 40 &&
               offsetof(facet_subject, texture_coordinates) == 64);
 static_assert(offsetof(facet_albedo, linear_rgb) == 24 && offsetof(facet_mesh, normals) == 16);

@@ -713,6 +713,11 @@ TEST_F(Export, AnAvatarWithoutTheShapesIsTold) {
   EXPECT_THAT(output_, AllOf(HasSubstr("frames.glb' lacks 3 shapes"),
                              HasSubstr("eyeBlinkLeft, jawOpen, mouthSmileRight"),
                              HasSubstr("are: frame_000101, frame_000102")));
+  EXPECT_THAT(output_, testing::Not(HasSubstr("--no-head"))) << "it has a head";
+  ASSERT_EQ(run({"export", take, "--format", "glb", "--frames", "101:102", "-o", file("still.glb")}), 0);
+  EXPECT_EQ(run({"retarget", take, "--rig", file("still.glb"), "-o", file("anim.glb")}), 2);
+  EXPECT_THAT(output_, AllOf(HasSubstr("no node that is named like a head"), HasSubstr("lacks 3 shapes")))
+      << "all at once";
   EXPECT_EQ(run({"retarget", take, "--rig", take, "-o", file("anim.glb")}), 3);
   EXPECT_THAT(output_, AllOf(HasSubstr(take), HasSubstr("it is no GLB file")));
   EXPECT_EQ(run({"retarget", take, "--rig", file("frames.glb"), "--head", "Kopf", "-o", file("anim.glb")}),

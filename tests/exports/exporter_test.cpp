@@ -1,6 +1,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <fstream>
@@ -82,10 +83,33 @@ TEST_F(Exporter, FrameWithoutMeshHasNone) {
   EXPECT_TRUE(mesh::has_mesh(frame));
 }
 
-TEST_F(Exporter, PlyReadsBack) {
-  const ExportMesh mesh = mesh_of(MeshLevel::Finest);
-  write_ply(mesh, folder.path() / "a.ply");
+class EitherAxes : public Exporter, public testing::WithParamInterface<MeshAxes> {
+ protected:
+  /// A mesh as it was made, with the numbers that a file of these axes must have.
+  ExportMesh as_written(const ExportMesh& mesh) const {
+    ExportMesh out = mesh;
+    if (GetParam() == MeshAxes::Upright) {
+      out.vertices_mm.bottomRows<2>() *= -1;
+      out.vertices_mm *= 0.001F;
+      out.normals.bottomRows<2>() *= -1;
+    }
+    return out;
+  }
+};
+INSTANTIATE_TEST_SUITE_P(Axes, EitherAxes, testing::Values(MeshAxes::Upright, MeshAxes::Camera),
+                         [](const auto& of) { return of.param == MeshAxes::Upright ? "Upright" : "Camera"; });
+
+float srgb_of(double linear) {
+  return static_cast<float>(linear <= 0.0031308 ? 12.92 * linear : 1.055 * std::pow(linear, 1 / 2.4) - 0.055);
+}
+
+TEST_P(EitherAxes, PlyReadsBack) {
+  const ExportMesh made = mesh_of(MeshLevel::Finest);
+  const ExportMesh mesh = as_written(made);
+  write_ply(made, folder.path() / "a.ply", GetParam());
   const std::string bytes = read_file(folder.path() / "a.ply");
+  EXPECT_THAT(bytes,
+              HasSubstr(GetParam() == MeshAxes::Upright ? "Facet: metres" : "Facet: camera frame, mi"));
   const std::size_t body = bytes.find("end_header\n") + 11;
   const std::string header = bytes.substr(0, body);
   EXPECT_EQ(header.rfind("ply\nformat binary_little_endian 1.0\n", 0), 0U);
@@ -114,15 +138,14 @@ TEST_F(Exporter, PlyReadsBack) {
   for (std::size_t i = 0; i < vertex_count; ++i) {
     const auto column = static_cast<Eigen::Index>(i);
     for (int axis = 0; axis < 3; ++axis) {
-      ASSERT_EQ(take_value<float>(bytes, at), mesh.vertices_mm(axis, column));
+      ASSERT_FLOAT_EQ(take_value<float>(bytes, at), mesh.vertices_mm(axis, column));
     }
     for (int axis = 0; axis < 3; ++axis) {
       ASSERT_EQ(take_value<float>(bytes, at), mesh.normals(axis, column));
     }
     at += 2 * sizeof(float);
     for (int channel = 0; channel < 3; ++channel) {
-      const double linear = mesh.albedo(channel, column);
-      const double srgb = linear <= 0.0031308 ? 12.92 * linear : 1.055 * std::pow(linear, 1 / 2.4) - 0.055;
+      const float srgb = srgb_of(mesh.albedo(channel, column));
       ASSERT_NEAR(take_value<std::uint8_t>(bytes, at), 255 * srgb, 0.51);
     }
     ASSERT_EQ(take_value<float>(bytes, at), mesh.displacements_mm[i]);
@@ -143,13 +166,16 @@ TEST_F(Exporter, PlyBeforeTheAlbedoIsGrey) {
   const ExportMesh mesh = mesh_of(MeshLevel::Finest);
   EXPECT_EQ(mesh.albedo.cols(), 0);
   EXPECT_THAT(mesh.confidence, testing::Each(0.0F));
-  write_ply(mesh, folder.path() / "a.ply");
+  write_ply(mesh, folder.path() / "a.ply", MeshAxes::Upright);
   EXPECT_THAT(read_file(folder.path() / "a.ply"), HasSubstr("not learned yet"));
 }
 
-TEST_F(Exporter, ObjReadsBack) {
-  const ExportMesh mesh = mesh_of(MeshLevel::Coarse);
-  write_obj(mesh, folder.path() / "a.obj");
+TEST_P(EitherAxes, ObjReadsBack) {
+  const ExportMesh made = mesh_of(MeshLevel::Coarse);
+  const ExportMesh mesh = as_written(made);
+  const float tolerance = GetParam() == MeshAxes::Upright ? 1e-7F : 1e-4F;
+  write_obj(made, folder.path() / "a.obj", GetParam());
+  EXPECT_THAT(read_file(folder.path() / "a.obj"), HasSubstr("r g b: albedo, sRGB"));
   std::map<std::string, Eigen::Index> counts;
   std::istringstream lines(read_file(folder.path() / "a.obj"));
   for (std::string line; std::getline(lines, line);) {
@@ -162,7 +188,12 @@ TEST_F(Exporter, ObjReadsBack) {
       for (int axis = 0; axis < 3; ++axis) {
         float value = 0;
         words >> value;
-        ASSERT_NEAR(value, expected(axis, i), 1e-4F);
+        ASSERT_NEAR(value, expected(axis, i), kind == "v" ? tolerance : 1e-4F);
+      }
+      for (int channel = 0; kind == "v" && channel < 3; ++channel) {
+        float value = 0;
+        words >> value;
+        ASSERT_NEAR(value, srgb_of(std::clamp(mesh.albedo(channel, i), 0.0F, 1.0F)), 1e-4F);
       }
     } else if (kind == "f") {
       for (int corner = 0; corner < 3; ++corner) {
@@ -250,10 +281,10 @@ TEST_F(Exporter, GlbHasSoundStructureAndMetresWithYUp) {
 TEST_F(Exporter, FailedWriteLeavesTheEarlierFile) {
   const std::filesystem::path file = folder.path() / "a.ply";
   const ExportMesh mesh = mesh_of(MeshLevel::Coarse);
-  write_ply(mesh, file);
+  write_ply(mesh, file, MeshAxes::Upright);
   const std::string before = read_file(file);
   try {
-    write_ply(mesh, folder.path() / "missing" / "a.ply");
+    write_ply(mesh, folder.path() / "missing" / "a.ply", MeshAxes::Upright);
     ADD_FAILURE() << "no error";
   } catch (const Error& error) {
     EXPECT_EQ(error.kind(), ErrorKind::Storage);

@@ -145,6 +145,28 @@ TEST_F(Peers, WrittenPngsAreReadAsTheyWere) {
   }
 }
 
+TEST_F(Peers, WrittenJpegsAreReadByOthers) {
+  for (const bool colour : {false, true}) {
+    const std::size_t channels = colour ? 3 : 1;
+    std::vector<std::uint8_t> values(std::size_t{61} * 35 * channels);
+    for (std::size_t i = 0; i < values.size(); ++i) {
+      values[i] = static_cast<std::uint8_t>(60 + i / channels % 61 + 30 * (i % channels));
+    }
+    const std::vector<std::uint8_t> jpeg = encode_jpeg(61, 35, values, 92);
+    std::ofstream(file("it.jpg"), std::ios::binary)
+        .write(reinterpret_cast<const char*>(jpeg.data()), static_cast<std::streamsize>(jpeg.size()));
+    ffmpeg(fmt::format("-i it.jpg -f rawvideo -pix_fmt {} it.raw", colour ? "rgb24" : "gray"));
+    const auto got = raw<std::uint8_t>("it.raw");
+    ASSERT_EQ(got.size(), values.size());
+    int worst = 0;
+    for (std::size_t i = 0; i < values.size(); ++i) {
+      worst = std::max(worst, std::abs(got[i] - values[i]));
+    }
+    EXPECT_LE(worst, 8) << (colour ? "colour" : "grey");
+  }
+  EXPECT_THROW(encode_jpeg(61, 35, std::vector<std::uint8_t>(12), 92), Error);
+}
+
 TEST_F(Peers, JpegsAreReadAsOthersReadThem) {
   for (const char* kind : {"yuvj420p", "yuvj422p", "yuvj444p", "gray"}) {
     ffmpeg(

@@ -43,11 +43,14 @@ function faultsOfLayout() {
     if (shortened(node)) {
       continue;
     }
-    // Each box around it must hold it; upwards and downwards it may be reached by scrolling.
+    // Each box around it must hold it; upwards and downwards it may be reached by scrolling, sideways in a row that shows that there is more.
     let scrolls = false;
     for (let around = node; around; around = around.parentElement) {
       const style = getComputedStyle(around);
       const outer = around.getBoundingClientRect();
+      if (around.matches('.more-left, .more-right')) {
+        break;
+      }
       if (style.overflowX !== 'visible' && around.scrollWidth > around.clientWidth + 1) {
         faults.push(`${name(around)} is ${around.scrollWidth} px in ${around.clientWidth} px`);
       }
@@ -82,7 +85,7 @@ function faultsOfLayout() {
   }
   // Every card can be reached: inside of the page or of what scrolls.
   for (const card of document.querySelectorAll('.card')) {
-    const aside = card.parentElement;
+    const aside = card.closest('aside');
     const box = card.getBoundingClientRect();
     if (box.width > 0 && (box.right > innerWidth || box.height < 60 || (box.bottom > innerHeight + 1 && getComputedStyle(aside).overflowY !== 'auto'))) {
       faults.push(`${name(card)} can't be seen: ${JSON.stringify(box)}`);
@@ -91,7 +94,7 @@ function faultsOfLayout() {
   for (const button of document.querySelectorAll('#stage button, #stage .chip, header button')) {
     const box = button.getBoundingClientRect();
     const stage = button.closest('#stage, header').getBoundingClientRect();
-    if (shown(button) && (box.left < stage.left || box.right > stage.right + 1 || box.top < stage.top || box.bottom > stage.bottom + 1)) {
+    if (shown(button) && !button.closest('.more-left, .more-right') && (box.left < stage.left || box.right > stage.right + 1 || box.top < stage.top || box.bottom > stage.bottom + 1)) {
       faults.push(`${name(button)} sticks out`);
     }
   }
@@ -108,9 +111,9 @@ await runTest(service, chromiumFile, async (browser, step) => {
     const devices = page.locator('#devices');
     await service.eventually('the absent cameras', async () => (await devices.locator('li.bad small').count()) >= 2 && (await page.locator('#takes li').count()) === 2);
     const look = async (state) => {
-      for (const [width, height] of [[800, 600], [1024, 768], [1280, 800], [1920, 1080], [1080, 1920]]) {
+      for (const [width, height] of [[390, 844], [820, 1180], [800, 600], [1024, 768], [1280, 800], [1920, 1080], [1080, 1920]]) {
         await page.setViewportSize({ width, height });
-        await page.waitForTimeout(300);
+        await page.waitForTimeout(700);
         found.push(...(await page.evaluate(faultsOfLayout)).map((fault) => `${state}, ${lang}, ${width}x${height}: ${fault}`));
         await page.screenshot({ path: join(output, `layout-${state}-${lang}-${width}x${height}.png`) });
       }

@@ -1,7 +1,7 @@
 // The page as a person at the booth meets it: Chromium before a running facetd, looked at by its pixels.
 // Usage: node page_test.mjs FACETD FACET PAGE_FOLDER OUTPUT_FOLDER ASSETS CHROMIUM       Pictures land in the output folder.
 import assert from 'node:assert/strict';
-import { execFileSync } from 'node:child_process';
+import { execFileSync, spawnSync } from 'node:child_process';
 import { join } from 'node:path';
 import { Service, drawnBy, kPatience_ms, runTest } from './service.mjs';
 
@@ -97,7 +97,10 @@ await runTest(service, chromiumFile, async (browser, step) => {
   assert.ok(Number(await page.locator('#detail').getAttribute('data-level')) >= 1);
   assert.match(await text('detail'), /without a GPU/);
   assert.match(await text('devices'), /Camera.*streaming/);
-  assert.match(await text('devices'), /Readers1 · /);
+  assert.match(await text('devices'), /Readers1This page/);
+  const { mesh } = await ask('status');
+  const triangles = Number(await page.locator('#face').getAttribute('data-triangles'));
+  assert.ok(mesh.levels > 1 && triangles > 0 && triangles < 1.5 * mesh.finest_vertices, `${triangles} triangles of ${JSON.stringify(mesh)}`);
   assert.ok((await page.getByRole('meter').count()) > 10, 'expression bars');
 
   // Recording needs the token.
@@ -125,7 +128,8 @@ await runTest(service, chromiumFile, async (browser, step) => {
   const [download] = await Promise.all([page.waitForEvent('download'), link.click()]);
   assert.match(download.suggestedFilename(), /^20.*\.take$/);
   await download.saveAs(file);
-  const summary = execFileSync(facet, ['summary', file], { encoding: 'utf8' });
+  // Its pictures, where it has some, are another download: the status of `facet summary` says that they are missing.
+  const summary = spawnSync(facet, ['summary', file], { encoding: 'utf8' }).stdout;
   const [take] = (await ask('takes.list')).takes;
   assert.ok(take.frames > 2 && take.closed);
   assert.match(summary, new RegExp(`frames +${take.frames}\\b`));

@@ -38,7 +38,7 @@ await runTest(service, chromiumFile, async (browser, step) => {
       const canvas = new OffscreenCanvas(bitmap.width, bitmap.height);
       const draw = canvas.getContext('2d');
       draw.drawImage(bitmap, 0, 0);
-      const data = draw.getImageData(bitmap.width * 0.35, bitmap.height * 0.05, bitmap.width * 0.3, bitmap.height * 0.4).data;
+      const data = draw.getImageData(bitmap.width * 0.45, bitmap.height * 0.2, bitmap.width * 0.12, bitmap.height * 0.2).data;
       let cool = 0;
       for (let i = 0; i < data.length; i += 4) {
         cool += data[i + 2] > data[i] + 12 || data[i + 1] > data[i] + 12 ? 1 : 0;

@@ -32,7 +32,7 @@ function look() {
     return count / all;
   };
   const skin = (r, g, b) => r > g + 8 && g > b && r > 70;
-  return { pixels, keep: () => grab(join(output, 'screen.png')), face: share(0.23, 0.2, 0.33, 0.4, skin), beside: share(0.04, 0.2, 0.1, 0.4, skin), lit: share(0, 0, 1, 1, (r, g, b) => r + g + b > 15) };
+  return { pixels, keep: () => grab(join(output, 'screen.png')), face: share(0.27, 0.27, 0.35, 0.42, skin), beside: share(0.04, 0.2, 0.1, 0.4, skin), lit: share(0, 0, 1, 1, (r, g, b) => r + g + b > 15) };
 }
 
 // The screen, on a display that nobody has now.

@@ -88,6 +88,25 @@ TEST_F(Shading, ARecordingLosesNoFrame) {
   }
 }
 
+TEST_F(Shading, PicturesGoWithTheFramesWhereTheyAreWanted) {
+  script_.frame_count = 3;
+  run();
+  EXPECT_EQ(sink_.frames().back()->images, nullptr);
+  ShadingPipeline::Options with_pictures = options();
+  with_pictures.hand_on_pictures = true;
+  run(with_pictures);
+  const auto frames = sink_.frames();
+  for (std::size_t i = frames.size() - 3; i < frames.size(); ++i) {
+    const FrameSet* set = frames[i]->images.get();
+    ASSERT_NE(set, nullptr);
+    ASSERT_EQ(set->frames.size(), 1U);
+    EXPECT_FALSE(set->frames.front().empty());
+    EXPECT_EQ(set->slot, frames[i]->sequence);
+    ASSERT_NE(set->camera_names, nullptr);
+    EXPECT_EQ(set->camera_names->size(), 1U);
+  }
+}
+
 TEST_F(Shading, ALiveSourceDropsOldFramesAndCountsThem) {
   script_.live = true;
   script_.frame_count = 40;

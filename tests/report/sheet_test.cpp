@@ -53,6 +53,54 @@ TEST(SourceImages, GivesFramesInAnyOrder) {
   EXPECT_TRUE(images.at(1).has_value());
 }
 
+// A loop of a video counts on. Minutes of video are not read for a frame that it can not have.
+TEST(SourceImages, AFrameThatTheVideoCantHaveIsNotLookedFor) {
+  const test::TemporaryFolder folder;
+  write_video(folder.path());
+  SourceImages images(folder.path() / "video.mkv");
+  std::filesystem::remove(folder.path() / "video.mkv");
+  EXPECT_FALSE(images.at(9052).has_value());
+  EXPECT_TRUE(images.at(0).has_value()) << "nothing was read for the other";
+}
+
+TEST(SourceImages, AreATakesOwnPicturesWhereItHoldsThem) {
+  const test::TemporaryFolder folder;
+  take::TakeRecorder recorder({.file = folder.path() / "own.take",
+                               .source = "/dev/video0",
+                               .software = "test",
+                               .when_full = take::WhenFull::Wait,
+                               .disk_reserve_bytes = 0,
+                               .with_images = true,
+                               .picture_coding = take::PictureCoding::Jpeg});
+  recorder.start();
+  const auto names = std::make_shared<const std::vector<std::string>>(1, "webcam");
+  for (const std::uint64_t sequence : {3U, 5U, 9U}) {
+    auto set = std::make_shared<FrameSet>();
+    set->slot = sequence;
+    set->camera_names = names;
+    Frame& picture = set->frames.emplace_back();
+    picture.sequence = sequence;
+    picture.width_px = 64;
+    picture.height_px = 48;
+    picture.stride_bytes = 256;
+    picture.pixels =
+        std::make_shared<std::uint8_t[]>(std::size_t{256} * 48, static_cast<std::uint8_t>(20 * sequence));
+    auto frame = std::make_shared<mesh::MeshFrame>(test::searching_frame(sequence));
+    frame->images = set;
+    recorder.record(frame);
+  }
+  recorder.stop();
+  const auto images = open_source_images(take::TakeReader(folder.path() / "own.take").info(), "");
+  ASSERT_NE(images, nullptr);
+  for (const std::uint64_t sequence : {9U, 3U, 5U}) {
+    const auto image = images->at(sequence);
+    ASSERT_TRUE(image.has_value()) << sequence;
+    EXPECT_NEAR(image->row(10)[40], 20 * static_cast<int>(sequence), 2);
+  }
+  EXPECT_FALSE(images->at(4).has_value());
+  EXPECT_FALSE(images->at(10).has_value());
+}
+
 TEST(Sheet, ShowsWhatIsThereAndSaysWhatIsNot) {
   const test::TemporaryFolder folder;
   const auto file = record_take(folder.path());

@@ -290,8 +290,8 @@ TEST(Config, BridgesHaveTargetsInDigits) {
   EXPECT_EQ(config.bridges.targets[2].protocol, avatar::BridgeProtocol::LiveLinkFace);
   EXPECT_EQ(config.bridges.rate_hz, 30);
   EXPECT_EQ(config.bridges.neutral_file, "/etc/facet/n.json");
-  EXPECT_THAT(error_of("[bridges]\nvmc = [\"studio:39539\"]\n"),
-              AllOf(HasSubstr("facet.toml:2: bridges.vmc"), HasSubstr("\"studio:39539\" is none"),
+  EXPECT_THAT(error_of("[bridges]\nvmc = [\"studio one:39539\"]\n"),
+              AllOf(HasSubstr("facet.toml:2: bridges.vmc"), HasSubstr("\"studio one:39539\" is none"),
                     HasSubstr("IP address in digits")));
   EXPECT_THAT(error_of("[bridges]\nrate_hz = 0\n"), HasSubstr("from 1 to 240"));
   EXPECT_THAT(error_of("[bridges]\nsubject = \"\"\n"), HasSubstr("1 to 64 bytes"));

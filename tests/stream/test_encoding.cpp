@@ -2,11 +2,13 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstring>
 #include <limits>
 #include <random>
 #include <vector>
 
 #include "facet/error.hpp"
+#include "facet_generated.h"
 #include "stream/decoder.hpp"
 #include "stream/encoder.hpp"
 #include "support/mesh_frames.hpp"
@@ -322,7 +324,7 @@ TEST_F(Encoding, PicturesComeBackPixelByPixel) {
   mesh::MeshFrame frame = test::searching_frame(4711);
   const auto sent = three_cameras();
   frame.images = sent;
-  const auto message = copy(encoder.frame(frame, Profile::Signals, true));
+  const auto message = copy(encoder.frame(frame, Profile::Signals, {true}));
   DecodedFrame out;
   decode_frame(message, nullptr, nullptr, out);
   ASSERT_NE(out.frame.images, nullptr);
@@ -354,12 +356,67 @@ TEST_F(Encoding, PicturesComeBackPixelByPixel) {
   EXPECT_EQ(out.frame.images->frames[0].width_px, 21);
 }
 
+TEST_F(Encoding, PicturesComeAsSmallAsTheyAreWanted) {
+  mesh::MeshFrame frame = test::searching_frame(4711);
+  const auto sent = three_cameras();
+  frame.images = sent;
+  const auto message = copy(encoder.frame(frame, Profile::Signals, {true, 10}));
+  DecodedFrame out;
+  decode_frame(message, nullptr, nullptr, out);
+  const Frame& whole = sent->frames[0];  // 21x5, in thirds
+  const Frame& small = out.frame.images->frames[0];
+  ASSERT_EQ(small.width_px, 7);
+  ASSERT_EQ(small.height_px, 1);
+  for (int x = 0; x < 7; ++x) {
+    for (int channel = 0; channel < 3; ++channel) {
+      double sum = 0;
+      for (int k = 0; k < 9; ++k) {
+        sum += whole.row(k / 3)[4 * (3 * x + k % 3) + channel];
+      }
+      EXPECT_NEAR(small.row(0)[4 * x + channel], sum / 9, 0.51) << "pixel " << x;
+    }
+  }
+  const Frame& other = out.frame.images->frames[2];  // 7x9 is small enough
+  EXPECT_EQ(other.width_px, 7);
+  EXPECT_EQ(std::memcmp(other.row(3), sent->frames[2].row(3), 28), 0);
+}
+
+TEST_F(Encoding, AFrameSaysWhereItComesFrom) {
+  mesh::MeshFrame frame = test::searching_frame(1);
+  DecodedFrame out;
+  for (const mesh::Origin origin : {mesh::Origin::Live, mesh::Origin::Take, mesh::Origin::Pose}) {
+    frame.origin = origin;
+    decode_frame(copy(encoder.frame(frame, Profile::Signals)), nullptr, nullptr, out);
+    EXPECT_EQ(out.frame.origin, origin);
+  }
+}
+
+// Readers of finest vertices draw a coarser level over the same vertices.
+TEST_F(Encoding, CoarserLevelsComeWithTheFinest) {
+  const auto several = test::patch_subject(5, 3, 3);
+  const mesh::Hierarchy& sent = *several->hierarchy;
+  ASSERT_GE(sent.levels.size(), 2U);
+  const auto message = copy(encoder.subject(*several, Profile::Vertices));
+  const auto* levels = wire::GetMessage(message.data())->body_as_Subject()->hierarchy()->coarser_levels();
+  ASSERT_NE(levels, nullptr);
+  ASSERT_EQ(levels->size() + 1, sent.levels.size());
+  for (std::uint32_t k = 0; k < levels->size(); ++k) {
+    const mesh::Level& level = sent.levels[k];
+    EXPECT_EQ(levels->Get(k)->vertex_count(), static_cast<std::uint32_t>(level.vertex_count));
+    ASSERT_EQ(levels->Get(k)->triangles()->size(), static_cast<std::uint32_t>(level.triangles.size()));
+    EXPECT_EQ(levels->Get(k)->triangles()->Get(4), static_cast<std::uint32_t>(level.triangles(1, 1)));
+  }
+  EXPECT_EQ(decode_subject(message)->hierarchy->finest().triangles, sent.finest().triangles);
+  const auto whole = copy(encoder.subject(*several, Profile::Displacements));
+  EXPECT_EQ(wire::GetMessage(whole.data())->body_as_Subject()->hierarchy()->coarser_levels(), nullptr);
+}
+
 TEST_F(Encoding, PicturesTooLargeForAMessageAreLeftOutWithAdvice) {
   mesh::MeshFrame frame = test::searching_frame(1);
   const auto set = three_cameras();
   set->frames[0] = picture(4200, 4200, false);
   frame.images = set;
-  const auto message = copy(encoder.frame(frame, Profile::Signals, true));
+  const auto message = copy(encoder.frame(frame, Profile::Signals, {true}));
   EXPECT_LT(message.size(), 4096U);
   DecodedFrame out;
   decode_frame(message, nullptr, nullptr, out);
@@ -370,7 +427,7 @@ TEST_F(Encoding, PicturesTooLargeForAMessageAreLeftOutWithAdvice) {
 TEST_F(Encoding, DamagedPicturesAreRejected) {
   mesh::MeshFrame frame = test::searching_frame(4711);
   frame.images = three_cameras();
-  const auto sound = copy(encoder.frame(frame, Profile::Signals, true));
+  const auto sound = copy(encoder.frame(frame, Profile::Signals, {true}));
   std::mt19937 random(5);
   int rejected = 0;
   for (int trial = 0; trial < 2000; ++trial) {

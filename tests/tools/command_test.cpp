@@ -22,6 +22,7 @@
 #include "capture/rig_file.hpp"
 #include "facet/error.hpp"
 #include "files/pfm.hpp"
+#include "files/text_file.hpp"
 #include "gpu/context.hpp"
 #include "render/renderer.hpp"
 #include "simulation/video_writer.hpp"
@@ -229,6 +230,21 @@ TEST_F(Command, TextsOfATakeDoNotSteerTheTerminal) {
   EXPECT_THAT(output_, HasSubstr("source        \\x1b]0;owned\\x07\\x1b[2J\\x0astate good \\u{009b}\n"));
   EXPECT_EQ(run({"summary", file("\x1b[2J.take")}), 3);
   EXPECT_THAT(output_, AllOf(HasSubstr("\\x1b[2J.take"), Not(HasSubstr("\x1b"))));
+}
+
+TEST_F(Command, OneMeshStandsUprightUnlessTheCamerasAxesAreAskedFor) {
+  const std::string some = take();
+  const auto text_of = [&](const std::string& folder) {
+    return files::read_text(file(folder + "/frame_000100.obj"), 100'000'000, "a mesh");
+  };
+  for (const std::string axes : {"upright", "camera"}) {
+    EXPECT_EQ(run({"export", some, "--format", "obj", "--axes", axes, "-o", file(axes)}), 0) << output_;
+    EXPECT_THAT(text_of(axes), HasSubstr(axes == "camera" ? "millimetres, x right" : "Facet: metres"));
+  }
+  EXPECT_EQ(run({"export", some, "--format", "obj", "-o", file("plain")}), 0);
+  EXPECT_EQ(text_of("plain"), text_of("upright"));
+  EXPECT_EQ(run({"export", some, "--format", "glb", "--axes", "camera", "-o", file("none")}), 2);
+  EXPECT_THAT(output_, HasSubstr("--axes is for ply and obj, not for glb"));
 }
 
 TEST_F(Command, ExportNamesFramesByTheirNumberInTheSource) {

@@ -27,6 +27,7 @@
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
 #include "options.hpp"
+#include "programs.hpp"
 #include "progress.hpp"
 #include "service/control_client.hpp"
 #include "stop_signals.hpp"
@@ -55,21 +56,6 @@ struct DemoOptions {
   std::string device = "auto";
   std::string folder;
 };
-
-/// This program, or one that was built or installed beside it.
-std::filesystem::path program(const std::string& name) {
-  std::filesystem::path self = std::filesystem::read_symlink("/proc/self/exe");
-  if (name == "facet") {
-    return self;
-  }
-  for (const char* place : {"", "../sbin", "../daemon/service"}) {
-    std::filesystem::path candidate = self.parent_path() / place / name;
-    if (::access(candidate.c_str(), X_OK) == 0) {
-      return candidate;
-    }
-  }
-  throw Error(ErrorKind::Unavailable, fmt::format("'{}' is not beside {}: install it", name, self.string()));
-}
 
 /// A child that is ended with this object.
 class Child {

@@ -18,6 +18,7 @@
 #include "calibration/footage.hpp"
 #include "calibration/report_pictures.hpp"
 #include "capture/rig_file.hpp"
+#include "daemon_options.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
 #include "options.hpp"
@@ -53,7 +54,7 @@ struct Arguments {
   std::string output;
   std::vector<std::string> folders;  // CAMERA=FOLDER
   std::string take;
-  std::string socket = stream::kDefaultSocket;
+  std::shared_ptr<StreamOptions> stream;
   std::string save;
   std::size_t views = 40;
 };
@@ -232,7 +233,7 @@ Footage watch_daemon(const Arguments& arguments, const calibration::BoardDetecto
   subscription.profile = stream::Profile::Signals;
   subscription.client = "facet calibrate";
   subscription.want_images = true;
-  stream::StreamClient client(arguments.socket, subscription);
+  stream::StreamClient client(arguments.stream->path(), subscription);
   SetCollector collector(detector, arguments.save);
   Progress progress("Taking views", arguments.views, "views");
   stream::DecodedFrame got;
@@ -513,7 +514,7 @@ void add_calibrate_command(Command app) {
 
   auto live = std::make_shared<Arguments>();
   const Command from_daemon = command.subcommand("live", "Calibrate with the cameras of a running facetd");
-  from_daemon.option("--socket", live->socket, "Stream socket").shows_default();
+  live->stream = add_stream_options(from_daemon, "Stream socket");
   add_calibration_options(from_daemon, *live);
   from_daemon.option("--views", live->views, "Views to take; Ctrl-C goes on with those that are there")
       .shows_default()

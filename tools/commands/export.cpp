@@ -33,9 +33,10 @@ struct ExportOptions {
   std::string frames;
   std::string level = "finest";
   std::string space = "camera";
+  std::string axes;
   std::string compress = "none";
   std::string map_format = "exr";
-  int size_px = 2048;
+  int size_px = 1024;
   std::string model;
   std::string output;
 };
@@ -80,6 +81,10 @@ bool is_text(const ExportFormat& format) {
 bool compresses(const ExportFormat& format) {
   const auto* animation = std::get_if<exports::Animation>(&format.writes);
   return animation != nullptr && animation->compresses;
+}
+bool has_axes(const ExportFormat& format) {
+  const auto* files = std::get_if<exports::FrameFiles>(&format.writes);
+  return files != nullptr && files->has_axes;
 }
 bool has_no_node(const ExportFormat& format) {
   const auto* animation = std::get_if<exports::Animation>(&format.writes);
@@ -128,6 +133,7 @@ bool names_a_file(const std::filesystem::path& output, const ExportFormat& forma
 int export_meshes(take::TakeReader& reader, const Selection& selection, const ExportOptions& options,
                   const ExportFormat& format, const StopSignals& signals) {
   const exports::MeshLevel level = level_of(options);
+  const auto axes = options.axes == "camera" ? exports::MeshAxes::Camera : exports::MeshAxes::Upright;
   const std::filesystem::path output = options.output;
   const bool one_file = names_a_file(output, format);
   if (one_file && selection.size() != 1) {
@@ -154,7 +160,7 @@ int export_meshes(take::TakeReader& reader, const Selection& selection, const Ex
     if (mesh::has_mesh(*frame)) {
       exports::build_export_mesh(*frame, level, exports::MeshSpace::Camera, mesh);
       const std::string name = fmt::format("frame_{:06}.{}", frame->sequence, format.extension);
-      std::get<exports::FrameFiles>(format.writes).write(mesh, one_file ? output : output / name);
+      std::get<exports::FrameFiles>(format.writes).write(mesh, one_file ? output : output / name, axes);
     } else {
       without_mesh.push_back(frame->sequence);
     }
@@ -379,6 +385,10 @@ void run_export(const ExportOptions& options) {
     throw Error(ErrorKind::Usage, fmt::format("--compress is for {}, not for {}",
                                               fmt::join(names_of(compresses), " and "), options.format));
   }
+  if (!options.axes.empty() && !has_axes(format)) {
+    throw Error(ErrorKind::Usage, fmt::format("--axes is for {}, not for {}",
+                                              fmt::join(names_of(has_axes), " and "), options.format));
+  }
   take::TakeReader reader(options.take);
   const take::TakeInfo& info = reader.info();
   if (!info.closed) {
@@ -425,6 +435,12 @@ void add_export_command(Command app) {
                           fmt::join(names_of(has_no_node), ", ")))
       .shows_default()
       .one_of({"camera", "head"});
+  command
+      .option("--axes", options->axes,
+              fmt::format("{}: upright (default): {}; camera: {}", fmt::join(names_of(has_axes), ", "),
+                          exports::words_of(exports::MeshAxes::Upright),
+                          exports::words_of(exports::MeshAxes::Camera)))
+      .one_of({"upright", "camera"});
   command
       .option(
           "--compress", options->compress,

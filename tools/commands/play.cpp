@@ -10,12 +10,11 @@
 #include <memory>
 #include <string>
 
+#include "daemon_options.hpp"
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "options.hpp"
 #include "progress.hpp"
-#include "service/config.hpp"
-#include "service/default_paths.hpp"
 #include "stop_signals.hpp"
 #include "stream/server.hpp"
 #include "take/reader.hpp"
@@ -28,8 +27,7 @@ namespace {
 struct PlayOptions {
   std::string take;
   std::string frames;
-  std::string socket;
-  std::string config = service::installed_config_file();
+  std::shared_ptr<StreamOptions> stream;
   double speed = 1;
   bool loop = false;
   bool wait = false;
@@ -48,12 +46,7 @@ void run_play(const PlayOptions& options) {
   take::TakeReader reader(options.take);
   const auto selection = frames_in_range(reader, options.frames);
   stream::StreamServerConfig config;
-  config.socket = options.socket;
-  if (options.socket.empty()) {
-    const service::Config daemon =
-        options.config.empty() ? service::default_config() : service::load_config(options.config);
-    config.socket = daemon.stream.socket;
-  }
+  config.socket = options.stream->path();
   config.server_name = fmt::format("facet play {}", FACET_VERSION);
   const StopSignals signals;  // before the server's thread
   stream::StreamServer server(config);
@@ -86,6 +79,7 @@ void run_play(const PlayOptions& options) {
                                    static_cast<double>(last_ns - first_ns) / options.speed));
       signal = sleep_until(due, signals);
       frame->images = nullptr;
+      frame->origin = mesh::Origin::Take;
       frame->sequence = options.loop ? sequence++ : frame->sequence;
       frame->timestamp_ns = Clock::now_ns();
       if (signal == 0) {
@@ -115,9 +109,7 @@ void add_play_command(Command app) {
       app.subcommand("play", "Put a take on a live socket at its rate, as the daemon streams");
   command.option("TAKE", options->take, "Take file").required();
   command.option("--frames", options->frames, kFramesHelp);
-  command.option("--socket", options->socket,
-                 "Socket to listen on (default: stream.socket of the configuration, where no daemon runs)");
-  command.option("--config", options->config, "Configuration file").shows_default();
+  options->stream = add_stream_options(command, "Socket to listen on, where no daemon runs");
   command.option("--speed", options->speed, "Times the take's rate").shows_default().range(0.01, 100.0);
   command.flag("--loop", options->loop, "Begin again at the end, until stopped");
   command.flag("--wait", options->wait, "Begin when the first reader has subscribed");

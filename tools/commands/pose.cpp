@@ -30,7 +30,7 @@ struct PoseOptions {
   std::vector<std::string> move;
   std::vector<std::string> screen;
   bool whole = false;
-  bool clamp = false;
+  bool beyond = false;
   bool average_folds = false;
   bool places = false;
   std::string output;
@@ -93,13 +93,20 @@ void report(const std::vector<Control>& controls, const std::vector<animate::Con
     if (outcome.clamped) {
       tell("; pulled back, the target was {:.1f} {} outside what was captured", outcome.outside, unit);
     } else if (outcome.outside > animate::kOutsideTolerance) {
-      tell("; {:.1f} {} outside what was captured: --clamp pulls it back", outcome.outside, unit);
+      tell("; {:.1f} {} outside what was captured", outcome.outside, unit);
     }
     tell("\n");
     if (!outcome.met) {
       tell(stderr,
            "facet pose: {} can't be met: the take does not move it so, or other control points hold it\n",
            controls[i].name);
+    }
+    if (outcome.nearest_mm > animate::kFarFromCaptured_mm) {
+      tell(stderr,
+           "facet pose: warning: the region of {} is {:.1f} mm (rms) from the nearest captured face: it may "
+           "be "
+           "no face of this person. Look at it (-o pose.png); drag less far, or fewer points\n",
+           controls[i].name, outcome.nearest_mm);
     }
   }
 }
@@ -138,7 +145,7 @@ void run_pose(const PoseOptions& options) {
   const auto basis = open_basis(options.basis, signals);
   animate::IkOptions ik_options;
   ik_options.whole = options.whole;
-  ik_options.clamp = options.clamp;
+  ik_options.beyond = options.beyond;
   ik_options.sharp_folds = !options.average_folds;
   animate::FaceIk ik(basis, ik_options);
   ik.set_view(basis->sample().camera, basis->sample().camera_from_head);
@@ -183,7 +190,7 @@ void run_pose(const PoseOptions& options) {
   } else {
     exports::ExportMesh mesh;
     exports::build_export_mesh(frame, exports::MeshLevel::Finest, exports::MeshSpace::Camera, mesh);
-    exports::mesh_writer_for(options.output)(mesh, options.output);
+    exports::mesh_writer_for(options.output)(mesh, options.output, exports::MeshAxes::Upright);
   }
   tell("{}\n", options.output);
 }
@@ -205,7 +212,9 @@ void add_pose_command(Command app) {
   command.option("--screen", options->screen, "VERTEX=X,Y: where it shall be in the camera's picture, px")
       .one_at_a_time();
   command.flag("--whole", options->whole, "Without regions: all points act on the whole face at once");
-  command.flag("--clamp", options->clamp, "Pull points back to what was captured");
+  command.flag("--beyond", options->beyond,
+               "Let points go beyond what was captured; without, they are pulled back to the nearest place "
+               "where the take had them");
   command.flag("--average-folds", options->average_folds,
                "Average wrinkles as everything else, for comparison");
   command.flag("--places", options->places, "Print the vertices that have names, and where they rest");

@@ -77,6 +77,10 @@ void set_budget(const std::string& budget, refine::RefinerConfig& refiner) {
   refiner.gauss_newton_steps = steps;
 }
 
+bool is_take(const std::string& input) {
+  return std::filesystem::path(input).extension() == ".take";
+}
+
 /// CAMERA=VIDEO, or a video that bears its camera's name.
 struct NamedVideo {
   std::string camera;
@@ -140,6 +144,30 @@ pipeline::OpenPictures views_of_take(const Options& options, const pipeline::Fra
     return pipeline::calibrated(pipeline::take_sets(options.input, options.cameras, slots), known,
                                 options.rig);
   };
+}
+
+/// The pictures of a take that one live camera recorded. Throws Error(Usage) where it holds none, or several
+/// cameras'.
+pipeline::OpenPictures own_pictures_of_take(const Options& options, const pipeline::FrameRange& slots) {
+  take::TakeReader take(options.input);
+  for (std::int64_t i = 0; i < take.frame_count(); ++i) {
+    const auto set = take.frame(i, take::Pictures::Described)->images;
+    if (set == nullptr || take.info().picture_bytes == 0) {
+      continue;
+    }
+    if (set->camera_names->size() != 1) {
+      throw Error(ErrorKind::Usage,
+                  fmt::format("'{}' holds pictures of {} cameras: give their rig file with --rig",
+                              options.input, set->camera_names->size()));
+    }
+    return [file = options.input, name = set->camera_names->front(), slots] {
+      return pipeline::take_sets(file, {name}, slots);
+    };
+  }
+  throw Error(ErrorKind::Usage,
+              fmt::format("'{}' holds no pictures to make meshes of: it was recorded from a video ('{}'; "
+                          "process that), or with takes.pictures = false",
+                          options.input, take.info().source));
 }
 
 service::Config configure(const Options& options) {
@@ -290,9 +318,13 @@ void run_monocular(const Options& options) {
     config.pipeline.views = views_of(options);
   }
   const StopSignals signals;
-  const bool of_take = !options.cameras.empty();
-  pipeline::ShadingParts stages = pipeline::open_shading(
-      config.pipeline, of_take ? views_of_take(options, config.pipeline.frames) : pipeline::OpenPictures());
+  const bool of_take = is_take(options.input);
+  pipeline::OpenPictures open;
+  if (of_take) {
+    open = options.cameras.empty() ? own_pictures_of_take(options, config.pipeline.frames)
+                                   : views_of_take(options, config.pipeline.frames);
+  }
+  pipeline::ShadingParts stages = pipeline::open_shading(config.pipeline, open);
   const CameraInfo source = stages.pictures->cameras().front().info;
   // Of a take the slots of the range alone are counted.
   const std::uint64_t expected =
@@ -551,11 +583,12 @@ Command add_process_command(Command app, std::unique_ptr<Team> (*join)()) {
   auto options = std::make_shared<Options>();
   const Command command = app.subcommand("process",
                                          "Turn a video of a face, videos of calibrated cameras that see it, "
-                                         "or the pictures that a booth recorded, "
+                                         "or the pictures that a take or a booth recorded, "
                                          "into a take of meshes");
   command
       .option("input", options->inputs,
-              "The video; with --rig the take that holds a booth's pictures, or one video for each of the "
+              "The video, or a take of one live camera that holds its pictures; with --rig the take that "
+              "holds a booth's pictures, or one video for each of the "
               "rig's cameras that see the face, CAMERA=VIDEO (VIDEO alone where it bears the camera's name), "
               "the one that looks at it most squarely first")
       .required();

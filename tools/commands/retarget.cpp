@@ -37,7 +37,7 @@ struct RetargetOptions {
   std::string displacement_maps;
   std::string normal_maps;
   std::string map_format = "exr";
-  int size_px = 2048;
+  int size_px = 1024;
   std::string model;
   std::string output;
 };
@@ -129,20 +129,30 @@ std::vector<std::size_t> moved_shapes(const std::vector<avatar::FaceState>& stat
   return moved;
 }
 
-void check_shapes(const RetargetOptions& options, const avatar::Avatar& found,
+/// Throws Error(Usage) that names all that the avatar lacks.
+void check_avatar(const RetargetOptions& options, const avatar::Avatar& found,
                   const std::vector<avatar::FaceState>& states) {
+  std::vector<std::string> faults;
+  if (!options.no_head && !found.head) {
+    faults.push_back(
+        fmt::format("'{}' has no node that is named like a head: name it with --head, or leave "
+                    "the head still with --no-head",
+                    options.avatar));
+  }
   const std::vector<std::size_t> missing = avatar::missing_shapes(found, moved_shapes(states));
-  if (missing.empty() && !found.meshes.empty()) {
-    return;
+  if (!missing.empty() || found.meshes.empty()) {
+    const std::string what = fmt::format(
+        "'{}' lacks {} shapes that '{}' moves: {}; its morph targets (targetNames) are: {}", options.avatar,
+        missing.size(), options.take, shape_list(missing), name_list(found.shape_names));
+    if (options.allow_missing && !found.meshes.empty()) {
+      tell(stderr, "note: {}\n", what);
+    } else {
+      faults.push_back(what + (found.meshes.empty() ? "" : "; --allow-missing goes on without them"));
+    }
   }
-  const std::string what = fmt::format(
-      "'{}' lacks {} shapes that '{}' moves: {}; its morph targets (targetNames) are: {}", options.avatar,
-      missing.size(), options.take, shape_list(missing), name_list(found.shape_names));
-  if (!options.allow_missing || found.meshes.empty()) {
-    throw Error(ErrorKind::Usage,
-                what + (found.meshes.empty() ? "" : "; --allow-missing goes on without them"));
+  if (!faults.empty()) {
+    throw Error(ErrorKind::Usage, fmt::format("{}", fmt::join(faults, "\n")));
   }
-  tell(stderr, "note: {}\n", what);
 }
 
 /// The take's face as an avatar's skin is placed on it. Shapes and surface are those of the coarse level.
@@ -261,18 +271,12 @@ void run_retarget(const RetargetOptions& options) {
   avatar::GlbDocument glb = avatar::read_glb(options.avatar);
   const avatar::Avatar found =
       avatar::inspect_avatar(glb, options.head.empty() ? std::nullopt : std::optional(options.head));
-  if (!options.no_head && !found.head) {
-    throw Error(ErrorKind::Usage,
-                fmt::format("'{}' has no node that is named like a head: name it with --head, or "
-                            "leave the head still with --no-head",
-                            options.avatar));
-  }
   Performance performance;
   if (const int signal = read_performance(options, signals, performance); signal != 0) {
     tell(stderr, "facet: broken off: nothing was written to '{}'\n", options.output);
     signals.die_of(signal);
   }
-  check_shapes(options, found, performance.states);
+  check_avatar(options, found, performance.states);
   for (const std::string& folder : {options.displacement_maps, options.normal_maps}) {
     if (!folder.empty()) {
       warn_of_varying_rate(performance.timeline, folder);

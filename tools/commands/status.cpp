@@ -47,6 +47,24 @@ void print_bridges(const json& bridges) {
   }
 }
 
+void print_studio(const json& studio) {
+  if (studio.is_null()) {
+    return;
+  }
+  const std::string take = studio["take"];
+  const std::string reason = studio["reason"];
+  if (take.empty()) {
+    tell("studio        closed: {}\n", reason);
+    return;
+  }
+  const auto lease_s = studio.value("lease_s", 0);
+  tell("studio        SHOWS TAKE {} INSTEAD OF THE LIVE FACE ({}, {}); {}{}\n", take,
+       studio["state"].get<std::string>(), studio["shown"].get<std::string>(),
+       lease_s > 0 ? fmt::format("closes {} s after the last wish", lease_s)
+                   : std::string("until 'facet studio close'"),
+       reason.empty() ? "" : "; " + reason);
+}
+
 void print_stages(const json& stages) {
   tell("\n{:<14} {:>9} {:>9}\n", "stage", "mean ms", "p95 ms");
   for (const pipeline::Stage& stage : pipeline::kStages) {
@@ -189,6 +207,7 @@ void print(const json& status) {
          web["requests"].get<std::uint64_t>(), web["refused"].get<std::uint64_t>(),
          refusal.empty() ? "" : ", the last: " + refusal);
   }
+  print_studio(status.value("studio", json()));
   print_bridges(status["bridges"]);
   print_recording(status["recording"]);
   print_stages(status["stage_ms"]);

@@ -267,12 +267,14 @@ void run(const Options& options) {
   }
   const take::TakeInfo& info = reader.info();
   const TakeFigures figures = read(reader);
-  const double seconds = static_cast<double>(info.last_timestamp_ns - info.first_timestamp_ns) * 1e-9;
+  const double seconds = info.duration_s;
   const double rate_hz =
       reader.frame_count() > 1 && seconds > 0 ? static_cast<double>(reader.frame_count() - 1) / seconds : 0;
   print_take(info);
   print_frames(figures, info, reader.frame_count(), rate_hz);
-  if (figures.pictures.sets > 0) {
+  // Of a camera whose pictures were not recorded frames only say how large they were.
+  const bool holds_pictures = info.picture_bytes > 0 || info.format_version < 2;
+  if (figures.pictures.sets > 0 && holds_pictures) {
     print_pictures(figures.pictures, info, rate_hz);
   }
   const int faults = print_faults(reader);

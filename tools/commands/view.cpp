@@ -127,7 +127,9 @@ void run_view(const ViewOptions& options) {
   }
   const auto images = report::open_source_images(take.info(), options.video);
   if (!images) {
-    tell(stderr, "facet view: the take's source '{}' is not a video file here; give it with --video\n",
+    tell(stderr,
+         "facet view: the take holds no pictures, and its source '{}' is not a video file here; give it with "
+         "--video\n",
          take.info().source);
   }
   Progress progress("Drawing", frames.size(), "rows");

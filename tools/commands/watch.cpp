@@ -13,6 +13,7 @@
 #include <string>
 #include <thread>
 
+#include "daemon_options.hpp"
 #include "exports/formats.hpp"
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
@@ -28,7 +29,7 @@ namespace {
 using namespace std::chrono_literals;
 
 struct WatchOptions {
-  std::string socket = stream::kDefaultSocket;
+  std::shared_ptr<StreamOptions> stream;
   std::uint64_t frames = 0;
   bool json = false;
   std::string save_last;
@@ -90,6 +91,9 @@ std::string line_text(const mesh::MeshFrame& frame, const Window& window, std::u
       text += fmt::format(" {} {:.1f}", name, mean_ms);
     }
   }
+  if (frame.origin != mesh::Origin::Live) {
+    text += fmt::format(" (the studio shows a {})", mesh::to_string(frame.origin));
+  }
   text += fmt::format(" ms  |  rms {:.3f}  dropped {}", frame.photometric_rms, dropped);
   if (frame.degraded) {
     text += "  degraded: " + frame.degraded_reason;
@@ -130,11 +134,12 @@ class LiveLine {
 /// Tries again while the daemon is starting.
 std::unique_ptr<stream::StreamClient> connect(const WatchOptions& options,
                                               const stream::Subscription& subscription) {
+  const std::filesystem::path socket = options.stream->path();
   const auto end = Clock::now() +
                    std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(options.wait_s));
   for (;;) {
     try {
-      return std::make_unique<stream::StreamClient>(options.socket, subscription);
+      return std::make_unique<stream::StreamClient>(socket, subscription);
     } catch (const Error& error) {
       if (error.kind() != ErrorKind::Unavailable || Clock::now() >= end) {
         throw;
@@ -160,7 +165,7 @@ void save_mesh(const std::shared_ptr<const mesh::MeshFrame>& frame, const std::f
   }
   exports::ExportMesh mesh;
   exports::build_export_mesh(*frame, exports::MeshLevel::Finest, exports::MeshSpace::Camera, mesh);
-  exports::mesh_writer_for(file)(mesh, file);
+  exports::mesh_writer_for(file)(mesh, file, exports::MeshAxes::Upright);
   tell(stderr, "{}: frame {}, {} vertices\n", file.string(), frame->sequence, mesh.vertices_mm.cols());
 }
 
@@ -237,7 +242,7 @@ void run_watch(const WatchOptions& options) {
 void add_watch_command(Command app) {
   auto options = std::make_shared<WatchOptions>();
   const Command command = app.subcommand("watch", "Show the live stream of a running facetd");
-  command.option("--socket", options->socket, "Stream socket").shows_default();
+  options->stream = add_stream_options(command, "Stream socket");
   command.option("--frames", options->frames, "Stop after that many frames; 0: when the stream ends")
       .shows_default();
   command.flag("--json", options->json, "One JSON object per frame, as `facet export --format jsonl`");

@@ -21,6 +21,8 @@ const kAnswer_ms = 10_000;
 const kSlowAnswer_ms = 60_000;
 const kSlowMethods = ['record.start', 'record.stop'];
 const kMostWaiting = 64;
+/** No view of the camera is larger: the daemon sends its pictures so small. */
+const kLongestImage_px = 480;
 
 export const kWrongToken = 4403;
 export const kTooManyTokens = 4429;
@@ -98,7 +100,7 @@ export class StreamConnection extends Connection {
     super('/stream');
   }
 
-  /** Pictures of the cameras are large: only where there are some. */
+  /** Pictures of the cameras, for who has a place for them. */
   setImages(wanted: boolean): void {
     if (wanted !== this.wantImages) {
       this.wantImages = wanted;
@@ -117,6 +119,7 @@ export class StreamConnection extends Connection {
     Subscribe.addProfile(builder, Profile.Vertices);
     Subscribe.addClient(builder, client);
     Subscribe.addWantImages(builder, this.wantImages);
+    Subscribe.addLongestImagePx(builder, kLongestImage_px);
     const subscribe = Subscribe.endSubscribe(builder);
     Message.finishMessageBuffer(builder, Message.createMessage(builder, Body.Subscribe, subscribe));
     this.socket.send(builder.asUint8Array());

@@ -1,7 +1,7 @@
 // The face in the middle of the page: the newest frame's mesh, drawn by three.js. Draws only what is new, and less of it where
 // the machine is too slow.
 import * as THREE from 'three';
-import { coarserTriangles, edgesOf } from './level_of_detail';
+import { DetailChooser, edgesOf, levelFor, type Detail } from './levels';
 
 export type View = 'shaded' | 'normals' | 'albedo' | 'wire' | 'confidence';
 export const kViews: View[] = ['shaded', 'normals', 'albedo', 'wire', 'confidence'];
@@ -36,7 +36,8 @@ void main() {
 const fragmentShader = `
 precision highp float;
 in vec3 v_normal; in vec3 v_head_normal; in vec3 v_position; in vec3 v_albedo; in vec3 v_region; in float v_confidence;
-uniform int view; uniform bool has_albedo; uniform bool has_regions; uniform vec3 clay;
+uniform int view; uniform vec3 clay; uniform bool has_albedo; uniform bool has_confidence; uniform bool has_regions;
+const vec3 kUnknown = vec3(0.24);
 out vec4 colour;
 vec3 lit(vec3 n, vec3 toward, vec3 light, vec3 wrap) {
   return light * max((vec3(dot(n, toward)) + wrap) / (1.0 + wrap), 0.0);
@@ -54,9 +55,14 @@ void main() {
   if (dot(n, eye) < 0.0) n = -n;
   vec3 albedo = has_albedo ? v_albedo : clay;
   if (view == 1) { colour = vec4(0.5 + 0.5 * normalize(v_head_normal), 1.0); return; }
-  if (view == 2) { colour = vec4(srgb(albedo), 1.0); return; }
+  if (view == 2 && has_albedo) { colour = vec4(srgb(albedo), 1.0); return; }
+  if (view == 2) { albedo = kUnknown; }
   if (view == 3) { albedo = vec3(0.035, 0.045, 0.06); }
-  if (view == 4) { albedo = mix(vec3(0.75, 0.10, 0.05), mix(vec3(0.75, 0.55, 0.10), vec3(0.10, 0.50, 0.42), smoothstep(0.5, 1.0, v_confidence)), smoothstep(0.0, 0.5, v_confidence)); }
+  if (view == 4) {
+    vec3 upper = mix(vec3(0.75, 0.55, 0.10), vec3(0.10, 0.50, 0.42), smoothstep(0.5, 1.0, v_confidence));
+    vec3 known = mix(vec3(0.75, 0.10, 0.05), upper, smoothstep(0.0, 0.5, v_confidence));
+    albedo = has_confidence ? mix(kUnknown, known, smoothstep(0.0, 0.02, v_confidence)) : kUnknown;
+  }
   // Soft colours: the skin keeps its light and shade.
   if (has_regions && view == 0) { albedo = mix(albedo, v_region * v_region * (0.25 + dot(albedo, vec3(0.5))), 0.7); }
   vec3 key = normalize(vec3(-0.55, 0.65, 0.75)), fill = normalize(vec3(0.85, 0.05, 0.55)), rim = normalize(vec3(0.5, 0.5, -0.8));
@@ -77,26 +83,12 @@ void main() {
   colour = vec4(mix(vec3(0.10, 0.30, 0.36), vec3(0.42, 0.86, 0.80), facing), 0.25 + 0.6 * facing);
 }`;
 
-/** How much is drawn: pixels of the screen's own, whether triangles are merged, frames per second at most. */
-interface Detail {
-  pixelRatio: number;
-  cells: number; // across the mesh; 0: every triangle
-  mostRate: number;
-}
-export const kDetails: Detail[] = [
-  { pixelRatio: 2, cells: 0, mostRate: 120 },
-  { pixelRatio: 1, cells: 0, mostRate: 120 },
-  { pixelRatio: 1, cells: 110, mostRate: 60 },
-  { pixelRatio: 0.75, cells: 70, mostRate: 30 },
-  { pixelRatio: 0.5, cells: 48, mostRate: 15 },
-];
-/** A picture that takes longer than this is too slow, one that takes less is fast enough for more detail, ms. */
-const kSlow_ms = 30;
-const kFast_ms = 9;
 /** A pointer that moves less has pressed, not turned, px. */
 const kPress_px = 6;
-const kSlowPictures = 12;
-const kFastPictures = 400;
+/** The face takes no less than this part of the stage's height, whatever covers the rest. */
+const kLeastFree = 0.25;
+/** Of the way to where the face should stand it goes so much with each picture. */
+const kPace = 0.35;
 
 export class FaceView {
   private readonly renderer: THREE.WebGLRenderer;
@@ -104,32 +96,35 @@ export class FaceView {
   private readonly camera = new THREE.PerspectiveCamera(24, 1, 10, 10000);
   private readonly head = new THREE.Group();
   private readonly uniforms = {
-    step_mm: { value: 0.002 }, albedo_scale: { value: 1 }, view: { value: 0 }, has_albedo: { value: false }, has_regions: { value: false },
+    step_mm: { value: 0.002 }, albedo_scale: { value: 1 }, view: { value: 0 },
+    has_albedo: { value: false }, has_confidence: { value: false }, has_regions: { value: false },
     clay: { value: new THREE.Color().setRGB(0.50, 0.325, 0.255, THREE.LinearSRGBColorSpace) },
   };
   private readonly surface: THREE.Mesh;
   private readonly wire: THREE.LineSegments;
-  private triangles: Uint32Array = new Uint32Array();
+  private levels: Uint32Array[] = [];
   private vertexCount = 0;
-  private drawnCells = -1;
+  private drawnLevel = -1;
   private edgesDrawn = false;
+  /** Of each vertex a zero. */
+  private nothing = new Uint8Array();
   private readonly centre = new THREE.Vector3();
   private radius = 120;
   private placed = false;
   private turn = { yaw: 0, pitch: 0, zoom: 1 };
   private pending = false;
   private lastDrawn_ms = 0;
-  private slow = 0;
-  private fast = 0;
-  private fallen = 0;
-  detail = 0;
+  private readonly chooser: DetailChooser;
+  /** What covers the stage's edges, as the camera has it now. */
+  private spared: { top: number; bottom: number } | null = null;
   /** Drawn by the processor. */
   readonly software: boolean;
   view: View = 'shaded';
-  /** What the controls at the lower edge cover. */
-  footer_px = 110;
+  private covered = { top: 0, bottom: 0 };
   /** Pictures of a face drawn since the start. */
   drawn = 0;
+  /** Called where something came to be known, or is not any more: isKnown(). */
+  knowledgeChanged: () => void = () => {};
   /** Called with every picture. */
   afterDrawing: () => void = () => {};
   /** A press on the face that was no turn of it, at a vertex. */
@@ -142,7 +137,7 @@ export class FaceView {
     const names = gl.getExtension('WEBGL_debug_renderer_info');
     const device = String(gl.getParameter(names ? names.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
     this.software = /swiftshader|llvmpipe|softpipe|software/i.test(device);
-    this.detail = this.software ? 3 : 0;
+    this.chooser = new DetailChooser(this.software);
     const options = { glslVersion: THREE.GLSL3, uniforms: this.uniforms, vertexShader };
     this.surface = new THREE.Mesh(new THREE.BufferGeometry(), new THREE.RawShaderMaterial({
       ...options, fragmentShader, side: THREE.DoubleSide, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 }));
@@ -158,19 +153,36 @@ export class FaceView {
     this.listen();
   }
 
-  /** A new topology: triangles [count][3] of the finest level. */
-  setSubject(triangles: Uint32Array, vertexCount: number): void {
-    this.triangles = triangles;
+  /** Which of the details it is; 0: all. */
+  get detail(): number {
+    return this.chooser.step;
+  }
+
+  /** What notes and controls cover at the stage's edges, px: the face stands between. */
+  setCovered(top: number, bottom: number): void {
+    if (top !== this.covered.top || bottom !== this.covered.bottom) {
+      this.covered = { top, bottom };
+      this.request();
+    }
+  }
+
+  /** A new topology: triangles [count][3] of each level, coarse to fine. All are of the finest level's
+      vertices, vertexCount of them: a coarser level uses the first. */
+  setSubject(levels: Uint32Array[], vertexCount: number): void {
+    this.levels = levels;
     this.vertexCount = vertexCount;
+    this.nothing = new Uint8Array(vertexCount);
     this.placed = false;
-    this.drawnCells = -1;
+    this.drawnLevel = -1;
     this.edgesDrawn = false;
     this.uniforms.has_albedo.value = false;
+    this.uniforms.has_confidence.value = false;
     this.uniforms.has_regions.value = false;
     for (const object of [this.surface, this.wire]) {
       object.geometry.dispose();
       object.geometry = new THREE.BufferGeometry();
     }
+    this.knowledgeChanged();
   }
 
   /** Linear colours [vertex][3] of 65535 = scale; one of another subject is passed over. */
@@ -181,6 +193,7 @@ export class FaceView {
     this.surface.geometry.setAttribute('color', new THREE.BufferAttribute(linear, 3, true));
     this.uniforms.albedo_scale.value = scale;
     this.uniforms.has_albedo.value = true;
+    this.knowledgeChanged();
     this.request();
   }
 
@@ -213,7 +226,12 @@ export class FaceView {
         geometry.setAttribute('region', new THREE.BufferAttribute(new Uint8Array(3 * this.vertexCount), 3, true));
       }
     }
-    const confidence = mesh.confidence?.length === this.vertexCount ? mesh.confidence : new Uint8Array(this.vertexCount);
+    const known = mesh.confidence !== null && mesh.confidence.length === this.vertexCount;
+    const confidence = known ? mesh.confidence! : this.nothing;
+    if (known !== this.uniforms.has_confidence.value) {
+      this.uniforms.has_confidence.value = known;
+      this.knowledgeChanged();
+    }
     const shown = geometry.getAttribute('confidence') as THREE.BufferAttribute | undefined;
     if (!shown) {
       geometry.setAttribute('confidence', new THREE.BufferAttribute(confidence, 1, true));
@@ -280,7 +298,7 @@ export class FaceView {
     }
     const geometry = new THREE.BufferGeometry();
     geometry.setAttribute('position', position);
-    geometry.setIndex(new THREE.BufferAttribute(this.triangles, 1));
+    geometry.setIndex(new THREE.BufferAttribute(this.levels[this.levels.length - 1], 1));
     const mesh = new THREE.Mesh(geometry, new THREE.MeshBasicMaterial({ side: THREE.FrontSide }));
     mesh.matrixWorld = this.headToWorld().clone().multiply(new THREE.Matrix4().makeScale(...(Array(3).fill(this.uniforms.step_mm.value) as [number, number, number])));
     const [hit] = this.ray(x, y).intersectObject(mesh, false);
@@ -298,6 +316,12 @@ export class FaceView {
     const plane = new THREE.Plane().setFromNormalAndCoplanarPoint(towards, from_mm.clone().applyMatrix4(world));
     const at = this.ray(x, y).ray.intersectPlane(plane, new THREE.Vector3());
     return at ? at.applyMatrix4(world.clone().invert()) : from_mm.clone();
+  }
+
+  /** Whether what a view shows has come with the mesh. */
+  isKnown(view: View): boolean {
+    const { has_albedo, has_confidence } = this.uniforms;
+    return (view !== 'albedo' || has_albedo.value) && (view !== 'confidence' || has_confidence.value);
   }
 
   setView(view: View): void {
@@ -380,8 +404,6 @@ export class FaceView {
     const size = box.getSize(point);
     this.radius = Math.max(size.x * 1.1, size.y) / 2;
     this.placed = true;
-    this.drawnCells = -1;
-    this.edgesDrawn = false;
   }
 
   private request(): void {
@@ -393,7 +415,7 @@ export class FaceView {
 
   private draw(now_ms: number): void {
     this.pending = false;
-    const detail = kDetails[this.detail];
+    const { detail } = this.chooser;
     if (now_ms - this.lastDrawn_ms < 1000 / detail.mostRate - 2) {
       this.request();
       return;
@@ -406,30 +428,15 @@ export class FaceView {
       // Commands are only queued: what they cost shows once one waits for them.
       const gl = this.renderer.getContext();
       gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
-      this.judge(performance.now() - began);
+      if (this.chooser.judge(performance.now() - began)) {
+        this.detailChanged();
+      }
     }
     if (this.placed) {
       ++this.drawn;
       this.canvas.dataset.drawn = String(this.drawn);
     }
     this.afterDrawing();
-  }
-
-  /** Lowers the detail soon where pictures take too long, raises it late, and not for ever to and fro. */
-  private judge(took_ms: number): void {
-    this.slow = took_ms > kSlow_ms ? this.slow + 1 : Math.max(0, this.slow - 1);
-    this.fast = took_ms < kFast_ms ? this.fast + 1 : 0;
-    if (this.slow >= (this.software ? kSlowPictures : 3) && this.detail + 1 < kDetails.length) {
-      ++this.fallen;
-      this.changeDetail(this.detail + 1);
-    } else if (this.fast >= kFastPictures && this.detail > (this.software ? 1 : 0) && this.fallen < 3) {
-      this.changeDetail(this.detail - 1);
-    }
-  }
-  private changeDetail(level: number): void {
-    this.detail = level;
-    this.slow = this.fast = 0;
-    this.detailChanged();
   }
 
   /** Size, triangles and camera, as they are wanted now. */
@@ -443,10 +450,11 @@ export class FaceView {
     }
     const geometry = this.surface.geometry;
     const position = geometry.getAttribute('position') as THREE.BufferAttribute | undefined;
-    if (position && this.placed && this.drawnCells !== detail.cells) {
-      const shown = detail.cells === 0 ? this.triangles : coarserTriangles(this.triangles, position.array, geometry.getAttribute('normal').array, detail.cells);
-      geometry.setIndex(new THREE.BufferAttribute(shown, 1));
-      this.drawnCells = detail.cells;
+    const level = levelFor(this.levels.map((triangles) => triangles.length / 3), detail.mostTriangles);
+    if (position && this.placed && this.drawnLevel !== level) {
+      geometry.setIndex(new THREE.BufferAttribute(this.levels[level], 1));
+      this.canvas.dataset.triangles = String(this.levels[level].length / 3);
+      this.drawnLevel = level;
       this.edgesDrawn = false;
     }
     if (position && this.view === 'wire' && !this.edgesDrawn && geometry.index) {
@@ -458,14 +466,29 @@ export class FaceView {
       this.wire.geometry = lines;
       this.edgesDrawn = true;
     }
-    const aspect = width / height;
+    this.aim(width, height);
+  }
+
+  /** The camera, so that the face stands in the middle of what notes and controls leave free. */
+  private aim(width: number, height: number): void {
+    const most = (1 - kLeastFree) * height;
+    const scale = Math.min(1, most / Math.max(1, this.covered.top + this.covered.bottom));
+    const wanted = { top: scale * this.covered.top, bottom: scale * this.covered.bottom };
+    const now = this.spared ?? wanted;
+    const near = Math.abs(wanted.top - now.top) + Math.abs(wanted.bottom - now.bottom) < 2;
+    const towards = (from: number, to: number) => (near ? to : from + kPace * (to - from));
+    this.spared = { top: towards(now.top, wanted.top), bottom: towards(now.bottom, wanted.bottom) };
+    if (!near) {
+      this.request();
+    }
+    const free = height - this.spared.top - this.spared.bottom;
     const angle = THREE.MathUtils.degToRad(this.camera.fov / 2);
-    // The face stands in the middle of what the controls at the lower edge leave free.
-    const controls = Math.min(this.footer_px, 0.62 * height);
-    const distance = ((1.1 * height) / (height - controls) * this.radius) / Math.tan(angle) / Math.min(1, (1.15 * width) / (height - controls)) / this.turn.zoom;
-    this.camera.aspect = aspect;
-    this.camera.position.set(-Math.sin(this.turn.yaw) * Math.cos(this.turn.pitch), Math.sin(this.turn.pitch), Math.cos(this.turn.yaw) * Math.cos(this.turn.pitch)).multiplyScalar(distance);
+    const { yaw, pitch, zoom } = this.turn;
+    const fitting = ((1.1 * height) / free) * this.radius / Math.tan(angle) / Math.min(1, (1.15 * width) / free);
+    this.camera.aspect = width / height;
+    this.camera.position.set(-Math.sin(yaw) * Math.cos(pitch), Math.sin(pitch), Math.cos(yaw) * Math.cos(pitch));
+    this.camera.position.multiplyScalar(fitting / zoom);
     this.camera.lookAt(0, 0, 0);
-    this.camera.setViewOffset(width, height, 0, controls / 2, width, height);
+    this.camera.setViewOffset(width, height, 0, (this.spared.bottom - this.spared.top) / 2, width, height);
   }
 }

@@ -1,12 +1,16 @@
 // The page of a capture booth: brings what the daemon sends to the view and the cards, and what is pressed to the daemon.
 import type { Frame } from '../generated/facet/stream/wire/frame';
+import type { Hierarchy } from '../generated/facet/stream/wire/hierarchy';
+import type { Level } from '../generated/facet/stream/wire/level';
 import { ControlConnection, ControlError, StreamConnection, kPermissionDenied, kTooManyTokens } from './connection';
+import { Expressions } from './expressions';
 import { FaceView, kViews, type View } from './face_view';
 import { OwnShape } from './own_shape';
-import { Expressions, Plot, element, showCamera, showDevices, showTakes } from './panels';
+import { Plot, element, showCamera, showDevices, showTakes } from './panels';
+import { keepFree, markOverflow, showChosen, showMeaning, watchOverflow } from './stage';
 import { baseName, type NamedDevice, type Recording, type Status, type Takes } from './status';
 import { Studio } from './studio';
-import { chooseLanguage, duration, number, otherLanguage, stateText, text, type Key } from './text';
+import { chooseLanguage, duration, number, otherLanguage, said, stateText, text, type Key } from './text';
 
 const kStatusPeriod_ms = 1000;
 const kCountdown_s = 3;
@@ -37,6 +41,8 @@ let hasSubject = false;
 let tracking = -1; // of the newest frame: 0 searching, 1 acquiring, 2 tracking, 3 lost
 let lastMesh_ms = -Infinity;
 let vertices = 0;
+let skipped = 0; // frames of the stream that this page was too slow for, since it connected
+let neutralAsked = false;
 let countdown = 0; // timer; 0: none runs
 let notice: { title: string; help: string; until_ms: number } | null = null;
 let recordWhenUnlocked = false;
@@ -49,22 +55,28 @@ const ownShape = new OwnShape(() => { void keepPerson(); });
 const plots = [new Plot('rate', 'rate', '#7fd6c8', ''), new Plot('latency', 'latency', '#e0b062', ' ms')];
 
 const stream = new StreamConnection({
-  connected: () => { connected = true; connectedSince_ms = performance.now(); refusal = ''; showState(); },
+  connected: () => {
+    connected = true;
+    connectedSince_ms = performance.now();
+    skipped = 0;
+    refusal = '';
+    showState();
+  },
   closed: (reason) => { connected = false; refusal = reason; arrivals.length = 0; showState(); },
   subject: (subject) => {
     const hierarchy = subject.hierarchy();
-    const finest = hierarchy && hierarchy.levelsLength() > 0 ? hierarchy.levels(hierarchy.levelsLength() - 1) : null;
-    if (!finest) {
+    const levels = hierarchy ? levelsOf(hierarchy) : [];
+    if (levels.length === 0) {
       return;
     }
-    vertices = finest.vertexCount();
-    view?.setSubject(finest.trianglesArray()!, vertices);
+    vertices = levels[levels.length - 1].vertexCount();
+    view?.setSubject(levels.map((level) => level.trianglesArray()!), vertices);
     expressions.setNames(Array.from({ length: subject.expressionNamesLength() }, (_, i) => subject.expressionNames(i) as string));
     hasSubject = true;
   },
   albedo: (albedo) => view?.setAlbedo(albedo.linearRgbArray()!, albedo.scale()),
   frame: showFrame,
-  dropped: () => {},
+  dropped: (total) => { skipped = total; },
 });
 
 const control = new ControlConnection(
@@ -88,6 +100,12 @@ function takeToken(): string {
     history.replaceState(null, '', location.pathname);
   }
   return given ?? memory.get('token');
+}
+
+/** Every level, coarse to fine. */
+function levelsOf(hierarchy: Hierarchy): Level[] {
+  return [...Array.from({ length: hierarchy.coarserLevelsLength() }, (_, i) => hierarchy.coarserLevels(i)!),
+          ...Array.from({ length: hierarchy.levelsLength() }, (_, i) => hierarchy.levels(i)!)];
 }
 
 function showFrame(frame: Frame): void {
@@ -156,8 +174,10 @@ async function lookOnce(): Promise<void> {
         beginCountdown();
       }
     }
-    stream.setImages(status.rig !== null);
+    stream.setImages(element('camera').clientWidth > 0);
+    element('camera').classList.toggle('mirror', status.rig === null);
     studio?.show(status.studio);
+    tellNeutral();
   } catch {
     status = null;
     takesList = -1;
@@ -287,6 +307,8 @@ function showRecording(): void {
   const button = element<HTMLButtonElement>('record');
   button.classList.toggle('on', recording !== null);
   button.disabled = !connected || !status;
+  const isTaken = status?.bridges?.neutral.state === 'recording';
+  element<HTMLButtonElement>('neutral').disabled = !connected || !unlocked || isTaken;
   setText('record-text', text(countdown !== 0 ? 'record_cancel' : recording ? 'record_stop' : 'record'));
   const chip = element('recording');
   chip.hidden = recording === null;
@@ -322,12 +344,34 @@ function showAll(): void {
   if (view) {
     setText('detail', text(view.software ? 'detail_software' : 'detail_slow'));
   }
-  showDevices(status, unlocked);
-  showTakes(takes);
+  if (view) {
+    showMeaning(view, (status?.gpu ?? '') !== '');
+  }
+  element('neutral').title = text(unlocked ? 'neutral_label' : 'needs_token');
+  expressions.translate();
+  showDevices(status, { unlocked, skipped });
+  showTakes(takes, unlocked);
   ownShape.show(status?.learning ?? null);
   studio?.draw();
   showState();
   showRecording();
+}
+
+/** Records the bridges' neutral pose; tellNeutral() says what came of it. */
+async function recordNeutral(): Promise<void> {
+  if (await command('neutral.record', {}, 'neutral_failed')) {
+    neutralAsked = true;
+    tell(text('neutral_recording'), text('neutral_help'));
+    await look();
+  }
+}
+
+function tellNeutral(): void {
+  const neutral = status?.bridges?.neutral;
+  if (neutralAsked && neutral && neutral.state !== 'recording') {
+    neutralAsked = false;
+    tell(text(neutral.state === 'set' ? 'neutral_set' : 'neutral_failed'), said(neutral.reason));
+  }
 }
 
 function tell(title: string, help = ''): void {
@@ -343,7 +387,7 @@ async function command<Result>(method: string, params: object = {}, failed: Key 
       unlocked = false;
       openTokenDialog();
     } else {
-      tell(text(failed), error instanceof Error ? error.message : '');
+      tell(text(failed), error instanceof Error ? said(error.message) : '');
     }
     return null;
   }
@@ -360,7 +404,7 @@ async function stopRecording(): Promise<void> {
   if (take) {
     const doubtful = take.state === 'failed' || take.warning !== '';
     const title = text('recorded', { name: baseName(take.file), frames: number(take.frames) });
-    tell(doubtful ? text('record_doubtful', { name: baseName(take.file) }) : title, take.reason || take.warning);
+    tell(doubtful ? text('record_doubtful', { name: baseName(take.file) }) : title, said(take.reason || take.warning));
   }
   await look();
 }
@@ -438,6 +482,8 @@ function closeTokenDialog(): void {
 
 function listen(): void {
   element('record').addEventListener('click', pressRecord);
+  element('neutral').addEventListener('click', () => { void recordNeutral(); });
+  watchOverflow();
   element('language').addEventListener('click', () => {
     const other = otherLanguage();
     memory.set('language', other);
@@ -488,6 +534,7 @@ function chooseView(name: View): void {
   view?.setView(name);
   memory.set('view', name);
   showAll();
+  showChosen(element('views'));
 }
 
 chooseLanguage(memory.get('language') || null);
@@ -497,7 +544,10 @@ try {
   view = null; // problem() says so
 }
 if (view) {
-  studio = new Studio(view, control, (method, params) => command(method, params, 'studio_failed'), tell);
+  studio = new Studio(view, control, {
+    mayCommand: () => unlocked, command: (method, params) => command(method, params, 'studio_failed'), tell });
+  view.knowledgeChanged = showAll;
+  keepFree(view);
 }
 for (const name of kViews) {
   const button = document.createElement('button');
@@ -517,4 +567,4 @@ window.setInterval(() => {
     void look();
   }
 }, kStatusPeriod_ms);
-window.setInterval(() => { showState(); showFigures(); showRecording(); }, 500);
+window.setInterval(() => { showState(); showFigures(); showRecording(); markOverflow(); }, 500);

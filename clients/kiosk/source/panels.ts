@@ -1,7 +1,9 @@
 // The cards beside the face. Each is told what is new and draws itself.
 import type { Frame } from '../generated/facet/stream/wire/frame';
-import { baseName, type CameraPair, type Status, type Takes } from './status';
-import { bytes, dateTime, duration, number, stateText, text, type Key } from './text';
+import {
+  baseName, type BridgeTarget, type CameraPair, type Recording, type Status, type Takes,
+} from './status';
+import { bytes, dateTime, duration, number, said, stateText, text, type Key } from './text';
 
 export function element<Type extends HTMLElement>(id: string): Type {
   return document.getElementById(id) as Type;
@@ -73,49 +75,6 @@ export class Plot {
     draw.fillStyle = this.colour;
     draw.fill();
     draw.globalAlpha = 1;
-  }
-}
-
-/** The expression's weights as bars. */
-export class Expressions {
-  private bars: { row: HTMLElement; bar: HTMLElement; value: HTMLElement }[] = [];
-
-  setNames(names: string[]): void {
-    const list = element('expressions');
-    list.replaceChildren();
-    this.bars = names.map((name) => {
-      const row = document.createElement('div');
-      row.className = 'bar';
-      row.setAttribute('role', 'meter');
-      row.setAttribute('aria-label', name);
-      row.setAttribute('aria-valuemin', '0');
-      row.setAttribute('aria-valuemax', '1');
-      const label = document.createElement('span');
-      label.textContent = name;
-      const track = document.createElement('i');
-      const bar = document.createElement('b');
-      track.append(bar);
-      const value = document.createElement('output');
-      row.append(label, track, value);
-      list.append(row);
-      return { row, bar, value };
-    });
-    if (names.length === 0) {
-      list.textContent = text('expression_none');
-    }
-  }
-
-  /** weights: [name]. told: also to those who hear the page. */
-  show(weights: ArrayLike<number>, told: boolean): void {
-    this.bars.forEach(({ row, bar, value }, i) => {
-      const weight = weights[i] ?? 0;
-      bar.style.transform = `scaleX(${Math.min(1, Math.abs(weight)).toFixed(3)})`;
-      bar.classList.toggle('negative', weight < 0);
-      if (told) {
-        value.textContent = number(weight, 2);
-        row.setAttribute('aria-valuenow', weight.toFixed(2));
-      }
-    });
   }
 }
 
@@ -220,7 +179,39 @@ function pairRow(pair: CameraPair): HTMLElement {
   return row;
 }
 
-export function showDevices(status: Status | null, unlocked: boolean): void {
+/** Whether fine detail is made, and what of it is left out. */
+function refinementRow(status: Status): HTMLElement {
+  const name = text('device_graphics');
+  if (status.gpu === '') {
+    return healthRow(name, text('device_graphics_none'), 'off');
+  }
+  const device = status.gpu.replace(/\s*\(.*\)/, '');
+  const left = status.given_up;
+  return left === '' ? healthRow(name, device, 'good')
+    : healthRow(name, device, 'busy', text('given_up', { left }));
+}
+
+function recordingRow(recording: Recording | null, unlocked: boolean): HTMLElement {
+  const name = text('device_disk');
+  if (!recording) {
+    return healthRow(name, text(unlocked ? 'recording_off' : 'recording_locked'), unlocked ? 'good' : 'off');
+  }
+  const lost = recording.dropped > 0 ? text('recording_lost', { count: number(recording.dropped) }) : '';
+  return healthRow(name, stateText(recording.state), healths[recording.state] ?? 'off',
+                   [lost, recording.reason].filter(Boolean).join('. '));
+}
+
+const kProtocols: Record<string, string> = { vmc: 'VMC', live_link_face: 'Live Link Face' };
+
+function bridgeRow({ protocol, target, frames, failed, reason }: BridgeTarget): HTMLElement {
+  const words = text(failed > 0 ? 'bridge_refused' : 'bridge_sent', {
+    sent: number(frames), refused: number(failed) });
+  return healthRow(`${kProtocols[protocol] ?? protocol} ${target}`, words,
+                   reason !== '' ? 'bad' : frames > 0 ? 'good' : 'busy', said(reason));
+}
+
+/** page: skipped, the frames that it was too slow for. */
+export function showDevices(status: Status | null, page: { unlocked: boolean; skipped: number }): void {
   if (!status) {
     replace(element('devices'), [healthRow(text('device_service'), text('offline'), 'bad')]);
     return;
@@ -239,17 +230,15 @@ export function showDevices(status: Status | null, unlocked: boolean): void {
     device(text('device_camera'), status.camera.state, status.camera.reason);
   }
   device(text('device_tracking'), status.tracking, '');
-  rows.push(status.gpu === '' ? healthRow(text('device_graphics'), text('device_graphics_none'), 'off')
-                              : healthRow(text('device_graphics'), status.gpu.replace(/\s*\(.*\)/, ''), 'good'));
-  const dropped = status.stream.readers.reduce((sum, reader) => sum + reader.frames_dropped, 0);
-  rows.push(healthRow(text('device_readers'), text('device_readers_value', { count: status.stream.readers.length, dropped: number(dropped) }), 'good'));
-  const recording = status.recording;
-  rows.push(recording ? healthRow(text('device_disk'), stateText(recording.state), healths[recording.state] ?? 'off', recording.reason)
-                      : healthRow(text('device_disk'), text(unlocked ? 'recording_off' : 'recording_locked'), unlocked ? 'good' : 'off'));
+  rows.push(refinementRow(status), recordingRow(status.recording, page.unlocked));
+  rows.push(...(status.bridges?.targets ?? []).map(bridgeRow));
+  rows.push(healthRow(text('device_readers'), number(status.stream.readers.length), 'good'));
+  const skipped = text(page.skipped === 0 ? 'page_all' : 'page_skipped', { count: number(page.skipped) });
+  rows.push(healthRow(text('device_page'), skipped, 'off'));
   replace(element('devices'), rows);
 }
 
-export function showTakes(takes: Takes | null): void {
+export function showTakes(takes: Takes | null, unlocked: boolean): void {
   if (!takes) {
     return;
   }
@@ -283,6 +272,8 @@ export function showTakes(takes: Takes | null): void {
         button.dataset.action = action;
         button.dataset.take = take.name;
         button.textContent = text(action);
+        button.disabled = !unlocked;
+        button.title = unlocked ? '' : text('needs_token');
         button.setAttribute('aria-label', text(`${action}_label`, { name: take.name }));
         actions.append(button);
       }

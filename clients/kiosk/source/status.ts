@@ -23,6 +23,7 @@ export interface Recording {
   warning: string;
   file: string;
   frames: number;
+  dropped: number;
   bytes: number;
 }
 export interface PoseControl {
@@ -69,6 +70,18 @@ export interface Learning {
   turned_right_deg: number;
   needed_deg: number;
 }
+/** Where expression and head go, in another protocol. */
+export interface BridgeTarget {
+  protocol: string;
+  target: string;
+  frames: number;
+  failed: number;
+  reason: string;
+}
+export interface Bridges {
+  targets: BridgeTarget[];
+  neutral: { state: 'none' | 'recording' | 'set' | 'failed'; reason: string; frames: number };
+}
 export interface Status {
   version: string;
   state: string;
@@ -87,6 +100,7 @@ export interface Status {
   stream: { readers: { frames_dropped: number }[] };
   recording: Recording | null;
   learning: Learning | null;
+  bridges: Bridges | null;
   takes: { list: number };
 }
 export interface Take {

@@ -5,7 +5,7 @@ import type { ControlConnection } from './connection';
 import type { FaceView } from './face_view';
 import { element } from './panels';
 import { baseName, type Key, type Keys, type StudioStatus } from './status';
-import { number, text } from './text';
+import { number, said, text } from './text';
 
 /** The time-line is this long at least, s. */
 const kShortest_s = 5;
@@ -14,12 +14,23 @@ const kLeastGap_s = 0.05;
 const kKeyStep_s = 0.1;
 const kPointStep_mm = 1;
 const kLook_ms = 200;
+/** The daemon lets go of the take so long after the last word of this page, which says one more often. */
+const kLease_s = 60;
+const kKeep_ms = 10_000;
 
 interface Point {
   vertex: number;
   at: THREE.Vector3; // where it was asked to be, head frame, mm
   colour: string;
   missed: string;
+}
+
+export interface StudioHands {
+  /** Whoever is at the page has shown the token. */
+  mayCommand: () => boolean;
+  /** Calls a method, tells where it fails, answers null then. */
+  command: <Result>(method: string, params?: object) => Promise<Result | null>;
+  tell: (title: string, help?: string) => void;
 }
 
 export class Studio {
@@ -37,14 +48,15 @@ export class Studio {
   private dragging = false;
   private exported = '';
   private lastState = '';
+  private opener = false; // this page opened what is open
 
-  /** command: calls a method, tells where it fails, answers null then. */
   constructor(private readonly view: FaceView, private readonly control: ControlConnection,
-              private readonly command: <Result>(method: string, params?: object) => Promise<Result | null>,
-              private readonly tell: (title: string, help?: string) => void) {
+              private readonly hands: StudioHands) {
     view.afterDrawing = () => this.placeHandles();
     this.listen();
     window.setInterval(() => { if (this.isOpen) void this.look(); }, kLook_ms);
+    // Where this page goes away nobody asks any more, and the live face comes back.
+    window.setInterval(() => { if (this.isOpen && this.opener) void this.control.call('studio.keep').catch(() => {}); }, kKeep_ms);
   }
 
   get isOpen(): boolean {
@@ -55,7 +67,8 @@ export class Studio {
   }
 
   async open(take: string, pose: boolean): Promise<void> {
-    if (await this.command('studio.open', { take, pose })) {
+    if (await this.hands.command('studio.open', { take, pose, lease_s: kLease_s })) {
+      this.opener = true;
       await this.look();
     }
   }
@@ -71,6 +84,7 @@ export class Studio {
     const wasOpen = this.isOpen;
     this.status = status;
     if (wasOpen && !this.isOpen) {
+      this.opener = false;
       this.points = [];
       this.keys = { keys: [] };
       this.key = this.chosen = -1;
@@ -78,17 +92,17 @@ export class Studio {
       this.head_s = 0;
       this.view.setRegions(null);
       if (status && status.reason !== '') {
-        this.tell(text('studio_changed'), status.reason);
+        this.hands.tell(text('studio_changed'), said(status.reason));
       }
     }
     if (status && this.isOpen) {
       if (status.reason !== '' && status.reason !== this.lastState) {
-        this.tell(text('studio_failed'), status.reason);
+        this.hands.tell(text('studio_failed'), said(status.reason));
       }
       this.lastState = status.reason;
       if (status.exported !== '' && status.exported !== this.exported) {
         this.exported = status.exported;
-        this.tell(text('studio_exported', { name: baseName(status.exported) }));
+        this.hands.tell(text('studio_exported', { name: baseName(status.exported) }));
       }
       if (this.posing && this.loadedKeysOf !== status.take) {
         this.loadedKeysOf = status.take;
@@ -140,7 +154,7 @@ export class Studio {
   }
 
   private async loadKeys(): Promise<void> {
-    const stored = await this.command<{ keys: Keys | null }>('keys.get');
+    const stored = await this.hands.command<{ keys: Keys | null }>('keys.get');
     this.keys = stored?.keys ?? { keys: [] };
     this.key = -1;
     this.draw();
@@ -155,7 +169,7 @@ export class Studio {
     while (this.move) {
       const { vertex, at } = this.move;
       this.move = null;
-      await this.command('pose.move', { vertex, at_mm: at.toArray() });
+      await this.hands.command('pose.move', { vertex, at_mm: at.toArray() });
     }
     this.moving = false;
   }
@@ -174,7 +188,7 @@ export class Studio {
 
   private async removePoint(vertex: number): Promise<void> {
     this.points = this.points.filter((point) => point.vertex !== vertex);
-    await this.command('pose.remove', { vertex });
+    await this.hands.command('pose.remove', { vertex });
     await this.look();
   }
 
@@ -185,12 +199,12 @@ export class Studio {
   }
 
   private async saveKey(time_s: number): Promise<void> {
-    const answer = await this.command<{ keys: Keys }>('keys.save', { time_s });
+    const answer = await this.hands.command<{ keys: Keys }>('keys.save', { time_s });
     if (answer) {
       this.keys = answer.keys;
       this.key = this.keys.keys.findIndex((entry) => Math.abs(entry.time_s - time_s) < 1e-3);
       this.head_s = time_s;
-      this.tell(text('key_saved', { time: number(time_s, 2) }));
+      this.hands.tell(text('key_saved', { time: number(time_s, 2) }));
     }
     this.draw();
   }
@@ -211,9 +225,9 @@ export class Studio {
     if (chosen) {
       this.head_s = chosen.time_s;
       if (chosen.frame === undefined) {
-        await this.command('pose.set', { controls: chosen.controls ?? [] });
+        await this.hands.command('pose.set', { controls: chosen.controls ?? [] });
       } else {
-        await this.command('studio.seek', { what: 'keys', time_s: chosen.time_s });
+        await this.hands.command('studio.seek', { what: 'keys', time_s: chosen.time_s });
       }
     }
     await this.look();
@@ -229,7 +243,7 @@ export class Studio {
   }
 
   private async storeKeys(): Promise<void> {
-    if (!(await this.command('keys.set', { keys: this.keys.keys.length > 0 ? this.keys : null }))) {
+    if (!(await this.hands.command('keys.set', { keys: this.keys.keys.length > 0 ? this.keys : null }))) {
       await this.loadKeys();
     }
     this.draw();
@@ -237,11 +251,11 @@ export class Studio {
 
   private async play(): Promise<void> {
     if (this.status?.state === 'playing') {
-      await this.command('studio.pause');
+      await this.hands.command('studio.pause');
     } else {
       const what = this.posing ? 'keys' : 'take';
       const end_s = what === 'keys' ? this.keys.keys.at(-1)?.time_s ?? 0 : this.status?.duration_s ?? 0;
-      await this.command('studio.play', { what, from_s: this.head_s < end_s - 0.05 ? Math.max(0, this.head_s) : 0 });
+      await this.hands.command('studio.play', { what, from_s: this.head_s < end_s - 0.05 ? Math.max(0, this.head_s) : 0 });
     }
     await this.look();
   }
@@ -268,7 +282,7 @@ export class Studio {
         break;
       } catch (error) {
         if (!(error instanceof Error) || !/exist|there already/.test(error.message)) {
-          this.tell(text('studio_failed'), error instanceof Error ? error.message : '');
+          this.hands.tell(text('studio_failed'), error instanceof Error ? said(error.message) : '');
           break;
         }
       }
@@ -278,18 +292,13 @@ export class Studio {
 
   // ---- what is seen ----------------------------------------------------------------------------------------
 
-  /** A size, so that the face stands above what covers its foot. */
-  private fitFace(): void {
-    this.view.footer_px = this.isOpen ? element('controls').offsetHeight : 110;
-  }
-
   draw(): void {
     const open = this.isOpen;
     const { status } = this;
     element('studio').hidden = !open;
     document.body.toggleAttribute('data-studio', open);
-    this.view.pressed = open && this.posing ? (vertex) => this.press(vertex) : null;
-    this.fitFace();
+    const mayPose = open && this.posing && this.hands.mayCommand();
+    this.view.pressed = mayPose ? (vertex) => this.press(vertex) : null;
     this.drawHandles();
     if (!open || !status) {
       return;
@@ -300,21 +309,27 @@ export class Studio {
     const words: Record<string, string> = {
       opening: text('studio_opening', { part: percent }), preparing: text('studio_preparing'), exporting: text('studio_exporting', { part: percent }) };
     const standing = status.shown !== 'pose' ? text('studio_playing', { time: number(status.time_s, 1), total: number(end_s, 1) })
-      : this.points.length === 0 ? text('studio_pose') : text('studio_points', { count: this.points.length, latency: number(status.latency_ms.mean, 1) });
+      : this.points.length === 0 ? text('studio_pose') : text(this.points.length === 1 ? 'studio_point' : 'studio_points', {
+          count: this.points.length, latency: number(status.latency_ms.mean, 1) });
     const missed = this.points.find((point) => point.missed !== '')?.missed;
     this.setText('studio-take', status.take);
     element('studio-take').title = status.take;
-    this.setText('studio-state', words[status.state] ?? (status.shown === 'pose' && missed ? `${standing} · ${missed}` : standing));
+    this.setText('studio-state', words[status.state]
+      ?? (status.shown === 'pose' && missed ? `${standing} · ${said(missed)}` : standing));
     this.setText('studio-play', text(status.state === 'playing' ? 'pause' : 'play'));
-    element<HTMLButtonElement>('studio-play').disabled = this.posing && this.keys.keys.length === 0;
     for (const id of ['key-add', 'key-update', 'key-delete', 'point-remove', 'regions', 'export']) {
       element(id).hidden = !this.posing;
     }
-    element<HTMLButtonElement>('key-add').disabled = !ready;
-    element<HTMLButtonElement>('key-update').disabled = element<HTMLButtonElement>('key-delete').disabled = this.key < 0;
-    element<HTMLButtonElement>('point-remove').disabled = this.chosen < 0;
     this.setText('export', text(this.atWork() ? 'cancel' : 'export'));
-    element<HTMLButtonElement>('export').disabled = this.keys.keys.length === 0;
+    const may = this.hands.mayCommand();
+    const noKeys = this.keys.keys.length === 0;
+    const useless: Record<string, boolean> = {
+      'studio-close': false, 'studio-play': this.posing && noKeys, 'key-add': !ready, 'key-update': this.key < 0,
+      'key-delete': this.key < 0, 'point-remove': this.chosen < 0, export: noKeys };
+    for (const [id, isUseless] of Object.entries(useless)) {
+      element<HTMLButtonElement>(id).disabled = isUseless || !may;
+      element(id).title = may ? '' : text('needs_token');
+    }
     element('regions').setAttribute('aria-pressed', String(this.showRegions));
     element('track').style.setProperty('--seconds', String(Math.max(1, Math.round(this.length_s))));
     element('head').style.left = `${(100 * Math.min(1, this.head_s / this.length_s)).toFixed(2)}%`;
@@ -368,6 +383,7 @@ export class Studio {
         place.append(handle);
       }
       handle.className = `handle${point.vertex === this.chosen ? ' chosen' : ''}${point.missed.startsWith('missed') ? ' missed' : ''}`;
+      handle.disabled = !this.hands.mayCommand();
       handle.style.setProperty('--colour', point.colour || '#7fd6c8');
       handle.setAttribute('aria-label', text('point_label', { number: i + 1 }));
     });
@@ -377,7 +393,7 @@ export class Studio {
   /** Places that people call by name: where a point is likely to be wanted. */
   private drawHints(): void {
     const place = element('hints');
-    const open = this.isOpen && this.posing && this.status?.shown === 'pose';
+    const open = this.isOpen && this.posing && this.status?.shown === 'pose' && this.hands.mayCommand();
     const wanted = open ? Object.entries(this.status!.places).filter(([, vertex]) => !this.points.some((point) => point.vertex === vertex)) : [];
     place.setAttribute('aria-label', text('hints'));
     const now = wanted.map(([name]) => name).join();
@@ -469,11 +485,14 @@ export class Studio {
       this.head_s = this.timeAt(event);
       const end_s = this.keys.keys.at(-1)?.time_s ?? 0;
       if (!this.posing || (this.keys.keys.length > 0 && this.head_s <= end_s)) {
-        void this.command('studio.seek', { what: this.posing ? 'keys' : 'take', time_s: this.head_s });
+        void this.hands.command('studio.seek', { what: this.posing ? 'keys' : 'take', time_s: this.head_s });
       }
       this.draw();
     };
     line.addEventListener('pointerdown', (event) => {
+      if (!this.hands.mayCommand()) {
+        return;
+      }
       const key = (event.target as HTMLElement).dataset.key;
       line.setPointerCapture(event.pointerId);
       moved = false;
@@ -508,7 +527,7 @@ export class Studio {
     line.addEventListener('pointercancel', end);
     line.addEventListener('keydown', (event) => {
       const key = (event.target as HTMLElement).dataset.key;
-      if (key === undefined) {
+      if (key === undefined || !this.hands.mayCommand()) {
         return;
       }
       const step_s = event.key === 'ArrowLeft' ? -kKeyStep_s : event.key === 'ArrowRight' ? kKeyStep_s : 0;
@@ -525,7 +544,7 @@ export class Studio {
 
   private listen(): void {
     const click = (id: string, action: () => Promise<void> | void) => element(id).addEventListener('click', () => { void action(); });
-    click('studio-close', async () => { await this.command('studio.close'); await this.look(); });
+    click('studio-close', async () => { await this.hands.command('studio.close'); await this.look(); });
     click('studio-play', () => this.play());
     click('key-add', () => this.saveKey(this.timeOfNext()));
     click('key-update', () => this.saveKey(this.keys.keys[this.key].time_s));

@@ -28,6 +28,13 @@ export function stateText(state: string): string {
   return key in en ? text(key as Key) : state;
 }
 
+/** A value of the expression in words; one without words of its own is its name, taken apart. */
+export function valueText(name: string): string {
+  const key = `value_${name}`;
+  const apart = () => name.replace(/_/g, ' ').replace(/([a-z])([A-Z])/g, '$1 $2').toLowerCase();
+  return key in en ? text(key as Key) : apart();
+}
+
 export function number(value: number, digits = 0): string {
   return value.toLocaleString(language, { minimumFractionDigits: digits, maximumFractionDigits: digits });
 }
@@ -44,4 +51,9 @@ export function duration(seconds: number): string {
 export function dateTime(utc: string): string {
   const date = new Date(utc);
   return Number.isNaN(date.getTime()) ? utc : date.toLocaleString(language, { month: 'short', day: 'numeric', hour: 'numeric', minute: '2-digit' });
+}
+
+/** What the daemon says, which it says in English. */
+export function said(words: string): string {
+  return words === '' ? '' : text('said', { words });
 }
