@@ -61,6 +61,7 @@ std::string with_key(const std::string& keys, double time_s,
   root["keys"] = std::move(kept);
   root["whole"] = options.whole;
   root["beyond"] = options.beyond;
+  root.erase("clamp");  // the old spelling
   return root.dump(1);
 }
 
