@@ -6,7 +6,6 @@
 #include <array>
 #include <csetjmp>
 #include <cstdio>
-#include <cstdlib>
 #include <cstring>
 #include <type_traits>
 #include <utility>
@@ -406,10 +405,7 @@ class JpegWriter {
     errors_.output_message = say_nothing;
     picture_.client_data = this;
   }
-  ~JpegWriter() {
-    jpeg_destroy_compress(&picture_);
-    std::free(bytes_);
-  }
+  ~JpegWriter() { jpeg_destroy_compress(&picture_); }
   JpegWriter(const JpegWriter&) = delete;
   JpegWriter& operator=(const JpegWriter&) = delete;
 
@@ -420,7 +416,10 @@ class JpegWriter {
       return false;
     }
     jpeg_create_compress(&picture_);
-    jpeg_mem_dest(&picture_, &bytes_, &size_);
+    target_.init_destination = begin;
+    target_.empty_output_buffer = grow;
+    target_.term_destination = end;
+    picture_.dest = &target_;
     picture_.image_width = width_px;
     picture_.image_height = height_px;
     picture_.input_components = channels;
@@ -439,7 +438,7 @@ class JpegWriter {
   }
 
   std::string failure() const { return failure_.text(); }
-  std::vector<std::uint8_t> take() const { return {bytes_, bytes_ + size_}; }
+  std::vector<std::uint8_t> take() { return std::move(bytes_); }
 
  private:
   [[noreturn]] static void jump(j_common_ptr picture) {
@@ -451,10 +450,34 @@ class JpegWriter {
   }
   static void say_nothing(j_common_ptr) {}
 
+  /// More room behind what is written.
+  void give_room(std::size_t written) {
+    constexpr std::size_t kLeast = std::size_t{64} << 10;
+    try {
+      bytes_.resize(std::max(kLeast, 2 * written));
+      target_.next_output_byte = bytes_.data() + written;
+      target_.free_in_buffer = bytes_.size() - written;
+      return;
+    } catch (const std::bad_alloc&) {
+      failure_.set("out of memory");
+    }
+    std::longjmp(escape_, 1);
+  }
+  static void begin(j_compress_ptr picture) { static_cast<JpegWriter*>(picture->client_data)->give_room(0); }
+  static boolean grow(j_compress_ptr picture) {
+    auto& self = *static_cast<JpegWriter*>(picture->client_data);
+    self.give_room(self.bytes_.size());
+    return TRUE;
+  }
+  static void end(j_compress_ptr picture) {
+    auto& self = *static_cast<JpegWriter*>(picture->client_data);
+    self.bytes_.resize(self.bytes_.size() - self.target_.free_in_buffer);
+  }
+
   jpeg_error_mgr errors_{};
+  jpeg_destination_mgr target_{};
   jpeg_compress_struct picture_{};
-  unsigned char* bytes_ = nullptr;  ///< the library's, by malloc
-  unsigned long size_ = 0;          ///< NOLINT(google-runtime-int): the library's type
+  std::vector<std::uint8_t> bytes_;
   std::jmp_buf escape_{};
   Failure failure_;
 };

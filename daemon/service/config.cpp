@@ -1,5 +1,6 @@
 #include "service/config.hpp"
 
+#include <arpa/inet.h>
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -417,7 +418,12 @@ bool same_listener(const std::string& one, const std::string& other) {
 
 /// Whether an address of "ADDRESS:PORT" is this machine's own alone.
 bool is_loopback(const std::string& host) {
-  return host == "localhost" || host == "::1" || host.starts_with("127.");
+  in_addr four{};
+  in6_addr six{};
+  constexpr std::uint32_t kLoopbackNet = 127;
+  return host == "localhost" ||
+         (::inet_pton(AF_INET, host.c_str(), &four) == 1 && ntohl(four.s_addr) >> 24U == kLoopbackNet) ||
+         (::inet_pton(AF_INET6, host.c_str(), &six) == 1 && IN6_IS_ADDR_LOOPBACK(&six));
 }
 
 void read_web(Section section, Section& expert, const MetricsConfig& metrics, WebConfig& web) {

@@ -79,7 +79,7 @@ std::shared_ptr<const Packet> Broadcast::frame_packet(const Subscription& subscr
   if (made != frame_packets_.end()) {
     return made->packet;
   }
-  const auto message = packet(encoder_.frame(*current_, subscription.profile, pixels));
+  auto message = packet(encoder_.frame(*current_, subscription.profile, pixels));
   statistics_.encoded_bytes += message->bytes.size();
   frame_packets_.push_back({subscription.profile, pixels, message});
   return message;

@@ -70,7 +70,8 @@ struct Subscription {
   bool want_images = false;
   /// Newest layout of a shared-memory ring that the client reads (ring_layout.h); 0: frames over the socket.
   std::uint32_t ring_version = 0;
-  /// Longest side of the pictures that are wanted: larger ones come smaller, by a whole number; 0: as they are.
+  /// Longest side of the pictures that are wanted: larger ones come smaller, by a whole number; 0: as they
+  /// are.
   std::uint16_t longest_image_px = 0;
 };
 

@@ -315,6 +315,8 @@ void Studio::Impl::play_on() {
   if (time_s >= session->duration_s(what)) {
     session->playing.reset();
     set_state(StudioState::Ready);
+    const Lock lock(mutex);
+    last_asked = now;
     return;
   }
   session->next_due = now + session->step_after(time_s);
@@ -361,7 +363,6 @@ void Studio::Impl::export_keys(const std::filesystem::path& file) {
   shown.state = StudioState::Ready;
   shown.reason.clear();
   shown.exported = file;
-  last_asked = Clock::now();
 }
 
 /// A take that is no longer what it was ends the session; whatever else fails stands in the status.
@@ -411,14 +412,20 @@ bool Studio::Impl::work_once() {
   if (wish) {
     cancelled = false;
     const Wish what = *std::exchange(wish, std::nullopt);
-    return unlocked([&] { do_wish(what); });
+    unlocked([&] { do_wish(what); });
+    last_asked = Clock::now();  // it may have taken longer than the lease
+    return true;
   }
   if (!export_to.empty()) {
     cancelled = false;
     const std::filesystem::path file = std::exchange(export_to, {});
-    return unlocked([&] { export_keys(file); });
+    unlocked([&] { export_keys(file); });
+    last_asked = Clock::now();
+    return true;
   }
-  if (lease > lease.zero() && now >= last_asked + lease) {
+  // What plays once is watched to its end; what loops is not.
+  const bool watched = session->playing && !session->loop;
+  if (lease > lease.zero() && !watched && now >= last_asked + lease) {
     const std::string why = fmt::format("nobody wanted anything of take {} for {} s: the live face is back",
                                         shown.take, lease.count());
     return unlocked([&] { close_session(why); });
@@ -528,7 +535,8 @@ void Studio::keep() {
   impl_->last_asked = Clock::now();
 }
 
-std::uint64_t Studio::set_controls(const std::vector<animate::KeyControl>& controls, bool whole, bool beyond) {
+std::uint64_t Studio::set_controls(const std::vector<animate::KeyControl>& controls, bool whole,
+                                   bool beyond) {
   const Lock lock(impl_->mutex);
   std::vector<animate::ControlTarget> targets;
   targets.reserve(controls.size());

@@ -178,7 +178,8 @@ TEST_F(BridgeTest, AHostIsFoundByItsNameOrTold) {
   const Receiver receiver;
   BridgeTarget local = receiver.target(BridgeProtocol::Vmc);
   local.address = "localhost";
-  const BridgeTarget nowhere{BridgeProtocol::Vmc, std::string(64, 'a'), 39539};  // no part of a name is so long
+  const BridgeTarget nowhere{BridgeProtocol::Vmc, std::string(64, 'a'),
+                             39539};  // no part of a name is so long
   Bridge bridge(config({local, nowhere}));
   EXPECT_EQ(bridge.status().targets.at(0).reason, "");
   EXPECT_THAT(bridge.status().targets.at(1).reason, HasSubstr("no address of the host 'aaa"));

@@ -345,8 +345,13 @@ TEST_F(DaemonWithAssets, RecordsOnCommand) {
   const take::TakeReader reader(folder_.path() / "takes/first.take");
   EXPECT_TRUE(reader.info().closed);
   EXPECT_EQ(reader.frame_count(), take["frames"].get<std::int64_t>());
+  EXPECT_GT(reader.info().picture_bytes, 0U) << "a paced video is looked at as a camera";
   for (const auto& entry : std::filesystem::directory_iterator(folder_.path() / "takes")) {
-    EXPECT_EQ(entry.path().extension(), ".take") << "takes are closed, nothing is left beside them";
+    if (entry.is_directory()) {
+      EXPECT_EQ(entry.path().extension(), ".frames");
+      continue;
+    }
+    EXPECT_EQ(entry.path().extension(), ".take") << "takes are closed, nothing but pictures is beside them";
     EXPECT_TRUE(take::TakeReader(entry.path()).info().closed);
   }
 }

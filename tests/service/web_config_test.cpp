@@ -30,7 +30,8 @@ std::string error_of(const std::string& text) {
 }
 
 TEST(WebConfig, OthersReachThePageOnlyWhereThatIsMeant) {
-  for (const std::string address : {"0.0.0.0:80", "[::]:80", "192.168.0.7:80", "booth.example.org:80"}) {
+  for (const std::string address :
+       {"0.0.0.0:80", "[::]:80", "192.168.0.7:80", "booth.example.org:80", "127.example.org:80"}) {
     EXPECT_THAT(error_of(listening(address)), AllOf(StartsWith("/etc/facet/facet.toml:2: web.listen: "),
                                                     HasSubstr("add public = true if that is meant")))
         << address;

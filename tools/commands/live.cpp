@@ -2,11 +2,15 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
+#include <netinet/in.h>
 #include <sys/random.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <array>
 #include <cerrno>
+#include <cstdint>
 #include <cstdlib>
 #include <cstring>
 #include <filesystem>
@@ -95,23 +99,43 @@ std::string source_section(const LiveOptions& options) {
   return section;
 }
 
-/// For sockets and the page's token, this user's alone: it goes with the session.
-std::filesystem::path own_folder() {
+/// For sockets and the page's token: it goes with the session.
+std::filesystem::path session_folder() {
   const char* runtime = std::getenv("XDG_RUNTIME_DIR");
   const std::filesystem::path parent = runtime != nullptr && *runtime != '\0'
                                            ? std::filesystem::path(runtime)
                                            : std::filesystem::temp_directory_path();
-  std::filesystem::path folder = parent / fmt::format("facet-live-{}", ::getuid());
-  std::error_code error;
-  if (std::filesystem::is_symlink(folder, error)) {
-    throw Error(ErrorKind::Storage, fmt::format("'{}' is a link: remove it", folder.string()));
+  return parent / fmt::format("facet-live-{}", ::geteuid());
+}
+
+/// Makes the folder, or takes one that is this user's alone: in a folder that all may write to, somebody else
+/// may have been first.
+void make_own(const std::filesystem::path& folder) {
+  if (::mkdir(folder.c_str(), 0700) != 0 && errno != EEXIST) {
+    throw Error(ErrorKind::Storage,
+                fmt::format("cannot make '{}': {}", folder.string(), std::strerror(errno)));
   }
-  std::filesystem::create_directory(folder, error);
-  std::filesystem::permissions(folder, std::filesystem::perms::owner_all, error);
-  if (error) {
-    throw Error(ErrorKind::Storage, fmt::format("cannot use '{}': {}", folder.string(), error.message()));
+  struct stat is {};
+  if (::lstat(folder.c_str(), &is) != 0 || !S_ISDIR(is.st_mode) || is.st_uid != ::geteuid() ||
+      (is.st_mode & 077) != 0) {
+    throw Error(ErrorKind::Storage,
+                fmt::format("'{}' is no folder of yours alone: remove it", folder.string()));
   }
-  return folder;
+}
+
+/// Whether something answers there already: its page would be taken for ours.
+bool is_taken(int port) {
+  const int probe = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  address.sin_port = htons(static_cast<std::uint16_t>(port));
+  const bool answered =
+      probe >= 0 && ::connect(probe, reinterpret_cast<const sockaddr*>(&address), sizeof(address)) == 0;
+  if (probe >= 0) {
+    ::close(probe);
+  }
+  return answered;
 }
 
 /// Everything that the daemon would keep lies in the session's folder, but for the takes.
@@ -149,7 +173,7 @@ std::string new_token() {
 /// Becomes facetd.
 void run_live(const LiveOptions& options) {
   const std::string facetd = program("facetd").string();
-  const std::filesystem::path folder = own_folder();
+  const std::filesystem::path folder = session_folder();
   const std::filesystem::path takes =
       std::filesystem::absolute(options.takes.empty() ? "facet-takes" : options.takes).lexically_normal();
   const std::filesystem::path token_file = folder / "web-token";
@@ -159,6 +183,13 @@ void run_live(const LiveOptions& options) {
     tell("{}", text);
     return;
   }
+  if (is_taken(options.port)) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("something answers on port {} already, maybe another facetd: end it, or choose "
+                            "another with --port",
+                            options.port));
+  }
+  make_own(folder);
   files::make_folder(takes);
   const std::string token = new_token();
   write(token_file, token + "\n");

@@ -318,7 +318,7 @@ void run_monocular(const Options& options) {
     config.pipeline.views = views_of(options);
   }
   const StopSignals signals;
-  const bool of_take = is_take(options.input);
+  const bool of_take = is_take(options.input) || !options.cameras.empty();
   pipeline::OpenPictures open;
   if (of_take) {
     open = options.cameras.empty() ? own_pictures_of_take(options, config.pipeline.frames)

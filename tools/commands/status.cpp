@@ -54,7 +54,9 @@ void print_studio(const json& studio) {
   const std::string take = studio["take"];
   const std::string reason = studio["reason"];
   if (take.empty()) {
-    tell("studio        closed: {}\n", reason);
+    if (!reason.empty()) {
+      tell("studio        closed: {}\n", reason);
+    }
     return;
   }
   const auto lease_s = studio.value("lease_s", 0);

@@ -57,7 +57,9 @@ void open(const DaemonOptions& daemon, const OpenOptions& options) {
   } while (studio["state"] == "opening");
   progress.finish();
   if (studio["take"] != options.take) {
-    throw Error(ErrorKind::Usage, studio["reason"].get<std::string>());
+    const std::string reason = studio["reason"];
+    throw Error(ErrorKind::Usage,
+                reason.empty() ? "another client closed it, or opened another take" : reason);
   }
   if (options.replay) {
     call_daemon(daemon, "studio.play", {{"what", "take"}, {"loop", options.loop}});

@@ -15,7 +15,7 @@ const kKeyStep_s = 0.1;
 const kPointStep_mm = 1;
 const kLook_ms = 200;
 /** The daemon lets go of the take so long after the last word of this page, which says one more often. */
-const kLease_s = 60;
+const kLease_s = 180;
 const kKeep_ms = 10_000;
 
 interface Point {
@@ -48,7 +48,6 @@ export class Studio {
   private dragging = false;
   private exported = '';
   private lastState = '';
-  private opener = false; // this page opened what is open
 
   constructor(private readonly view: FaceView, private readonly control: ControlConnection,
               private readonly hands: StudioHands) {
@@ -56,7 +55,7 @@ export class Studio {
     this.listen();
     window.setInterval(() => { if (this.isOpen) void this.look(); }, kLook_ms);
     // Where this page goes away nobody asks any more, and the live face comes back.
-    window.setInterval(() => { if (this.isOpen && this.opener) void this.control.call('studio.keep').catch(() => {}); }, kKeep_ms);
+    window.setInterval(() => { if (this.isOpen && this.hands.mayCommand()) void this.control.call('studio.keep').catch(() => {}); }, kKeep_ms);
   }
 
   get isOpen(): boolean {
@@ -68,7 +67,6 @@ export class Studio {
 
   async open(take: string, pose: boolean): Promise<void> {
     if (await this.hands.command('studio.open', { take, pose, lease_s: kLease_s })) {
-      this.opener = true;
       await this.look();
     }
   }
@@ -84,7 +82,6 @@ export class Studio {
     const wasOpen = this.isOpen;
     this.status = status;
     if (wasOpen && !this.isOpen) {
-      this.opener = false;
       this.points = [];
       this.keys = { keys: [] };
       this.key = this.chosen = -1;
