@@ -24,7 +24,8 @@ TEST(JpegRecords, APictureComesBackNearlyAsItWas) {
     auto pixels = std::make_shared<std::uint8_t[]>(picture.stride_bytes * kHeight_px, std::uint8_t{255});
     for (int y = 0; y < kHeight_px; ++y) {
       for (int x = 0; x < kWidth_px; ++x) {
-        std::uint8_t* rgb = pixels.get() + static_cast<std::size_t>(y) * picture.stride_bytes + 4 * x;
+        std::uint8_t* rgb = pixels.get() + static_cast<std::size_t>(y) * picture.stride_bytes +
+                            std::size_t{4} * static_cast<std::size_t>(x);
         rgb[0] = static_cast<std::uint8_t>(x + 40);
         rgb[1] = grey ? rgb[0] : static_cast<std::uint8_t>(y + 60);
         rgb[2] = grey ? rgb[0] : std::uint8_t{90};
@@ -35,7 +36,7 @@ TEST(JpegRecords, APictureComesBackNearlyAsItWas) {
     ASSERT_TRUE(PictureWriter(PictureCoding::Jpeg).append(set, 5, records));
     FrameSet got = set;
     got.frames[0].pixels = nullptr;
-    got.frames[0].stride_bytes = 4 * kWidth_px;
+    got.frames[0].stride_bytes = std::size_t{4} * kWidth_px;
     PictureReader().read(records, 5, got);
     int worst = 0;
     for (int y = 0; y < kHeight_px; ++y) {
