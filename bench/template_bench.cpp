@@ -25,6 +25,7 @@
 #include "face/face_model.hpp"
 #include "facet/error.hpp"
 #include "fit/fine_surface.hpp"
+#include "fit/first_shape.hpp"
 #include "fit/skin_tracker.hpp"
 #include "fit/template_mesh.hpp"
 #include "gpu/context.hpp"
@@ -335,9 +336,7 @@ class Course {
                                       : nullptr),
         followers_(static_cast<std::size_t>(surface_->vertex_count())),
         distance_heat_(followers_.size()),
-        drift_heat_(followers_.size()) {
-    model_.evaluate({}, {}, control_mm_);
-  }
+        drift_heat_(followers_.size()) {}
 
   void run() {
     for (int m = 0; m < options_.meshes; ++m) {
@@ -396,7 +395,8 @@ class Course {
             {anchor, at + Eigen::Vector3d(noise(random), noise(random), noise(random))});
       }
     }
-    fit::Placement placed = fit::place(*surface_, control_mm_, correspondences);
+    fit::Placement placed =
+        fit::place(*surface_, fit::find_first_shape(model_, correspondences), correspondences);
     fmt::print("placed by {} landmarks, rms {:.2f} mm\n", correspondences.size(), placed.rms_mm);
     return placed;
   }
@@ -627,7 +627,6 @@ class Course {
   std::unique_ptr<bench::StereoDepth> depth_;  ///< null: depth is the truth's
   bench::Footage footage_;
   std::unique_ptr<FineLevels> fine_;
-  mesh::Vertices control_mm_;
   std::vector<Follower> followers_;  ///< [template vertex_count]
   std::vector<float> distance_heat_;
   std::vector<float> drift_heat_;

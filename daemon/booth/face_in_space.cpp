@@ -17,6 +17,9 @@ constexpr int kStride_px = 2;
 constexpr float kMostStep_mm = 6;
 constexpr float kLeastConfidence = 0.3F;
 constexpr double kAgree_mm = 8;
+/// Cosine between a line of sight and the skin's normal: seen at a flatter angle the net puts landmarks on
+/// the outline, or past it.
+constexpr double kLeastFacing = 0.5;
 
 struct Surface {
   mesh::Vertices vertices_mm;  ///< rig frame
@@ -122,8 +125,16 @@ std::vector<fit::Correspondence> landmarks_in_space(std::span<const SeenLandmark
       const Eigen::Vector3d origin = view.lens->centre_mm();
       const Eigen::Vector3d ray = (view.lens->camera_from_rig.linear().transpose() * *direction).normalized();
       const render::Raycaster::Hit hit = caster.first_hit(origin.cast<float>(), ray.cast<float>());
-      if (hit.triangle >= 0) {
-        sights.push_back({origin + static_cast<double>(hit.distance_mm) * ray, confidence});
+      if (hit.triangle < 0) {
+        continue;
+      }
+      const auto corner = [&](int k) {
+        return surface.vertices_mm.col(surface.triangles(k, hit.triangle)).cast<double>().eval();
+      };
+      const Eigen::Vector3d normal = (corner(1) - corner(0)).cross(corner(2) - corner(0)).normalized();
+      const double facing = std::abs(normal.dot(ray));
+      if (facing >= kLeastFacing) {
+        sights.push_back({origin + static_cast<double>(hit.distance_mm) * ray, confidence * facing * facing});
       }
     }
     if (!sights.empty()) {

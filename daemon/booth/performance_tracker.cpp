@@ -17,6 +17,7 @@
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "fit/fine_surface.hpp"
+#include "fit/first_shape.hpp"
 #include "fit/skin_tracker.hpp"
 #include "fit/template_mesh.hpp"
 #include "render/embree.hpp"
@@ -61,7 +62,6 @@ struct PerformanceTracker::Impl {
   std::shared_ptr<const fit::TemplateMesh> surface;
   fit::SkinTracker skin;
   fit::FineSurface fine;
-  mesh::Vertices control_mm;      ///< of the model's mean face, head frame
   Eigen::VectorXd rigid_weights;  ///< [vertex_count] 1 on skin that expressions hardly move
   std::list<View> views;          ///< colour cameras
 
@@ -110,6 +110,7 @@ PerformanceTracker::Impl::Impl(std::shared_ptr<const face::FaceModel> given_mode
       points(std::move(given_points)),
       shading(std::move(given_shading)) {
   render::require_embree();  // for landmarks in space
+  mesh::Vertices control_mm;
   model->evaluate({}, {}, control_mm);
   // Expressions move the upper face little: what lies above the mouth's corners by the neutral face.
   const auto mouth = static_cast<std::size_t>(61);  // the mouth's corner in MediaPipe's order
@@ -122,7 +123,6 @@ PerformanceTracker::Impl::Impl(std::shared_ptr<const face::FaceModel> given_mode
   }
   landmark::LandmarkerConfig landmarks;
   landmarks.smooth = false;
-  landmarks.attends = false;  // depth says more of lips and lids than small pictures do
   for (std::size_t i = 0; i < rig->cameras.size(); ++i) {
     if (rig->cameras[i].colour) {
       views.emplace_back(*rig, i, landmark::Landmarker(assets, landmarks));
@@ -192,7 +192,7 @@ std::string PerformanceTracker::Impl::place(std::uint64_t slot, std::span<const 
   }
   fit::Placement placed;
   try {
-    placed = fit::place(*surface, control_mm, correspondences);
+    placed = fit::place(*surface, fit::find_first_shape(*model, correspondences), correspondences);
   } catch (const Error& error) {
     return error.what();
   }

@@ -185,18 +185,22 @@ TemplateFitReport SkinTracker::start(const Placement& placed, std::span<const ca
   FitOptions options = impl.options.fit;
   options.steps = kPlacingSteps;
   options.cg_iterations = kPlacingCgIterations;
+  // What the face does is known (FirstShape): whatever else depth shows is the person's own.
+  options.knows_expressions = false;
   TemplateFitter first(impl.surface, options);
-  first.set_rest(placed.rest);
-  mesh::Vertices found_mm = placed.rest.vertices_mm;
+  first.set_rest({placed.shown_mm, {}});
+  mesh::Vertices found_mm = placed.shown_mm;
   TemplateFitReport report = first.fit(maps, found_mm);
   if (report.lost) {
     return report;
   }
-  impl.fitter.set_rest({found_mm, placed.rest.expressions_mm});
+  impl.fitter.set_rest({found_mm - (placed.shown_mm - placed.rest.vertices_mm), placed.rest.expressions_mm});
   for (View& view : impl.views) {
     view.reference.reset();
   }
-  return impl.conclude(report, first, std::move(found_mm), pictures);
+  report = impl.conclude(report, first, std::move(found_mm), pictures);
+  impl.expression = placed.expression;
+  return report;
 }
 
 TemplateFitReport SkinTracker::follow(std::span<const capture::DepthMap> maps,
@@ -270,7 +274,7 @@ TemplateFitReport SkinTracker::find_again(const Placement& placed, std::span<con
   Impl& impl = *impl_;
   impl.check(pictures, true);
   impl.fitter.forget();
-  mesh::Vertices found_mm = impl.fitter.shape_like(placed.rest.vertices_mm);
+  mesh::Vertices found_mm = impl.fitter.shape_like(placed.shown_mm);
   TemplateFitReport report = impl.fitter.fit(maps, found_mm);
   for (int pass = 0; pass < kPasses && impl.options.uses_reference && !report.lost; ++pass) {
     const mesh::Vertices drawn_mm = found_mm;

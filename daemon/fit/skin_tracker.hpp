@@ -35,8 +35,8 @@ class SkinTracker {
               const SkinTrackerOptions& options);
   ~SkinTracker();
 
-  /// A new person: fits the template as it was placed; the result is the shape at rest from now on, the
-  /// pictures are what its skin looks like.
+  /// A new person: fits the template as it was placed; the result less the expression that it was placed with
+  /// is the shape at rest from now on, the pictures are what its skin looks like.
   TemplateFitReport start(const Placement& placed, std::span<const capture::DepthMap> maps,
                           std::span<const Frame> pictures);
   /// The slot after. Needs a start.

@@ -8,6 +8,7 @@
 #include <numeric>
 
 #include "facet/error.hpp"
+#include "fit/first_shape.hpp"
 #include "maths/statistics.hpp"
 #include "mesh/hierarchy.hpp"
 
@@ -141,14 +142,14 @@ Eigen::Isometry3d align_rigidly(const Eigen::Ref<const Matrix3Xd>& from,
   return result;
 }
 
-Placement place(const TemplateMesh& surface, const mesh::Vertices& control_mm,
+Placement place(const TemplateMesh& surface, const FirstShape& shape,
                 std::span<const Correspondence> correspondences) {
   const auto count = static_cast<Eigen::Index>(correspondences.size());
   Matrix3Xd from(3, count);
   Matrix3Xd to(3, count);
   for (Eigen::Index i = 0; i < count; ++i) {
     const Correspondence& one = correspondences[static_cast<std::size_t>(i)];
-    from.col(i) = face::FaceModel::anchor_point(one.anchor, control_mm).cast<double>();
+    from.col(i) = face::FaceModel::anchor_point(one.anchor, shape.shown_mm).cast<double>();
     to.col(i) = one.target_mm;
   }
   Placement placed;
@@ -203,12 +204,16 @@ Placement place(const TemplateMesh& surface, const mesh::Vertices& control_mm,
   }
   placed.rms_mm = std::sqrt(distance.cwiseAbs2().dot(weights) / std::max(weights.sum(), 1.0));
   const Matrix3Xd moved = (map.leftCols<3>() * from).colwise() + map.col(3);
-  for (const mesh::Vertices& delta : surface.expressions_mm) {
-    placed.rest.expressions_mm.emplace_back(turned.cast<float>() * delta);
+  mesh::Vertices fine_mm;
+  for (const mesh::Vertices& delta : shape.deltas_mm) {
+    mesh::apply(surface.from_control, delta, fine_mm);
+    placed.rest.expressions_mm.emplace_back(turned.cast<float>() * fine_mm);
   }
-  placed.rest.vertices_mm.resize(3, surface.vertex_count());
+  placed.expression = shape.expression;
+  mesh::apply(surface.from_control, shape.shown_mm, fine_mm);
+  placed.shown_mm.resize(3, surface.vertex_count());
   for (std::int32_t v = 0; v < surface.vertex_count(); ++v) {
-    const Vector3d at = map.leftCols<3>() * surface.neutral_mm.col(v).cast<double>() + map.col(3);
+    const Vector3d at = map.leftCols<3>() * fine_mm.col(v).cast<double>() + map.col(3);
     Vector3d sum = Vector3d::Zero();
     double total = 1e-3;  // far from all landmarks nothing is added
     for (Eigen::Index i = 0; i < count; ++i) {
@@ -217,8 +222,10 @@ Placement place(const TemplateMesh& surface, const mesh::Vertices& control_mm,
       sum += near * (to.col(i) - moved.col(i));
       total += near;
     }
-    placed.rest.vertices_mm.col(v) = (at + sum / total).cast<float>();
+    placed.shown_mm.col(v) = (at + sum / total).cast<float>();
   }
+  mesh::apply(surface.from_control, shape.shown_mm - shape.neutral_mm, fine_mm);
+  placed.rest.vertices_mm = placed.shown_mm - turned.cast<float>() * fine_mm;
   return placed;
 }
 

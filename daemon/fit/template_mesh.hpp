@@ -44,9 +44,13 @@ struct RestShape {
   std::vector<mesh::Vertices> expressions_mm;  ///< [expression_count] of [3][vertex_count]; may be empty
 };
 
+struct FirstShape;
+
 /// How the template was brought to its correspondences.
 struct Placement {
   RestShape rest;
+  mesh::Vertices shown_mm;           ///< [3][vertex_count] with the expression that the correspondences show
+  Eigen::VectorXd expression;        ///< [expression_count] that expression, 0 to 1
   double rms_mm = 0;                 ///< of the correspondences that agree, after the affine map
   std::vector<std::uint8_t> agrees;  ///< [correspondence_count] 0: counted as wrong and left out
 };
@@ -55,9 +59,9 @@ struct Placement {
 /// towards it, then what is left spread by normalised radial basis functions. Correspondences that lie far
 /// off what most agree on (more than 4 times the median distance, and 10 mm) are left out.
 ///
-/// control_mm  [3][control vertex_count] the model in the head frame, from which the anchors are taken
+/// shape  whose shown_mm the correspondences are of; its expression is taken away again for the rest shape
 /// Throws Error(UnreadableInput) with fewer than 6 correspondences that agree, or where they lie on a line.
-Placement place(const TemplateMesh& surface, const mesh::Vertices& control_mm,
+Placement place(const TemplateMesh& surface, const FirstShape& shape,
                 std::span<const Correspondence> correspondences);
 
 /// The rotation and translation that bring `from` to `to`, both [3][count], least squares with weights

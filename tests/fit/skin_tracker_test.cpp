@@ -73,6 +73,12 @@ mesh::Vertices performance(int slot) {
   return Eigen::AngleAxisf(0.02F * time, Vector3f::UnitY()).toRotationMatrix() * vertices_mm;
 }
 
+/// Nobody does anything.
+void at_rest(Placement& placed) {
+  placed.shown_mm = placed.rest.vertices_mm;
+  placed.expression = Eigen::VectorXd::Zero(std::ssize(placed.rest.expressions_mm));
+}
+
 /// The template where landmarks put it: off by some mm.
 Placement placed_at(const mesh::Vertices& truth_mm) {
   Placement placed;
@@ -82,6 +88,7 @@ Placement placed_at(const mesh::Vertices& truth_mm) {
     placed.rest.vertices_mm.col(v) +=
         1.2F * Vector3f(std::sin(0.7F * static_cast<float>(v)), std::cos(1.1F * static_cast<float>(v)), 0.3F);
   }
+  at_rest(placed);
   return placed;
 }
 
@@ -89,6 +96,7 @@ Placement placed_at(const mesh::Vertices& truth_mm) {
 Placement placed_well() {
   Placement placed;
   placed.rest = rest();
+  at_rest(placed);
   return placed;
 }
 

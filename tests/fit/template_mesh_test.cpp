@@ -7,6 +7,7 @@
 #include <random>
 
 #include "facet/error.hpp"
+#include "fit/first_shape.hpp"
 #include "support/synthetic_model.hpp"
 
 namespace facet::fit {
@@ -65,7 +66,7 @@ TEST(Place, FollowsASimilarityAndSpreadsWhatIsLeft) {
   const auto moved = [&](const Vector3d& at) {
     return Vector3d(1.07 * (turn * at) + Vector3d(12, -30, 900));
   };
-  const Placement placed = place(surface, control_vertices(), correspondences(moved));
+  const Placement placed = place(surface, mean_shape(model()), correspondences(moved));
   EXPECT_LT(placed.rms_mm, 1e-3);
   for (std::int32_t v = 0; v < surface.vertex_count(); v += 7) {
     EXPECT_LT(
@@ -84,7 +85,7 @@ TEST(Place, FollowsASimilarityAndSpreadsWhatIsLeft) {
   const auto nosed = [&](const Vector3d& at) {
     return moved(at + Vector3d(0, 0, 6 * std::exp(-(at - Vector3d(0, -28, 50)).squaredNorm() / 800)));
   };
-  const Placement spread = place(surface, control_vertices(), correspondences(nosed));
+  const Placement spread = place(surface, mean_shape(model()), correspondences(nosed));
   double worst = 0;
   for (std::int32_t v = 0; v < surface.vertex_count(); ++v) {
     const Vector3d at = surface.neutral_mm.col(v).cast<double>();
@@ -107,7 +108,7 @@ TEST(Place, WrongLandmarksAreLeftOut) {
       all[i].target_mm += Vector3d(60, -45, 80);
     }
   }
-  const Placement placed = place(surface, control_vertices(), all);
+  const Placement placed = place(surface, mean_shape(model()), all);
   for (std::size_t i = 0; i < all.size(); ++i) {
     EXPECT_EQ(placed.agrees[i], i % 5 == 0 ? 0 : 1) << i;
   }
@@ -123,11 +124,11 @@ TEST(Place, SaysWhatIsMissing) {
   const TemplateMesh surface = make_template(model(), 1);
   std::vector<Correspondence> all = correspondences([](const Vector3d& at) { return at; });
   all.resize(5);
-  EXPECT_THAT([&] { place(surface, control_vertices(), all); },
+  EXPECT_THAT([&] { place(surface, mean_shape(model()), all); },
               ::testing::ThrowsMessage<Error>(
                   ::testing::HasSubstr("5 of 5 landmarks agree with each other, at least 6 must")));
   std::vector<Correspondence> line(12, all.front());
-  EXPECT_THAT([&] { place(surface, control_vertices(), line); },
+  EXPECT_THAT([&] { place(surface, mean_shape(model()), line); },
               ::testing::ThrowsMessage<Error>(::testing::HasSubstr("lie on a line")));
 }
 
