@@ -60,8 +60,10 @@ nlohmann::json call_daemon(const DaemonOptions& options, const std::string& meth
   if (socket.empty()) {
     socket = config_of(options.config).control.socket;
   }
-  // A slow disk may take its time for the beginning and the end of a take; all else is answered at once.
-  const bool waits_for_disk = method.starts_with("record.") || method.starts_with("person.");
+  // A slow disk may take its time for the beginning and the end of a take, and for what is changed in the
+  // takes' folder; all else is answered at once.
+  const bool waits_for_disk = method.starts_with("record.") || method.starts_with("person.") ||
+                              (method.starts_with("takes.") && method != "takes.list");
   return service::ControlClient(socket, std::chrono::seconds(waits_for_disk ? 60 : 10)).call(method, params);
 }
 

@@ -589,15 +589,24 @@ const facet_frame* facet_client_frame(const facet_client* client) {
   return client->has_frame ? &client->frame : NULL;
 }
 
-float facet_client_expression(const facet_client* client, const char* name) {
+/* values: [expression_count] of the frame, where it has a face. */
+static float value_of(const facet_client* client, const float* values, const char* name) {
   if (client->has_frame && client->frame.subject_id != 0) {
     for (size_t k = 0; k < client->frame.expression_count; ++k) {
       if (strcmp(client->subject.names[k], name) == 0) {
-        return client->frame.expression[k];
+        return values[k];
       }
     }
   }
   return NAN;
+}
+
+float facet_client_expression(const facet_client* client, const char* name) {
+  return value_of(client, client->frame.expression, name);
+}
+
+float facet_client_avatar_value(const facet_client* client, const char* name) {
+  return value_of(client, client->frame.avatar_values, name);
 }
 
 const facet_subject* facet_client_subject(const facet_client* client) {

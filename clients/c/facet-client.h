@@ -96,7 +96,21 @@ typedef struct facet_frame {
   const uint8_t* expression_confidence; /* [expression_count] 255 is 1: how far a value can be believed; NULL:
                                            not known */
   int32_t origin;                       /* FACET_LIVE ... */
+
+  const float* avatar_values; /* [expression_count] 0 to 1: what an avatar is to be moved by: expression
+                                 counted from the person's neutral pose and tuned by name, where the server
+                                 knows one; else expression itself */
+  float
+      upright_position_m[3]; /* where the head is: x to the picture's right, y up, z towards the camera, m */
+  float upright_rotation[4]; /* x y z w of the unit quaternion that turns the head frame into these axes */
 } facet_frame;
+
+/* The triangles of one level of detail: over the first vertex_count vertices of the finest mesh. */
+typedef struct facet_level {
+  uint32_t vertex_count;
+  uint32_t triangle_count;
+  const uint32_t* triangles; /* [triangle_count][3] counter-clockwise from outside */
+} facet_level;
 
 /* What does not change from frame to frame. */
 typedef struct facet_subject {
@@ -113,6 +127,8 @@ typedef struct facet_subject {
   const char* person;               /* whose enrolled shape is followed; NULL: nobody was named */
   const float* neutral_mm;          /* [control_vertex_count][3] the face at rest, head frame; NULL: it is the
                                        model's of this identity, or not FACET_DISPLACEMENTS */
+  const facet_level* levels;        /* [level_count] coarse to fine; the last is the finest */
+  uint32_t level_count;             /* 0 with FACET_SIGNALS */
 } facet_subject;
 
 typedef struct facet_albedo {
@@ -172,6 +188,8 @@ FACET_API const facet_albedo* facet_client_albedo(const facet_client* client);
  * name     as facet_subject has it: "jawOpen" and so on, ARKit's
  * returns  0 to 1; NAN where there is no frame, the frame has no face, or its model has no such expression */
 FACET_API float facet_client_expression(const facet_client* client, const char* name);
+/* The same of avatar_values. */
+FACET_API float facet_client_avatar_value(const facet_client* client, const char* name);
 
 /* The finest mesh of the frame: rebuilt (coarse mesh through the levels' stencils, vertex + displacement *
  * unit normal; [MD19 sec. 4.3]) or scaled. The memory is the client's.

@@ -273,9 +273,9 @@ static void read_stencils(struct reader* in, const struct table* table, uint32_t
   }
 }
 
-/* Triangles of a level: every one is checked, the finest's are given out. */
+/* Triangles of a level: every one is checked. */
 static void read_level(struct reader* in, const struct table* table, uint32_t coarser, int with_stencils,
-                       struct wire_level* level, facet_subject* out) {
+                       struct wire_level* level, facet_level* out) {
   struct table stencils;
   level->vertex_count = 0;
   get_scalar(in, table, 0, &level->vertex_count, sizeof(level->vertex_count));
@@ -300,6 +300,22 @@ static void read_level(struct reader* in, const struct table* table, uint32_t co
   out->triangle_count = (uint32_t)(triangles.count / 3);
 }
 
+/* Levels below the finest of a subject without stencils. Returns their number. */
+static size_t read_coarser_levels(struct reader* in, const struct table* table, struct wire_subject* out) {
+  const struct vector levels = get_vector(in, table, 4, 4, 4);
+  uint32_t coarser = 1;
+  require(in, levels.count < WIRE_MAX_LEVELS, "hierarchy: number of coarser levels");
+  for (size_t k = 0; k < levels.count && in->wrong == NULL; ++k) {
+    const size_t at = follow_element(in, (size_t)(levels.data - in->bytes) + 4 * k);
+    const struct table level = get_table(in, at);
+    struct wire_level unused;
+    read_level(in, &level, 0, 0, &unused, &out->shown_levels[k]);
+    require(in, out->shown_levels[k].vertex_count >= coarser, "hierarchy: a finer level is smaller");
+    coarser = out->shown_levels[k].vertex_count;
+  }
+  return in->wrong == NULL ? levels.count : 0;
+}
+
 static void read_hierarchy(struct reader* in, const struct table* table, struct wire_subject* out) {
   uint64_t id = 0;
   get_scalar(in, table, 0, &id, sizeof(id));
@@ -310,14 +326,27 @@ static void read_hierarchy(struct reader* in, const struct table* table, struct 
   const int with_stencils = out->shown.control_vertex_count > 0;
   require(in, levels.count >= 1 && levels.count <= WIRE_MAX_LEVELS, "hierarchy: number of levels");
   require(in, with_stencils || levels.count == 1, "hierarchy: several levels without control vertices");
-  uint32_t coarser = out->shown.control_vertex_count;
+  const size_t below = with_stencils ? 0 : read_coarser_levels(in, table, out);
+  uint32_t coarser = with_stencils ? out->shown.control_vertex_count
+                     : below > 0   ? out->shown_levels[below - 1].vertex_count
+                                   : 0;
   for (size_t k = 0; k < levels.count && in->wrong == NULL; ++k) {
     const size_t at = follow_element(in, (size_t)(levels.data - in->bytes) + 4 * k);
     const struct table level = get_table(in, at);
-    read_level(in, &level, coarser, with_stencils, &out->levels[k], &out->shown);
-    require(in, k == 0 || out->levels[k].vertex_count >= coarser, "hierarchy: a finer level is smaller");
+    read_level(in, &level, coarser, with_stencils, &out->levels[k], &out->shown_levels[below + k]);
+    require(in, (with_stencils && k == 0) || out->levels[k].vertex_count >= coarser,
+            "hierarchy: a finer level is smaller");
     coarser = out->levels[k].vertex_count;
   }
+  if (in->wrong != NULL) {
+    return;
+  }
+  out->shown.level_count = (uint32_t)(below + levels.count);
+  out->shown.levels = out->shown_levels;
+  const facet_level* finest = &out->shown_levels[out->shown.level_count - 1];
+  out->shown.vertex_count = finest->vertex_count;
+  out->shown.triangles = finest->triangles;
+  out->shown.triangle_count = finest->triangle_count;
   const struct vector coordinates = get_vector(in, table, 3, 4, 4);
   require(in, coordinates.count == 2 * (size_t)coarser && all_finite(floats(coordinates), coordinates.count),
           "hierarchy: texture coordinates");
@@ -457,6 +486,42 @@ static void read_geometry(struct reader* in, const struct table* frame, const fa
   out->confidence = numbers_of(in, frame, 20, 1, of[FACET_RING_CONFIDENCE], finest, "frame: confidence");
 }
 
+/* Of camera_from_head: the camera's y and z turned round, and a quaternion of unit length. */
+static void set_upright(facet_frame* out) {
+  const float signs[3] = {1, -1, -1};
+  float r[3][3];
+  for (int row = 0; row < 3; ++row) {
+    out->upright_position_m[row] = 0.001F * signs[row] * out->camera_from_head[row][3];
+    for (int column = 0; column < 3; ++column) {
+      r[row][column] = signs[row] * out->camera_from_head[row][column];
+    }
+  }
+  /* Four times the square of each part; the largest is what the others are divided by. */
+  const float squares[4] = {1 + r[0][0] - r[1][1] - r[2][2], 1 - r[0][0] + r[1][1] - r[2][2],
+                            1 - r[0][0] - r[1][1] + r[2][2], 1 + r[0][0] + r[1][1] + r[2][2]};
+  int most = 0;
+  for (int k = 1; k < 4; ++k) {
+    most = squares[k] > squares[most] ? k : most;
+  }
+  float* q = out->upright_rotation;
+  q[most] = squares[most];
+  if (most == 3) {
+    q[0] = r[2][1] - r[1][2];
+    q[1] = r[0][2] - r[2][0];
+    q[2] = r[1][0] - r[0][1];
+  } else {
+    const int next = (most + 1) % 3;
+    const int last = (most + 2) % 3;
+    q[next] = r[most][next] + r[next][most];
+    q[last] = r[most][last] + r[last][most];
+    q[3] = r[last][next] - r[next][last];
+  }
+  const float length = sqrtf(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
+  for (int k = 0; k < 4; ++k) {
+    q[k] /= length;
+  }
+}
+
 static void read_mesh_part(struct reader* in, const struct table* frame, const struct wire_subject* subject,
                            const struct wire_array* arrays, facet_frame* out) {
   require(in, subject != NULL && subject->shown.id == out->subject_id, "frame: its subject was not sent");
@@ -481,6 +546,13 @@ static void read_mesh_part(struct reader* in, const struct table* frame, const s
   require(in, confidence.data == NULL || confidence.count == expression.count,
           "frame: confidence of the expression");
   out->expression_confidence = confidence.data;
+  const struct vector values = get_vector(in, frame, 25, 4, 4);
+  require(
+      in,
+      values.data == NULL || (values.count == expression.count && all_finite(floats(values), values.count)),
+      "frame: avatar values");
+  out->avatar_values = values.data != NULL ? floats(values) : out->expression;
+  set_upright(out);
   read_geometry(in, frame, &subject->shown, arrays, out);
 }
 

@@ -42,6 +42,7 @@ struct wire_level {
 
 struct wire_subject {
   facet_subject shown;
+  facet_level shown_levels[WIRE_MAX_LEVELS];
   uint32_t level_count; /* with stencils; 0 with FACET_VERTICES and FACET_SIGNALS */
   struct wire_level levels[WIRE_MAX_LEVELS];
   const char* names[WIRE_MAX_COEFFICIENTS];

@@ -96,8 +96,8 @@ func albedo() -> Dictionary:
 
 
 # {sequence, state: 0 to 3, degraded_reason, subject_id: 0 where there is no mesh, camera {fy, height_px}, latency_ms}; with
-# a mesh also {camera_from_head: Transform mm, expression PoolRealArray as the subject names them, albedo_version} and, by
-# profile, {control_vertices, displacements} or {vertices, normals}: {step_mm, count, bytes of int16}, those that are there.
+# a mesh also {camera_from_head: Transform mm, expression and avatar_values PoolRealArray as the subject names them,
+# albedo_version} and, by profile, {control_vertices, displacements} or {vertices, normals}: {step_mm, count, bytes of int16}, those that are there.
 # subject  that the frame names, as subject() gave it; null: what needs it is left out
 func frame(subject) -> Dictionary:
 	var out := {"sequence": _scalar(_body, 0, 8), "state": _scalar(_body, 3, 1), "degraded_reason": _text(_body, 5),
@@ -122,6 +122,9 @@ func frame(subject) -> Dictionary:
 	_require(abs(out.camera_from_head.basis.determinant() - 1.0) < 0.05, "frame: pose is not a rotation and a translation")
 	out.expression = _numbers(_body, 11, TYPE_REAL_ARRAY)
 	_require(out.expression.size() == subject.names.size(), "frame: expression")
+	# What an avatar is to be moved by: counted from the neutral pose and tuned, where the daemon knows how.
+	out.avatar_values = _numbers(_body, 25, TYPE_REAL_ARRAY) if _field(_body, 25, 4) != 0 else out.expression
+	_require(out.avatar_values.size() == subject.names.size(), "frame: avatar values")
 	out.albedo_version = _scalar(_body, 15, 8)
 	if subject.vertex_count > 0 and subject.control_vertex_count > 0:
 		out.control_vertices = _fixed_point(16, 3 * subject.control_vertex_count)

@@ -36,7 +36,7 @@ func _on_frame(frame: Dictionary) -> void:
 	var turn: Basis = (GODOT_FROM_CAMERA * frame.camera_from_head.basis).orthonormalized()
 	face.transform.basis = turn
 	puppet.transform.basis = turn
-	puppet.drive(stream.subject.names, frame.expression)
+	puppet.drive(stream.subject.names, frame.avatar_values)
 	face.set_frame(frame)
 
 

@@ -48,15 +48,26 @@ class Frame(SimpleNamespace):
     expression        [expression_count] float32, 0 to 1, in the order of subject.expression_names; None: no face
     expression_names  the names of these
     expression_confidence  [expression_count] 0 to 1; None: not known
+    avatar_values     [expression_count] float32, 0 to 1: what an avatar is to be moved by: expression counted from the person's
+                      neutral pose and tuned by name, where the server knows one; else expression itself; None: no face
+    upright_position_m, upright_rotation  [3], [4] (x y z w): where the head is and how it is turned; x to the picture's right, y up,
+                      z towards the camera; None: no face
     photometric_rms   linear; lighting [9] float32
     """
 
     def expression_of(self, name):
         """A value by its name ("jawOpen"), 0 to 1; nan where the frame has no face. KeyError: there is no such expression."""
-        if self.expression is None:
+        return self._of(self.expression, name)
+
+    def avatar_value_of(self, name):
+        """The same of avatar_values."""
+        return self._of(self.avatar_values, name)
+
+    def _of(self, values, name):
+        if values is None:
             return math.nan
         try:
-            return float(self.expression[self.expression_names.index(name)])
+            return float(values[self.expression_names.index(name)])
         except ValueError:
             raise KeyError(f"no expression '{name}': there are {', '.join(self.expression_names)}") from None
 
@@ -79,7 +90,13 @@ class _Frame(ctypes.Structure):
         ("control_vertices", _FixedPoint), ("displacements", _FixedPoint), ("vertices", _FixedPoint),
         ("normals", ctypes.POINTER(ctypes.c_int16)), ("confidence", ctypes.POINTER(ctypes.c_uint8)),
         ("in_ring", ctypes.c_int32), ("expression_confidence", ctypes.POINTER(ctypes.c_uint8)),
-        ("origin", ctypes.c_int32)]
+        ("origin", ctypes.c_int32), ("avatar_values", ctypes.POINTER(ctypes.c_float)),
+        ("upright_position_m", ctypes.c_float * 3), ("upright_rotation", ctypes.c_float * 4)]
+
+
+class _Level(ctypes.Structure):
+    _fields_ = [("vertex_count", ctypes.c_uint32), ("triangle_count", ctypes.c_uint32),
+                ("triangles", ctypes.POINTER(ctypes.c_uint32))]
 
 
 class _Subject(ctypes.Structure):
@@ -88,7 +105,8 @@ class _Subject(ctypes.Structure):
         ("identity", ctypes.POINTER(ctypes.c_float)), ("identity_count", ctypes.c_size_t),
         ("control_vertex_count", ctypes.c_uint32), ("vertex_count", ctypes.c_uint32), ("triangle_count", ctypes.c_uint32),
         ("triangles", ctypes.POINTER(ctypes.c_uint32)), ("texture_coordinates", ctypes.POINTER(ctypes.c_float)),
-        ("person", ctypes.c_char_p), ("neutral_mm", ctypes.POINTER(ctypes.c_float))]
+        ("person", ctypes.c_char_p), ("neutral_mm", ctypes.POINTER(ctypes.c_float)),
+        ("levels", ctypes.POINTER(_Level)), ("level_count", ctypes.c_uint32)]
 
 
 class _Albedo(ctypes.Structure):
@@ -216,6 +234,9 @@ class Client:
                 expression_names=self._names_of(client) if frame.subject_id else [],
                 expression_confidence=(_copy(frame.expression_confidence, frame.expression_count) / numpy.float32(255)
                                        if frame.expression_confidence else None),
+                avatar_values=_copy(frame.avatar_values, frame.expression_count) if frame.subject_id else None,
+                upright_position_m=numpy.array(frame.upright_position_m, numpy.float32) if frame.subject_id else None,
+                upright_rotation=numpy.array(frame.upright_rotation, numpy.float32) if frame.subject_id else None,
                 photometric_rms=frame.photometric_rms, lighting=numpy.array(frame.lighting, numpy.float32))
 
     def _wait(self, client, until):
@@ -254,7 +275,8 @@ class Client:
 
     @property
     def subject(self):
-        """What does not change from frame to frame, copied once; None before the first mesh."""
+        """What does not change from frame to frame, copied once; None before the first mesh. Its `levels`, coarse to fine, are of
+        (vertex_count, triangles [triangle_count][3]) each, over the first vertex_count vertices of the mesh."""
         with self._open() as client:
             pointer = self._library.facet_client_subject(client)
             if not pointer:
@@ -268,6 +290,8 @@ class Client:
                 identity=_copy(subject.identity, subject.identity_count), vertex_count=subject.vertex_count,
                 triangles=_copy(subject.triangles, subject.triangle_count, 3),
                 texture_coordinates=_copy(subject.texture_coordinates, subject.vertex_count, 2),
+                levels=[(level.vertex_count, _copy(level.triangles, level.triangle_count, 3))
+                        for level in (subject.levels[k] for k in range(subject.level_count))],
                 person=subject.person.decode(errors="replace") if subject.person else None,
                 neutral_mm=_copy(subject.neutral_mm, subject.control_vertex_count, 3) if subject.neutral_mm else None)
             return self._subject[1]

@@ -61,6 +61,7 @@ namespace Facet
         public ulong AlbedoVersion;     // 0: none yet
         public float[] CameraFromHead;  // [3][4] p_camera = CameraFromHead * p_head, mm
         public float[] Expression;      // 0 to 1, as the subject names them
+        public float[] AvatarValues;    // likewise, what an avatar is to be moved by: counted from the neutral pose and tuned
     }
 
     /// Reads the stream; connects with the first frame that is asked for. One thread at a time.
@@ -105,7 +106,8 @@ namespace Facet
                 {
                     Sequence = seen.sequence, TimestampNs = seen.timestamp_ns, State = (TrackingState)seen.state, DegradedReason = Text(seen.degraded_reason),
                     LandmarksPx = Floats(seen.landmarks_px, 2 * (long)seen.landmark_count), LatencyMs = seen.latency_ms, SubjectId = seen.subject_id,
-                    AlbedoVersion = seen.albedo_version, CameraFromHead = seen.camera_from_head, Expression = Floats(seen.expression, (long)seen.expression_count)
+                    AlbedoVersion = seen.albedo_version, CameraFromHead = seen.camera_from_head, Expression = Floats(seen.expression, (long)seen.expression_count),
+                    AvatarValues = Floats(seen.avatar_values, (long)seen.expression_count)
                 };
             });
         }
@@ -232,6 +234,14 @@ namespace Facet
             return copy;
         }
 
+        [StructLayout(LayoutKind.Sequential)]
+        struct NativeFixedPoint
+        {
+            public IntPtr values;
+            public UIntPtr count;
+            public float step_mm;
+        }
+
         // The structs of facet-client.h, up to the last field that is read here; the library makes them, and they only ever grow.
         [StructLayout(LayoutKind.Sequential)]
         struct NativeFrame
@@ -250,6 +260,15 @@ namespace Facet
             public float[] camera_from_head;
             public IntPtr expression;
             public UIntPtr expression_count;
+            public float photometric_rms;
+            [MarshalAs(UnmanagedType.ByValArray, SizeConst = 9)]
+            public float[] lighting;
+            public NativeFixedPoint control_vertices, displacements, vertices;
+            public IntPtr normals, confidence;
+            public int in_ring;
+            public IntPtr expression_confidence;
+            public int origin;
+            public IntPtr avatar_values;
         }
 
         [StructLayout(LayoutKind.Sequential)]

@@ -79,11 +79,11 @@ public sealed class FacetFace : MonoBehaviour
             mesh.colors = shown.colours;
         mesh.RecalculateBounds();
         transform.localRotation = Turn(shown.frame.CameraFromHead);
-        for (int k = 0; k < shown.frame.Expression.Length; ++k)
+        for (int k = 0; k < shown.frame.AvatarValues.Length; ++k)
         {
             int shape;
             if (shapes.TryGetValue(Plain(shown.subject.ExpressionNames[k]), out shape))
-                rig.SetBlendShapeWeight(shape, 100.0f * Mathf.Clamp01(shown.frame.Expression[k]));
+                rig.SetBlendShapeWeight(shape, 100.0f * Mathf.Clamp01(shown.frame.AvatarValues[k]));
         }
     }
 

@@ -58,7 +58,7 @@ void UFacetFaceComponent::TickComponent(float DeltaTime, ELevelTick TickType,
   const auto& Turn = Face.turn;
   const auto Axis = [&Turn](int32 K) { return FVector(Turn[0][K], Turn[1][K], Turn[2][K]); };
   Mesh->SetRelativeRotation(FMatrix(Axis(0), Axis(1), Axis(2), FVector::ZeroVector).ToQuat());
-  for (size_t K = 0; Rig != nullptr && K < Face.expression.size(); ++K) {
-    Rig->SetMorphTarget(FName(UTF8_TO_TCHAR(Face.expression_names[K].c_str())), Face.expression[K]);
+  for (size_t K = 0; Rig != nullptr && K < Face.avatar_values.size(); ++K) {
+    Rig->SetMorphTarget(FName(UTF8_TO_TCHAR(Face.expression_names[K].c_str())), Face.avatar_values[K]);
   }
 }

@@ -43,7 +43,7 @@ bool FacetReader::poll() {
   face_.sequence = frame.sequence;
   to_unreal(mesh->vertices_mm, mesh->vertex_count, 0.1F, face_.vertices_cm);
   to_unreal(mesh->normals, mesh->vertex_count, 1.0F, face_.normals);
-  face_.expression.assign(frame.expression, frame.expression + frame.expression_count);
+  face_.avatar_values.assign(frame.avatar_values, frame.avatar_values + frame.expression_count);
   // The camera's axes (x right, y down, z forward) to Unreal's: x = z, y = x, z = -y. The head's: x = z, y =
   // -x, z = y.
   constexpr int kCamera[3] = {2, 0, 1};

@@ -23,7 +23,9 @@ struct Face {
   std::vector<float> vertices_cm;  ///< [vertex count][3]
   std::vector<float> normals;      ///< [vertex count][3] unit length
   std::vector<float> linear_rgb;   ///< [vertex count][3] albedo; empty until it is learned
-  std::vector<float> expression;   ///< [expression_names.size()] 0 to 1
+  /// [expression_names.size()] 0 to 1: expression counted from the neutral pose and tuned, as far as facetd
+  /// knows how.
+  std::vector<float> avatar_values;
   /// The head's turn before a camera that looks along x (y right, z up): column k is where the head's axis k
   /// points.
   std::array<std::array<float, 3>, 3> turn{};

@@ -1,17 +1,14 @@
 #include "avatar/bridge.hpp"
 
-#include <arpa/inet.h>
 #include <fmt/format.h>
-#include <netdb.h>
 #include <netinet/in.h>
 #include <pthread.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
 #include <algorithm>
-#include <cctype>
+#include <atomic>
 #include <cerrno>
-#include <charconv>
 #include <cstring>
 #include <memory>
 #include <random>
@@ -20,7 +17,9 @@
 #include <thread>
 #include <utility>
 
-#include "avatar/protocols.hpp"
+#include "avatar/bridge_messages.hpp"
+#include "avatar/phone_requests.hpp"
+#include "facet/aside.hpp"
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "facet/mutex.hpp"
@@ -31,65 +30,10 @@ namespace {
 
 /// After so many that went well, what failed before is told no more.
 constexpr int kSoundFrames = 30;
-
-struct Address {
-  sockaddr_storage storage{};
-  socklen_t length = 0;
-};
-
-/// Length 0 where the text is no address in digits.
-Address socket_address(const std::string& address, std::uint16_t port) {
-  Address out;
-  auto* v4 = reinterpret_cast<sockaddr_in*>(&out.storage);
-  auto* v6 = reinterpret_cast<sockaddr_in6*>(&out.storage);
-  if (::inet_pton(AF_INET, address.c_str(), &v4->sin_addr) == 1) {
-    v4->sin_family = AF_INET;
-    v4->sin_port = htons(port);
-    out.length = sizeof(*v4);
-  } else if (::inet_pton(AF_INET6, address.c_str(), &v6->sin6_addr) == 1) {
-    v6->sin6_family = AF_INET6;
-    v6->sin6_port = htons(port);
-    out.length = sizeof(*v6);
-  }
-  return out;
-}
-
-/// Of a host name: letters, digits, "-", "_" and ".", of which the last part is no number (that would be an
-/// address with a fault in it).
-bool is_host_name(const std::string& text) {
-  constexpr std::size_t kLongest = 253;
-  const auto fits = [](unsigned char c) { return std::isalnum(c) != 0 || c == '-' || c == '_' || c == '.'; };
-  const std::string last = text.substr(text.rfind('.') + 1);
-  return !text.empty() && text.size() <= kLongest && std::all_of(text.begin(), text.end(), fits) &&
-         std::any_of(last.begin(), last.end(), [](unsigned char c) { return std::isalpha(c) != 0; });
-}
-
-/// The host's first IPv4 address, else its first; receivers of these protocols rarely listen on others.
-/// trouble: why there is none (length 0)
-Address look_up(const BridgeTarget& target, std::string& trouble) {
-  addrinfo wanted{};
-  wanted.ai_socktype = SOCK_DGRAM;
-  addrinfo* found = nullptr;
-  const int fault =
-      ::getaddrinfo(target.address.c_str(), std::to_string(target.port).c_str(), &wanted, &found);
-  const std::unique_ptr<addrinfo, decltype(&::freeaddrinfo)> kept(found, ::freeaddrinfo);
-  const addrinfo* chosen = found;
-  for (const addrinfo* each = found; each != nullptr; each = each->ai_next) {
-    if (each->ai_family == AF_INET) {
-      chosen = each;
-      break;
-    }
-  }
-  Address out;
-  if (fault != 0 || chosen == nullptr || chosen->ai_addrlen > sizeof(out.storage)) {
-    trouble = fmt::format("no address of the host '{}' was found at the start: {}", target.address,
-                          fault != 0 ? ::gai_strerror(fault) : "none of UDP");
-    return out;
-  }
-  std::memcpy(&out.storage, chosen->ai_addr, chosen->ai_addrlen);
-  out.length = chosen->ai_addrlen;
-  return out;
-}
+/// Of targets that asked.
+constexpr std::size_t kMostAskers = 16;
+/// So many frames that were refused, none of them followed by kSoundFrames that were not: the asker is gone.
+constexpr int kMostRefusals = 20;
 
 /// A UUID by lot (RFC 4122, version 4): 36 characters.
 std::string random_uuid() {
@@ -102,16 +46,7 @@ std::string random_uuid() {
   return uuid;
 }
 
-double time_of_day_s() {
-  const auto now = Clock::utc();
-  return std::chrono::duration<double>(now - std::chrono::floor<std::chrono::days>(now)).count();
-}
-
 }  // namespace
-
-const char* to_string(BridgeProtocol protocol) {
-  return protocol == BridgeProtocol::Vmc ? "vmc" : "live_link_face";
-}
 
 const char* to_string(NeutralState state) {
   switch (state) {
@@ -127,54 +62,34 @@ const char* to_string(NeutralState state) {
   return "";
 }
 
-std::string BridgeTarget::text() const {
-  const bool six = address.find(':') != std::string::npos;
-  return six ? fmt::format("[{}]:{}", address, port) : fmt::format("{}:{}", address, port);
-}
-
-std::optional<BridgeTarget> parse_target(BridgeProtocol protocol, const std::string& text) {
-  const std::size_t colon = text.rfind(':');
-  if (colon == std::string::npos || colon + 1 == text.size()) {
-    return std::nullopt;
-  }
-  BridgeTarget target{protocol, text.substr(0, colon), 0};
-  const bool brackets =
-      target.address.size() > 2 && target.address.front() == '[' && target.address.back() == ']';
-  if (brackets) {
-    target.address = target.address.substr(1, target.address.size() - 2);
-  }
-  const char* end = text.data() + text.size();
-  const auto [read, fault] = std::from_chars(text.data() + colon + 1, end, target.port);
-  const bool six = target.address.find(':') != std::string::npos;
-  if (fault != std::errc() || read != end || target.port == 0 || brackets != six ||
-      (socket_address(target.address, target.port).length == 0 &&
-       (brackets || !is_host_name(target.address)))) {
-    return std::nullopt;
-  }
-  return target;
-}
-
 struct Bridge::Impl {
-  explicit Impl(const BridgeConfig& given);
+  Impl(const BridgeConfig& given, LookUp given_look_up);
   ~Impl();
 
   // What holds poses stands first: it is aligned to 32 bytes.
-  Smoother smoother;  ///< the thread's own
-  ValueTuner tuner;   ///< the same
+  Smoother smoother;                         ///< the thread's own
+  ValueTuner tuner FACET_GUARDED_BY(mutex);  ///< of the live frames that complete() is given
+  ValueTuner shown FACET_GUARDED_BY(mutex);  ///< of takes and poses, between which live frames come
   std::optional<NeutralPose> neutral FACET_GUARDED_BY(mutex);
   std::optional<NeutralRecorder> recorder FACET_GUARDED_BY(mutex);  ///< while a neutral pose is recorded
+  bool saving FACET_GUARDED_BY(mutex) = false;                      ///< what was recorded is written
+  bool cleared FACET_GUARDED_BY(mutex) = false;                     ///< meanwhile
 
+  BridgeMessages messages;  ///< the thread's own
   BridgeConfig config;
-  std::string device = random_uuid();
-  Clock::time_point started = Clock::now();
+  LookUp look_up;
   struct Destination {
-    Address address;
+    BridgeTarget target;
+    SocketAddress address;
     int socket = -1;
-    std::string unknown;  ///< why there is no address
+    std::string unknown{};  ///< why there is no address
     bool connected = false;
-    int sound_frames = 0;  ///< since the last that failed
+    int sound_frames = 0;                    ///< since the last that failed
+    int refusals = 0;                        ///< since the last kSoundFrames that went well
+    std::optional<Clock::time_point> until;  ///< of one that asked
   };
-  std::vector<Destination> destinations;  ///< [targets]
+  /// The thread's own, as is status.targets' order: the configured ones, then those that asked.
+  std::vector<Destination> destinations;
 
   mutable Mutex mutex;
   Condition changed;
@@ -184,13 +99,29 @@ struct Bridge::Impl {
   std::shared_ptr<const ValueTunings> values FACET_GUARDED_BY(mutex);  ///< those of the status
   Clock::time_point recorded_until FACET_GUARDED_BY(mutex);
 
-  // The thread's own.
-  OscBundles vmc{kMostDatagram};
-  std::vector<std::vector<std::byte>> live_link{1};
+  // The thread's own. Between begin and wait `sought` is the helper's.
+  struct Sought {
+    std::size_t target;
+    LookedUp found;
+  };
+  std::vector<Sought> sought;
+  std::atomic<bool> seeking = false;
+  Clock::time_point next_look_up = Clock::now();
+  std::optional<PhoneRequests> requests;
+  Clock::time_point next_listening = Clock::now();
 
-  std::jthread thread;  // last, so that it is joined before anything is freed
+  // Last, so that they are joined before anything is freed; the helper after who asks it.
+  Aside names{"facet-names", [this] { look_up_sought(); }};
+  std::jthread thread;
 
   static int open_socket(int family);
+  void settle(std::size_t target, const LookedUp& found, BridgeTargetStatus& told);
+  void look_up_again() FACET_REQUIRES(mutex);
+  void look_up_sought();
+  void hear_requests() FACET_REQUIRES(mutex);
+  void take_asker(const Asker& asker) FACET_REQUIRES(mutex);
+  void forget_askers() FACET_REQUIRES(mutex);
+  bool changes_values() const FACET_REQUIRES(mutex) { return recorder || neutral || !values->plain(); }
   void run();
   void work_once(Clock::time_point& next_send) FACET_REQUIRES(mutex);
   void finish_recording() FACET_REQUIRES(mutex);
@@ -198,8 +129,12 @@ struct Bridge::Impl {
   static std::string send_all(Destination& to, const std::vector<std::vector<std::byte>>& datagrams);
 };
 
-Bridge::Impl::Impl(const BridgeConfig& given)
-    : smoother(static_cast<float>(given.smoothing_ms * 1e-3)), config(given) {
+Bridge::Impl::Impl(const BridgeConfig& given, LookUp given_look_up)
+    : smoother(static_cast<float>(given.smoothing_ms * 1e-3)),
+      messages(random_uuid(), given.subject, load_mapping(given.mapping_file),
+               {given.vmc_shapes, given.vmc_eye_bones}),
+      config(given),
+      look_up(std::move(given_look_up)) {
   try {
     neutral = load_neutral(config.neutral_file);
   } catch (const Error& error) {
@@ -209,14 +144,16 @@ Bridge::Impl::Impl(const BridgeConfig& given)
   status.neutral = neutral ? NeutralState::Set : NeutralState::None;
   status.values = config.values;
   values = std::make_shared<const ValueTunings>(config.values);
-  for (const BridgeTarget& target : config.targets) {
-    std::string unknown;
-    Address address = socket_address(target.address, target.port);
-    address = address.length == 0 ? look_up(target, unknown) : address;
-    const int socket = address.length == 0 ? -1 : open_socket(address.storage.ss_family);
-    destinations.push_back({address, socket, unknown});
-    status.targets.push_back({target, 0, 0, unknown});
+  destinations.resize(config.targets.size());
+  for (std::size_t i = 0; i < destinations.size(); ++i) {
+    const BridgeTarget& target = config.targets[i];
+    destinations[i].target = target;
+    BridgeTargetStatus told{.target = target};
+    const SocketAddress digits = socket_address(target.address, target.port);
+    settle(i, digits.length > 0 ? LookedUp{digits, ""} : look_up(target), told);
+    status.targets.push_back(std::move(told));
   }
+  next_look_up = Clock::now() + config.look_up_every;
 }
 
 Bridge::Impl::~Impl() {
@@ -236,6 +173,120 @@ int Bridge::Impl::open_socket(int family) {
                 fmt::format("bridge: cannot open a UDP socket: {}", std::strerror(errno)));
   }
   return descriptor;
+}
+
+/// Takes what a target's address is, or why it has none.
+void Bridge::Impl::settle(std::size_t target, const LookedUp& found, BridgeTargetStatus& told) {
+  Destination& destination = destinations[target];
+  destination.unknown.clear();
+  if (found.address.length == 0) {
+    destination.unknown = fmt::format("{}; it is looked up again every {:.3g} s", found.trouble,
+                                      std::chrono::duration<double>(config.look_up_every).count());
+  } else {
+    destination.address = found.address;
+    destination.socket = open_socket(found.address.storage.ss_family);
+  }
+  told.reason = destination.unknown;
+}
+
+/// Asks for names that were not found, and takes answers. Where no helper can be made there are none.
+void Bridge::Impl::look_up_again() {
+  if (names.begun()) {
+    if (!names.ready()) {
+      return;
+    }
+    names.wait();
+    next_look_up = Clock::now() + config.look_up_every;
+    for (const Sought& each : sought) {
+      settle(each.target, each.found, status.targets[each.target]);
+    }
+  } else if (Clock::now() >= next_look_up) {
+    sought.clear();
+    for (std::size_t i = 0; i < config.targets.size(); ++i) {
+      if (destinations[i].socket < 0) {
+        sought.push_back({i, {}});
+      }
+    }
+    if (sought.empty()) {
+      next_look_up = Clock::time_point::max();
+    } else {
+      seeking = true;
+      names.begin();
+      if (!names.helped()) {
+        seeking = false;
+      }
+    }
+  }
+}
+
+void Bridge::Impl::look_up_sought() {
+  for (Sought& each : sought) {
+    try {
+      each.found = look_up(config.targets[each.target]);
+    } catch (const std::exception& error) {
+      each.found = {{}, error.what()};
+    }
+  }
+  seeking = false;
+}
+
+/// Listens where it is to and can, and takes who asks.
+void Bridge::Impl::hear_requests() {
+  if (config.answer.empty()) {
+    return;
+  }
+  const auto now = Clock::now();
+  if (now >= next_listening && (!requests || !requests->fault().empty())) {
+    requests.reset();  // its ports are free for the next
+    requests.emplace(config.answer);
+    status.answer_reason = requests->fault();
+    next_listening = now + config.look_up_every;
+  }
+  for (const Asker& asker : requests->heard()) {
+    take_asker(asker);
+  }
+  forget_askers();
+}
+
+void Bridge::Impl::take_asker(const Asker& asker) {
+  const auto until = Clock::now() + asker.lasting;
+  for (Destination& known : destinations) {
+    if (known.target.protocol == asker.target.protocol && known.target.text() == asker.target.text()) {
+      known.until = known.until ? std::optional(until) : std::nullopt;
+      return;
+    }
+  }
+  if (destinations.size() >= config.targets.size() + kMostAskers) {
+    return;
+  }
+  Destination asked;
+  asked.target = asker.target;
+  asked.address = asker.address;
+  asked.socket = open_socket(asker.address.storage.ss_family);
+  asked.until = until;
+  // Whoever sends a request in another's name gets none of it beyond this network.
+  const int hops = 1;
+  const bool four = asker.address.storage.ss_family == AF_INET;
+  if (::setsockopt(asked.socket, four ? IPPROTO_IP : IPPROTO_IPV6, four ? IP_TTL : IPV6_UNICAST_HOPS, &hops,
+                   sizeof(hops)) < 0) {
+    ::close(asked.socket);
+    return;
+  }
+  destinations.push_back(asked);
+  status.targets.push_back({.target = asker.target, .asked = true});
+}
+
+void Bridge::Impl::forget_askers() {
+  const auto now = Clock::now();
+  for (std::size_t i = destinations.size(); i > config.targets.size(); --i) {
+    const Destination& asked = destinations[i - 1];
+    if (now >= *asked.until || asked.refusals >= kMostRefusals) {
+      ::close(asked.socket);
+      const auto at = static_cast<std::ptrdiff_t>(i - 1);
+      destinations.erase(destinations.begin() + at);
+      status.targets.erase(status.targets.begin() + at);
+    }
+  }
 }
 
 void Bridge::Impl::run() {
@@ -259,6 +310,8 @@ void Bridge::Impl::run() {
 void Bridge::Impl::work_once(Clock::time_point& next_send) {
   const auto period =
       std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1 / config.rate_hz));
+  look_up_again();
+  hear_requests();
   const auto now = Clock::now();
   if (recorder && now >= recorded_until) {
     finish_recording();
@@ -271,18 +324,16 @@ void Bridge::Impl::work_once(Clock::time_point& next_send) {
   }
   // A frame that comes a little early is in time all the same: a camera at rate_hz loses none.
   next_send = std::max(next_send + period, now - period / 2);
-  FaceState state = face_state(*std::exchange(newest, nullptr));
-  if (recorder) {
-    recorder->add(state);
-    status.neutral_frames = recorder->frames();
+  const auto frame = std::exchange(newest, nullptr);
+  FaceState state = face_state(*frame);
+  if (state.tracked && !frame->avatar_values.empty()) {
+    state.values = mesh::arkit_values(frame->subject->expression_names, frame->avatar_values);
   }
   const bool with_neutral = neutral.has_value();
-  const auto tunings = values;
   if (neutral && state.tracked) {
-    subtract(*neutral, state);
+    subtract_head(*neutral, state);
   }
   const Unlock unlock(mutex);
-  tuner.apply(*tunings, state);
   smoother.apply(state);
   send(state, with_neutral);
 }
@@ -292,6 +343,8 @@ void Bridge::Impl::finish_recording() {
   const NeutralRecorder recorded = *std::exchange(recorder, std::nullopt);
   std::optional<NeutralPose> mean;
   std::string fault;
+  saving = true;
+  cleared = false;
   {
     const Unlock unlock(mutex);
     mean = recorded.mean();
@@ -305,6 +358,12 @@ void Bridge::Impl::finish_recording() {
       fault = fmt::format("a face was tracked in {} frames, {} are needed", recorded.frames(),
                           NeutralRecorder::kFewestFrames);
     }
+  }
+  saving = false;
+  if (cleared) {
+    std::error_code ignored;
+    std::filesystem::remove(config.neutral_file, ignored);  // as was asked while it was written
+    return;
   }
   status.neutral = fault.empty() ? NeutralState::Set : NeutralState::Failed;
   status.neutral_reason = fault;
@@ -335,28 +394,30 @@ std::string Bridge::Impl::send_all(Destination& to, const std::vector<std::vecto
 }
 
 void Bridge::Impl::send(const FaceState& state, bool with_neutral) {
-  vmc.clear();
-  write_vmc(state, std::chrono::duration<float>(Clock::now() - started).count(), with_neutral, vmc);
-  write_live_link_face(state, device, config.subject, time_of_day_s(), live_link.front());
+  messages.begin(state, with_neutral);
   for (std::size_t i = 0; i < destinations.size(); ++i) {
-    const bool is_vmc = config.targets[i].protocol == BridgeProtocol::Vmc;
-    if (!is_vmc && !(state.tracked && state.has_expression)) {
+    const auto& datagrams = messages.of(destinations[i].target.protocol);
+    if (datagrams.empty()) {
       continue;
     }
-    const std::string reason = send_all(destinations[i], is_vmc ? vmc.bundles() : live_link);
+    const std::string reason = send_all(destinations[i], datagrams);
     const Lock lock(mutex);
     BridgeTargetStatus& target = status.targets[i];
     ++target.frames;
     target.failed += reason.empty() ? 0 : 1;
     // Where nobody listens, every second datagram is refused: those between went out, to nobody.
-    destinations[i].sound_frames = reason.empty() ? destinations[i].sound_frames + 1 : 0;
-    if (!reason.empty() || destinations[i].sound_frames >= kSoundFrames) {
+    Destination& destination = destinations[i];
+    destination.sound_frames = reason.empty() ? destination.sound_frames + 1 : 0;
+    const bool sound = destination.sound_frames >= kSoundFrames;
+    destination.refusals = sound ? 0 : destination.refusals + (reason.empty() ? 0 : 1);
+    if (!reason.empty() || sound) {
       target.reason = reason;
     }
   }
 }
 
-Bridge::Bridge(const BridgeConfig& config) : impl_(std::make_unique<Impl>(config)) {}
+Bridge::Bridge(const BridgeConfig& config, LookUp look_up)
+    : impl_(std::make_unique<Impl>(config, std::move(look_up))) {}
 
 Bridge::~Bridge() {
   request_stop();
@@ -381,6 +442,36 @@ void Bridge::stop() {
   }
 }
 
+bool Bridge::finished() const {
+  return !impl_->seeking;
+}
+
+void Bridge::complete(mesh::MeshFrame& frame) {
+  frame.avatar_values.clear();
+  const Lock lock(impl_->mutex);
+  if (!impl_->changes_values()) {
+    return;
+  }
+  FaceState state = face_state(frame);
+  const bool live = frame.origin == mesh::Origin::Live;
+  if (impl_->recorder && live) {
+    impl_->recorder->add(state);
+    impl_->status.neutral_frames = impl_->recorder->frames();
+  }
+  if (impl_->neutral && state.tracked) {
+    subtract_values(*impl_->neutral, state);
+  }
+  (live ? impl_->tuner : impl_->shown).apply(*impl_->values, state);
+  if (state.tracked && state.has_expression) {
+    values_to_frame(state.values, frame);
+  }
+}
+
+bool Bridge::changes_values() const {
+  const Lock lock(impl_->mutex);
+  return impl_->changes_values();
+}
+
 void Bridge::publish(std::shared_ptr<const mesh::MeshFrame> frame) {
   {
     const Lock lock(impl_->mutex);
@@ -396,7 +487,7 @@ BridgeStatus Bridge::status() const {
 
 void Bridge::record_neutral(std::chrono::milliseconds duration) {
   const Lock lock(impl_->mutex);
-  if (impl_->recorder) {
+  if (impl_->recorder || impl_->saving) {
     throw Error(ErrorKind::Usage, "a neutral pose is being recorded already");
   }
   impl_->recorder.emplace();
@@ -415,6 +506,7 @@ void Bridge::clear_neutral() {
   }
   const Lock lock(impl_->mutex);
   impl_->recorder.reset();
+  impl_->cleared = true;
   impl_->neutral.reset();
   impl_->status.neutral = NeutralState::None;
   impl_->status.neutral_reason.clear();

@@ -8,41 +8,34 @@
 #include <string>
 #include <vector>
 
+#include "avatar/bridge_target.hpp"
+#include "avatar/protocols.hpp"
 #include "avatar/value_tuning.hpp"
 #include "mesh/mesh_frame.hpp"
 
 namespace facet::avatar {
 
-enum class BridgeProtocol { Vmc, LiveLinkFace };
-/// As the configuration names it.
-const char* to_string(BridgeProtocol protocol);
-
-/// Where a bridge sends to.
-struct BridgeTarget {
-  BridgeProtocol protocol = BridgeProtocol::Vmc;
-  std::string address;  ///< IPv4 or IPv6 in digits, or the name of a host
-  std::uint16_t port = 0;
-
-  std::string text() const;  ///< "ADDRESS:PORT", "[ADDRESS]:PORT" for IPv6
-};
-
-/// Reads "ADDRESS:PORT", "[ADDRESS]:PORT" or "HOST:PORT"; nothing where it is none. No name is looked up.
-std::optional<BridgeTarget> parse_target(BridgeProtocol protocol, const std::string& text);
-
 struct BridgeConfig {
-  std::vector<BridgeTarget> targets;  ///< none: the bridge is off
+  std::vector<BridgeTarget> targets;  ///< none: nothing is sent
   double rate_hz = 60;                ///< at most so many frames a second are sent
   double smoothing_ms = 0;            ///< time constant; 0: none
   std::string subject = "facet";      ///< name in Live Link
   std::filesystem::path neutral_file = "/var/lib/facet/neutral.json";
-  ValueTunings values;  ///< until tune() says otherwise
+  VmcShapes vmc_shapes = VmcShapes::PerfectSync;
+  bool vmc_eye_bones = true;
+  std::filesystem::path mapping_file;  ///< ValueMapping; empty: none
+  std::string answer;  ///< this machine's address at which requests are heard; empty: none are
+  std::chrono::milliseconds look_up_every = std::chrono::seconds(30);  ///< names that were not found
+  ValueTunings values;                                                 ///< until tune() says otherwise
 };
 
 struct BridgeTargetStatus {
   BridgeTarget target;
+  bool asked = false;        ///< it is not configured, but asked (BridgeConfig::answer)
   std::uint64_t frames = 0;  ///< sent
   std::uint64_t failed = 0;  ///< of which a datagram could not be sent
-  std::string reason;        ///< of the last that failed; empty once 30 in a row went well
+  std::string
+      reason{};  ///< of the last that failed; empty once 30 in a row went well, or once a name is found
 };
 
 /// Where the recording of the neutral pose stands.
@@ -54,18 +47,28 @@ struct BridgeStatus {
   NeutralState neutral = NeutralState::None;
   std::string neutral_reason;  ///< why Failed; the earlier pose, if any, stays
   int neutral_frames = 0;      ///< recorded so far
+  std::string answer_reason;   ///< why requests can't be heard now; it is tried again
   ValueTunings values;
 };
 
-/// Sends every frame's expression and head to configured targets over UDP, on the thread `facet-bridge`.
-/// Whoever hands frames over never waits: the newest frame counts, and a datagram that the network does not
-/// take at once is lost.
+/// What avatars are moved by. Knows the person's neutral pose and how far each value is followed, gives every
+/// frame its MeshFrame::avatar_values by them, and sends those and the head to configured targets, of which
+/// there may be none, over UDP, on the thread `facet-bridge`. Whoever hands frames over never waits: the
+/// newest frame counts, and a datagram that the network does not take at once is lost.
+///
+/// Who asks as receivers ask phones (PhoneRequests), where that is configured, is a target for as long as it
+/// asked, unless its port is closed; 16 at most. Datagrams to such targets end at the first router, whoever
+/// they said that they were.
 class Bridge {
  public:
-  /// Reads the neutral pose, where there is one. Throws Error(UnreadableInput) where its file can't be used
-  /// and Error(Internal) where no socket can be opened. Names of hosts are looked up now and not again, which
-  /// may take seconds; one that is not found is told in the target's reason, and nothing is sent to it.
-  explicit Bridge(const BridgeConfig& config);
+  /// Reads the neutral pose, where there is one, and the mapping file. Throws Error(UnreadableInput) where
+  /// the former can't be used, Error(Usage) where the latter is wrong and Error(Internal) where no socket can
+  /// be opened. Names of hosts are looked up now, which may take seconds. One that is not found is told in
+  /// the target's reason and looked up again and again, beside the sending thread; until then it gets
+  /// nothing.
+  ///
+  /// look_up  called by this and by a thread of the bridge's, `facet-names`; may block (see finished)
+  explicit Bridge(const BridgeConfig& config, LookUp look_up = look_up_host);
   ~Bridge();
   Bridge(const Bridge&) = delete;
   Bridge& operator=(const Bridge&) = delete;
@@ -74,8 +77,15 @@ class Bridge {
   void request_stop();
   /// Idempotent; the destructor calls both.
   void stop();
+  /// False while a name is looked up: the destructor waits for that. Any thread.
+  bool finished() const;
 
-  /// Any thread; takes a lock that is held for copying a pointer.
+  /// Sets frame.avatar_values; a neutral pose is recorded of these frames. In the frames' order, before
+  /// publish(); any thread; takes a lock that is never held for long.
+  void complete(mesh::MeshFrame& frame);
+  /// False: complete() would leave the values empty and nothing is recorded. Any thread.
+  bool changes_values() const;
+  /// A completed frame, to be sent. Any thread; takes a lock that is never held for long.
   void publish(std::shared_ptr<const mesh::MeshFrame> frame);
   BridgeStatus status() const;
 

@@ -68,11 +68,24 @@ FaceState face_state(const mesh::MeshFrame& frame) {
   return state;
 }
 
-void subtract(const NeutralPose& neutral, FaceState& state) {
+void values_to_frame(const mesh::ArkitValues& values, mesh::MeshFrame& frame) {
+  const std::vector<std::string>& names = frame.subject->expression_names;
+  frame.avatar_values.assign(frame.expression.begin(), frame.expression.end());
+  for (std::size_t i = 0; i < std::min(names.size(), frame.avatar_values.size()); ++i) {
+    if (const int index = mesh::arkit_index(names[i]); index >= 0) {
+      frame.avatar_values[i] = values.at(static_cast<std::size_t>(index));
+    }
+  }
+}
+
+void subtract_values(const NeutralPose& neutral, FaceState& state) {
   for (std::size_t i = 0; i < state.values.size(); ++i) {
     const float rest = std::min(neutral.values.at(i), kMostRest);
     state.values.at(i) = std::clamp((state.values.at(i) - rest) / (1.0F - rest), 0.0F, 1.0F);
   }
+}
+
+void subtract_head(const NeutralPose& neutral, FaceState& state) {
   state.upright_from_head = neutral.upright_from_head.inverse() * state.upright_from_head;
 }
 

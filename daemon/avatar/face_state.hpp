@@ -24,8 +24,11 @@ struct FaceState {
   Eigen::Isometry3f upright_from_head = Eigen::Isometry3f::Identity();
 };
 
-/// The state that a frame shows; tracked where it has a mesh.
+/// The state that a frame shows, its values as measured; tracked where it has a mesh.
 FaceState face_state(const mesh::MeshFrame& frame);
+/// [expression_count] the state's values in the order of the frame's expressions; those that ARKit does not
+/// have are the frame's own. Needs frame.subject.
+void values_to_frame(const mesh::ArkitValues& values, mesh::MeshFrame& frame);
 
 /// A person's resting face and the pose that counts as straight ahead.
 struct NeutralPose {
@@ -33,9 +36,10 @@ struct NeutralPose {
   Eigen::Isometry3f upright_from_head = Eigen::Isometry3f::Identity();
 };
 
-/// Takes the resting face away: a value runs from 0 at rest to 1 as before; the head's turn and place are
-/// those against the neutral pose, in its own axes.
-void subtract(const NeutralPose& neutral, FaceState& state);
+/// Takes the resting face away: a value runs from 0 at rest to 1 as before.
+void subtract_values(const NeutralPose& neutral, FaceState& state);
+/// The head's turn and place become those against the neutral pose, in its own axes.
+void subtract_head(const NeutralPose& neutral, FaceState& state);
 
 /// The mean of the states of a while.
 class NeutralRecorder {

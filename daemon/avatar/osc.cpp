@@ -25,7 +25,8 @@ void OscBundles::add(std::string_view address, std::initializer_list<OscArgument
   append(message_, address);
   std::string tags = ",";
   for (const OscArgument& argument : arguments) {
-    tags += "ifs"[argument.index()];
+    const auto* yes = std::get_if<bool>(&argument);
+    tags += yes == nullptr ? "ifs"[argument.index()] : *yes ? 'T' : 'F';
   }
   append(message_, tags);
   for (const OscArgument& argument : arguments) {
@@ -33,8 +34,8 @@ void OscBundles::add(std::string_view address, std::initializer_list<OscArgument
       append(message_, static_cast<std::uint32_t>(*whole));
     } else if (const auto* number = std::get_if<float>(&argument)) {
       append(message_, std::bit_cast<std::uint32_t>(*number));
-    } else {
-      append(message_, std::get<std::string_view>(argument));
+    } else if (const auto* text = std::get_if<std::string_view>(&argument)) {
+      append(message_, *text);
     }
   }
   if (bundles_.empty() || bundles_.back().size() + 4 + message_.size() > most_bytes_) {

@@ -11,8 +11,9 @@
 
 namespace facet::avatar {
 
-/// One argument of an Open Sound Control message.
-using OscArgument = std::variant<std::int32_t, float, std::string_view>;
+/// One argument of an Open Sound Control message. A bool is a tag alone (T, F), which OSC 1.0 counts among
+/// the types that not every receiver knows.
+using OscArgument = std::variant<std::int32_t, float, std::string_view, bool>;
 
 /// Open Sound Control 1.0 messages, gathered into bundles ("immediately") that a network carries in one
 /// piece.

@@ -1,7 +1,11 @@
 #include "avatar/protocols.hpp"
 
+#include <algorithm>
 #include <bit>
 #include <cmath>
+#include <span>
+
+#include "avatar/sent_values.hpp"
 
 namespace facet::avatar {
 namespace {
@@ -27,9 +31,23 @@ void append(std::vector<std::byte>& out, const std::string& text) {
   out.insert(out.end(), bytes.begin(), bytes.end());
 }
 
+/// A bone that turns by yaw (to the subject's right) and pitch (down), radians. Unity's axes are left-handed,
+/// so that both turn the way a positive angle about y and x does; pitch first, then yaw: q = q_y q_x.
+void add_eye(std::string_view bone, float yaw, float pitch, OscBundles& out) {
+  const Eigen::Quaternionf turn = Eigen::Quaternionf(Eigen::AngleAxisf(yaw, Eigen::Vector3f::UnitY())) *
+                                  Eigen::Quaternionf(Eigen::AngleAxisf(pitch, Eigen::Vector3f::UnitX()));
+  out.add("/VMC/Ext/Bone/Pos", {bone, 0.0F, 0.0F, 0.0F, turn.x(), turn.y(), turn.z(), turn.w()});
+}
+
 }  // namespace
 
-void write_vmc(const FaceState& state, float time_s, bool neutral, OscBundles& out) {
+VmcContent vmc_content(VmcShapes shapes, bool eye_bones, const MappedValues& chosen) {
+  return {shapes != VmcShapes::Presets, eye_bones,
+          replaced(shapes == VmcShapes::PerfectSync ? MappedValues() : vrm_presets(), chosen)};
+}
+
+void write_vmc(const FaceState& state, float time_s, bool neutral, const VmcContent& content,
+               OscBundles& out) {
   out.add("/VMC/Ext/OK", {std::int32_t{1}, kCalibrated, kNormalMode, std::int32_t{state.tracked ? 1 : 0}});
   out.add("/VMC/Ext/T", {time_s});
   if (!state.tracked) {
@@ -38,17 +56,30 @@ void write_vmc(const FaceState& state, float time_s, bool neutral, OscBundles& o
   // Unity's axes are ours with x turned round: so is the place's x, and turns about y and z go the other way.
   Eigen::Quaternionf turn(state.upright_from_head.linear());
   turn.normalize();
-  const Eigen::Vector3f place = state.upright_from_head.translation();
-  const Eigen::Vector3f root = neutral ? place : Eigen::Vector3f(0, 0, 0);
-  const Eigen::Vector3f head = place - root;
+  const Eigen::Vector3f root = neutral ? state.upright_from_head.translation() : Eigen::Vector3f(0, 0, 0);
   out.add("/VMC/Ext/Root/Pos", {"root", -root.x(), root.y(), root.z(), 0.0F, 0.0F, 0.0F, 1.0F});
-  out.add("/VMC/Ext/Bone/Pos",
-          {"Head", -head.x(), head.y(), head.z(), turn.x(), -turn.y(), -turn.z(), turn.w()});
+  out.add("/VMC/Ext/Bone/Pos", {"Head", 0.0F, 0.0F, 0.0F, turn.x(), -turn.y(), -turn.z(), turn.w()});
   if (!state.has_expression) {
     return;
   }
-  for (std::size_t i = 0; i < state.values.size(); ++i) {
-    out.add("/VMC/Ext/Blend/Val", {mesh::kArkitNames.at(i), state.values.at(i)});
+  if (content.eye_bones) {
+    const std::array<float, 9> angles =
+        mesh::live_link_rotations(state.values, state.upright_from_head.linear());
+    add_eye("LeftEye", angles[3], angles[4], out);
+    add_eye("RightEye", angles[6], angles[7], out);
+  }
+  const auto add_value = [&out](std::string_view name, float value) {
+    out.add("/VMC/Ext/Blend/Val", {name, value});
+  };
+  for (std::size_t i = 0; content.arkit_names && i < state.values.size(); ++i) {
+    const std::string_view name = mesh::kArkitNames.at(i);
+    if (std::none_of(content.values.begin(), content.values.end(),
+                     [name](const MappedValue& chosen) { return chosen.name == name; })) {
+      add_value(name, state.values.at(i));
+    }
+  }
+  for (const MappedValue& value : content.values) {
+    add_value(value.name, std::clamp(value.formula.of(state.values), 0.0F, 1.0F));
   }
   out.add("/VMC/Ext/Blend/Apply", {});
 }

@@ -32,6 +32,8 @@ struct ValueTunings {
   std::map<std::size_t, ValueTuning> named;  ///< by the index into mesh::kArkitNames
 
   const ValueTuning& of(std::size_t index) const;
+  /// True: every value stays as it comes.
+  bool plain() const { return all == ValueTuning() && named.empty(); }
 };
 
 /// Tunes the values of states as they come: dead zone, then gain, then smoothing.

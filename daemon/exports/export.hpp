@@ -32,11 +32,13 @@ struct ExportMesh {
   mesh::Triangles triangles;                     ///< counter-clockwise from outside
   mesh::TextureCoordinates texture_coordinates;  ///< [2][vertex_count] u right, v up
   mesh::Vertices albedo;                         ///< [3][vertex_count] linear RGB; empty: not learned yet
-  std::vector<float> displacements_mm;           ///< [vertex_count]; 0 at level Coarse or where not refined
-  std::vector<float> confidence;                 ///< [vertex_count]; 0 where not refined
+  std::shared_ptr<const std::vector<std::uint8_t>>
+      skin_png;                         ///< the albedo as encode_skin makes it; null: none
+  std::vector<float> displacements_mm;  ///< [vertex_count]; 0 at level Coarse or where not refined
+  std::vector<float> confidence;        ///< [vertex_count]; 0 where not refined
 };
 
-/// Builds the mesh of a frame that has one. Buffers in `out` are reused.
+/// Builds the mesh of a frame that has one, without skin_png. Buffers in `out` are reused.
 void build_export_mesh(const mesh::MeshFrame& frame, MeshLevel level, MeshSpace space, ExportMesh& out);
 
 /// Axes and unit of a mesh that is a file of its own.
@@ -56,8 +58,8 @@ const char* words_of(MeshAxes axes);
 void write_ply(const ExportMesh& mesh, const std::filesystem::path& file, MeshAxes axes);
 /// OBJ: v with colour appended (sRGB of the albedo, 0 to 1), vt, vn.
 void write_obj(const ExportMesh& mesh, const std::filesystem::path& file, MeshAxes axes);
-/// GLB (glTF 2.0), which knows MeshAxes::Upright alone; NORMAL, TEXCOORD_0, COLOR_0 (linear albedo),
-/// _DISPLACEMENT_MM, _CONFIDENCE.
+/// GLB (glTF 2.0), which knows MeshAxes::Upright alone; NORMAL, TEXCOORD_0, _DISPLACEMENT_MM, _CONFIDENCE;
+/// the albedo as a texture where the mesh has skin_png, else as COLOR_0 (linear).
 void write_glb(const ExportMesh& mesh, const std::filesystem::path& file);
 
 /// When the frames of a sequence are. At a constant rate the frames' numbers in the source are its clock:
@@ -66,6 +68,7 @@ struct Timeline {
   double rate_hz = 30;                   ///< on average where it varies
   std::vector<std::uint64_t> sequences;  ///< of the frames with a mesh that will be written, rising
   std::vector<double> times_s;  ///< [sequences.size()] from 0, rising, of a varying rate; empty: constant
+  take::TakeTimecode timecode;  ///< of formats that name it: by the frames' timestamps
   double deviation_s = 0;       ///< the most that a frame's media time is beside its number over the rate
 };
 
@@ -84,7 +87,17 @@ struct ExpressionShapes {
   std::vector<std::string> names;
   mesh::Vertices neutral_mm;              ///< [3][vertex_count] of level 0
   std::vector<mesh::Vertices> deltas_mm;  ///< [names.size()] likewise
+  /// Vertices of the left and of the right eyeball, rising, no triangle of which has another vertex; empty:
+  /// they are no pieces of their own.
+  std::array<std::vector<std::int32_t>, 2> eyeballs;
 };
+
+/// Finds the eyeballs: of the pieces of a mesh those of `is_eye` vertices alone, the largest on either side.
+/// vertices_mm  [3][vertex_count] head frame: x > 0 is the left one
+/// is_eye       [n] of the first n vertices, 1 where one is of an eye; those behind go with their triangles
+std::array<std::vector<std::int32_t>, 2> find_eyeballs(const mesh::Vertices& vertices_mm,
+                                                       const mesh::Triangles& triangles,
+                                                       std::span<const std::uint8_t> is_eye);
 
 /// How the arrays of a GLB file are encoded.
 enum class GlbCompression {
@@ -99,7 +112,7 @@ struct SequenceOptions {
   /// Of the caches that have no node to carry the head's pose (PC2, MDD): whether the pose is in the
   /// vertices.
   MeshSpace space = MeshSpace::Camera;
-  ExpressionShapes shapes;                            ///< of GlbExpressions
+  ExpressionShapes shapes;                            ///< of formats made of expressions (Animation)
   GlbCompression compression = GlbCompression::None;  ///< of GlbFrames and GlbExpressions
 };
 
@@ -131,15 +144,21 @@ class SequenceWriter {
 /// (docs/exports.md).
 std::unique_ptr<SequenceWriter> open_pc2(const SequenceOptions& options, const SequenceFrame& first);
 std::unique_ptr<SequenceWriter> open_mdd(const SequenceOptions& options, const SequenceFrame& first);
-std::unique_ptr<SequenceWriter> open_usda(const SequenceOptions& options, const SequenceFrame& first);
+std::unique_ptr<SequenceWriter> open_usda_frames(const SequenceOptions& options, const SequenceFrame& first);
 std::unique_ptr<SequenceWriter> open_glb_frames(const SequenceOptions& options, const SequenceFrame& first);
+/// Of the neutral face and its shapes: SequenceOptions::shapes, and the mesh of `first` at level Coarse. Only
+/// GLB has the eyeballs as nodes of their own; its vertices without them are in the same order.
 std::unique_ptr<SequenceWriter> open_glb_expressions(const SequenceOptions& options,
                                                      const SequenceFrame& first);
+std::unique_ptr<SequenceWriter> open_usda(const SequenceOptions& options, const SequenceFrame& first);
+/// Keeps the curves in memory: 16 bytes a frame for each expression. Centimetres.
+std::unique_ptr<SequenceWriter> open_fbx(const SequenceOptions& options, const SequenceFrame& first);
 
 /// Curves in the columns of Live Link Face's recordings: Timecode, BlendShapeCount (61), 52 values, angles in
 /// radians (mesh::live_link_rotations). Frames without a mesh have a line of zeros.
 std::string live_link_header();
-/// One line, with its newline. The timecode counts from 0 at the timeline's first frame, at its rate rounded
+/// One line, with its newline. The timecode is that of Timeline::timecode, counted on where it is not known; where a
+/// take has none, it counts from 0 at the timeline's first frame, at its rate rounded
 /// to a whole number of frames a second; at a varying rate its seconds are those of time_s, and the frame has
 /// thousandths.
 std::string live_link_line(const mesh::MeshFrame& frame, const Timeline& timeline);
@@ -203,14 +222,18 @@ class MapBaker {
   std::unique_ptr<Impl> impl_;
 };
 
+/// A map of the albedo as the picture that mesh files show: PNG, 8 bits a channel, sRGB.
+std::vector<std::uint8_t> encode_skin(const MapPicture& albedo);
+
 /// Writes a map, whole or not at all. Throws Error(Storage) naming the file.
 void write_map(const MapPicture& picture, MapKind kind, PictureFormat format,
                const std::filesystem::path& file);
 
-/// One line of the jsonl export, without the newline: index, sequence, timestamp_ns, media_time_ns, state,
-/// degraded, camera, camera_from_head, expression, expression_confidence, model_weights, identity, lighting,
-/// landmarks_px, reprojection_px, photometric_rms, stage_ms. Without a mesh camera_from_head is null and the
-/// lists are empty.
-std::string frame_json(const mesh::MeshFrame& frame, std::int64_t index);
+/// One line of the jsonl export, without the newline: index, sequence, timestamp_ns, media_time_ns, timecode
+/// ("HH:MM:SS:FF" as given, null where it is empty), state,
+/// degraded, camera, camera_from_head, expression, expression_confidence, avatar_values, model_weights,
+/// identity, lighting, landmarks_px, reprojection_px, photometric_rms, stage_ms. Without a mesh
+/// camera_from_head is null and the lists are empty.
+std::string frame_json(const mesh::MeshFrame& frame, std::int64_t index, const std::string& timecode = {});
 
 }  // namespace facet::exports

@@ -66,13 +66,14 @@ Json frame_set_json(const FrameSet& set) {
 
 }  // namespace
 
-std::string frame_json(const mesh::MeshFrame& frame, std::int64_t index) {
+std::string frame_json(const mesh::MeshFrame& frame, std::int64_t index, const std::string& timecode) {
   const bool meshed = frame.subject != nullptr;
   Json out;
   out["index"] = index;
   out["sequence"] = frame.sequence;
   out["timestamp_ns"] = frame.timestamp_ns;
   out["media_time_ns"] = frame.media_time_ns;
+  out["timecode"] = timecode.empty() ? Json(nullptr) : Json(timecode);
   out["state"] = mesh::to_string(frame.state);
   out["origin"] = mesh::to_string(frame.origin);
   out["degraded"] = frame.degraded;
@@ -81,6 +82,7 @@ std::string frame_json(const mesh::MeshFrame& frame, std::int64_t index) {
   out["camera_from_head"] = meshed ? pose_json(frame.camera_from_head) : Json(nullptr);
   out["expression"] = meshed ? weights_json(frame, frame.expression) : Json::object();
   out["expression_confidence"] = meshed ? weights_json(frame, frame.expression_confidence) : Json::object();
+  out["avatar_values"] = meshed ? weights_json(frame, frame.avatar_values) : Json::object();
   out["model_weights"] = meshed ? weights_json(frame, frame.model_weights) : Json::object();
   out["identity"] = meshed ? Json(frame.subject->identity) : Json::array();
   out["person"] = meshed && !frame.subject->person.empty() ? Json(frame.subject->person) : Json(nullptr);

@@ -30,9 +30,15 @@ constexpr std::array<std::size_t, mesh::kArkitNames.size()> column_order() {
 }
 constexpr auto kColumns = column_order();
 
-/// "HH:MM:SS:FF.mmm" of a frame of the timeline. At a constant rate the thousandths are 0, since every line
-/// is a frame.
-std::string timecode(const Timeline& timeline, std::uint64_t sequence) {
+/// "HH:MM:SS:FF.mmm" of a frame: the take's timecode, or of the timeline. There, at a constant rate, the
+/// thousandths are 0, since every line is a frame.
+std::string timecode(const Timeline& timeline, const mesh::MeshFrame& of) {
+  if (const auto place = take::timecode_near(timeline.timecode, of.timestamp_ns, timeline.rate_hz)) {
+    const take::TimecodeLabel label = take::timecode_label(place->count, place->rate);
+    return fmt::format("{:02}:{:02}:{:02}:{:02}.{:03}", label.hours, label.minutes, label.seconds,
+                       label.frames, place->thousandths);
+  }
+  const std::uint64_t sequence = of.sequence;
   constexpr std::uint64_t kThousandths = 1000;
   const auto frames_per_second = static_cast<std::uint64_t>(std::max(1L, std::lround(timeline.rate_hz)));
   const std::uint64_t thousandths =
@@ -67,7 +73,7 @@ std::string live_link_line(const mesh::MeshFrame& frame, const Timeline& timelin
     angles =
         mesh::live_link_rotations(values, (mesh::upright_from_camera() * frame.camera_from_head).linear());
   }
-  std::string line = fmt::format("{},{}", timecode(timeline, frame.sequence), values.size() + angles.size());
+  std::string line = fmt::format("{},{}", timecode(timeline, frame), values.size() + angles.size());
   for (const std::size_t column : kColumns) {
     fmt::format_to(std::back_inserter(line), ",{:.10f}", values[column]);
   }

@@ -9,6 +9,7 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -35,12 +36,19 @@ float coded(float value, MapKind kind) {
   return 0;
 }
 
-void write_png(const MapPicture& picture, MapKind kind, const std::filesystem::path& file) {
-  std::vector<std::uint16_t> values(picture.values.size());
+/// Value: std::uint8_t or std::uint16_t.
+template <typename Value>
+std::vector<std::uint8_t> encode(const MapPicture& picture, MapKind kind) {
+  constexpr auto kMost = static_cast<float>(std::numeric_limits<Value>::max());
+  std::vector<Value> values(picture.values.size());
   std::transform(picture.values.begin(), picture.values.end(), values.begin(), [kind](float value) {
-    return static_cast<std::uint16_t>(std::lrint(std::clamp(coded(value, kind), 0.0F, 1.0F) * 65535.0F));
+    return static_cast<Value>(std::lrint(std::clamp(coded(value, kind), 0.0F, 1.0F) * kMost));
   });
-  const std::vector<std::uint8_t> bytes = files::encode_png(picture.size_px, picture.size_px, values);
+  return files::encode_png(picture.size_px, picture.size_px, values);
+}
+
+void write_png(const MapPicture& picture, MapKind kind, const std::filesystem::path& file) {
+  const std::vector<std::uint8_t> bytes = encode<std::uint16_t>(picture, kind);
   files::OutputFile output(file);
   output.write(std::as_bytes(std::span(bytes)));
   output.commit();
@@ -76,6 +84,10 @@ void write_exr(const MapPicture& picture, MapKind kind, const std::filesystem::p
 }
 
 }  // namespace
+
+std::vector<std::uint8_t> encode_skin(const MapPicture& albedo) {
+  return encode<std::uint8_t>(albedo, MapKind::Albedo);
+}
 
 void write_map(const MapPicture& picture, MapKind kind, PictureFormat format,
                const std::filesystem::path& file) {

@@ -64,6 +64,7 @@ void build_export_mesh(const mesh::MeshFrame& frame, MeshLevel level, MeshSpace 
   out.displacements_mm = finest ? leading(frame.displacements_mm, count) : std::vector<float>(count, 0.0F);
   out.confidence = leading(frame.confidence, count);
   out.albedo.resize(3, 0);
+  out.skin_png.reset();
   if (frame.albedo != nullptr && frame.albedo->linear_rgb.size() >= 3 * count) {
     out.albedo = Eigen::Map<const mesh::Vertices>(frame.albedo->linear_rgb.data(), 3, source.vertex_count);
   }

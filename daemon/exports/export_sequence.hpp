@@ -28,6 +28,9 @@ void write_obj_as_is(const ExportMesh& mesh, const std::filesystem::path& file, 
 /// along -z.
 void mend_normals(Eigen::Matrix3Xf& normals);
 
+/// A mesh with the neutral face's vertices and normals in place of its own. mesh: at level Coarse.
+ExportMesh neutral_mesh(const ExpressionShapes& shapes, const ExportMesh& mesh);
+
 /// Throws Error(Usage) naming file and frame where a frame's mesh has other vertices or triangles than the
 /// first's.
 void require_same_mesh(const mesh::Triangles& triangles, const SequenceFrame& frame,

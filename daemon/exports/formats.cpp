@@ -15,8 +15,9 @@ std::string curves_line(const mesh::MeshFrame& frame, std::int64_t /*index*/, co
   return live_link_line(frame, timeline);
 }
 
-std::string json_line(const mesh::MeshFrame& frame, std::int64_t index, const Timeline& /*timeline*/) {
-  return frame_json(frame, index) + "\n";
+std::string json_line(const mesh::MeshFrame& frame, std::int64_t index, const Timeline& timeline) {
+  const auto place = take::timecode_at(timeline.timecode, frame.timestamp_ns, timeline.rate_hz);
+  return frame_json(frame, index, place ? take::to_text(*place) : "") + "\n";
 }
 
 const std::array kFormats = {
@@ -24,14 +25,21 @@ const std::array kFormats = {
                  FrameFiles{write_ply}},
     ExportFormat{"obj", "the same as text", "obj", FrameFiles{write_obj}},
     ExportFormat{"glb", "the same as glTF 2.0", "glb",
-                 FrameFiles{.write = write_upright_glb, .has_axes = false}},
+                 FrameFiles{.write = write_upright_glb, .has_axes = false, .has_picture = true}},
     ExportFormat{"glb-frames", "one animated GLB: every frame a morph target, the head's pose on the node",
-                 "glb", Animation{.open = open_glb_frames, .compresses = true}},
-    ExportFormat{"glb-expressions",
-                 "one animated GLB: the coarse mesh, the expressions as morph targets, the head's pose",
-                 "glb", Animation{.open = open_glb_expressions, .in_expressions = true, .compresses = true}},
-    ExportFormat{"usda", "one mesh with time samples, the head's pose as its transform, metres, y up", "usda",
-                 Animation{.open = open_usda}},
+                 "glb", Animation{.open = open_glb_frames, .compresses = true, .has_picture = true}},
+    ExportFormat{
+        "glb-expressions",
+        "one animated GLB: the coarse mesh, the expressions as morph targets, eyes and head as nodes", "glb",
+        Animation{
+            .open = open_glb_expressions, .in_expressions = true, .compresses = true, .has_picture = true}},
+    ExportFormat{"fbx", "the same as FBX, but in one mesh, centimetres", "fbx",
+                 Animation{.open = open_fbx, .in_expressions = true, .has_picture = true}},
+    ExportFormat{"usda", "the same as USD (UsdSkel), metres", "usda",
+                 Animation{.open = open_usda, .in_expressions = true}},
+    ExportFormat{"usda-frames",
+                 "USD: one mesh with time samples of its vertices, the head's pose as its transform", "usda",
+                 Animation{.open = open_usda_frames}},
     ExportFormat{"pc2", "a vertex cache and the OBJ that it is for, metres, y up", "pc2",
                  Animation{.open = open_pc2, .has_no_node = true}},
     ExportFormat{"mdd", "the same for programs that read MDD", "mdd",
@@ -47,6 +55,9 @@ const std::array kFormats = {
                  Lines{.header = live_link_header, .line = curves_line, .in_time = true}},
     ExportFormat{"jsonl", "one object per frame", "jsonl",
                  Lines{.header = [] { return std::string(); }, .line = json_line}},
+    ExportFormat{"wav", "the sound beside the take from its first mesh on, with its timecode", "wav",
+                 Sound{}},
+    ExportFormat{"flac", "the same as FLAC, without timecode", "flac", Sound{}},
     ExportFormat{"png", "the cameras' pictures, where they were recorded", "", CameraPictures{}},
 };
 

@@ -14,7 +14,8 @@ namespace facet::exports {
 /// A file for each frame, `frame_%06d.EXTENSION`.
 struct FrameFiles {
   void (*write)(const ExportMesh& mesh, const std::filesystem::path& file, MeshAxes axes);
-  bool has_axes = true;  ///< false: the format has its own
+  bool has_axes = true;      ///< false: the format has its own
+  bool has_picture = false;  ///< shows ExportMesh::skin_png
 };
 
 /// One file for all frames.
@@ -23,6 +24,7 @@ struct Animation {
   bool in_expressions = false;  ///< of the coarse mesh, needs SequenceOptions::shapes
   bool compresses = false;      ///< takes SequenceOptions::compression
   bool has_no_node = false;     ///< takes SequenceOptions::space
+  bool has_picture = false;     ///< shows ExportMesh::skin_png of the first frame
 };
 
 /// A map for each frame that has one, in a PictureFormat.
@@ -40,15 +42,19 @@ struct Lines {
 /// The cameras' pictures as they were recorded.
 struct CameraPictures {};
 
+/// The sound beside the take, from the first frame on, in one file.
+struct Sound {};
+
 /// What `facet export` can write: a format is one row of export_formats().
 struct ExportFormat {
   const char* name;
   const char* help;       ///< a clause for --format
   const char* extension;  ///< of its files, without dot; of maps and pictures: empty
-  std::variant<FrameFiles, Animation, Maps, Lines, CameraPictures> writes;
+  std::variant<FrameFiles, Animation, Maps, Lines, Sound, CameraPictures> writes;
 
   bool is_one_file() const {
-    return std::holds_alternative<Animation>(writes) || std::holds_alternative<Lines>(writes);
+    return std::holds_alternative<Animation>(writes) || std::holds_alternative<Lines>(writes) ||
+           std::holds_alternative<Sound>(writes);
   }
 };
 

@@ -4,6 +4,7 @@
 #include <meshoptimizer.h>
 
 #include <algorithm>
+#include <array>
 #include <bit>
 #include <cmath>
 #include <limits>
@@ -130,6 +131,14 @@ int GlbFile::add_triangles(const mesh::Triangles& triangles) {
   return add(std::move(view), "SCALAR", kGltfUint32, indices.size(), kGltfIndices, GltfJson::object());
 }
 
+int GlbFile::add_picture(std::span<const std::uint8_t> png) {
+  GltfJson view = plain_view(std::as_bytes(png));
+  constexpr std::array<std::byte, 3> kPadding{};
+  binary_.write(std::span(kPadding).first((4 - png.size() % 4) % 4));
+  views_.push_back(std::move(view));
+  return static_cast<int>(views_.size()) - 1;
+}
+
 Eigen::Matrix3Xf GlbFile::stored(const Eigen::Matrix3Xf& values, GltfStep step) const {
   if (compression_ == GlbCompression::None || step == GltfStep::Exact) {
     return values;
@@ -180,8 +189,39 @@ GltfJson gltf_list(const Eigen::Ref<const Eigen::VectorXf>& vector) {
   return list;
 }
 
-GltfJson gltf_skin() {
-  return {{"name", "skin"}, {"pbrMetallicRoughness", {{"metallicFactor", 0.0}, {"roughnessFactor", 0.6}}}};
+void add_materials(GltfJson& document, GlbFile& glb, const ExportMesh& mesh, bool has_eyes) {
+  document["materials"] = GltfJson::array();
+  for (const auto& [name, roughness] : {std::pair{"skin", 0.6}, {"eyes", 0.2}}) {
+    if (name == std::string_view("eyes") && !has_eyes) {
+      break;
+    }
+    GltfJson look{{"metallicFactor", 0.0}, {"roughnessFactor", roughness}};
+    if (mesh.skin_png != nullptr) {
+      look["baseColorTexture"] = {{"index", 0}};
+    }
+    document["materials"].push_back({{"name", name}, {"pbrMetallicRoughness", std::move(look)}});
+  }
+  if (mesh.skin_png != nullptr) {
+    document["images"] = GltfJson::array(
+        {{{"name", "albedo"}, {"bufferView", glb.add_picture(*mesh.skin_png)}, {"mimeType", "image/png"}}});
+    document["samplers"] = GltfJson::array({{{"magFilter", kGltfLinear},
+                                             {"minFilter", kGltfLinearMipmaps},
+                                             {"wrapS", kGltfClampToEdge},
+                                             {"wrapT", kGltfClampToEdge}}});
+    document["textures"] = GltfJson::array({{{"sampler", 0}, {"source", 0}}});
+  }
+}
+
+void add_attributes(GltfJson& attributes, GlbFile& glb, const ExportMesh& mesh,
+                    const Eigen::Matrix3Xf& normals) {
+  const auto count = static_cast<std::size_t>(mesh.vertices_mm.cols());
+  attributes["NORMAL"] = glb.add_floats(flat(normals), "VEC3", count, kGltfVertices, GltfStep::Normal);
+  attributes["TEXCOORD_0"] = glb.add_floats(flat(gltf_texture_coordinates(mesh.texture_coordinates)), "VEC2",
+                                            count, kGltfVertices, GltfStep::Texture);
+  if (mesh.skin_png == nullptr && mesh.albedo.cols() > 0) {
+    const mesh::Vertices colour = mesh.albedo.cwiseMax(0.0F).cwiseMin(1.0F);
+    attributes["COLOR_0"] = glb.add_floats(flat(colour), "VEC3", count, kGltfVertices, GltfStep::Colour);
+  }
 }
 
 mesh::TextureCoordinates gltf_texture_coordinates(const mesh::TextureCoordinates& coordinates) {

@@ -20,6 +20,9 @@ inline constexpr int kGltfUint32 = 5125;
 inline constexpr int kGltfVertices = 34962;  ///< a buffer view's target
 inline constexpr int kGltfIndices = 34963;
 inline constexpr int kGltfNoTarget = 0;
+inline constexpr int kGltfLinear = 9729;
+inline constexpr int kGltfLinearMipmaps = 9987;
+inline constexpr int kGltfClampToEdge = 33071;
 
 /// What a compressed file rounds values to, as a power of two; an uncompressed one keeps floats as they are.
 enum class GltfStep : int {
@@ -50,6 +53,9 @@ class GlbFile {
   /// [3][triangle_count]
   int add_triangles(const mesh::Triangles& triangles);
 
+  /// Appends a picture as it is; returns the index of its buffer view.
+  int add_picture(std::span<const std::uint8_t> png);
+
   /// Values as a reader of this file will have them.
   Eigen::Matrix3Xf stored(const Eigen::Matrix3Xf& values, GltfStep step) const;
 
@@ -77,8 +83,13 @@ class GlbFile {
 
 std::span<const float> flat(const Eigen::Ref<const Eigen::MatrixXf>& matrix);
 GltfJson gltf_list(const Eigen::Ref<const Eigen::VectorXf>& vector);
-/// The one material of all exports.
-GltfJson gltf_skin();
+/// Adds the materials of all exports to a document, 0 skin and 1 eyes, and the picture that they show where
+/// the mesh has one. Where eyes are no mesh of their own, has_eyes is false.
+void add_materials(GltfJson& document, GlbFile& glb, const ExportMesh& mesh, bool has_eyes);
+/// Adds normals (as given), texture coordinates and, where the mesh has no picture, the albedo as COLOR_0 to
+/// a primitive's attributes: glTF multiplies texture and COLOR_0, so a file has either.
+void add_attributes(GltfJson& attributes, GlbFile& glb, const ExportMesh& mesh,
+                    const Eigen::Matrix3Xf& normals);
 /// Texture coordinates as glTF has them, v downwards.
 mesh::TextureCoordinates gltf_texture_coordinates(const mesh::TextureCoordinates& coordinates);
 

@@ -96,6 +96,9 @@ struct MeshFrame {
   /// [expression_count] 0 to 1: how far `expression` can be believed (track::ExpressionReader). Empty: not
   /// known.
   std::vector<float> expression_confidence;
+  /// [expression_count] 0 to 1: what moves an avatar: `expression` counted from the person's neutral pose and
+  /// tuned by name (avatar::Bridge::complete), as bridges send it. Empty: it is `expression`.
+  std::vector<float> avatar_values;
   /// [expression_count] weights of the face model's shapes that make the control vertices, where those are
   /// not `expression`, which was read off the landmarks (track::ExpressionReader). Empty: they are. See
   /// shape_weights().

@@ -336,6 +336,7 @@ void BoothMeshes::Impl::find_depth(Run& run) {
       item.set = sets[i];
       item.depth_ms = depth_ms / static_cast<float>(maps.size());
       item.maps = std::move(maps[at++]);
+      capture::weigh_by_own_noise(item.maps);
       item.stripes = run.slots[i].stripes;
       item.wrong = wrong;
       item.complete = run.complete;
@@ -410,6 +411,9 @@ std::shared_ptr<mesh::MeshFrame> BoothMeshes::Impl::begin_frame(const Seen& item
 
 void BoothMeshes::Impl::hand_out(const Seen& item, const std::shared_ptr<mesh::MeshFrame>& frame) {
   frame->stage_ms.latency_ms = ms_since(item.complete);
+  for (MeshSink* sink : sinks) {
+    sink->complete(*frame);
+  }
   for (MeshSink* sink : sinks) {
     sink->deliver(frame);
   }

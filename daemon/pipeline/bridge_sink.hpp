@@ -11,17 +11,13 @@ namespace facet::pipeline {
 /// Hands frames to programs that move avatars, unless something else is shown there; never blocks.
 class BridgeSink final : public MeshSink {
  public:
-  /// bridge: outlives the sink; null where none is configured.
-  explicit BridgeSink(avatar::Bridge* bridge) : bridge_(bridge) {}
+  /// bridge: outlives the sink.
+  explicit BridgeSink(avatar::Bridge& bridge) : bridge_(bridge) {}
+  /// While held, too: whoever records the live face gets its values.
+  void complete(mesh::MeshFrame& frame) override { bridge_.complete(frame); }
   void deliver(std::shared_ptr<const mesh::MeshFrame> frame) override {
     if (!held_) {
-      show(std::move(frame));
-    }
-  }
-  /// What is shown in the live face's place. Any thread.
-  void show(std::shared_ptr<const mesh::MeshFrame> frame) {
-    if (bridge_ != nullptr) {
-      bridge_->publish(std::move(frame));
+      bridge_.publish(std::move(frame));
     }
   }
 
@@ -29,7 +25,7 @@ class BridgeSink final : public MeshSink {
   void hold(bool held) { held_ = held; }
 
  private:
-  avatar::Bridge* bridge_;
+  avatar::Bridge& bridge_;
   std::atomic<bool> held_{false};
 };
 

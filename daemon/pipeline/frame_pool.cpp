@@ -10,6 +10,7 @@ void clear(mesh::MeshFrame& frame) {
   empty.degraded_reason = std::move(frame.degraded_reason);
   empty.expression = std::move(frame.expression);
   empty.expression_confidence = std::move(frame.expression_confidence);
+  empty.avatar_values = std::move(frame.avatar_values);
   empty.model_weights = std::move(frame.model_weights);
   empty.landmarks_px = std::move(frame.landmarks_px);
   empty.displacements_mm = std::move(frame.displacements_mm);
@@ -17,6 +18,7 @@ void clear(mesh::MeshFrame& frame) {
   empty.degraded_reason.clear();
   empty.expression.clear();
   empty.expression_confidence.clear();
+  empty.avatar_values.clear();
   empty.model_weights.clear();
   empty.landmarks_px.clear();
   empty.displacements_mm.clear();

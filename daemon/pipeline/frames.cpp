@@ -241,8 +241,9 @@ Devices open_devices(const DevicesConfig& config) {
   for (const DeviceCamera& camera : config.cameras) {
     if (camera.source.kind == camera::kSimulatedCamera.name) {
       const camera::LiveConfig& size = camera.source.live;
-      devices.cameras.push_back(
-          room->camera({camera.name, size.width_px, size.height_px, size.rate_hz}, triggered));
+      devices.cameras.push_back(camera::turn_pictures(
+          room->camera({camera.name, size.width_px, size.height_px, size.rate_hz}, triggered),
+          camera.source.turn));
     } else {
       camera::CameraConfig source = camera.source;
       source.paced = true;  // a file takes the place of a live camera here

@@ -19,6 +19,10 @@ class MeshSink {
   /// lost (recorded sources). May keep the frame as long as it likes.
   virtual void deliver(std::shared_ptr<const mesh::MeshFrame> frame) = 0;
 
+  /// Called for every frame before any sink is given it, on the same thread: adds what the frame is to have
+  /// for all of them. Must not throw or block.
+  virtual void complete(mesh::MeshFrame& frame) { static_cast<void>(frame); }
+
   /// Whether a person's mesh should stay the one that it is: what is learned meanwhile waits. Any thread.
   virtual bool wants_one_mesh() const { return false; }
 };

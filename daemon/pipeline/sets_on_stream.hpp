@@ -29,6 +29,9 @@ class SetsOnStream final : public FrameSetSink {
     frame->stage_ms.latency_ms = static_cast<float>(Clock::now_ns() - set->trigger_ns) * 1e-6F;
     frame->images = std::move(set);
     for (MeshSink* sink : sinks_) {
+      sink->complete(*frame);
+    }
+    for (MeshSink* sink : sinks_) {
       sink->deliver(frame);
     }
   }

@@ -512,6 +512,9 @@ void ShadingPipeline::Impl::hand_out(Tracked& item) {
   mesh::MeshFrame& mesh = *item.mesh;
   mesh.stage_ms.latency_ms = ms_since(item.captured.delivered);
   for (MeshSink* sink : sinks) {
+    sink->complete(mesh);
+  }
+  for (MeshSink* sink : sinks) {
     sink->deliver(item.mesh);
   }
   board.change([&](PipelineStatus& shown) { shown.device = refiner.device(); });

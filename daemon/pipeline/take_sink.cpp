@@ -26,6 +26,7 @@ void TakeSink::deliver(std::shared_ptr<const mesh::MeshFrame> frame) {
     without_mesh->reprojection_px = 0;
     without_mesh->expression.clear();
     without_mesh->expression_confidence.clear();
+    without_mesh->avatar_values.clear();
     without_mesh->model_weights.clear();
     without_mesh->control_vertices_mm.resize(3, 0);
     frame = std::move(without_mesh);

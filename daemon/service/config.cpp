@@ -121,6 +121,9 @@ void read_settings(Section& section, camera::CameraConfig& source, std::string_v
       section.fail(section.node(), one, fmt::format("{} and {} need one another", one, other));
     }
   }
+  if (source.turn.clockwise_deg % 90 != 0) {
+    section.fail(section.find("turn"), "turn", "must be 0, 90, 180 or 270");
+  }
 }
 
 void read_kind(Section& section, camera::CameraConfig& source) {
@@ -450,6 +453,12 @@ void read_web(Section section, Section& expert, const MetricsConfig& metrics, We
       section.read("token_file", web.token_file);
     }
   }
+  if (!web.listen.empty() && web.is_public && !web.open_look && web.token_file.empty()) {
+    section.fail(
+        section.find("public"), "public",
+        "looking needs a token there, and token_file = \"\" makes none: name a file, or let everybody "
+        "look with open_look = true");
+  }
   read_expert(section, expert.section("web"), "web", expert::kWeb, web);
   section.read_moved(renamed::kWeb, web, "[expert.web] max_readers");
   section.finish();
@@ -476,9 +485,8 @@ void read_values(Section section, avatar::ValueTunings& values) {
 }
 
 void read_bridges(Section section, avatar::BridgeConfig& bridges) {
-  for (const avatar::BridgeProtocol protocol :
-       {avatar::BridgeProtocol::Vmc, avatar::BridgeProtocol::LiveLinkFace}) {
-    const std::string key = avatar::to_string(protocol);
+  for (const auto& [protocol, name, usual_port] : avatar::kBridgeProtocols) {
+    const std::string key = name;
     std::vector<std::string> texts;
     section.read(key, texts);
     for (const std::string& text : texts) {
@@ -488,15 +496,44 @@ void read_bridges(Section section, avatar::BridgeConfig& bridges) {
             section.find(key), key,
             fmt::format("must be a list of \"ADDRESS:PORT\", each an IP address in digits or the name "
                         "of a host, such as [\"127.0.0.1:{}\"]; \"{}\" is none",
-                        protocol == avatar::BridgeProtocol::Vmc ? 39539 : 11111, text));
+                        usual_port, text));
       }
       bridges.targets.push_back(*target);
     }
   }
   section.read(kBridgesSettings, bridges);
+  if (const auto shapes = section.read_choice("vmc_shapes", avatar::kVmcShapes)) {
+    bridges.vmc_shapes = static_cast<avatar::VmcShapes>(*shapes);
+  }
+  if (!bridges.answer.empty() && avatar::socket_address(bridges.answer, 0).length == 0) {
+    section.fail(section.find("answer"), "answer",
+                 "must be an IP address of this machine in digits, such as \"0.0.0.0\", or \"\" for none");
+  }
   read_values(section.section("values"), bridges.values);
   if (bridges.subject.empty() || bridges.subject.size() > 64) {
     section.fail(section.find("subject"), "subject", "must be a name of 1 to 64 bytes");
+  }
+  section.finish();
+}
+
+void read_sound(Section section, sound::SoundConfig& sound) {
+  section.read(kSoundSettings, sound);
+  if (sound.timecode_channel > sound.channels) {
+    section.fail(section.find("timecode_channel"), "timecode_channel",
+                 fmt::format("is {}, but only {} channel{} taken (channels)", sound.timecode_channel,
+                             sound.channels, sound.channels == 1 ? " is" : "s are"));
+  }
+  section.finish();
+}
+
+void read_osc(Section section, OscConfig& osc) {
+  read_listen(section, osc.listen, 8000);
+  section.read(kOscSettings, osc);
+  if (!osc.listen.empty() && !is_loopback(split_host(osc.listen).host) && !osc.is_public) {
+    section.fail(section.find("listen"), "listen",
+                 fmt::format("\"{}\" lets everybody who reaches this machine begin and end takes: listen on "
+                             "127.0.0.1, or add public = true if that is meant",
+                             osc.listen));
   }
   section.finish();
 }
@@ -533,6 +570,8 @@ void read_all(Document& document, Config& config) {
   read_stream(root.section("stream"), expert, config.stream);
   read_control(root.section("control"), config.stream.socket, config.control);
   read_takes(root.section("takes"), expert, config.takes);
+  read_sound(root.section("sound"), config.sound);
+  read_osc(root.section("osc"), config.osc);
   read_bridges(root.section("bridges"), config.bridges);
   read_metrics(root.section("metrics"), config.metrics);
   read_web(root.section("web"), expert, config.metrics, config.web);

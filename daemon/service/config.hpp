@@ -13,6 +13,7 @@
 #include "pipeline/devices_config.hpp"
 #include "pipeline/shading_config.hpp"
 #include "service/log.hpp"
+#include "sound/capture.hpp"
 #include "stream/server.hpp"
 
 namespace facet::service {
@@ -40,6 +41,7 @@ struct MetricsConfig {
 struct WebConfig {
   std::string listen;                                             ///< "ADDRESS:PORT"; empty: off
   bool is_public = false;                                         ///< an address that others reach is meant
+  bool open_look = false;                                         ///< there, too, looking needs no token
   std::filesystem::path page;                                     ///< folder of the page's files
   std::filesystem::path token_file = "/var/lib/facet/web-token";  ///< empty: nobody commands over the web
   std::vector<std::string> hosts;    ///< further names under which the page may be asked for
@@ -47,6 +49,12 @@ struct WebConfig {
   int max_readers = 16;              ///< readers of the stream over WebSockets
   std::size_t max_connections = 64;  ///< requests at a time, those of WebSockets not counted
   std::size_t max_downloads = 16;    ///< of them
+};
+
+/// Takes begun and ended by OSC (OscRemote).
+struct OscConfig {
+  std::string listen;      ///< "ADDRESS:PORT" of UDP; empty: off
+  bool is_public = false;  ///< an address that others reach is meant
 };
 
 enum class Mode {
@@ -78,6 +86,8 @@ struct Config {
   stream::StreamServerConfig stream;
   ControlConfig control;
   TakesConfig takes;
+  sound::SoundConfig sound;
+  OscConfig osc;
   avatar::BridgeConfig bridges;
   MetricsConfig metrics;
   WebConfig web;

@@ -70,10 +70,16 @@ const ControlMethod& find_method(const ControlMethods& methods, const json& requ
                   fmt::format("no such method; there are: {}", fmt::join(names_of(methods), ", "))};
   }
   if (found->second.changes_something && !caller.may_command) {
-    throw Refusal{kPermissionDenied,
-                  fmt::format("user {} may not call {}: only root, the daemon's user and members of the "
-                              "control socket's group may",
-                              caller.uid, name)};
+    throw Refusal{
+        kPermissionDenied,
+        caller.over_web
+            ? fmt::format(
+                  "{} needs the token: show it as a second WebSocket protocol, facet.token.TOKEN, beside "
+                  "facet (the page's Unlock); it stands in the daemon's file web.token_file",
+                  name)
+            : fmt::format("user {} may not call {}: only root, the daemon's user and members of the "
+                          "control socket's group may",
+                          caller.uid, name)};
   }
   return found->second;
 }

@@ -40,9 +40,10 @@ enum ControlErrorCode : int {
 
 /// Who sent a request, as the kernel says.
 struct Caller {
-  std::int32_t pid = 0;
+  std::int32_t pid = 0;  ///< 0 over the web, as is uid: the kernel knows nobody there
   std::uint32_t uid = 0;
   bool may_command = false;  ///< may call methods that change something
+  bool over_web = false;     ///< by the page's WebSocket: the token decides, not the user
 };
 
 /// What a member of "params" may be.

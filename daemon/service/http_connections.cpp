@@ -85,6 +85,10 @@ HeaderValue header(MHD_Connection* connection, std::string_view name) {
   return found;
 }
 
+std::string peer_of(MHD_Connection* connection) {
+  return stream::peer_address(socket_of(connection));
+}
+
 std::set<std::string> own_hosts(const std::string& listen, const std::vector<std::string>& more) {
   std::set<std::string> hosts{"localhost", "127.0.0.1", "::1", split_host(listen).host};
   for (const std::string& host : more) {

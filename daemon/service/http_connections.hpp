@@ -29,6 +29,9 @@ HeaderValue header(MHD_Connection* connection, std::string_view name);
 
 std::string lower_case(std::string_view text);
 
+/// The address that a connection comes from, without its port.
+std::string peer_of(MHD_Connection* connection);
+
 /// The names by which a server may be asked for: this machine's own, the address that it listens on, and
 /// those of a configuration.
 std::set<std::string> own_hosts(const std::string& listen, const std::vector<std::string>& more);

@@ -9,15 +9,25 @@
 
 namespace facet::service {
 
-Recording::Recording(pipeline::TakeSink& sink, TakeIndex& index, const Log& log)
-    : sink_(sink), index_(index), log_(log) {}
+Recording::Recording(pipeline::TakeSink& sink, SoundDesk& beside, TakeIndex& index, const Log& log)
+    : sink_(sink), beside_(beside), index_(index), log_(log) {}
 
-void Recording::begin(const take::TakeRecorderConfig& config) {
+void Recording::begin(take::TakeRecorderConfig config) {
   // One that ended by itself, and was not asked for since, makes room.
   if (const auto before = sink_.status(); before && before->state != take::RecorderState::Recording) {
     close();
   }
-  sink_.begin(config);
+  if (const auto running = sink_.status()) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("'{}' is being recorded: stop it first", running->file.string()));
+  }
+  beside_.begin(config);
+  try {
+    sink_.begin(config);
+  } catch (...) {
+    beside_.cancel();
+    throw;
+  }
   std::optional<std::string> over;
   {
     const Lock lock(mutex_);
@@ -25,6 +35,7 @@ void Recording::begin(const take::TakeRecorderConfig& config) {
     over = end_reason_;
   }
   if (over) {
+    beside_.request_end();
     sink_.request_end(*over);
   }
   index_.changed();
@@ -33,7 +44,7 @@ void Recording::begin(const take::TakeRecorderConfig& config) {
 }
 
 take::RecorderStatus Recording::stop() {
-  const auto take = sink_.end("");
+  const auto take = end_take("");
   index_.changed();
   if (!take) {
     const Lock lock(mutex_);
@@ -50,7 +61,18 @@ void Recording::end(const std::string& reason) {
     const Lock lock(mutex_);
     end_reason_ = reason;
   }
+  beside_.request_end();
   sink_.request_end(reason);
+}
+
+/// What stands beside the frames ends no earlier than they do, and is written down with them.
+std::optional<take::RecorderStatus> Recording::end_take(std::string reason) {
+  if (sink_.status()) {
+    beside_.request_end();
+  }
+  auto ended = sink_.end(std::move(reason));
+  beside_.end();
+  return ended;
 }
 
 void Recording::look_after() {
@@ -70,7 +92,7 @@ void Recording::look_after() {
 
 /// Of a take that ended by itself: it is told of until the next begins.
 void Recording::close() {
-  const auto ended = sink_.end("");
+  const auto ended = end_take("");
   {
     const Lock lock(mutex_);
     last_ = ended;
@@ -95,7 +117,7 @@ void Recording::request_stop(const std::string& reason) {
 }
 
 bool Recording::finished() const {
-  return errands_.finished() && sink_.ended();
+  return errands_.finished() && sink_.ended() && beside_.finished();
 }
 
 void Recording::finish() {
@@ -105,7 +127,7 @@ void Recording::finish() {
     const Lock lock(mutex_);
     reason = end_reason_.value_or("");
   }
-  if (const auto take = sink_.end(std::move(reason))) {
+  if (const auto take = end_take(std::move(reason))) {
     log(*take);
   }
 }

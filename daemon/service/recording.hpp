@@ -8,6 +8,7 @@
 #include "pipeline/take_sink.hpp"
 #include "service/errands.hpp"
 #include "service/log.hpp"
+#include "service/sound_desk.hpp"
 #include "service/take_index.hpp"
 #include "take/recorder.hpp"
 
@@ -17,8 +18,9 @@ namespace facet::service {
 /// both wait for the disk, which may take its time; the loop asks and looks.
 class Recording {
  public:
-  /// All outlive this object. Begin and end of a take are logged, and told to the index.
-  Recording(pipeline::TakeSink& sink, TakeIndex& index, const Log& log);
+  /// All outlive this object. Begin and end of a take are logged, and told to the index. beside: what stands
+  /// beside its frames.
+  Recording(pipeline::TakeSink& sink, SoundDesk& beside, TakeIndex& index, const Log& log);
 
   void start() { errands_.start(); }
   /// The thread on which begin and stop may be called.
@@ -26,7 +28,7 @@ class Recording {
 
   /// Begins a take, in the place of one that ended by itself; throws what pipeline::TakeSink::begin throws.
   /// On errands().
-  void begin(const take::TakeRecorderConfig& config);
+  void begin(take::TakeRecorderConfig config);
   /// Ends it as asked for. Throws Error(Usage) where nothing is recorded, with what became of the last. On
   /// errands().
   take::RecorderStatus stop();
@@ -50,9 +52,11 @@ class Recording {
 
  private:
   void close();
+  std::optional<take::RecorderStatus> end_take(std::string reason);
   void log(const take::RecorderStatus& take) const;
 
   pipeline::TakeSink& sink_;
+  SoundDesk& beside_;
   TakeIndex& index_;
   const Log& log_;
   mutable Mutex mutex_;  ///< held for copies alone

@@ -33,13 +33,16 @@
 #include "service/memory_reserve.hpp"
 #include "service/metrics.hpp"
 #include "service/modes.hpp"
+#include "service/osc_remote.hpp"
 #include "service/person_methods.hpp"
 #include "service/pipeline_opener.hpp"
 #include "service/recording.hpp"
 #include "service/service_manager.hpp"
+#include "service/sound_desk.hpp"
 #include "service/status_report.hpp"
 #include "service/studio_methods.hpp"
 #include "service/take_index.hpp"
+#include "service/take_methods.hpp"
 #include "service/thumbnails.hpp"
 #include "service/value_methods.hpp"
 #include "service/web_server.hpp"
@@ -140,7 +143,7 @@ struct Service::Impl {
   stream::FileDescriptor signals;
   std::optional<stream::StreamServer> stream;
   std::optional<ControlServer> control;
-  std::unique_ptr<avatar::Bridge> bridge;  ///< null where no target is configured
+  avatar::Bridge bridge;
   pipeline::StreamSink stream_sink;
   studio::Studio studio;
   Thumbnails thumbnails;
@@ -149,7 +152,10 @@ struct Service::Impl {
   pipeline::SetsOnStream sets_shown{{&stream_sink, &takes}};
   pipeline::SetsOnStream sets_recorded{{&takes}};
   TakeIndex index;
+  SoundDesk sound;
   Recording recording;
+  OscRemote osc;
+  TakeDesk desk;
   std::atomic<bool> looking_ends{false};  ///< tells an errand of `looking` that takes long
   Errands looking{"facet-look"};          ///< what looking methods leave: files, and what is much to compute
   std::optional<PipelineOpener> opener;
@@ -189,7 +195,7 @@ struct Service::Impl {
   void look_after_web();
   MetricsSnapshot metrics_snapshot();
   ControlAnswer record_start(const json& params);
-  avatar::Bridge& configured_bridge();
+  void show(std::shared_ptr<const mesh::MeshFrame> frame);
   /// Says where a target gets nothing because of the mode.
   void warn_of_silence(const avatar::BridgeTarget& target);
 
@@ -216,23 +222,35 @@ Service::Impl::Impl(const Config& given, Log& given_log)
       manager(given_log),
       signals(open_signals()),
       stream(std::in_place, named(given.stream), std::move(passed.stream)),
-      bridge(given.bridges.targets.empty() ? nullptr : std::make_unique<avatar::Bridge>(given.bridges)),
+      bridge(given.bridges),
       stream_sink(*stream),
       studio(
-          given.takes.folder,
-          [this](std::shared_ptr<const mesh::MeshFrame> frame) {
-            bridge_sink.show(frame);
-            stream->publish(std::move(frame));
-          },
+          given.takes.folder, [this](const std::shared_ptr<const mesh::MeshFrame>& frame) { show(frame); },
           [this](bool held) {
             stream_sink.hold(held);
             bridge_sink.hold(held);
           },
           software_name()),
       thumbnails(given.takes.folder),
-      bridge_sink(bridge.get()),
+      bridge_sink(bridge),
       index(given.takes.folder, thumbnails),
-      recording(takes, index, given_log) {
+      sound(given.sound, given_log),
+      recording(takes, sound, index, given_log),
+      osc(given.osc,
+          {recording, given.takes.folder,
+           [this] { return pipeline ? std::optional(take_config()) : std::nullopt; },
+           [this] { return sound.timecode_now(); }},
+          given_log),
+      desk({given.takes.folder, given.takes.disk_reserve_bytes, software_name(),
+            [this] {
+              const auto take = takes.status();
+              return take ? take->file.stem().string() : std::string();
+            },
+            [this] {
+              const studio::StudioStatus now = studio.status();
+              return now.state == studio::StudioState::Closed ? std::string() : now.take;
+            }},
+           index, given_log) {
   check_takes_folder(config.takes.folder);
   control.emplace(config.control, methods(), std::move(passed.control));
 }
@@ -264,15 +282,15 @@ ControlMethods Service::Impl::methods() {
             throw Error(ErrorKind::Usage,
                         "the studio shows a take: the neutral pose is the live face's (studio.close)");
           }
-          configured_bridge().record_neutral(std::chrono::milliseconds(std::lround(1000 * seconds)));
+          bridge.record_neutral(std::chrono::milliseconds(std::lround(1000 * seconds)));
           return json::object();
         }}},
       {"neutral.clear",
        {true,
         {},
         [this](const json&) {
-          configured_bridge().clear_neutral();
-          log.info("the bridges' neutral pose is forgotten");
+          bridge.clear_neutral();
+          log.info("the neutral pose is forgotten");
           return json::object();
         }}},
       {"identity.reset",
@@ -297,8 +315,8 @@ ControlMethods Service::Impl::methods() {
         }}},
   };
   all.merge(studio_methods(studio, looking));
-  all.merge(
-      value_methods([this]() -> avatar::Bridge& { return configured_bridge(); }, config.bridges.values));
+  all.merge(desk.methods());
+  all.merge(value_methods(bridge, config.bridges.values));
   all.merge(person_methods([this] { return pipeline ? pipeline->status() : pipeline::PipelineStatus(); },
                            config.pipeline.persons_folder, recording.errands(), log));
   return all;
@@ -320,14 +338,16 @@ json Service::Impl::status() {
   if (page) {
     answer["web"]["url"] = page->url();
   }
-  answer["bridges"] = bridge ? to_json(bridge->status()) : json(nullptr);
+  answer["bridges"] = to_json(bridge.status());
   const studio::StudioStatus on_show = studio.status();
   answer["studio"] = on_show.state == studio::StudioState::Closed && on_show.reason.empty()
                          ? json(nullptr)
                          : to_json(on_show);
   const auto take = recording.status();
   answer["recording"] = take ? to_json(*take) : json(nullptr);
-  answer["takes"] = {{"folder", config.takes.folder.string()}, {"list", index.number()}};
+  answer["sound"] = sound.status();
+  answer["takes"] = {
+      {"folder", config.takes.folder.string()}, {"list", index.number()}, {"trim", desk.trim_status()}};
   answer["loop"] = {{"longest_ms", std::chrono::duration<double, std::milli>(longest_round).count()},
                     {"long_rounds", long_rounds}};
   status_asked = Clock::now();
@@ -442,21 +462,22 @@ void Service::Impl::warn_of_silence(const avatar::BridgeTarget& target) {
                     "head; take it out "
                     "or choose another mode",
                     protocol, target.text()));
-  } else if (config.mode == Mode::Booth && target.protocol == avatar::BridgeProtocol::LiveLinkFace) {
+  } else if (config.mode == Mode::Booth && target.protocol != avatar::BridgeProtocol::Vmc) {
     log.warning(fmt::format(
         "bridges: a booth's meshes have no expressions, so that {} at {} gets nothing; VMC gets the head",
         protocol, target.text()));
   }
 }
 
-avatar::Bridge& Service::Impl::configured_bridge() {
-  if (!bridge) {
-    throw Error(
-        ErrorKind::Usage,
-        "no bridge is configured: bridges.vmc and bridges.live_link_face name no target that a neutral pose "
-        "or a value's tuning would be for");
+/// What the studio shows in the live face's place.
+void Service::Impl::show(std::shared_ptr<const mesh::MeshFrame> frame) {
+  if (bridge.changes_values() || !frame->avatar_values.empty()) {
+    const auto completed = std::make_shared<mesh::MeshFrame>(*frame);
+    bridge.complete(*completed);
+    frame = completed;
   }
-  return *bridge;
+  bridge.publish(frame);
+  stream->publish(std::move(frame));
 }
 
 ControlAnswer Service::Impl::record_start(const json& params) {
@@ -519,8 +540,10 @@ bool Service::Impl::first_take_begun() {
 }
 
 void Service::Impl::wait_for_events() {
-  std::array<pollfd, 3> fds{
-      {{signals.get(), POLLIN, 0}, {control->fd(), POLLIN, 0}, {opener ? opener->fd() : -1, POLLIN, 0}}};
+  std::array<pollfd, 4> fds{{{signals.get(), POLLIN, 0},
+                             {control->fd(), POLLIN, 0},
+                             {opener ? opener->fd() : -1, POLLIN, 0},
+                             {osc.fd(), POLLIN, 0}}};
   auto period = pipeline && !running ? kImpatientPeriod : kLoopPeriod;
   if (const auto due = control->due()) {
     period = std::clamp(std::chrono::ceil<std::chrono::milliseconds>(*due - Clock::now()),
@@ -701,6 +724,9 @@ void Service::Impl::look_after() {
     throw Error(ErrorKind::Internal, failure);
   }
   recording.look_after();
+  sound.look_after();
+  osc.look_after();
+  desk.look_after();
   look_after_index();
   if (opener && opener->done()) {
     begin_pipeline();
@@ -729,14 +755,14 @@ void Service::Impl::finish() {
     pipeline->request_stop();
   }
   recording.request_stop(end_reason);
+  sound.request_stop();
   looking_ends = true;
   looking.request_stop();
+  desk.request_stop();
   studio.request_stop();
   thumbnails.request_stop();
   stream->request_stop();
-  if (bridge) {
-    bridge->request_stop();
-  }
+  bridge.request_stop();
   try {
     closing = std::jthread([this] {
       ::pthread_setname_np(::pthread_self(), "facet-close");
@@ -746,9 +772,7 @@ void Service::Impl::finish() {
     close_servers();  // there is no thread to be had
   }
   stream->stop();
-  if (bridge) {
-    bridge->stop();
-  }
+  bridge.stop();
   const bool all_ended = wait_for_threads();
   manager.stopping();
   try {
@@ -779,8 +803,10 @@ void Service::Impl::finish() {
     ::_exit(exit_status.value_or(0));
   }
   looking.stop();
+  desk.stop();
   studio.stop();
   thumbnails.stop();
+  sound.stop();
   log.info("stopped");
 }
 
@@ -818,7 +844,8 @@ bool Service::Impl::wait_for_threads() {
     }
     const bool recorded = recording.finished();
     const bool others = (!opener || opener->done()) && (!pipeline || pipeline->finished()) &&
-                        studio.finished() && thumbnails.finished() && looking.finished() && servers_closed;
+                        studio.finished() && thumbnails.finished() && looking.finished() && desk.finished() &&
+                        bridge.finished() && servers_closed;
     if (recorded && others) {
       return true;
     }
@@ -844,19 +871,19 @@ int Service::run() {
                               impl.config.stream.socket.string(), impl.config.control.socket.string()),
                   {{"FACET_EVENT", "started"}, {"FACET_VERSION", FACET_VERSION}});
     impl.recording.start();
+    impl.sound.start();
     impl.looking.start();
+    impl.desk.start();
     impl.studio.start();
     impl.thumbnails.start();
     impl.open_web();
-    if (impl.bridge) {
-      impl.bridge->start();
-      if (const std::string fault = impl.bridge->status().neutral_reason; !fault.empty()) {
-        impl.log.warning(fault);
-      }
-      for (const avatar::BridgeTarget& target : impl.config.bridges.targets) {
-        impl.log.info(fmt::format("bridge: {} to {}", avatar::to_string(target.protocol), target.text()));
-        impl.warn_of_silence(target);
-      }
+    impl.bridge.start();
+    if (const std::string fault = impl.bridge.status().neutral_reason; !fault.empty()) {
+      impl.log.warning(fault);
+    }
+    for (const avatar::BridgeTarget& target : impl.config.bridges.targets) {
+      impl.log.info(fmt::format("bridge: {} to {}", avatar::to_string(target.protocol), target.text()));
+      impl.warn_of_silence(target);
     }
     impl.opener.emplace(impl.config);
     while (!impl.exit_status) {
@@ -864,6 +891,7 @@ int Service::run() {
       const auto began = Clock::now();
       impl.read_signals();
       impl.control->serve();
+      impl.osc.serve();
       impl.look_after();
       impl.time_round(began);
     }

@@ -14,7 +14,9 @@ namespace facet::service {
 /// * `facet-open` opens source, model, tracker and GPU. Files, the driver.
 /// * `facet-record` begins and ends takes. The disk.
 /// * `facet-look` does what looking methods and the studio's files take. The disk.
+/// * `facet-takes`, `facet-trim` rename, delete, note and cut takes. The disk.
 /// * `facet-studio`, `facet-pictures`: see their classes. The disk.
+/// * `facet-names` looks up the bridges' hosts. The resolver.
 /// * `facet-stream`, `facet-bridge`, `facet-take`, `facet-pack-N`, `facet-capture`, `facet-track`,
 ///   `facet-refine`: see their rooms.
 ///

@@ -104,11 +104,26 @@ inline constexpr Setting<TakesConfig> kTakesSettings[] = {
     {"pictures", &at<&TakesConfig::pictures>},
 };
 
+inline constexpr Setting<sound::SoundConfig> kSoundSettings[] = {
+    {"device", &at<&sound::SoundConfig::device>},
+    {"rate_hz", &at<&sound::SoundConfig::rate_hz>, 8000, 192'000},
+    {"channels", &at<&sound::SoundConfig::channels>, 1, 8},
+    {"timecode_channel", &at<&sound::SoundConfig::timecode_channel>, 0, 8},
+    {"record", &at<&sound::SoundConfig::record>},
+};
+
+inline constexpr Setting<OscConfig> kOscSettings[] = {
+    {"public", &at<&OscConfig::is_public>},
+};
+
 inline constexpr Setting<avatar::BridgeConfig> kBridgesSettings[] = {
     {"rate_hz", &at<&avatar::BridgeConfig::rate_hz>, 1, 240},
     {"smoothing_ms", &at<&avatar::BridgeConfig::smoothing_ms>, 0, 10'000},
     {"subject", &at<&avatar::BridgeConfig::subject>},
     {"neutral", &at<&avatar::BridgeConfig::neutral_file>},
+    {"vmc_eye_bones", &at<&avatar::BridgeConfig::vmc_eye_bones>},
+    {"mapping", &at<&avatar::BridgeConfig::mapping_file>},
+    {"answer", &at<&avatar::BridgeConfig::answer>},
 };
 
 inline constexpr Setting<avatar::ValueTuning> kValueTuningSettings[] = {
@@ -120,6 +135,7 @@ inline constexpr Setting<avatar::ValueTuning> kValueTuningSettings[] = {
 inline constexpr Setting<WebConfig> kWebSettings[] = {
     {"page", &at<&WebConfig::page>},
     {"public", &at<&WebConfig::is_public>},
+    {"open_look", &at<&WebConfig::open_look>},
     {"hosts", &at<&WebConfig::hosts>},
     {"origins", &at<&WebConfig::origins>},
 };

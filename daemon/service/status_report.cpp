@@ -198,6 +198,7 @@ json to_json(const avatar::BridgeStatus& status) {
   for (const avatar::BridgeTargetStatus& target : status.targets) {
     targets.push_back({{"protocol", avatar::to_string(target.target.protocol)},
                        {"target", target.target.text()},
+                       {"asked", target.asked},
                        {"frames", target.frames},
                        {"failed", target.failed},
                        {"reason", target.reason}});
@@ -214,6 +215,7 @@ json to_json(const avatar::BridgeStatus& status) {
   }
   return {{"targets", std::move(targets)},
           {"values", std::move(values)},
+          {"answer_reason", status.answer_reason},
           {"neutral",
            {{"state", avatar::to_string(status.neutral)},
             {"reason", status.neutral_reason},

@@ -1,11 +1,13 @@
 #include "service/take_index.hpp"
 
+#include <fmt/chrono.h>
 #include <fmt/format.h>
 #include <sys/stat.h>
 
 #include <algorithm>
 #include <atomic>
 #include <chrono>
+#include <ctime>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -66,6 +68,24 @@ std::optional<FileState> state_of(const std::filesystem::path& file) {
     state.log_changed_ns = nanoseconds(log.st_mtim);
   }
   return state;
+}
+
+/// Newest first as they were made: a note that is written to an old take does not make it new. What does not
+/// say when it was made counts by its file's last change.
+void put_in_order(std::vector<json>& entries,
+                  const std::vector<std::pair<std::filesystem::path, FileState>>& files) {
+  std::vector<std::pair<std::string, json>> dated;
+  for (std::size_t i = 0; i < entries.size(); ++i) {
+    const auto changed_s = static_cast<std::time_t>(files[i].second.changed_ns / 1'000'000'000);
+    std::string when = entries[i].value("created_utc", "");
+    dated.emplace_back(
+        when.empty() ? fmt::format("{:%Y-%m-%dT%H:%M:%SZ}", fmt::gmtime(changed_s)) : std::move(when),
+        std::move(entries[i]));
+  }
+  std::stable_sort(dated.begin(), dated.end(),
+                   [](const auto& a, const auto& b) { return a.first > b.first; });
+  std::transform(dated.begin(), dated.end(), entries.begin(),
+                 [](std::pair<std::string, json>& one) { return std::move(one.second); });
 }
 
 }  // namespace
@@ -139,6 +159,15 @@ json TakeIndex::Impl::entry_of(const std::filesystem::path& file, const FileStat
     entry["picture_bytes"] = info.picture_bytes;
     entry["closed"] = info.closed;
     entry["end_reason"] = info.end_reason;
+    if (!info.notes.text.empty()) {
+      entry["note"] = info.notes.text;
+    }
+    if (!info.notes.scene.empty() || !info.notes.number.empty()) {
+      entry["slate"] = {{"scene", info.notes.scene}, {"take", info.notes.number}};
+    }
+    if (!info.cut_from.empty()) {
+      entry["cut_from"] = info.cut_from;
+    }
     if (asked && info.closed && info.mesh_frame_count > 0) {
       if (const auto stamp = thumbnails.ask(name)) {
         entry["thumbnail"] = *stamp;
@@ -175,10 +204,11 @@ std::string TakeIndex::Impl::make_list() {
   auto found = files();
   const std::size_t count = found.size();
   found.resize(std::min(count, kMostListed));
-  json takes = json::array();
+  std::vector<json> entries;
   for (const auto& [file, state] : found) {
-    takes.push_back(entry_of(file, state));
+    entries.push_back(entry_of(file, state));
   }
+  put_in_order(entries, found);
   {
     // Nothing is kept of takes that are no longer there, nor of those that are no longer listed.
     std::set<std::string_view> listed;
@@ -188,7 +218,7 @@ std::string TakeIndex::Impl::make_list() {
     const Lock lock(mutex);
     std::erase_if(known, [&](const auto& entry) { return listed.count(entry.first) == 0; });
   }
-  const json list = {{"folder", folder.string()}, {"count", count}, {"takes", std::move(takes)}};
+  const json list = {{"folder", folder.string()}, {"count", count}, {"takes", std::move(entries)}};
   return list.dump(-1, ' ', false, json::error_handler_t::replace);
 }
 

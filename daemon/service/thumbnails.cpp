@@ -108,13 +108,19 @@ struct Thumbnails::Impl {
 };
 
 void Thumbnails::Impl::make(const std::string& take) const {
-  const auto mesh = middle_mesh(take::named_take(folder, take));
+  const std::filesystem::path of = take::named_take(folder, take);
+  const auto mesh = middle_mesh(of);
   if (mesh == nullptr) {
     throw Error(ErrorKind::UnreadableInput, "no mesh");
   }
   const std::filesystem::path to = file(folder, take);
   files::make_folder(to.parent_path());
   render::write_png(draw(*mesh), to);
+  // Where the take was deleted or renamed meanwhile no picture of the face stays.
+  std::error_code ignored;
+  if (!std::filesystem::exists(of, ignored)) {
+    std::filesystem::remove(to, ignored);
+  }
 }
 
 /// Nothing where the picture was made; else of when the take is of which there is none: the page shows none.

@@ -62,16 +62,15 @@ json set(avatar::Bridge& bridge, const json& params) {
 
 }  // namespace
 
-ControlMethods value_methods(const std::function<avatar::Bridge&()>& bridge,
-                             const avatar::ValueTunings& configured) {
+ControlMethods value_methods(avatar::Bridge& bridge, const avatar::ValueTunings& configured) {
   std::vector<ControlParam> params = {{"name", ControlParam::Type::Text, true}};
   for (const Setting<avatar::ValueTuning>& setting : kValueTuningSettings) {
     params.push_back({setting.key, ControlParam::Type::Number});
   }
   return {
-      {"values.set", {true, std::move(params), [bridge](const json& given) { return set(bridge(), given); }}},
-      {"values.reset", {true, {}, [bridge, configured](const json&) {
-                          bridge().tune(configured);
+      {"values.set", {true, std::move(params), [&bridge](const json& given) { return set(bridge, given); }}},
+      {"values.reset", {true, {}, [&bridge, configured](const json&) {
+                          bridge.tune(configured);
                           return json::object();
                         }}}};
 }

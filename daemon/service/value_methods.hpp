@@ -1,16 +1,12 @@
 #pragma once
 
-#include <functional>
-
 #include "avatar/bridge.hpp"
 #include "service/control_protocol.hpp"
 
 namespace facet::service {
 
 /// How far avatars follow each of ARKit's values: values.* of the control protocol
-/// (docs/control-protocol.md). bridge: throws where none is configured; called on the loop. configured: what
-/// values.reset goes back to.
-ControlMethods value_methods(const std::function<avatar::Bridge&()>& bridge,
-                             const avatar::ValueTunings& configured);
+/// (docs/control-protocol.md). bridge: outlives them. configured: what values.reset goes back to.
+ControlMethods value_methods(avatar::Bridge& bridge, const avatar::ValueTunings& configured);
 
 }  // namespace facet::service

@@ -5,7 +5,6 @@
 #include <microhttpd.h>
 #include <netinet/in.h>
 #include <netinet/tcp.h>
-#include <sys/random.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <unistd.h>
@@ -29,10 +28,10 @@
 #include "facet/error.hpp"
 #include "facet/mutex.hpp"
 #include "facet/system_error.hpp"
-#include "files/output_file.hpp"
 #include "files/text_file.hpp"
 #include "service/http_connections.hpp"
 #include "service/thumbnails.hpp"
+#include "service/web_tokens.hpp"
 #include "stream/web_socket.hpp"
 #include "take/database.hpp"
 #include "take/reader.hpp"
@@ -48,8 +47,6 @@ constexpr int kSendBufferBytes = 512 << 10;
 constexpr unsigned kSilence_ms = 20'000;
 constexpr std::string_view kProtocol = "facet";
 constexpr std::string_view kTokenPrefix = "facet.token.";
-constexpr std::size_t kLeastTokenBytes = 16;
-constexpr std::size_t kMostTokenBytes = 128;
 constexpr std::size_t kMostPageFiles = 256;
 
 /// Nothing from elsewhere, nothing inside a frame of another page, no type guessed.
@@ -125,70 +122,6 @@ std::map<std::string, PageFile, std::less<>> read_page(const std::filesystem::pa
     files.emplace("/", index->second);
   }
   return files;
-}
-
-std::string make_token(const std::filesystem::path& file) {
-  std::array<std::uint8_t, 16> random{};
-  if (::getrandom(random.data(), random.size(), 0) != static_cast<ssize_t>(random.size())) {
-    throw Error(ErrorKind::Internal, fmt::format("no random numbers for a token: {}", std::strerror(errno)));
-  }
-  std::string token;
-  for (const std::uint8_t byte : random) {
-    token += fmt::format("{:02x}", byte);
-  }
-  try {
-    files::OutputFile out(file, 0640);
-    out.write(token + "\n");
-    out.commit();
-  } catch (const Error& error) {
-    throw Error(ErrorKind::Storage,
-                fmt::format("web.token_file: {}; web.token_file = \"\" does without", error.what()));
-  }
-  return token;
-}
-
-/// What has to be shown to change something; empty: nobody can. fault: what was wrong with the file.
-std::string read_token(const std::filesystem::path& file, std::string& fault) {
-  if (file.empty()) {
-    return {};
-  }
-  std::error_code ignored;
-  if (!std::filesystem::exists(file, ignored)) {
-    return make_token(file);
-  }
-  std::string token;
-  try {
-    token = files::read_text(file, kMostTokenBytes + 2, "token");
-  } catch (const Error& error) {
-    throw Error(ErrorKind::Storage, fmt::format("web.token_file: {}", error.what()));
-  }
-  while (!token.empty() && (token.back() == '\n' || token.back() == '\r')) {
-    token.pop_back();
-  }
-  const bool sound = std::all_of(token.begin(), token.end(), [](char c) {
-    return (c >= '0' && c <= '9') || (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || c == '-' || c == '_';
-  });
-  if (!sound || token.size() < kLeastTokenBytes || token.size() > kMostTokenBytes) {
-    fault = fmt::format(
-        "web.token_file = \"{}\": a token is one line of {} to {} letters, digits, - and _; {}, and a new "
-        "one "
-        "is made",
-        file.string(), kLeastTokenBytes, kMostTokenBytes, files::set_aside(file));
-    return make_token(file);
-  }
-  return token;
-}
-
-/// Takes as long wherever the two differ.
-bool same_token(std::string_view shown, std::string_view token) {
-  if (shown.size() != token.size()) {
-    return false;
-  }
-  unsigned difference = 0;
-  for (std::size_t i = 0; i < token.size(); ++i) {
-    difference |= static_cast<unsigned char>(shown[i]) ^ static_cast<unsigned char>(token[i]);
-  }
-  return difference == 0;
 }
 
 /// The bytes [first, end) of a file.
@@ -387,7 +320,8 @@ struct WebServer::Impl {
         stream(given_stream),
         control(given_control),
         page(read_page(given.page)),
-        token(read_token(given.token_file, token_fault)),
+        tokens(given.token_file, given.is_public && !given.open_look),
+        cookie("facet-look-" + given.listen.substr(given.listen.rfind(':') + 1)),
         hosts(own_hosts(given.listen, given.hosts)),
         connections(given.max_connections, given.max_downloads) {
     for (std::size_t door = 0; door < passages.size(); ++door) {
@@ -401,18 +335,15 @@ struct WebServer::Impl {
   stream::StreamServer& stream;
   ControlServer& control;
   const std::map<std::string, PageFile, std::less<>> page;
-  std::string token_fault;
-  const std::string token;
+  WebTokens tokens;  ///< the server's thread only
+  /// Its name; it holds the token for looking, whatever token was shown: cookies go to every port of a host.
+  const std::string cookie;
   const std::set<std::string> hosts;
   HttpConnections connections;
   std::array<Passage, static_cast<std::size_t>(Door::Count)> passages{};
 
   mutable Mutex statistics_mutex;
   WebStatistics shown FACET_GUARDED_BY(statistics_mutex);
-
-  // The server's thread only.
-  int guesses_left = kGuesses;
-  Clock::time_point last_guess;
 
   MHD_Result answer(MHD_Connection* connection, const std::string& path, std::string_view method);
   MHD_Result send_thumbnail(MHD_Connection* connection, const std::string& name);
@@ -424,7 +355,12 @@ struct WebServer::Impl {
   std::optional<TakeFiles> closed_take(MHD_Connection* connection, const std::string& name,
                                        MHD_Result& refused);
   MHD_Result shake_hands(MHD_Connection* connection, Door door);
-  Door door_of_token(std::string_view shown_token);
+  WebTokens::Opens try_token(MHD_Connection* connection, std::string_view shown_one);
+  std::optional<std::string> shown_token(MHD_Connection* connection) const;
+  bool may_look(MHD_Connection* connection, MHD_Result& refused);
+  MHD_Result refuse_token(MHD_Connection* connection, WebTokens::Opens opens);
+  MHD_Result answer_look(MHD_Connection* connection);
+  Door door_of_token(MHD_Connection* connection, Door asked, std::string_view shown_one);
   void hand_over(Door door, stream::FileDescriptor connection, std::vector<std::uint8_t> early);
 
   static void on_upgrade(void* passage, MHD_Connection* connection, void* state, const char* early,
@@ -449,6 +385,10 @@ MHD_Result WebServer::Impl::refuse(MHD_Connection* connection, unsigned status, 
   if (status == MHD_HTTP_SERVICE_UNAVAILABLE) {
     MHD_add_response_header(response.get(), MHD_HTTP_HEADER_RETRY_AFTER,
                             std::to_string(HttpConnections::kLeastBytesTime.count()).c_str());
+  }
+  if (status == MHD_HTTP_UNAUTHORIZED) {  // a cookie of before does not go on guessing
+    MHD_add_response_header(response.get(), MHD_HTTP_HEADER_SET_COOKIE,
+                            fmt::format("{}=; Path=/; HttpOnly; SameSite=Strict; Max-Age=0", cookie).c_str());
   }
   if (status == MHD_HTTP_UPGRADE_REQUIRED) {
     MHD_add_response_header(response.get(), MHD_HTTP_HEADER_SEC_WEBSOCKET_VERSION, "13");
@@ -491,6 +431,15 @@ MHD_Result WebServer::Impl::answer(MHD_Connection* connection, const std::string
   if (method == MHD_HTTP_METHOD_GET && (path == "/stream" || path == "/control")) {
     return shake_hands(connection, path == "/stream" ? Door::Stream : Door::Look);
   }
+  if (path == "/look") {
+    return answer_look(connection);
+  }
+  if (const auto file = page.find(path); file != page.end()) {
+    return send_page(connection, file->second);
+  }
+  if (MHD_Result refused = MHD_NO; !may_look(connection, refused)) {
+    return refused;
+  }
   constexpr std::string_view kTakes = "/takes/";
   if (path.rfind(kTakes, 0) == 0) {
     return send_take(connection, path.substr(kTakes.size()));
@@ -502,9 +451,6 @@ MHD_Result WebServer::Impl::answer(MHD_Connection* connection, const std::string
   constexpr std::string_view kThumbnails = "/thumbnails/";
   if (path.rfind(kThumbnails, 0) == 0) {
     return send_thumbnail(connection, path.substr(kThumbnails.size()));
-  }
-  if (const auto file = page.find(path); file != page.end()) {
-    return send_page(connection, file->second);
   }
   return refuse(connection, MHD_HTTP_NOT_FOUND,
                 page.empty() ? "the page is not here: Facet was built without it (FACET_KIOSK)" : "not here");
@@ -644,27 +590,90 @@ MHD_Result WebServer::Impl::send_take(MHD_Connection* connection, const std::str
   return send(connection, range.partial ? MHD_HTTP_PARTIAL_CONTENT : MHD_HTTP_OK, response);
 }
 
-/// A right token opens; a wrong one costs a guess. While there is none left, no token is looked at.
-WebServer::Impl::Door WebServer::Impl::door_of_token(std::string_view shown_token) {
-  const auto now = Clock::now();
-  const auto regained = (now - last_guess) / kGuessPeriod;
-  if (guesses_left < kGuesses && regained > 0) {
-    guesses_left = static_cast<int>(std::min<std::int64_t>(kGuesses, guesses_left + regained));
-    last_guess = now;
+/// The token of a request that is no handshake, where it shows one: "Bearer TOKEN", or what /look gave a
+/// browser.
+std::optional<std::string> WebServer::Impl::shown_token(MHD_Connection* connection) const {
+  constexpr std::string_view kBearer = "Bearer ";
+  const std::string given = header(connection, MHD_HTTP_HEADER_AUTHORIZATION).value.value_or("");
+  if (given.rfind(kBearer, 0) == 0) {
+    return given.substr(kBearer.size());
   }
-  const bool looked_at = guesses_left > 0;
-  if (looked_at && !token.empty() && same_token(shown_token, token)) {
-    return Door::Command;
+  const char* kept = MHD_lookup_connection_value(connection, MHD_COOKIE_KIND, cookie.c_str());
+  return kept != nullptr ? std::optional<std::string>(kept) : std::nullopt;
+}
+
+WebTokens::Opens WebServer::Impl::try_token(MHD_Connection* connection, std::string_view shown_one) {
+  const WebTokens::Opens opens = tokens.opened_by(shown_one, peer_of(connection));
+  if (opens == WebTokens::Opens::Nothing || opens == WebTokens::Opens::NothingNow) {
+    const Lock lock(statistics_mutex);
+    ++shown.wrong_tokens;
   }
-  if (guesses_left == kGuesses) {
-    last_guess = now;
+  return opens;
+}
+
+MHD_Result WebServer::Impl::refuse_token(MHD_Connection* connection, WebTokens::Opens opens) {
+  return opens == WebTokens::Opens::NothingNow
+             ? refuse(connection, MHD_HTTP_TOO_MANY_REQUESTS, "too many wrong tokens; try again later")
+             : refuse(connection, MHD_HTTP_UNAUTHORIZED,
+                      "looking needs a token here (web.public): open the page with #token=TOKEN, or send "
+                      "\"Authorization: Bearer TOKEN\"");
+}
+
+/// Whether whoever asks may look; else `refused` is the answer.
+bool WebServer::Impl::may_look(MHD_Connection* connection, MHD_Result& refused) {
+  if (!tokens.needed_to_look()) {
+    return true;
   }
-  guesses_left -= looked_at ? 1 : 0;
+  const auto token = shown_token(connection);
+  const WebTokens::Opens opens = token ? try_token(connection, *token) : WebTokens::Opens::Nothing;
+  if (opens == WebTokens::Opens::Look || opens == WebTokens::Opens::Commands) {
+    return true;
+  }
+  refused = refuse_token(connection, opens);
+  return false;
+}
+
+/// Whether this browser may look: "open" where nobody needs a token for it, "look", or "commands" where it
+/// shows the token for these. Where looking
+/// needs a token it keeps it as a cookie that no script sees, so that pictures and downloads have it, too.
+MHD_Result WebServer::Impl::answer_look(MHD_Connection* connection) {
+  const auto token = shown_token(connection);
+  const WebTokens::Opens opens = token                     ? try_token(connection, *token)
+                                 : tokens.needed_to_look() ? WebTokens::Opens::Nothing
+                                                           : WebTokens::Opens::Look;
+  if (opens == WebTokens::Opens::Nothing || opens == WebTokens::Opens::NothingNow) {
+    return refuse_token(connection, opens);
+  }
+  const Response response = words(opens == WebTokens::Opens::Commands ? "commands\n"
+                                  : tokens.needed_to_look()           ? "look\n"
+                                                                      : "open\n");
+  if (token && tokens.needed_to_look()) {
+    MHD_add_response_header(
+        response.get(), MHD_HTTP_HEADER_SET_COOKIE,
+        fmt::format("{}={}; Path=/; HttpOnly; SameSite=Strict; Max-Age=31536000", cookie, tokens.look())
+            .c_str());
+  }
+  return send(connection, MHD_HTTP_OK, response);
+}
+
+/// What a handshake's token opens of /control; a stream is the same for whoever may look.
+WebServer::Impl::Door WebServer::Impl::door_of_token(MHD_Connection* connection, Door asked,
+                                                     std::string_view shown_one) {
+  const WebTokens::Opens opens = try_token(connection, shown_one);
+  switch (opens) {
+    case WebTokens::Opens::Look:
+      return asked;
+    case WebTokens::Opens::Commands:
+      return asked == Door::Look ? Door::Command : asked;
+    case WebTokens::Opens::Nothing:
+    case WebTokens::Opens::NothingNow:
+      break;
+  }
+  const bool wrong = opens == WebTokens::Opens::Nothing;
   const Lock lock(statistics_mutex);
   ++shown.refused;
-  ++shown.wrong_tokens;
-  shown.last_refusal = looked_at ? "a wrong token was shown" : "too many wrong tokens were shown";
-  return looked_at ? Door::WrongToken : Door::TooManyTokens;
+  shown.last_refusal = wrong ? "a wrong token was shown" : "too many wrong tokens were shown";
+  return wrong ? Door::WrongToken : Door::TooManyTokens;
 }
 
 MHD_Result WebServer::Impl::shake_hands(MHD_Connection* connection, Door door) {
@@ -680,11 +689,17 @@ MHD_Result WebServer::Impl::shake_hands(MHD_Connection* connection, Door door) {
   }
   const std::string protocols = header(connection, MHD_HTTP_HEADER_SEC_WEBSOCKET_PROTOCOL).value.value_or("");
   bool named = false;
+  bool shown_one = false;
   for (const std::string_view protocol : entries(protocols)) {
     named = named || protocol == kProtocol;
-    if (door == Door::Look && protocol.rfind(kTokenPrefix, 0) == 0) {
-      door = door_of_token(protocol.substr(kTokenPrefix.size()));
+    if (!shown_one && protocol.rfind(kTokenPrefix, 0) == 0 &&
+        (door == Door::Look || tokens.needed_to_look())) {
+      shown_one = true;
+      door = door_of_token(connection, door, protocol.substr(kTokenPrefix.size()));
     }
+  }
+  if (MHD_Result refused = MHD_NO; !shown_one && !may_look(connection, refused)) {
+    return refused;
   }
   const Response response(
       MHD_create_response_for_upgrade(&Impl::on_upgrade, &passages.at(static_cast<std::size_t>(door))));
@@ -735,7 +750,7 @@ void WebServer::Impl::hand_over(Door door, stream::FileDescriptor connection,
       return;
     case Door::Look:
     case Door::Command:
-      control.adopt(std::move(connection), {0, 0, door == Door::Command}, stream::peer_address(fd),
+      control.adopt(std::move(connection), {0, 0, door == Door::Command, true}, stream::peer_address(fd),
                     std::move(early));
       return;
     case Door::WrongToken:
@@ -771,7 +786,7 @@ std::string WebServer::url() const {
 }
 
 const std::string& WebServer::token_fault() const {
-  return impl_->token_fault;
+  return impl_->tokens.fault();
 }
 
 bool WebServer::has_page() const {

@@ -41,7 +41,8 @@ std::optional<TakeFiles> find_take(const std::filesystem::path& folder, const st
 /// Serves the page, takes for download and the handshakes of two WebSockets over HTTP (docs/web.md): /stream
 /// is handed over to the stream server, /control to the control server. A request counts only where it names
 /// a host that is ours (a name that a stranger points at this machine is none) and comes from a page that is
-/// ours. Looking needs no more; who wants to change something shows the token in the handshake.
+/// ours. On this machine looking needs no more; where others are meant to reach the address (web.public) it
+/// needs a token, and who wants to change something shows one in the handshake everywhere (WebTokens).
 ///
 /// The page's files are read once, so that no request ever names a file of the disk but a take. One thread,
 /// of libmicrohttpd, which blocks on nobody; connections that ask for nothing or take nothing are closed
@@ -67,9 +68,6 @@ class WebServer {
   /// Ends connections that take too long; to be called once a second at least. Any thread.
   void look_after(Clock::time_point now = Clock::now());
 
-  /// Guesses of the token that are looked at in a row; after them one in kGuessPeriod.
-  static constexpr int kGuesses = 5;
-  static constexpr std::chrono::seconds kGuessPeriod{10};
   static constexpr std::size_t kMostPageBytes = 32U << 20;
 
  private:

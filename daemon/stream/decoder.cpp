@@ -309,6 +309,11 @@ void decode_mesh_part(const wire::Frame& in, const Arrays& arrays, DecodedFrame&
             "frame: weights of the model");
     frame.model_weights = floats(in.model_weights());
   }
+  if (in.avatar_values() != nullptr) {
+    require(size_of(in.avatar_values()) == frame.expression.size() && all_finite(in.avatar_values()),
+            "frame: avatar values");
+    frame.avatar_values = floats(in.avatar_values());
+  }
   require(in.lighting() != nullptr, "frame: mesh without lighting");
   for (std::uint16_t i = 0; i < 9; ++i) {
     frame.lighting[i] = in.lighting()->sh()->Get(i);

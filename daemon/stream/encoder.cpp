@@ -152,6 +152,9 @@ std::string_view mesh_fault(const mesh::MeshFrame& frame) {
   if (!frame.expression_confidence.empty() && frame.expression_confidence.size() != frame.expression.size()) {
     return "mesh left out: number of the expression's confidences differs from the subject's";
   }
+  if (!frame.avatar_values.empty() && frame.avatar_values.size() != frame.expression.size()) {
+    return "mesh left out: number of avatar values differs from the subject's";
+  }
   if (!frame.displacements_mm.empty() && frame.displacements_mm.size() != finest) {
     return "mesh left out: number of displacements differs from the finest level's vertices";
   }
@@ -160,7 +163,7 @@ std::string_view mesh_fault(const mesh::MeshFrame& frame) {
   }
   if (!frame.camera_from_head.matrix().allFinite() || !all_finite(frame.expression) ||
       !all_finite(frame.model_weights) || !all_finite(frame.expression_confidence) ||
-      !all_finite(frame.lighting)) {
+      !all_finite(frame.avatar_values) || !all_finite(frame.lighting)) {
     return "mesh left out: pose, expression or lighting is not finite";
   }
   return "";
@@ -223,6 +226,7 @@ struct Encoder::Impl {
     Offset<flatbuffers::Vector<float>> expression;
     Offset<flatbuffers::Vector<std::uint8_t>> expression_confidence;
     Offset<flatbuffers::Vector<float>> model_weights;
+    Offset<flatbuffers::Vector<float>> avatar_values;
     Offset<wire::FixedPoint> control_vertices;
     Offset<wire::FixedPoint> displacements;
     Offset<wire::FixedPoint> vertices;
@@ -404,6 +408,9 @@ void Encoder::Impl::geometry_parts(const mesh::MeshFrame& frame, Profile profile
         builder.CreateUninitializedVector(frame.expression_confidence.size(), &bytes);
     std::transform(frame.expression_confidence.begin(), frame.expression_confidence.end(), bytes, to_uint8);
   }
+  if (!frame.avatar_values.empty()) {
+    parts.avatar_values = builder.CreateVector(frame.avatar_values);
+  }
   if (profile == Profile::Displacements && !frame.model_weights.empty()) {
     parts.model_weights = builder.CreateVector(frame.model_weights);
   }
@@ -512,6 +519,7 @@ std::span<const std::uint8_t> Encoder::Impl::frame_message(const mesh::MeshFrame
     table.add_expression(parts.expression);
     table.add_model_weights(parts.model_weights);
     table.add_expression_confidence(parts.expression_confidence);
+    table.add_avatar_values(parts.avatar_values);
     table.add_photometric_rms(finite_or_zero(frame.photometric_rms));
     table.add_lighting(&lighting);
     table.add_albedo_version(frame.albedo != nullptr ? frame.albedo->version : 0);

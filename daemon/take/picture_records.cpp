@@ -73,6 +73,28 @@ std::string name_of(const FrameSet& set, std::size_t camera) {
              : fmt::format("camera {}", camera);
 }
 
+/// The fixed part of a record that is whole. records: from its first byte on. set: names the camera of one
+/// that is damaged; may be null.
+PictureRecord first_record(std::span<const std::uint8_t> records, const FrameSet* set) {
+  PictureRecord record;
+  if (records.size() < sizeof(record)) {
+    reject("a picture's record is cut off");
+  }
+  std::memcpy(&record, records.data(), sizeof(record));
+  if (record.magic != kRecordMagic) {
+    reject("there is no picture's record");
+  }
+  if (sizeof(record) + padded(record.payload_bytes) > records.size()) {
+    reject("a picture's record is cut off");
+  }
+  if (crc32c(records.subspan(kCrcEnd, sizeof(record) - kCrcEnd + record.payload_bytes)) != record.crc) {
+    reject(fmt::format("{}: the checksum is wrong", set != nullptr
+                                                        ? name_of(*set, record.camera)
+                                                        : fmt::format("camera {}", record.camera)));
+  }
+  return record;
+}
+
 }  // namespace
 
 struct PictureWriter::Impl {
@@ -167,6 +189,21 @@ bool PictureWriter::append(const FrameSet& set, std::uint64_t frame_number, std:
   return true;
 }
 
+void renumber(std::span<std::uint8_t> records, std::uint64_t from, std::uint64_t to) {
+  while (!records.empty()) {
+    PictureRecord record = first_record(records, nullptr);
+    if (record.frame_number != from) {
+      reject(
+          fmt::format("a picture of camera {} of frame {} stands here", record.camera, record.frame_number));
+    }
+    record.frame_number = to;
+    std::memcpy(records.data(), &record, sizeof(record));
+    record.crc = crc32c(records.subspan(kCrcEnd, sizeof(record) - kCrcEnd + record.payload_bytes));
+    std::memcpy(records.data(), &record, kCrcEnd);
+    records = records.subspan(sizeof(record) + padded(record.payload_bytes));
+  }
+}
+
 struct PictureReader::Impl {
   struct Free {
     void operator()(ZSTD_DCtx* owned) const { ZSTD_freeDCtx(owned); }
@@ -217,21 +254,8 @@ void PictureReader::Impl::read(const PictureRecord& record, std::span<const std:
 void PictureReader::read(std::span<const std::uint8_t> records, std::uint64_t frame_number, FrameSet& set) {
   std::size_t total = 0;
   while (!records.empty()) {
-    PictureRecord record;
-    if (records.size() < sizeof(record)) {
-      reject("a picture's record is cut off");
-    }
-    std::memcpy(&record, records.data(), sizeof(record));
-    if (record.magic != kRecordMagic) {
-      reject("there is no picture's record");
-    }
+    const PictureRecord record = first_record(records, &set);
     const std::size_t size = sizeof(record) + padded(record.payload_bytes);
-    if (size > records.size()) {
-      reject("a picture's record is cut off");
-    }
-    if (crc32c(records.subspan(kCrcEnd, sizeof(record) - kCrcEnd + record.payload_bytes)) != record.crc) {
-      reject(fmt::format("{}: the checksum is wrong", name_of(set, record.camera)));
-    }
     if (record.frame_number != frame_number || record.slot != set.slot ||
         record.camera >= set.frames.size() || (set.missing >> record.camera & 1U) != 0 ||
         !set.frames[record.camera].empty()) {

@@ -63,6 +63,11 @@ class PictureWriter {
   std::unique_ptr<Impl> impl_;
 };
 
+/// Gives records another frame's number: what a cut writes of another take's, picture by picture as they are.
+/// records: all those of the frame `from`, and nothing else. Throws Error(UnreadableInput) where they are
+/// damaged or of another frame.
+void renumber(std::span<std::uint8_t> records, std::uint64_t from, std::uint64_t to);
+
 /// Reads records, bytes from outside. One thread; memory is reused.
 class PictureReader {
  public:

@@ -281,6 +281,11 @@ void OpenTake::read_meta() {
   info.created_utc = cut_text(text("created_utc"), kMaxShownBytes);
   info.closed = text("closed") == "1";
   info.end_reason = cut_text(text("end_reason"), kMaxShownBytes);
+  info.cut_from = cut_text(text("cut_from"), kMaxShownBytes);
+  const auto text_of = [this](std::string_view key) { return text(key); };
+  info.notes = notes_of(text_of);
+  info.timecode = timecode_of(text_of);
+  info.sound = sound_of(text_of);
   info.dropped = std::strtoull(text("dropped").c_str(), nullptr, 10);
 }
 
@@ -314,6 +319,10 @@ void OpenTake::read_counts(Detail detail) {
   std::error_code error;
   const std::uintmax_t bytes = std::filesystem::file_size(file, error);
   info.file_bytes = (error ? 0 : bytes) + log_bytes(file);
+  if (info.sound.is_there()) {
+    const std::uintmax_t sound_bytes = std::filesystem::file_size(sound_file_of(file), error);
+    info.file_bytes += error ? 0 : sound_bytes;
+  }
   if (detail == Detail::Listed && info.format_version >= 2) {
     info.picture_bytes = segment_bytes(file);
     info.file_bytes += info.picture_bytes;

@@ -8,6 +8,8 @@
 #include <vector>
 
 #include "mesh/mesh_frame.hpp"
+#include "take/notes.hpp"
+#include "take/take_time.hpp"
 
 namespace facet::take {
 
@@ -31,6 +33,10 @@ struct TakeInfo {
   std::string created_utc;  ///< ISO 8601
   bool closed = false;      ///< false: its recorder was killed or failed, or still records
   std::string end_reason;   ///< empty, or why the recording ended by itself
+  TakeNotes notes;          ///< what people wrote to it
+  std::string cut_from;     ///< empty, or of which take, and which frames of it, it is a copy
+  TakeTimecode timecode;    ///< of its frames, by their timestamps
+  TakeSound sound;          ///< beside it
   std::uint64_t dropped = 0;
   std::int64_t frame_count = 0;
   std::int64_t mesh_frame_count = 0;

@@ -1,7 +1,6 @@
 #include "take/recorder.hpp"
 
 #include <fcntl.h>
-#include <fmt/chrono.h>
 #include <fmt/format.h>
 #include <pthread.h>
 #include <sys/stat.h>
@@ -15,6 +14,7 @@
 #include <cstring>
 #include <exception>
 #include <functional>
+#include <map>
 #include <new>
 #include <optional>
 #include <string_view>
@@ -34,14 +34,13 @@
 #include "take/picture_records.hpp"
 #include "take/segment.hpp"
 #include "take/take_file.hpp"
+#include "take/take_tables.hpp"
 
 namespace facet::take {
 namespace {
 
 // Half a second of frames is at risk; two syncs per second are no load for any disk.
 constexpr auto kCommitPeriod = std::chrono::milliseconds(500);
-// Frame blobs are tens to hundreds of kilobytes: bigger pages mean shorter chains of them.
-constexpr int kPageBytes = 16384;
 // The write-ahead log is folded into the file every 8 MiB.
 constexpr int kCheckpointPages = 512;
 // A reader in the middle of a page may hold up the closing of the log for this long; the take is readable
@@ -51,11 +50,6 @@ constexpr auto kCloseTimeout = std::chrono::milliseconds(200);
 constexpr auto kCreateTimeout = std::chrono::seconds(2);
 constexpr std::size_t kMaxTakeNameBytes = 100;
 constexpr int kMostPackers = 16;
-
-std::string utc_text(std::chrono::system_clock::time_point time, const char* format) {
-  const auto seconds = std::chrono::system_clock::to_time_t(time);
-  return fmt::format(fmt::runtime(format), fmt::gmtime(seconds));
-}
 
 /// Makes an empty file that was not there before.
 void create_file(const std::filesystem::path& file) {
@@ -82,7 +76,8 @@ void remove_take(const std::filesystem::path& file) {
 
 bool take_exists(const std::filesystem::path& file) {
   std::error_code ignored;
-  return std::filesystem::exists(file, ignored) || std::filesystem::exists(segments_folder(file), ignored);
+  return std::filesystem::exists(file, ignored) || std::filesystem::exists(segments_folder(file), ignored) ||
+         std::filesystem::exists(sound_file_of(file), ignored);
 }
 
 std::int64_t stored_id(std::uint64_t id) {
@@ -222,6 +217,8 @@ class TakeWriter {
     }
   }
   void mark_closed(std::uint64_t dropped, std::uint64_t mesh_frames, std::string_view reason);
+  /// Of these what has changed.
+  void put_meta(const MetaEntries& entries);
   /// Folds the write-ahead log into the file and removes it, as far as readers let it. What can't be written
   /// stays in the log.
   void close_log();
@@ -233,6 +230,7 @@ class TakeWriter {
   bool make_schema(const TakeRecorderConfig& config);
   void set_meta(std::string_view key, std::string_view value);
 
+  std::map<std::string, std::string> put_;  ///< by put_meta
   TakeId id_;
   stream::Encoder encoder_;
   BlobCompressor compressor_;
@@ -261,23 +259,7 @@ bool TakeWriter::make_schema(const TakeRecorderConfig& config) {
     throw Error(ErrorKind::Storage, "another program holds the new file");
   }
   database_.execute("BEGIN");
-  database_.execute(fmt::format("PRAGMA application_id = {}", kApplicationId));
-  database_.execute(fmt::format("PRAGMA user_version = {}", kFormatVersion));
-  for (const TableDefinition& table : kTables) {
-    database_.execute(std::string(table.sql));
-  }
-  Statement meta(database_, "INSERT INTO meta VALUES(?, ?)");
-  const std::pair<std::string_view, std::string> entries[] = {
-      {"source", config.source},
-      {"software", config.software},
-      {"take_id", to_text(id_)},
-      {"created_utc", utc_text(Clock::utc(), "{:%Y-%m-%dT%H:%M:%SZ}")}};
-  for (const auto& [key, value] : entries) {
-    const std::string stored = cut_text(value, kMaxMetaBytes);
-    meta.bind(1, key);
-    meta.bind(2, std::string_view(stored));
-    meta.run();
-  }
+  make_tables(database_, {config.source, config.software, id_});
   database_.execute("COMMIT");
   // Where a reader prevents it, the first frames' commit brings the tables to the disk with the log.
   database_.execute("PRAGMA wal_checkpoint(PASSIVE)");
@@ -337,6 +319,15 @@ void TakeWriter::set_meta(std::string_view key, std::string_view value) {
   set_meta_.bind(1, key);
   set_meta_.bind(2, std::string_view(stored));
   set_meta_.run();
+}
+
+void TakeWriter::put_meta(const MetaEntries& entries) {
+  for (const auto& [key, value] : entries) {
+    if (const auto known = put_.find(key); known == put_.end() || known->second != value) {
+      set_meta(key, value);
+      put_.insert_or_assign(key, value);
+    }
+  }
 }
 
 void TakeWriter::mark_closed(std::uint64_t dropped, std::uint64_t mesh_frames, std::string_view reason) {
@@ -414,6 +405,11 @@ struct TakeRecorder::Impl {
   std::vector<std::jthread> packers;  ///< facet-pack-N
   std::jthread thread;                ///< facet-take
 
+  void put_more_meta() {
+    if (config.more_meta) {
+      writer->put_meta(config.more_meta());
+    }
+  }
   std::size_t queued() const FACET_REQUIRES(mutex) { return static_cast<std::size_t>(taken - written); }
   bool take_in(std::shared_ptr<const mesh::MeshFrame> frame);
   void pack_until_stopped();
@@ -588,6 +584,7 @@ void TakeRecorder::Impl::write_until_stopped() {
       spare.push_back(std::move(frame));
     }
     if (commit_due && !at_end && Clock::now() >= *commit_due) {
+      put_more_meta();
       writer->commit();
       show_committed();
       check_disk();
@@ -629,6 +626,7 @@ void TakeRecorder::Impl::close() {
     shown.reason = reason;
   }
   writer->mark_closed(dropped, counted.mesh_frames, reason);
+  put_more_meta();
   writer->commit();
   show_committed();
   {
@@ -667,6 +665,7 @@ void TakeRecorder::Impl::finish() {
         return shown;
       }();
       writer->mark_closed(end.dropped, end.mesh_frames, end.reason);
+      put_more_meta();
       writer->commit();
       writer->close_log();
     } catch (const std::exception&) {
@@ -820,8 +819,8 @@ std::filesystem::path take_path(const std::filesystem::path& folder, const std::
   std::filesystem::path file = named_take(folder, name);
   if (take_exists(file)) {
     throw Error(ErrorKind::Storage,
-                fmt::format("take '{}', or its folder of pictures, exists already: choose another "
-                            "name or move it away",
+                fmt::format("take '{}', or its folder of pictures or its sound, exists already: choose "
+                            "another name or move it away",
                             file.string()));
   }
   return file;

@@ -3,11 +3,13 @@
 #include <chrono>
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <memory>
 #include <string>
 
 #include "mesh/mesh_frame.hpp"
 #include "take/picture_records.hpp"
+#include "take/take_time.hpp"
 
 namespace facet::take {
 
@@ -33,6 +35,9 @@ struct TakeRecorderConfig {
   /// How long another process may hold SQLite's write lock of the take, as a backup does, until recording
   /// stops.
   std::chrono::milliseconds lock_patience{2000};
+  /// Asked on facet-take before every commit: what `meta` is to say besides (kMaxMetaEntries, kMaxMetaBytes).
+  /// It must not wait. Null: nothing.
+  std::function<MetaEntries()> more_meta{};
   int pack_threads = 0;  ///< 1 to 16; 0: as many as there are processors, 4 at most, and one without pictures
 };
 

@@ -356,6 +356,8 @@ constexpr CameraSetting kSettings[] = {
     kRateSetting,
     kExposureSetting,
     kWhiteBalanceSetting,
+    kTurnSetting,
+    kMirrorSetting,
     kBuffersSetting,
     kStallAfterSetting,
 };

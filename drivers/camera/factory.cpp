@@ -61,7 +61,7 @@ bool names_source(const CameraConfig& config) {
 }
 
 std::unique_ptr<Camera> open_camera(const CameraConfig& config) {
-  return camera_kind(config.kind).open(config);
+  return turn_pictures(camera_kind(config.kind).open(config), config.turn);
 }
 
 }  // namespace facet::camera

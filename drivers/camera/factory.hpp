@@ -12,6 +12,7 @@
 #include <variant>
 #include <vector>
 
+#include "camera/turned_camera.hpp"
 #include "facet/camera.hpp"
 #include "facet/setting.hpp"
 
@@ -65,6 +66,7 @@ struct CameraConfig {
   bool loop = false;   ///< file: start over at the end; sequence and times go on
   LiveConfig live{};   ///< v4l2, libcamera; of simulated ones size and rate
   LibcameraConfig libcamera{};
+  PictureTurn turn{};  ///< v4l2, libcamera, simulated
 };
 
 using CameraSetting = Setting<CameraConfig>;
@@ -85,6 +87,10 @@ inline constexpr CameraSetting kBuffersSetting{"buffers", &at<&CameraConfig::liv
 inline constexpr CameraSetting kStallAfterSetting{
     "stall_after_ms", &at<&CameraConfig::live, &LiveConfig::stall_after>, 100, 3'600'000};
 
+inline constexpr CameraSetting kTurnSetting{"turn", &at<&CameraConfig::turn, &PictureTurn::clockwise_deg>, 0,
+                                            270};
+inline constexpr CameraSetting kMirrorSetting{"mirror", &at<&CameraConfig::turn, &PictureTurn::mirror>};
+
 /// A camera that is there, for people.
 struct FoundCamera {
   std::string text;      ///< what it is and what it offers, or why it can't be used
@@ -100,7 +106,7 @@ struct CameraKind {
   const char* advice = nullptr;  ///< what to do where that is missing
   /// Two settings that are given together or not at all.
   std::optional<std::array<const char*, 2>> pair{};
-  /// As open_camera.
+  /// As open_camera, before pictures are turned.
   std::unique_ptr<Camera> (*open)(const CameraConfig& config) = nullptr;
   /// Those that are there; throws Error where it can't tell. Null: nobody looks for them.
   std::vector<FoundCamera> (*list)() = nullptr;

@@ -389,7 +389,8 @@ std::uint64_t read_marker(const Frame& frame, Marker marker) {
 namespace facet::camera {
 namespace {
 
-constexpr CameraSetting kSettings[] = {kWidthSetting, kHeightSetting, kRateSetting};
+constexpr CameraSetting kSettings[] = {kWidthSetting, kHeightSetting, kRateSetting, kTurnSetting,
+                                       kMirrorSetting};
 
 std::unique_ptr<Camera> open_alone(const CameraConfig& config) {
   return simulated::SimulatedDevices(0, 0).camera(

@@ -296,6 +296,8 @@ constexpr CameraSetting kSettings[] = {
     kRateSetting,
     kExposureSetting,
     kWhiteBalanceSetting,
+    kTurnSetting,
+    kMirrorSetting,
     kBuffersSetting,
     kStallAfterSetting,
 };

@@ -1,8 +1,9 @@
 """Datagrams of avatar protocols as JSON, read by what the protocols' pages say alone.
 
-Usage: decode.py osc|live_link_face FILE      FILE: datagrams, each behind its length (4 bytes, little-endian)
+Usage: decode.py osc|live_link_face|ifacialmocap|json FILE      FILE: datagrams, each behind its length (4 bytes, little-endian)
 
-osc: every message in order, [address, arguments...] (Open Sound Control 1.0). live_link_face: one object for each packet.
+osc: every message in order, [address, arguments...] (Open Sound Control 1.0). Of the others one object for each packet;
+ifacialmocap: "values" {name: number}, and "=head", "rightEye", "leftEye", each its numbers.
 """
 import json
 import struct
@@ -33,6 +34,8 @@ def osc_packet(data):
     for tag in tags[1:]:
         if tag == "s":
             value, at = osc_text(data, at)
+        elif tag in "TF":
+            value = tag == "T"
         else:
             (value,) = struct.unpack_from({"i": ">i", "f": ">f"}[tag], data, at)
             at += 4
@@ -56,11 +59,26 @@ def live_link_face(data):
             "denominator": denominator, "values": values}
 
 
+def ifacialmocap(data):
+    text = data.decode("ascii")
+    assert text.endswith("|"), "the last part has no end"
+    out = {"values": {}}
+    for part in text[:-1].split("|"):
+        if "#" in part:
+            name, numbers = part.split("#")
+            out[name] = [float(number) for number in numbers.split(",")]
+        elif part:
+            name, number = part.split("-")
+            out["values"][name] = int(number)
+    return out
+
+
 kind, file = sys.argv[1:]
 stream = open(file, "rb").read()
 out = []
 while stream:
     (length,) = struct.unpack_from("<I", stream)
     datagram, stream = stream[4:4 + length], stream[4 + length:]
-    out += osc_packet(datagram) if kind == "osc" else [live_link_face(datagram)]
+    out += osc_packet(datagram) if kind == "osc" else [
+        {"live_link_face": live_link_face, "ifacialmocap": ifacialmocap, "json": json.loads}[kind](datagram)]
 print(json.dumps(out))

@@ -85,6 +85,7 @@ void check_frame(std::span<const std::uint8_t> message) {
     if (sound) {
       read += sum(frame.landmarks_px, 2 * frame.landmark_count) +
               sum(frame.expression, frame.expression_count) +
+              sum(frame.avatar_values, frame.expression_count) +
               sum(frame.expression_confidence,
                   frame.expression_confidence != nullptr ? frame.expression_count : 0) +
               sum(frame.confidence, frame.confidence != nullptr ? known.parsed[k].shown.vertex_count : 0) +
@@ -144,6 +145,9 @@ void check(std::span<const std::uint8_t> message) {
       const bool sound = wire_subject(bytes, size, &subject) == nullptr;
       if (sound) {
         sum(subject.shown.triangles, std::size_t{3} * subject.shown.triangle_count);
+        for (std::uint32_t k = 0; k < subject.shown.level_count; ++k) {
+          sum(subject.shown.levels[k].triangles, std::size_t{3} * subject.shown.levels[k].triangle_count);
+        }
         sum(subject.shown.texture_coordinates, std::size_t{2} * subject.shown.vertex_count);
         for (std::size_t k = 0; k < subject.shown.expression_count; ++k) {
           must(std::strlen(subject.names[k]) <= 64);

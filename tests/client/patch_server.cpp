@@ -32,6 +32,7 @@ int main(int argc, char** argv) {
   const auto publish = [&](std::uint64_t sequence) {
     mesh::MeshFrame frame = test::patch_frame(sequence, subject, test::patch_albedo(*subject));
     frame.expression_confidence.assign(frame.expression.size(), 0.2F);
+    frame.avatar_values.assign(frame.expression.size(), 0.5F);
     frame.origin = mesh::Origin::Take;
     server.publish(std::make_shared<mesh::MeshFrame>(std::move(frame)));
   };

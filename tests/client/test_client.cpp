@@ -69,6 +69,9 @@ class Client : public testing::Test {
     mesh::MeshFrame frame = test::patch_frame(sequence, subject, albedo);
     frame.expression_confidence.assign(frame.expression.size(), 0.2F);
     frame.expression_confidence.back() = 1;
+    if (sequence % 2 == 1) {
+      frame.avatar_values = {0.5F, 0.25F, 1.0F};
+    }
     frame.origin = mesh::Origin::Pose;
     server->publish(std::make_shared<mesh::MeshFrame>(std::move(frame)));
   }
@@ -87,6 +90,25 @@ class Client : public testing::Test {
     return client;
   }
 };
+
+/// Every level's triangles come with either profile that has a mesh.
+void expect_levels(const facet_subject& got, const mesh::Hierarchy& hierarchy, int profile) {
+  if (profile == FACET_SIGNALS) {
+    EXPECT_EQ(got.level_count, 0U);
+    return;
+  }
+  ASSERT_EQ(got.level_count, hierarchy.levels.size());
+  for (std::uint32_t k = 0; k < got.level_count; ++k) {
+    const mesh::Level& level = hierarchy.levels[k];
+    EXPECT_EQ(got.levels[k].vertex_count, static_cast<std::uint32_t>(level.vertex_count));
+    ASSERT_EQ(got.levels[k].triangle_count, static_cast<std::uint32_t>(level.triangles.cols()));
+    EXPECT_EQ(std::memcmp(got.levels[k].triangles, level.triangles.data(),
+                          sizeof(std::uint32_t) * 3 * got.levels[k].triangle_count),
+              0);
+  }
+  EXPECT_EQ(got.vertex_count, got.levels[got.level_count - 1].vertex_count);
+  EXPECT_EQ(got.triangles, got.levels[got.level_count - 1].triangles);
+}
 
 class EveryWay : public Client, public testing::WithParamInterface<std::tuple<int, unsigned>> {};
 
@@ -116,6 +138,12 @@ TEST_P(EveryWay, SameBitsAsTheCppClient) {
     EXPECT_EQ(frame->photometric_rms, expected.frame.photometric_rms);
     ASSERT_EQ(frame->expression_count, 3U);
     EXPECT_TRUE(same_bits(frame->expression, expected.frame.expression.data(), 3));
+    const bool tuned = !expected.frame.avatar_values.empty();
+    EXPECT_EQ(tuned, sequence % 2 == 1);
+    EXPECT_TRUE(same_bits(frame->avatar_values,
+                          (tuned ? expected.frame.avatar_values : expected.frame.expression).data(), 3));
+    EXPECT_EQ(facet_client_avatar_value(client.get(), "jawOpen"),
+              tuned ? 0.5F : expected.frame.expression[0]);
     ASSERT_NE(frame->expression_confidence, nullptr);
     EXPECT_EQ(frame->expression_confidence[0], 51);
     EXPECT_EQ(frame->expression_confidence[2], 255);
@@ -128,6 +156,7 @@ TEST_P(EveryWay, SameBitsAsTheCppClient) {
     EXPECT_EQ(frame->subject_id, known->id);
     EXPECT_STREQ(known->expression_names[1], "eyeBlinkLeft");
     EXPECT_EQ(known->identity_count, 4U);
+    expect_levels(*known, *subject->hierarchy, profile);
 
     const facet_mesh* mesh = nullptr;
     if (profile == FACET_SIGNALS) {

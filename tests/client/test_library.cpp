@@ -71,9 +71,10 @@ static_assert(offsetof(facet_frame, state) == 24 && offsetof(facet_frame, landma
               offsetof(facet_frame, expression) == 152 && offsetof(facet_frame, lighting) == 172 &&
               offsetof(facet_frame, control_vertices) == 208 && offsetof(facet_frame, normals) == 280 &&
               offsetof(facet_frame, in_ring) == 296 && offsetof(facet_frame, expression_confidence) == 304 &&
-              offsetof(facet_frame, origin) == 312);
+              offsetof(facet_frame, origin) == 312 && offsetof(facet_frame, avatar_values) == 320 &&
+              offsetof(facet_frame, upright_rotation) == 340);
 static_assert(offsetof(facet_subject, control_vertex_count) == 40 &&
-              offsetof(facet_subject, texture_coordinates) == 64);
+              offsetof(facet_subject, texture_coordinates) == 64 && offsetof(facet_subject, levels) == 88);
 static_assert(offsetof(facet_albedo, linear_rgb) == 24 && offsetof(facet_mesh, normals) == 16);
 static_assert(offsetof(facet_statistics, by_ring) == 40);
 static_assert(FACET_OK == 0 && FACET_OUT_OF_MEMORY == 7 && FACET_WANT_RING == 2 && FACET_RECONNECT == 4);

@@ -1,9 +1,10 @@
 // A compressed GLB as three.js plays it, against the true vertices of every frame and against the same export without compression.
-// Usage: node check-meshopt.mjs THREE_FOLDER COMPRESSED.glb PLAIN.glb TRUTH_FOLDER
+// Usage: node check-meshopt.mjs THREE_FOLDER COMPRESSED.glb PLAIN.glb TRUTH_FOLDER [PARTS_FOLDER]
+// PARTS_FOLDER holds head.i32: which vertices of the truth the mesh "head" has; without it there is one mesh and it has all.
 // TRUTH_FOLDER holds frame_%06d.f32: [vertex_count][3] metres, x right, y up, z towards the viewer.
 import fs from 'fs';
 import path from 'path';
-const [folder, compressedFile, plainFile, truthFolder] = process.argv.slice(2);
+const [folder, compressedFile, plainFile, truthFolder, partsFolder] = process.argv.slice(2);
 const module = (name) => import(path.join(folder, name));
 const THREE = await module('build/three.module.js');
 const { GLTFLoader } = await module('examples/jsm/loaders/GLTFLoader.js');
@@ -14,9 +15,11 @@ const bytesOf = (file) => { const bytes = fs.readFileSync(file); return bytes.bu
 const load = (file, decoder) => new Promise((done, failed) => {
   const loader = new GLTFLoader();
   loader.setMeshoptDecoder(decoder);
+  // Node.js shows no pictures.
+  loader.register(() => ({ name: 'no pictures', loadTexture: () => Promise.resolve(new THREE.Texture()) }));
   loader.parse(bytesOf(file), '', done, failed);
 });
-const meshOf = (gltf) => { let mesh = null; gltf.scene.traverse((node) => { mesh = node.isMesh ? node : mesh; }); return mesh; };
+const meshOf = (gltf) => { let mesh = null; gltf.scene.traverse((node) => { mesh = node.isMesh && (!partsFolder || node.name === 'head') ? node : mesh; }); return mesh; };
 
 const refusal = await load(compressedFile, null).then(() => '', (error) => error.message);
 check(/meshopt/i.test(refusal), `a reader without the decoder says '${refusal}'`);
@@ -47,6 +50,8 @@ action.clampWhenFinished = true;
 action.play();
 const files = fs.readdirSync(truthFolder).filter((name) => name.endsWith('.f32')).sort();
 const frames = files.map((name) => Number(name.slice(6, 12)));
+const intsOf = (file) => { const bytes = fs.readFileSync(file); return Array.from({ length: bytes.length / 4 }, (_, i) => bytes.readInt32LE(4 * i)); };
+const part = partsFolder ? intsOf(path.join(partsFolder, 'head.i32')) : null;
 let worst = 0;
 const point = new THREE.Vector3();
 for (const [i, frame] of frames.entries()) {
@@ -54,9 +59,11 @@ for (const [i, frame] of frames.entries()) {
   const truth = new Float32Array(bytes.buffer, bytes.byteOffset, bytes.length / 4);
   mixer.setTime((frame - frames[0]) / kRate_hz);
   gltf.scene.updateMatrixWorld(true);
-  check(mesh.geometry.attributes.position.count === truth.length / 3, `${mesh.geometry.attributes.position.count} vertices`);
-  for (let v = 0; v < truth.length / 3; ++v) {
-    mesh.getVertexPosition(v, point).applyMatrix4(mesh.matrixWorld);
+  const count = part ? part.length : truth.length / 3;
+  check(mesh.geometry.attributes.position.count === count, `${mesh.geometry.attributes.position.count} vertices`);
+  for (let i = 0; i < count; ++i) {
+    const v = part ? part[i] : i;
+    mesh.getVertexPosition(i, point).applyMatrix4(mesh.matrixWorld);
     worst = Math.max(worst, Math.abs(point.x - truth[3 * v]), Math.abs(point.y - truth[3 * v + 1]), Math.abs(point.z - truth[3 * v + 2]));
   }
 }

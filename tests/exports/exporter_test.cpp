@@ -278,6 +278,33 @@ TEST_F(Exporter, GlbHasSoundStructureAndMetresWithYUp) {
   }
 }
 
+TEST_F(Exporter, GlbShowsAPictureOrColoursButNeverBoth) {
+  ExportMesh mesh = mesh_of(MeshLevel::Coarse);
+  const std::string png = "no picture, but its bytes";  // of a length that is no multiple of 4
+  for (const bool picture : {false, true}) {
+    if (picture) {
+      mesh.skin_png = std::make_shared<const std::vector<std::uint8_t>>(png.begin(), png.end());
+    }
+    write_glb(mesh, folder.path() / "a.glb");
+    const std::string bytes = read_file(folder.path() / "a.glb");
+    std::size_t at = 12;
+    const auto json_length = take_value<std::uint32_t>(bytes, at);
+    const auto document = nlohmann::json::parse(bytes.substr(20, json_length));
+    const auto& attributes = document["meshes"][0]["primitives"][0]["attributes"];
+    const auto& look = document["materials"][0]["pbrMetallicRoughness"];
+    EXPECT_EQ(attributes.contains("COLOR_0"), !picture) << "the format multiplies them";
+    EXPECT_EQ(look.contains("baseColorTexture"), picture);
+    EXPECT_EQ(document.contains("images"), picture);
+    if (picture) {
+      const auto& view = document["bufferViews"][document["images"][0]["bufferView"].get<std::size_t>()];
+      EXPECT_EQ(bytes.substr(28 + json_length + view["byteOffset"].get<std::size_t>(),
+                             view["byteLength"].get<std::size_t>()),
+                png);
+      EXPECT_EQ(document["buffers"][0]["byteLength"].get<std::size_t>() % 4, 0U);
+    }
+  }
+}
+
 TEST_F(Exporter, FailedWriteLeavesTheEarlierFile) {
   const std::filesystem::path file = folder.path() / "a.ply";
   const ExportMesh mesh = mesh_of(MeshLevel::Coarse);

@@ -29,8 +29,8 @@ function freePort() {
 /** Not started yet: what `source` names is to be laid into `folder` before, takes into `takes`. */
 export class Service {
   /** facetd: the program. page: the folder of the page. source: the lines of [source]; none where `rig` says the mode and what stands for the source.
-   * more: further sections. log: a file for what it says. */
-  static async prepare({ facetd, page, assets, source, rig = `[source]\n${source}\npaced = true`, more = '', log = null }) {
+   * more: further sections. web: further lines of [web]. log: a file for what it says. */
+  static async prepare({ facetd, page, assets, source, rig = `[source]\n${source}\npaced = true`, more = '', web = '', log = null }) {
     const service = new Service();
     service.facetd = facetd;
     service.log = log;
@@ -59,6 +59,7 @@ listen = ""
 listen = "${new URL(service.origin).host}"
 page = "${page}"
 token_file = "token"
+${web}
 `);
     process.on('exit', () => {
       service.daemon?.kill('SIGKILL');

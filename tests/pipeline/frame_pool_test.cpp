@@ -17,6 +17,7 @@ TEST(FramePool, AFrameComesBackEmptyWithItsMemory) {
   frame->degraded_reason = "a reason";
   frame->displacements_mm.assign(1000, 1.0F);
   frame->expression_confidence.assign(51, 1.0F);
+  frame->avatar_values.assign(51, 1.0F);
   frame->albedo = std::make_shared<const mesh::Albedo>();
   const std::weak_ptr<const mesh::Albedo> albedo = frame->albedo;
   frame.reset();
@@ -29,6 +30,7 @@ TEST(FramePool, AFrameComesBackEmptyWithItsMemory) {
   EXPECT_TRUE(frame->degraded_reason.empty());
   EXPECT_TRUE(frame->displacements_mm.empty());
   EXPECT_TRUE(frame->expression_confidence.empty());
+  EXPECT_TRUE(frame->avatar_values.empty());
   EXPECT_GE(frame->expression_confidence.capacity(), 51U);
   EXPECT_GE(frame->displacements_mm.capacity(), 1000U);
 }

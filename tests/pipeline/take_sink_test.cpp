@@ -69,6 +69,7 @@ TEST(TakeSink, LeavesProvisionalMeshesOut) {
   const auto shown = std::make_shared<mesh::MeshFrame>(test::patch_frame(1, subject, albedo));
   shown->state = mesh::TrackingState::Acquiring;
   shown->expression_confidence.assign(shown->expression.size(), 1);
+  shown->avatar_values.assign(shown->expression.size(), 1);
   sink.deliver(shown);
   sink.deliver(std::make_shared<mesh::MeshFrame>(test::patch_frame(2, subject, albedo)));
   EXPECT_NE(shown->subject, nullptr) << "other sinks show it";
@@ -77,6 +78,7 @@ TEST(TakeSink, LeavesProvisionalMeshesOut) {
   EXPECT_EQ(take.entry(0).state, mesh::TrackingState::Acquiring);
   EXPECT_FALSE(take.entry(0).has_mesh);
   EXPECT_TRUE(take.frame(0)->expression_confidence.empty());
+  EXPECT_TRUE(take.frame(0)->avatar_values.empty());
   EXPECT_TRUE(take.entry(1).has_mesh);
 }
 

@@ -90,7 +90,7 @@ TEST(ConfiguredValues, TheSampleShowsThem) {
 class ValueMethods : public ::testing::Test {
  protected:
   json ask(const std::string& method, const json& params, bool member = true) {
-    const auto methods = value_methods([this]() -> avatar::Bridge& { return bridge_; }, config_.values);
+    const auto methods = value_methods(bridge_, config_.values);
     const json request = {{"jsonrpc", "2.0"}, {"id", 1}, {"method", method}, {"params", params}};
     return json::parse(answer_request(methods, request.dump(), {1, 1000, member}));
   }

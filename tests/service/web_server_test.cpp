@@ -21,6 +21,7 @@
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "service/http_connections.hpp"
+#include "service/web_tokens.hpp"
 #include "stream/client.hpp"
 #include "stream/decoder.hpp"
 #include "stream/encoder.hpp"
@@ -414,13 +415,13 @@ TEST_F(Web, LookingNeedsNoTokenChangingDoes) {
 TEST_F(Web, GuessesOfTheTokenAreFew) {
   start();
   const std::string right = token();
-  for (int guess = 0; guess < WebServer::kGuesses; ++guess) {
+  for (int guess = 0; guess < WebTokens::kGuesses; ++guess) {
     EXPECT_EQ(ask("change", right.substr(0, 31) + "-"), static_cast<int>(stream::WebSocketClose::WrongToken));
   }
   // Now nothing tells a right one from a wrong one.
   EXPECT_EQ(ask("change", right.substr(0, 30)), static_cast<int>(stream::WebSocketClose::TooManyTokens));
   EXPECT_EQ(ask("change", right), static_cast<int>(stream::WebSocketClose::TooManyTokens));
-  EXPECT_EQ(web_->statistics().wrong_tokens, static_cast<std::uint64_t>(WebServer::kGuesses) + 2);
+  EXPECT_EQ(web_->statistics().wrong_tokens, static_cast<std::uint64_t>(WebTokens::kGuesses) + 2);
   EXPECT_EQ(ask("look")["result"]["seen"], true);
 }
 

@@ -78,6 +78,7 @@ void expect_same_signals(const mesh::MeshFrame& got, const mesh::MeshFrame& sent
   EXPECT_EQ(got.stage_ms.depth_ms, sent.stage_ms.depth_ms);
   EXPECT_EQ(got.camera_from_head.matrix(), sent.camera_from_head.matrix());
   EXPECT_EQ(got.expression, sent.expression);
+  EXPECT_EQ(got.avatar_values, sent.avatar_values);
   EXPECT_EQ(got.model_weights, sent.model_weights);
   EXPECT_LE(largest_difference(got.expression_confidence, sent.expression_confidence), 0.5F / 255 + 1e-6F);
   EXPECT_EQ(got.lighting, sent.lighting);
@@ -89,6 +90,8 @@ TEST_F(Encoding, DisplacementsKeepEverythingWithinAHundredthOfAMillimetre) {
   sent.stage_ms.depth_ms = 7.25F;
   sent.model_weights = sent.expression;
   sent.model_weights.front() += 0.125F;
+  sent.avatar_values.assign(sent.expression.size(), 0.75F);
+  sent.avatar_values.back() = 0.1F;
   sent.expression_confidence.assign(sent.expression.size(), 0.25F);
   sent.expression_confidence.back() = 1;
   const mesh::MeshFrame got = round_trip(sent, Profile::Displacements).frame;
@@ -241,6 +244,12 @@ TEST_F(Encoding, UnsoundMeshIsLeftOutWithAReason) {
       HasSubstr("expression's confidences"));
   EXPECT_THAT(reason_for([](mesh::MeshFrame& f) {
                 f.expression_confidence.assign(f.expression.size(), std::numeric_limits<float>::quiet_NaN());
+              }),
+              HasSubstr("finite"));
+  EXPECT_THAT(reason_for([](mesh::MeshFrame& f) { f.avatar_values.assign(f.expression.size() + 1, 1); }),
+              HasSubstr("avatar values"));
+  EXPECT_THAT(reason_for([](mesh::MeshFrame& f) {
+                f.avatar_values.assign(f.expression.size(), std::numeric_limits<float>::quiet_NaN());
               }),
               HasSubstr("finite"));
   EXPECT_THAT(reason_for([](mesh::MeshFrame& f) { f.displacements_mm.pop_back(); }),

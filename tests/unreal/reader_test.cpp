@@ -51,7 +51,7 @@ TEST_F(UnrealReader, GivesTheMeshInUnrealsAxes) {
   const Face& face = reader.face();
   EXPECT_EQ(face.sequence, 7U);
   EXPECT_EQ(face.expression_names, subject_->expression_names);
-  EXPECT_EQ(face.expression, frame.expression);
+  EXPECT_EQ(face.avatar_values, frame.expression) << "no neutral pose";
   const auto count = static_cast<Eigen::Index>(vertices_mm.cols());
   ASSERT_EQ(face.vertices_cm.size(), 3 * static_cast<std::size_t>(count));
   const Eigen::Map<const Eigen::Matrix3Xf> shown(face.vertices_cm.data(), 3, count);

@@ -14,6 +14,8 @@
 #include <thread>
 #include <vector>
 
+#include "avatar/bridge.hpp"
+#include "avatar/value_mapping.hpp"
 #include "booth/booth_depth.hpp"
 #include "camera/factory.hpp"
 #include "camera/host_sandbox.hpp"
@@ -265,6 +267,65 @@ void check_source(Report& report, const service::Config& config) {
   }
 }
 
+/// One target: who of this machine hears what is sent there.
+void check_target(Report& report, const avatar::BridgeTarget& target) {
+  const std::string what = avatar::to_string(target.protocol);
+  avatar::LookedUp found{avatar::socket_address(target.address, target.port), ""};
+  if (found.address.length == 0) {
+    found = avatar::look_up_host(target);
+  }
+  if (found.address.length == 0) {
+    report.say(Verdict::Note, what, fmt::format("{}: {}", target.text(), found.trouble),
+               "facetd looks the name up every 30 s; until it is found the target gets nothing");
+    return;
+  }
+  switch (avatar::who_listens(found.address)) {
+    case avatar::Listener::Somebody:
+      report.say(Verdict::Good, what, fmt::format("{}: a program listens there", target.text()),
+                 target.protocol == avatar::BridgeProtocol::Vmc
+                     ? "an avatar of which only the head moves wants bridges.vmc_shapes = \"presets\""
+                     : "");
+      break;
+    case avatar::Listener::Nobody:
+      report.say(Verdict::Note, what, fmt::format("{}: nothing listens there", target.text()),
+                 "start the receiver and switch its receiving on; its port must be this one");
+      break;
+    case avatar::Listener::OtherMachine:
+      report.say(Verdict::Note, what, fmt::format("{}: another machine, not looked at", target.text()),
+                 "as a service facetd reaches it only with IPAddressAllow (docs/bridges.md)");
+  }
+}
+
+void check_bridges(Report& report, const avatar::BridgeConfig& bridges) {
+  for (const avatar::BridgeTarget& target : bridges.targets) {
+    check_target(report, target);
+  }
+  for (const auto& [protocol, key, port] : avatar::kBridgeProtocols) {
+    // VTube Studio's port is any that a program names; at iFacialMocap's, facetd itself may listen.
+    const bool is_known =
+        std::any_of(bridges.targets.begin(), bridges.targets.end(),
+                    [wanted = protocol](const auto& target) { return target.protocol == wanted; });
+    if (is_known || protocol == avatar::BridgeProtocol::VTubeStudio || !bridges.answer.empty()) {
+      continue;
+    }
+    if (avatar::who_listens(avatar::socket_address("127.0.0.1", port)) == avatar::Listener::Somebody) {
+      report.say(Verdict::Note, key,
+                 fmt::format("a program listens at 127.0.0.1:{}, this protocol's usual port", port),
+                 fmt::format("if it is a receiver: [bridges] {} = [\"127.0.0.1:{}\"]", key, port));
+    }
+  }
+  if (!bridges.mapping_file.empty()) {
+    try {
+      const avatar::ValueMapping mapping = avatar::load_mapping(bridges.mapping_file);
+      report.say(Verdict::Good, "mapping",
+                 fmt::format("{}: {} values for VMC, {} for VRChat", bridges.mapping_file.string(),
+                             mapping.vmc.size(), mapping.vrchat.size()));
+    } catch (const Error& error) {
+      report.bad(error.kind(), "mapping", error.what());
+    }
+  }
+}
+
 void check_takes(Report& report, const service::Config& config) {
   const std::filesystem::path& folder = config.takes.folder;
   std::error_code error;
@@ -363,6 +424,7 @@ void run(const std::string& given_file) {
     }
   }
   check_takes(report, config);
+  check_bridges(report, config.bridges);
   check_daemon(report, config);
   if (report.first_fault()) {
     throw Error(*report.first_fault(),
@@ -375,8 +437,9 @@ void run(const std::string& given_file) {
 
 void add_doctor_command(Command app) {
   auto config_file = std::make_shared<std::string>();
-  const Command command =
-      app.subcommand("doctor", "Check GPU, face model, cameras, trigger, sockets and disk; say what to do");
+  const Command command = app.subcommand(
+      "doctor",
+      "Check GPU, face model, cameras, trigger, receivers of bridges, sockets and disk; say what to do");
   command.option("--config", *config_file,
                  "The daemon's configuration file (default " + service::default_config_file().string() +
                      ", where it exists)");

@@ -22,6 +22,7 @@
 #include "take/reader.hpp"
 #include "take_frames.hpp"
 #include "take_person.hpp"
+#include "take_sound.hpp"
 #include "tell.hpp"
 
 namespace facet::tools {
@@ -91,6 +92,41 @@ bool has_no_node(const ExportFormat& format) {
   return animation != nullptr && animation->has_no_node;
 }
 
+bool has_picture(const ExportFormat& format) {
+  const auto* files = std::get_if<exports::FrameFiles>(&format.writes);
+  const auto* animation = std::get_if<exports::Animation>(&format.writes);
+  return (files != nullptr && files->has_picture) || (animation != nullptr && animation->has_picture);
+}
+bool is_in_expressions(const ExportFormat& format) {
+  const auto* animation = std::get_if<exports::Animation>(&format.writes);
+  return animation != nullptr && animation->in_expressions;
+}
+
+/// A person's albedo as a picture, baked anew where it changed.
+class SkinPicture {
+ public:
+  explicit SkinPicture(int size_px) : baker_(size_px) {}
+
+  /// Null where the frame has no albedo.
+  std::shared_ptr<const std::vector<std::uint8_t>> of(const mesh::MeshFrame& frame) {
+    if (frame.albedo == nullptr) {
+      return nullptr;
+    }
+    const std::pair shown(frame.subject->id, frame.albedo->version);
+    if (png_ == nullptr || shown != shown_) {
+      shown_ = shown;
+      png_ = std::make_shared<const std::vector<std::uint8_t>>(
+          exports::encode_skin(baker_.bake(frame, exports::MapKind::Albedo)));
+    }
+    return png_;
+  }
+
+ private:
+  exports::MapBaker baker_;
+  std::pair<std::uint64_t, std::uint64_t> shown_;  ///< subject and version of the albedo
+  std::shared_ptr<const std::vector<std::uint8_t>> png_;
+};
+
 /// Indices in the take.
 using Selection = std::vector<std::int64_t>;
 
@@ -146,7 +182,9 @@ int export_meshes(take::TakeReader& reader, const Selection& selection, const Ex
   files::make_folder(one_file ? std::filesystem::absolute(output).parent_path() : output);
 
   Progress progress("Exporting", selection.size());
+  const auto& writes = std::get<exports::FrameFiles>(format.writes);
   exports::ExportMesh mesh;
+  SkinPicture skin(options.size_px);
   std::vector<std::uint64_t> without_mesh;
   std::size_t done = 0;
   for (const std::int64_t index : selection) {
@@ -159,8 +197,9 @@ int export_meshes(take::TakeReader& reader, const Selection& selection, const Ex
     const auto frame = reader.frame(index, take::Pictures::Described);
     if (mesh::has_mesh(*frame)) {
       exports::build_export_mesh(*frame, level, exports::MeshSpace::Camera, mesh);
+      mesh.skin_png = writes.has_picture ? skin.of(*frame) : nullptr;
       const std::string name = fmt::format("frame_{:06}.{}", frame->sequence, format.extension);
-      std::get<exports::FrameFiles>(format.writes).write(mesh, one_file ? output : output / name, axes);
+      writes.write(mesh, one_file ? output : output / name, axes);
     } else {
       without_mesh.push_back(frame->sequence);
     }
@@ -201,9 +240,19 @@ void warn_of_numbers(take::TakeReader& reader, const Selection& selection, const
   }
 }
 
-/// The coarse level's neutral face and expressions.
+/// Those of the take's model. Throws as person_shapes does, naming the formats that need no model.
+face::ExpressionBasis basis_of(const mesh::MeshFrame& frame, const ExportOptions& options) {
+  try {
+    return person_shapes(frame, options.take, options.model);
+  } catch (const Error& error) {
+    throw Error(error.kind(),
+                fmt::format("{}; glb-frames and usda-frames do without expressions", error.what()));
+  }
+}
+
+/// The coarse level's neutral face, expressions and eyeballs.
 exports::ExpressionShapes expression_shapes(const mesh::MeshFrame& frame, const ExportOptions& options) {
-  const face::ExpressionBasis basis = person_shapes(frame, options.take, options.model);
+  const face::ExpressionBasis basis = basis_of(frame, options);
   const mesh::SparseRows& coarse = frame.subject->hierarchy->levels.front().from_coarser;
   exports::ExpressionShapes shapes;
   shapes.names = frame.subject->expression_names;
@@ -211,7 +260,24 @@ exports::ExpressionShapes expression_shapes(const mesh::MeshFrame& frame, const 
   for (const mesh::Vertices& delta : basis.deltas_mm) {
     mesh::apply(coarse, delta, shapes.deltas_mm.emplace_back());
   }
+  std::vector<std::uint8_t> is_eye;
+  for (const std::uint8_t regions : frame.subject->regions) {
+    is_eye.push_back(face::has_region(regions, face::Region::Eye) ? 1 : 0);
+  }
+  shapes.eyeballs =
+      exports::find_eyeballs(shapes.neutral_mm, frame.subject->hierarchy->levels.front().triangles, is_eye);
   return shapes;
+}
+
+/// Gives the first frame's mesh, whose colours a file shows, those of the last frame: what was learned by
+/// then. size_px: of the picture; 0: none
+void dress(exports::ExportMesh& mesh, const mesh::MeshFrame& last, int size_px) {
+  const auto count = static_cast<std::size_t>(mesh.vertices_mm.cols());
+  if (last.albedo != nullptr && last.albedo->linear_rgb.size() >= 3 * count) {
+    mesh.albedo =
+        Eigen::Map<const mesh::Vertices>(last.albedo->linear_rgb.data(), 3, mesh.vertices_mm.cols());
+    mesh.skin_png = size_px > 0 ? SkinPicture(size_px).of(last) : nullptr;
+  }
 }
 
 /// One file of many frames. Returns the signal that broke it off, or 0.
@@ -250,6 +316,8 @@ int export_sequence(take::TakeReader& reader, const Selection& selection, const 
       if (expressions) {
         sequence.shapes = expression_shapes(*frame, options);
       }
+      dress(next.mesh, *reader.frame(meshes.back(), take::Pictures::Described),
+            animation.has_picture ? options.size_px : 0);
       writer = animation.open(sequence, next);
     }
     writer->add(next);
@@ -312,7 +380,11 @@ int export_lines(take::TakeReader& reader, const Selection& selection, const Exp
   if (!to_standard_output) {
     file = std::make_unique<files::OutputFile>(options.output);
   }
-  const exports::Timeline timeline = lines.in_time ? timeline_of(reader, selection) : exports::Timeline();
+  exports::Timeline timeline = lines.in_time ? timeline_of(reader, selection) : exports::Timeline();
+  timeline.timecode = reader.info().timecode;
+  if (!lines.in_time) {
+    timeline.rate_hz = source_rate_hz(reader);
+  }
   const auto write = [&](const std::string& text) {
     if (to_standard_output) {
       std::fwrite(text.data(), 1, text.size(), stdout);
@@ -407,6 +479,10 @@ void run_export(const ExportOptions& options) {
     broken_off_by = export_sequence(reader, selection, options, format, signals);
   } else if (const auto* maps = std::get_if<exports::Maps>(&format.writes)) {
     broken_off_by = export_maps(reader, selection, options, maps->kind, signals);
+  } else if (std::holds_alternative<exports::Sound>(format.writes)) {
+    export_sound(reader, selection,
+                 options.format == "wav" ? sound::SoundEncoding::Wav : sound::SoundEncoding::Flac,
+                 options.output);
   } else if (const auto* lines = std::get_if<exports::Lines>(&format.writes)) {
     broken_off_by = export_lines(reader, selection, options, *lines, signals);
   } else {
@@ -456,10 +532,15 @@ void add_export_command(Command app) {
               "Maps: exr has the values themselves as 32-bit floats, png 16 bits a channel")
       .shows_default()
       .one_of({"png", "exr"});
-  command.option("--size", options->size_px, "Maps: width and height, pixels")
+  command
+      .option("--size", options->size_px,
+              fmt::format("Maps, and the picture of the skin in {}: width and height, pixels",
+                          fmt::join(names_of(has_picture), ", ")))
       .shows_default()
       .range(16, 16384);
-  command.option("--model", options->model, "glb-expressions: the face model that the take was made with");
+  command.option("--model", options->model,
+                 fmt::format("{}: the face model that the take was made with",
+                             fmt::join(names_of(is_in_expressions), ", ")));
   command
       .option(
           "-o,--output", options->output,

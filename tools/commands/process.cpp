@@ -29,6 +29,7 @@
 #include "progress.hpp"
 #include "report/depth_folder.hpp"
 #include "service/config.hpp"
+#include "slot_program.hpp"
 #include "stop_signals.hpp"
 #include "take/reader.hpp"
 #include "take_frames.hpp"
@@ -55,6 +56,7 @@ struct Options {
   std::string rig;
   std::string depth;
   std::string points;
+  std::string program;
   std::vector<std::string> cameras;
   bool every_slot = false;
   bool shading = false;
@@ -376,6 +378,9 @@ pipeline::BoothConfig booth_of(const Options& options, const service::Config& co
                                const std::vector<std::int64_t>& slots) {
   pipeline::BoothConfig booth = service::booth_config(config);
   booth.points_file = options.points;
+  if (!options.program.empty()) {
+    booth.stripes = parse_slot_program(options.program);
+  }
   booth.every_slot = booth.every_slot || options.every_slot;
   booth.shading = booth.shading || options.shading;
   if (!options.points.empty()) {
@@ -637,6 +642,10 @@ Command add_process_command(Command app, std::unique_ptr<Team> (*join)()) {
               "Folder for the depth maps of every slot that gets a mesh (PFM, mm) and their lenses "
               "(rig.toml); maps that an "
               "earlier run left there are not found again")
+      .needs("--rig");
+  command
+      .option("--program", options->program,
+              "What the slots show in turn, such as stripes,stripes,blank; default: --config's trigger")
       .needs("--rig");
   command
       .option("--points", options->points,

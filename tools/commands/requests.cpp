@@ -1,4 +1,4 @@
-// `facet takes`, `record`, `neutral`, `reset-identity`, `shutdown`: what a running daemon is asked for.
+// `facet record`, `neutral`, `reset-identity`, `shutdown`: what a running daemon is asked for.
 
 #include <fmt/format.h>
 
@@ -19,32 +19,6 @@ namespace {
 
 using namespace std::chrono_literals;
 using nlohmann::json;
-
-void print_takes(const json& list) {
-  tell("{} takes in {}\n", list["count"].get<std::size_t>(), list["folder"].get<std::string>());
-  if (list["takes"].empty()) {
-    return;
-  }
-  tell("{:<32} {:<21} {:>8} {:>8} {:>9} {:>9}\n", "name", "recorded (UTC)", "frames", "meshes", "seconds",
-       "MB");
-  for (const json& take : list["takes"]) {
-    const std::string name = take["name"];
-    if (take.contains("error")) {
-      tell("{:<32} {}\n", name, take["error"].get<std::string>());
-      continue;
-    }
-    const std::string end_reason = take["end_reason"];
-    tell("{:<32} {:<21} {:>8} {:>8} {:>9.1f} {:>9.1f}{}\n", name, take["created_utc"].get<std::string>(),
-         take["frames"].get<std::int64_t>(), take["mesh_frames"].get<std::int64_t>(),
-         take["duration_s"].get<double>(), take["bytes"].get<double>() / 1e6,
-         !end_reason.empty()           ? "  ended: " + end_reason
-         : !take["closed"].get<bool>() ? "  not closed"
-                                       : "");
-  }
-  if (list["count"].get<std::size_t>() > list["takes"].size()) {
-    tell("(the newest {} are shown)\n", list["takes"].size());
-  }
-}
 
 void print_stopped(const json& take) {
   tell("{}: {} frames, {} not recorded, {:.1f} MB\n", take["file"].get<std::string>(),
@@ -98,11 +72,6 @@ void add_request(Command program, const std::string& name, const std::string& he
 
 }  // namespace
 
-void add_takes_command(Command program) {
-  add_question(program, "takes", "List the takes in the daemon's folder, newest first", "takes.list",
-               print_takes);
-}
-
 void add_record_command(Command program) {
   const Command command = program.subcommand("record", "Record a take of the running daemon");
   command.requires_subcommand();
@@ -122,8 +91,8 @@ void add_record_command(Command program) {
 }
 
 void add_neutral_command(Command program) {
-  const Command command = program.subcommand(
-      "neutral", "Record the resting face and the straight look that the daemon's bridges count from");
+  const Command command =
+      program.subcommand("neutral", "Record the resting face and the straight look that avatars count from");
   const auto options = add_daemon_options(command);
   const auto seconds = std::make_shared<double>(1.0);
   const auto clear = std::make_shared<bool>(false);

@@ -107,7 +107,8 @@ int read_performance(const RetargetOptions& options, const StopSignals& signals,
                               options.take, entry.sequence));
     }
     if (neutral) {
-      avatar::subtract(*neutral, state);
+      avatar::subtract_values(*neutral, state);
+      avatar::subtract_head(*neutral, state);
     }
     performance.states.push_back(state);
     performance.times_s.push_back(static_cast<float>(exports::time_s(performance.timeline, entry.sequence)));

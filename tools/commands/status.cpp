@@ -28,14 +28,14 @@ void print_recording(const json& recording) {
 }
 
 void print_bridges(const json& bridges) {
-  if (bridges.is_null()) {
-    return;
-  }
   for (const json& target : bridges["targets"]) {
     const std::string reason = target["reason"];
     tell("bridge        {} to {}: {} frames, {} failed{}\n", target["protocol"].get<std::string>(),
          target["target"].get<std::string>(), target["frames"].get<std::uint64_t>(),
          target["failed"].get<std::uint64_t>(), reason.empty() ? "" : ": " + reason);
+  }
+  if (const std::string fault = bridges.value("answer_reason", std::string()); !fault.empty()) {
+    tell("bridges       {}\n", fault);
   }
   const std::string reason = bridges["neutral"]["reason"];
   tell("neutral pose  {}{}\n", bridges["neutral"]["state"].get<std::string>(),

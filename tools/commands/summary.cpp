@@ -16,6 +16,7 @@
 #include "progress.hpp"
 #include "take/closing.hpp"
 #include "take/reader.hpp"
+#include "take_sound.hpp"
 #include "take_stages.hpp"
 #include "tell.hpp"
 
@@ -272,6 +273,7 @@ void run(const Options& options) {
       reader.frame_count() > 1 && seconds > 0 ? static_cast<double>(reader.frame_count() - 1) / seconds : 0;
   print_take(info);
   print_frames(figures, info, reader.frame_count(), rate_hz);
+  print_time(reader);
   // Of a camera whose pictures were not recorded frames only say how large they were.
   const bool holds_pictures = info.picture_bytes > 0 || info.format_version < 2;
   if (figures.pictures.sets > 0 && holds_pictures) {

@@ -31,9 +31,6 @@ void print_tuning(const std::string& name, const json& tuning) {
 
 void list(const DaemonOptions& daemon) {
   const json bridges = call_daemon(daemon, "status")["bridges"];
-  if (bridges.is_null()) {
-    throw Error(ErrorKind::Usage, "no bridge is configured: nothing sends values (docs/bridges.md)");
-  }
   const json values = bridges.value("values", json::object());
   if (values.empty()) {
     tell("every value is sent as it comes\n");

@@ -4,7 +4,9 @@
 
 #include <algorithm>
 #include <charconv>
+#include <cstddef>
 #include <cstdint>
+#include <cstdio>
 #include <filesystem>
 #include <iterator>
 #include <memory>
@@ -20,6 +22,7 @@
 #include "report/sheet.hpp"
 #include "take_frames.hpp"
 #include "tell.hpp"
+#include "terminal_picture.hpp"
 
 namespace facet::tools {
 namespace {
@@ -36,7 +39,28 @@ struct ViewOptions {
   std::string pictures;
   std::string depth;
   std::string truth;
+  bool terminal = false;
 };
+
+constexpr int kDefaultColumns = 120;  // where what is printed goes to no terminal
+
+/// In the place of a sheet: one row of it in the terminal, its left half above the right one.
+void print_row(const render::Picture& row) {
+  const int columns = terminal_columns(stdout);
+  const int half_px = row.width_px / 2;
+  for (const int left : {0, half_px}) {
+    render::Picture half;
+    half.width_px = half_px;
+    half.height_px = row.height_px;
+    for (int y = 0; y < row.height_px; ++y) {
+      const auto from = row.rgb.begin() + 3 * (static_cast<std::ptrdiff_t>(y) * row.width_px + left);
+      half.rgb.insert(half.rgb.end(), from, from + std::ptrdiff_t{3} * half_px);
+    }
+    const std::string text =
+        terminal_picture(half, columns > 0 ? columns : kDefaultColumns, terminal_has_true_colour());
+    std::fwrite(text.data(), 1, text.size(), stdout);
+  }
+}
 
 /// The frames asked for: "A,B,C" (each one), "A:B" or nothing (spread evenly over those with a mesh), by
 /// Frame::sequence. returns indices in the take.
@@ -119,8 +143,14 @@ void view_booth(const ViewOptions& options, take::TakeReader& take, const std::v
 }
 
 void run_view(const ViewOptions& options) {
+  if (options.sheet.empty() && !options.terminal) {
+    throw Error(ErrorKind::Usage, "name a PNG to write with -o, or look at one frame here with --terminal");
+  }
   take::TakeReader take(options.take);
-  const auto frames = chosen_frames(take, options.frames);
+  auto frames = chosen_frames(take, options.frames);
+  if (options.sheet.empty()) {
+    frames = {frames[frames.size() / 2]};
+  }
   if (!options.rig.empty()) {
     view_booth(options, take, frames);
     return;
@@ -136,6 +166,14 @@ void run_view(const ViewOptions& options) {
   const render::Picture sheet = report::make_sheet(
       take, frames, images.get(), [&](int rows) { progress.set(static_cast<std::uint64_t>(rows)); });
   progress.finish();
+  if (options.terminal) {
+    print_row(options.sheet.empty()
+                  ? sheet
+                  : report::make_sheet(take, {frames[frames.size() / 2]}, images.get(), [](int) {}));
+  }
+  if (options.sheet.empty()) {
+    return;
+  }
   render::write_png(sheet, options.sheet);
   tell("{}: {} frames of {}{}\n", options.sheet, frames.size(), options.take, person_of(take, frames));
 }
@@ -147,7 +185,7 @@ void add_view_command(Command app) {
   const Command command = app.subcommand(
       "view", "Draw a sheet of a take: input, coarse mesh, normals, shaded mesh, albedo, photometric error");
   command.option("take", options->take, "Take file").required();
-  command.option("-o,--output", options->sheet, "PNG to write").required();
+  command.option("-o,--output", options->sheet, "PNG to write");
   command.option("--frames", options->frames,
                  "Frames of the source by number as in 0,50,100, or a range A:B without B, of which five "
                  "are drawn; default: the whole take");
@@ -156,6 +194,12 @@ void add_view_command(Command app) {
       "--rig", options->rig,
       "A booth's rig file, for a take that `facet process --rig` made: draws stripes, depth, mesh over the "
       "picture, shaded mesh, texture, error");
+  command
+      .flag("--terminal", options->terminal,
+            "Print one frame here in coloured half blocks, where there is no screen: the row of the sheet in "
+            "two "
+            "halves, the frame in the middle of those chosen")
+      .excludes("--rig");
   command.option("--pictures", options->pictures, "The take that the meshes were made of, where it has moved")
       .needs("--rig");
   command.option("--depth", options->depth, "The folder that `facet process --depth` wrote").needs("--rig");

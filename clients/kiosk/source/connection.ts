@@ -19,10 +19,16 @@ const kMostWait_ms = 3000;
     slower, on a slow disk. */
 const kAnswer_ms = 10_000;
 const kSlowAnswer_ms = 60_000;
-const kSlowMethods = ['record.start', 'record.stop'];
+const kSlowMethods = ['record.start', 'record.stop', 'takes.rename', 'takes.delete', 'takes.restore', 'takes.note', 'takes.trim'];
 const kMostWaiting = 64;
-/** No view of the camera is larger: the daemon sends its pictures so small. */
-const kLongestImage_px = 480;
+/** What the page wants of the stream. */
+export interface Wanted {
+  /** Displacements: the coarse mesh, too. */
+  profile: Profile.Vertices | Profile.Displacements;
+  images: boolean;
+  /** The daemon sends pictures no larger than they are shown. */
+  longestImage_px: number;
+}
 
 export const kWrongToken = 4403;
 export const kTooManyTokens = 4429;
@@ -92,7 +98,7 @@ export interface StreamEvents {
 
 export class StreamConnection extends Connection {
   private reason = '';
-  private wantImages = false;
+  private wanted: Wanted = { profile: Profile.Vertices, images: false, longestImage_px: 0 };
   /** The server speaks a protocol that this page does not. */
   foreign = false;
 
@@ -100,10 +106,10 @@ export class StreamConnection extends Connection {
     super('/stream');
   }
 
-  /** Pictures of the cameras, for who has a place for them. */
-  setImages(wanted: boolean): void {
-    if (wanted !== this.wantImages) {
-      this.wantImages = wanted;
+  want(wanted: Wanted): void {
+    const { profile, images, longestImage_px } = this.wanted;
+    if (profile !== wanted.profile || images !== wanted.images || longestImage_px !== wanted.longestImage_px) {
+      this.wanted = wanted;
       this.subscribe();
     }
   }
@@ -116,10 +122,10 @@ export class StreamConnection extends Connection {
     const client = builder.createString('kiosk');
     Subscribe.startSubscribe(builder);
     Subscribe.addProtocolVersion(builder, kProtocolVersion);
-    Subscribe.addProfile(builder, Profile.Vertices);
+    Subscribe.addProfile(builder, this.wanted.profile);
     Subscribe.addClient(builder, client);
-    Subscribe.addWantImages(builder, this.wantImages);
-    Subscribe.addLongestImagePx(builder, kLongestImage_px);
+    Subscribe.addWantImages(builder, this.wanted.images);
+    Subscribe.addLongestImagePx(builder, this.wanted.longestImage_px);
     const subscribe = Subscribe.endSubscribe(builder);
     Message.finishMessageBuffer(builder, Message.createMessage(builder, Body.Subscribe, subscribe));
     this.socket.send(builder.asUint8Array());

@@ -3,8 +3,10 @@
 import * as THREE from 'three';
 import { DetailChooser, edgesOf, levelFor, type Detail } from './levels';
 
-export type View = 'shaded' | 'normals' | 'albedo' | 'wire' | 'confidence';
-export const kViews: View[] = ['shaded', 'normals', 'albedo', 'wire', 'confidence'];
+export type View = 'shaded' | 'normals' | 'albedo' | 'wire' | 'confidence' | 'relief';
+export const kViews: View[] = ['shaded', 'normals', 'albedo', 'wire', 'confidence', 'relief'];
+/** What the relief's strongest colours stand for. */
+export const kRelief_mm = 0.3;
 
 /** One frame's mesh as it came, arrays not copied. Positions: head frame, integer * stepMm. */
 export interface FaceMesh {
@@ -13,21 +15,41 @@ export interface FaceMesh {
   stepMm: number;
   /** [vertex] 255 is 1; null where the mesh was not refined. */
   confidence: Uint8Array | null;
+  /** The mesh without displacements, its normals, and the displacements along them, mm; null: not known. */
+  coarse: Int16Array | null;
+  coarseNormals: Int16Array | null;
+  relief: Float32Array | null;
   /** Rows of camera_from_head: rotation and translation, mm; x right, y down, z forward. */
   pose: ArrayLike<number>;
 }
 
+/** The camera that sees the face: its picture's pixels, and whether people see it mirrored. */
+export interface Lens {
+  fx: number;
+  fy: number;
+  cx: number;
+  cy: number;
+  width: number;
+  height: number;
+  mirrored: boolean;
+}
+
+// refined: 0 is the coarse mesh, 1 the refined one. Normals in the camera's axes do not turn with the hand.
 const vertexShader = `
-in vec3 position; in vec3 normal; in vec3 color; in vec3 region; in float confidence;
-uniform mat4 modelViewMatrix; uniform mat4 projectionMatrix; uniform float step_mm; uniform float albedo_scale;
-out vec3 v_normal; out vec3 v_head_normal; out vec3 v_position; out vec3 v_albedo; out vec3 v_region; out float v_confidence;
+in vec3 position; in vec3 normal; in vec3 coarse; in vec3 coarse_normal; in vec3 color; in vec3 region; in float confidence; in float relief;
+uniform mat4 modelMatrix; uniform mat4 modelViewMatrix; uniform mat4 projectionMatrix;
+uniform float step_mm; uniform float albedo_scale; uniform float refined;
+out vec3 v_normal; out vec3 v_camera_normal; out vec3 v_position; out vec3 v_albedo; out vec3 v_region; out float v_confidence; out float v_relief;
 void main() {
   v_region = region;
   v_confidence = confidence;
-  vec4 seen = modelViewMatrix * vec4(position * step_mm, 1.0);
+  v_relief = relief * refined;
+  vec3 at = mix(coarse, position, refined);
+  vec3 out_of = mix(coarse_normal, normal, refined);
+  vec4 seen = modelViewMatrix * vec4(at * step_mm, 1.0);
   v_position = seen.xyz;
-  v_head_normal = normal;
-  v_normal = mat3(modelViewMatrix) * normal;
+  v_camera_normal = mat3(modelMatrix) * out_of;
+  v_normal = mat3(modelViewMatrix) * out_of;
   v_albedo = color * albedo_scale;
   gl_Position = projectionMatrix * seen;
 }`;
@@ -35,8 +57,8 @@ void main() {
 // Three lights that stand still before the face; wrapped, for skin lets light pass round an edge, red more than blue.
 const fragmentShader = `
 precision highp float;
-in vec3 v_normal; in vec3 v_head_normal; in vec3 v_position; in vec3 v_albedo; in vec3 v_region; in float v_confidence;
-uniform int view; uniform vec3 clay; uniform bool has_albedo; uniform bool has_confidence; uniform bool has_regions;
+in vec3 v_normal; in vec3 v_camera_normal; in vec3 v_position; in vec3 v_albedo; in vec3 v_region; in float v_confidence; in float v_relief;
+uniform int view; uniform vec3 clay; uniform bool has_albedo; uniform bool has_confidence; uniform bool has_regions; uniform bool has_relief; uniform float relief_mm;
 const vec3 kUnknown = vec3(0.24);
 out vec4 colour;
 vec3 lit(vec3 n, vec3 toward, vec3 light, vec3 wrap) {
@@ -54,7 +76,7 @@ void main() {
   vec3 eye = normalize(-v_position);
   if (dot(n, eye) < 0.0) n = -n;
   vec3 albedo = has_albedo ? v_albedo : clay;
-  if (view == 1) { colour = vec4(0.5 + 0.5 * normalize(v_head_normal), 1.0); return; }
+  if (view == 1) { colour = vec4(0.5 + 0.5 * normalize(v_camera_normal), 1.0); return; }
   if (view == 2 && has_albedo) { colour = vec4(srgb(albedo), 1.0); return; }
   if (view == 2) { albedo = kUnknown; }
   if (view == 3) { albedo = vec3(0.035, 0.045, 0.06); }
@@ -62,6 +84,11 @@ void main() {
     vec3 upper = mix(vec3(0.75, 0.55, 0.10), vec3(0.10, 0.50, 0.42), smoothstep(0.5, 1.0, v_confidence));
     vec3 known = mix(vec3(0.75, 0.10, 0.05), upper, smoothstep(0.0, 0.5, v_confidence));
     albedo = has_confidence ? mix(kUnknown, known, smoothstep(0.0, 0.02, v_confidence)) : kUnknown;
+  }
+  if (view == 5) {
+    float part = clamp(v_relief / relief_mm, -1.0, 1.0);
+    vec3 most = part < 0.0 ? vec3(0.06, 0.22, 0.75) : vec3(0.75, 0.20, 0.05);
+    albedo = has_relief ? mix(vec3(0.48), most, abs(part)) : kUnknown;
   }
   // Soft colours: the skin keeps its light and shade.
   if (has_regions && view == 0) { albedo = mix(albedo, v_region * v_region * (0.25 + dot(albedo, vec3(0.5))), 0.7); }
@@ -98,6 +125,7 @@ export class FaceView {
   private readonly uniforms = {
     step_mm: { value: 0.002 }, albedo_scale: { value: 1 }, view: { value: 0 },
     has_albedo: { value: false }, has_confidence: { value: false }, has_regions: { value: false },
+    has_relief: { value: false }, relief_mm: { value: kRelief_mm }, refined: { value: 1 },
     clay: { value: new THREE.Color().setRGB(0.50, 0.325, 0.255, THREE.LinearSRGBColorSpace) },
   };
   private readonly surface: THREE.Mesh;
@@ -117,6 +145,9 @@ export class FaceView {
   private readonly chooser: DetailChooser;
   /** What covers the stage's edges, as the camera has it now. */
   private spared: { top: number; bottom: number } | null = null;
+  private pose: ArrayLike<number> | null = null;
+  /** The face stands where this camera sees it; null: free, in the middle. */
+  private lens: Lens | null = null;
   /** Drawn by the processor. */
   readonly software: boolean;
   view: View = 'shaded';
@@ -125,6 +156,8 @@ export class FaceView {
   drawn = 0;
   /** Called where something came to be known, or is not any more: isKnown(). */
   knowledgeChanged: () => void = () => {};
+  /** Called before every picture: where the lens's own picture lies on the canvas, CSS pixels; null without a lens. */
+  beforeDrawing: (place: { left: number; top: number; scale: number } | null) => void = () => {};
   /** Called with every picture. */
   afterDrawing: () => void = () => {};
   /** A press on the face that was no turn of it, at a vertex. */
@@ -178,6 +211,7 @@ export class FaceView {
     this.uniforms.has_albedo.value = false;
     this.uniforms.has_confidence.value = false;
     this.uniforms.has_regions.value = false;
+    this.uniforms.has_relief.value = false;
     for (const object of [this.surface, this.wire]) {
       object.geometry.dispose();
       object.geometry = new THREE.BufferGeometry();
@@ -242,13 +276,66 @@ export class FaceView {
     if (!this.placed) {
       this.place(mesh);
     }
-    // Seen as the camera sees it; the head stays in the middle and only turns. Camera frame to that of the screen: y and z change signs.
-    const r = mesh.pose;
-    const turned = new THREE.Matrix4().set(r[0], r[1], r[2], 0, -r[4], -r[5], -r[6], 0, -r[8], -r[9], -r[10], 0, 0, 0, 0, 1);
-    this.head.matrixAutoUpdate = false;
-    this.head.matrix.makeTranslation(-this.centre.x, -this.centre.y, -this.centre.z).premultiply(turned);
+    this.setCoarse(mesh);
+    this.pose = mesh.pose;
     this.request();
     return true;
+  }
+
+  /** Where it is not known, the mesh itself stands in its place. */
+  private setCoarse(mesh: FaceMesh): void {
+    const geometry = this.surface.geometry;
+    const set = (name: string, array: Int16Array | Float32Array, size: number, normalized: boolean) => {
+      const attribute = geometry.getAttribute(name) as THREE.BufferAttribute | undefined;
+      if (attribute) {
+        attribute.array = array;
+        attribute.needsUpdate = true;
+      } else {
+        geometry.setAttribute(name, new THREE.BufferAttribute(array, size, normalized).setUsage(THREE.DynamicDrawUsage));
+      }
+    };
+    if (mesh.coarse && mesh.coarseNormals) {
+      set('coarse', mesh.coarse, 3, false);
+      set('coarse_normal', mesh.coarseNormals, 3, true);
+    }
+    const known = mesh.relief !== null && mesh.relief.length === this.vertexCount;
+    if (known) {
+      set('relief', mesh.relief!, 1, false);
+    }
+    if (known !== this.uniforms.has_relief.value) {
+      this.uniforms.has_relief.value = known;
+      this.knowledgeChanged();
+    }
+  }
+
+  /** Where the camera sees it, over its picture; lens null: free. shown, refined: 0 to 1, of the mesh over the picture, and from
+      the coarse mesh to the refined one. */
+  setOver(lens: Lens | null, shown: number, refined: number): void {
+    this.canvas.style.setProperty('--shown', String(lens ? shown : 1));
+    this.canvas.dataset.over = lens ? `${shown.toFixed(2)} ${refined.toFixed(2)}` : '';
+    const wanted = lens ? refined : 1;
+    if (lens !== this.lens || this.wantedRefined !== wanted) {
+      this.lens = lens;
+      this.wantedRefined = wanted;
+      this.request();
+    }
+  }
+  private wantedRefined = 1;
+
+  /** Camera frame to that of the screen: y and z change signs. Without a lens the head stays in the middle and only turns. */
+  private placeHead(): void {
+    const r = this.pose;
+    if (!r) {
+      return;
+    }
+    const [x, y, z] = this.lens ? [r[3], -r[7], -r[11]] : [0, 0, 0];
+    const turned = new THREE.Matrix4().set(r[0], r[1], r[2], x, -r[4], -r[5], -r[6], y, -r[8], -r[9], -r[10], z, 0, 0, 0, 1);
+    this.head.matrixAutoUpdate = false;
+    this.head.matrix.identity();
+    if (!this.lens) {
+      this.head.matrix.makeTranslation(-this.centre.x, -this.centre.y, -this.centre.z);
+    }
+    this.head.matrix.premultiply(turned);
   }
 
   /** Colours of soft regions, sRGB [vertex][3]; null: none. */
@@ -320,8 +407,8 @@ export class FaceView {
 
   /** Whether what a view shows has come with the mesh. */
   isKnown(view: View): boolean {
-    const { has_albedo, has_confidence } = this.uniforms;
-    return (view !== 'albedo' || has_albedo.value) && (view !== 'confidence' || has_confidence.value);
+    const { has_albedo, has_confidence, has_relief } = this.uniforms;
+    return (view !== 'albedo' || has_albedo.value) && (view !== 'confidence' || has_confidence.value) && (view !== 'relief' || has_relief.value);
   }
 
   setView(view: View): void {
@@ -459,18 +546,28 @@ export class FaceView {
     }
     if (position && this.view === 'wire' && !this.edgesDrawn && geometry.index) {
       const lines = new THREE.BufferGeometry();
-      for (const name of ['position', 'normal', 'color', 'region', 'confidence']) {
-        lines.setAttribute(name, geometry.getAttribute(name));
+      for (const name of ['position', 'normal', 'coarse', 'coarse_normal', 'color', 'region', 'confidence', 'relief']) {
+        if (geometry.getAttribute(name)) {
+          lines.setAttribute(name, geometry.getAttribute(name));
+        }
       }
       lines.setIndex(new THREE.BufferAttribute(edgesOf(geometry.index.array as Uint32Array), 1));
       this.wire.geometry = lines;
       this.edgesDrawn = true;
     }
-    this.aim(width, height);
+    this.uniforms.refined.value = geometry.getAttribute('coarse') ? this.wantedRefined : 1;
+    const free = this.spare(height);
+    this.placeHead();
+    if (this.lens) {
+      this.lookThrough(this.lens, width, height, free);
+    } else {
+      this.beforeDrawing(null);
+      this.aim(width, height, free);
+    }
   }
 
-  /** The camera, so that the face stands in the middle of what notes and controls leave free. */
-  private aim(width: number, height: number): void {
+  /** The height that notes and controls leave free; it goes to where it should be with a pace. */
+  private spare(height: number): number {
     const most = (1 - kLeastFree) * height;
     const scale = Math.min(1, most / Math.max(1, this.covered.top + this.covered.bottom));
     const wanted = { top: scale * this.covered.top, bottom: scale * this.covered.bottom };
@@ -481,7 +578,33 @@ export class FaceView {
     if (!near) {
       this.request();
     }
-    const free = height - this.spared.top - this.spared.bottom;
+    return height - this.spared.top - this.spared.bottom;
+  }
+
+  /** The camera's own eye: its whole picture lies in what is free, and the mesh where it sees the face. */
+  private lookThrough(lens: Lens, width: number, height: number, free: number): void {
+    const scale = Math.min(width / lens.width, free / lens.height);
+    const left = (width - scale * lens.width) / 2;
+    const top = this.spared!.top + (free - scale * lens.height) / 2;
+    const { near, far } = this.camera;
+    // A pixel's middle is half a pixel from its edge. Clip space: w is the distance before the camera, -z.
+    const sign = lens.mirrored ? -1 : 1;
+    const middle_x = left + scale * (lens.mirrored ? lens.width - lens.cx - 0.5 : lens.cx + 0.5);
+    const middle_y = top + scale * (lens.cy + 0.5);
+    this.camera.view = null;
+    this.camera.position.set(0, 0, 0);
+    this.camera.quaternion.identity();
+    this.camera.projectionMatrix.set(
+      (sign * 2 * scale * lens.fx) / width, 0, 1 - (2 * middle_x) / width, 0,
+      0, (2 * scale * lens.fy) / height, (2 * middle_y) / height - 1, 0,
+      0, 0, -(far + near) / (far - near), (-2 * far * near) / (far - near),
+      0, 0, -1, 0);
+    this.camera.projectionMatrixInverse.copy(this.camera.projectionMatrix).invert();
+    this.beforeDrawing({ left, top, scale });
+  }
+
+  /** The camera, so that the face stands in the middle of what notes and controls leave free. */
+  private aim(width: number, height: number, free: number): void {
     const angle = THREE.MathUtils.degToRad(this.camera.fov / 2);
     const { yaw, pitch, zoom } = this.turn;
     const fitting = ((1.1 * height) / free) * this.radius / Math.tan(angle) / Math.min(1, (1.15 * width) / free);
@@ -489,6 +612,6 @@ export class FaceView {
     this.camera.position.set(-Math.sin(yaw) * Math.cos(pitch), Math.sin(pitch), Math.cos(yaw) * Math.cos(pitch));
     this.camera.position.multiplyScalar(fitting / zoom);
     this.camera.lookAt(0, 0, 0);
-    this.camera.setViewOffset(width, height, 0, (this.spared.bottom - this.spared.top) / 2, width, height);
+    this.camera.setViewOffset(width, height, 0, (this.spared!.bottom - this.spared!.top) / 2, width, height);
   }
 }

@@ -1,15 +1,19 @@
 // The page of a capture booth: brings what the daemon sends to the view and the cards, and what is pressed to the daemon.
 import type { Frame } from '../generated/facet/stream/wire/frame';
-import type { Hierarchy } from '../generated/facet/stream/wire/hierarchy';
-import type { Level } from '../generated/facet/stream/wire/level';
+import { Profile } from '../generated/facet/stream/wire/profile';
+import { Blend } from './blend';
 import { ControlConnection, ControlError, StreamConnection, kPermissionDenied, kTooManyTokens } from './connection';
 import { Expressions } from './expressions';
 import { FaceView, kViews, type View } from './face_view';
+import { opens } from './look_gate';
+import { levelsOf, meshOf } from './meshes';
 import { OwnShape } from './own_shape';
 import { Plot, element, showCamera, showDevices, showTakes } from './panels';
+import { Rebuilder } from './rebuild';
 import { keepFree, markOverflow, showChosen, showMeaning, watchOverflow } from './stage';
 import { baseName, type NamedDevice, type Recording, type Status, type Takes } from './status';
 import { Studio } from './studio';
+import { TakeCare } from './take_care';
 import { chooseLanguage, duration, number, otherLanguage, said, stateText, text, type Key } from './text';
 
 const kStatusPeriod_ms = 1000;
@@ -18,6 +22,9 @@ const kRateWindow_ms = 2000;
 /** Without a new mesh for so long the face counts as gone; where the tracker has lost it, sooner. */
 const kPatience_ms = 6000;
 const kLost_ms = 1000;
+/** Pictures of the camera: in their card, and over the whole stage. */
+const kCardImage_px = 480;
+const kStageImage_px = 960;
 
 /** The browser may forbid to keep anything. */
 const memory = {
@@ -31,6 +38,8 @@ const memory = {
 
 let view: FaceView | null = null;
 let studio: Studio | null = null;
+let blend: Blend | null = null;
+let rebuilder: Rebuilder | null = null; // null: the stream brings whole meshes
 let connected = false;
 let connectedSince_ms = 0;
 let refusal = '';
@@ -52,6 +61,8 @@ let lastPanels_ms = 0;
 
 const expressions = new Expressions();
 const ownShape = new OwnShape(() => { void keepPerson(); });
+const takeCare = new TakeCare({
+  mayCommand: () => unlocked, attempt: (method, params) => attempt(method, params), tell: (title, help) => tell(title, help), look: () => look() });
 const plots = [new Plot('rate', 'rate', '#7fd6c8', ''), new Plot('latency', 'latency', '#e0b062', ' ms')];
 
 const stream = new StreamConnection({
@@ -70,6 +81,7 @@ const stream = new StreamConnection({
       return;
     }
     vertices = levels[levels.length - 1].vertexCount();
+    rebuilder = hierarchy ? Rebuilder.of(hierarchy) : null;
     view?.setSubject(levels.map((level) => level.trianglesArray()!), vertices);
     expressions.setNames(Array.from({ length: subject.expressionNamesLength() }, (_, i) => subject.expressionNames(i) as string));
     hasSubject = true;
@@ -102,10 +114,12 @@ function takeToken(): string {
   return given ?? memory.get('token');
 }
 
-/** Every level, coarse to fine. */
-function levelsOf(hierarchy: Hierarchy): Level[] {
-  return [...Array.from({ length: hierarchy.coarserLevelsLength() }, (_, i) => hierarchy.coarserLevels(i)!),
-          ...Array.from({ length: hierarchy.levelsLength() }, (_, i) => hierarchy.levels(i)!)];
+/** The stream brings what is shown and no more: the coarse mesh costs this page some work with each frame. */
+function wantOfStream(): void {
+  const over = blend?.isOver === true;
+  stream.want({
+    profile: over || view?.view === 'relief' ? Profile.Displacements : Profile.Vertices,
+    images: over || element('camera').clientWidth > 0, longestImage_px: over ? kStageImage_px : kCardImage_px });
 }
 
 function showFrame(frame: Frame): void {
@@ -116,21 +130,14 @@ function showFrame(frame: Frame): void {
   }
   tracking = frame.state();
   latency_ms = frame.stageMs()?.latencyMs() ?? latency_ms;
-  const positions = frame.vertices();
-  const pose = frame.cameraFromHead();
-  const shorts = positions?.valuesArray();
-  const normals = frame.normalsArray();
-  if (hasSubject && positions && shorts && normals && pose && frame.subjectId() !== BigInt(0)) {
-    const rows = new Float32Array(12);
-    for (let i = 0; i < 12; ++i) {
-      rows[i] = pose.bb!.readFloat32(pose.bb_pos + 4 * i);
-    }
-    const mesh = { vertices: shorts, normals, stepMm: positions.stepMm(), confidence: frame.confidenceArray(), pose: rows };
+  const mesh = hasSubject ? meshOf(frame, rebuilder) : null;
+  blend?.take(frame, status?.rig === null);
+  if (mesh) {
     lastMesh_ms = view?.setMesh(mesh) === false ? lastMesh_ms : now; // what can't be drawn is no live face
   }
   document.body.dataset.frames = String(Number(document.body.dataset.frames ?? 0) + 1);
   if (now - lastPanels_ms > 90) {
-    const weights = frame.expressionArray();
+    const weights = frame.avatarValuesArray() ?? frame.expressionArray();
     if (weights) {
       expressions.show(weights, Math.floor(now / 500) !== Math.floor(lastPanels_ms / 500));
     }
@@ -174,7 +181,7 @@ async function lookOnce(): Promise<void> {
         beginCountdown();
       }
     }
-    stream.setImages(element('camera').clientWidth > 0);
+    wantOfStream();
     element('camera').classList.toggle('mirror', status.rig === null);
     studio?.show(status.studio);
     tellNeutral();
@@ -351,6 +358,8 @@ function showAll(): void {
   expressions.translate();
   showDevices(status, { unlocked, skipped });
   showTakes(takes, unlocked);
+  blend?.show();
+  takeCare.show(takes, status?.takes.trim ?? null);
   ownShape.show(status?.learning ?? null);
   studio?.draw();
   showState();
@@ -390,6 +399,21 @@ async function command<Result>(method: string, params: object = {}, failed: Key 
       tell(text(failed), error instanceof Error ? said(error.message) : '');
     }
     return null;
+  }
+}
+
+/** Calls a method: null where it is done, else why not, in the daemon's words; "" where the token is missing. */
+async function attempt(method: string, params: object): Promise<string | null> {
+  try {
+    await control.call(method, params);
+    return null;
+  } catch (error) {
+    if (error instanceof ControlError && error.code === kPermissionDenied) {
+      unlocked = false;
+      openTokenDialog();
+      return '';
+    }
+    return error instanceof Error ? error.message : String(error);
   }
 }
 
@@ -509,8 +533,7 @@ function listen(): void {
     const token = element<HTMLInputElement>('token').value.trim();
     if (dialog.returnValue === 'unlock' && token !== '') {
       element('token-wrong').hidden = true;
-      control.token = token;
-      control.reopen();
+      void useToken(token);
     } else if (!unlocked) {
       recordWhenUnlocked = false;
     }
@@ -530,9 +553,81 @@ function listen(): void {
   });
 }
 
+const kLookAgain_ms = 3_000;
+let begun = false; // whoever is here may look
+let isPublic = false; // looking needs a token
+
+/** Opens the connections where this browser may look; else asks for a token. */
+async function begin(): Promise<void> {
+  let may = await opens('');
+  if (may === 'unknown') { // nobody answers, or is too busy to
+    window.setTimeout(() => void begin(), kLookAgain_ms);
+    return;
+  }
+  isPublic = may !== 'open';
+  if (isPublic && control.token !== '') {
+    const shown = await opens(control.token);
+    may = shown === 'look' || shown === 'commands' ? shown : may;
+  }
+  if (may === 'nothing' || may === 'later') {
+    control.token = '';
+    memory.set('token', '');
+    element('token-help').textContent = text('look_help');
+    if (may === 'later') {
+      element('token-wrong').textContent = text('token_later');
+      element('token-wrong').hidden = false;
+    }
+    openTokenDialog();
+    return;
+  }
+  if (may === 'look') {
+    control.token = ''; // it opens no commands
+  }
+  begun = true;
+  stream.open();
+  control.open();
+  if (isPublic) {
+    watchToken();
+  }
+}
+
+/** A token that was made anew opens nothing any more: whoever has the page open is asked for the new one. */
+function watchToken(): void {
+  const timer = window.setInterval(async () => {
+    if (document.body.dataset.connection !== 'offline' || await opens('') !== 'nothing') {
+      return;
+    }
+    window.clearInterval(timer);
+    location.reload();
+  }, kLookAgain_ms);
+}
+
+/** A token that was entered: for looking where that is not open yet, else for commands. */
+async function useToken(token: string): Promise<void> {
+  const may = isPublic ? await opens(token) : 'commands';
+  if (may === 'nothing' || may === 'later' || may === 'unknown') {
+    element('token-wrong').textContent = text(may === 'later' ? 'token_later' : 'token_wrong');
+    element('token-wrong').hidden = false;
+    openTokenDialog();
+    return;
+  }
+  element('token-help').textContent = text('unlock_help');
+  if (may === 'look' && begun) {
+    tell(text('token_looks'));
+    return;
+  }
+  control.token = may === 'commands' ? token : '';
+  if (begun) {
+    control.reopen();
+  } else {
+    await begin();
+  }
+}
+
 function chooseView(name: View): void {
   view?.setView(name);
   memory.set('view', name);
+  wantOfStream();
   showAll();
   showChosen(element('views'));
 }
@@ -545,8 +640,10 @@ try {
 }
 if (view) {
   studio = new Studio(view, control, {
-    mayCommand: () => unlocked, command: (method, params) => command(method, params, 'studio_failed'), tell });
+    mayCommand: () => unlocked, command: (method, params) => command(method, params, 'studio_failed'), tell,
+    trim: (take, length_s, from_s, to_s) => takeCare.openTrim(take, length_s, from_s, to_s) });
   view.knowledgeChanged = showAll;
+  blend = new Blend(view, () => { wantOfStream(); showAll(); });
   keepFree(view);
 }
 for (const name of kViews) {
@@ -560,10 +657,9 @@ chooseView((kViews as string[]).includes(memory.get('view')) ? (memory.get('view
 listen();
 expressions.setNames([]);
 showAll();
-stream.open();
-control.open();
+void begin();
 window.setInterval(() => {
-  if (!looking) {
+  if (!looking && begun) {
     void look();
   }
 }, kStatusPeriod_ms);

@@ -1,7 +1,7 @@
 // The cards beside the face. Each is told what is new and draws itself.
 import type { Frame } from '../generated/facet/stream/wire/frame';
 import {
-  baseName, type BridgeTarget, type CameraPair, type Recording, type Status, type Takes,
+  baseName, type BridgeTarget, type CameraPair, type Recording, type Status, type Take, type Takes,
 } from './status';
 import { bytes, dateTime, duration, number, said, stateText, text, type Key } from './text';
 
@@ -238,6 +238,34 @@ export function showDevices(status: Status | null, page: { unlocked: boolean; sk
   replace(element('devices'), rows);
 }
 
+/** Slate and note, as far as a card has room; the whole of it stands in the title. */
+function wordsRow(take: Take): HTMLElement | null {
+  const kMostShown = 90;
+  const slate = take.slate ? text('slate', { scene: take.slate.scene || '–', take: take.slate.take || '–' }) : '';
+  const words = [slate, take.note ?? ''].filter(Boolean).join(' · ');
+  if (words === '') {
+    return null;
+  }
+  const row = document.createElement('small');
+  row.className = 'words';
+  row.title = words;
+  row.textContent = words.length > kMostShown ? `${words.slice(0, kMostShown).trimEnd()}…` : words;
+  return row;
+}
+
+function actionButton(take: Take, action: 'replay' | 'pose' | 'edit', unlocked: boolean): HTMLElement {
+  const button = document.createElement('button');
+  button.type = 'button';
+  button.className = 'quiet';
+  button.dataset.action = action;
+  button.dataset.take = take.name;
+  button.textContent = text(action);
+  button.disabled = !unlocked;
+  button.title = unlocked ? '' : text('needs_token');
+  button.setAttribute('aria-label', text(`${action}_label`, { name: take.name }));
+  return button;
+}
+
 export function showTakes(takes: Takes | null, unlocked: boolean): void {
   if (!takes) {
     return;
@@ -248,8 +276,11 @@ export function showTakes(takes: Takes | null, unlocked: boolean): void {
     const [name, facts] = ['b', 'small'].map((tag) => document.createElement(tag));
     name.textContent = name.title = take.name;
     row.append(name, facts);
+    const actions = document.createElement('div');
     if (take.error !== undefined) {
       facts.textContent = take.error;
+      actions.append(actionButton(take, 'edit', unlocked));
+      row.append(actions);
       return row;
     }
     facts.textContent = [dateTime(take.created_utc ?? ''), duration(take.duration_s ?? 0),
@@ -263,21 +294,14 @@ export function showTakes(takes: Takes | null, unlocked: boolean): void {
       picture.alt = '';
       row.append(picture);
     }
-    const actions = document.createElement('div');
-    if ((take.mesh_frames ?? 0) > 0) {
-      for (const action of ['replay', 'pose'] as const) {
-        const button = document.createElement('button');
-        button.type = 'button';
-        button.className = 'quiet';
-        button.dataset.action = action;
-        button.dataset.take = take.name;
-        button.textContent = text(action);
-        button.disabled = !unlocked;
-        button.title = unlocked ? '' : text('needs_token');
-        button.setAttribute('aria-label', text(`${action}_label`, { name: take.name }));
-        actions.append(button);
-      }
+    const words = wordsRow(take);
+    if (words) {
+      row.append(words);
     }
+    if ((take.mesh_frames ?? 0) > 0) {
+      actions.append(actionButton(take, 'replay', unlocked), actionButton(take, 'pose', unlocked));
+    }
+    actions.append(actionButton(take, 'edit', unlocked));
     const pictures = take.picture_bytes ?? 0;
     const download = (folder: string, file: string, what: 'download' | 'pictures', size: number): void => {
       const link = document.createElement('a');

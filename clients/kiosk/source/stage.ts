@@ -28,15 +28,38 @@ export function showChosen(row: HTMLElement): void {
 interface Legend {
   /** What is grey; none: nothing is. */
   grey: Key | null;
+  /** A ball in the view's colours instead of a ramp. */
+  ball?: true;
   /** What the ramp begins and ends with. */
   from: Key;
   to: Key;
   ramp: string;
 }
 const kLegends: Partial<Record<View, Legend>> = {
+  normals: { grey: null, ball: true, from: 'legend_normals', to: 'legend_axes', ramp: '' },
+  relief: { grey: 'legend_even', from: 'legend_in', to: 'legend_out', ramp: '#4d80df, #b9b9b9, #df7a3e' },
   confidence: {
     grey: 'legend_nothing', from: 'legend_unsure', to: 'legend_sure', ramp: '#dd6650, #e0b062, #5fbfb0' },
 };
+
+/** A ball as the view of normals has it: x to the right, y up, z towards the camera. */
+function ball(): HTMLCanvasElement {
+  const canvas = document.createElement('canvas');
+  const size = (canvas.width = canvas.height = 68);
+  const draw = canvas.getContext('2d')!;
+  const picture = draw.createImageData(size, size);
+  for (let row = 0; row < size; ++row) {
+    for (let column = 0; column < size; ++column) {
+      const [x, y] = [(2 * column + 1) / size - 1, 1 - (2 * row + 1) / size];
+      const z = Math.sqrt(Math.max(0, 1 - x * x - y * y));
+      const inside = x * x + y * y < 1;
+      picture.data.set([x, y, z].map((part) => 255 * (0.5 + 0.5 * part)), 4 * (row * size + column));
+      picture.data[4 * (row * size + column) + 3] = inside ? 255 : 0;
+    }
+  }
+  draw.putImageData(picture, 0, 0);
+  return canvas;
+}
 
 /** What the colours of a view mean, and that what it shows is not known. refined: it may come yet. */
 export function showMeaning(view: FaceView, refined: boolean): void {
@@ -66,8 +89,8 @@ export function showMeaning(view: FaceView, refined: boolean): void {
       where.textContent = text(key);
       return where;
     };
-    place.replaceChildren(...(legend.grey ? [swatch(''), words(legend.grey)] : []),
-                          words(legend.from), swatch(legend.ramp), words(legend.to));
+    place.replaceChildren(...(legend.ball ? [ball(), words(legend.from), words(legend.to)] : legend.grey ? [swatch(''), words(legend.grey), words(legend.from), swatch(legend.ramp), words(legend.to)]
+      : [words(legend.from), swatch(legend.ramp), words(legend.to)]));
   }
 }
 

@@ -59,6 +59,7 @@ export interface Key {
 }
 export interface Keys {
   keys: Key[];
+  beyond?: boolean;
 }
 /** What the head before a live camera has shown of its own shape. */
 export interface Learning {
@@ -101,7 +102,16 @@ export interface Status {
   recording: Recording | null;
   learning: Learning | null;
   bridges: Bridges | null;
-  takes: { list: number };
+  takes: { list: number; trim?: TrimStatus | null };
+}
+/** The trim that is in work, or was the last. */
+export interface TrimStatus {
+  take: string;
+  to: string;
+  done: number;
+  total: number;
+  state: 'working' | 'done' | 'failed' | 'broken off';
+  reason: string;
 }
 export interface Take {
   name: string;
@@ -113,6 +123,9 @@ export interface Take {
   mesh_frames?: number;
   thumbnail?: number;
   closed?: boolean;
+  note?: string;
+  slate?: { scene: string; take: string };
+  cut_from?: string;
   error?: string;
 }
 export interface Takes {

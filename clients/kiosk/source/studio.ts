@@ -31,6 +31,8 @@ export interface StudioHands {
   /** Calls a method, tells where it fails, answers null then. */
   command: <Result>(method: string, params?: object) => Promise<Result | null>;
   tell: (title: string, help?: string) => void;
+  /** Asks for a part of a take that becomes a new one, s. */
+  trim: (take: string, length_s: number, from_s: number, to_s: number) => void;
 }
 
 export class Studio {
@@ -41,6 +43,10 @@ export class Studio {
   private key = -1; // chosen, its place among keys
   private head_s = 0;
   private showRegions = true;
+  /** Points may go beyond what was captured; else they are pulled back to it. */
+  private beyond = false;
+  /** The part of the replayed take that is to be kept, s; null: from its beginning, to its end. */
+  private kept: { from: number | null; to: number | null } = { from: null, to: null };
   private regionsOf = '';
   private move: { vertex: number; at: THREE.Vector3 } | null = null;
   private moving = false;
@@ -87,6 +93,8 @@ export class Studio {
       this.key = this.chosen = -1;
       this.regionsOf = this.loadedKeysOf = this.exported = '';
       this.head_s = 0;
+      this.beyond = false;
+      this.kept = { from: null, to: null };
       this.view.setRegions(null);
       if (status && status.reason !== '') {
         this.hands.tell(text('studio_changed'), said(status.reason));
@@ -154,7 +162,28 @@ export class Studio {
     const stored = await this.hands.command<{ keys: Keys | null }>('keys.get');
     this.keys = stored?.keys ?? { keys: [] };
     this.key = -1;
+    if (this.keys.beyond !== undefined && this.keys.beyond !== this.beyond) {
+      this.beyond = this.keys.beyond;
+      await this.sendBeyond();
+    }
     this.draw();
+  }
+
+  /** The pose as it is, by the rule that is chosen now. */
+  private async sendBeyond(): Promise<void> {
+    const controls = (this.status?.controls ?? []).map(({ vertex, at_mm, at_px }) => (at_mm ? { vertex, at_mm } : { vertex, at_px }));
+    await this.hands.command('pose.set', { controls, beyond: this.beyond });
+  }
+
+  /** The keys' animation follows the same rule as the pose. */
+  private async toggleBeyond(): Promise<void> {
+    this.beyond = !this.beyond;
+    await this.sendBeyond();
+    if (this.keys.keys.length > 0) {
+      this.keys.beyond = this.beyond;
+      await this.storeKeys();
+    }
+    await this.look();
   }
 
   /** The newest place wins; the next is sent when the last was answered. */
@@ -222,7 +251,7 @@ export class Studio {
     if (chosen) {
       this.head_s = chosen.time_s;
       if (chosen.frame === undefined) {
-        await this.hands.command('pose.set', { controls: chosen.controls ?? [] });
+        await this.hands.command('pose.set', { controls: chosen.controls ?? [], beyond: this.beyond });
       } else {
         await this.hands.command('studio.seek', { what: 'keys', time_s: chosen.time_s });
       }
@@ -314,23 +343,52 @@ export class Studio {
     this.setText('studio-state', words[status.state]
       ?? (status.shown === 'pose' && missed ? `${standing} · ${said(missed)}` : standing));
     this.setText('studio-play', text(status.state === 'playing' ? 'pause' : 'play'));
-    for (const id of ['key-add', 'key-update', 'key-delete', 'point-remove', 'regions', 'export']) {
+    for (const id of ['key-add', 'key-update', 'key-delete', 'point-remove', 'regions', 'beyond', 'export']) {
       element(id).hidden = !this.posing;
+    }
+    for (const id of ['trim-start', 'trim-end', 'trim-open']) {
+      element(id).hidden = this.posing || status.state === 'opening';
     }
     this.setText('export', text(this.atWork() ? 'cancel' : 'export'));
     const may = this.hands.mayCommand();
     const noKeys = this.keys.keys.length === 0;
     const useless: Record<string, boolean> = {
       'studio-close': false, 'studio-play': this.posing && noKeys, 'key-add': !ready, 'key-update': this.key < 0,
-      'key-delete': this.key < 0, 'point-remove': this.chosen < 0, export: noKeys };
+      'key-delete': this.key < 0, 'point-remove': this.chosen < 0, beyond: !ready, export: noKeys, 'trim-start': false, 'trim-end': false,
+      'trim-open': false };
     for (const [id, isUseless] of Object.entries(useless)) {
       element<HTMLButtonElement>(id).disabled = isUseless || !may;
       element(id).title = may ? '' : text('needs_token');
     }
     element('regions').setAttribute('aria-pressed', String(this.showRegions));
+    element('beyond').setAttribute('aria-pressed', String(this.beyond));
+    if (may) {
+      element('beyond').title = text('beyond_label');
+    }
+    this.drawKept();
     element('track').style.setProperty('--seconds', String(Math.max(1, Math.round(this.length_s))));
     element('head').style.left = `${(100 * Math.min(1, this.head_s / this.length_s)).toFixed(2)}%`;
     this.drawKeys();
+  }
+
+  /** On the time-line of a replay: what a trim would keep. */
+  private drawKept(): void {
+    const { from, to } = this.kept;
+    const span = element('kept');
+    span.hidden = this.posing || (from === null && to === null);
+    const part = (time_s: number) => Math.max(0, Math.min(1, time_s / this.length_s));
+    span.style.left = `${(100 * part(from ?? 0)).toFixed(2)}%`;
+    span.style.right = `${(100 * (1 - part(to ?? this.length_s))).toFixed(2)}%`;
+  }
+
+  /** One end of the kept part is where the replay stands; what lies on its other side gives way. */
+  private keep(end: 'from' | 'to'): void {
+    this.kept[end] = this.head_s;
+    const { from, to } = this.kept;
+    if (from !== null && to !== null && from >= to) {
+      this.kept[end === 'from' ? 'to' : 'from'] = null;
+    }
+    this.draw();
   }
 
   private setText(id: string, words: string): void {
@@ -555,11 +613,18 @@ export class Studio {
       this.showRegions = !this.showRegions;
       await this.loadRegions();
     });
+    click('beyond', () => this.toggleBeyond());
+    click('trim-start', () => this.keep('from'));
+    click('trim-end', () => this.keep('to'));
+    click('trim-open', () => {
+      const { take = '', duration_s = 0 } = this.status ?? {};
+      this.hands.trim(take, duration_s, this.kept.from ?? 0, this.kept.to ?? duration_s);
+    });
     click('export', () => (this.atWork() ? this.cancel() : this.export()));
     this.listenToTimeline();
     element('takes').addEventListener('click', (event) => {
       const button = (event.target as HTMLElement).closest<HTMLElement>('[data-action]');
-      if (button) {
+      if (button && button.dataset.action !== 'edit') {
         void this.open(button.dataset.take ?? '', button.dataset.action === 'pose');
       }
     });

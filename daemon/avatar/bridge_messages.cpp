@@ -1,0 +1,76 @@
+#include "avatar/bridge_messages.hpp"
+
+#include <chrono>
+#include <utility>
+
+#include "avatar/phone_messages.hpp"
+
+namespace facet::avatar {
+namespace {
+
+double time_of_day_s() {
+  const auto now = Clock::utc();
+  return std::chrono::duration<double>(now - std::chrono::floor<std::chrono::days>(now)).count();
+}
+
+std::int64_t unix_ms() {
+  return std::chrono::duration_cast<std::chrono::milliseconds>(Clock::utc().time_since_epoch()).count();
+}
+
+}  // namespace
+
+BridgeMessages::BridgeMessages(std::string device, std::string subject, const ValueMapping& mapping, Vmc vmc)
+    : device_(std::move(device)),
+      subject_(std::move(subject)),
+      vmc_content_(vmc_content(vmc.shapes, vmc.eye_bones, mapping.vmc)),
+      vrchat_(mapping.vrchat) {}
+
+void BridgeMessages::begin(const FaceState& state, bool neutral) {
+  state_ = state;
+  neutral_ = neutral;
+  for (Written& written : written_) {
+    written.done = false;
+  }
+}
+
+const std::vector<std::vector<std::byte>>& BridgeMessages::of(BridgeProtocol protocol) {
+  Written& written = written_.at(static_cast<std::size_t>(protocol));
+  if (!written.done) {
+    written.datagrams.clear();
+    write(protocol);
+    written.done = true;
+  }
+  return written.datagrams;
+}
+
+void BridgeMessages::write(BridgeProtocol protocol) {
+  std::vector<std::vector<std::byte>>& out = written_.at(static_cast<std::size_t>(protocol)).datagrams;
+  const bool has_values = state_.tracked && state_.has_expression;
+  const float time_s = std::chrono::duration<float>(Clock::now() - started_).count();
+  osc_.clear();
+  switch (protocol) {
+    case BridgeProtocol::Vmc:
+      write_vmc(state_, time_s, neutral_, vmc_content_, osc_);
+      out = osc_.bundles();
+      break;
+    case BridgeProtocol::VrChat:
+      vrchat_.write(state_, time_s, osc_);
+      out = osc_.bundles();
+      break;
+    case BridgeProtocol::LiveLinkFace:
+      if (has_values) {
+        write_live_link_face(state_, device_, subject_, time_of_day_s(), out.emplace_back());
+      }
+      break;
+    case BridgeProtocol::IFacialMocap:
+      if (has_values) {
+        write_ifacialmocap(state_, out.emplace_back());
+      }
+      break;
+    case BridgeProtocol::VTubeStudio:
+      write_vtube_studio(state_, unix_ms(), out.emplace_back());
+      break;
+  }
+}
+
+}  // namespace facet::avatar

@@ -1,0 +1,141 @@
+// `facet summary` and `facet export` of a take with sound and timecode.
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <fstream>
+#include <nlohmann/json.hpp>
+
+#include "sound/flac_file.hpp"
+#include "sound/sound_file.hpp"
+#include "support/child_process.hpp"
+#include "support/mesh_frames.hpp"
+#include "support/paths.hpp"
+#include "take/recorder.hpp"
+
+namespace facet::sound {
+namespace {
+
+using testing::HasSubstr;
+
+constexpr double kRate_hz = 48009.6;  // 200 ppm
+constexpr std::int64_t kFirst_ns = 90'000'000'000;
+
+/// Frames at 25 Hz from a second after the sound's beginning on, each 40 ms; the first two without a mesh. A
+/// click at each tenth frame.
+class TakeWithSound : public testing::Test {
+ protected:
+  std::int64_t time_of(int frame) const { return kFirst_ns + 1'000'000'000 + frame * 40'000'000LL; }
+
+  void SetUp() override {
+    std::vector<std::int32_t> samples(static_cast<std::size_t>(5 * kRate_hz), 0);
+    for (int frame = 0; frame < 75; frame += 10) {
+      const double place = static_cast<double>(time_of(frame) - kFirst_ns) * 1e-9 * kRate_hz;
+      samples[static_cast<std::size_t>(std::lround(place))] = 1 << 22;
+    }
+    const std::int64_t count = static_cast<std::int64_t>(samples.size());
+    SoundFile sound({file("a.flac"), {48000, 1, 24}, 0});
+    sound.start();
+    sound.add(samples);
+    sound.stop();
+    take::TakeRecorderConfig config;
+    config.file = file("a.take");
+    config.when_full = take::WhenFull::Wait;
+    config.disk_reserve_bytes = 0;
+    config.more_meta = [count] {
+      take::TakeTimecode timecode;
+      timecode.source = take::TimecodeSource::Ltc;
+      timecode.rate = {25, false, false};
+      timecode.spans = {{kFirst_ns, kFirst_ns + 3'000'000'000, 90'000, 4e7}};
+      take::MetaEntries entries = take::to_meta(timecode);
+      const auto more = take::to_meta(take::TakeSound{kFirst_ns, kRate_hz, 48000, count, 0, ""});
+      entries.insert(entries.end(), more.begin(), more.end());
+      return entries;
+    };
+    take::TakeRecorder recorder(config);
+    recorder.start();
+    const auto subject = test::patch_subject();
+    const auto albedo = test::patch_albedo(*subject);
+    for (int i = 0; i < 75; ++i) {
+      auto frame = i < 2 ? test::searching_frame(static_cast<std::uint64_t>(i))
+                         : test::patch_frame(static_cast<std::uint64_t>(i), subject, albedo);
+      frame.timestamp_ns = time_of(i);
+      frame.media_time_ns = i * 40'000'000LL;
+      recorder.record(std::make_shared<mesh::MeshFrame>(frame));
+    }
+    ASSERT_EQ(recorder.stop().frames, 75U);
+  }
+
+  std::string file(const std::string& name) const { return (folder_.path() / name).string(); }
+  int run(const std::vector<std::string>& arguments) {
+    test::ChildProcess child(FACET_PROGRAM, arguments, folder_.path() / "log");
+    const int status = child.wait();
+    output_ = child.output();
+    return status;
+  }
+  std::vector<std::string> lines_of(const std::string& name) const {
+    std::ifstream in(file(name));
+    std::vector<std::string> lines;
+    for (std::string line; std::getline(in, line);) {
+      lines.push_back(line);
+    }
+    return lines;
+  }
+
+  test::TemporaryFolder folder_;
+  std::string output_;
+};
+
+TEST_F(TakeWithSound, IsExportedSoThatItLiesUnderTheAnimation) {
+  ASSERT_EQ(run({"export", file("a.take"), "--format", "flac", "-o", file("b.flac")}), 0) << output_;
+  EXPECT_THAT(output_, HasSubstr("140160 samples at 48000 Hz, 2.920 s; sample 0 is at frame 2"));
+  FlacReader reader(file("b.flac"));
+  FlacReader::Block block;
+  std::vector<std::int32_t> samples;
+  while (reader.next(block)) {
+    samples.insert(samples.end(), block.samples.begin(), block.samples.end());
+  }
+  ASSERT_EQ(samples.size(), 140'160U);
+  for (int frame = 10; frame < 75; frame += 10) {
+    const auto near = samples.begin() + (frame - 2) * 1920;
+    const auto loudest = std::max_element(near - 100, near + 100);
+    EXPECT_NEAR(static_cast<double>(loudest - near), 0, 1) << frame;
+    EXPECT_GT(*loudest, 1 << 21) << frame;
+  }
+  // A part, as a Broadcast Wave.
+  ASSERT_EQ(run({"export", file("a.take"), "--format", "wav", "--frames", "10:35", "-o", file("b.wav")}), 0)
+      << output_;
+  std::ifstream wav(file("b.wav"), std::ios::binary);
+  const std::string bytes((std::istreambuf_iterator<char>(wav)), {});
+  EXPECT_EQ(bytes.size(), 20U + 602 + 32 + 3 * 48'000);
+  EXPECT_EQ(bytes.substr(12, 4), "bext");
+  EXPECT_EQ(run({"export", file("a.take"), "--format", "wav", "-o", file("none/of/it/b.wav")}), 0) << output_;
+}
+
+TEST_F(TakeWithSound, SaysItsTimecode) {
+  ASSERT_EQ(run({"summary", file("a.take")}), 0) << output_;
+  EXPECT_THAT(output_, HasSubstr("timecode      from 01:00:01:00, LTC at 25 frames per second, 1 span\n"));
+  EXPECT_THAT(output_,
+              HasSubstr("sound         5.0 s at 48000 Hz (+200.0 ppm), from 1.000 s before the first"));
+  ASSERT_EQ(run({"export", file("a.take"), "--format", "csv", "-o", file("b.csv")}), 0) << output_;
+  const auto curves = lines_of("b.csv");
+  ASSERT_EQ(curves.size(), 76U);
+  EXPECT_EQ(curves[1].substr(0, 16), "01:00:01:00.000,");
+  EXPECT_EQ(curves[75].substr(0, 16), "01:00:03:24.000,");  // counted on
+  ASSERT_EQ(run({"export", file("a.take"), "--format", "jsonl", "-o", file("b.jsonl")}), 0) << output_;
+  const auto signals = lines_of("b.jsonl");
+  EXPECT_EQ(nlohmann::json::parse(signals.at(7))["timecode"], "01:00:01:07");
+  EXPECT_EQ(nlohmann::json::parse(signals.at(74))["timecode"], nullptr);
+}
+
+TEST_F(TakeWithSound, WithoutItsFileSaysSo) {
+  std::filesystem::remove(file("a.flac"));
+  EXPECT_EQ(run({"export", file("a.take"), "--format", "wav", "-o", file("b.wav")}), 3);
+  EXPECT_THAT(output_, HasSubstr("a.flac': there is no such file"));
+  EXPECT_FALSE(std::filesystem::exists(file("b.wav")));
+}
+
+}  // namespace
+}  // namespace facet::sound
