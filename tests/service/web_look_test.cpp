@@ -64,6 +64,13 @@ class PublicPage : public ::testing::Test {
     web_ = std::make_unique<WebServer>(
         config_, folder_.path() / "takes", [](const std::string&) { return std::optional<TakeFiles>(); },
         *stream_, *control_);
+    loop_ = std::thread([this] {
+      while (!stop_) {
+        pollfd event{control_->fd(), POLLIN, 0};
+        ::poll(&event, 1, 10);
+        control_->serve();
+      }
+    });
   }
   std::string token(const std::string& name) const {
     std::string token;
