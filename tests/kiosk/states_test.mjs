@@ -13,6 +13,10 @@ const fake = await load('fake_stream.ts', output);
 const kNames = ['eyeBlinkLeft', 'jawOpen', 'mouthSmileLeft', 'mouthSmileRight', 'eyeBlinkRight', 'mouthShrugUpper', 'browDownLeft', 'browDownRight'];
 const kTypes = { html: 'text/html', js: 'text/javascript', css: 'text/css', svg: 'image/svg+xml' };
 const server = http.createServer((request, answer) => {
+  if (request.url === '/look') {
+    answer.end('open\n'); // nobody needs a token to look
+    return;
+  }
   const file = join(pageFolder, request.url === '/' ? 'index.html' : request.url.replace(/[?#].*|\.\./g, ''));
   answer.writeHead(existsSync(file) ? 200 : 404, { 'content-type': kTypes[file.split('.').pop()] ?? 'text/plain' });
   existsSync(file) ? createReadStream(file).pipe(answer) : answer.end();
