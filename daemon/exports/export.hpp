@@ -157,9 +157,9 @@ std::unique_ptr<SequenceWriter> open_fbx(const SequenceOptions& options, const S
 /// Curves in the columns of Live Link Face's recordings: Timecode, BlendShapeCount (61), 52 values, angles in
 /// radians (mesh::live_link_rotations). Frames without a mesh have a line of zeros.
 std::string live_link_header();
-/// One line, with its newline. The timecode is that of Timeline::timecode, counted on where it is not known; where a
-/// take has none, it counts from 0 at the timeline's first frame, at its rate rounded
-/// to a whole number of frames a second; at a varying rate its seconds are those of time_s, and the frame has
+/// One line, with its newline. The timecode is that of Timeline::timecode, counted on where it is not known;
+/// where a take has none, it counts from 0 at the timeline's first frame, at its rate rounded to a whole
+/// number of frames a second; at a varying rate its seconds are those of time_s, and the frame has
 /// thousandths.
 std::string live_link_line(const mesh::MeshFrame& frame, const Timeline& timeline);
 

@@ -133,10 +133,8 @@ inline constexpr Setting<avatar::ValueTuning> kValueTuningSettings[] = {
 };
 
 inline constexpr Setting<WebConfig> kWebSettings[] = {
-    {"page", &at<&WebConfig::page>},
-    {"public", &at<&WebConfig::is_public>},
-    {"open_look", &at<&WebConfig::open_look>},
-    {"hosts", &at<&WebConfig::hosts>},
+    {"page", &at<&WebConfig::page>},           {"public", &at<&WebConfig::is_public>},
+    {"open_look", &at<&WebConfig::open_look>}, {"hosts", &at<&WebConfig::hosts>},
     {"origins", &at<&WebConfig::origins>},
 };
 

@@ -11,9 +11,9 @@
 namespace facet::service {
 
 /// What is shown to be let in over the web: one token opens commands and looking, another looking alone. Each
-/// is a line of a file of mode 0640, made where it is not there; one that holds no token is set aside and made
-/// anew. Guesses are few: kGuesses in a row from one address, after them one in kGuessPeriod; who guesses shuts
-/// nobody else out. One thread.
+/// is a line of a file of mode 0640, made where it is not there; one that holds no token is set aside and
+/// made anew. Guesses are few: kGuesses in a row from one address, after them one in kGuessPeriod; who
+/// guesses shuts nobody else out. One thread.
 class WebTokens {
  public:
   /// What a shown token leads to.

@@ -33,8 +33,8 @@ std::int64_t write_sound(const SoundCut& cut, SoundEncoding encoding, const std:
 /// nothing is resampled. Returns what that take's `meta` is to say. Throws as write_sound does.
 take::TakeSound copy_sound(const SoundCut& cut, const std::filesystem::path& out);
 
-/// take::CutConfig::beside: the sound of the time that is cut out, beside the new take. What can't be read of it
-/// is left out with a reason. Throws Error(Storage).
+/// take::CutConfig::beside: the sound of the time that is cut out, beside the new take. What can't be read of
+/// it is left out with a reason. Throws Error(Storage).
 take::MetaEntries cut_beside(const take::TakeInfo& from, std::int64_t from_ns, std::int64_t to_ns,
                              const std::filesystem::path& file);
 
