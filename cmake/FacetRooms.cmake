@@ -62,6 +62,19 @@ function(facet_precompiled target)
   endif()
 endfunction()
 
+# Six files of a room compiled as one, which read what they include once and make each instance of a template once: where a whole
+# tree is built from nothing, as with FACET_PRECOMPILE, and as with it a build without holds each file to what it names.
+# Files behind APART are compiled alone: what they call by some name within themselves, another file of the room does too.
+# GCC takes an Impl with members of an unnamed namespace for one that others may see, and warns of copies that it has joined.
+if(FACET_TOGETHER AND CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
+  target_compile_options(facet_options INTERFACE $<$<COMPILE_LANGUAGE:CXX>:-Wno-subobject-linkage>
+                         -Wno-array-bounds -Wno-stringop-overflow -Wno-stringop-overread -Wno-maybe-uninitialized)
+endif()
+function(facet_together target)
+  set_target_properties(${target} PROPERTIES UNITY_BUILD ${FACET_TOGETHER} UNITY_BUILD_BATCH_SIZE 6)
+  set_source_files_properties(${ARGN} TARGET_DIRECTORY ${target} PROPERTIES SKIP_UNITY_BUILD_INCLUSION ON)
+endfunction()
+
 # Lower rooms are added before those that include them: the order of the table in docs/architecture.md.
 function(facet_require name)
   foreach(target ${ARGN})
@@ -71,10 +84,10 @@ function(facet_require name)
   endforeach()
 endfunction()
 
-# facet_room(<name> SOURCES <files> [ROOMS <rooms it includes in its headers>] [LIBS <external, public>]
+# facet_room(<name> SOURCES <files> [APART <files of these>] [ROOMS <rooms it includes in its headers>] [LIBS <external, public>]
 #            [PRIVATE_ROOMS <rooms>] [PRIVATE_LIBS <external>])
 function(facet_room name)
-  cmake_parse_arguments(ARG "" "" "SOURCES;ROOMS;LIBS;PRIVATE_ROOMS;PRIVATE_LIBS" ${ARGN})
+  cmake_parse_arguments(ARG "" "" "SOURCES;APART;ROOMS;LIBS;PRIVATE_ROOMS;PRIVATE_LIBS" ${ARGN})
   set(door "${CMAKE_BINARY_DIR}/rooms/${name}")
   file(MAKE_DIRECTORY "${door}")
   file(CREATE_LINK "${CMAKE_CURRENT_SOURCE_DIR}" "${door}/${name}" SYMBOLIC)
@@ -87,6 +100,7 @@ function(facet_room name)
     target_link_libraries(facet_${name} PUBLIC ${ARG_ROOMS} ${ARG_LIBS}
                           PRIVATE facet_options ${ARG_PRIVATE_ROOMS} ${ARG_PRIVATE_LIBS})
     facet_precompiled(facet_${name})
+    facet_together(facet_${name} ${ARG_APART})
   else()
     add_library(facet_${name} INTERFACE)
     target_include_directories(facet_${name} INTERFACE "${door}")
@@ -109,15 +123,16 @@ function(facet_schema target file)
   target_include_directories(${target} SYSTEM PRIVATE "${out}")
 endfunction()
 
-# facet_test(<room> SOURCES <files> [ROOMS <rooms>] [LIBS <external>] [TOGETHER <suites>]): one gtest program test_<room>,
+# facet_test(<room> SOURCES <files> [APART <files of these>] [ROOMS <rooms>] [LIBS <external>] [TOGETHER <suites>]): one gtest program test_<room>,
 # each case a ctest; of the suites named after TOGETHER, whose cases share something that takes long to make, each
 # suite is one. ctest runs each with the Vulkan validation layers on, where they are installed.
 function(facet_test name)
-  cmake_parse_arguments(ARG "" "" "SOURCES;ROOMS;LIBS;TOGETHER" ${ARGN})
+  cmake_parse_arguments(ARG "" "" "SOURCES;APART;ROOMS;LIBS;TOGETHER" ${ARGN})
   list(TRANSFORM ARG_ROOMS PREPEND "facet_")
   add_executable(test_${name} ${ARG_SOURCES})
   target_link_libraries(test_${name} PRIVATE facet_options facet_test_support ${ARG_ROOMS} ${ARG_LIBS} GTest::gtest GTest::gmock GTest::gtest_main)
   facet_precompiled(test_${name})
+  facet_together(test_${name} ${ARG_APART})
   set(properties TIMEOUT 900 ENVIRONMENT FACET_VULKAN_VALIDATION=1 ENVIRONMENT_MODIFICATION FACET_KERNEL_CACHE=set:)
   list(TRANSFORM ARG_TOGETHER APPEND ".*" OUTPUT_VARIABLE together)
   list(JOIN together ":" together)

@@ -1,7 +1,6 @@
 #include "avatar/bridge.hpp"
 
 #include <fmt/format.h>
-#include <netinet/in.h>
 #include <pthread.h>
 #include <sys/socket.h>
 #include <unistd.h>
@@ -84,9 +83,10 @@ struct Bridge::Impl {
     int socket = -1;
     std::string unknown{};  ///< why there is no address
     bool connected = false;
-    int sound_frames = 0;                    ///< since the last that failed
-    int refusals = 0;                        ///< since the last kSoundFrames that went well
-    std::optional<Clock::time_point> until;  ///< of one that asked
+    int sound_frames = 0;                                   ///< since the last that failed
+    int refusals = 0;                                       ///< since the last kSoundFrames that went well
+    std::optional<Clock::time_point> until;                 ///< of one that asked
+    IFacialMocapVersion version = IFacialMocapVersion::V1;  ///< that it asked for last
   };
   /// The thread's own, as is status.targets' order: the configured ones, then those that asked.
   std::vector<Destination> destinations;
@@ -118,9 +118,11 @@ struct Bridge::Impl {
   void settle(std::size_t target, const LookedUp& found, BridgeTargetStatus& told);
   void look_up_again() FACET_REQUIRES(mutex);
   void look_up_sought();
-  void hear_requests() FACET_REQUIRES(mutex);
-  void take_asker(const Asker& asker) FACET_REQUIRES(mutex);
-  void forget_askers() FACET_REQUIRES(mutex);
+  // Without the lock, which they take where they change the status: nobody waits for what the network brings.
+  void hear_requests();
+  bool has_place() const { return destinations.size() < config.targets.size() + kMostAskers; }
+  void take_asker(const Asker& asker);
+  void forget_askers();
   bool changes_values() const FACET_REQUIRES(mutex) { return recorder || neutral || !values->plain(); }
   void run();
   void work_once(Clock::time_point& next_send) FACET_REQUIRES(mutex);
@@ -153,6 +155,9 @@ Bridge::Impl::Impl(const BridgeConfig& given, LookUp given_look_up)
     settle(i, digits.length > 0 ? LookedUp{digits, ""} : look_up(target), told);
     status.targets.push_back(std::move(told));
   }
+  // So that an asker is on both lists or on none, even where there is no memory.
+  destinations.reserve(config.targets.size() + kMostAskers);
+  status.targets.reserve(config.targets.size() + kMostAskers);
   next_look_up = Clock::now() + config.look_up_every;
 }
 
@@ -232,48 +237,51 @@ void Bridge::Impl::look_up_sought() {
 
 /// Listens where it is to and can, and takes who asks.
 void Bridge::Impl::hear_requests() {
-  if (config.answer.empty()) {
-    return;
-  }
   const auto now = Clock::now();
   if (now >= next_listening && (!requests || !requests->fault().empty())) {
     requests.reset();  // its ports are free for the next
     requests.emplace(config.answer);
-    status.answer_reason = requests->fault();
     next_listening = now + config.look_up_every;
+    const Lock lock(mutex);
+    status.answer_reason = requests->fault();
   }
-  for (const Asker& asker : requests->heard()) {
-    take_asker(asker);
-  }
+  // Once all places are taken, only those who have one are heard.
+  const auto welcome = [&](const SocketAddress& from) {
+    return has_place() ||
+           std::any_of(destinations.begin(), destinations.end(),
+                       [&](const Destination& known) { return same_host(known.address, from); });
+  };
+  requests->hear(welcome, [&](const Asker& asker) { take_asker(asker); });
   forget_askers();
 }
 
 void Bridge::Impl::take_asker(const Asker& asker) {
   const auto until = Clock::now() + asker.lasting;
   for (Destination& known : destinations) {
-    if (known.target.protocol == asker.target.protocol && known.target.text() == asker.target.text()) {
+    if (known.target.protocol == asker.protocol && same_address(known.address, asker.address)) {
       known.until = known.until ? std::optional(until) : std::nullopt;
+      known.version = asker.version;
       return;
     }
   }
-  if (destinations.size() >= config.targets.size() + kMostAskers) {
+  if (!has_place()) {
     return;
   }
   Destination asked;
-  asked.target = asker.target;
+  asked.target = asker.target();
   asked.address = asker.address;
-  asked.socket = open_socket(asker.address.storage.ss_family);
   asked.until = until;
+  asked.version = asker.version;
+  BridgeTargetStatus told{.target = asked.target, .asked = true};
+  asked.socket = open_socket(asker.address.storage.ss_family);
   // Whoever sends a request in another's name gets none of it beyond this network.
-  const int hops = 1;
-  const bool four = asker.address.storage.ss_family == AF_INET;
-  if (::setsockopt(asked.socket, four ? IPPROTO_IP : IPPROTO_IPV6, four ? IP_TTL : IPV6_UNICAST_HOPS, &hops,
-                   sizeof(hops)) < 0) {
+  if (!keep_in_network(asked.socket, asker.address.storage.ss_family)) {
     ::close(asked.socket);
     return;
   }
-  destinations.push_back(asked);
-  status.targets.push_back({.target = asker.target, .asked = true});
+  const Lock lock(mutex);
+  status.targets.push_back(std::move(told));
+  destinations.push_back(std::move(asked));
 }
 
 void Bridge::Impl::forget_askers() {
@@ -284,6 +292,7 @@ void Bridge::Impl::forget_askers() {
       ::close(asked.socket);
       const auto at = static_cast<std::ptrdiff_t>(i - 1);
       destinations.erase(destinations.begin() + at);
+      const Lock lock(mutex);
       status.targets.erase(status.targets.begin() + at);
     }
   }
@@ -311,7 +320,15 @@ void Bridge::Impl::work_once(Clock::time_point& next_send) {
   const auto period =
       std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1 / config.rate_hz));
   look_up_again();
-  hear_requests();
+  if (!config.answer.empty()) {
+    {
+      const Unlock unlock(mutex);
+      hear_requests();
+    }
+    if (stopping) {
+      return;  // told while nobody waited
+    }
+  }
   const auto now = Clock::now();
   if (recorder && now >= recorded_until) {
     finish_recording();
@@ -396,7 +413,7 @@ std::string Bridge::Impl::send_all(Destination& to, const std::vector<std::vecto
 void Bridge::Impl::send(const FaceState& state, bool with_neutral) {
   messages.begin(state, with_neutral);
   for (std::size_t i = 0; i < destinations.size(); ++i) {
-    const auto& datagrams = messages.of(destinations[i].target.protocol);
+    const auto& datagrams = messages.of(destinations[i].target.protocol, destinations[i].version);
     if (datagrams.empty()) {
       continue;
     }

@@ -3,8 +3,6 @@
 #include <chrono>
 #include <utility>
 
-#include "avatar/phone_messages.hpp"
-
 namespace facet::avatar {
 namespace {
 
@@ -33,18 +31,20 @@ void BridgeMessages::begin(const FaceState& state, bool neutral) {
   }
 }
 
-const std::vector<std::vector<std::byte>>& BridgeMessages::of(BridgeProtocol protocol) {
-  Written& written = written_.at(static_cast<std::size_t>(protocol));
+const std::vector<std::vector<std::byte>>& BridgeMessages::of(BridgeProtocol protocol,
+                                                              IFacialMocapVersion version) {
+  const bool second = protocol == BridgeProtocol::IFacialMocap && version == IFacialMocapVersion::V2;
+  Written& written = second ? written_.back() : written_.at(static_cast<std::size_t>(protocol));
   if (!written.done) {
     written.datagrams.clear();
-    write(protocol);
+    write(protocol, version, written.datagrams);
     written.done = true;
   }
   return written.datagrams;
 }
 
-void BridgeMessages::write(BridgeProtocol protocol) {
-  std::vector<std::vector<std::byte>>& out = written_.at(static_cast<std::size_t>(protocol)).datagrams;
+void BridgeMessages::write(BridgeProtocol protocol, IFacialMocapVersion version,
+                           std::vector<std::vector<std::byte>>& out) {
   const bool has_values = state_.tracked && state_.has_expression;
   const float time_s = std::chrono::duration<float>(Clock::now() - started_).count();
   osc_.clear();
@@ -64,7 +64,7 @@ void BridgeMessages::write(BridgeProtocol protocol) {
       break;
     case BridgeProtocol::IFacialMocap:
       if (has_values) {
-        write_ifacialmocap(state_, out.emplace_back());
+        write_ifacialmocap(state_, version, out.emplace_back());
       }
       break;
     case BridgeProtocol::VTubeStudio:

@@ -8,6 +8,7 @@
 #include "avatar/bridge_target.hpp"
 #include "avatar/face_state.hpp"
 #include "avatar/osc.hpp"
+#include "avatar/phone_messages.hpp"
 #include "avatar/protocols.hpp"
 #include "avatar/vrchat.hpp"
 #include "facet/clock.hpp"
@@ -28,11 +29,12 @@ class BridgeMessages {
   /// neutral: whether a neutral pose was taken away
   void begin(const FaceState& state, bool neutral);
   /// The frame's datagrams for a protocol, written at the first call; none where it sends nothing of such a
-  /// frame. Until the next begin().
-  const std::vector<std::vector<std::byte>>& of(BridgeProtocol protocol);
+  /// frame. Until the next begin(). version: of IFacialMocap alone.
+  const std::vector<std::vector<std::byte>>& of(BridgeProtocol protocol,
+                                                IFacialMocapVersion version = IFacialMocapVersion::V1);
 
  private:
-  void write(BridgeProtocol protocol);
+  void write(BridgeProtocol protocol, IFacialMocapVersion version, std::vector<std::vector<std::byte>>& out);
 
   FaceState state_;  // first, as it is aligned to 16 bytes
   bool neutral_ = false;
@@ -46,7 +48,7 @@ class BridgeMessages {
     bool done = false;
     std::vector<std::vector<std::byte>> datagrams;
   };
-  std::array<Written, kBridgeProtocols.size()> written_;
+  std::array<Written, kBridgeProtocols.size() + 1> written_;  ///< last: iFacialMocap's version 2
   OscBundles osc_{kMostDatagram};
 };
 

@@ -27,6 +27,13 @@ bool is_host_name(const std::string& text) {
          std::any_of(last.begin(), last.end(), [](unsigned char c) { return std::isalpha(c) != 0; });
 }
 
+const sockaddr_in& v4_of(const SocketAddress& address) {
+  return reinterpret_cast<const sockaddr_in&>(address.storage);
+}
+const sockaddr_in6& v6_of(const SocketAddress& address) {
+  return reinterpret_cast<const sockaddr_in6&>(address.storage);
+}
+
 }  // namespace
 
 const char* to_string(BridgeProtocol protocol) {
@@ -52,6 +59,30 @@ SocketAddress socket_address(const std::string& address, std::uint16_t port) {
     out.length = sizeof(*v6);
   }
   return out;
+}
+
+bool same_host(const SocketAddress& one, const SocketAddress& other) {
+  if (one.length == 0 || other.length == 0 || one.storage.ss_family != other.storage.ss_family) {
+    return false;
+  }
+  if (one.storage.ss_family == AF_INET) {
+    return v4_of(one).sin_addr.s_addr == v4_of(other).sin_addr.s_addr;
+  }
+  return one.storage.ss_family == AF_INET6 && v6_of(one).sin6_scope_id == v6_of(other).sin6_scope_id &&
+         std::memcmp(&v6_of(one).sin6_addr, &v6_of(other).sin6_addr, sizeof(in6_addr)) == 0;
+}
+
+bool same_address(const SocketAddress& one, const SocketAddress& other) {
+  return same_host(one, other) &&
+         (one.storage.ss_family == AF_INET ? v4_of(one).sin_port == v4_of(other).sin_port
+                                           : v6_of(one).sin6_port == v6_of(other).sin6_port);
+}
+
+bool keep_in_network(int socket, int family) {
+  const int hops = 1;
+  return ::setsockopt(socket, IPPROTO_IP, IP_TTL, &hops, sizeof(hops)) == 0 &&
+         (family != AF_INET6 ||
+          ::setsockopt(socket, IPPROTO_IPV6, IPV6_UNICAST_HOPS, &hops, sizeof(hops)) == 0);
 }
 
 std::optional<BridgeTarget> parse_target(BridgeProtocol protocol, const std::string& text) {

@@ -47,6 +47,13 @@ struct SocketAddress {
 };
 /// Length 0 where the text is no address in digits.
 SocketAddress socket_address(const std::string& address, std::uint16_t port);
+/// Whether two are of the same machine, whatever their ports; the second: with the ports. Of IP; one of
+/// length 0 is like none.
+bool same_host(const SocketAddress& one, const SocketAddress& other);
+bool same_address(const SocketAddress& one, const SocketAddress& other);
+/// What a socket sends ends at the first router. False where the system does not let it. family: the
+/// socket's, AF_INET or AF_INET6, which sends to IPv4 addresses too (::ffff:A.B.C.D).
+bool keep_in_network(int socket, int family);
 
 /// What became of a host's name.
 struct LookedUp {

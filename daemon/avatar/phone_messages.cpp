@@ -48,11 +48,12 @@ std::string vector_json(std::string_view name, const std::array<float, 3>& v) {
 
 }  // namespace
 
-void write_ifacialmocap(const FaceState& state, std::vector<std::byte>& out) {
+void write_ifacialmocap(const FaceState& state, IFacialMocapVersion version, std::vector<std::byte>& out) {
+  const char between = version == IFacialMocapVersion::V2 ? '&' : '-';
   std::string text;
   const auto add = std::back_inserter(text);
   for (std::size_t i = 0; i < state.values.size(); ++i) {
-    fmt::format_to(add, "{}-{}|", ifacialmocap_name(i), std::lround(100 * state.values.at(i)));
+    fmt::format_to(add, "{}{}{}|", ifacialmocap_name(i), between, std::lround(100 * state.values.at(i)));
   }
   const std::array<float, 9> rotations =
       mesh::live_link_rotations(state.values, state.upright_from_head.linear());

@@ -12,11 +12,16 @@ namespace facet::avatar {
 /// to the subject's left, y up, z out of the face, the head turned about y, x, z in that order: x > 0 looks
 /// down, y > 0 to the subject's left, z > 0 tilts towards the subject's right shoulder.
 
+/// What stands between a value's name and its number: '-', or '&' for receivers that asked for
+/// "sendDataVersion=v2".
+enum class IFacialMocapVersion { V1, V2 };
+
 /// iFacialMocap's text (https://www.ifacialmocap.com/for-developer/), one datagram a frame: 52 times
-/// "NAME-NUMBER|", 0 to 100, the sides "_L" and "_R"; then "=head#X,Y,Z,X,Y,Z|rightEye#X,Y,Z|leftEye#X,Y,Z|":
-/// angles, and the head's place in metres, in the camera's axes turned upright (z < 0 before it), or against
-/// the neutral pose where one was taken away. Without a face nothing is sent.
-void write_ifacialmocap(const FaceState& state, std::vector<std::byte>& out);
+/// "NAME-NUMBER|" ("NAME&NUMBER|" in version 2), 0 to 100, the sides "_L" and "_R"; then
+/// "=head#X,Y,Z,X,Y,Z|rightEye#X,Y,Z|leftEye#X,Y,Z|": angles, and the head's place in metres, in the camera's
+/// axes turned upright (z < 0 before it), or against the neutral pose where one was taken away. Without a
+/// face nothing is sent.
+void write_ifacialmocap(const FaceState& state, IFacialMocapVersion version, std::vector<std::byte>& out);
 
 /// VTube Studio's tracking data for programs on PCs
 /// (https://github.com/DenchiSoft/VTubeStudioBlendshapeUDPReceiverTest), one datagram of JSON a frame:

@@ -49,21 +49,40 @@ PhoneRequest vtube_studio_request(std::string_view datagram) {
   return request;
 }
 
-/// In digits, with another port. False for what is no address of IP.
-bool readdress(SocketAddress& address, std::uint16_t port, std::string& digits) {
-  std::array<char, INET6_ADDRSTRLEN> text{};
-  const char* done = nullptr;
-  if (address.storage.ss_family == AF_INET) {
-    auto* v4 = reinterpret_cast<sockaddr_in*>(&address.storage);
-    v4->sin_port = htons(port);
-    done = ::inet_ntop(AF_INET, &v4->sin_addr, text.data(), text.size());
-  } else if (address.storage.ss_family == AF_INET6) {
-    auto* v6 = reinterpret_cast<sockaddr_in6*>(&address.storage);
-    v6->sin6_port = htons(port);
-    done = ::inet_ntop(AF_INET6, &v6->sin6_addr, text.data(), text.size());
+/// A socket of "::" hears who has an IPv4 address as ::ffff:A.B.C.D: that address as such.
+SocketAddress without_mapping(const SocketAddress& address) {
+  const auto& v6 = reinterpret_cast<const sockaddr_in6&>(address.storage);
+  if (address.storage.ss_family != AF_INET6 || !IN6_IS_ADDR_V4MAPPED(&v6.sin6_addr)) {
+    return address;
   }
-  digits = done == nullptr ? "" : done;
-  return done != nullptr;
+  SocketAddress out;
+  auto& v4 = reinterpret_cast<sockaddr_in&>(out.storage);
+  v4.sin_family = AF_INET;
+  v4.sin_port = v6.sin6_port;
+  std::memcpy(&v4.sin_addr, &v6.sin6_addr.s6_addr[12], sizeof(v4.sin_addr));
+  out.length = sizeof(v4);
+  return out;
+}
+
+void set_port(SocketAddress& address, std::uint16_t port) {
+  if (address.storage.ss_family == AF_INET6) {
+    reinterpret_cast<sockaddr_in6&>(address.storage).sin6_port = htons(port);
+  } else {
+    reinterpret_cast<sockaddr_in&>(address.storage).sin_port = htons(port);
+  }
+}
+
+/// Of what stands behind the request, "|A|B".
+IFacialMocapVersion version_of(std::string_view options) {
+  while (!options.empty()) {
+    options.remove_prefix(1);
+    const std::string_view option = options.substr(0, options.find('|'));
+    if (option == "sendDataVersion=v2") {
+      return IFacialMocapVersion::V2;
+    }
+    options.remove_prefix(option.size());
+  }
+  return IFacialMocapVersion::V1;
 }
 
 }  // namespace
@@ -77,7 +96,8 @@ std::optional<PhoneRequest> parse_phone_request(std::string_view datagram) {
     if (!rest.empty() && rest.front() != '|') {
       return std::nullopt;
     }
-    return PhoneRequest{BridgeProtocol::IFacialMocap, {kIFacialMocapPort}, kIFacialMocapLasts};
+    return PhoneRequest{
+        BridgeProtocol::IFacialMocap, {kIFacialMocapPort}, kIFacialMocapLasts, version_of(rest)};
   }
   try {
     return vtube_studio_request(datagram);
@@ -107,9 +127,19 @@ PhoneRequests::~PhoneRequests() {
   }
 }
 
-std::vector<Asker> PhoneRequests::heard() const {
+BridgeTarget Asker::target() const {
+  const bool six = address.storage.ss_family == AF_INET6;
+  const auto& v4 = reinterpret_cast<const sockaddr_in&>(address.storage);
+  const auto& v6 = reinterpret_cast<const sockaddr_in6&>(address.storage);
+  std::array<char, INET6_ADDRSTRLEN> text{};
+  const void* const bytes =
+      six ? static_cast<const void*>(&v6.sin6_addr) : static_cast<const void*>(&v4.sin_addr);
+  const char* const digits = ::inet_ntop(address.storage.ss_family, bytes, text.data(), text.size());
+  return {protocol, digits != nullptr ? digits : "", ntohs(six ? v6.sin6_port : v4.sin_port)};
+}
+
+void PhoneRequests::hear(const Welcome& welcome, const Take& take) const {
   constexpr int kMostDatagrams = 64;
-  std::vector<Asker> askers;
   std::array<char, kMostRequestBytes + 1> datagram{};
   int left = kMostDatagrams;
   for (const int socket : sockets_) {
@@ -121,16 +151,18 @@ std::vector<Asker> PhoneRequests::heard() const {
       if (size < 0) {
         break;
       }
+      from = without_mapping(from);
+      if (!welcome(from)) {
+        continue;
+      }
       const auto request = parse_phone_request({datagram.data(), static_cast<std::size_t>(size)});
       for (const std::uint16_t port : request ? request->ports : std::vector<std::uint16_t>()) {
-        Asker asker{{request->protocol, "", port}, from, request->lasting};
-        if (readdress(asker.address, port, asker.target.address)) {
-          askers.push_back(std::move(asker));
-        }
+        Asker asker{request->protocol, from, request->lasting, request->version};
+        set_port(asker.address, port);
+        take(asker);
       }
     }
   }
-  return askers;
 }
 
 }  // namespace facet::avatar

@@ -83,6 +83,8 @@ struct PerformanceTracker::Impl {
 
   std::vector<Frame> pictures;  ///< [views] of the slot
 
+  void take_pictures(const FrameSet& set);
+  void forget_landmarks();
   std::vector<SeenLandmarks> find_landmarks(mesh::MeshFrame& out);
   std::vector<SeenLandmarks> pointed_at() const;
   std::string place(std::uint64_t slot, std::span<const capture::DepthMap> maps, mesh::MeshFrame& out);
@@ -138,6 +140,19 @@ PerformanceTracker::Impl::Impl(std::shared_ptr<const face::FaceModel> given_mode
           ErrorKind::Usage,
           fmt::format("the face points are of a camera '{}', which the rig does not have", camera.name));
     }
+  }
+}
+
+void PerformanceTracker::Impl::take_pictures(const FrameSet& set) {
+  pictures.clear();
+  for (const View& view : views) {
+    pictures.push_back(set.frames.at(view.index));
+  }
+}
+
+void PerformanceTracker::Impl::forget_landmarks() {
+  for (View& view : views) {
+    view.landmarker.forget();
   }
 }
 
@@ -311,15 +326,34 @@ PerformanceTracker::PerformanceTracker(std::shared_ptr<const face::FaceModel> mo
 
 PerformanceTracker::~PerformanceTracker() = default;
 
+std::optional<double> PerformanceTracker::strain(const FrameSet& set,
+                                                 std::span<const capture::DepthMap> maps) {
+  Impl& impl = *impl_;
+  if (impl.points) {
+    return {};
+  }
+  impl.take_pictures(set);
+  mesh::MeshFrame unused;
+  const std::vector<SeenLandmarks> seen = impl.find_landmarks(unused);
+  impl.forget_landmarks();
+  const std::vector<fit::Correspondence> correspondences =
+      landmarks_in_space(seen, maps, impl.model->landmarks);
+  if (correspondences.size() < kLeastLandmarks) {
+    return {};
+  }
+  try {
+    return fit::find_first_shape(*impl.model, correspondences).expression.norm();
+  } catch (const Error&) {
+    return {};  // `process` says so, where this slot is the one to begin with
+  }
+}
+
 void PerformanceTracker::process(const FrameSet& set, std::span<const capture::DepthMap> maps,
                                  mesh::MeshFrame& out) {
   Impl& impl = *impl_;
   out.camera = capture::pinhole_of(impl.views.front().camera->lens);
   out.control_vertices_mm.resize(3, 0);
-  impl.pictures.clear();
-  for (const View& view : impl.views) {
-    impl.pictures.push_back(set.frames.at(view.index));
-  }
+  impl.take_pictures(set);
   const Clock::time_point begun = Clock::now();
   std::string missing;
   bool followed = impl.subject != nullptr && !impl.lost;
@@ -381,9 +415,7 @@ void PerformanceTracker::reset() {
   impl_->subject.reset();
   impl_->lost = false;
   impl_->strangers = 0;
-  for (View& view : impl_->views) {
-    view.landmarker.forget();
-  }
+  impl_->forget_landmarks();
 }
 
 std::vector<Messages::Message> PerformanceTracker::take_messages() {

@@ -33,9 +33,13 @@ class PerformanceTracker {
                      std::optional<FacePoints> points = {}, std::unique_ptr<BoothShading> shading = nullptr);
   ~PerformanceTracker();
 
-  /// The next blank slot, in order of time. set: frames in the rig's order. maps: [pairs] of that slot.
-  /// out: state, subject, pose, expression and vertices, as seen by the rig's first colour camera; the times
-  /// of landmarks and fit. Says in degraded_reason what was missing.
+  /// How far a blank slot's face is from rest: the norm of its expression by landmarks (fit::FirstShape).
+  /// Empty: no face is seen, or where it is was pointed at. Nothing that follows depends on it.
+  std::optional<double> strain(const FrameSet& set, std::span<const capture::DepthMap> maps);
+
+  /// The next blank slot, in order of time, or against it while nothing is handed out. set: frames in the
+  /// rig's order. maps: [pairs] of that slot. out: state, subject, pose, expression and vertices, as seen by
+  /// the rig's first colour camera; the times of landmarks and fit. Says in degraded_reason what was missing.
   void process(const FrameSet& set, std::span<const capture::DepthMap> maps, mesh::MeshFrame& out);
 
   /// A slot with stripes between the last two that `process` was given, after the later one. fraction: of the

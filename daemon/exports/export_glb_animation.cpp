@@ -156,7 +156,7 @@ class GlbAnimation {
 class GlbFramesWriter final : public SequenceWriter {
  public:
   GlbFramesWriter(const SequenceOptions& options, const SequenceFrame& first)
-      : file_(options.file),
+      : file_(fitting(options, first)),
         triangles_(first.mesh.triangles),
         glb_(options, first.mesh, false),
         head_(glb_.add_part("head", first.mesh, GltfStep::Position, Eigen::Vector3f::Zero())) {}
@@ -182,6 +182,22 @@ class GlbFramesWriter final : public SequenceWriter {
   }
 
  private:
+  /// The file's name, where it can hold the frames: before any is written. What is reckoned is the
+  /// least; of a compressed file the weights, as no frame is known before it is compressed.
+  static std::filesystem::path fitting(const SequenceOptions& options, const SequenceFrame& first) {
+    const std::uint64_t frames = options.timeline.sequences.size();
+    const auto vertices = static_cast<std::uint64_t>(first.mesh.vertices_mm.cols());
+    const std::uint64_t weights = frames * (frames - std::min<std::uint64_t>(frames, 1)) * sizeof(float);
+    // Place and normal of each vertex; a time, place and turn of the head.
+    const std::uint64_t frame = (6 * vertices + 8) * sizeof(float);
+    if (options.compression == GlbCompression::None) {
+      require_glb_size(options.file, frames * frame + weights);
+    } else {
+      require_glb_size(options.file, weights, " of weights");
+    }
+    return options.file;
+  }
+
   std::filesystem::path file_;
   mesh::Triangles triangles_;
   GlbAnimation glb_;

@@ -160,13 +160,7 @@ void GlbFile::commit(GltfJson document) {
   json.resize((json.size() + 3) / 4 * 4, ' ');
 
   const std::uint64_t total = 12 + 8 + json.size() + 8 + binary_.size();
-  if (total > std::numeric_limits<std::uint32_t>::max()) {
-    throw Error(
-        ErrorKind::Usage,
-        fmt::format("'{}' would be {:.1f} GB and a GLB file can't be larger than 4.3: choose fewer frames "
-                    "(--frames), --level coarse, or pc2, mdd or usda",
-                    path_.string(), static_cast<double>(total) / 1e9));
-  }
+  require_glb_size(path_, total);
   const std::uint32_t head[5] = {kMagic, 2, static_cast<std::uint32_t>(total),
                                  static_cast<std::uint32_t>(json.size()), kJsonChunk};
   const std::uint32_t binary_head[2] = {static_cast<std::uint32_t>(binary_.size()), kBinaryChunk};
@@ -175,6 +169,17 @@ void GlbFile::commit(GltfJson document) {
   out_.write(std::as_bytes(std::span(binary_head)));
   binary_.move_to(out_);
   out_.commit();
+}
+
+void require_glb_size(const std::filesystem::path& file, std::uint64_t bytes, const char* of) {
+  if (bytes > std::numeric_limits<std::uint32_t>::max()) {
+    throw Error(
+        ErrorKind::Usage,
+        fmt::format(
+            "'{}' would hold {:.1f} GB{} and a GLB file can't hold more than 4.3: choose fewer frames "
+            "(--frames), --level coarse, or pc2, mdd or usda-frames",
+            file.string(), static_cast<double>(bytes) / 1e9, of));
+  }
 }
 
 std::span<const float> flat(const Eigen::Ref<const Eigen::MatrixXf>& matrix) {

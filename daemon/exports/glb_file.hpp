@@ -82,6 +82,8 @@ class GlbFile {
 };
 
 std::span<const float> flat(const Eigen::Ref<const Eigen::MatrixXf>& matrix);
+/// Throws Error(Usage) where a file can't hold so many bytes, with what to do. of: of what, " of weights".
+void require_glb_size(const std::filesystem::path& file, std::uint64_t bytes, const char* of = "");
 GltfJson gltf_list(const Eigen::Ref<const Eigen::VectorXf>& vector);
 /// Adds the materials of all exports to a document, 0 skin and 1 eyes, and the picture that they show where
 /// the mesh has one. Where eyes are no mesh of their own, has_eyes is false.

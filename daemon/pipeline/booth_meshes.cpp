@@ -31,6 +31,12 @@ constexpr std::uint64_t kMostGap = 2 * booth::kDepthReach;
 /// So many periods without a blank slot that is whole, and slots with stripes wait no longer for one.
 constexpr std::size_t kMostPeriods = 4;
 
+/// Recorded slots: the person is looked for in so many of the first blank ones. They are held meanwhile.
+constexpr std::ptrdiff_t kMostAhead = 24;
+
+/// A slot so much calmer than the first is worth the way to it (PerformanceTracker::strain).
+constexpr double kCalmer = 0.25;
+
 /// The rig is looked at in one of so many blank slots.
 constexpr std::uint64_t kCheckPeriod = 5;
 
@@ -157,6 +163,7 @@ struct BoothMeshes::Impl {
 
   // facet-perform only.
   FramePool pool;
+  std::vector<Seen> ahead;         ///< the first ones of a recording, until enough are there
   std::deque<Seen> waiting;        ///< with stripes, for the blank slot after them
   std::int64_t last_blank_ns = 0;  ///< time of the last blank slot
   std::uint32_t subjects = 0;
@@ -177,6 +184,8 @@ struct BoothMeshes::Impl {
   SetPointer in_rig_order(const FrameSet& set);
   void check_size(const FrameSet& set) const;
   void perform();
+  void perform_ahead();
+  void begin_with_calmest();
   void perform(Seen& item);
   void perform_waiting(std::int64_t blank_ns);
   std::shared_ptr<mesh::MeshFrame> begin_frame(const Seen& item);
@@ -348,17 +357,70 @@ void BoothMeshes::Impl::find_depth(Run& run) {
 
 void BoothMeshes::Impl::perform() {
   Seen item;
+  bool looks_ahead = when_busy == WhenBusy::Wait;
   const auto beat = [this] { workers.beat(kPerform); };
+  const auto is_blank = [](const Seen& one) { return !one.stripes; };
   while (seen.pop(item, beat)) {
     beat();
-    if (!stopping && stages.tracker != nullptr) {
+    if (stopping || stages.tracker == nullptr) {
+      // let go
+    } else if (!looks_ahead) {
+      perform(item);
+    } else {
+      ahead.push_back(std::move(item));
+      looks_ahead = std::count_if(ahead.begin(), ahead.end(), is_blank) < kMostAhead;
+      if (!looks_ahead) {
+        perform_ahead();
+      }
+    }
+    item = {};
+  }
+  perform_ahead();
+  if (!stopping) {
+    perform_waiting(last_blank_ns);
+  }
+}
+
+void BoothMeshes::Impl::perform_ahead() {
+  begin_with_calmest();
+  for (Seen& item : ahead) {
+    workers.beat(kPerform);
+    if (!stopping) {
       perform(item);
     }
     item = {};
   }
-  if (!stopping) {
-    perform_waiting(last_blank_ns);
+  ahead.clear();
+}
+
+/// A recording need not begin with a face at rest: what the first mesh takes for the person is better known
+/// from the calmest of the first slots. From there the mesh is followed back to the first slot, and all are
+/// gone through from that on.
+void BoothMeshes::Impl::begin_with_calmest() {
+  std::vector<const Seen*> blanks;
+  std::vector<double> strains;
+  for (const Seen& item : ahead) {
+    workers.beat(kPerform);
+    const std::optional<double> strain =
+        stopping || item.stripes ? std::nullopt : stages.tracker->strain(*item.set, item.maps);
+    if (strain) {
+      blanks.push_back(&item);
+      strains.push_back(*strain);
+    }
   }
+  const auto calmest = std::min_element(strains.begin(), strains.end());
+  if (strains.empty() || *calmest > strains.front() - kCalmer) {
+    return;
+  }
+  for (auto at = calmest - strains.begin(); at >= 0 && !stopping; --at) {
+    workers.beat(kPerform);
+    const Seen& item = *blanks[static_cast<std::size_t>(at)];
+    mesh::MeshFrame unseen;
+    stages.tracker->process(*item.set, item.maps, unseen);
+  }
+  messages.info(fmt::format("slot {}: the calmest face of the first {}; the person is taken from it",
+                            blanks[static_cast<std::size_t>(calmest - strains.begin())]->set->slot,
+                            strains.size()));
 }
 
 void BoothMeshes::Impl::perform(Seen& item) {

@@ -41,14 +41,50 @@ in_port_t* port_of(sockaddr_storage& address) {
                                        : &reinterpret_cast<sockaddr_in*>(&address)->sin_port;
 }
 
-/// In digits, as inet_pton takes them.
+/// In digits, as inet_pton takes them; IPv4 as such, though "[::]" hears it as ::ffff:A.B.C.D.
 std::string host_of(const sockaddr_storage& address) {
+  const auto& v4 = reinterpret_cast<const sockaddr_in&>(address);
+  const auto& v6 = reinterpret_cast<const sockaddr_in6&>(address);
+  int family = address.ss_family;
+  const void* bytes = &v4.sin_addr;
+  if (family == AF_INET6) {
+    const bool mapped = IN6_IS_ADDR_V4MAPPED(&v6.sin6_addr);
+    family = mapped ? AF_INET : AF_INET6;
+    bytes = &v6.sin6_addr.s6_addr[mapped ? 12 : 0];
+  }
   std::array<char, INET6_ADDRSTRLEN> text{};
-  const void* const bytes =
-      address.ss_family == AF_INET6
-          ? static_cast<const void*>(&reinterpret_cast<const sockaddr_in6*>(&address)->sin6_addr)
-          : static_cast<const void*>(&reinterpret_cast<const sockaddr_in*>(&address)->sin_addr);
-  return ::inet_ntop(address.ss_family, bytes, text.data(), text.size()) != nullptr ? text.data() : "";
+  return ::inet_ntop(family, bytes, text.data(), text.size()) != nullptr ? text.data() : "";
+}
+
+/// How many bytes the character has that begins a text; 0 where none does (RFC 3629).
+std::size_t character_bytes(std::string_view text) {
+  const auto byte = [&](std::size_t i) {
+    return i < text.size() ? static_cast<unsigned char>(text[i]) : static_cast<unsigned char>(0);
+  };
+  const unsigned char lead = byte(0);
+  if (lead < 0x80) {
+    return 1;
+  }
+  const std::size_t bytes = lead < 0xC2 || lead > 0xF4 ? 0 : lead < 0xE0 ? 2 : lead < 0xF0 ? 3 : 4;
+  for (std::size_t i = 1; i < bytes; ++i) {
+    if ((byte(i) & 0xC0U) != 0x80U) {
+      return 0;
+    }
+  }
+  // Written longer than it need be, half of a pair, beyond the last.
+  const unsigned char second = byte(1);
+  const bool none = (lead == 0xE0 && second < 0xA0) || (lead == 0xED && second > 0x9F) ||
+                    (lead == 0xF0 && second < 0x90) || (lead == 0xF4 && second > 0x8F);
+  return none ? 0 : bytes;
+}
+
+/// Of a take's `meta`, as a reader has them. slate: UTF-8.
+take::MetaEntries slate_entries(const std::string& slate, std::int32_t number) {
+  const take::TakeNotes notes = take::notes_of([&](std::string_view key) {
+    return key == "scene" ? slate : key == "scene_take" ? std::to_string(number) : std::string();
+  });
+  return slate.empty() ? take::MetaEntries()
+                       : take::MetaEntries{{"scene", notes.scene}, {"scene_take", notes.number}};
 }
 
 }  // namespace
@@ -201,11 +237,11 @@ void OscRemote::set_target(const OscMessage& message, const sockaddr_storage& fr
 void OscRemote::obey(const OscMessage& message, const Answer& answer) {
   if (message.address == "/Slate") {
     if (const auto* slate = argument<std::string>(message, 0)) {
-      slate_ = *slate;
+      slate_ = as_utf8(*slate);
     }
   } else if (message.address == "/Take") {
     if (const auto* number = argument<std::int32_t>(message, 0)) {
-      take_number_ = *number;
+      take_number_ = std::make_shared<std::int32_t>(*number);
     }
   } else if (message.address == "/RecordStart") {
     begin(message, answer);
@@ -240,39 +276,38 @@ void OscRemote::ask(const std::string& what, const Answer& answer, std::function
 void OscRemote::begin(const OscMessage& message, const Answer& answer) {
   const auto* slate = argument<std::string>(message, 0);
   const auto* number = argument<std::int32_t>(message, 1);
-  slate_ = slate != nullptr ? *slate : slate_;
-  take_number_ = number != nullptr ? *number : take_number_;
+  slate_ = slate != nullptr ? as_utf8(*slate) : slate_;
+  take_number_ = number != nullptr ? std::make_shared<std::int32_t>(*number) : take_number_;
   auto config = desk_.take_config();
   if (!config) {
     door_->complain("/RecordStart: facetd is still starting");
     return;
   }
-  take::TakeNotes notes;
-  notes.scene = slate_;
-  notes.number = slate_.empty() ? "" : std::to_string(take_number_);
-  // As a reader has them.
-  notes = take::notes_of([&](std::string_view key) {
-    return key == "scene" ? notes.scene : key == "scene_take" ? notes.number : std::string();
-  });
-  config->more_meta = [notes] {
-    take::MetaEntries entries;
-    if (!notes.scene.empty()) {
-      entries = {{"scene", notes.scene}, {"scene_take", notes.number}};
-    }
-    return entries;
-  };
-  const std::string name = slate_take_name(slate_, take_number_);
-  take_number_ += take_number_ < std::numeric_limits<std::int32_t>::max() ? 1 : 0;
-  ask("/RecordStart", answer, [desk = desk_, name, take = *config]() mutable -> OscMessage {
-    take.file = take::take_path(desk.folder, name.empty() ? take::default_take_name(desk.folder, Clock::utc())
-                                                          : take::free_take_name(desk.folder, name));
-    desk.recording.begin(take);
-    return {"/RecordStartConfirm", {desk.timecode_now()}};
-  });
+  ask("/RecordStart", answer,
+      [desk = desk_, slate = slate_, next = take_number_, take = *config]() mutable -> OscMessage {
+        const std::string name = slate_take_name(slate, *next);
+        take.more_meta = [entries = slate_entries(slate, *next)] { return entries; };
+        take.file =
+            take::take_path(desk.folder, name.empty() ? take::default_take_name(desk.folder, Clock::utc())
+                                                      : take::free_take_name(desk.folder, name));
+        desk.recording.begin(take);
+        *next += *next < std::numeric_limits<std::int32_t>::max() ? 1 : 0;
+        return {"/RecordStartConfirm", {desk.timecode_now()}};
+      });
+}
+
+std::string as_utf8(std::string_view text) {
+  std::string out;
+  while (!text.empty()) {
+    const std::size_t bytes = character_bytes(text);
+    out += bytes > 0 ? text.substr(0, bytes) : "_";
+    text.remove_prefix(std::max<std::size_t>(bytes, 1));
+  }
+  return out;
 }
 
 std::string slate_take_name(const std::string& slate, std::int32_t number) {
-  std::string name = take::cut_text(slate, kMostSlateBytes);
+  std::string name = take::cut_text(as_utf8(slate), kMostSlateBytes);
   std::replace_if(
       name.begin(), name.end(),
       [](char character) {

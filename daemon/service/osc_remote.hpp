@@ -10,6 +10,7 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <string_view>
 
 #include "facet/clock.hpp"
 #include "service/config.hpp"
@@ -63,14 +64,20 @@ class OscRemote {
   const Log& log_;
   std::shared_ptr<Door> door_;  ///< shared with answers that are under way
   std::string slate_;
-  std::int32_t take_number_ = 1;
+  /// The next take's. Once a take was asked for, the errands' thread alone reads it and counts it up, in the
+  /// order of the messages; another number that is said is another counter.
+  std::shared_ptr<std::int32_t> take_number_ = std::make_shared<std::int32_t>(1);
   std::optional<std::uint16_t> target_port_;  ///< asked for, of target_
   sockaddr_storage target_{};
   Clock::time_point open_due_;
   std::string open_fault_;
 };
 
-/// The name of a take of a slate, "SLATE_3": what no name can have is replaced. slate: UTF-8, of any length.
+/// The text with "_" in the place of every byte that is no UTF-8.
+std::string as_utf8(std::string_view text);
+
+/// The name of a take of a slate, "SLATE_3": what no name can have is replaced. slate: of any length and any
+/// bytes.
 std::string slate_take_name(const std::string& slate, std::int32_t number);
 
 }  // namespace facet::service

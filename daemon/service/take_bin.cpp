@@ -25,6 +25,11 @@ bool is_there(const std::filesystem::path& path) {
   return std::filesystem::exists(std::filesystem::symlink_status(path, error));
 }
 
+/// What is under way of rename, delete or restore.
+std::filesystem::path journal_of(const std::filesystem::path& takes) {
+  return takes / ".moves";
+}
+
 void remove_picture(const std::filesystem::path& takes, const std::string& name) {
   std::error_code ignored;
   std::filesystem::remove(Thumbnails::file(takes, name), ignored);
@@ -76,11 +81,24 @@ PurgedTakes purge_folder(const std::filesystem::path& folder) {
 
 TakeBin::TakeBin(std::filesystem::path takes) : takes_(std::move(takes)), bin_(takes_ / ".deleted") {}
 
+bool TakeBin::undo_half_done() const {
+  const bool undone = take::undo_moves(journal_of(takes_));
+  std::error_code ignored;
+  for (std::filesystem::directory_iterator entry(bin_, ignored), end; !ignored && entry != end;
+       entry.increment(ignored)) {
+    std::error_code not_empty;  // of a take that was to come here
+    if (time_of(entry->path())) {
+      std::filesystem::remove(entry->path(), not_empty);
+    }
+  }
+  return undone;
+}
+
 std::chrono::system_clock::time_point TakeBin::remove(const std::string& name) const {
   const std::filesystem::path file = take::named_take(takes_, name);
   const auto [folder, now] = new_folder(bin_);
   try {
-    take::move_all(take::moves_of_take(file, folder / file.filename()));
+    take::move_all(take::moves_of_take(file, folder / file.filename()), journal_of(takes_));
   } catch (const Error&) {
     std::error_code ignored;
     std::filesystem::remove(folder, ignored);
@@ -101,7 +119,7 @@ std::filesystem::path TakeBin::restore(const std::string& name, const std::strin
                             kKept.count() / 24));
   }
   const std::filesystem::path file = take::take_path(takes_, to);
-  take::move_all(take::moves_of_take(found->folder / (name + ".take"), file));
+  take::move_all(take::moves_of_take(found->folder / (name + ".take"), file), journal_of(takes_));
   std::error_code ignored;
   std::filesystem::remove(found->folder, ignored);
   return file;
@@ -124,7 +142,9 @@ std::vector<DeletedTake> TakeBin::list() const {
         deleted.name = part->path().stem().string();
       }
     }
-    found.push_back(std::move(deleted));
+    if (!deleted.name.empty()) {
+      found.push_back(std::move(deleted));
+    }
   }
   std::sort(found.begin(), found.end(), [](const auto& a, const auto& b) { return a.deleted > b.deleted; });
   return found;
@@ -164,7 +184,7 @@ void rename_take(const std::filesystem::path& takes, const std::string& name, co
   if (is_there(picture)) {
     moves.insert(moves.begin(), {picture, Thumbnails::file(takes, to)});
   }
-  take::move_all(moves);
+  take::move_all(moves, journal_of(takes));
 }
 
 }  // namespace facet::service

@@ -30,15 +30,19 @@ class TakeBin {
 
   explicit TakeBin(std::filesystem::path takes);
 
+  /// Undoes what a process that was killed had half done. Before the first of the others; true: there was
+  /// something.
+  bool undo_half_done() const;
+
   /// A closed take goes into the bin, whole or not at all; its picture goes for good. Returns when it is
   /// purged.
   std::chrono::system_clock::time_point remove(const std::string& name) const;
   /// The one of this name that was deleted last comes back. to: its name then; nothing of that name may be
   /// there. Throws Error(Usage) where there is none.
   std::filesystem::path restore(const std::string& name, const std::string& to) const;
-  /// Newest first.
+  /// Newest first. What lies there without a take is left alone.
   std::vector<DeletedTake> list() const;
-  /// Removes for good what was deleted so long ago.
+  /// Removes for good what was deleted so long ago, by the machine's clock.
   PurgedTakes purge(std::chrono::milliseconds age) const;
   /// The same of all that had a name.
   PurgedTakes purge(const std::string& name) const;
@@ -48,7 +52,8 @@ class TakeBin {
   std::filesystem::path bin_;
 };
 
-/// A take and all that is made of it gets another name; nothing of that name may be there.
+/// A take and all that is made of it gets another name; nothing of that name may be there. Not while a
+/// TakeBin of the same takes works (they share their journal, TakeBin::undo_half_done).
 void rename_take(const std::filesystem::path& takes, const std::string& name, const std::string& to);
 
 }  // namespace facet::service

@@ -2,6 +2,8 @@
 
 #include <fmt/chrono.h>
 #include <fmt/format.h>
+#include <sys/resource.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <atomic>
@@ -27,6 +29,7 @@ namespace {
 using nlohmann::json;
 
 constexpr std::chrono::hours kPurgePeriod{1};
+constexpr int kTrimNice = 10;  ///< a trim reads and writes gigabytes beside what is recorded
 /// Of a time in a take.
 constexpr double kLatest_s = 1e6;
 
@@ -84,7 +87,8 @@ struct TakeDesk::Impl {
   Trim trim FACET_GUARDED_BY(mutex);
   std::atomic<bool> cancelled{false};
   std::atomic<bool> stopping{false};
-  Clock::time_point purge_due;  ///< the loop's own
+  /// The loop's own. A machine without a clock of its own gets the time from the net in its first minutes.
+  Clock::time_point purge_due = Clock::now() + kPurgePeriod;
   Errands desk{"facet-takes"};
   Errands cutter{"facet-trim"};
 
@@ -100,6 +104,7 @@ struct TakeDesk::Impl {
   std::filesystem::path free_take(const std::string& name, Use use) const;
   void tell(const std::string& what, const std::string& name);
   void purge_old();
+  void undo_half_done(const std::function<bool()>& undo);
 
   // On `desk`.
   json rename(const json& params);
@@ -264,7 +269,7 @@ json TakeDesk::Impl::begin_trim(const json& params) {
   cutting.to = take::take_path(config.folder, to);
   require_free(to, Use::Move);
   cutting.software = config.software;
-  cutting.disk_reserve_bytes = config.disk_reserve_bytes;
+  cutting.disk_reserve_bytes = 2 * config.disk_reserve_bytes;  // a recording ends at half of it
   cutting.beside = sound::cut_beside;
   take::TakeReader reader(cutting.from);
   cutting.frames = take::frames_between(reader, from_s, to_s);
@@ -327,6 +332,18 @@ void TakeDesk::Impl::purge_old() {
   }
 }
 
+/// undo: true where there was something.
+void TakeDesk::Impl::undo_half_done(const std::function<bool()>& undo) {
+  try {
+    if (undo()) {
+      log.warning("a take was being moved when facetd was killed: it is where it was before");
+      index.changed();
+    }
+  } catch (const std::exception& error) {
+    log.error(fmt::format("what was half moved when facetd was killed stays so: {}", error.what()));
+  }
+}
+
 TakeDesk::TakeDesk(TakeDeskConfig config, TakeIndex& index, const Log& log)
     : impl_(std::make_unique<Impl>(std::move(config), index, log)) {}
 
@@ -364,14 +381,18 @@ json TakeDesk::trim_status() const {
 void TakeDesk::start() {
   impl_->desk.start();
   impl_->cutter.start();
+  impl_->desk.ask([impl = impl_.get()] {  // before all that is asked of it
+    impl->undo_half_done([impl] { return impl->bin.undo_half_done(); });
+  });
   impl_->cutter.ask([impl = impl_.get()] {  // before any cut
+    ::setpriority(PRIO_PROCESS, static_cast<id_t>(::gettid()), kTrimNice);
+    impl->undo_half_done([impl] { return take::undo_moves(take::cutting_journal(impl->config.folder)); });
     std::error_code ignored;
     std::filesystem::remove_all(take::cutting_folder(impl->config.folder), ignored);
   });
 }
 
-void TakeDesk::look_after() {
-  const auto now = Clock::now();
+void TakeDesk::look_after(Clock::time_point now) {
   if (now >= impl_->purge_due) {
     impl_->purge_due = now + kPurgePeriod;
     impl_->desk.ask([impl = impl_.get()] { impl->purge_old(); });

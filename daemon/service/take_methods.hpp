@@ -8,6 +8,7 @@
 #include <nlohmann/json_fwd.hpp>
 #include <string>
 
+#include "facet/clock.hpp"
 #include "service/control_protocol.hpp"
 #include "service/log.hpp"
 #include "service/take_index.hpp"
@@ -44,7 +45,7 @@ class TakeDesk {
   /// Throws what Errands::start throws.
   void start();
   /// With every round of the loop.
-  void look_after();
+  void look_after(Clock::time_point now = Clock::now());
   void request_stop();    ///< first phase; any thread. A trim is broken off
   bool finished() const;  ///< both threads have ended
   void stop();            ///< second phase

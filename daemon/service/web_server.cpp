@@ -386,7 +386,8 @@ MHD_Result WebServer::Impl::refuse(MHD_Connection* connection, unsigned status, 
     MHD_add_response_header(response.get(), MHD_HTTP_HEADER_RETRY_AFTER,
                             std::to_string(HttpConnections::kLeastBytesTime.count()).c_str());
   }
-  if (status == MHD_HTTP_UNAUTHORIZED) {  // a cookie of before does not go on guessing
+  // A cookie of before does not go on guessing; where another token was shown, it may be a good one.
+  if (status == MHD_HTTP_UNAUTHORIZED && !header(connection, MHD_HTTP_HEADER_AUTHORIZATION).value) {
     MHD_add_response_header(response.get(), MHD_HTTP_HEADER_SET_COOKIE,
                             fmt::format("{}=; Path=/; HttpOnly; SameSite=Strict; Max-Age=0", cookie).c_str());
   }

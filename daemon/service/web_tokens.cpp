@@ -106,8 +106,19 @@ void WebTokens::forget_guessers(Clock::time_point now) {
   }
 }
 
+/// least_bytes: shorter tokens lead nowhere.
+WebTokens::Opens WebTokens::of_length(std::string_view shown, std::size_t least_bytes) const {
+  if (command_.size() >= least_bytes && same_token(shown, command_)) {
+    return Opens::Commands;
+  }
+  return look_.size() >= least_bytes && same_token(shown, look_) ? Opens::Look : Opens::Nothing;
+}
+
 WebTokens::Opens WebTokens::opened_by(std::string_view shown, const std::string& from,
                                       Clock::time_point now) {
+  if (const Opens opens = of_length(shown, kUnguessableBytes); opens != Opens::Nothing) {
+    return opens;
+  }
   const auto known = guessers_.find(from);
   if (known != guessers_.end()) {
     Guesser& guesser = known->second;
@@ -120,11 +131,8 @@ WebTokens::Opens WebTokens::opened_by(std::string_view shown, const std::string&
       return Opens::NothingNow;
     }
   }
-  if (same_token(shown, command_)) {
-    return Opens::Commands;
-  }
-  if (same_token(shown, look_)) {
-    return Opens::Look;
+  if (const Opens opens = of_length(shown, 0); opens != Opens::Nothing) {
+    return opens;
   }
   if (known == guessers_.end()) {
     forget_guessers(now);

@@ -13,7 +13,8 @@ namespace facet::service {
 /// What is shown to be let in over the web: one token opens commands and looking, another looking alone. Each
 /// is a line of a file of mode 0640, made where it is not there; one that holds no token is set aside and
 /// made anew. Guesses are few: kGuesses in a row from one address, after them one in kGuessPeriod; who
-/// guesses shuts nobody else out. One thread.
+/// guesses shuts nobody else out, not of the own address either (a proxy's is everybody's) where tokens are
+/// long enough. One thread.
 class WebTokens {
  public:
   /// What a shown token leads to.
@@ -35,6 +36,8 @@ class WebTokens {
 
   static constexpr int kGuesses = 5;
   static constexpr std::chrono::seconds kGuessPeriod{10};
+  /// A token of so many letters, as they are made, is found by no guessing: the right one always leads in.
+  static constexpr std::size_t kUnguessableBytes = 32;
   static constexpr std::size_t kMostGuessers = 1024;  ///< remembered; then who has guessed least is forgotten
 
  private:
@@ -42,6 +45,7 @@ class WebTokens {
     int left = kGuesses;
     Clock::time_point last;
   };
+  Opens of_length(std::string_view shown, std::size_t least_bytes) const;
   void forget_guessers(Clock::time_point now);
   std::string read(const std::filesystem::path& file);
 

@@ -29,8 +29,6 @@ namespace facet::take {
 namespace {
 
 constexpr std::uint64_t kSegmentBytes = 1ULL << 30;
-/// The disk is looked at after so many frames.
-constexpr std::int64_t kLookEvery = 32;
 constexpr double kSameTime_s = 1e-6;
 
 std::int64_t stored(std::uint64_t id) {
@@ -298,12 +296,9 @@ bool copy_all(const CutConfig& config, TakeReader& reader, const std::filesystem
               const std::function<bool(std::int64_t done)>& progress) {
   Cut cut(config, reader, file);
   for (std::int64_t number = config.frames.first; number <= config.frames.last; ++number) {
-    const std::int64_t done = number - config.frames.first;
-    if (done % kLookEvery == 0) {
-      check_disk(config);
-    }
+    check_disk(config);  // a frame of a booth's pictures has tens of megabytes
     cut.copy(number);
-    if (!progress(done + 1)) {
+    if (!progress(number - config.frames.first + 1)) {
       return false;
     }
   }
@@ -357,8 +352,12 @@ bool cut_take(const CutConfig& config, const std::function<bool(std::int64_t don
   } catch (const DatabaseError& error) {
     throw Error(ErrorKind::Storage, fmt::format("cannot write '{}': {}", config.to.string(), error.what()));
   }
-  move_all(moves_of_take(file, config.to));
+  move_all(moves_of_take(file, config.to), cutting_journal(config.to.parent_path()));
   return true;
+}
+
+std::filesystem::path cutting_journal(const std::filesystem::path& takes) {
+  return takes / ".cutting.moves";
 }
 
 std::filesystem::path cutting_folder(const std::filesystem::path& takes) {

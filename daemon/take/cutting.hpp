@@ -48,5 +48,7 @@ bool cut_take(const CutConfig& config, const std::function<bool(std::int64_t don
 
 /// Where a cut is made, of a folder of takes; what is in it while none is made is left over.
 std::filesystem::path cutting_folder(const std::filesystem::path& takes);
+/// The journal of the moves by which a cut gets its place (undo_moves, before the folder is emptied).
+std::filesystem::path cutting_journal(const std::filesystem::path& takes);
 
 }  // namespace facet::take

@@ -7,16 +7,21 @@
 #include <cerrno>
 #include <cstring>
 #include <set>
+#include <string>
+#include <string_view>
 #include <system_error>
 
 #include "facet/error.hpp"
 #include "files/disk.hpp"
 #include "files/output_file.hpp"
+#include "files/text_file.hpp"
 #include "take/segment.hpp"
 #include "take/take_time.hpp"
 
 namespace facet::take {
 namespace {
+
+constexpr std::size_t kMostJournalBytes = 1 << 20;
 
 bool is_there(const std::filesystem::path& path) {
   std::error_code error;
@@ -36,10 +41,36 @@ int rename_new(const std::filesystem::path& from, const std::filesystem::path& t
   return files::disk().rename(from.c_str(), to.c_str(), 0);
 }
 
+[[noreturn]] void fail(const Move& move, int error) {
+  throw Error(ErrorKind::Storage, error == EEXIST
+                                      ? fmt::format("'{}' is there already", move.to.string())
+                                      : fmt::format("cannot move '{}' to '{}': {}", move.from.string(),
+                                                    move.to.string(), std::strerror(error)));
+}
+
+/// Each path ends with a zero byte.
+void write_journal(const std::vector<Move>& moves, const std::filesystem::path& journal) {
+  std::string text;
+  for (const Move& move : moves) {
+    text += move.from.string() + '\0' + move.to.string() + '\0';
+  }
+  files::OutputFile out(journal);
+  out.write(text);
+  out.commit();
+}
+
+void end_journal(const std::filesystem::path& journal) {
+  std::error_code error;
+  if (!std::filesystem::remove(journal, error) && error) {
+    throw Error(ErrorKind::Storage, fmt::format("cannot remove '{}': {}", journal.string(), error.message()));
+  }
+}
+
 }  // namespace
 
-void move_all(const std::vector<Move>& moves) {
+void move_all(const std::vector<Move>& moves, const std::filesystem::path& journal) {
   std::set<std::filesystem::path> folders;
+  write_journal(moves, journal);
   for (std::size_t done = 0; done < moves.size(); ++done) {
     const auto& [from, to] = moves[done];
     if (rename_new(from, to) == 0) {
@@ -50,14 +81,41 @@ void move_all(const std::vector<Move>& moves) {
     while (done-- > 0) {
       rename_new(moves[done].to, moves[done].from);
     }
-    throw Error(ErrorKind::Storage, error == EEXIST
-                                        ? fmt::format("'{}' is there already", to.string())
-                                        : fmt::format("cannot move '{}' to '{}': {}", from.string(),
-                                                      to.string(), std::strerror(error)));
+    end_journal(journal);
+    fail({from, to}, error);
   }
   for (const std::filesystem::path& folder : folders) {
     files::sync_folder(folder);
   }
+  end_journal(journal);
+}
+
+bool undo_moves(const std::filesystem::path& journal) {
+  if (!is_there(journal)) {
+    return false;
+  }
+  const std::string text = files::read_text(journal, kMostJournalBytes, "list of moves");
+  std::vector<std::filesystem::path> paths;
+  for (std::string_view rest = text; rest.find('\0') != std::string_view::npos;) {
+    const std::size_t end = rest.find('\0');
+    paths.emplace_back(rest.substr(0, end));
+    rest.remove_prefix(end + 1);
+  }
+  std::set<std::filesystem::path> folders;
+  for (std::size_t end = paths.size() / 2 * 2; end > 0; end -= 2) {
+    const Move back{paths[end - 1], paths[end - 2]};
+    if (is_there(back.from) && !is_there(back.to)) {
+      if (rename_new(back.from, back.to) != 0) {
+        fail(back, errno);
+      }
+      folders.insert({back.from.parent_path(), back.to.parent_path()});
+    }
+  }
+  for (const std::filesystem::path& folder : folders) {
+    files::sync_folder(folder);
+  }
+  end_journal(journal);
+  return true;
 }
 
 std::vector<Move> moves_of_take(const std::filesystem::path& file, const std::filesystem::path& to) {

@@ -11,9 +11,14 @@ struct Move {
 };
 
 /// Renames files and folders one after the other, none in the place of something that is there; their folders
-/// are on the disk when this returns. Where one can't be moved, those before it are moved back. Any thread.
-/// Throws Error(Storage) naming what stood in the way.
-void move_all(const std::vector<Move>& moves);
+/// are on the disk when this returns. Where one can't be moved, those before it are moved back. Any thread,
+/// one for each journal at a time. Throws Error(Storage) naming what stood in the way.
+/// journal: a file that names the moves while they are under way, for undo_moves after a crash
+void move_all(const std::vector<Move>& moves, const std::filesystem::path& journal);
+
+/// Moves back what a process that was killed had moved, where its journal is there still; false where there
+/// is none. Throws Error(Storage) where something can't be moved back; the journal stays then.
+bool undo_moves(const std::filesystem::path& journal);
 
 /// What belongs to a take, in the order in which it is to be moved, the take's file last: whoever makes a
 /// take of its name is refused until all is moved. What is not there is left out.

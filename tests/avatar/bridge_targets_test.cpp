@@ -148,7 +148,16 @@ TEST(PhoneRequests, AreWhatReceiversSend) {
   ASSERT_TRUE(phone);
   EXPECT_EQ(phone->protocol, BridgeProtocol::IFacialMocap);
   EXPECT_THAT(phone->ports, ElementsAre(49983));
-  EXPECT_TRUE(parse_phone_request(std::string(kIFacialMocapRequest) + "|sendDataVersion=v2"));
+  EXPECT_EQ(phone->version, IFacialMocapVersion::V1);
+  const auto version = [](const std::string& options) {
+    return parse_phone_request(kIFacialMocapRequest + options)->version;
+  };
+  EXPECT_EQ(version("|sendDataVersion=v2"), IFacialMocapVersion::V2);
+  EXPECT_EQ(version("|other=1|sendDataVersion=v2|"), IFacialMocapVersion::V2);
+  for (const char* options :
+       {"|", "||", "|sendDataVersion=v1", "|sendDataVersion=v22", "|x=sendDataVersion=v2"}) {
+    EXPECT_EQ(version(options), IFacialMocapVersion::V1) << options;
+  }
   // https://github.com/DenchiSoft/VTubeStudioBlendshapeUDPReceiverTest
   const auto studio = parse_phone_request(
       R"({"messageType": "iOSTrackingDataRequest", "time": 2.5, "sentBy": "MyApp", "ports": [11125, 11126]})");
@@ -226,6 +235,70 @@ TEST_F(BridgeTargetsTest, WhoAsksAsOfAPhoneGetsItsData) {
   EXPECT_TRUE(publish_until(bridge, [&] { return bridge.status().targets.size() == 1; }))
       << "what was asked last counts, and ends";
   EXPECT_EQ(bridge.status().targets.at(0).target.protocol, BridgeProtocol::IFacialMocap);
+}
+
+TEST_F(BridgeTargetsTest, EachAskerGetsTheVersionThatItAskedForLast) {
+  BridgeConfig wanted = config({});
+  wanted.answer = "127.71.8.1";
+  Bridge bridge(wanted);
+  bridge.start();
+  const Receiver one("127.71.8.2", kIFacialMocapPort);
+  const Receiver two("127.71.8.3", kIFacialMocapPort);
+  const std::string second = std::string(kIFacialMocapRequest) + "|sendDataVersion=v2";
+  ASSERT_TRUE(publish_until(bridge, [&] {
+    one.send(kIFacialMocapRequest, wanted.answer, kIFacialMocapPort);
+    two.send(second, wanted.answer, kIFacialMocapPort);
+    return bridge.status().targets.size() == 2;
+  }));
+  publish(bridge);
+  const auto last = [](const Receiver& receiver) {
+    const std::vector<std::string> datagrams = receiver.receive();
+    return datagrams.empty() ? std::string() : datagrams.back();
+  };
+  EXPECT_THAT(last(one), HasSubstr("jawOpen-75|"));
+  EXPECT_THAT(last(two), HasSubstr("jawOpen&75|"));
+  one.send(second, wanted.answer, kIFacialMocapPort);
+  EXPECT_TRUE(publish_until(bridge, [&] {
+    const std::vector<std::string> datagrams = one.receive(20ms);
+    return !datagrams.empty() && datagrams.back().find("jawOpen&75|") != std::string::npos;
+  }));
+  EXPECT_EQ(bridge.status().targets.size(), 2U);
+}
+
+TEST(SocketAddresses, AreComparedAsNumbers) {
+  const auto at = [](const char* digits, std::uint16_t port) { return socket_address(digits, port); };
+  EXPECT_TRUE(same_address(at("127.0.0.1", 1), at("127.0.0.1", 1)));
+  EXPECT_FALSE(same_address(at("127.0.0.1", 1), at("127.0.0.1", 2)));
+  EXPECT_TRUE(same_host(at("127.0.0.1", 1), at("127.0.0.1", 2)));
+  EXPECT_FALSE(same_host(at("127.0.0.1", 1), at("127.0.0.2", 1)));
+  EXPECT_TRUE(same_address(at("2001:db8::1", 1), at("2001:db8:0:0:0:0:0:1", 1)));
+  EXPECT_FALSE(same_address(at("2001:db8::1", 1), at("2001:db8::1", 2)));
+  EXPECT_FALSE(same_host(at("2001:db8::1", 1), at("2001:db8::2", 1)));
+  EXPECT_FALSE(same_host(at("::1", 1), at("127.0.0.1", 1)));
+  EXPECT_FALSE(same_address({}, {})) << "of a name that is not found";
+}
+
+/// A socket of IPv6 sends to IPv4 addresses too, which have a count of their own.
+TEST(SocketAddresses, KeptInTheNetworkIsWhatASocketSendsToEither) {
+  const auto option = [](int socket, int level, int name) {
+    int value = -1;
+    socklen_t size = sizeof(value);
+    EXPECT_EQ(::getsockopt(socket, level, name, &value, &size), 0);
+    return value;
+  };
+  for (const int family : {AF_INET, AF_INET6}) {
+    const int socket = ::socket(family, SOCK_DGRAM | SOCK_CLOEXEC, 0);
+    if (socket < 0) {
+      ASSERT_EQ(family, AF_INET6);
+      GTEST_SKIP() << "there is no IPv6 here";
+    }
+    EXPECT_TRUE(keep_in_network(socket, family));
+    EXPECT_EQ(option(socket, IPPROTO_IP, IP_TTL), 1);
+    if (family == AF_INET6) {
+      EXPECT_EQ(option(socket, IPPROTO_IPV6, IPV6_UNICAST_HOPS), 1);
+    }
+    ::close(socket);
+  }
 }
 
 TEST_F(BridgeTargetsTest, WhoAskedAndIsGoneIsForgotten) {

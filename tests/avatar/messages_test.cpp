@@ -5,6 +5,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <fstream>
@@ -29,6 +30,7 @@ namespace {
 using nlohmann::json;
 using test::message;
 using ::testing::ElementsAre;
+using ::testing::HasSubstr;
 
 constexpr float kDegree = std::numbers::pi_v<float> / 180;
 
@@ -75,7 +77,7 @@ class Messages : public ::testing::Test {
   }
   json ifacialmocap(const FaceState& state) const {
     std::vector<std::vector<std::byte>> out(1);
-    write_ifacialmocap(state, out.front());
+    write_ifacialmocap(state, IFacialMocapVersion::V1, out.front());
     return test::decode("ifacialmocap", test::texts(out), folder_.path())[0];
   }
   json vtube_studio(const FaceState& state) const {
@@ -319,7 +321,7 @@ TEST_F(Messages, IFacialMocapIsAsItWasPublished) {
   for (std::size_t i = 0; i < ones.size(); ++i) {
     FaceState one = face({});
     one.values.at(i) = 1;
-    write_ifacialmocap(one, ones[i]);
+    write_ifacialmocap(one, IFacialMocapVersion::V1, ones[i]);
   }
   const json packets = test::decode("ifacialmocap", test::texts(ones), folder_.path());
   std::map<std::string, std::size_t> index_of;
@@ -353,6 +355,22 @@ TEST_F(Messages, IFacialMocapIsAsItWasPublished) {
     }
     EXPECT_EQ(ours["=head"].size(), packet["=head"].size());
   }
+}
+
+TEST_F(Messages, IFacialMocapsSecondVersionDiffersBeforeTheNumbersAlone) {
+  FaceState state = turned(20 * kDegree, 10 * kDegree, -5 * kDegree);
+  state.values.fill(0.25F);
+  std::vector<std::vector<std::byte>> out(2);
+  write_ifacialmocap(state, IFacialMocapVersion::V1, out[0]);
+  write_ifacialmocap(state, IFacialMocapVersion::V2, out[1]);
+  const std::string first = test::texts(out)[0];
+  std::string second = test::texts(out)[1];
+  EXPECT_THAT(first, HasSubstr("mouthSmile_L-25|"));
+  EXPECT_THAT(second, HasSubstr("mouthSmile_L&25|"));
+  EXPECT_EQ(std::count(first.begin(), first.end(), '&'), 0);
+  EXPECT_EQ(std::count(second.begin(), second.end(), '&'), 52);
+  std::replace(second.begin(), second.end(), '&', '-');
+  EXPECT_EQ(second, first);
 }
 
 TEST_F(Messages, IFacialMocapTellsTheHeadInDegreesAndMetres) {
@@ -474,6 +492,20 @@ TEST(BridgeMessages, SayWhatThereIsToSay) {
   state.tracked = false;
   EXPECT_THAT(counts(), ElementsAre(1, 0, 0, 0, 1)) << "VRChat has heard it";
   EXPECT_EQ(&messages.of(BridgeProtocol::Vmc), &messages.of(BridgeProtocol::Vmc));
+}
+
+TEST(BridgeMessages, EachVersionIsWrittenOnce) {
+  BridgeMessages messages("device", "facet", {}, {VmcShapes::PerfectSync, true});
+  messages.begin(face({}), false);
+  const auto* first = &messages.of(BridgeProtocol::IFacialMocap, IFacialMocapVersion::V1);
+  const auto* second = &messages.of(BridgeProtocol::IFacialMocap, IFacialMocapVersion::V2);
+  ASSERT_EQ(first->size(), 1U);
+  ASSERT_EQ(second->size(), 1U);
+  EXPECT_NE(first->front(), second->front());
+  const std::byte* const written = second->front().data();
+  EXPECT_EQ(&messages.of(BridgeProtocol::IFacialMocap), first);
+  EXPECT_EQ(&messages.of(BridgeProtocol::IFacialMocap, IFacialMocapVersion::V2), second);
+  EXPECT_EQ(second->front().data(), written);
 }
 
 }  // namespace

@@ -325,6 +325,39 @@ TEST_F(Exporter, FailedWriteLeavesTheEarlierFile) {
   EXPECT_EQ(files, 1) << "temporary files were left behind";
 }
 
+TEST_F(Exporter, MoreFramesThanAGlbHoldsAreRefusedBeforeTheFirst) {
+  SequenceFrame first;
+  first.mesh = mesh_of(MeshLevel::Coarse);
+  SequenceOptions options;
+  options.file = folder.path() / "a.glb";
+  const auto refused = [&](std::size_t frames, GlbCompression compression) -> std::string {
+    options.timeline.sequences.resize(frames);
+    options.compression = compression;
+    try {
+      open_glb_frames(options, first);
+      return "";
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::Usage);
+      return error.what();
+    }
+  };
+  for (const GlbCompression compression : {GlbCompression::None, GlbCompression::Meshopt}) {
+    EXPECT_EQ(refused(1, compression), "");
+    EXPECT_EQ(refused(20'000, compression), "");
+    EXPECT_THAT(refused(33'000, compression),
+                testing::AllOf(HasSubstr("a.glb"), HasSubstr("--frames"), HasSubstr("usda-frames")));
+  }
+  // The same in larger meshes: 4000 frames of 50,000 vertices.
+  first.mesh.vertices_mm.setZero(3, 50'000);
+  first.mesh.normals.setZero(3, 50'000);
+  first.mesh.texture_coordinates.setZero(2, 50'000);
+  first.mesh.albedo.setZero(3, 50'000);
+  EXPECT_THAT(refused(4000, GlbCompression::None), HasSubstr("4.9 GB"));
+  EXPECT_EQ(refused(3000, GlbCompression::None), "");
+  EXPECT_EQ(refused(4000, GlbCompression::Meshopt), "");
+  EXPECT_TRUE(std::filesystem::is_empty(folder.path())) << "files were left behind";
+}
+
 TEST_F(Exporter, JsonHasEveryPromisedField) {
   const auto json = nlohmann::json::parse(frame_json(frame, 12));
   EXPECT_EQ(json["index"], 12);

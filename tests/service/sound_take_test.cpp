@@ -213,17 +213,23 @@ TEST_F(SoundTake, ThatCannotBeginLeavesNoSound) {
 /// What the remote control of a set is.
 class OscTake : public SoundTake {
  protected:
-  void open(bool with_target = false) {
-    remote_.emplace(OscConfig{"127.0.0.1:0", false},
+  void open(bool with_target = false, const std::string& listen = "127.0.0.1:0") {
+    remote_.emplace(OscConfig{listen, listen != "127.0.0.1:0"},
                     OscRemote::Desk{recording_, folder_.path(),
                                     [this] { return ready_ ? std::optional(config("")) : std::nullopt; },
                                     [this] { return desk_.timecode_now(); }},
                     log_);
     remote_->look_after();
     ASSERT_GE(remote_->fd(), 0);
+    sockaddr_storage own{};
+    socklen_t length = sizeof(own);
+    ASSERT_EQ(::getsockname(remote_->fd(), reinterpret_cast<sockaddr*>(&own), &length), 0);
     sockaddr_in address{};
-    socklen_t length = sizeof(address);
-    ASSERT_EQ(::getsockname(remote_->fd(), reinterpret_cast<sockaddr*>(&address), &length), 0);
+    address.sin_family = AF_INET;
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    address.sin_port = own.ss_family == AF_INET6 ? reinterpret_cast<const sockaddr_in6&>(own).sin6_port
+                                                 : reinterpret_cast<const sockaddr_in&>(own).sin_port;
+    length = sizeof(address);
     ASSERT_EQ(::connect(sender_.get(), reinterpret_cast<sockaddr*>(&address), length), 0);
     if (with_target) {
       address.sin_port = 0;
@@ -296,6 +302,48 @@ TEST_F(OscTake, CountsOnAndNeverTakesANameTwice) {
   }
 }
 
+TEST_F(OscTake, ARefusedStartLeavesTheNumber) {
+  open();
+  send({"/Slate", {std::string("walk")}});
+  // All of it may wait for the disk together, and counts in its order all the same.
+  for (const char* what : {"/RecordStart", "/RecordStart", "/RecordStop", "/RecordStart", "/RecordStart"}) {
+    send({what, {}});
+  }
+  send({"/Take", {7}});
+  send({"/RecordStop", {}});
+  send({"/RecordStart", {}});
+  send({"/RecordStop", {}});
+  for (const char* expected : {"walk_1.take", "walk_2.take", "walk_7.take"}) {
+    EXPECT_EQ(answer(sender_).address, "/RecordStartConfirm");
+    const OscMessage ended = answer(sender_);
+    ASSERT_EQ(ended.arguments.size(), 3U);
+    EXPECT_EQ(std::get<std::string>(ended.arguments[1]), expected);
+  }
+}
+
+TEST_F(OscTake, ASlateThatIsNoUtf8MakesANameAndANoteThatAre) {
+  open();
+  send({"/RecordStart", {std::string("M\xFCller"), 3}});
+  EXPECT_EQ(answer(sender_).address, "/RecordStartConfirm");
+  deliver(0, kBegin_ns);
+  send({"/RecordStop", {}});
+  const OscMessage ended = answer(sender_);
+  ASSERT_EQ(ended.arguments.size(), 3U);
+  EXPECT_EQ(std::get<std::string>(ended.arguments[1]), "M_ller_3.take");
+  EXPECT_EQ(info_of("M_ller_3").notes.scene, "M_ller");
+}
+
+TEST_F(OscTake, AtAllAddressesTheSenderOfIpv4IsItself) {
+  if (!stream::FileDescriptor(::socket(AF_INET6, SOCK_DGRAM | SOCK_CLOEXEC, 0))) {
+    GTEST_SKIP() << "there is no IPv6 here";
+  }
+  open(true, "[::]:0");
+  send({"/OSCSetSendTarget", {std::string("127.0.0.1"), static_cast<std::int32_t>(target_port_)}});
+  EXPECT_EQ(answer(target_).address, "/OSCSetSendTargetConfirm");
+  send({"/RecordStart", {std::string("a"), 1}});
+  EXPECT_EQ(answer(target_).address, "/RecordStartConfirm");
+}
+
 TEST_F(OscTake, SaysNothingOfWhatItDoesNotDo) {
   open(true);
   // Answers for somebody else, no OSC, what has no sense, what can't be now.
@@ -360,7 +408,23 @@ TEST(OscMessage, ASlateMakesANameThatATakeCanHave) {
   EXPECT_EQ(slate_take_name("a/b\n", 12), "a_b__12");
   EXPECT_EQ(slate_take_name("..", 1), "_._1");
   EXPECT_EQ(slate_take_name("", 1), "");
+  EXPECT_EQ(slate_take_name("M\xFCller", 3), "M_ller_3");
+  EXPECT_EQ(slate_take_name(std::string(200, '\xBF'), 3), std::string(80, '_') + "_3");
   EXPECT_NO_THROW(take::named_take("/tmp", slate_take_name(std::string(5000, 'x'), -2'147'483'647)));
+}
+
+TEST(OscMessage, EachByteThatIsNoUtf8IsReplaced) {
+  for (const char* sound : {"", "walk", "M\xC3\xBCller", "\xE2\x82\xAC", "\xED\x9F\xBF\xEE\x80\x80",
+                            "\xF0\x9F\x8E\xAC\xF4\x8F\xBF\xBF"}) {
+    EXPECT_EQ(as_utf8(sound), sound);
+  }
+  EXPECT_EQ(as_utf8("M\xFCller"), "M_ller");
+  EXPECT_EQ(as_utf8("\xC3"), "_") << "cut off";
+  EXPECT_EQ(as_utf8("\xE2\x82|"), "__|");
+  EXPECT_EQ(as_utf8("\xF0\x9F\x8E"), "___");
+  EXPECT_EQ(as_utf8("\xC0\xAF\xE0\x80\xAF\xF0\x80\x80\xAF"), "_________") << "longer than need be";
+  EXPECT_EQ(as_utf8("\xED\xA0\x80\xF4\x90\x80\x80\xFF"), "________") << "a half, beyond the last, never";
+  EXPECT_EQ(as_utf8(std::string_view("a\0b", 3)), std::string_view("a\0b", 3));
 }
 
 }  // namespace

@@ -275,7 +275,9 @@ TEST_F(TakeMethods, TheBinIsEmptiedAfterAWeek) {
   result("takes.delete", {{"name", "new"}});
   fs::create_directories(file(".cutting"));
   desk_.start();
-  desk_.look_after();
+  desk_.look_after(Clock::now() + std::chrono::minutes(59));
+  EXPECT_EQ(result("takes.deleted")["takes"].size(), 2U) << "the clock may have to be set first";
+  desk_.look_after(Clock::now() + std::chrono::minutes(61));
   const auto end = std::chrono::steady_clock::now() + kPatience;
   while (std::chrono::steady_clock::now() < end &&
          (names(file(".deleted")).size() > 1 || fs::exists(file(".cutting")))) {
@@ -285,6 +287,29 @@ TEST_F(TakeMethods, TheBinIsEmptiedAfterAWeek) {
   EXPECT_EQ(names(file(".deleted")).size(), 1U);
   EXPECT_FALSE(fs::exists(file(".cutting"))) << "left by a process that was killed while it cut";
   EXPECT_EQ(result("takes.deleted")["takes"][0]["name"], "new");
+}
+
+TEST_F(TakeMethods, WhatAKilledDaemonHadHalfDeletedIsThereAgain) {
+  record("half", 4);
+  std::ofstream(file("half.basis")) << "made of it";
+  const fs::path folder = file(".deleted/1700000000000");  // longer ago than takes are kept
+  fs::create_directories(folder);
+  fs::rename(file("half.basis"), folder / "half.basis");
+  const auto move = [&](const char* part) {
+    return file(part).string() + '\0' + (folder / part).string() + '\0';
+  };
+  std::ofstream(file(".moves")) << move("half.basis") + move("half.take");
+  desk_.start();
+  desk_.look_after(Clock::now() + std::chrono::minutes(61));
+  const auto end = std::chrono::steady_clock::now() + kPatience;
+  while (std::chrono::steady_clock::now() < end && fs::exists(folder)) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(2));
+  }
+  desk_.stop();
+  EXPECT_FALSE(fs::exists(folder));
+  EXPECT_TRUE(fs::exists(file("half.basis")));
+  EXPECT_EQ(listed("half")["frames"], 4);
+  EXPECT_FALSE(fs::exists(file(".moves")));
 }
 
 TEST_F(TakeMethods, NotesAndSlateStandInTheList) {

@@ -3,10 +3,13 @@
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include <fstream>
 
 #include "facet/error.hpp"
+#include "files/disk.hpp"
 #include "record_take.hpp"
 #include "support/paths.hpp"
 #include "take/cutting.hpp"
@@ -214,14 +217,56 @@ TEST_F(CuttingTest, MovesAllOrNothing) {
   const auto moves = moves_of_take(file("whole"), file("other"));
   EXPECT_EQ(moves.back().from, file("whole")) << "its file last";
   std::ofstream(folder_.path() / "other.basis") << "another's";
-  EXPECT_THAT(error_of([&] { move_all(moves); }), HasSubstr("other.basis' is there already"));
+  const fs::path journal = folder_.path() / ".moves";
+  EXPECT_THAT(error_of([&] { move_all(moves, journal); }), HasSubstr("other.basis' is there already"));
   EXPECT_THAT(names(), testing::UnorderedElementsAre("whole.take", "whole.frames", "whole.keys.json",
                                                      "whole.basis", "whole.flac", "other.basis"));
   fs::remove(folder_.path() / "other.basis");
-  move_all(moves);
+  move_all(moves, journal);
   EXPECT_THAT(names(), testing::UnorderedElementsAre("other.take", "other.frames", "other.keys.json",
                                                      "other.basis", "other.flac"));
   EXPECT_TRUE(test::same_pictures(*TakeReader(file("other")).frame(1)->images));
+}
+
+/// Ends the process at the rename of this number; the journal's own is the first.
+class DeadlyDisk final : public files::Disk {
+ public:
+  explicit DeadlyDisk(int deadly) : left_(deadly) {}
+  int rename(const char* from, const char* to, unsigned flags) override {
+    if (left_-- == 0) {
+      ::_exit(0);
+    }
+    return Disk::rename(from, to, flags);
+  }
+
+ private:
+  int left_;
+};
+
+TEST_F(CuttingTest, WhatACrashLeavesHalfMovedIsMovedBack) {
+  test::record_pictures(test::picture_config(file("whole")), 2);
+  std::ofstream(folder_.path() / "whole.basis") << "made of it";
+  std::ofstream(folder_.path() / "whole.flac") << "sound";
+  const fs::path journal = folder_.path() / ".moves";
+  const auto before = names();
+  const auto moves = moves_of_take(file("whole"), file("other"));
+  for (int renames = 0; renames < static_cast<int>(moves.size()); ++renames) {
+    SCOPED_TRACE(renames);
+    const pid_t child = ::fork();
+    if (child == 0) {
+      DeadlyDisk disk(renames);
+      const files::InstalledDisk installed(disk);
+      move_all(moves, journal);
+      ::_exit(1);
+    }
+    int status = 0;
+    ASSERT_EQ(::waitpid(child, &status, 0), child);
+    ASSERT_EQ(status, 0) << "it was to end while it moved";
+    EXPECT_EQ(fs::exists(folder_.path() / "whole.frames"), renames < 2);
+    EXPECT_EQ(undo_moves(journal), renames > 0);
+    EXPECT_THAT(names(), testing::UnorderedElementsAreArray(before));
+    EXPECT_FALSE(undo_moves(journal)) << "once";
+  }
 }
 
 TEST(Renumber, ChangesTheNumberAlone) {
