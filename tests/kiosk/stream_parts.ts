@@ -3,6 +3,7 @@ import * as flatbuffers from 'flatbuffers';
 import { Body } from '../../clients/kiosk/generated/facet/stream/wire/body';
 import { Frame } from '../../clients/kiosk/generated/facet/stream/wire/frame';
 import { Message } from '../../clients/kiosk/generated/facet/stream/wire/message';
+import { Origin } from '../../clients/kiosk/generated/facet/stream/wire/origin';
 import { Subject } from '../../clients/kiosk/generated/facet/stream/wire/subject';
 import { meshOf } from '../../clients/kiosk/source/meshes';
 import { Rebuilder, applyRows, normalsOf } from '../../clients/kiosk/source/rebuild';
@@ -12,8 +13,8 @@ export { applyRows, normalsOf };
 /** Of the messages, as they came: the last mesh of a frame by each way, with its number; what the last frame says. */
 export function read(messages: Uint8Array[]) {
   let rebuilder: Rebuilder | null = null;
-  const found: { whole: ReturnType<typeof meshOf>; rebuilt: ReturnType<typeof meshOf>; image: { width: number; height: number } | null; landmarks: { x: number; y: number }[]; camera: { width: number; height: number } | null } =
-    { whole: null, rebuilt: null, image: null, landmarks: [], camera: null };
+  const found: { whole: ReturnType<typeof meshOf>; rebuilt: ReturnType<typeof meshOf>; image: { width: number; height: number } | null; landmarks: { x: number; y: number }[]; camera: { width: number; height: number } | null; takeTime_s: number | null } =
+    { whole: null, rebuilt: null, image: null, landmarks: [], camera: null, takeTime_s: null };
   for (const bytes of messages) {
     const message = Message.getRootAsMessage(new flatbuffers.ByteBuffer(new Uint8Array(bytes)));
     if (message.bodyType() === Body.Subject) {
@@ -27,6 +28,7 @@ export function read(messages: Uint8Array[]) {
       }
       const image = frame.frameSet()?.images(0);
       found.image = image?.pixelsArray() ? { width: image.widthPx(), height: image.heightPx() } : null;
+      found.takeTime_s = frame.origin() === Origin.Take ? Number(frame.mediaTimeNs()) / 1e9 : null;
       const camera = frame.camera();
       found.camera = camera ? { width: camera.widthPx(), height: camera.heightPx() } : null;
       found.landmarks = Array.from({ length: frame.landmarksPxLength() }, (_, i) => ({ x: frame.landmarksPx(i)!.xPx(), y: frame.landmarksPx(i)!.yPx() }));

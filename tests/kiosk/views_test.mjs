@@ -177,7 +177,10 @@ await runTest(service, chromiumFile, async (browser, step) => {
   await page.getByRole('button', { name: 'Replay take actor' }).click();
   await eventually('the replay', async () => (await studio()).state === 'ready' && (await studio()).shown === 'take');
   await page.locator('#blend').waitFor({ state: 'hidden' }); // what is shown is not what the camera sees
+  await eventually('the replay\'s first frame', () => read(messages).takeTime_s !== null);
+  const begun_s = read(messages).takeTime_s;
   await service.ask('studio.seek', { what: 'take', time_s: 1 });
+  await eventually('the frame that was looked for', () => read(messages).takeTime_s !== begun_s);
   messages.length = 0;
   await page.getByRole('button', { name: 'Shaded' }).click();
   const whole = await eventually('the whole mesh', () => { const { whole: mesh } = read(messages); return mesh; });
