@@ -133,7 +133,7 @@ std::vector<fit::Correspondence> landmarks_in_space(std::span<const SeenLandmark
       };
       const Eigen::Vector3d normal = (corner(1) - corner(0)).cross(corner(2) - corner(0)).normalized();
       const double facing = std::abs(normal.dot(ray));
-      if (facing >= kLeastFacing) {
+      if (facing >= kLeastFacing || view.by_hand) {
         sights.push_back({origin + static_cast<double>(hit.distance_mm) * ray, confidence * facing * facing});
       }
     }

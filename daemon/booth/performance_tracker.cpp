@@ -163,7 +163,7 @@ std::vector<SeenLandmarks> PerformanceTracker::Impl::find_landmarks(mesh::MeshFr
   for (View& view : views) {
     const landmark::LandmarkResult& result = view.landmarker.process(pictures[at++]);
     if (result.found) {
-      seen.push_back({&view.camera->lens, &result.face});
+      seen.push_back({&view.camera->lens, &result.face, false});
     }
     if (result.found && &view == &views.front()) {
       for (Eigen::Index i = 0; i < result.face.points_px.cols(); ++i) {
@@ -179,7 +179,7 @@ std::vector<SeenLandmarks> PerformanceTracker::Impl::pointed_at() const {
   std::vector<SeenLandmarks> seen;
   for (const FacePoints::Camera& camera : points->cameras) {
     const std::size_t at = capture::find_camera(*rig, camera.name).value();  // looked for at the start
-    seen.push_back({&rig->cameras[at].lens, &camera.face});
+    seen.push_back({&rig->cameras[at].lens, &camera.face, true});
   }
   return seen;
 }
