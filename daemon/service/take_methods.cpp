@@ -19,6 +19,7 @@
 #include "sound/sound_export.hpp"
 #include "take/closing.hpp"
 #include "take/cutting.hpp"
+#include "take/moving.hpp"
 #include "take/notes.hpp"
 #include "take/reader.hpp"
 #include "take/recorder.hpp"
