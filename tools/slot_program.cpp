@@ -1,41 +1,15 @@
 #include "slot_program.hpp"
 
-#include <fmt/format.h>
-
 #include <algorithm>
+#include <iterator>
 #include <limits>
-#include <sstream>
-
-#include "facet/error.hpp"
+#include <string>
+#include <utility>
 
 namespace facet::tools {
 
-std::vector<std::uint8_t> parse_slot_program(const std::string& text) {
-  std::vector<std::uint8_t> program;
-  std::istringstream words(text);
-  for (std::string word; std::getline(words, word, ',');) {
-    const auto first = word.find_first_not_of(' ');
-    word = first == std::string::npos ? "" : word.substr(first, word.find_last_not_of(' ') + 1 - first);
-    if (word.empty()) {
-      program.clear();
-      break;
-    }
-    program.push_back(word == "blank" ? 0 : 1);
-  }
-  const auto lit = std::count(program.begin(), program.end(), std::uint8_t{1});
-  if (lit == 0 || lit == std::ssize(program)) {
-    throw Error(
-        ErrorKind::Usage,
-        fmt::format("--program {}: name what each slot shows, such as stripes,stripes,blank, with one "
-                    "blank slot at least and one that is not",
-                    text));
-  }
-  return program;
-}
-
-ProgramStart find_program_start(const std::vector<double>& unevenness,
-                                const std::vector<std::uint8_t>& program) {
-  /// A start counts where its blank slots are this much more even than those of every other start.
+ProgramStart find_program_start(const std::vector<double>& unevenness, const capture::SlotProgram& program) {
+  /// A start counts where its blank slots are this much more even than in every other start.
   constexpr double kClearly = 0.85;
   ProgramStart best;
   best.even = std::numeric_limits<double>::infinity();
@@ -45,9 +19,10 @@ ProgramStart find_program_start(const std::vector<double>& unevenness,
     double counts[2] = {0, 0};
     for (std::size_t slot = 0; slot < unevenness.size(); ++slot) {
       if (unevenness[slot] > 0) {
-        const std::uint8_t lit = program[(slot + first) % program.size()];
-        sums[lit] += unevenness[slot];
-        counts[lit] += 1;
+        const bool striped =
+            capture::light_of_slot(program, slot + first).kind == capture::SlotLight::Kind::Stripes;
+        sums[striped ? 1 : 0] += unevenness[slot];
+        counts[striped ? 1 : 0] += 1;
       }
     }
     if (counts[0] == 0 || counts[1] == 0) {
@@ -61,6 +36,33 @@ ProgramStart find_program_start(const std::vector<double>& unevenness,
   }
   best.told = best.even < kClearly && best.even < kClearly * second;
   return best;
+}
+
+std::optional<capture::SlotProgram> recorded_program(take::TakeReader& take,
+                                                     const std::vector<std::int64_t>& slots) {
+  constexpr std::size_t kLookedAt = 64;
+  std::vector<std::pair<std::uint64_t, std::string>> words;
+  for (std::size_t i = 0; i < std::min(slots.size(), kLookedAt); ++i) {
+    const auto frame = take.frame(slots[i], take::Pictures::Described);
+    if (frame->images == nullptr || frame->images->light.empty()) {
+      return {};
+    }
+    words.emplace_back(frame->sequence, frame->images->light);
+  }
+  for (std::size_t period = 2; period <= words.size(); ++period) {
+    std::vector<std::string> program(period);
+    const bool follows = std::all_of(words.begin(), words.end(), [&](const auto& slot) {
+      std::string& word = program[slot.first % period];
+      word = word.empty() ? slot.second : word;
+      return word == slot.second;
+    });
+    if (follows && std::find(program.begin(), program.end(), std::string()) == program.end()) {
+      capture::SlotProgram found;
+      std::transform(program.begin(), program.end(), std::back_inserter(found), capture::parse_slot_light);
+      return capture::makes_meshes(found) ? std::optional(found) : std::nullopt;
+    }
+  }
+  return {};
 }
 
 }  // namespace facet::tools

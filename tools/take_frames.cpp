@@ -47,4 +47,26 @@ void warn_of_varying_rate(const exports::Timeline& timeline, const std::string& 
   }
 }
 
+std::vector<std::int64_t> slots_of(take::TakeReader& take, const pipeline::FrameRange& range) {
+  std::vector<std::int64_t> found;
+  for (std::int64_t i = 0; i < take.frame_count(); ++i) {
+    const std::uint64_t slot = take.entry(i).sequence;
+    if (slot >= range.first && slot < range.end) {
+      found.push_back(i);
+    }
+  }
+  if (found.empty()) {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("'{}' has no slot in the range asked for: choose another with --frames",
+                            take.info().file.string()));
+  }
+  if (take.frame(found.front())->images == nullptr) {
+    throw Error(ErrorKind::UnreadableInput,
+                fmt::format("'{}' holds no pictures: record in mode \"booth\" (record = \"pictures\") or "
+                            "\"frames\"",
+                            take.info().file.string()));
+  }
+  return found;
+}
+
 }  // namespace facet::tools

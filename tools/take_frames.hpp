@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "exports/export.hpp"
+#include "pipeline/frame_range.hpp"
 #include "take/reader.hpp"
 
 namespace facet::tools {
@@ -24,5 +25,9 @@ exports::Timeline timeline_of(take::TakeReader& take, const std::vector<std::int
 /// Warns on standard error where the source's rate varies: for what holds a frame for each of the source's
 /// without its time. output: the file or folder that is written.
 void warn_of_varying_rate(const exports::Timeline& timeline, const std::string& output);
+
+/// Indices of the slots of a range that a take has. Throws Error(UnreadableInput) where it has none of them,
+/// or no pictures.
+std::vector<std::int64_t> slots_of(take::TakeReader& take, const pipeline::FrameRange& range);
 
 }  // namespace facet::tools

@@ -66,7 +66,9 @@ struct PerformanceTracker::Impl {
   std::list<View> views;          ///< colour cameras
 
   std::optional<FacePoints> points;
-  std::unique_ptr<BoothShading> shading;         ///< null: none
+  std::unique_ptr<BoothShading> shading;  ///< null: none
+  PhotometricStereo photometric;
+  mesh::Vertices before_mm;  ///< [3][vertex_count] of the blank slot before, where it was followed from there
   std::shared_ptr<const mesh::Subject> subject;  ///< null: nobody is followed
   std::uint32_t subject_count = 0;
   Eigen::Matrix3Xd rest_mm;             ///< [3][vertex_count] the person in the first slot, head frame
@@ -91,7 +93,7 @@ struct PerformanceTracker::Impl {
   std::string follow(std::span<const capture::DepthMap> maps);
   void begin_subject();
   void fit_fine(std::span<const capture::DepthMap> maps, const mesh::Vertices& vertices_mm);
-  void shade(mesh::MeshFrame& out);
+  void shade(const FrameSet& set, std::span<const LitSlot> lit, bool followed, mesh::MeshFrame& out);
   void fill_fine(const mesh::Vertices& vertices_mm, mesh::MeshFrame& out);
   void paint(mesh::MeshFrame& out);
   void fill(const mesh::Vertices& vertices_mm, const Eigen::VectorXd& expression, mesh::MeshFrame& out);
@@ -110,7 +112,8 @@ PerformanceTracker::Impl::Impl(std::shared_ptr<const face::FaceModel> given_mode
       skin(surface, colour_lenses(*rig), given_options),
       fine(model->control, surface),
       points(std::move(given_points)),
-      shading(std::move(given_shading)) {
+      shading(std::move(given_shading)),
+      photometric(rig, {}) {
   render::require_embree();  // for landmarks in space
   mesh::Vertices control_mm;
   model->evaluate({}, {}, control_mm);
@@ -243,6 +246,7 @@ void PerformanceTracker::Impl::begin_subject() {
   if (shading != nullptr) {
     shading->begin(*fine.hierarchy(), *surface, *model);
   }
+  photometric.begin(fine.hierarchy(), *surface);
 }
 
 /// Returns why there is no mesh in this slot; empty where there is one.
@@ -258,11 +262,16 @@ void PerformanceTracker::Impl::fit_fine(std::span<const capture::DepthMap> maps,
 }
 
 /// What the blank slot's pictures add to them.
-void PerformanceTracker::Impl::shade(mesh::MeshFrame& out) {
-  if (shading == nullptr) {
-    return;
+void PerformanceTracker::Impl::shade(const FrameSet& set, std::span<const LitSlot> lit, bool followed,
+                                     mesh::MeshFrame& out) {
+  std::string missing;
+  if (!lit.empty() && followed) {
+    missing = photometric.refine(set, lit, before_mm, skin.vertices_mm(), displacements_mm, shading_mm);
+  } else if (shading != nullptr) {
+    missing = shading->refine(pictures, skin.vertices_mm(), displacements_mm, shading_mm);
+  } else {
+    shading_mm.clear();
   }
-  const std::string missing = shading->refine(pictures, skin.vertices_mm(), displacements_mm, shading_mm);
   if (!missing.empty()) {
     out.degraded = true;
     out.degraded_reason += (out.degraded_reason.empty() ? "" : "; ") + missing;
@@ -349,11 +358,14 @@ std::optional<double> PerformanceTracker::strain(const FrameSet& set,
 }
 
 void PerformanceTracker::process(const FrameSet& set, std::span<const capture::DepthMap> maps,
-                                 mesh::MeshFrame& out) {
+                                 mesh::MeshFrame& out, std::span<const LitSlot> lit) {
   Impl& impl = *impl_;
   out.camera = capture::pinhole_of(impl.views.front().camera->lens);
   out.control_vertices_mm.resize(3, 0);
   impl.take_pictures(set);
+  if (impl.subject != nullptr) {
+    impl.before_mm = impl.skin.vertices_mm();
+  }
   const Clock::time_point begun = Clock::now();
   std::string missing;
   bool followed = impl.subject != nullptr && !impl.lost;
@@ -375,7 +387,7 @@ void PerformanceTracker::process(const FrameSet& set, std::span<const capture::D
       impl.shading->restart();
     }
     impl.fit_fine(maps, impl.skin.vertices_mm());
-    impl.shade(out);
+    impl.shade(set, lit, followed, out);
     impl.fill_fine(impl.skin.vertices_mm(), out);
     out.stage_ms.displacement_ms = ms_since(fine_begun);
     impl.paint(out);

@@ -9,6 +9,7 @@
 
 #include "booth/booth_shading.hpp"
 #include "booth/face_points.hpp"
+#include "booth/photometric.hpp"
 #include "capture/depth_map.hpp"
 #include "capture/rig.hpp"
 #include "face/face_model.hpp"
@@ -40,7 +41,9 @@ class PerformanceTracker {
   /// The next blank slot, in order of time, or against it while nothing is handed out. set: frames in the
   /// rig's order. maps: [pairs] of that slot. out: state, subject, pose, expression and vertices, as seen by
   /// the rig's first colour camera; the times of landmarks and fit. Says in degraded_reason what was missing.
-  void process(const FrameSet& set, std::span<const capture::DepthMap> maps, mesh::MeshFrame& out);
+  /// lit: slots between the blank slot before and this one that known lights lit.
+  void process(const FrameSet& set, std::span<const capture::DepthMap> maps, mesh::MeshFrame& out,
+               std::span<const LitSlot> lit = {});
 
   /// A slot with stripes between the last two that `process` was given, after the later one. fraction: of the
   /// time from the one to the other; not between 0 and 1: no blank slot has come after it, and there is no

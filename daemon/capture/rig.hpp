@@ -54,6 +54,15 @@ struct RigProjector {
   Lens lens;
 };
 
+/// A lamp that is small beside its distance from the face, bare or behind a diffuser.
+struct RigLight {
+  std::string name;  ///< unique among lights and projectors; as in a trigger program's slots
+  Eigen::Vector3d position_mm{0, 0, 0};  ///< rig frame
+  /// Light that it gives skin 1 m away which faces it, of a projector's white where the projectors' axes
+  /// meet. What is nearly right will do: strengths are found again on the face.
+  double strength = 1;
+};
+
 /// Two cameras whose pictures make one depth map, in the left one's frame. Indices into Rig::cameras.
 struct StereoPair {
   std::size_t left = 0;
@@ -65,6 +74,7 @@ struct Rig {
   std::vector<RigCamera> cameras;
   std::vector<StereoPair> pairs;
   std::vector<RigProjector> projectors;
+  std::vector<RigLight> lights;
 };
 
 /// The pinhole of a lens, its distortion left out.

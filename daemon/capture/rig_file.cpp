@@ -25,6 +25,7 @@ constexpr double kMostDistortion = 1e3;
 constexpr double kMostDistance_mm = 1e6;
 constexpr std::size_t kMaxName = 128;
 constexpr std::size_t kMaxProjectors = 16;
+constexpr std::size_t kMaxLights = 16;
 /// The largest element of R R^T - I, and of |q| - 1. Written by write_rig it is 1e-15; a matrix that was
 /// typed with seven digits passes.
 constexpr double kMostSkew = 1e-6;
@@ -153,6 +154,25 @@ void read_projector(TomlSection& section, Rig& rig) {
   }
 }
 
+void read_light(TomlSection& section, Rig& rig) {
+  RigLight light;
+  light.name = read_name(section);
+  constexpr std::array kNeeded = {"name", "position_mm"};
+  section.require(kNeeded);
+  std::array<double, 3> position{};
+  section.read_numbers("position_mm", position, -kMostDistance_mm, kMostDistance_mm);
+  light.position_mm << position[0], position[1], position[2];
+  section.read_number("strength", light.strength, 1e-3, 1e3);
+  section.finish();
+  if (section.given() && index_of(rig.projectors, light.name)) {
+    section.fail(section.node(), "name",
+                 fmt::format("there is a projector '{}': it is a light by its own name", light.name));
+  }
+  if (section.given()) {
+    add_unique(section, rig.lights, light, kMaxLights, "light");
+  }
+}
+
 std::size_t read_pair_side(TomlSection& section, const char* side, const Rig& rig) {
   std::string name;
   section.read(side, name);
@@ -194,6 +214,9 @@ void read_all(files::TomlDocument& document, Rig& rig) {
   }
   for (TomlSection& projector : root.sections("projector")) {
     read_projector(projector, rig);
+  }
+  for (TomlSection& light : root.sections("light")) {
+    read_light(light, rig);
   }
   root.finish();
   if (rig.cameras.empty()) {
@@ -276,6 +299,11 @@ std::string format_rig(const Rig& rig) {
   for (const RigProjector& projector : rig.projectors) {
     fmt::format_to(out, "\n[[projector]]\n");
     format_lens(text, projector.name, projector.lens);
+  }
+  for (const RigLight& light : rig.lights) {
+    fmt::format_to(out, "\n[[light]]\nname = {}\nposition_mm = {}\nstrength = {}\n", quoted(light.name),
+                   numbers({light.position_mm.x(), light.position_mm.y(), light.position_mm.z()}),
+                   number(light.strength));
   }
   return fmt::to_string(text);
 }

@@ -60,6 +60,7 @@ Json frame_set_json(const FrameSet& set) {
   return {{"slot", set.slot},
           {"trigger_ns", set.trigger_ns},
           {"skew_ns", set.skew_ns},
+          {"light", set.light.empty() ? Json() : Json(set.light)},
           {"missing", std::move(missing)},
           {"images", std::move(images)}};
 }

@@ -1,10 +1,9 @@
 #pragma once
 
-#include <cstdint>
 #include <filesystem>
 #include <string>
-#include <vector>
 
+#include "capture/slot_program.hpp"
 #include "fit/skin_tracker.hpp"
 #include "stereo/rectification.hpp"
 
@@ -15,9 +14,12 @@ struct BoothConfig {
   std::filesystem::path rig_file;
   /// Along the pairs' viewing directions. 0 to 0: around the point that the pairs look at (depth_range).
   stereo::DepthRange depths;
-  /// Of the trigger's slots, again and again: 1 where the projectors show stripes, 0 in a blank one, which
-  /// gets a mesh by what its pictures show. At least one of either.
-  std::vector<std::uint8_t> stripes = {1, 1, 0};
+  /// What lights the trigger's slots, again and again, where a slot does not say it itself
+  /// (FrameSet::light). A blank one gets a mesh by what its pictures show.
+  capture::SlotProgram program = capture::standard_program();
+  bool program_rules = false;  ///< even where a slot says otherwise of itself
+  /// Photometric stereo where slots are lit by known lights (booth::PhotometricStereo).
+  bool lights = true;
   /// A mesh for every slot, not for blank ones alone: slots with stripes get theirs once the blank slot after
   /// them has its own.
   bool every_slot = false;

@@ -37,19 +37,23 @@ constexpr std::ptrdiff_t kMostAhead = 24;
 /// A slot so much calmer than the first is worth the way to it (PerformanceTracker::strain).
 constexpr double kCalmer = 0.25;
 
+/// So many lit slots wait for the blank slot after them: more are there only where none comes.
+constexpr std::size_t kMostLit = 64;
+
 /// The rig is looked at in one of so many blank slots.
 constexpr std::uint64_t kCheckPeriod = 5;
 
 struct RunSlot {
   SetPointer set;  ///< null: missing
-  bool stripes = true;
+  capture::SlotLight::Kind kind = capture::SlotLight::Kind::Stripes;
   bool wanted = false;
 };
 
 struct Run {
   std::uint64_t first_slot = 0;
-  std::vector<RunSlot> slots;  ///< consecutive
-  Clock::time_point complete;  ///< when its last slot came
+  std::vector<RunSlot> slots;   ///< consecutive
+  std::vector<SetPointer> lit;  ///< lit by known lights, before the last slot that is wanted; no run had them
+  Clock::time_point complete;   ///< when its last slot came
 
   std::size_t wanted() const {
     return static_cast<std::size_t>(
@@ -62,7 +66,8 @@ struct Seen {
   SetPointer given;                     ///< as it was delivered
   SetPointer set;                       ///< in the rig's order
   std::vector<capture::DepthMap> maps;  ///< [pairs]
-  bool stripes = false;
+  bool blank = true;
+  std::vector<SetPointer> lit;  ///< blank: the slots before it that known lights lit, in the rig's order
   std::string wrong;
   float depth_ms = 0;
   Clock::time_point complete;
@@ -71,7 +76,7 @@ struct Seen {
 /// From the first slot that gets a mesh by a run to the last.
 std::size_t reach_of_run(const BoothParts& stages) {
   const auto blanks = static_cast<std::size_t>(stages.blanks_per_run);
-  return stages.every_slot ? blanks * stages.stripes.size() - 1 : (blanks - 1) * stages.stripes.size();
+  return stages.every_slot ? blanks * stages.program.size() - 1 : (blanks - 1) * stages.program.size();
 }
 
 }  // namespace
@@ -81,9 +86,7 @@ void check(const BoothConfig& config) {
     throw Error(ErrorKind::Usage,
                 "rig.file is missing: name the file that `facet calibrate` wrote (docs/booth.md)");
   }
-  const auto stripes = static_cast<std::size_t>(std::count_if(config.stripes.begin(), config.stripes.end(),
-                                                              [](std::uint8_t slot) { return slot != 0; }));
-  if (stripes == 0 || stripes == config.stripes.size()) {
+  if (!capture::makes_meshes(config.program)) {
     throw Error(ErrorKind::Usage,
                 "trigger.patterns must have slots with projector lines (for depth) and blank ones, [] (for "
                 "texture), such as [[\"stripes.a\"], [\"stripes.b\"], []]");
@@ -99,7 +102,9 @@ BoothParts open_booth(const BoothConfig& config, int blanks_per_run) {
   check(config);
   BoothParts stages;
   stages.rig = std::make_shared<const capture::Rig>(capture::read_rig(config.rig_file));
-  stages.stripes = config.stripes;
+  stages.program = config.program;
+  stages.program_rules = config.program_rules;
+  stages.lights = config.lights;
   stages.every_slot = config.every_slot;
   stages.blanks_per_run = blanks_per_run;
   const auto model = std::make_shared<const face::FaceModel>(face::FaceModel::load(config.model_file));
@@ -156,6 +161,7 @@ struct BoothMeshes::Impl {
   std::deque<RunSlot> window;    ///< the last slots, consecutive
   std::uint64_t first_slot = 0;  ///< of the window
   std::size_t wanted = 0;        ///< slots in it that get a mesh and that no run has taken
+  std::deque<SetPointer> lit;    ///< lit by known lights, that no run has taken
 
   // facet-depth only.
   std::vector<std::size_t> rig_from_set;  ///< [rig cameras] the frame in a set
@@ -164,7 +170,7 @@ struct BoothMeshes::Impl {
   // facet-perform only.
   FramePool pool;
   std::vector<Seen> ahead;         ///< the first ones of a recording, until enough are there
-  std::deque<Seen> waiting;        ///< with stripes, for the blank slot after them
+  std::deque<Seen> waiting;        ///< not blank, for the blank slot after them
   std::int64_t last_blank_ns = 0;  ///< time of the last blank slot
   std::uint32_t subjects = 0;
   std::uint64_t subject_id = 0;
@@ -176,7 +182,7 @@ struct BoothMeshes::Impl {
   void note_device() {
     board.change([this](PipelineStatus& shown) { shown.device = stages.depth->device(); });
   }
-  bool is_stripes(std::uint64_t slot) const { return stages.stripes[slot % stages.stripes.size()] != 0; }
+  capture::SlotLight light_of(std::uint64_t slot, const SetPointer& set) const;
   void add(std::uint64_t slot, SetPointer set);
   void hand_on(bool at_end);
   void find_depth();
@@ -188,6 +194,7 @@ struct BoothMeshes::Impl {
   void begin_with_calmest();
   void perform(Seen& item);
   void perform_waiting(std::int64_t blank_ns);
+  std::vector<booth::LitSlot> lit_before(const Seen& item) const;
   std::shared_ptr<mesh::MeshFrame> begin_frame(const Seen& item);
   void hand_out(const Seen& item, const std::shared_ptr<mesh::MeshFrame>& frame);
   void check_rig(const FrameSet& set, mesh::MeshFrame& frame);
@@ -201,11 +208,24 @@ void BoothMeshes::Impl::fail(ErrorKind kind, const std::string& what) {
   seen.close();
 }
 
+/// What a slot says of its light, or the program.
+capture::SlotLight BoothMeshes::Impl::light_of(std::uint64_t slot, const SetPointer& set) const {
+  const bool says = set != nullptr && !set->light.empty() && !stages.program_rules;
+  return says ? capture::parse_slot_light(set->light) : capture::light_of_slot(stages.program, slot);
+}
+
 void BoothMeshes::Impl::add(std::uint64_t slot, SetPointer set) {
   RunSlot& one = window.emplace_back();
-  one.stripes = is_stripes(slot);
+  using Kind = capture::SlotLight::Kind;
+  one.kind = light_of(slot, set).kind;
+  if (one.kind == Kind::Lit && set != nullptr && stages.lights) {
+    lit.push_back(set);
+    if (lit.size() > kMostLit) {
+      lit.pop_front();
+    }
+  }
   const auto has_picture = [](const Frame& picture) { return !picture.empty(); };
-  one.wanted = (!one.stripes || stages.every_slot) && set != nullptr &&
+  one.wanted = (one.kind == Kind::Blank || stages.every_slot) && set != nullptr &&
                std::any_of(set->frames.begin(), set->frames.end(), has_picture);
   one.set = std::move(set);
   wanted += one.wanted ? 1 : 0;
@@ -241,6 +261,10 @@ void BoothMeshes::Impl::hand_on(bool at_end) {
       window[i].wanted = window[i].wanted && i > last;
     }
     wanted -= ready;
+    while (!lit.empty() && lit.front()->slot < first_slot + last) {
+      run.lit.push_back(std::move(lit.front()));
+      lit.pop_front();
+    }
     if (when_busy == WhenBusy::Wait) {
       runs.push(std::move(run));
     } else {
@@ -301,6 +325,7 @@ SetPointer BoothMeshes::Impl::in_rig_order(const FrameSet& set) {
   ordered->trigger_ns = set.trigger_ns;
   ordered->media_time_ns = set.media_time_ns;
   ordered->skew_ns = set.skew_ns;
+  ordered->light = set.light;
   ordered->camera_names = camera_names;
   for (std::size_t i = 0; i < rig_from_set.size(); ++i) {
     ordered->frames.push_back(set.frames.at(rig_from_set[i]));
@@ -331,13 +356,14 @@ void BoothMeshes::Impl::find_depth(Run& run) {
   std::vector<booth::DepthSlot> slots;
   for (const RunSlot& slot : run.slots) {
     sets.push_back(slot.set != nullptr ? in_rig_order(*slot.set) : nullptr);
-    slots.push_back({sets.back().get(), slot.stripes, slot.wanted});
+    slots.push_back({sets.back().get(), slot.kind == capture::SlotLight::Kind::Stripes, slot.wanted});
   }
   const Clock::time_point begun = Clock::now();
   std::vector<std::vector<capture::DepthMap>> maps;
   const std::string wrong = stages.depth->find(run.first_slot, slots, maps, [this] { workers.beat(kDepth); });
   const float depth_ms = ms_since(begun);
   std::size_t at = 0;
+  auto next_lit = run.lit.begin();
   for (std::size_t i = 0; i < run.slots.size(); ++i) {
     if (run.slots[i].wanted) {
       Seen item;
@@ -346,7 +372,10 @@ void BoothMeshes::Impl::find_depth(Run& run) {
       item.depth_ms = depth_ms / static_cast<float>(maps.size());
       item.maps = std::move(maps[at++]);
       capture::weigh_by_own_noise(item.maps);
-      item.stripes = run.slots[i].stripes;
+      item.blank = run.slots[i].kind == capture::SlotLight::Kind::Blank;
+      while (item.blank && next_lit != run.lit.end() && (*next_lit)->slot < item.given->slot) {
+        item.lit.push_back(in_rig_order(**next_lit++));
+      }
       item.wrong = wrong;
       item.complete = run.complete;
       seen.push(std::move(item), [this] { workers.beat(kDepth); });
@@ -359,7 +388,7 @@ void BoothMeshes::Impl::perform() {
   Seen item;
   bool looks_ahead = when_busy == WhenBusy::Wait;
   const auto beat = [this] { workers.beat(kPerform); };
-  const auto is_blank = [](const Seen& one) { return !one.stripes; };
+  const auto is_blank = [](const Seen& one) { return one.blank; };
   while (seen.pop(item, beat)) {
     beat();
     if (stopping || stages.tracker == nullptr) {
@@ -402,7 +431,7 @@ void BoothMeshes::Impl::begin_with_calmest() {
   for (const Seen& item : ahead) {
     workers.beat(kPerform);
     const std::optional<double> strain =
-        stopping || item.stripes ? std::nullopt : stages.tracker->strain(*item.set, item.maps);
+        stopping || !item.blank ? std::nullopt : stages.tracker->strain(*item.set, item.maps);
     if (strain) {
       blanks.push_back(&item);
       strains.push_back(*strain);
@@ -427,15 +456,15 @@ void BoothMeshes::Impl::perform(Seen& item) {
   if (wants_new_identity.exchange(false)) {
     stages.tracker->reset();
   }
-  if (item.stripes) {
+  if (!item.blank) {
     waiting.push_back(std::move(item));
-    if (waiting.size() > kMostPeriods * stages.stripes.size()) {
+    if (waiting.size() > kMostPeriods * stages.program.size()) {
       perform_waiting(last_blank_ns);
     }
     return;
   }
   const std::shared_ptr<mesh::MeshFrame> frame = begin_frame(item);
-  stages.tracker->process(*item.set, item.maps, *frame);
+  stages.tracker->process(*item.set, item.maps, *frame, lit_before(item));
   check_rig(*item.set, *frame);
   perform_waiting(item.set->trigger_ns);
   last_blank_ns = item.set->trigger_ns;
@@ -443,8 +472,21 @@ void BoothMeshes::Impl::perform(Seen& item) {
   hand_out(item, frame);
 }
 
-/// The slots with stripes between the last blank slot and that of blank_ns; the same: no blank slot has come
-/// after them.
+/// Those of its lit slots that lie between the last blank slot and it.
+std::vector<booth::LitSlot> BoothMeshes::Impl::lit_before(const Seen& item) const {
+  std::vector<booth::LitSlot> out;
+  for (const SetPointer& set : item.lit) {
+    const auto after = static_cast<double>(set->trigger_ns - last_blank_ns);
+    const double fraction = after / static_cast<double>(item.set->trigger_ns - last_blank_ns);
+    if (last_blank_ns != 0 && fraction > 0 && fraction < 1) {
+      out.push_back({set.get(), fraction, light_of(set->slot, set).lights});
+    }
+  }
+  return out;
+}
+
+/// The slots that are not blank between the last blank slot and that of blank_ns; the same: no blank slot has
+/// come after them.
 void BoothMeshes::Impl::perform_waiting(std::int64_t blank_ns) {
   for (Seen& item : waiting) {
     workers.beat(kPerform);

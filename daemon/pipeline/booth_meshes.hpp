@@ -10,6 +10,7 @@
 #include "booth/booth_depth.hpp"
 #include "booth/performance_tracker.hpp"
 #include "booth/rig_check.hpp"
+#include "capture/slot_program.hpp"
 #include "facet/messages.hpp"
 #include "pipeline/booth_config.hpp"
 #include "pipeline/frame_set_sink.hpp"
@@ -22,8 +23,10 @@ namespace facet::pipeline {
 /// What makes a booth's meshes.
 struct BoothParts {
   std::shared_ptr<const capture::Rig> rig;
-  std::vector<std::uint8_t> stripes;  ///< BoothConfig::stripes
-  bool every_slot = false;            ///< BoothConfig::every_slot
+  capture::SlotProgram program;  ///< BoothConfig's, as the three below
+  bool program_rules = false;
+  bool lights = true;
+  bool every_slot = false;
   std::unique_ptr<booth::DepthSource> depth;
   std::unique_ptr<booth::PerformanceTracker> tracker;  ///< null: depth alone, and nothing is handed out
   std::unique_ptr<booth::RigCheck> check;

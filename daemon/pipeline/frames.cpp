@@ -212,6 +212,18 @@ class EdgeLogFile {
 
 }  // namespace
 
+capture::SlotProgram lights_of(const DevicesConfig& config) {
+  if (!config.lights.empty()) {
+    return config.lights;
+  }
+  using Kind = capture::SlotLight::Kind;
+  capture::SlotProgram program;
+  for (const LineMask active : config.program.patterns) {
+    program.push_back({active != 0 ? Kind::Stripes : Kind::Blank, {}});
+  }
+  return program;
+}
+
 void check(const DevicesConfig& config) {
   if (config.cameras.empty()) {
     refuse("there is no camera: add a section [[camera]]");
@@ -225,6 +237,9 @@ void check(const DevicesConfig& config) {
   }
   if (config.trigger != TriggerKind::None) {
     trigger::check(config.program);
+    if (!config.lights.empty() && config.lights.size() != config.program.patterns.size()) {
+      refuse("trigger.light must have a word for each slot of trigger.patterns");
+    }
     capture::FrameSetMatcher{capture_config(config, 0)};
   }
 }
@@ -279,7 +294,13 @@ struct FramesPipeline::Impl {
         workers(worker_names(devices.cameras.size()),
                 [this](ErrorKind kind, const std::string& what) { fail(kind, what); }),
         watched(devices.cameras.size()),
-        edge_log(devices.config.edge_log, devices.config.program) {}
+        edge_log(devices.config.edge_log, devices.config.program) {
+    if (devices.open_trigger) {
+      for (const capture::SlotLight& light : lights_of(devices.config)) {
+        words.push_back(capture::to_word(light));
+      }
+    }
+  }
 
   // Set before the threads start.
   Devices devices;
@@ -312,6 +333,7 @@ struct FramesPipeline::Impl {
   std::vector<Watched> watched;
   Clock::time_point next_look;
   std::optional<std::int64_t> first_trigger_ns;
+  std::vector<std::string> words;  ///< FrameSet::light of the program's slots; empty: nothing is triggered
   Pool<FrameSet> sets;
 
   // facet-edges only.
@@ -502,6 +524,7 @@ void FramesPipeline::Impl::run_trigger() {
 void FramesPipeline::Impl::deliver(std::shared_ptr<FrameSet> set) {
   first_trigger_ns = first_trigger_ns.value_or(set->trigger_ns);
   set->media_time_ns = set->trigger_ns - *first_trigger_ns;
+  set->light = words.empty() ? std::string() : words[set->slot % words.size()];
   const std::string missing = capture::missing_pictures(*set);
   mesh::StageTimes times;
   times.latency_ms = static_cast<float>(Clock::now_ns() - set->trigger_ns) * 1e-6F;

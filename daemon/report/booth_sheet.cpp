@@ -13,6 +13,7 @@
 #include "capture/undistortion.hpp"
 #include "facet/error.hpp"
 #include "files/pfm.hpp"
+#include "report/bands.hpp"
 #include "report/depth_folder.hpp"
 #include "report/depth_pictures.hpp"
 #include "report/evaluation.hpp"
@@ -211,6 +212,54 @@ class Drawer {
     return fitted(trimmed(relief_of(relief), [&](std::size_t pixel) { return map.values[pixel] > 0; }));
   }
 
+  /// Mesh and truth stand alike over what the mesh is without its wrinkles.
+  static WrinkleSum wrinkles_of(const mesh::Subject& subject, const Reconstruction& mesh,
+                                const Truth& truth) {
+    constexpr float kSmooth_mm = 5;
+    const mesh::Level& level = subject.hierarchy->finest();
+    double edges = 0;
+    std::size_t edge_count = 0;
+    for (const std::int32_t v : mesh.measured) {
+      for (auto e = level.one_rings.offsets[static_cast<std::size_t>(v)];
+           e < level.one_rings.offsets[static_cast<std::size_t>(v) + 1]; ++e) {
+        const auto beside = level.one_rings.neighbours[static_cast<std::size_t>(e)];
+        edges += static_cast<double>((mesh.vertices_mm.col(beside) - mesh.vertices_mm.col(v)).squaredNorm());
+        ++edge_count;
+      }
+    }
+    // A half-ring average adds a quarter of the mean squared edge to the variance along either axis.
+    const double a_round = edges / (4 * static_cast<double>(std::max<std::size_t>(edge_count, 1)));
+    const int rounds = static_cast<int>(kSmooth_mm * kSmooth_mm / std::max(a_round, 1e-3));
+    const RingSmoother smoother(level.one_rings, mesh.measured);
+    Reconstruction base = mesh;
+    for (const Eigen::Index row : {Eigen::Index{0}, Eigen::Index{1}}) {
+      Eigen::Matrix2Xf fields(2, std::ssize(mesh.measured));
+      for (std::size_t k = 0; k < mesh.measured.size(); ++k) {
+        fields.col(static_cast<Eigen::Index>(k)) = mesh.vertices_mm.col(mesh.measured[k]).segment<2>(row);
+      }
+      smoother.smooth(fields, rounds);
+      for (std::size_t k = 0; k < mesh.measured.size(); ++k) {
+        base.vertices_mm.col(mesh.measured[k]).segment<2>(row) = fields.col(static_cast<Eigen::Index>(k));
+      }
+    }
+    mesh::vertex_normals(base.vertices_mm, level.triangles, base.normals);
+    simulation::TruthMesh found;
+    found.vertices_mm = mesh.vertices_mm;
+    found.normals = mesh.normals;
+    found.triangles = level.triangles;
+    std::vector<float> true_mm = true_displacements_mm(base, {}, truth);
+    std::vector<float> found_mm = true_displacements_mm(base, {}, Truth(std::move(found)));
+    for (std::size_t v = 0; v < true_mm.size(); ++v) {
+      if (std::isnan(found_mm[v])) {
+        true_mm[v] = std::numeric_limits<float>::quiet_NaN();
+        found_mm[v] = 0;
+      }
+    }
+    WrinkleSum sum;
+    sum.add(level.one_rings, base, true_mm, found_mm);
+    return sum;
+  }
+
   Picture compare_with(std::uint64_t slot, const mesh::MeshFrame& frame, const FrameGeometry& geometry,
                        const render::Raycaster& caster, const Cell& cell, std::optional<BoothError>& error) {
     const std::filesystem::path file = sources_.truth_folder / "truth" / fmt::format("slot_{:06}.ply", slot);
@@ -227,7 +276,8 @@ class Drawer {
     reconstruction.vertices_mm = geometry.refined_mm;
     reconstruction.normals = geometry.refined_normals;
     reconstruction.measured = measured_vertices(*frame.subject, geometry.coarse_mm, geometry.coarse_normals);
-    const Comparison comparison = compare(reconstruction, Truth(std::move(truth)), Alignment::None);
+    const Truth true_surface(std::move(truth));
+    const Comparison comparison = compare(reconstruction, true_surface, Alignment::None);
     std::vector<float> distances;
     double normal_sum = 0;
     constexpr float kUnknown = 0.05F;
@@ -251,6 +301,9 @@ class Drawer {
       error = BoothError{frame.sequence, std::accumulate(distances.begin(), distances.end(), 0.0) / count,
                          static_cast<double>(distances[static_cast<std::size_t>(0.95 * (count - 1))]),
                          normal_sum / count};
+      const WrinkleSum wrinkles = wrinkles_of(*frame.subject, reconstruction, true_surface);
+      error->wrinkle_correlation = wrinkles.correlation();
+      error->wrinkle_depth = wrinkles.depth();
     }
     return render_colours(caster, frame.subject->hierarchy->finest().triangles, colours, cell.camera,
                           render::plain_picture(kCellWidth_px, kCellHeight_px, kDark));

@@ -30,6 +30,10 @@ struct BoothError {
   double mean_mm = 0;
   double p95_mm = 0;
   double normal_deg = 0;  ///< mean
+  /// Of wrinkles in the mesh with the truth's (WrinkleSum, against the mesh smoothed over 5 mm): correlation,
+  /// and depth as a share. NaN where the truth has none.
+  double wrinkle_correlation = 0;
+  double wrinkle_depth = 0;
 };
 
 /// One row per frame: stripes, depth as a shaded relief, mesh over the picture, shaded mesh, texture, error;

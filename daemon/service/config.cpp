@@ -229,6 +229,28 @@ void read_patterns(Section& section, TriggerProgram& program) {
   }
 }
 
+/// What the slots of the patterns light the face with, in words.
+void read_lights(Section& section, pipeline::DevicesConfig& devices) {
+  const toml::node* node = section.find("light");
+  if (node == nullptr) {
+    return;
+  }
+  devices.lights.clear();
+  for (const std::string& word : section.texts(*node, "light")) {
+    try {
+      devices.lights.push_back(capture::parse_slot_light(word));
+    } catch (const Error& error) {
+      section.fail(node, "light", error.what());
+    }
+  }
+  if (devices.lights.size() != devices.program.patterns.size()) {
+    section.fail(node, "light",
+                 fmt::format("must have a word for each of the {} slots of trigger.patterns, such as "
+                             "\"stripes\", \"blank\", \"light:led.top\"; it has {}",
+                             devices.program.patterns.size(), devices.lights.size()));
+  }
+}
+
 void read_trigger(Section section, Section& expert, pipeline::DevicesConfig& devices) {
   constexpr std::array kKinds = {"none", "virtual", "gpio"};
   if (const auto kind = section.read_choice("kind", kKinds)) {
@@ -245,6 +267,7 @@ void read_trigger(Section section, Section& expert, pipeline::DevicesConfig& dev
     section.fail(section.node(), "line", fmt::format("there are more than {}", kMaxTriggerLines));
   }
   read_patterns(section, program);
+  read_lights(section, devices);
   section.finish();
 }
 
@@ -619,15 +642,13 @@ pipeline::BoothConfig booth_config(const Config& config) {
   booth.rig_file = config.rig_file;
   booth.depths = config.booth_depths;
   booth.every_slot = config.booth_every_slot;
+  booth.lights = config.booth_lights;
   booth.shading = config.booth_shading;
   booth.model_file = config.pipeline.model_file;
   booth.landmark_nets = config.pipeline.tracker.landmark_nets;
   booth.gpu_device = config.pipeline.gpu_device;
   if (config.devices.trigger != pipeline::TriggerKind::None) {
-    booth.stripes.clear();
-    for (const LineMask active : config.devices.program.patterns) {
-      booth.stripes.push_back(active != 0 ? 1 : 0);
-    }
+    booth.program = pipeline::lights_of(config.devices);
   }
   return booth;
 }

@@ -79,6 +79,7 @@ struct Config {
   stereo::DepthRange booth_depths;   ///< BoothConfig::depths
   std::filesystem::path rig_file;    ///< modes Booth, and Monocular with cameras
   bool booth_every_slot = false;     ///< BoothConfig::every_slot
+  bool booth_lights = true;          ///< BoothConfig::lights
   bool booth_shading = false;        ///< BoothConfig::shading
   BoothRecord booth_record = BoothRecord::Pictures;
   bool exit_at_end = false;  ///< or where the source fails

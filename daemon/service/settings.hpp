@@ -74,6 +74,7 @@ inline constexpr Setting<Config> kRigSettings[] = {
 
 inline constexpr Setting<Config> kBoothSettings[] = {
     {"every_slot", &at<&Config::booth_every_slot>},
+    {"lights", &at<&Config::booth_lights>},
     {"shading", &at<&Config::booth_shading>},
 };
 

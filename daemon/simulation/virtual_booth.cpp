@@ -15,6 +15,7 @@
 #include "maths/statistics.hpp"
 #include "render/renderer.hpp"
 #include "simulation/booth_rig.hpp"
+#include "simulation/gloss.hpp"
 #include "simulation/lens_rays.hpp"
 #include "simulation/light.hpp"
 #include "simulation/placed_actor.hpp"
@@ -266,9 +267,10 @@ std::vector<float> blurred_light(const capture::GreyImage& image, float gamma, f
   return light;
 }
 
-/// A projector and what it shows.
+/// A projector and what it shows, or a lamp.
 struct ProjectorLight {
-  const capture::Lens* lens = nullptr;
+  const capture::Lens* lens = nullptr;  ///< null: a lamp, which shines all round
+  float strength = 1;
   Vector3f centre_mm{0, 0, 0};
   double reference_mm = 1;   ///< depth at which a surface that faces it gets its full light
   std::vector<float> light;  ///< [height_px][width_px]; empty: white everywhere
@@ -276,6 +278,10 @@ struct ProjectorLight {
   /// What a surface at a point would get, were it turned to the projector and in nobody's shadow: a flat
   /// field on any plane across the axis, which thins with the square of the depth.
   float at(const Vector3d& point_mm) const {
+    if (lens == nullptr) {
+      const double thinning = reference_mm / (centre_mm.cast<double>() - point_mm).norm();
+      return strength * static_cast<float>(thinning * thinning);
+    }
     const Vector3d seen = lens->camera_from_rig * point_mm;
     const auto pixel = lens->project(point_mm);
     if (!pixel) {
@@ -329,6 +335,7 @@ struct VirtualBooth::Impl {
   Impl(const face::FaceModel* model, const VirtualBoothConfig& given) : config(given) {
     check(model, config);
     rig = make_booth_rig(config.seed, config.resolution);
+    rig.lights = config.lights;
     for (std::size_t k = 0; k < room.size(); ++k) {
       // From above and in front, and a little from everywhere.
       room[k] = static_cast<float>(config.ambient) *
@@ -408,8 +415,10 @@ struct VirtualBooth::Impl {
 
   /// Light that a point gets, the same for all colours: the room's [MD19 eq. 1], and of each
   /// projector that sees it, Lambert's cosine.
+  /// mirrored: where not null, what skin mirrors of it to eye_mm is added there
   float irradiance(const Moment& moment, const std::vector<ProjectorLight>& lights, const Vector3f& at_mm,
-                   const Vector3f& normal, float open) const {
+                   const Vector3f& normal, float open, const Vector3f& eye_mm = Vector3f::Zero(),
+                   float* mirrored_light = nullptr) const {
     const auto basis =
         maths::harmonics(normal.x(), normal.y(), normal.z());  // the rig's axes are the lighting's
     float ambient = 0;
@@ -427,6 +436,11 @@ struct VirtualBooth::Impl {
       const float light = cosine * projector.at(at_mm.cast<double>());
       if (light > 0 && !moment.caster.occluded(from_mm, projector.centre_mm, 0)) {
         sum += light;
+        if (mirrored_light != nullptr) {
+          const Gloss gloss{static_cast<float>(config.gloss), static_cast<float>(config.gloss_roughness)};
+          *mirrored_light +=
+              light / cosine * mirrored(normal, to_projector, (eye_mm - at_mm).normalized(), gloss);
+        }
       }
     }
     return sum;
@@ -483,6 +497,7 @@ struct BoothSlot::Impl {
   std::uint64_t number = 0;
   capture::Shown shown;
   std::vector<capture::GreyImage> pictures;  ///< that are shown in place of patterns
+  std::vector<std::size_t> lamps;            ///< of the rig's lights, that shine
   // Made when they are first needed.
   std::vector<std::shared_ptr<const Moment>> exposure;  ///< [samples]
   std::shared_ptr<const Moment> middle_moment;
@@ -518,6 +533,12 @@ struct BoothSlot::Impl {
   const std::vector<ProjectorLight>& lights() {
     if (!projectors) {
       projectors = booth->light(shown, pictures);
+      for (const std::size_t lamp : lamps) {
+        ProjectorLight& light = projectors->emplace_back();
+        light.centre_mm = booth->rig.lights[lamp].position_mm.cast<float>();
+        light.reference_mm = 1000;
+        light.strength = static_cast<float>(booth->rig.lights[lamp].strength);
+      }
     }
     return *projectors;
   }
@@ -536,9 +557,13 @@ struct BoothSlot::Impl {
     if (std::isnan(open)) {
       open = openness_of(moment.scene.materials[static_cast<std::size_t>(corner)]);
     }
-    return booth->irradiance(moment, *projectors, at(moment.scene.vertices_mm),
-                             at(moment.scene.normals).normalized(), open) *
-           at(moment.scene.albedo);
+    const bool shines =
+        booth->config.gloss > 0 && moment.scene.materials[static_cast<std::size_t>(corner)] == Material::Skin;
+    float gloss = 0;
+    const float light = booth->irradiance(moment, *projectors, at(moment.scene.vertices_mm),
+                                          at(moment.scene.normals).normalized(), open, view.centre_mm,
+                                          shines ? &gloss : nullptr);
+    return light * at(moment.scene.albedo) + Vector3f::Constant(gloss);
   }
 
   /// Linear light on the sensor, [1 or 3][pixels].
@@ -749,6 +774,46 @@ BoothSlot VirtualBooth::slot(std::uint64_t number, std::vector<capture::GreyImag
   made->shown = {capture::Shown::Kind::Picture, number};
   made->pictures = std::move(pictures);
   return BoothSlot(std::move(made));
+}
+
+BoothSlot VirtualBooth::slot(std::uint64_t number, const capture::SlotProgram& program) const {
+  using Kind = capture::SlotLight::Kind;
+  const capture::SlotLight& light = capture::light_of_slot(program, number);
+  if (light.kind == Kind::Blank) {
+    return slot(number, capture::Shown{capture::Shown::Kind::Blank, 0});
+  }
+  if (light.kind == Kind::Stripes) {
+    const auto stripes_to = [&](std::uint64_t end) {
+      return static_cast<std::uint64_t>(
+          std::count_if(program.begin(), program.begin() + static_cast<std::ptrdiff_t>(end),
+                        [](const capture::SlotLight& one) { return one.kind == Kind::Stripes; }));
+    };
+    return slot(number, capture::Shown{capture::Shown::Kind::Stripes,
+                                       number / program.size() * stripes_to(program.size()) +
+                                           stripes_to(number % program.size())});
+  }
+  const capture::Rig& rig = impl_->rig;
+  std::vector<capture::GreyImage> pictures(rig.projectors.size());
+  std::vector<std::size_t> lamps;
+  for (const std::string& name : light.lights) {
+    const auto projector = std::find_if(rig.projectors.begin(), rig.projectors.end(),
+                                        [&](const capture::RigProjector& one) { return one.name == name; });
+    const auto lamp = std::find_if(rig.lights.begin(), rig.lights.end(),
+                                   [&](const capture::RigLight& one) { return one.name == name; });
+    if (projector != rig.projectors.end()) {
+      const capture::Lens& lens = projector->lens;
+      const auto pixels = static_cast<std::size_t>(lens.width_px) * static_cast<std::size_t>(lens.height_px);
+      pictures[static_cast<std::size_t>(projector - rig.projectors.begin())] = {
+          lens.width_px, lens.height_px, std::vector<std::uint8_t>(pixels, 255)};
+    } else if (lamp != rig.lights.end()) {
+      lamps.push_back(static_cast<std::size_t>(lamp - rig.lights.begin()));
+    } else {
+      throw Error(ErrorKind::Usage, fmt::format("virtual booth: there is no projector or lamp '{}'", name));
+    }
+  }
+  BoothSlot made = slot(number, std::move(pictures));
+  made.impl_->lamps = std::move(lamps);
+  return made;
 }
 
 }  // namespace facet::simulation

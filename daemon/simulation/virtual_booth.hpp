@@ -9,6 +9,7 @@
 
 #include "capture/patterns.hpp"
 #include "capture/rig.hpp"
+#include "capture/slot_program.hpp"
 #include "face/face_model.hpp"
 #include "facet/frame_set.hpp"
 #include "simulation/actor.hpp"
@@ -47,6 +48,11 @@ struct VirtualBoothConfig {
   double ambient = 0.05;
   double projector_blur_px = 0.6;  ///< sigma, projector's pixels; 0 to 3
   bool sensor_noise = true;
+  /// Skin's mirrored light: reflectance at normal incidence (0.04 is dry skin's), 0: matt; its roughness.
+  double gloss = 0;
+  double gloss_roughness = 0.5;
+  /// Lamps that slots may be lit by; they are in the rig as it is given out.
+  std::vector<capture::RigLight> lights;
   capture::PatternConfig patterns;  ///< its size is taken from the projectors
 };
 
@@ -99,8 +105,8 @@ class BoothSlot {
 };
 
 /// The virtual booth: six cameras and two projectors (make_booth_rig) around an actor or a target, rendered
-/// by ray casting. Light goes one way: projector or room, skin (matt), camera; no highlights, nothing is lit
-/// by skin. Slots may be asked for in any order and come out the same. Any thread once built.
+/// by ray casting. Light goes one way: projector, lamp or room, skin (matt unless `gloss`), camera; nothing
+/// is lit by skin. Slots may be asked for in any order and come out the same. Any thread once built.
 class VirtualBooth {
  public:
   /// model: of the actor, not needed afterwards; null for targets. Throws Error(Usage) where the
@@ -119,6 +125,9 @@ class VirtualBooth {
   BoothSlot slot(std::uint64_t number) const;
   /// A slot in which the projectors show something else.
   BoothSlot slot(std::uint64_t number, const capture::Shown& shown) const;
+  /// A slot of another program: the stripes of its number, a blank one, or lit: projectors in white, lamps.
+  /// Throws Error(Usage) for a light that the rig does not have.
+  BoothSlot slot(std::uint64_t number, const capture::SlotProgram& program) const;
   /// A slot in which each projector shows a picture of its size, in the rig's order; an empty picture: it is
   /// dark. Throws Error(Usage) where number or sizes are others.
   BoothSlot slot(std::uint64_t number, std::vector<capture::GreyImage> pictures) const;

@@ -110,7 +110,12 @@ Offset<wire::FrameSet> write_frame_set(FlatBufferBuilder& builder, const FrameSe
   }
   const auto name_vector = builder.CreateVector(names.data(), cameras);
   const auto image_vector = builder.CreateVector(images.data(), image_count);
-  return wire::CreateFrameSet(builder, set.slot, set.trigger_ns, set.skew_ns, name_vector, image_vector);
+  Offset<flatbuffers::String> light;
+  if (!set.light.empty() && set.light.size() <= kMaxLightBytes) {
+    light = builder.CreateString(set.light);
+  }
+  return wire::CreateFrameSet(builder, set.slot, set.trigger_ns, set.skew_ns, name_vector, image_vector,
+                              light);
 }
 
 std::shared_ptr<const FrameSet> read_frame_set(const wire::FrameSet& set, std::int64_t media_time_ns) {
@@ -125,6 +130,10 @@ std::shared_ptr<const FrameSet> read_frame_set(const wire::FrameSet& set, std::i
   for (const flatbuffers::String* name : *set.cameras()) {
     require(name->size() <= kMaxNameBytes, "name of a camera");
     names.push_back(name->str());
+  }
+  if (set.light() != nullptr) {
+    require(set.light()->size() <= kMaxLightBytes, "light of a slot");
+    out->light = set.light()->str();
   }
   out->frames.resize(names.size());
   out->missing = ~std::uint64_t{0} >> (kMaxCameras - names.size());

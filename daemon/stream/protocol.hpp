@@ -33,6 +33,7 @@ inline constexpr std::uint32_t kMaxCoefficients = 1024;        ///< identity or 
 inline constexpr std::uint32_t kMaxLandmarks = 4096;
 inline constexpr std::uint32_t kMaxImagePx = 16384;  ///< width and height
 inline constexpr std::size_t kMaxNameBytes = 64;
+inline constexpr std::size_t kMaxLightBytes = 512;  ///< of what lit a slot
 inline constexpr std::size_t kMaxTextBytes = 1024;  ///< degraded_reason, goodbye reason, server
 
 /// Frames of a ring: what a reader reads in place stays for this many frames but one.

@@ -62,6 +62,8 @@ TEST(RigFile, SampleIsRead) {
   ASSERT_EQ(rig.cameras.size(), 3U);
   ASSERT_EQ(rig.pairs.size(), 1U);
   ASSERT_EQ(rig.projectors.size(), 1U);
+  ASSERT_EQ(rig.lights.size(), 1U);
+  EXPECT_EQ(rig.lights[0].position_mm.y(), 550);
   EXPECT_EQ(rig.cameras[rig.pairs[0].left].name, "left-a");
   EXPECT_EQ(rig.cameras[rig.pairs[0].right].name, "left-b");
   EXPECT_TRUE(rig.cameras[2].colour);
@@ -94,6 +96,7 @@ TEST(RigFile, WhatIsWrittenReadsBackExactly) {
       camera.colour = uniform(random) > 0;
       rig.cameras.push_back(camera);
       rig.projectors.push_back({name, lens});
+      rig.lights.push_back({std::string(name) + " light", lens.camera_from_rig.translation(), 1 + 0.5 * uniform(random)});
     }
     rig.pairs = {{0, 1}, {2, 0}};
     const Rig back = parse_rig(format_rig(rig), "rig.toml");
@@ -105,6 +108,9 @@ TEST(RigFile, WhatIsWrittenReadsBackExactly) {
       EXPECT_EQ(back.cameras[i].colour, rig.cameras[i].colour);
       expect_same(back.cameras[i].lens, rig.cameras[i].lens);
       expect_same(back.projectors[i].lens, rig.projectors[i].lens);
+      EXPECT_EQ(back.lights.at(i).name, rig.lights[i].name);
+      EXPECT_EQ(back.lights[i].position_mm, rig.lights[i].position_mm);
+      EXPECT_EQ(back.lights[i].strength, rig.lights[i].strength);
     }
     EXPECT_EQ(back.pairs[1].left, 2U);
     EXPECT_EQ(back.pairs[1].right, 0U);
@@ -158,6 +164,16 @@ TEST(RigFile, PairsNameTwoCamerasOnce) {
   EXPECT_THAT(error_of(changed("right = \"left-b\"",
                                "right = \"left-b\"\n[[pair]]\nleft = \"left-b\"\nright = \"left-a\"")),
               HasSubstr("a pair already"));
+}
+
+TEST(RigFile, ALightHasANameOfItsOwnAndAPlace) {
+  const std::string light = "[[light]]\nname = \"led\"\nposition_mm = [0, 500, 800]\n";
+  EXPECT_EQ(parse_rig(sample() + light, "rig.toml").lights.size(), 2U);
+  EXPECT_THAT(error_of(sample() + light + light), HasSubstr("there is a light 'led' already"));
+  EXPECT_THAT(error_of(sample() + "[[light]]\nname = \"led\"\n"), HasSubstr("light.position_mm: is missing"));
+  EXPECT_THAT(error_of(sample() + light + "strength = 0"), HasSubstr("light.strength"));
+  EXPECT_THAT(error_of(sample() + "[[light]]\nname = \"stripes.a\"\nposition_mm = [0, 0, 800]\n"),
+              HasSubstr("there is a projector 'stripes.a'"));
 }
 
 TEST(RigFile, WritingIsWholeOrNotAtAll) {

@@ -269,11 +269,12 @@ TEST(BoothConfig, NeedsRigStripesAndBlankSlots) {
   EXPECT_THAT(refusal(config), HasSubstr("rig.file"));
   config.rig_file = "rig.toml";
   EXPECT_EQ(refusal(config), "");
-  config.stripes = {1, 1};
+  using Kind = capture::SlotLight::Kind;
+  config.program = {{Kind::Stripes, {}}, {Kind::Lit, {"lamp"}}};
   EXPECT_THAT(refusal(config), HasSubstr("blank"));
-  config.stripes = {0};
+  config.program = {{Kind::Blank, {}}};
   EXPECT_THAT(refusal(config), HasSubstr("blank"));
-  config.stripes = {1, 0};
+  config.program = {{Kind::Stripes, {}}, {Kind::Blank, {}}};
   config.gpu_device = "none";
   EXPECT_THAT(refusal(config), HasSubstr("gpu.device"));
 }

@@ -389,7 +389,7 @@ TEST(Config, ReadsABooth) {
   EXPECT_TRUE(booth.every_slot);
   EXPECT_TRUE(booth.shading);
   EXPECT_EQ(booth.depths.farthest_mm, 1100.5F);
-  EXPECT_EQ(booth.stripes, (std::vector<std::uint8_t>{1, 0, 1, 0}));
+  EXPECT_EQ(capture::to_text(booth.program), "stripes,blank,stripes,blank");
   EXPECT_EQ(booth.model_file, "/folder/m");
   EXPECT_EQ(booth.gpu_device, "llvm");
   require_source(config, "/folder/f.toml");
@@ -398,7 +398,7 @@ TEST(Config, ReadsABooth) {
   EXPECT_EQ(bare.booth_record, BoothRecord::Pictures);
   EXPECT_FALSE(booth_config(bare).every_slot);
   EXPECT_FALSE(booth_config(bare).shading);
-  EXPECT_EQ(booth_config(bare).stripes, (std::vector<std::uint8_t>{1, 1, 0})) << "the standard program";
+  EXPECT_EQ(booth_config(bare).program, capture::standard_program());
   EXPECT_EQ(booth_config(bare).depths.farthest_mm, 0) << "found from the rig";
 }
 
@@ -417,6 +417,21 @@ TEST(Config, ABoothThatCannotBeIsToldByKey) {
   std::string no_blank = booth_text("[rig]\nfile = \"r\"\n");
   no_blank.replace(no_blank.find("[[\"p\"], [], [\"p\"], []]"), 22, "[[\"p\"]]");
   EXPECT_THAT(refusal(no_blank), HasSubstr("trigger.patterns"));
+}
+
+TEST(Config, ASlotsLightIsSaidInWords) {
+  std::string lit = booth_text("[rig]\nfile = \"r\"\n");
+  const std::string patterns = "[[\"p\"], [], [\"p\"], []]";
+  const auto with = [&](const std::string& light) {
+    return std::string(lit).replace(lit.find(patterns), patterns.size(), patterns + "\nlight = " + light);
+  };
+  const Config config = parse_config(with("[\"stripes\", \"blank\", \"light:p+top\", \"dark\"]"), "f.toml");
+  EXPECT_EQ(capture::to_text(booth_config(config).program), "stripes,blank,light:p+top,dark");
+  EXPECT_TRUE(booth_config(config).lights);
+  EXPECT_THAT(refusal(with("[\"stripes\", \"blank\"]")),
+              AllOf(HasSubstr("f.toml:"), HasSubstr("trigger.light"), HasSubstr("4 slots")));
+  EXPECT_THAT(refusal(with("[\"stripes\", \"blank\", \"light:\", \"dark\"]")), HasSubstr("trigger.light"));
+  EXPECT_THAT(refusal(with("[\"stripes\", \"light:p\", \"dark\", \"dark\"]")), HasSubstr("blank"));
 }
 
 TEST(Config, ReadsACamera) {

@@ -321,6 +321,7 @@ std::shared_ptr<FrameSet> three_cameras() {
   set->slot = 4711;
   set->trigger_ns = 123'000'000;
   set->skew_ns = 250;
+  set->light = "light:led.top";
   set->frames = {picture(21, 5, false), {}, picture(7, 9, true)};
   set->frames[2].corrupt = true;
   set->missing = 0b010;
@@ -341,6 +342,7 @@ TEST_F(Encoding, PicturesComeBackPixelByPixel) {
   EXPECT_EQ(got.slot, sent->slot);
   EXPECT_EQ(got.trigger_ns, sent->trigger_ns);
   EXPECT_EQ(got.skew_ns, sent->skew_ns);
+  EXPECT_EQ(got.light, sent->light);
   EXPECT_EQ(got.missing, sent->missing);
   EXPECT_EQ(*got.camera_names, *sent->camera_names);
   for (const std::size_t camera : {0U, 2U}) {

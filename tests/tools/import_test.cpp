@@ -157,15 +157,8 @@ TEST_F(Import, ANumberThatIsATimeIsNoSlot) {
   EXPECT_THAT(output_, HasSubstr("more slots than an import has"));
 }
 
-TEST(SlotProgram, BlankIsTheOneWordThatCounts) {
-  EXPECT_EQ(parse_slot_program("a, b,blank"), (std::vector<std::uint8_t>{1, 1, 0}));
-  for (const char* wrong : {"", "blank", "a,b", "a,,blank", ","}) {
-    EXPECT_THROW(parse_slot_program(wrong), Error) << wrong;
-  }
-}
-
-TEST(SlotProgram, AStartIsToldWhereItsBlankSlotsAreClearlyEven) {
-  const std::vector<std::uint8_t> program = {1, 1, 0};
+TEST(ProgramStart, AStartIsToldWhereItsBlankSlotsAreClearlyEven) {
+  const capture::SlotProgram program = capture::standard_program();
   EXPECT_EQ(find_program_start({9, 2, 9, 8, 2, 9}, program).first, 1U);
   EXPECT_TRUE(find_program_start({9, 2, 9, 8, 2, 9}, program).told);
   EXPECT_FALSE(find_program_start({9, 9, 9, 9, 8, 9}, program).told);

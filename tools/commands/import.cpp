@@ -295,7 +295,7 @@ class Import {
  public:
   explicit Import(const ImportOptions& options)
       : options_(options),
-        program_(parse_slot_program(options.program)),
+        program_(capture::parse_slot_program(options.program)),
         coding_(coding_of(options.grey)),
         inputs_(named_inputs(options)) {
     if (!options.rig.empty()) {
@@ -497,6 +497,7 @@ class Import {
       return static_cast<std::int64_t>(std::llround(static_cast<double>(slots) * 1e9 / options_.rate_hz));
     };
     set.slot = since + start;
+    set.light = capture::to_word(capture::light_of_slot(program_, set.slot));
     set.trigger_ns = time(set.slot);
     set.media_time_ns = time(since);
     set.camera_names = names_;
@@ -512,7 +513,7 @@ class Import {
   }
 
   ImportOptions options_;
-  std::vector<std::uint8_t> program_;
+  capture::SlotProgram program_;
   Coding coding_;
   std::vector<NamedInput> inputs_;
   std::optional<capture::Rig> rig_;

@@ -59,6 +59,7 @@ struct Options {
   std::string program;
   std::vector<std::string> cameras;
   bool every_slot = false;
+  bool no_lights = false;
   bool shading = false;
   bool live = false;
 };
@@ -349,27 +350,8 @@ std::string booth_note(const pipeline::PipelineStatus& status) {
                      status.degraded_frames > 0 ? fmt::format(", {} degraded", status.degraded_frames) : "");
 }
 
-/// The slots of the range that the take has.
-std::vector<std::int64_t> slots_of(take::TakeReader& take, const pipeline::FrameRange& range) {
-  std::vector<std::int64_t> found;
-  for (std::int64_t i = 0; i < take.frame_count(); ++i) {
-    const std::uint64_t slot = take.entry(i).sequence;
-    if (slot >= range.first && slot < range.end) {
-      found.push_back(i);
-    }
-  }
-  if (found.empty()) {
-    throw Error(ErrorKind::UnreadableInput,
-                fmt::format("'{}' has no slot in the range asked for: choose another with --frames",
-                            take.info().file.string()));
-  }
-  if (take.frame(found.front())->images == nullptr) {
-    throw Error(ErrorKind::UnreadableInput,
-                fmt::format("'{}' holds no pictures: record in mode \"booth\" (record = \"pictures\") or "
-                            "\"frames\"",
-                            take.info().file.string()));
-  }
-  return found;
+bool is_blank(const capture::SlotProgram& program, std::uint64_t slot) {
+  return capture::light_of_slot(program, slot).kind == capture::SlotLight::Kind::Blank;
 }
 
 /// What the booth's stages are to be made with. Throws Error(Usage) where the face is pointed at in a slot
@@ -379,14 +361,18 @@ pipeline::BoothConfig booth_of(const Options& options, const service::Config& co
   pipeline::BoothConfig booth = service::booth_config(config);
   booth.points_file = options.points;
   if (!options.program.empty()) {
-    booth.stripes = parse_slot_program(options.program);
+    booth.program = capture::parse_slot_program(options.program);
+    booth.program_rules = true;
+  } else if (options.config.empty()) {
+    booth.program = recorded_program(input, slots).value_or(booth.program);
   }
   booth.every_slot = booth.every_slot || options.every_slot;
+  booth.lights = booth.lights && !options.no_lights;
   booth.shading = booth.shading || options.shading;
   if (!options.points.empty()) {
     const std::uint64_t slot = booth::read_face_points(options.points).slot;
     const bool gets_a_mesh = std::any_of(slots.begin(), slots.end(), [&](std::int64_t i) {
-      return input.entry(i).sequence == slot && booth.stripes[slot % booth.stripes.size()] == 0;
+      return input.entry(i).sequence == slot && is_blank(booth.program, slot);
     });
     if (!gets_a_mesh) {
       throw Error(ErrorKind::Usage,
@@ -407,7 +393,7 @@ std::string made_of(const take::TakeReader& take, const pipeline::BoothConfig& b
       {"slots", options.frames},
       {"nearest_mm", stages.depth->depths().nearest_mm},
       {"farthest_mm", stages.depth->depths().farthest_mm},
-      {"stripes", booth.stripes},
+      {"program", capture::to_text(booth.program)},
       {"blanks_per_run", stages.blanks_per_run},
       {"software", FACET_VERSION},
       {"rig", capture::format_rig(*stages.rig)},
@@ -508,7 +494,7 @@ void lead_booth(const Options& options, Team& team, const StopSignals& signals) 
   const pipeline::BoothConfig booth = booth_of(options, config, input, slots);
   const auto wanted =
       static_cast<std::uint64_t>(std::count_if(slots.begin(), slots.end(), [&](std::int64_t i) {
-        return booth.every_slot || booth.stripes[input.entry(i).sequence % booth.stripes.size()] == 0;
+        return booth.every_slot || is_blank(booth.program, input.entry(i).sequence);
       }));
   pipeline::BoothParts stages = pipeline::open_booth(booth, kBlanksPerRun);
   std::shared_ptr<report::DepthFolder> folder;
@@ -582,6 +568,37 @@ void run_booth(const Options& options, const std::function<std::unique_ptr<Team>
   }
 }
 
+void add_booth_options(const Command& command, Options& options) {
+  command
+      .flag("--no-lights", options.no_lights,
+            "Leave out what slots say that known lights lit (photometric stereo)")
+      .needs("--rig");
+  command
+      .flag("--every-slot", options.every_slot,
+            "A mesh for slots with stripes, too: between the blank ones' meshes, on its own depth maps")
+      .needs("--rig");
+  command
+      .flag("--shading", options.shading,
+            "Shading of the blank slots' colour pictures on top of what depth gives")
+      .needs("--rig");
+  command
+      .option("--depth", options.depth,
+              "Folder for the depth maps of every slot that gets a mesh (PFM, mm) and their lenses "
+              "(rig.toml); maps that an "
+              "earlier run left there are not found again")
+      .needs("--rig");
+  command
+      .option("--program", options.program,
+              "What the slots show in turn, such as stripes,stripes,blank; "
+              "default: what the slots say of themselves, else --config's trigger")
+      .needs("--rig");
+  command
+      .option("--points", options.points,
+              "Where the face is in one slot, pointed at by hand, if the landmark net does not find it "
+              "(docs/booth.md)")
+      .needs("--rig");
+}
+
 }  // namespace
 
 Command add_process_command(Command app, std::unique_ptr<Team> (*join)()) {
@@ -629,29 +646,7 @@ Command add_process_command(Command app, std::unique_ptr<Team> (*join)()) {
       .one_of({"faithful", "expressive"});
   command.option("--device", options->device,
                  "Vulkan device: auto, part of its name, or none (coarse meshes only)");
-  command
-      .flag("--every-slot", options->every_slot,
-            "A mesh for slots with stripes, too: between the blank ones' meshes, on its own depth maps")
-      .needs("--rig");
-  command
-      .flag("--shading", options->shading,
-            "Shading of the blank slots' colour pictures on top of what depth gives")
-      .needs("--rig");
-  command
-      .option("--depth", options->depth,
-              "Folder for the depth maps of every slot that gets a mesh (PFM, mm) and their lenses "
-              "(rig.toml); maps that an "
-              "earlier run left there are not found again")
-      .needs("--rig");
-  command
-      .option("--program", options->program,
-              "What the slots show in turn, such as stripes,stripes,blank; default: --config's trigger")
-      .needs("--rig");
-  command
-      .option("--points", options->points,
-              "Where the face is in one slot, pointed at by hand, if the landmark net does not find it "
-              "(docs/booth.md)")
-      .needs("--rig");
+  add_booth_options(command, *options);
   command
       .option("--cameras", options->cameras,
               "Of a take of frame sets in plain light (mode \"frames\"): the cameras that see the face, "

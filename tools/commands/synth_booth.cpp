@@ -40,6 +40,8 @@ struct SynthBoothOptions {
   std::uint64_t slots = 90;
   std::string meshes = "blank";
   bool quiet_sensor = false;
+  std::string program = "stripes,stripes,blank";
+  std::vector<std::string> lamps;
   ActorChoice actor;
   std::string folder;
 };
@@ -95,7 +97,9 @@ void write_description(const SynthBoothOptions& options, const VirtualBooth& boo
                    {"head_motion", config.head_motion},
                    {"ambient", config.ambient},
                    {"projector_blur_px", config.projector_blur_px},
-                   {"sensor_noise", config.sensor_noise}};
+                   {"sensor_noise", config.sensor_noise},
+                   {"program", options.program},
+                   {"gloss", config.gloss}};
   if (const auto target = booth.target()) {
     document["target"] = {{"centre_mm", vector_json(target->centre_mm)}};
     if (target->radius_mm > 0) {
@@ -109,6 +113,21 @@ void write_description(const SynthBoothOptions& options, const VirtualBooth& boo
   output.commit();
 }
 
+/// NAME=X,Y,Z[,STRENGTH]
+capture::RigLight parse_lamp(const std::string& text) {
+  capture::RigLight lamp;
+  const std::size_t equals = text.find('=');
+  lamp.name = text.substr(0, equals);
+  const std::string numbers = equals == std::string::npos ? "" : text.substr(equals + 1);
+  const int read = std::sscanf(numbers.c_str(), "%lf,%lf,%lf,%lf", &lamp.position_mm.x(),
+                               &lamp.position_mm.y(), &lamp.position_mm.z(), &lamp.strength);
+  if (lamp.name.empty() || read < 3 || !(lamp.strength > 0) || !(lamp.position_mm.norm() < 1e5)) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("--lamp {}: name it and say where it is, such as top=0,600,900", text));
+  }
+  return lamp;
+}
+
 void run_synth_booth(SynthBoothOptions options) {
   options.booth.scene =
       static_cast<BoothScene>(std::find(kScenes.begin(), kScenes.end(), options.scene) - kScenes.begin());
@@ -120,6 +139,10 @@ void run_synth_booth(SynthBoothOptions options) {
     options.booth.start_s = options.actor.start_s;
     options.booth.curves = read_curves(options.actor);
   }
+  for (const std::string& lamp : options.lamps) {
+    options.booth.lights.push_back(parse_lamp(lamp));
+  }
+  const capture::SlotProgram program = capture::parse_slot_program(options.program);
   const VirtualBooth booth(model ? &*model : nullptr, options.booth);
   const std::filesystem::path folder = options.folder;
   for (const capture::StereoPair& pair : booth.rig().pairs) {
@@ -139,14 +162,17 @@ void run_synth_booth(SynthBoothOptions options) {
   Progress progress("Rendering", options.slots, "slots");
   std::int64_t first_trigger_ns = 0;
   for (std::uint64_t k = 0; k < options.slots; ++k) {
-    const BoothSlot slot = booth.slot(options.first_slot + k);
+    const BoothSlot slot = booth.slot(options.first_slot + k, program);
+    const capture::SlotLight& light = capture::light_of_slot(program, slot.number());
     if (k == 0) {
       first_trigger_ns = slot.trigger_ns();
     }
-    if (!recorder.record(to_frame(slot.frame_set(), first_trigger_ns))) {
+    FrameSet set = slot.frame_set();
+    set.light = capture::to_word(light);
+    if (!recorder.record(to_frame(std::move(set), first_trigger_ns))) {
       break;  // stop() says why
     }
-    const bool blank = slot.shown().kind == capture::Shown::Kind::Blank;
+    const bool blank = light.kind == capture::SlotLight::Kind::Blank;
     write_truth(booth, slot, folder / "truth",
                 options.meshes == "all" || (options.meshes == "blank" && blank));
     progress.advance();
@@ -197,6 +223,16 @@ void add_synth_booth_command(Command app) {
               "0: the head is still, 1: it turns by up to 25 degrees")
       .shows_default();
   command.option("--ambient", options->booth.ambient, "Room light, of the projectors' white").shows_default();
+  command
+      .option("--program", options->program,
+              "What the slots show in turn; light:projector-l shows that projector's white alone")
+      .shows_default();
+  command.option("--lamp", options->lamps,
+                 "A lamp for slots such as light:top, as NAME=X,Y,Z[,STRENGTH]: mm from the face's middle, x "
+                 "to its left, y up, z to the cameras; STRENGTH in a projector's white (1)");
+  command.option("--gloss", options->booth.gloss, "Skin's mirrored light, 0.04 as dry skin's; 0: matt")
+      .shows_default()
+      .range(0.0, 0.2);
   command.flag("--quiet-sensor", options->quiet_sensor, "No noise");
   command.option("--meshes", options->meshes, "Slots whose surface is written, 12 MB each")
       .shows_default()

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <charconv>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <cstdio>
@@ -136,8 +137,12 @@ void view_booth(const ViewOptions& options, take::TakeReader& take, const std::v
   progress.finish();
   render::write_png(sheet, options.sheet);
   for (const report::BoothError& error : errors) {
-    tell("slot {}: {:.3f} mm from the truth (mean; 95 %: {:.3f} mm), normals {:.1f} degrees off\n",
-         error.slot, error.mean_mm, error.p95_mm, error.normal_deg);
+    const std::string wrinkles = std::isnan(error.wrinkle_correlation)
+                                     ? ""
+                                     : fmt::format(", wrinkles at {:.2f} of their depth (correlation {:.2f})",
+                                                   error.wrinkle_depth, error.wrinkle_correlation);
+    tell("slot {}: {:.3f} mm from the truth (mean; 95 %: {:.3f} mm), normals {:.1f} degrees off{}\n",
+         error.slot, error.mean_mm, error.p95_mm, error.normal_deg, wrinkles);
   }
   tell("{}: {} frames of {}\n", options.sheet, frames.size(), options.take);
 }

@@ -1,0 +1,64 @@
+#pragma once
+
+// Private to this room: a slot's mesh, its lamps and what the cameras see of it, for PhotometricStereo.
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "capture/rig.hpp"
+#include "facet/frame_set.hpp"
+#include "mesh/hierarchy.hpp"
+
+namespace facet::booth {
+
+/// A projector or lamp as skin sees it.
+struct Lamp {
+  std::string name;
+  Eigen::Vector3f at_mm{0, 0, 0};
+  Eigen::Vector3f axis{0, 0, 0};  ///< of a projector, whose field is flat across it; 0: a lamp
+  float reference_mm = 1000;      ///< where it gives its strength
+  float strength = 1;
+
+  /// Light at a place that faces it, times the direction to it.
+  Eigen::Vector3f towards(const Eigen::Vector3f& from_mm) const;
+};
+
+/// The rig's projectors, then its lights.
+std::vector<Lamp> lamps_of(const capture::Rig& rig);
+
+/// A lamp that shines in a slot, by a strength of that slot: projectors are not as bright in every picture.
+struct Shining {
+  std::size_t lamp;
+  std::size_t strength;  ///< index into the strengths
+};
+
+/// Calls for each of `count` vertices, on two threads.
+void for_each_vertex(Eigen::Index count, const std::function<void(Eigen::Index)>& work);
+
+/// One slot's pictures, light and mesh.
+struct LitMesh {
+  const FrameSet* set = nullptr;
+  std::string light;           ///< what it is lit by, of all slots like it
+  std::vector<Shining> lamps;  ///< that shine
+  mesh::Vertices template_mm;
+  mesh::Vertices vertices_mm;  ///< [3][finest]
+  /// [3][finest]; the axes of each vertex's tangent plane go with the skin.
+  Eigen::Matrix3Xf normals, first_axes, second_axes;
+  std::vector<Eigen::Matrix3Xf> towards;  ///< [lamps] Lamp::towards [3][finest], 0 in shadow
+  Eigen::VectorXf shadowless;             ///< [finest] 1; 0 at the rim of a shadow
+  Eigen::MatrixXf brightness;             ///< [cameras][finest]
+  Eigen::MatrixXf weight;                 ///< [cameras][finest] 0 to 1
+
+  /// Positions, normals and axes of the template with displacements.
+  void stand_on(const mesh::Hierarchy& hierarchy, const std::vector<float>& displacements_mm);
+  /// What each of its lamps gives each vertex of the skin, and where a shadow's rim makes that uncertain.
+  void cast_shadows(const mesh::Level& fine, const std::vector<Lamp>& all,
+                    const std::vector<std::uint8_t>& is_skin);
+  /// What the cameras see of each vertex of the skin.
+  void look(const mesh::Level& fine, const capture::Rig& rig, const std::vector<std::uint8_t>& is_skin);
+};
+
+}  // namespace facet::booth

@@ -1,0 +1,52 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace facet::capture {
+
+/// What lights the face in one slot of a booth's trigger program.
+struct SlotLight {
+  enum class Kind : std::uint8_t {
+    Blank,    ///< even light of all projectors: texture, flow, a mesh
+    Stripes,  ///< projectors with their patterns: depth
+    Lit,      ///< known lights alone: slopes of the skin
+  };
+  Kind kind = Kind::Blank;
+  /// Lit: names of the rig's projectors and lights, one at least; none: all are dark. Blank, Stripes: empty.
+  std::vector<std::string> lights;
+
+  bool operator==(const SlotLight&) const = default;
+};
+
+/// What slot n shows: program[n % program.size()].
+using SlotProgram = std::vector<SlotLight>;
+
+inline const SlotLight& light_of_slot(const SlotProgram& program, std::uint64_t slot) {
+  return program[slot % program.size()];
+}
+
+/// The program of Zhang et al.: two slots with stripes, a blank one.
+SlotProgram standard_program();
+
+/// A slot's light as a word: "stripes", "blank", "dark", "light:projector-l+led.top".
+std::string to_word(const SlotLight& light);
+
+/// The other way round; any word but those above is light with a pattern. Throws Error(Usage) for a light
+/// without a name.
+SlotLight parse_slot_light(std::string_view word);
+
+/// Words with commas between: "stripes,stripes,blank". Throws Error(Usage) unless there is a slot with
+/// stripes and a blank one.
+SlotProgram parse_slot_program(std::string_view text);
+
+/// As parse_slot_program reads it.
+std::string to_text(const SlotProgram& program);
+
+/// Whether depth and texture can be had: a slot with stripes and a blank one.
+bool makes_meshes(const SlotProgram& program);
+
+}  // namespace facet::capture
