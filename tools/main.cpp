@@ -13,6 +13,7 @@ int main(int argc, char** argv) {
       "Facet: facial-performance capture. Turns video of a face into refined meshes, and works with takes.",
       "Exit status: 0 done, 1 internal fault, 2 usage, 3 unreadable input, 4 no face found, 5 no usable "
       "Vulkan\n"
-      "device, 6 cannot write, 7 the daemon does not answer. `facet COMMAND --help` explains a command."};
+      "device, 6 cannot write, 7 the daemon does not answer, or a file is in use. `facet COMMAND --help`\n"
+      "explains a command."};
   return run_program(texts, add_commands, argc, argv);
 }

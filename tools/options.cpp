@@ -15,6 +15,21 @@
 #include "tell.hpp"
 
 namespace facet::tools {
+namespace {
+
+/// The word that stands where a subcommand should, as it was typed; nothing where there is none, or a command
+/// that wants no subcommand is at fault.
+std::optional<std::string> unknown_command(const CLI::App& app) {
+  const CLI::App* at = &app;
+  while (!at->get_subcommands().empty()) {
+    at = at->get_subcommands().front();
+  }
+  const std::vector<std::string> words = app.remaining(true);
+  const bool wanted = at->get_require_subcommand_min() > 0 && !words.empty();
+  return wanted ? std::optional<std::string>(words.front()) : std::nullopt;
+}
+
+}  // namespace
 
 const Option& Option::required() const {
   option_->required();
@@ -145,6 +160,14 @@ int run_program(const ProgramTexts& texts, const std::function<void(Command)>& a
   app.fallthrough(false);
   try {
     app.parse(argc, argv);
+  } catch (const CLI::RequiredError& error) {
+    if (const auto word = unknown_command(app)) {
+      tell(stderr, "{}: there is no command or option '{}' ({} --help lists them)\n", texts.name, *word,
+           texts.name);
+    } else {
+      app.exit(error);
+    }
+    return static_cast<int>(ErrorKind::Usage);
   } catch (const CLI::ParseError& error) {
     const int status = app.exit(error);
     return status == 0 ? 0 : static_cast<int>(ErrorKind::Usage);

@@ -19,7 +19,10 @@ constexpr float kVisibleMargin_mm = 4;
 constexpr float kRim_px = 3;
 constexpr float kShadowLift_mm = 0.5F;
 constexpr float kLeastCosine = 0.2F;  ///< to the camera; full weight from twice of it on
-constexpr float kSaturated = 250;     ///< of 255
+/// Cosines between the normal and the middle of lamp and camera: mirrored skin is wide.
+constexpr float kMirrored = 0.98F;
+constexpr float kUnmirrored = 0.9F;
+constexpr float kSaturated = 250;  ///< of 255
 
 /// Grey value between four pixels, linear; nothing where one is saturated. The point is inside.
 std::optional<float> sample(const Frame& frame, const Eigen::Vector2d& at_px) {
@@ -124,6 +127,20 @@ void LitMesh::cast_shadows(const mesh::Level& fine, const std::vector<Lamp>& all
   }
 }
 
+/// 0 where a lamp's light is mirrored towards a camera, 1 well away from there.
+float LitMesh::unmirrored(Eigen::Index v, const Vector3f& to_camera) const {
+  float least = 1;
+  for (const Matrix3Xf& given : towards) {
+    const Vector3f half = given.col(v).normalized() + to_camera;
+    if (!given.col(v).isZero()) {
+      least = std::min(
+          least, std::clamp((kMirrored - normals.col(v).dot(half.normalized())) / (kMirrored - kUnmirrored),
+                            0.0F, 1.0F));
+    }
+  }
+  return least;
+}
+
 void LitMesh::look(const mesh::Level& fine, const capture::Rig& rig,
                    const std::vector<std::uint8_t>& is_skin) {
   const Eigen::Index count = vertices_mm.cols();
@@ -152,9 +169,11 @@ void LitMesh::look(const mesh::Level& fine, const capture::Rig& rig,
       }
       const std::optional<float> seen = sample(frame, *at_px);
       if (seen) {
-        const float cosine = normals.col(v).dot((centre_mm - at_mm).normalized());
+        const Vector3f to_camera = (centre_mm - at_mm).normalized();
+        const float cosine = normals.col(v).dot(to_camera);
         brightness(row, v) = *seen;
-        weight(row, v) = std::clamp((cosine - kLeastCosine) / kLeastCosine, 0.0F, 1.0F) * shadowless[v];
+        weight(row, v) = std::clamp((cosine - kLeastCosine) / kLeastCosine, 0.0F, 1.0F) * shadowless[v] *
+                         unmirrored(v, to_camera);
       }
     }
   });

@@ -28,11 +28,12 @@ constexpr float kLeastLight = 0.02F;  ///< of a projector's white
 constexpr float kDarkNoise = 0.004F;  ///< of a picture's white, linear
 constexpr float kResidualReduction = 1e-2F;
 constexpr int kStrengthRounds = 4;
-constexpr double kStrengthSigma = 0.3;  ///< of a light's strength about the rig file's, relative
-constexpr double kAmbientSigma = 0.1;   ///< of ambient light, of a projector's white
-constexpr double kLeastStrength = 0.2;  ///< of itself, that a strength is left in one round
-constexpr double kFewest = 500;         ///< vertices whose ratio tells whether a slot's lights shone
-constexpr std::size_t kAmbient = 4;     ///< its mean and its slope along three axes
+constexpr Eigen::Index kStrengthStride = 5;  ///< one vertex of so many tells them
+constexpr double kStrengthSigma = 0.3;       ///< of a light's strength about the rig file's, relative
+constexpr double kAmbientSigma = 0.1;        ///< of ambient light, of a projector's white
+constexpr double kLeastStrength = 0.2;       ///< of itself, that a strength is left in one round
+constexpr double kFewest = 500;              ///< vertices whose ratio tells whether a slot's lights shone
+constexpr std::size_t kAmbient = 4;          ///< its mean and its slope along three axes
 
 float tukey(float t) {
   const float rest = 1 - t * t;
@@ -194,7 +195,7 @@ void PhotometricStereo::Impl::fit_strengths() {
     Eigen::MatrixXd matrix = Eigen::MatrixXd::Zero(n, n);
     Eigen::VectorXd right = Eigen::VectorXd::Zero(n);
     double seen_count = 0;
-    for (Eigen::Index v = 0; v < slots.front().normals.cols(); ++v) {
+    for (Eigen::Index v = 0; v < slots.front().normals.cols(); v += kStrengthStride) {
       for (std::size_t camera = 0; camera < rig->cameras.size(); ++camera) {
         const auto row = static_cast<Eigen::Index>(camera);
         if (!std::all_of(slots.begin(), slots.end(), [&](const LitMesh& slot) {

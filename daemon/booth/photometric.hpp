@@ -26,7 +26,7 @@ struct PhotometricOptions {
   float sigma_depth_mm = 0.12F;  ///< of the depths' displacement, per square millimetre of skin
   float sigma_bend = 0.2F;       ///< of the Laplacian of what is added, 1/mm, per square millimetre
   float robust = 0.25F;          ///< Tukey's bound, relative: what is off by more is shadow, gloss or hair
-  float least_agreement = 0.5F;  ///< of a lit slot's pictures with its lights, a correlation
+  float least_agreement = 0.3F;  ///< of a lit slot's pictures with its lights, a correlation
   int steps = 2;                 ///< Gauss-Newton
   int cg_iterations = 60;        ///< a step, at most
 };

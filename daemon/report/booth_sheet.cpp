@@ -31,10 +31,20 @@ constexpr int kCellHeight_px = 480;
 constexpr int kGap_px = 6;
 constexpr int kHeader_px = 46;
 constexpr float kLargestError_mm = 1;
+constexpr float kUnknown = 0.05F;  ///< grey of what is not measured
 constexpr float kWireOpacity = 0.22F;
 constexpr std::array<std::uint8_t, 3> kDark{30, 32, 37};
-constexpr std::array<const char*, 6> kColumns{"stripes",      "depth",   "mesh over the picture",
-                                              "mesh, shaded", "texture", "distance to the truth, mm"};
+constexpr float kLargestRelief_mm = 0.3F;
+enum Column : std::size_t { kStripes, kDepth, kOver, kShaded, kTexture, kRelief, kConfidence, kDistance };
+constexpr std::array<const char*, 8> kColumns{"stripes",
+                                              "depth",
+                                              "mesh over the picture",
+                                              "mesh, shaded",
+                                              "texture",
+                                              "relief, -0.3 to 0.3 mm",
+                                              "confidence, 0 to 1",
+                                              "distance to the truth, mm"};
+using Cells = std::array<Picture, kColumns.size()>;
 
 /// Scaled to fit a cell and centred in it.
 Picture fitted(const Picture& picture) {
@@ -124,19 +134,18 @@ class Drawer {
     }
   }
 
-  std::array<Picture, 6> row(const mesh::MeshFrame& frame, std::optional<BoothError>& error) {
-    const std::string unavailable = "not available";
-    std::array<Picture, 6> cells{cell_note(unavailable), cell_note(unavailable), cell_note(unavailable),
-                                 cell_note(unavailable), cell_note(unavailable), cell_note(unavailable)};
+  Cells row(const mesh::MeshFrame& frame, std::optional<BoothError>& error) {
+    Cells cells;
+    cells.fill(cell_note("not available"));
     if (const auto stripes = picture_of(*left_, frame.sequence, -1)) {
-      cells[0] = fitted(render::to_picture(*stripes));
+      cells[kStripes] = fitted(render::to_picture(*stripes));
     }
-    cells[1] = depth(frame.sequence);
+    cells[kDepth] = depth(frame.sequence);
     const std::optional<Frame> seen = picture_of(*colour_, frame.sequence, 0);
     if (!mesh::has_mesh(frame)) {
       const Picture missing = cell_note(fmt::format("no mesh: {}", mesh::to_string(frame.state)));
-      cells[2] = seen ? fitted(render::to_picture(*seen)) : missing;
-      cells[3] = cells[4] = cells[5] = missing;
+      std::fill(cells.begin() + kOver, cells.end(), missing);
+      cells[kOver] = seen ? fitted(render::to_picture(*seen)) : missing;
       return cells;
     }
     const FrameGeometry geometry = geometry_of(frame);
@@ -144,19 +153,39 @@ class Drawer {
     const Cell cell = cell_around(face_vertices(frame), frame.camera, kCellWidth_px, kCellHeight_px);
     const Picture dark = render::plain_picture(kCellWidth_px, kCellHeight_px, kDark);
     const render::Raycaster caster(geometry.refined_mm, triangles);
-    cells[2] = draw_coarse_mesh(
+    cells[kOver] = draw_coarse_mesh(
         frame, cell, seen ? cell_picture(capture::Undistortion(colour_->lens).apply(*seen), cell) : dark,
         kWireOpacity);
-    cells[3] = render_colours(caster, triangles, grey_shading(geometry.refined_normals), cell.camera, dark);
+    cells[kShaded] =
+        render_colours(caster, triangles, grey_shading(geometry.refined_normals), cell.camera, dark);
     const auto vertex_count = static_cast<std::size_t>(geometry.refined_mm.cols());
     if (frame.albedo && frame.albedo->linear_rgb.size() == 3 * vertex_count) {
       const mesh::Vertices texture = Eigen::Map<const mesh::Vertices>(
           frame.albedo->linear_rgb.data(), 3, static_cast<Eigen::Index>(vertex_count));
-      cells[4] = render_colours(caster, triangles, texture, cell.camera, dark);
+      cells[kTexture] = render_colours(caster, triangles, texture, cell.camera, dark);
+    }
+    const Reconstruction refined = measured_mesh(frame, geometry);
+    const Reconstruction base = without_wrinkles(*frame.subject, refined);
+    mesh::Vertices colours = mesh::Vertices::Constant(3, geometry.refined_mm.cols(), kUnknown);
+    const Eigen::VectorXf relief_mm = heights_of(*frame.subject, refined, base);
+    for (std::size_t k = 0; k < refined.measured.size(); ++k) {
+      const float share = relief_mm[static_cast<Eigen::Index>(k)] / kLargestRelief_mm;
+      colours.col(refined.measured[k]).setConstant(0.25F + 0.25F * std::clamp(share, -1.0F, 1.0F));
+    }
+    cells[kRelief] = render_colours(caster, triangles, colours, cell.camera, dark);
+    if (frame.confidence.size() == vertex_count) {
+      colours.setConstant(kUnknown);
+      for (const std::int32_t v : refined.measured) {
+        const auto rgb = render::heat_colour(frame.confidence[static_cast<std::size_t>(v)]);
+        for (std::size_t channel = 0; channel < 3; ++channel) {
+          colours(static_cast<Eigen::Index>(channel), v) = render::srgb8_to_linear(rgb[channel]);
+        }
+      }
+      cells[kConfidence] = render_colours(caster, triangles, colours, cell.camera, dark);
     }
     if (footage_ && seen) {
       if (const auto slot = slot_of_truth(*footage_, colour_->name, *seen)) {
-        cells[5] = compare_with(*slot, frame, geometry, caster, cell, error);
+        cells[kDistance] = compare_with(*slot, frame, refined, base, caster, cell, error);
       }
     }
     return cells;
@@ -212,9 +241,16 @@ class Drawer {
     return fitted(trimmed(relief_of(relief), [&](std::size_t pixel) { return map.values[pixel] > 0; }));
   }
 
-  /// Mesh and truth stand alike over what the mesh is without its wrinkles.
-  static WrinkleSum wrinkles_of(const mesh::Subject& subject, const Reconstruction& mesh,
-                                const Truth& truth) {
+  static Reconstruction measured_mesh(const mesh::MeshFrame& frame, const FrameGeometry& geometry) {
+    Reconstruction refined;
+    refined.vertices_mm = geometry.refined_mm;
+    refined.normals = geometry.refined_normals;
+    refined.measured = measured_vertices(*frame.subject, geometry.coarse_mm, geometry.coarse_normals);
+    return refined;
+  }
+
+  /// Two fields over the measured vertices, smoothed over 5 mm.
+  static void smooth(const mesh::Subject& subject, const Reconstruction& mesh, Eigen::Matrix2Xf& fields) {
     constexpr float kSmooth_mm = 5;
     const mesh::Level& level = subject.hierarchy->finest();
     double edges = 0;
@@ -230,19 +266,44 @@ class Drawer {
     // A half-ring average adds a quarter of the mean squared edge to the variance along either axis.
     const double a_round = edges / (4 * static_cast<double>(std::max<std::size_t>(edge_count, 1)));
     const int rounds = static_cast<int>(kSmooth_mm * kSmooth_mm / std::max(a_round, 1e-3));
-    const RingSmoother smoother(level.one_rings, mesh.measured);
+    RingSmoother(level.one_rings, mesh.measured).smooth(fields, rounds);
+  }
+
+  /// The mesh smoothed over 5 mm.
+  static Reconstruction without_wrinkles(const mesh::Subject& subject, const Reconstruction& mesh) {
     Reconstruction base = mesh;
     for (const Eigen::Index row : {Eigen::Index{0}, Eigen::Index{1}}) {
       Eigen::Matrix2Xf fields(2, std::ssize(mesh.measured));
       for (std::size_t k = 0; k < mesh.measured.size(); ++k) {
         fields.col(static_cast<Eigen::Index>(k)) = mesh.vertices_mm.col(mesh.measured[k]).segment<2>(row);
       }
-      smoother.smooth(fields, rounds);
+      smooth(subject, mesh, fields);
       for (std::size_t k = 0; k < mesh.measured.size(); ++k) {
         base.vertices_mm.col(mesh.measured[k]).segment<2>(row) = fields.col(static_cast<Eigen::Index>(k));
       }
     }
-    mesh::vertex_normals(base.vertices_mm, level.triangles, base.normals);
+    mesh::vertex_normals(base.vertices_mm, subject.hierarchy->finest().triangles, base.normals);
+    return base;
+  }
+
+  /// [measured] what stands out of the mesh smoothed, mm, without what curved skin does everywhere.
+  static Eigen::VectorXf heights_of(const mesh::Subject& subject, const Reconstruction& mesh,
+                                    const Reconstruction& base) {
+    Eigen::Matrix2Xf heights = Eigen::Matrix2Xf::Zero(2, std::ssize(mesh.measured));
+    for (std::size_t k = 0; k < mesh.measured.size(); ++k) {
+      const std::int32_t v = mesh.measured[k];
+      heights(0, static_cast<Eigen::Index>(k)) =
+          base.normals.col(v).dot(mesh.vertices_mm.col(v) - base.vertices_mm.col(v));
+    }
+    Eigen::Matrix2Xf wide = heights;
+    smooth(subject, mesh, wide);
+    return (heights - wide).row(0).transpose();
+  }
+
+  /// Mesh and truth stand alike over what the mesh is without its wrinkles.
+  static WrinkleSum wrinkles_of(const mesh::Subject& subject, const Reconstruction& mesh,
+                                const Reconstruction& base, const Truth& truth) {
+    const mesh::Level& level = subject.hierarchy->finest();
     simulation::TruthMesh found;
     found.vertices_mm = mesh.vertices_mm;
     found.normals = mesh.normals;
@@ -260,8 +321,9 @@ class Drawer {
     return sum;
   }
 
-  Picture compare_with(std::uint64_t slot, const mesh::MeshFrame& frame, const FrameGeometry& geometry,
-                       const render::Raycaster& caster, const Cell& cell, std::optional<BoothError>& error) {
+  Picture compare_with(std::uint64_t slot, const mesh::MeshFrame& frame, const Reconstruction& reconstruction,
+                       const Reconstruction& base, const render::Raycaster& caster, const Cell& cell,
+                       std::optional<BoothError>& error) {
     const std::filesystem::path file = sources_.truth_folder / "truth" / fmt::format("slot_{:06}.ply", slot);
     std::error_code ignored;
     if (!std::filesystem::exists(file, ignored)) {
@@ -272,16 +334,11 @@ class Drawer {
     truth.vertices_mm =
         (camera_from_rig.linear() * truth.vertices_mm).colwise() + camera_from_rig.translation();
     truth.normals = camera_from_rig.linear() * truth.normals;
-    Reconstruction reconstruction;
-    reconstruction.vertices_mm = geometry.refined_mm;
-    reconstruction.normals = geometry.refined_normals;
-    reconstruction.measured = measured_vertices(*frame.subject, geometry.coarse_mm, geometry.coarse_normals);
     const Truth true_surface(std::move(truth));
     const Comparison comparison = compare(reconstruction, true_surface, Alignment::None);
     std::vector<float> distances;
     double normal_sum = 0;
-    constexpr float kUnknown = 0.05F;
-    mesh::Vertices colours = mesh::Vertices::Constant(3, geometry.refined_mm.cols(), kUnknown);
+    mesh::Vertices colours = mesh::Vertices::Constant(3, reconstruction.vertices_mm.cols(), kUnknown);
     for (std::size_t k = 0; k < reconstruction.measured.size(); ++k) {
       const float distance = std::abs(comparison.signed_distance_mm[k]);
       if (std::isnan(distance)) {
@@ -301,7 +358,7 @@ class Drawer {
       error = BoothError{frame.sequence, std::accumulate(distances.begin(), distances.end(), 0.0) / count,
                          static_cast<double>(distances[static_cast<std::size_t>(0.95 * (count - 1))]),
                          normal_sum / count};
-      const WrinkleSum wrinkles = wrinkles_of(*frame.subject, reconstruction, true_surface);
+      const WrinkleSum wrinkles = wrinkles_of(*frame.subject, reconstruction, base, true_surface);
       error->wrinkle_correlation = wrinkles.correlation();
       error->wrinkle_depth = wrinkles.depth();
     }
@@ -336,7 +393,7 @@ Picture make_booth_sheet(const BoothSheetSources& sources, const std::vector<std
   for (int row = 0; row < rows; ++row) {
     const auto frame = sources.meshes->frame(frames[static_cast<std::size_t>(row)]);
     std::optional<BoothError> error;
-    const std::array<Picture, 6> cells = drawer.row(*frame, error);
+    const Cells cells = drawer.row(*frame, error);
     const int y = kHeader_px + row * (kCellHeight_px + kGap_px);
     for (int column = 0; column < columns; ++column) {
       render::paste(sheet, cells[static_cast<std::size_t>(column)],

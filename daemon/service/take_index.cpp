@@ -134,6 +134,9 @@ TakeIndex::Impl::Known TakeIndex::Impl::read(const std::filesystem::path& file, 
     fresh.info = take::listed_info(file);
   } catch (const Error& unreadable) {
     fresh.error = unreadable.what();
+    if (unreadable.kind() == ErrorKind::Unavailable) {
+      return fresh;  // not kept: what another program does to the file leaves no trace in its state
+    }
   }
   const Lock lock(mutex);
   known.insert_or_assign(file.native(), fresh);
@@ -205,6 +208,7 @@ std::string TakeIndex::Impl::make_list() {
   const std::size_t count = found.size();
   found.resize(std::min(count, kMostListed));
   std::vector<json> entries;
+  entries.reserve(found.size());
   for (const auto& [file, state] : found) {
     entries.push_back(entry_of(file, state));
   }

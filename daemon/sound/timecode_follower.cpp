@@ -117,7 +117,9 @@ void TimecodeFollower::add(const LtcFrame& frame, std::int64_t first_ns, std::in
     return;
   }
   if (!fits(next_)) {
-    next_.emplace().begin(heard, *rate, direction);
+    Run begun;
+    begun.begin(heard, *rate, direction);
+    next_ = std::move(begun);
     return;
   }
   next_->add(heard);

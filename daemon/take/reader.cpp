@@ -1,15 +1,19 @@
 #include "take/reader.hpp"
 
+#include <fcntl.h>
 #include <fmt/format.h>
 #include <sqlite3.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <bit>
+#include <cerrno>
 #include <cstddef>
 #include <cstdlib>
 #include <filesystem>
 #include <map>
 #include <string_view>
+#include <system_error>
 #include <unordered_map>
 #include <utility>
 
@@ -31,25 +35,45 @@ std::uint64_t id_from(std::int64_t stored) {
   throw Error(ErrorKind::UnreadableInput, fmt::format("take '{}': {}", file.string(), what));
 }
 
-std::string explain(const std::filesystem::path& file, const DatabaseError& error) {
+[[noreturn]] void unavailable(const std::filesystem::path& file, std::string_view what) {
+  throw Error(ErrorKind::Unavailable, fmt::format("take '{}': {}", file.string(), what));
+}
+
+/// Where SQLite can't open the file, or what stands beside it.
+[[noreturn]] void reject_unopened(const std::filesystem::path& file, const DatabaseError& error) {
+  if (::faccessat(AT_FDCWD, file.c_str(), R_OK, AT_EACCESS) != 0) {
+    reject(file, fmt::format("it can't be opened ({})", std::generic_category().message(errno)));
+  }
+  std::error_code unknown;
+  const auto folder = std::filesystem::weakly_canonical(file, unknown).parent_path();
+  if (log_bytes(file) > 0 && ::faccessat(AT_FDCWD, folder.c_str(), W_OK, AT_EACCESS) != 0) {
+    reject(file,
+           "a part of it is still in its -wal file and its folder is read-only: copy it together with its "
+           "-wal file to a folder that can be written");
+  }
+  unavailable(file, fmt::format("it can't be opened now ({}): another program holds it, or too many files "
+                                "are open: try again",
+                                error.what()));
+}
+
+/// Turns what SQLite reports into an Error that names the file. What another program has in its hands is as
+/// sound as it was: it is not to be taken for damaged.
+[[noreturn]] void reject(const std::filesystem::path& file, const DatabaseError& error) {
   switch (error.code()) {
     case SQLITE_NOTADB:
-      return "this is not a take (not an SQLite file)";
+      reject(file, "this is not a take (not an SQLite file)");
     case SQLITE_CORRUPT:
-      return fmt::format("the file is damaged ({})", error.what());
+      reject(file, fmt::format("the file is damaged ({})", error.what()));
     case SQLITE_CANTOPEN:
     case SQLITE_READONLY:
-      return log_bytes(file) == 0 ? error.what()
-                                  : "a part of it is still in its -wal file and its folder is read-only: "
-                                    "copy it together with "
-                                    "its -wal file to a folder that can be written";
+      reject_unopened(file, error);
     case SQLITE_TOOBIG:
-      return "the file is damaged (a text or blob in it is longer than any of a take)";
+      reject(file, "the file is damaged (a text or blob in it is longer than any of a take)");
     case SQLITE_BUSY:
     case SQLITE_LOCKED:
-      return "another program holds it locked: try again";
+      unavailable(file, "another program holds it locked: try again");
     default:
-      return error.what();
+      reject(file, error.what());
   }
 }
 
@@ -160,7 +184,7 @@ struct OpenTake {
     try {
       return open_database(take);
     } catch (const DatabaseError& error) {
-      reject(take, explain(take, error));
+      reject(take, error);
     }
   }
 
@@ -170,7 +194,7 @@ struct OpenTake {
     try {
       return work();
     } catch (const DatabaseError& error) {
-      reject(file, explain(file, error));
+      reject(file, error);
     }
   }
 

@@ -75,7 +75,8 @@ enum class Pictures {
 /// Reads a take, also while it is being recorded or after its recorder was killed. Everything in the file is
 /// checked before use. One thread. Throws Error(UnreadableInput) naming the file and what is wrong: missing,
 /// not a take, made by a newer version, damaged (with the frame, and the segment where it is one that is
-/// damaged or missing). Frames that are sound stay readable.
+/// damaged or missing), and Error(Unavailable) where another program holds it locked for longer than two
+/// seconds, or it can't be opened just now. Frames that are sound stay readable.
 class TakeReader {
  public:
   explicit TakeReader(const std::filesystem::path& file);

@@ -10,8 +10,10 @@
 #include <chrono>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <string_view>
 #include <thread>
 
+#include "facet/error.hpp"
 #include "files/disk.hpp"
 #include "service/take_bin.hpp"
 #include "support/mesh_frames.hpp"
@@ -169,6 +171,28 @@ TEST_F(TakeMethods, RefusesWhatIsInUseUnknownOrTaken) {
   recorder.start();
   each("running", HasSubstr("another program records or reads it"));
   recorder.stop();
+}
+
+TEST_F(TakeMethods, WhatAnotherHoldsLockedStaysWhereItIsAndWhatIsDamagedMoves) {
+  record("held");
+  std::ofstream(file("damaged.take")) << "no take";
+  take::Database holder(file("held.take"), take::Database::Mode::ReadWrite);
+  holder.execute("BEGIN EXCLUSIVE");
+  for (const char* method : {"takes.delete", "takes.rename"}) {
+    json params = {{"name", "held"}};
+    if (method == std::string_view("takes.rename")) {
+      params["to"] = "new";
+    }
+    const json answer = ask(method, params);
+    EXPECT_EQ(answer["error"]["code"], -32000 - static_cast<int>(ErrorKind::Unavailable)) << answer;
+    EXPECT_THAT(answer["error"]["message"].get<std::string>(), HasSubstr("another program holds it locked"));
+  }
+  EXPECT_TRUE(fs::exists(file("held.take")));
+  EXPECT_THAT(listed("held")["error"].get<std::string>(), HasSubstr("locked"));
+  holder.execute("ROLLBACK");
+  EXPECT_FALSE(listed("held").contains("error")) << "it was never unreadable";
+  result("takes.rename", {{"name", "damaged"}, {"to", "broken"}});
+  result("takes.delete", {{"name", "broken"}});
 }
 
 TEST_F(TakeMethods, OnlyMembersMayAndParamsAreChecked) {

@@ -2,6 +2,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <sqlite3.h>
+#include <sys/resource.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 #include <chrono>
 #include <fstream>
@@ -12,6 +15,7 @@
 #include "record_take.hpp"
 #include "support/paths.hpp"
 #include "support/set_clock.hpp"
+#include "take/database.hpp"
 #include "take/reader.hpp"
 #include "take/take_file.hpp"
 
@@ -21,11 +25,11 @@ namespace {
 using testing::AllOf;
 using testing::HasSubstr;
 
-std::string rejection(auto&& work) {
+std::string rejection(auto&& work, ErrorKind kind = ErrorKind::UnreadableInput) {
   try {
     work();
   } catch (const Error& error) {
-    EXPECT_EQ(error.kind(), ErrorKind::UnreadableInput) << error.what();
+    EXPECT_EQ(error.kind(), kind) << error.what();
     return error.what();
   }
   return "";
@@ -46,6 +50,9 @@ class Reader : public testing::Test {
   }
   std::string open_error() {
     return rejection([&] { TakeReader{file}; });
+  }
+  std::string unavailable() {
+    return rejection([&] { TakeReader{file}; }, ErrorKind::Unavailable);
   }
   std::string frame_error(std::int64_t index) {
     return rejection([&] { TakeReader(file).frame(index); });
@@ -249,6 +256,47 @@ TEST_F(Reader, ForeignFilesAreNamed) {
   change("CREATE TABLE frame(x)");
   EXPECT_THAT(open_error(), AllOf(HasSubstr("not a take"), HasSubstr(file.string())));
   EXPECT_THAT(rejection([&] { TakeReader{folder.path()}; }), HasSubstr("not a file"));
+}
+
+TEST_F(Reader, WhatAnotherHoldsLockedIsUnavailableAndNotUnreadable) {
+  test::record_take(file, 3, subject);
+  {
+    Database holder(file, Database::Mode::ReadWrite);
+    holder.execute("BEGIN EXCLUSIVE");
+    EXPECT_THAT(unavailable(), AllOf(HasSubstr(file.string()), HasSubstr("another program holds it locked")));
+    EXPECT_THAT(rejection([&] { listed_info(file); }, ErrorKind::Unavailable), HasSubstr("try again"));
+  }
+  TakeReader reader(file);
+  Database holder(file, Database::Mode::ReadWrite);
+  holder.execute("BEGIN EXCLUSIVE");
+  EXPECT_THAT(rejection([&] { reader.frame(0); }, ErrorKind::Unavailable), HasSubstr("locked"));
+  holder.execute("ROLLBACK");
+  EXPECT_EQ(reader.frame(0)->sequence, 0U);
+}
+
+TEST_F(Reader, ATakeThatCantBeOpenedNowIsUnavailable) {
+  test::record_take(file, 3, subject);
+  rlimit before{};
+  ASSERT_EQ(::getrlimit(RLIMIT_NOFILE, &before), 0);
+  const int next = ::dup(0);
+  ASSERT_GE(next, 0);
+  ::close(next);
+  const rlimit none_left{static_cast<rlim_t>(next), before.rlim_max};
+  ASSERT_EQ(::setrlimit(RLIMIT_NOFILE, &none_left), 0);
+  const std::string refused = unavailable();
+  ASSERT_EQ(::setrlimit(RLIMIT_NOFILE, &before), 0);
+  EXPECT_THAT(refused, AllOf(HasSubstr(file.string()), HasSubstr("opened now"), HasSubstr("try again")));
+  EXPECT_EQ(TakeReader(file).frame_count(), 3);
+}
+
+TEST_F(Reader, ATakeThatNobodyMayReadIsUnreadable) {
+  test::record_take(file, 3, subject);
+  ASSERT_EQ(::chmod(folder.path().c_str(), 0755) | ::chmod(file.c_str(), 0), 0);
+  const bool root = ::geteuid() == 0;
+  ASSERT_TRUE(!root || ::seteuid(65534) == 0);  // root may read everything
+  const std::string refused = open_error();
+  ASSERT_TRUE(!root || ::seteuid(0) == 0);
+  EXPECT_THAT(refused, HasSubstr("Permission denied"));
 }
 
 TEST_F(Reader, NewerVersionIsNamed) {

@@ -670,13 +670,24 @@ TEST_F(BoothDemo, GoesItsWholeWay) {
       << output_;
   EXPECT_THAT(output_, AllOf(HasSubstr("show in every camera what the trigger's lines selected"),
                              HasSubstr("mm from the truth"), HasSubstr("==> facet process --rig")));
+  // Lamps above and below bring the last mesh's normals nearer to the truth than depth alone.
+  const auto last_normals = [&](std::string_view sheet) {
+    const std::size_t end = output_.find(fmt::format("{}/{}: ", demo, sheet));
+    const std::size_t at = output_.rfind("normals ", end);
+    return at < end ? std::stod(output_.substr(at + 8, 6)) : std::nan("");
+  };
+  EXPECT_LT(last_normals("booth-sheet.png"), last_normals("by-depth-sheet.png")) << output_;
+  take::TakeReader pictures(demo + "/pictures.take");
+  const auto light_of = [&](std::int64_t slot) { return pictures.frame(slot)->images->light; };
+  EXPECT_THAT((std::vector<std::string>{light_of(1), light_of(2), light_of(3), light_of(4), light_of(5)}),
+              testing::UnorderedElementsAre("stripes", "stripes", "blank", "light:top", "light:low"));
   take::TakeReader meshes(demo + "/meshes.take");
   std::int64_t tracked = 0;
   for (std::int64_t i = 0; i < meshes.frame_count(); ++i) {
     tracked += meshes.entry(i).has_mesh ? 1 : 0;
   }
   EXPECT_GE(tracked, 2);
-  EXPECT_TRUE(take::TakeReader(demo + "/pictures.take").info().closed);
+  EXPECT_TRUE(pictures.info().closed);
   const render::Picture sheet = render::read_image(demo + "/booth-sheet.png");
   EXPECT_GT(sheet.width_px, 2000);
   // Depth maps and the lens that they belong to.

@@ -75,11 +75,14 @@ TEST_F(Import, PicturesOfOneNumberAreOneSlotAndBlankOnesAreFound) {
     const auto set = take.frame(i)->images;
     ASSERT_NE(set, nullptr);
     EXPECT_EQ(set->slot % 3 == 2, (100 + i) % 3 == 0) << "the program's third slot is the blank one";
+    EXPECT_EQ(set->light, set->slot % 3 == 2 ? "blank" : "stripes");
     EXPECT_EQ(set->missing, i == 5 ? 2U : 0U);
     EXPECT_EQ(*set->camera_names, (std::vector<std::string>{"left", "right"}));
     EXPECT_NEAR(static_cast<double>(take.entry(i).media_time_ns), 1e9 / 60 * static_cast<double>(i), 1);
   }
   EXPECT_EQ(take.frame(2)->images->frames[0].row(0)[0], 117) << "30000 of 65535";
+  EXPECT_EQ(recorded_program(take, {0, 1, 2, 3, 4, 5, 6}), capture::standard_program());
+  EXPECT_EQ(recorded_program(take, {0, 1}), std::nullopt) << "no period can be told by two slots";
 }
 
 TEST_F(Import, LinearPicturesAreCodedAnew) {

@@ -97,6 +97,9 @@ TEST(Options, WhatMayNotBeIsUsage) {
   };
   refused({}, "A subcommand is required");
   refused({"group"}, "A subcommand is required");
+  refused({"wrok"}, "sample: there is no command or option 'wrok' (sample --help lists them)");
+  refused({"group", "wrok"}, "there is no command or option 'wrok'");
+  refused({"--cuont", "2"}, "there is no command or option '--cuont'");
   refused({"work", "--count", "10"}, "--count: Value 10 not in range 1 to 9");
   refused({"work", "--count", "few"}, "few");
   refused({"work", "--speed", "0.4"}, "--speed: Value 0.4 not in range 0.5");

@@ -386,6 +386,8 @@ pipeline::BoothConfig booth_of(const Options& options, const service::Config& co
 /// What tells one computation of depth maps from another.
 std::string made_of(const take::TakeReader& take, const pipeline::BoothConfig& booth,
                     const pipeline::BoothParts& stages, const Options& options) {
+  capture::Rig rig = *stages.rig;
+  rig.lights.clear();  // depth does without
   nlohmann::ordered_json text = {
       {"take", take.info().source},
       {"created_utc", take.info().created_utc},
@@ -396,7 +398,7 @@ std::string made_of(const take::TakeReader& take, const pipeline::BoothConfig& b
       {"program", capture::to_text(booth.program)},
       {"blanks_per_run", stages.blanks_per_run},
       {"software", FACET_VERSION},
-      {"rig", capture::format_rig(*stages.rig)},
+      {"rig", capture::format_rig(rig)},
   };
   if (booth.every_slot) {
     text["every_slot"] = true;

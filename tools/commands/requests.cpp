@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <chrono>
 #include <memory>
 #include <nlohmann/json.hpp>
@@ -50,10 +51,11 @@ void record_neutral(const DaemonOptions& options, double seconds) {
   const auto end = Clock::now() + std::chrono::duration<double>(seconds) + kPatience;
   Progress progress("Look straight ahead, the face at rest", tenths, "tenths of a second");
   json neutral;
+  std::uint64_t passed = 0;
   do {
     std::this_thread::sleep_for(100ms);
     neutral = call_daemon(options, "status")["bridges"]["neutral"];
-    progress.advance();
+    progress.set(std::min(++passed, tenths));
   } while (neutral["state"] == "recording" && Clock::now() < end);
   progress.finish();
   if (neutral["state"] != "set") {

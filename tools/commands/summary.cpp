@@ -241,10 +241,11 @@ void print_frames(const TakeFigures& figures, const take::TakeInfo& info, std::i
 }
 
 void print_errors_and_times(const TakeFigures& figures) {
-  if (!figures.reprojection_px.empty()) {
+  // A booth's meshes lie on depth maps: nothing is reprojected there, nor compared with shading.
+  if (!figures.reprojection_px.empty() && quantile(figures.reprojection_px, 1.0) > 0) {
     tell("reprojection  {:.2f} px median of the frames' medians\n", quantile(figures.reprojection_px, 0.5));
   }
-  if (!figures.photometric_rms.empty()) {
+  if (!figures.photometric_rms.empty() && quantile(figures.photometric_rms, 1.0) > 0) {
     tell("photometric   {:.4f} mean rms error, {:.4f} worst frame (linear light, 0 to 1)\n",
          mean(figures.photometric_rms), quantile(figures.photometric_rms, 1.0));
   }

@@ -42,7 +42,8 @@ std::string written_to(const json& take) {
 }
 
 void print_takes(const json& list) {
-  tell("{} takes in {}\n", list["count"].get<std::size_t>(), list["folder"].get<std::string>());
+  const auto count = list["count"].get<std::size_t>();
+  tell("{} {} in {}\n", count, count == 1 ? "take" : "takes", list["folder"].get<std::string>());
   if (list["takes"].empty()) {
     return;
   }

@@ -91,10 +91,10 @@ std::string line_text(const mesh::MeshFrame& frame, const Window& window, std::u
       text += fmt::format(" {} {:.1f}", name, mean_ms);
     }
   }
-  if (frame.origin != mesh::Origin::Live) {
-    text += fmt::format(" (the studio shows a {})", mesh::to_string(frame.origin));
-  }
   text += fmt::format(" ms  |  rms {:.3f}  dropped {}", frame.photometric_rms, dropped);
+  if (frame.origin != mesh::Origin::Live) {
+    text += fmt::format("  not live: a {}", mesh::to_string(frame.origin));
+  }
   if (frame.degraded) {
     text += "  degraded: " + frame.degraded_reason;
   }
