@@ -47,9 +47,12 @@ std::optional<capture::SlotProgram> recorded_program(take::TakeReader& take,
     if (frame->images == nullptr || frame->images->light.empty()) {
       return {};
     }
+    if (!capture::read_slot_light(frame->images->light)) {
+      return {};
+    }
     words.emplace_back(frame->sequence, frame->images->light);
   }
-  for (std::size_t period = 2; period <= words.size(); ++period) {
+  for (std::size_t period = 2; 2 * period <= words.size(); ++period) {
     std::vector<std::string> program(period);
     const bool follows = std::all_of(words.begin(), words.end(), [&](const auto& slot) {
       std::string& word = program[slot.first % period];

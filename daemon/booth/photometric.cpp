@@ -27,11 +27,15 @@ constexpr float kSkin = 0.99F;        ///< of a vertex's stencil
 constexpr float kLeastLight = 0.02F;  ///< of a projector's white
 constexpr float kDarkNoise = 0.004F;  ///< of a picture's white, linear
 constexpr float kResidualReduction = 1e-2F;
+constexpr int kAlbedoRounds = 3;
+constexpr float kRemembered = 0.8F;  ///< of what is known of an albedo, from slot to slot
+constexpr float kForgotten = 0.2F;   ///< of what may be known at best: less is nothing
 constexpr int kStrengthRounds = 4;
 constexpr Eigen::Index kStrengthStride = 5;  ///< one vertex of so many tells them
 constexpr double kStrengthSigma = 0.3;       ///< of a light's strength about the rig file's, relative
 constexpr double kAmbientSigma = 0.1;        ///< of ambient light, of a projector's white
 constexpr double kLeastStrength = 0.2;       ///< of itself, that a strength is left in one round
+constexpr double kLeastShare = 0.3;          ///< of its usual strength, that a lit slot has
 constexpr double kFewest = 500;              ///< vertices whose ratio tells whether a slot's lights shone
 constexpr std::size_t kAmbient = 4;          ///< its mean and its slope along three axes
 
@@ -48,7 +52,8 @@ struct PhotometricStereo::Impl {
   std::vector<Lamp> lamps;
   /// Ambient light [kAmbient], then of each kind of slot so far its lamps'.
   std::vector<double> strengths = std::vector<double>(kAmbient, 0.0);
-  std::map<std::string, std::size_t> first_strengths;  ///< index by Slot::light
+  std::map<std::string, std::size_t> first_strengths;  ///< index by LitMesh::light
+  std::map<std::string, double> believed;              ///< their sum by LitMesh::light, when last believed
 
   std::shared_ptr<const mesh::Hierarchy> hierarchy;
   std::vector<std::uint8_t> is_skin;
@@ -71,9 +76,15 @@ struct PhotometricStereo::Impl {
   double brighter(const LitMesh& slot) const;
   void fit_strengths();
   double agreement(const LitMesh& slot) const;
+  double strength_sum(const LitMesh& slot) const;
+  std::string disbelief(const LitMesh& slot) const;
+  std::string believe_slots(std::string wrong);
   struct VertexSums {
-    float rho = 0, squares = 0;
+    float rho = 0;         ///< 0: nothing is known
+    float squares = 0;     ///< of the shading, weighed, and what earlier slots know
+    float weighed_at = 0;  ///< the albedo of weight_of
   };
+  float weight_of(const LitMesh& slot, Eigen::Index row, Eigen::Index v, float rho, float shading) const;
   VertexSums albedo_of(std::size_t camera, Eigen::Index v) const;
   void gather(Eigen::Index v);
   void solve(const std::vector<float>& added_mm);
@@ -120,22 +131,51 @@ float PhotometricStereo::Impl::shading_of(const LitMesh& slot, Eigen::Index v) c
   return slot.normals.col(v).dot(light_of(slot, v)) + static_cast<float>(strengths[0]);
 }
 
+/// How much a slot's picture counts about a vertex, where the albedo is about rho: the inverse of its
+/// variance, 0 where it is another thing than skin under the slot's lamps.
+float PhotometricStereo::Impl::weight_of(const LitMesh& slot, Eigen::Index row, Eigen::Index v, float rho,
+                                         float shading) const {
+  if (!(slot.weight(row, v) > 0) || (!slot.lamps.empty() && !(shading > kLeastLight))) {
+    return 0;
+  }
+  const float expected = rho * std::max(shading, 0.0F);
+  const float noise = options.sigma_light * expected + kDarkNoise;
+  return slot.weight(row, v) / (noise * noise) *
+         tukey((slot.brightness(row, v) - expected) / (options.robust * expected + kDarkNoise));
+}
+
 /// A vertex's albedo as one camera sees it, and the information about it.
 PhotometricStereo::Impl::VertexSums PhotometricStereo::Impl::albedo_of(std::size_t camera,
                                                                        Eigen::Index v) const {
   const auto row = static_cast<Eigen::Index>(camera);
-  VertexSums out{albedo_weights(row, v) * albedo(row, v), albedo_weights(row, v)};
-  for (const LitMesh& slot : slots) {
-    const float seen = slot.brightness(row, v);
-    const float noise = options.sigma_light * seen + kDarkNoise;
-    const float weight = slot.weight(row, v) / (noise * noise);
-    const float shading = shading_of(slot, v);
-    if (weight > 0 && shading > kLeastLight) {
-      out.rho += weight * shading * seen;
+  const float known = albedo_weights(row, v);
+  VertexSums out;
+  if (known > 0) {
+    out.rho = albedo(row, v);
+  } else {
+    float seen = 0;
+    float weights = 0;
+    for (const LitMesh& slot : slots) {
+      const float shading = shading_of(slot, v);
+      if (slot.weight(row, v) > 0 && shading > kLeastLight) {
+        seen += slot.weight(row, v) * slot.brightness(row, v) / shading;
+        weights += slot.weight(row, v);
+      }
+    }
+    out.rho = weights > 0 ? seen / weights : 0;
+  }
+  for (int round = 0; round < kAlbedoRounds && out.rho > 0; ++round) {
+    out.weighed_at = out.rho;
+    out.rho = known * albedo(row, v);
+    out.squares = known;
+    for (const LitMesh& slot : slots) {
+      const float shading = shading_of(slot, v);
+      const float weight = weight_of(slot, row, v, out.weighed_at, shading);
+      out.rho += weight * shading * slot.brightness(row, v);
       out.squares += weight * shading * shading;
     }
+    out.rho = out.squares > 0 ? out.rho / out.squares : 0;
   }
-  out.rho /= std::max(out.squares, 1e-12F);
   return out;
 }
 
@@ -177,7 +217,7 @@ void PhotometricStereo::Impl::fit_strengths() {
       slot.lamps[k].strength = first_strengths[slot.light] + k;
       shines[slot.lamps[k].strength] = 1;
     }
-    const double scale = slot.lamps.empty() ? 1 : brighter(slot);
+    const double scale = slot.lamps.empty() ? 1 : std::clamp(brighter(slot), 0.01, 100.0);
     for (const Shining& shining : slot.lamps) {
       strengths[shining.strength] *= scale;
       expected[static_cast<Eigen::Index>(shining.strength)] = strengths[shining.strength];
@@ -198,22 +238,19 @@ void PhotometricStereo::Impl::fit_strengths() {
     for (Eigen::Index v = 0; v < slots.front().normals.cols(); v += kStrengthStride) {
       for (std::size_t camera = 0; camera < rig->cameras.size(); ++camera) {
         const auto row = static_cast<Eigen::Index>(camera);
-        if (!std::all_of(slots.begin(), slots.end(), [&](const LitMesh& slot) {
-              return slot.weight(row, v) > 0 && shading_of(slot, v) > kLeastLight;
-            })) {
+        const VertexSums sums = albedo_of(camera, v);
+        const auto see = [&](const LitMesh& slot) { return slot.weight(row, v) > 0; };
+        if (!(sums.squares > 0) || std::count_if(slots.begin(), slots.end(), see) < 2) {
           continue;
         }
-        const VertexSums sums = albedo_of(camera, v);
-        const double rho = static_cast<double>(sums.rho);
-        double square = static_cast<double>(sums.squares);
+        const auto rho = static_cast<double>(sums.rho);
+        const auto square = static_cast<double>(sums.squares);
         along.setZero();
         for (const LitMesh& slot : slots) {
           const float seen = slot.brightness(row, v);
-          const float noise = options.sigma_light * seen + kDarkNoise;
           const float shading = shading_of(slot, v);
           const float residual = seen - sums.rho * shading;
-          const auto w = static_cast<double>(slot.weight(row, v) / (noise * noise) *
-                                             tukey(residual / (options.robust * seen + kDarkNoise)));
+          const auto w = static_cast<double>(weight_of(slot, row, v, sums.weighed_at, shading));
           const Vector3f normal = slot.normals.col(v);
           basis.setZero();
           basis.head<kAmbient>() << 1, normal.cast<double>();
@@ -283,6 +320,56 @@ double PhotometricStereo::Impl::agreement(const LitMesh& slot) const {
   return spread > 0 ? (n * xy - x * y) / std::sqrt(spread) : 0;
 }
 
+/// Fits strengths and ambient light to the slots, and leaves out those that their lights did not light: what
+/// was fitted to them is forgotten. Returns why, or `wrong`.
+std::string PhotometricStereo::Impl::believe_slots(std::string wrong) {
+  while (slots.size() > 1) {
+    std::vector<double> before = strengths;
+    fit_strengths();
+    const auto odd = std::find_if(slots.begin() + 1, slots.end(),
+                                  [this](const LitMesh& slot) { return !disbelief(slot).empty(); });
+    if (odd == slots.end()) {
+      for (const LitMesh& slot : slots) {
+        believed[slot.light] = strength_sum(slot);
+      }
+      return wrong;
+    }
+    wrong = disbelief(*odd);
+    slots.erase(odd);
+    before.resize(strengths.size(), 1);
+    strengths = std::move(before);
+  }
+  return wrong;
+}
+
+double PhotometricStereo::Impl::strength_sum(const LitMesh& slot) const {
+  double sum = 0;
+  for (const Shining& shining : slot.lamps) {
+    sum += strengths[shining.strength];
+  }
+  return sum;
+}
+
+/// Why a slot was not lit as it says; empty where it was.
+std::string PhotometricStereo::Impl::disbelief(const LitMesh& slot) const {
+  if (slot.lamps.empty()) {
+    return {};
+  }
+  const auto usual = believed.find(slot.light);
+  const double share = usual != believed.end() ? strength_sum(slot) / usual->second : 1;
+  if (!(share > kLeastShare && share < 1 / kLeastShare)) {
+    return fmt::format("slot {} is lit by '{}' at {:.0f} % of its usual strength: is a lamp out?",
+                       slot.set->slot, slot.set->light, 100 * share);
+  }
+  const double found = agreement(slot);
+  if (found < static_cast<double>(options.least_agreement)) {
+    return fmt::format(
+        "slot {} is not lit as '{}' says (correlation {:.2f}): is trigger.light a slot off, or a lamp out?",
+        slot.set->slot, slot.set->light, found);
+  }
+  return {};
+}
+
 /// H and b of one vertex.
 void PhotometricStereo::Impl::gather(Eigen::Index v) {
   Matrix2f& matrix = matrices[static_cast<std::size_t>(v)];
@@ -295,31 +382,22 @@ void PhotometricStereo::Impl::gather(Eigen::Index v) {
   for (std::size_t camera = 0; camera < rig->cameras.size(); ++camera) {
     const auto row = static_cast<Eigen::Index>(camera);
     const VertexSums sums = albedo_of(camera, v);
-    if (!(sums.rho > 0)) {
+    if (!(sums.squares > 0)) {
       continue;
     }
     Matrix2f own = Matrix2f::Zero();
     Vector2f along = Vector2f::Zero();
-    float square = albedo_weights(row, v);
     for (const LitMesh& slot : slots) {
-      const float seen = slot.brightness(row, v);
       const float shading = shading_of(slot, v);
-      if (!(slot.weight(row, v) > 0) || !(shading > kLeastLight)) {
-        continue;
-      }
-      const float noise = options.sigma_light * seen + kDarkNoise;
-      const float residual = seen - sums.rho * shading;
-      const float w =
-          slot.weight(row, v) / (noise * noise) * tukey(residual / (options.robust * seen + kDarkNoise));
+      const float w = weight_of(slot, row, v, sums.weighed_at, shading);
       const Vector3f light = light_of(slot, v);
       const Vector2f slope =
           -sums.rho * Vector2f(light.dot(slot.first_axes.col(v)), light.dot(slot.second_axes.col(v)));
       own += w * slope * slope.transpose();
       along += w * shading * slope;
-      square += w * shading * shading;
-      vector += w * residual * slope;
+      vector += w * (slot.brightness(row, v) - sums.rho * shading) * slope;
     }
-    matrix += own - along * along.transpose() / std::max(square, 1e-12F);
+    matrix += own - along * along.transpose() / sums.squares;
   }
 }
 
@@ -416,8 +494,10 @@ void PhotometricStereo::Impl::learn() {
       if (sums.squares > 0 && sums.rho > 0) {
         const auto row = static_cast<Eigen::Index>(camera);
         const float most = 1 / (options.sigma_albedo * options.sigma_albedo * sums.rho * sums.rho);
+        // What is not seen again is forgotten.
+        const float kept = kRemembered * std::min(sums.squares, most);
         albedo(row, v) = sums.rho;
-        albedo_weights(row, v) = std::min(sums.squares, most);
+        albedo_weights(row, v) = kept > kForgotten * most ? kept : 0;
       }
     }
   });
@@ -509,26 +589,19 @@ std::string PhotometricStereo::refine(const FrameSet& blank, std::span<const Lit
       slot.light += "+" + name;
     }
   }
+  if (impl.slots.size() < 2) {
+    impl.slots.clear();
+    return wrong;
+  }
   const std::vector<float> by_depth(displacements_mm.begin(), displacements_mm.end());
   for (LitMesh& slot : impl.slots) {
     slot.stand_on(*impl.hierarchy, by_depth);
     slot.cast_shadows(impl.fine(), impl.lamps, impl.is_skin);
     slot.look(impl.fine(), *impl.rig, impl.is_skin);
   }
-  if (impl.slots.size() > 1) {
-    impl.fit_strengths();
-  }
-  for (std::size_t i = impl.slots.size(); i-- > 1;) {
-    const LitMesh& slot = impl.slots[i];
-    const double agreement = impl.agreement(slot);
-    if (!slot.lamps.empty() && agreement < static_cast<double>(impl.options.least_agreement)) {
-      wrong = fmt::format(
-          "slot {} is not lit as '{}' says (correlation {:.2f}): is trigger.light a slot off, or a lamp out?",
-          slot.set->slot, slot.set->light, agreement);
-      impl.slots.erase(impl.slots.begin() + static_cast<std::ptrdiff_t>(i));
-    }
-  }
+  wrong = impl.believe_slots(wrong);
   if (impl.slots.size() < 2) {
+    impl.slots.clear();
     return wrong;
   }
   mesh::Vertices coarse_mm;
@@ -554,12 +627,17 @@ std::string PhotometricStereo::refine(const FrameSet& blank, std::span<const Lit
     slot.stand_on(*impl.hierarchy, together);
   }
   impl.learn();
+  impl.slots.clear();  // they name pictures that are not ours
   return wrong;
 }
 
 double PhotometricStereo::strength_of(const std::string& light) const {
   const auto at = impl_->first_strengths.find("+" + light);
   return at == impl_->first_strengths.end() ? 0 : impl_->strengths[at->second];
+}
+
+double PhotometricStereo::ambient() const {
+  return impl_->strengths[0] + impl_->strengths[3];
 }
 
 }  // namespace facet::booth

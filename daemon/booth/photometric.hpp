@@ -64,6 +64,8 @@ class PhotometricStereo {
   /// How bright a light was found to be in slots that it lit alone, of what the rig file says, where blank
   /// slots' projectors have 1 on the mean; 0: none was.
   double strength_of(const std::string& light) const;
+  /// Room light that skin gets which faces the cameras (+z of the rig), in the same measure.
+  double ambient() const;
 
  private:
   struct Impl;

@@ -72,6 +72,12 @@ std::optional<std::size_t> find_camera(const Rig& rig, std::string_view name) {
                                  : std::nullopt;
 }
 
+bool has_light(const Rig& rig, std::string_view name) {
+  const auto named = [name](const auto& one) { return one.name == name; };
+  return std::any_of(rig.projectors.begin(), rig.projectors.end(), named) ||
+         std::any_of(rig.lights.begin(), rig.lights.end(), named);
+}
+
 const RigCamera& camera_named(const Rig& rig, const std::filesystem::path& rig_file, const std::string& name,
                               const std::string& advice) {
   if (const auto at = find_camera(rig, name)) {

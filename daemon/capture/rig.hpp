@@ -83,6 +83,9 @@ CameraIntrinsics pinhole_of(const Lens& lens);
 /// The index of the camera of that name; none where there is none.
 std::optional<std::size_t> find_camera(const Rig& rig, std::string_view name);
 
+/// Whether a projector or light has that name.
+bool has_light(const Rig& rig, std::string_view name);
+
 /// The same camera. Throws Error(Usage), which names the file, the cameras that there are and what to
 /// do (`advice`), where there is none.
 const RigCamera& camera_named(const Rig& rig, const std::filesystem::path& rig_file, const std::string& name,

@@ -164,6 +164,9 @@ void read_light(TomlSection& section, Rig& rig) {
   light.position_mm << position[0], position[1], position[2];
   section.read_number("strength", light.strength, 1e-3, 1e3);
   section.finish();
+  if (light.name.find_first_of("+,") != std::string::npos) {
+    section.fail(section.node(), "name", "must have no + and no comma: slots name several lights with them");
+  }
   if (section.given() && index_of(rig.projectors, light.name)) {
     section.fail(section.node(), "name",
                  fmt::format("there is a projector '{}': it is a light by its own name", light.name));

@@ -69,7 +69,17 @@ SlotLight parse_slot_light(std::string_view word) {
     }
     light.lights.emplace_back(name);
   }
+  std::sort(light.lights.begin(), light.lights.end());
+  light.lights.erase(std::unique(light.lights.begin(), light.lights.end()), light.lights.end());
   return light;
+}
+
+std::optional<SlotLight> read_slot_light(std::string_view word) {
+  try {
+    return trimmed(word).empty() ? std::nullopt : std::optional(parse_slot_light(word));
+  } catch (const Error&) {
+    return std::nullopt;
+  }
 }
 
 SlotProgram parse_slot_program(std::string_view text) {

@@ -2,6 +2,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -16,7 +17,7 @@ struct SlotLight {
     Lit,      ///< known lights alone: slopes of the skin
   };
   Kind kind = Kind::Blank;
-  /// Lit: names of the rig's projectors and lights, one at least; none: all are dark. Blank, Stripes: empty.
+  /// Lit: names of the rig's projectors and lights, in order, none twice; none: all are dark. Else empty.
   std::vector<std::string> lights;
 
   bool operator==(const SlotLight&) const = default;
@@ -38,6 +39,9 @@ std::string to_word(const SlotLight& light);
 /// The other way round; any word but those above is light with a pattern. Throws Error(Usage) for a light
 /// without a name.
 SlotLight parse_slot_light(std::string_view word);
+
+/// The same of a word that was recorded; nothing where it is empty or says nothing that can be.
+std::optional<SlotLight> read_slot_light(std::string_view word);
 
 /// Words with commas between: "stripes,stripes,blank". Throws Error(Usage) unless there is a slot with
 /// stripes and a blank one.

@@ -23,7 +23,8 @@ namespace {
 
 using SetPointer = std::shared_ptr<const FrameSet>;
 
-enum Worker : std::size_t { kDepth, kPerform };
+constexpr std::size_t kDepth = 0;  // workers
+constexpr std::size_t kPerform = 1;
 
 /// A gap of more slots ends a run.
 constexpr std::uint64_t kMostGap = 2 * booth::kDepthReach;
@@ -36,9 +37,6 @@ constexpr std::ptrdiff_t kMostAhead = 24;
 
 /// A slot so much calmer than the first is worth the way to it (PerformanceTracker::strain).
 constexpr double kCalmer = 0.25;
-
-/// So many lit slots wait for the blank slot after them: more are there only where none comes.
-constexpr std::size_t kMostLit = 64;
 
 /// The rig is looked at in one of so many blank slots.
 constexpr std::uint64_t kCheckPeriod = 5;
@@ -102,6 +100,16 @@ BoothParts open_booth(const BoothConfig& config, int blanks_per_run) {
   check(config);
   BoothParts stages;
   stages.rig = std::make_shared<const capture::Rig>(capture::read_rig(config.rig_file));
+  for (const capture::SlotLight& slot : config.program) {
+    for (const std::string& name : slot.lights) {
+      if (!capture::has_light(*stages.rig, name)) {
+        throw Error(ErrorKind::Usage,
+                    fmt::format("{}: there is no [[light]] or [[projector]] '{}', which slots are lit by "
+                                "(trigger.light): add it with its place",
+                                config.rig_file.string(), name));
+      }
+    }
+  }
   stages.program = config.program;
   stages.program_rules = config.program_rules;
   stages.lights = config.lights;
@@ -210,17 +218,18 @@ void BoothMeshes::Impl::fail(ErrorKind kind, const std::string& what) {
 
 /// What a slot says of its light, or the program.
 capture::SlotLight BoothMeshes::Impl::light_of(std::uint64_t slot, const SetPointer& set) const {
-  const bool says = set != nullptr && !set->light.empty() && !stages.program_rules;
-  return says ? capture::parse_slot_light(set->light) : capture::light_of_slot(stages.program, slot);
+  const bool says = set != nullptr && !stages.program_rules;
+  const auto own = says ? capture::read_slot_light(set->light) : std::nullopt;
+  return own.value_or(capture::light_of_slot(stages.program, slot));
 }
 
 void BoothMeshes::Impl::add(std::uint64_t slot, SetPointer set) {
-  RunSlot& one = window.emplace_back();
   using Kind = capture::SlotLight::Kind;
+  RunSlot& one = window.emplace_back();
   one.kind = light_of(slot, set).kind;
   if (one.kind == Kind::Lit && set != nullptr && stages.lights) {
     lit.push_back(set);
-    if (lit.size() > kMostLit) {
+    if (lit.size() > 2 * stages.program.size() * static_cast<std::size_t>(stages.blanks_per_run)) {
       lit.pop_front();
     }
   }
@@ -261,7 +270,11 @@ void BoothMeshes::Impl::hand_on(bool at_end) {
       window[i].wanted = window[i].wanted && i > last;
     }
     wanted -= ready;
-    while (!lit.empty() && lit.front()->slot < first_slot + last) {
+    std::size_t last_blank = last;
+    while (last_blank > begin && window[last_blank].kind != capture::SlotLight::Kind::Blank) {
+      --last_blank;
+    }
+    while (!lit.empty() && lit.front()->slot < first_slot + last_blank) {
       run.lit.push_back(std::move(lit.front()));
       lit.pop_front();
     }
@@ -584,6 +597,7 @@ void BoothMeshes::deliver(SetPointer set) {
       impl.hand_on(true);
     }
     impl.window.clear();
+    impl.lit.clear();
   }
   if (impl.window.empty()) {
     next = impl.first_slot = slot;

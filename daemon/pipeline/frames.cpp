@@ -48,7 +48,9 @@ constexpr auto kLongestTriggerPause = 10s;
 constexpr double kRateTolerance = 0.01;
 
 /// The workers, as Progress counts them; the cameras follow one another.
-enum Worker : std::size_t { kSets, kEdges, kFirstCamera };
+constexpr std::size_t kSets = 0;  // workers
+constexpr std::size_t kEdges = 1;
+constexpr std::size_t kFirstCamera = 2;
 
 std::vector<std::string> worker_names(std::size_t cameras) {
   std::vector<std::string> names = {"facet-sets", "facet-edges"};

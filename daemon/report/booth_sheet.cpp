@@ -35,7 +35,15 @@ constexpr float kUnknown = 0.05F;  ///< grey of what is not measured
 constexpr float kWireOpacity = 0.22F;
 constexpr std::array<std::uint8_t, 3> kDark{30, 32, 37};
 constexpr float kLargestRelief_mm = 0.3F;
-enum Column : std::size_t { kStripes, kDepth, kOver, kShaded, kTexture, kRelief, kConfidence, kDistance };
+// Columns.
+constexpr std::size_t kStripes = 0;
+constexpr std::size_t kDepth = 1;
+constexpr std::size_t kOver = 2;
+constexpr std::size_t kShaded = 3;
+constexpr std::size_t kTexture = 4;
+constexpr std::size_t kRelief = 5;
+constexpr std::size_t kConfidence = 6;
+constexpr std::size_t kDistance = 7;
 constexpr std::array<const char*, 8> kColumns{"stripes",
                                               "depth",
                                               "mesh over the picture",

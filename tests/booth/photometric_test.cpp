@@ -197,6 +197,44 @@ TEST_F(Photometric, ASlotThatAnotherLightLitIsToldAndLeftOut) {
   EXPECT_THAT(refine(*begun(), even, as_blank), testing::HasSubstr("slot 8"));
 }
 
+// A lamp that is out for a moment is told, and seen by again when it is back.
+TEST_F(Photometric, ALampThatWasOutIsBelievedAgain) {
+  const FrameSet even = blank();
+  const FrameSet top = scene_->slot(5, {{lamp("top"), 1.0F}});
+  const FrameSet low = scene_->slot(8, {{lamp("low"), 1.0F}});
+  FrameSet out = scene_->slot(8, {});
+  out.light = "light:low";
+  const std::array<LitSlot, 2> lit{{{&top, 0.3, {"top"}}, {&low, 0.6, {"low"}}}};
+  const std::array<LitSlot, 2> without{{{&top, 0.3, {"top"}}, {&out, 0.6, {"low"}}}};
+  for (const bool first_out : {false, true}) {
+    const auto stereo = begun();
+    if (!first_out) {
+      EXPECT_EQ(refine(*stereo, even, lit), "");
+    }
+    EXPECT_THAT(refine(*stereo, even, without), testing::HasSubstr("slot 8"));
+    EXPECT_EQ(refine(*stereo, even, lit), "");
+    EXPECT_GT(scene_->compare(added_).first, 0.85);
+  }
+}
+
+// A dark slot tells the room's light, which is in all the others.
+TEST_F(Photometric, ADarkSlotTellsTheRoomsLight) {
+  const Vector3f window_mm(0, 0, 3000);  // so far away that it lights all alike: 10 %
+  const auto with_room = [&](std::uint64_t slot, std::vector<std::pair<Vector3f, float>> lamps) {
+    lamps.emplace_back(window_mm, 0.9F);
+    return scene_->slot(slot, lamps);
+  };
+  const FrameSet even = with_room(2, {{scene_->rig->projectors[0].lens.centre_mm().cast<float>(), 0.5F},
+                                      {scene_->rig->projectors[1].lens.centre_mm().cast<float>(), 0.5F}});
+  const FrameSet top = with_room(5, {{lamp("top"), 1.0F}});
+  const FrameSet dark = with_room(6, {});
+  const std::array<LitSlot, 2> lit{{{&top, 0.3, {"top"}}, {&dark, 0.6, {}}}};
+  const auto stereo = begun();
+  EXPECT_EQ(refine(*stereo, even, lit), "");
+  // In the measure of a projector's light in the blank slot, 0.5 at 1 m, from 900 mm.
+  EXPECT_NEAR(stereo->ambient(), 0.1 / (0.5 / 0.81), 0.03);
+}
+
 TEST_F(Photometric, ALightThatTheRigDoesNotHaveIsNamed) {
   const FrameSet even = blank();
   const std::array<LitSlot, 1> lit{{{&even, 0.5, {"ceiling"}}}};

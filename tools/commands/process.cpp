@@ -363,7 +363,7 @@ pipeline::BoothConfig booth_of(const Options& options, const service::Config& co
   if (!options.program.empty()) {
     booth.program = capture::parse_slot_program(options.program);
     booth.program_rules = true;
-  } else if (options.config.empty()) {
+  } else {
     booth.program = recorded_program(input, slots).value_or(booth.program);
   }
   booth.every_slot = booth.every_slot || options.every_slot;

@@ -119,9 +119,16 @@ capture::RigLight parse_lamp(const std::string& text) {
   const std::size_t equals = text.find('=');
   lamp.name = text.substr(0, equals);
   const std::string numbers = equals == std::string::npos ? "" : text.substr(equals + 1);
-  const int read = std::sscanf(numbers.c_str(), "%lf,%lf,%lf,%lf", &lamp.position_mm.x(),
-                               &lamp.position_mm.y(), &lamp.position_mm.z(), &lamp.strength);
-  if (lamp.name.empty() || read < 3 || !(lamp.strength > 0) || !(lamp.position_mm.norm() < 1e5)) {
+  int used = 0;
+  Eigen::Vector3d& at_mm = lamp.position_mm;
+  bool sound = std::sscanf(numbers.c_str(), "%lf,%lf,%lf%n", &at_mm.x(), &at_mm.y(), &at_mm.z(), &used) == 3;
+  const std::string rest = numbers.substr(static_cast<std::size_t>(used));
+  if (sound && !rest.empty()) {
+    sound = std::sscanf(rest.c_str(), ",%lf%n", &lamp.strength, &used) == 1 &&
+            static_cast<std::size_t>(used) == rest.size();
+  }
+  if (!sound || lamp.name.empty() || !(lamp.strength >= 1e-3 && lamp.strength <= 1e3) ||
+      !(at_mm.norm() < 1e5)) {
     throw Error(ErrorKind::Usage,
                 fmt::format("--lamp {}: name it and say where it is, such as top=0,600,900", text));
   }
