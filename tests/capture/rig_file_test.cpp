@@ -96,7 +96,8 @@ TEST(RigFile, WhatIsWrittenReadsBackExactly) {
       camera.colour = uniform(random) > 0;
       rig.cameras.push_back(camera);
       rig.projectors.push_back({name, lens});
-      rig.lights.push_back({std::string(name) + " light", lens.camera_from_rig.translation(), 1 + 0.5 * uniform(random)});
+      rig.lights.push_back(
+          {std::string(name) + " light", lens.camera_from_rig.translation(), 1 + 0.5 * uniform(random)});
     }
     rig.pairs = {{0, 1}, {2, 0}};
     const Rig back = parse_rig(format_rig(rig), "rig.toml");
