@@ -127,7 +127,6 @@ void LitMesh::cast_shadows(const mesh::Level& fine, const std::vector<Lamp>& all
   }
 }
 
-/// 0 where a lamp's light is mirrored towards a camera, 1 well away from there.
 float LitMesh::unmirrored(Eigen::Index v, const Vector3f& to_camera) const {
   float least = 1;
   for (const Matrix3Xf& given : towards) {

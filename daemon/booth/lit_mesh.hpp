@@ -57,6 +57,8 @@ struct LitMesh {
   /// What each of its lamps gives each vertex of the skin, and where a shadow's rim makes that uncertain.
   void cast_shadows(const mesh::Level& fine, const std::vector<Lamp>& all,
                     const std::vector<std::uint8_t>& is_skin);
+  /// 0 where a lamp's light is mirrored towards a camera (to_camera: unit), 1 well away from there; after
+  /// cast_shadows.
   float unmirrored(Eigen::Index v, const Eigen::Vector3f& to_camera) const;
   /// What the cameras see of each vertex of the skin.
   void look(const mesh::Level& fine, const capture::Rig& rig, const std::vector<std::uint8_t>& is_skin);

@@ -85,7 +85,8 @@ struct PhotometricStereo::Impl {
     float weighed_at = 0;  ///< the albedo of weight_of
   };
   float weight_of(const LitMesh& slot, Eigen::Index row, Eigen::Index v, float rho, float shading) const;
-  VertexSums albedo_of(std::size_t camera, Eigen::Index v) const;
+  enum class Earlier { Counts, LeftOut };
+  VertexSums albedo_of(std::size_t camera, Eigen::Index v, Earlier earlier = Earlier::Counts) const;
   void gather(Eigen::Index v);
   void solve(const std::vector<float>& added_mm);
   void laplacian(const VectorXf& in, VectorXf& out) const;
@@ -144,11 +145,11 @@ float PhotometricStereo::Impl::weight_of(const LitMesh& slot, Eigen::Index row, 
          tukey((slot.brightness(row, v) - expected) / (options.robust * expected + kDarkNoise));
 }
 
-/// A vertex's albedo as one camera sees it, and the information about it.
-PhotometricStereo::Impl::VertexSums PhotometricStereo::Impl::albedo_of(std::size_t camera,
-                                                                       Eigen::Index v) const {
+/// A vertex's albedo as one camera sees it, and the information about it. earlier: what earlier slots know.
+PhotometricStereo::Impl::VertexSums PhotometricStereo::Impl::albedo_of(std::size_t camera, Eigen::Index v,
+                                                                       Earlier earlier) const {
   const auto row = static_cast<Eigen::Index>(camera);
-  const float known = albedo_weights(row, v);
+  const float known = earlier == Earlier::Counts ? albedo_weights(row, v) : 0;
   VertexSums out;
   if (known > 0) {
     out.rho = albedo(row, v);
@@ -238,7 +239,7 @@ void PhotometricStereo::Impl::fit_strengths() {
     for (Eigen::Index v = 0; v < slots.front().normals.cols(); v += kStrengthStride) {
       for (std::size_t camera = 0; camera < rig->cameras.size(); ++camera) {
         const auto row = static_cast<Eigen::Index>(camera);
-        const VertexSums sums = albedo_of(camera, v);
+        const VertexSums sums = albedo_of(camera, v, Earlier::LeftOut);
         const auto see = [&](const LitMesh& slot) { return slot.weight(row, v) > 0; };
         if (!(sums.squares > 0) || std::count_if(slots.begin(), slots.end(), see) < 2) {
           continue;

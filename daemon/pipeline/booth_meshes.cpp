@@ -50,7 +50,7 @@ struct RunSlot {
 struct Run {
   std::uint64_t first_slot = 0;
   std::vector<RunSlot> slots;   ///< consecutive
-  std::vector<SetPointer> lit;  ///< lit by known lights, before the last slot that is wanted; no run had them
+  std::vector<SetPointer> lit;  ///< lit by known lights, before its last blank slot; no run had them
   Clock::time_point complete;   ///< when its last slot came
 
   std::size_t wanted() const {

@@ -235,6 +235,26 @@ TEST_F(Photometric, ADarkSlotTellsTheRoomsLight) {
   EXPECT_NEAR(stereo->ambient(), 0.1 / (0.5 / 0.81), 0.03);
 }
 
+// Room light of a twelfth of the lamps, switched on and off within a take, is no relief: it is fitted with
+// them.
+TEST_F(Photometric, RoomLightThatIsSwitchedIsNoRelief) {
+  const auto stereo = begun();
+  for (const float room : {0.0F, 0.85F, 0.0F}) {
+    const std::pair<Vector3f, float> bulb(Vector3f(-1500, 2000, 1500), room);
+    const auto lit_by = [&](std::uint64_t slot, std::vector<std::pair<Vector3f, float>> lamps) {
+      lamps.push_back(bulb);
+      return scene_->slot(slot, lamps);
+    };
+    const FrameSet even = lit_by(2, {{scene_->rig->projectors[0].lens.centre_mm().cast<float>(), 0.5F},
+                                     {scene_->rig->projectors[1].lens.centre_mm().cast<float>(), 0.5F}});
+    const FrameSet top = lit_by(5, {{lamp("top"), 1.0F}});
+    const FrameSet low = lit_by(8, {{lamp("low"), 1.0F}});
+    const std::array<LitSlot, 2> lit{{{&top, 0.3, {"top"}}, {&low, 0.6, {"low"}}}};
+    EXPECT_EQ(refine(*stereo, even, lit), "") << room;
+    EXPECT_GT(scene_->compare(added_).first, 0.8) << room;
+  }
+}
+
 TEST_F(Photometric, ALightThatTheRigDoesNotHaveIsNamed) {
   const FrameSet even = blank();
   const std::array<LitSlot, 1> lit{{{&even, 0.5, {"ceiling"}}}};
