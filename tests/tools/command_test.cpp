@@ -662,8 +662,10 @@ TEST_F(BoothDemo, GoesItsWholeWay) {
     GTEST_SKIP() << error.what();
   }
   const std::string demo = file("demo");
+  // Four periods: with which slot cameras begin to see is anybody's guess, and the first and last blank slot
+  // may have too few stripes about them.
   ASSERT_EQ(
-      run({"booth-demo", "--slots", "9", "--samples", "1", "--resolution", "0.625", "--model",
+      run({"booth-demo", "--slots", "20", "--samples", "1", "--resolution", "0.625", "--model",
            test::default_model().string(), "--landmark-nets",
            (test::assets() / "mediapipe" / "face_mesh_solution_packed_assets.data").string(), "-o", demo}),
       0)
