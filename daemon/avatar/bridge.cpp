@@ -17,6 +17,7 @@
 #include <utility>
 
 #include "avatar/bridge_messages.hpp"
+#include "avatar/mapping_file.hpp"
 #include "avatar/phone_requests.hpp"
 #include "facet/aside.hpp"
 #include "facet/clock.hpp"
@@ -97,6 +98,9 @@ struct Bridge::Impl {
   std::shared_ptr<const mesh::MeshFrame> newest FACET_GUARDED_BY(mutex);  ///< not sent yet
   BridgeStatus status FACET_GUARDED_BY(mutex);
   std::shared_ptr<const ValueTunings> values FACET_GUARDED_BY(mutex);  ///< those of the status
+  ValueMapping mapping FACET_GUARDED_BY(mutex);                        ///< its values are not used
+  bool remapped FACET_GUARDED_BY(mutex) = false;                       ///< `messages` have another one yet
+  mesh::ArkitValues sent FACET_GUARDED_BY(mutex){};
   Clock::time_point recorded_until FACET_GUARDED_BY(mutex);
 
   // The thread's own. Between begin and wait `sought` is the helper's.
@@ -133,10 +137,11 @@ struct Bridge::Impl {
 
 Bridge::Impl::Impl(const BridgeConfig& given, LookUp given_look_up)
     : smoother(static_cast<float>(given.smoothing_ms * 1e-3)),
-      messages(random_uuid(), given.subject, load_mapping(given.mapping_file),
-               {given.vmc_shapes, given.vmc_eye_bones}),
+      messages(random_uuid(), given.subject, {given.vmc_shapes, given.vmc_eye_bones}),
       config(given),
-      look_up(std::move(given_look_up)) {
+      look_up(std::move(given_look_up)),
+      mapping(load_mapping(given.mapping_file)) {
+  messages.map(mapping);
   try {
     neutral = load_neutral(config.neutral_file);
   } catch (const Error& error) {
@@ -144,8 +149,8 @@ Bridge::Impl::Impl(const BridgeConfig& given, LookUp given_look_up)
     status.neutral_reason = fmt::format("{}; {}", error.what(), files::set_aside(config.neutral_file));
   }
   status.neutral = neutral ? NeutralState::Set : NeutralState::None;
-  status.values = config.values;
-  values = std::make_shared<const ValueTunings>(config.values);
+  status.values = mapping.values.value_or(config.values);
+  values = std::make_shared<const ValueTunings>(status.values);
   destinations.resize(config.targets.size());
   for (std::size_t i = 0; i < destinations.size(); ++i) {
     const BridgeTarget& target = config.targets[i];
@@ -350,9 +355,17 @@ void Bridge::Impl::work_once(Clock::time_point& next_send) {
   if (neutral && state.tracked) {
     subtract_head(*neutral, state);
   }
-  const Unlock unlock(mutex);
-  smoother.apply(state);
-  send(state, with_neutral);
+  const std::optional<ValueMapping> fresh =
+      std::exchange(remapped, false) ? std::optional(mapping) : std::nullopt;
+  {
+    const Unlock unlock(mutex);
+    if (fresh) {
+      messages.map(*fresh);
+    }
+    smoother.apply(state);
+    send(state, with_neutral);
+  }
+  sent = state.values;
 }
 
 /// Writes the file with the lock open: whoever hands frames over does not wait for the disk.
@@ -534,6 +547,24 @@ void Bridge::tune(const ValueTunings& values) {
   const Lock lock(impl_->mutex);
   impl_->status.values = values;
   impl_->values.swap(taken);
+}
+
+void Bridge::map(const ValueMapping& mapping) {
+  const Lock lock(impl_->mutex);
+  impl_->mapping = mapping;
+  impl_->remapped = true;
+}
+
+ValueMapping Bridge::mapping() const {
+  const Lock lock(impl_->mutex);
+  ValueMapping now = impl_->mapping;
+  now.values = impl_->status.values;
+  return now;
+}
+
+mesh::ArkitValues Bridge::sent_values() const {
+  const Lock lock(impl_->mutex);
+  return impl_->sent;
 }
 
 }  // namespace facet::avatar

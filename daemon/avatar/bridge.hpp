@@ -10,6 +10,7 @@
 
 #include "avatar/bridge_target.hpp"
 #include "avatar/protocols.hpp"
+#include "avatar/value_mapping.hpp"
 #include "avatar/value_tuning.hpp"
 #include "mesh/mesh_frame.hpp"
 
@@ -23,10 +24,10 @@ struct BridgeConfig {
   std::filesystem::path neutral_file = "/var/lib/facet/neutral.json";
   VmcShapes vmc_shapes = VmcShapes::PerfectSync;
   bool vmc_eye_bones = true;
-  std::filesystem::path mapping_file;  ///< ValueMapping; empty: none
+  std::filesystem::path mapping_file;  ///< load_mapping(), until map() says otherwise; empty: none
   std::string answer;  ///< this machine's address at which requests are heard; empty: none are
   std::chrono::milliseconds look_up_every = std::chrono::seconds(30);  ///< names that were not found
-  ValueTunings values;                                                 ///< until tune() says otherwise
+  ValueTunings values;  ///< where the mapping file has none, and until tune() says otherwise
 };
 
 struct BridgeTargetStatus {
@@ -97,6 +98,13 @@ class Bridge {
   /// Takes these in the place of the configured ones from the next frame on, until the bridge ends. Any
   /// thread.
   void tune(const ValueTunings& values);
+  /// Sends these formulas in the place of those before from the next frame on; mapping.values is not looked
+  /// at. Any thread.
+  void map(const ValueMapping& mapping);
+  /// What is sent now, its values those of the status. Any thread.
+  ValueMapping mapping() const;
+  /// ARKit's values as they were sent last. Any thread.
+  mesh::ArkitValues sent_values() const;
 
  private:
   struct Impl;

@@ -17,11 +17,16 @@ std::int64_t unix_ms() {
 
 }  // namespace
 
-BridgeMessages::BridgeMessages(std::string device, std::string subject, const ValueMapping& mapping, Vmc vmc)
+BridgeMessages::BridgeMessages(std::string device, std::string subject, Vmc vmc)
     : device_(std::move(device)),
       subject_(std::move(subject)),
-      vmc_content_(vmc_content(vmc.shapes, vmc.eye_bones, mapping.vmc)),
-      vrchat_(mapping.vrchat) {}
+      vmc_(vmc),
+      vmc_content_(vmc_content(vmc.shapes, vmc.eye_bones, {})) {}
+
+void BridgeMessages::map(const ValueMapping& mapping) {
+  vmc_content_ = vmc_content(vmc_.shapes, vmc_.eye_bones, mapping.vmc);
+  vrchat_ = VrChatWriter(mapping.vrchat);
+}
 
 void BridgeMessages::begin(const FaceState& state, bool neutral) {
   state_ = state;

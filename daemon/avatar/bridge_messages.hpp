@@ -22,8 +22,11 @@ class BridgeMessages {
     VmcShapes shapes;
     bool eye_bones;
   };
-  /// device and subject: Live Link's (write_live_link_face). mapping: further values, by protocol.
-  BridgeMessages(std::string device, std::string subject, const ValueMapping& mapping, Vmc vmc);
+  /// device and subject: Live Link's (write_live_link_face). Until map() there are no further values.
+  BridgeMessages(std::string device, std::string subject, Vmc vmc);
+
+  /// Further values, by protocol, from the next begin() on.
+  void map(const ValueMapping& mapping);
 
   /// A new frame: what was written of the one before is forgotten.
   /// neutral: whether a neutral pose was taken away
@@ -40,8 +43,9 @@ class BridgeMessages {
   bool neutral_ = false;
   std::string device_;
   std::string subject_;
+  Vmc vmc_;
   VmcContent vmc_content_;
-  VrChatWriter vrchat_;
+  VrChatWriter vrchat_{MappedValues()};
   Clock::time_point started_ = Clock::now();
 
   struct Written {

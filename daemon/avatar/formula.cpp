@@ -199,8 +199,8 @@ double divide(double above, double below) {
 
 }  // namespace
 
-Formula::Formula(std::string_view text) {
-  FormulaReader(text, steps_).read();
+Formula::Formula(std::string_view text) : text_(text) {
+  FormulaReader(text_, steps_).read();
 }
 
 float Formula::of(const mesh::ArkitValues& values) const {

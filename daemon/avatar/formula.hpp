@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstddef>
+#include <string>
 #include <string_view>
 #include <vector>
 
@@ -24,6 +25,10 @@ class Formula {
   /// Throws Error(Usage) that says what is wrong and where in the text.
   explicit Formula(std::string_view text);
 
+  /// As it was given.
+  const std::string& text() const { return text_; }
+  bool operator==(const Formula& other) const { return text_ == other.text_; }
+
   /// Always finite: a division by 0 is 0, and so is what is too large for a number. Allocates nothing.
   float of(const mesh::ArkitValues& values) const;
 
@@ -38,6 +43,7 @@ class Formula {
     double number = 0;      ///< of Number
     std::size_t index = 0;  ///< of Value, into mesh::kArkitNames
   };
+  std::string text_;
   std::vector<Step> steps_;
 };
 

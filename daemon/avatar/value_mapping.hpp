@@ -1,12 +1,12 @@
 #pragma once
 
-#include <filesystem>
+#include <optional>
 #include <span>
 #include <string>
-#include <string_view>
 #include <vector>
 
 #include "avatar/formula.hpp"
+#include "avatar/value_tuning.hpp"
 
 namespace facet::avatar {
 
@@ -14,24 +14,19 @@ namespace facet::avatar {
 struct MappedValue {
   std::string name;
   Formula formula;
+
+  bool operator==(const MappedValue&) const = default;
 };
 using MappedValues = std::vector<MappedValue>;
 
 /// What a receiver gets beside, or in the place of, the names that are sent to all.
 struct ValueMapping {
-  MappedValues vmc;     ///< names of /VMC/Ext/Blend/Val
-  MappedValues vrchat;  ///< names of avatar parameters, without "/avatar/parameters/"
+  MappedValues vmc;                      ///< names of /VMC/Ext/Blend/Val
+  MappedValues vrchat;                   ///< names of avatar parameters, without "/avatar/parameters/"
+  std::optional<ValueTunings> values{};  ///< in the place of the configured ones
+
+  bool operator==(const ValueMapping&) const = default;
 };
-
-inline constexpr std::size_t kMostMappingBytes = 1U << 16;
-inline constexpr std::size_t kMostMappedValues = 256;  ///< of a table
-inline constexpr std::size_t kMostMappedNameBytes = 64;
-
-/// Reads the tables [vmc] and [vrchat] of `name = "formula"` (docs/bridges.md). file: for messages. Throws
-/// Error(Usage) that names file, line and key.
-ValueMapping parse_mapping(std::string_view text, const std::filesystem::path& file);
-/// Throws Error as well where the file can't be read. An empty path is an empty mapping.
-ValueMapping load_mapping(const std::filesystem::path& file);
 
 /// A value in the program's own text.
 struct NamedFormula {

@@ -6,6 +6,7 @@
 #include <optional>
 
 #include "avatar/face_state.hpp"
+#include "facet/setting.hpp"
 #include "mesh/arkit.hpp"
 
 namespace facet::avatar {
@@ -24,6 +25,12 @@ struct ValueTuning {
   bool operator==(const ValueTuning&) const = default;
 };
 
+inline constexpr Setting<ValueTuning> kValueTuningSettings[] = {
+    {"gain", &at<&ValueTuning::gain>, 0, kMostGain},
+    {"dead_zone", &at<&ValueTuning::dead_zone>, 0, kMostDeadZone},
+    {"smoothing_ms", &at<&ValueTuning::smoothing_ms>, 0, kMostValueSmoothing_ms},
+};
+
 /// What `ValueTunings::all` is called where values are named.
 inline constexpr const char* kAllValues = "all";
 
@@ -34,6 +41,7 @@ struct ValueTunings {
   const ValueTuning& of(std::size_t index) const;
   /// True: every value stays as it comes.
   bool plain() const { return all == ValueTuning() && named.empty(); }
+  bool operator==(const ValueTunings&) const = default;
 };
 
 /// Tunes the values of states as they come: dead zone, then gain, then smoothing.

@@ -9,6 +9,7 @@
 #include <optional>
 #include <set>
 
+#include "avatar/mapping_file.hpp"
 #include "camera/v4l2_controls.hpp"
 #include "facet/assets.hpp"
 #include "facet/error.hpp"
@@ -487,26 +488,6 @@ void read_web(Section section, Section& expert, const MetricsConfig& metrics, We
   section.finish();
 }
 
-/// A name that is there has nothing of "all": what it leaves out is plain, as facetd has it live.
-void read_values(Section section, avatar::ValueTunings& values) {
-  const auto read = [&](const std::string& name, avatar::ValueTuning& tuning) {
-    Section given = section.section(name);
-    if (given.given()) {
-      given.read(kValueTuningSettings, tuning);
-      given.finish();
-    }
-    return given.given();
-  };
-  read(avatar::kAllValues, values.all);
-  for (std::size_t i = 0; i < mesh::kArkitNames.size(); ++i) {
-    avatar::ValueTuning tuning;
-    if (read(mesh::arkit_name(i), tuning)) {
-      values.named[i] = tuning;
-    }
-  }
-  section.finish();
-}
-
 void read_bridges(Section section, avatar::BridgeConfig& bridges) {
   for (const auto& [protocol, name, usual_port] : avatar::kBridgeProtocols) {
     const std::string key = name;
@@ -532,7 +513,7 @@ void read_bridges(Section section, avatar::BridgeConfig& bridges) {
     section.fail(section.find("answer"), "answer",
                  "must be an IP address of this machine in digits, such as \"0.0.0.0\", or \"\" for none");
   }
-  read_values(section.section("values"), bridges.values);
+  bridges.values = avatar::read_tunings(section.section("values"));
   if (bridges.subject.empty() || bridges.subject.size() > 64) {
     section.fail(section.find("subject"), "subject", "must be a name of 1 to 64 bytes");
   }

@@ -316,7 +316,7 @@ ControlMethods Service::Impl::methods() {
   };
   all.merge(studio_methods(studio, looking));
   all.merge(desk.methods());
-  all.merge(value_methods(bridge, config.bridges.values));
+  all.merge(value_methods(bridge, config.bridges, recording.errands()));
   all.merge(person_methods([this] { return pipeline ? pipeline->status() : pipeline::PipelineStatus(); },
                            config.pipeline.persons_folder, recording.errands(), log));
   return all;
@@ -880,6 +880,11 @@ int Service::run() {
     impl.bridge.start();
     if (const std::string fault = impl.bridge.status().neutral_reason; !fault.empty()) {
       impl.log.warning(fault);
+    }
+    if (const auto& file = impl.config.bridges.mapping_file;
+        !file.empty() && ::access(file.c_str(), F_OK) < 0) {
+      impl.log.warning(fmt::format(
+          "bridges.mapping: {} is not there; nothing is mapped until something is saved", file.string()));
     }
     for (const avatar::BridgeTarget& target : impl.config.bridges.targets) {
       impl.log.info(fmt::format("bridge: {} to {}", avatar::to_string(target.protocol), target.text()));

@@ -127,12 +127,6 @@ inline constexpr Setting<avatar::BridgeConfig> kBridgesSettings[] = {
     {"answer", &at<&avatar::BridgeConfig::answer>},
 };
 
-inline constexpr Setting<avatar::ValueTuning> kValueTuningSettings[] = {
-    {"gain", &at<&avatar::ValueTuning::gain>, 0, avatar::kMostGain},
-    {"dead_zone", &at<&avatar::ValueTuning::dead_zone>, 0, avatar::kMostDeadZone},
-    {"smoothing_ms", &at<&avatar::ValueTuning::smoothing_ms>, 0, avatar::kMostValueSmoothing_ms},
-};
-
 inline constexpr Setting<WebConfig> kWebSettings[] = {
     {"page", &at<&WebConfig::page>},           {"public", &at<&WebConfig::is_public>},
     {"open_look", &at<&WebConfig::open_look>}, {"hosts", &at<&WebConfig::hosts>},

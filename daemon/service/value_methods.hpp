@@ -5,8 +5,9 @@
 
 namespace facet::service {
 
-/// How far avatars follow each of ARKit's values: values.* of the control protocol
-/// (docs/control-protocol.md). bridge: outlives them. configured: what values.reset goes back to.
-ControlMethods value_methods(avatar::Bridge& bridge, const avatar::ValueTunings& configured);
+/// What avatars follow, and how far: values.* and mapping.* of the control protocol
+/// (docs/control-protocol.md). bridge, writer: outlive them. config: the bridge's. writer: who writes the
+/// mapping file.
+ControlMethods value_methods(avatar::Bridge& bridge, const avatar::BridgeConfig& config, Errands& writer);
 
 }  // namespace facet::service

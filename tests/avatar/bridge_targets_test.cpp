@@ -139,6 +139,18 @@ TEST_F(BridgeTargetsTest, AMappingIsSent) {
   const json messages = test::decode("osc", receiver.receive(), folder_.path());
   EXPECT_NEAR(test::message(messages, "/VMC/Ext/Blend/Val", "A")[2].get<float>(), 0.25F, 1e-6F);
   EXPECT_EQ(messages.size(), 4 + 16 + 1U);
+
+  ValueMapping other = bridge.mapping();
+  EXPECT_EQ(other.vmc[0].formula.text(), "jawOpen / 3");
+  other.vmc[0].formula = Formula("jawOpen / 6");
+  other.vmc.push_back({"Grin", Formula("1")});
+  bridge.map(other);
+  publish(bridge);
+  const json changed = test::decode("osc", receiver.receive(), folder_.path());
+  EXPECT_NEAR(test::message(changed, "/VMC/Ext/Blend/Val", "A")[2].get<float>(), 0.125F, 1e-6F);
+  EXPECT_EQ(test::message(changed, "/VMC/Ext/Blend/Val", "Grin")[2], 1.0);
+  EXPECT_EQ(changed.size(), 4 + 17 + 1U);
+  EXPECT_NEAR(Formula("jawOpen").of(bridge.sent_values()), 0.75F, 1e-6F);
 }
 
 constexpr const char* kIFacialMocapRequest = "iFacialMocap_sahuasouryya9218sauhuiayeta91555dy3719";

@@ -7,7 +7,7 @@
 #include <fstream>
 #include <string>
 
-#include "avatar/value_mapping.hpp"
+#include "avatar/mapping_file.hpp"
 #include "facet/error.hpp"
 #include "support/paths.hpp"
 
@@ -128,9 +128,10 @@ TEST(ValueMapping, SaysWhereItIsWrong) {
   EXPECT_THAT(fault(many), HasSubstr("vmc.a256: is one too many: 256 at most"));
 }
 
-TEST(ValueMapping, AFileThatIsNotThereOrTooLongIsAnError) {
+TEST(ValueMapping, AFileThatIsNotThereIsEmptyAndOneTooLongIsAnError) {
   const test::TemporaryFolder folder;
-  EXPECT_THROW(load_mapping(folder.path() / "none.toml"), Error);
+  EXPECT_EQ(load_mapping(folder.path() / "none.toml"), ValueMapping());
+  EXPECT_THROW(load_mapping(folder.path()), Error) << "a folder";
   const std::filesystem::path file = folder.path() / "long.toml";
   std::ofstream(file) << "#" << std::string(kMostMappingBytes, ' ');
   EXPECT_THROW(load_mapping(file), Error);

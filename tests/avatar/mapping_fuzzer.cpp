@@ -1,5 +1,5 @@
-// Any text is a mapping whose values are numbers for every face, or an Error(Usage). So is any text alone as
-// a formula.
+// Any text is a mapping whose values are numbers for every face, and that is the same once it was saved, or
+// an Error(Usage). So is any text alone as a formula.
 
 #include <array>
 #include <cmath>
@@ -8,7 +8,7 @@
 #include <cstdlib>
 #include <string_view>
 
-#include "avatar/value_mapping.hpp"
+#include "avatar/mapping_file.hpp"
 #include "facet/error.hpp"
 
 namespace {
@@ -56,6 +56,9 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
         }
         check(value.formula);
       }
+    }
+    if (!(avatar::parse_mapping(avatar::mapping_text(mapping), "again.toml") == mapping)) {
+      std::abort();
     }
   });
   return 0;

@@ -474,7 +474,7 @@ TEST_F(Messages, OscMinReadsVmcAndVrChat) {
 
 /// Without a face, or with a booth's mesh, each protocol says what it can.
 TEST(BridgeMessages, SayWhatThereIsToSay) {
-  BridgeMessages messages("device", "facet", {}, {VmcShapes::PerfectSync, true});
+  BridgeMessages messages("device", "facet", {VmcShapes::PerfectSync, true});
   FaceState state = face({});
   const auto counts = [&] {
     std::array<std::size_t, kBridgeProtocols.size()> out{};
@@ -495,7 +495,7 @@ TEST(BridgeMessages, SayWhatThereIsToSay) {
 }
 
 TEST(BridgeMessages, EachVersionIsWrittenOnce) {
-  BridgeMessages messages("device", "facet", {}, {VmcShapes::PerfectSync, true});
+  BridgeMessages messages("device", "facet", {VmcShapes::PerfectSync, true});
   messages.begin(face({}), false);
   const auto* first = &messages.of(BridgeProtocol::IFacialMocap, IFacialMocapVersion::V1);
   const auto* second = &messages.of(BridgeProtocol::IFacialMocap, IFacialMocapVersion::V2);

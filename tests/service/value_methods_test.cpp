@@ -1,4 +1,4 @@
-// [bridges.values] of the configuration, and values.* of the control protocol.
+// [bridges.values] of the configuration, and values.* and mapping.* of the control protocol.
 
 #include "service/value_methods.hpp"
 
@@ -11,9 +11,11 @@
 #include <regex>
 #include <string>
 
+#include "avatar/mapping_file.hpp"
 #include "facet/error.hpp"
 #include "mesh/arkit.hpp"
 #include "service/config.hpp"
+#include "service/errands.hpp"
 #include "service/status_report.hpp"
 #include "support/paths.hpp"
 
@@ -90,9 +92,8 @@ TEST(ConfiguredValues, TheSampleShowsThem) {
 class ValueMethods : public ::testing::Test {
  protected:
   json ask(const std::string& method, const json& params, bool member = true) {
-    const auto methods = value_methods(bridge_, config_.values);
     const json request = {{"jsonrpc", "2.0"}, {"id", 1}, {"method", method}, {"params", params}};
-    return json::parse(answer_request(methods, request.dump(), {1, 1000, member}));
+    return json::parse(answer_request(methods_, request.dump(), {1, 1000, member}));
   }
   json set(const json& params) { return ask("values.set", params)["result"]; }
   std::string refusal(const json& params) {
@@ -111,6 +112,8 @@ class ValueMethods : public ::testing::Test {
   test::TemporaryFolder folder_;
   avatar::BridgeConfig config_ = config(folder_.path());
   avatar::Bridge bridge_{config_};
+  Errands writer_{"writer"};
+  ControlMethods methods_ = value_methods(bridge_, config_, writer_);
 };
 
 TEST_F(ValueMethods, SetWhatIsGivenAndGoBackToTheConfiguration) {
@@ -151,6 +154,115 @@ TEST_F(ValueMethods, RefuseWhatIsNoTuning) {
   }
   EXPECT_EQ(bridge_.status().values.all, ValueTuning()) << "nothing of what is refused is taken";
   EXPECT_EQ(bridge_.status().values.named, config_.values.named);
+}
+
+class MappingMethods : public ValueMethods {
+ protected:
+  json map(const std::string& table, const std::string& name, const std::string& formula) {
+    return ask("mapping.set", {{"table", table}, {"name", name}, {"formula", formula}});
+  }
+  std::string why_not(const std::string& table, const std::string& name, const std::string& formula) {
+    const json answer = map(table, name, formula);
+    return answer.contains("error") ? answer["error"]["message"].get<std::string>() : "";
+  }
+  json mapping() { return ask("mapping.get", json::object(), false)["result"]; }
+  json save() { return ask("mapping.save", json::object()); }
+  void save_to(const std::filesystem::path& file) {
+    config_.mapping_file = file;
+    methods_ = value_methods(bridge_, config_, writer_);
+  }
+};
+
+TEST_F(MappingMethods, SetOneAfterTheOtherAndTakeItAway) {
+  EXPECT_EQ(mapping(), json::parse(R"({"file": null, "saved": true, "vmc": [], "vrchat": []})"));
+  EXPECT_EQ(map("vmc", "A", "0.8 * jawOpen")["result"],
+            json::parse(R"({"table": "vmc", "name": "A", "formula": "0.8 * jawOpen"})"));
+  map("vmc", "Grin", "mouthSmileLeft");
+  map("vrchat", "v2/JawOpen", "-2");
+  map("vmc", "A", "jawOpen + 0.25");
+  const json now = mapping();
+  EXPECT_EQ(now["vmc"], json::parse(R"([{"name": "A", "formula": "jawOpen + 0.25"},
+                                        {"name": "Grin", "formula": "mouthSmileLeft"}])"))
+      << "a name keeps its place";
+  EXPECT_EQ(now["saved"], false);
+  EXPECT_EQ(ask("mapping.values", json::object(), false)["result"],
+            json::parse(R"({"vmc": {"A": 0.25, "Grin": 0.0}, "vrchat": {"v2/JawOpen": -1.0}})"))
+      << "as sent: cut, of a face at rest";
+  EXPECT_EQ(bridge_.mapping().vmc.size(), 2U);
+
+  EXPECT_EQ(ask("mapping.unset", {{"table", "vmc"}, {"name", "A"}})["result"], json::object());
+  EXPECT_EQ(mapping()["vmc"].size(), 1U);
+  EXPECT_THAT(ask("mapping.unset", {{"table", "vmc"}, {"name", "A"}})["error"]["message"].get<std::string>(),
+              HasSubstr("vmc has no formula for 'A'"));
+  EXPECT_EQ(ask("mapping.reset", json::object())["result"], json::object());
+  EXPECT_TRUE(mapping()["vmc"].empty());
+  EXPECT_EQ(mapping()["saved"], true);
+}
+
+TEST_F(MappingMethods, SayWhatIsWrongAndAtWhichLetter) {
+  EXPECT_THAT(why_not("vmc", "A", "0.5 * jawOpne"),
+              AllOf(HasSubstr("'jawOpne' is no value of ARKit's"), HasSubstr("(letter 7)")));
+  EXPECT_THAT(why_not("vmc", "A", ""), HasSubstr("(letter 1)"));
+  EXPECT_THAT(why_not("vmc", "", "1"), HasSubstr("is no name that can be sent"));
+  EXPECT_THAT(why_not("vrchat", "Jaw Open", "1"), HasSubstr("without spaces"));
+  EXPECT_EQ(why_not("vmc", "Jaw Open", "1"), "");
+  EXPECT_THAT(why_not("osc", "A", "1"), HasSubstr("'osc' is no table"));
+  for (std::size_t i = mapping()["vmc"].size(); i < avatar::kMostMappedValues; ++i) {
+    EXPECT_EQ(why_not("vmc", "name" + std::to_string(i), "1"), "");
+  }
+  EXPECT_THAT(why_not("vmc", "A", "1"), HasSubstr("256 names already"));
+  EXPECT_EQ(why_not("vmc", "Jaw Open", "2"), "") << "one that is there can be changed";
+  for (const char* method : {"mapping.set", "mapping.unset", "mapping.save", "mapping.reset"}) {
+    EXPECT_EQ(ask(method, json::object(), false)["error"]["code"], kPermissionDenied) << method;
+  }
+}
+
+TEST_F(MappingMethods, WithoutAFileSayWhichKeyIsMissing) {
+  map("vmc", "A", "jawOpen");
+  EXPECT_THAT(save()["error"]["message"].get<std::string>(), HasSubstr("[bridges] mapping ="));
+  EXPECT_EQ(mapping()["saved"], false);
+}
+
+TEST_F(MappingMethods, WhatWasSavedIsThereAtTheNextStart) {
+  save_to(folder_.path() / "avatar.toml");
+  map("vrchat", "FT/v2/JawOpen", "clamp(1.5 * jawOpen, 0, 1)");
+  map("vmc", "笑い \"2\\", "mouthSmileLeft\n+ 0.1");
+  set({{"name", "jawOpen"}, {"gain", 1.25}, {"smoothing_ms", 33}});
+  const avatar::ValueTunings tuned = bridge_.status().values;
+  EXPECT_EQ(save()["result"]["file"], config_.mapping_file.string());
+
+  const avatar::Bridge next(config_);
+  EXPECT_EQ(next.mapping(), bridge_.mapping());
+  EXPECT_EQ(next.status().values, tuned) << "and not those of the configuration";
+  std::ofstream(config_.mapping_file, std::ios::app) << "[vmc]\n";
+  EXPECT_THROW(avatar::Bridge{config_}, Error) << "it is read";
+}
+
+TEST_F(MappingMethods, ResetGoesBackToWhatWasSaved) {
+  save_to(folder_.path() / "avatar.toml");
+  const auto call = [&](const char* method, const json& params) { return ask(method, params)["result"]; };
+  call("mapping.set", {{"table", "vmc"}, {"name", "A"}, {"formula", "1"}});
+  call("values.set", {{"name", "jawOpen"}, {"gain", 2}});
+  call("mapping.save", json::object());
+  EXPECT_EQ(call("mapping.get", json::object())["saved"], true);
+  call("mapping.set", {{"table", "vmc"}, {"name", "A"}, {"formula", "2"}});
+  call("values.set", {{"name", "jawOpen"}, {"gain", 3}});
+  EXPECT_EQ(call("mapping.get", json::object())["saved"], false);
+  call("values.reset", json::object());
+  EXPECT_EQ(bridge_.status().values.of(index_of("jawOpen")).gain, 2);
+  EXPECT_EQ(call("mapping.get", json::object())["saved"], false) << "the formula is another yet";
+  call("mapping.reset", json::object());
+  EXPECT_EQ(call("mapping.get", json::object())["saved"], true);
+  EXPECT_EQ(call("mapping.get", json::object())["vmc"][0]["formula"], "1");
+}
+
+TEST_F(MappingMethods, AFolderThatCantBeWrittenIsToldAndNothingIsSaved) {
+  save_to(folder_.path() / "none" / "avatar.toml");
+  map("vmc", "A", "1");
+  const json answer = save();
+  EXPECT_EQ(answer["error"]["code"], kServerErrorBase - static_cast<int>(ErrorKind::Storage));
+  EXPECT_THAT(answer["error"]["message"].get<std::string>(), HasSubstr("avatar.toml"));
+  EXPECT_EQ(mapping()["saved"], false);
 }
 
 }  // namespace

@@ -1,4 +1,4 @@
-// `facet values` as a user meets it.
+// `facet values` and `facet mapping` as a user meets them.
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -8,9 +8,11 @@
 #include <vector>
 
 #include "answering.hpp"
+#include "avatar/mapping_file.hpp"
 #include "facet/error.hpp"
 #include "mesh/arkit.hpp"
 #include "service/config.hpp"
+#include "service/errands.hpp"
 #include "service/status_report.hpp"
 #include "service/value_methods.hpp"
 #include "support/child_process.hpp"
@@ -25,8 +27,9 @@ using ::testing::HasSubstr;
 
 class ValuesCommand : public ::testing::Test {
  protected:
+  ValuesCommand() { writer_.start(); }
   int run(std::vector<std::string> arguments) {
-    arguments.insert(arguments.begin(), "values");
+    arguments.insert(arguments.begin(), command_);
     arguments.insert(arguments.end(), {"--socket", (folder_.path() / "control.sock").string()});
     test::ChildProcess child(FACET_PROGRAM, arguments, folder_.path() / "log");
     const int status = child.wait();
@@ -34,7 +37,7 @@ class ValuesCommand : public ::testing::Test {
     return status;
   }
   service::ControlMethods methods() {
-    auto all = service::value_methods(bridge_, config_.values);
+    auto all = service::value_methods(bridge_, config_, writer_);
     all["status"] = {false, {}, [this](const json&) {
                        return json{{"bridges", service::to_json(bridge_.status())}};
                      }};
@@ -44,13 +47,16 @@ class ValuesCommand : public ::testing::Test {
     avatar::BridgeConfig config;
     config.neutral_file = folder / "neutral.json";
     config.values.all.smoothing_ms = 20;
+    config.mapping_file = folder / "avatar.toml";
     return config;
   }
 
   test::TemporaryFolder folder_;
   avatar::BridgeConfig config_ = config(folder_.path());
   avatar::Bridge bridge_{config_};
+  service::Errands writer_{"writer"};
   test::Answering daemon_{folder_.path() / "control.sock", methods()};
+  std::string command_ = "values";
   std::string output_;
 };
 
@@ -94,6 +100,26 @@ TEST_F(ValuesCommand, RefusesWhatIsNoTuning) {
   refused({"--gain", "2"}, "--gain requires name");
   refused({"jawOpen", "--reset"}, "name excludes --reset");
   EXPECT_EQ(bridge_.status().values.named.size(), 0U);
+}
+
+TEST_F(ValuesCommand, MappingIsSetShownSavedAndTakenAway) {
+  command_ = "mapping";
+  EXPECT_EQ(run({}), 0) << output_;
+  EXPECT_EQ(output_, "nothing is mapped\n");
+  EXPECT_EQ(run({"set", "vrchat", "v2/JawOpen", "0.25 + jawOpen"}), 0) << output_;
+  EXPECT_EQ(run({"set", "vmc", "A", "jawOpen +"}), static_cast<int>(ErrorKind::Usage));
+  EXPECT_THAT(output_, HasSubstr("(letter 10)"));
+  EXPECT_EQ(run({"set", "osc", "A", "jawOpen"}), static_cast<int>(ErrorKind::Usage)) << output_;
+  EXPECT_EQ(run({}), 0);
+  EXPECT_THAT(output_, AllOf(HasSubstr("vrchat  v2/JawOpen                0.250  0.25 + jawOpen\n"),
+                             HasSubstr("`facet mapping save` keeps it")));
+  EXPECT_EQ(run({"save"}), 0) << output_;
+  EXPECT_EQ(output_, config_.mapping_file.string() + "\n");
+  EXPECT_EQ(avatar::load_mapping(config_.mapping_file), bridge_.mapping());
+  EXPECT_EQ(run({"unset", "vrchat", "v2/JawOpen"}), 0) << output_;
+  EXPECT_TRUE(bridge_.mapping().vrchat.empty());
+  EXPECT_EQ(run({"reset"}), 0) << output_;
+  EXPECT_EQ(avatar::load_mapping(config_.mapping_file), bridge_.mapping()) << "as saved";
 }
 
 }  // namespace

@@ -15,7 +15,7 @@
 #include <vector>
 
 #include "avatar/bridge.hpp"
-#include "avatar/value_mapping.hpp"
+#include "avatar/mapping_file.hpp"
 #include "booth/booth_depth.hpp"
 #include "camera/factory.hpp"
 #include "camera/host_sandbox.hpp"
@@ -317,9 +317,13 @@ void check_bridges(Report& report, const avatar::BridgeConfig& bridges) {
   if (!bridges.mapping_file.empty()) {
     try {
       const avatar::ValueMapping mapping = avatar::load_mapping(bridges.mapping_file);
-      report.say(Verdict::Good, "mapping",
-                 fmt::format("{}: {} values for VMC, {} for VRChat", bridges.mapping_file.string(),
-                             mapping.vmc.size(), mapping.vrchat.size()));
+      std::error_code ignored;
+      const bool is_there = std::filesystem::exists(bridges.mapping_file, ignored);
+      report.say(is_there ? Verdict::Good : Verdict::Note, "mapping",
+                 is_there ? fmt::format("{}: {} values for VMC, {} for VRChat", bridges.mapping_file.string(),
+                                        mapping.vmc.size(), mapping.vrchat.size())
+                          : fmt::format("{} is not there: nothing is mapped until something is saved",
+                                        bridges.mapping_file.string()));
     } catch (const Error& error) {
       report.bad(error.kind(), "mapping", error.what());
     }

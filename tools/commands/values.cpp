@@ -51,7 +51,9 @@ void set(const DaemonOptions& daemon, const ValuesOptions& options) {
   give("dead_zone", options.dead_zone);
   give("smoothing_ms", options.smoothing_ms);
   const json now = call_daemon(daemon, "values.set", params);
-  tell("It is so until the daemon ends. To keep it, put under [bridges.values] in the configuration:\n");
+  tell(
+      "It is so until the daemon ends. To keep it: `facet mapping save`, or under [bridges.values] in the "
+      "configuration:\n");
   print_tuning(now["name"], now);
 }
 

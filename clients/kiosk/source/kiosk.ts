@@ -1,6 +1,7 @@
 // The page of a capture booth: brings what the daemon sends to the view and the cards, and what is pressed to the daemon.
 import type { Frame } from '../generated/facet/stream/wire/frame';
 import { Profile } from '../generated/facet/stream/wire/profile';
+import { AvatarDesk } from './avatar_desk';
 import { Blend } from './blend';
 import { ControlConnection, ControlError, StreamConnection, kPermissionDenied, kTooManyTokens } from './connection';
 import { Expressions } from './expressions';
@@ -83,7 +84,9 @@ const stream = new StreamConnection({
     vertices = levels[levels.length - 1].vertexCount();
     rebuilder = hierarchy ? Rebuilder.of(hierarchy) : null;
     view?.setSubject(levels.map((level) => level.trianglesArray()!), vertices);
-    expressions.setNames(Array.from({ length: subject.expressionNamesLength() }, (_, i) => subject.expressionNames(i) as string));
+    const names = Array.from({ length: subject.expressionNamesLength() }, (_, i) => subject.expressionNames(i) as string);
+    expressions.setNames(names);
+    avatar.setNames(names);
     hasSubject = true;
   },
   albedo: (albedo) => view?.setAlbedo(albedo.linearRgbArray()!, albedo.scale()),
@@ -103,6 +106,9 @@ const control = new ControlConnection(
     showState();
   },
   () => { void look(); });
+
+const avatar = new AvatarDesk(control, {
+  mayCommand: () => unlocked, attempt: (method, params) => attempt(method, params), unlock: () => openTokenDialog() });
 
 /** From the address (#token=..., which no server sees) or from an earlier visit. */
 function takeToken(): string {
@@ -133,8 +139,10 @@ function showFrame(frame: Frame): void {
   const mesh = hasSubject ? meshOf(frame, rebuilder) : null;
   blend?.take(frame, status?.rig === null);
   if (mesh) {
-    lastMesh_ms = view?.setMesh(mesh) === false ? lastMesh_ms : now; // what can't be drawn is no live face
+    // What can't be drawn is no live face; what the avatar covers needs no drawing.
+    lastMesh_ms = !avatar.isOpen && view?.setMesh(mesh) === false ? lastMesh_ms : now;
   }
+  avatar.take(frame);
   document.body.dataset.frames = String(Number(document.body.dataset.frames ?? 0) + 1);
   if (now - lastPanels_ms > 90) {
     const weights = frame.avatarValuesArray() ?? frame.expressionArray();
@@ -362,6 +370,7 @@ function showAll(): void {
   takeCare.show(takes, status?.takes.trim ?? null);
   ownShape.show(status?.learning ?? null);
   studio?.draw();
+  avatar.show(status?.bridges?.values);
   showState();
   showRecording();
 }

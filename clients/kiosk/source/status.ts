@@ -79,8 +79,16 @@ export interface BridgeTarget {
   failed: number;
   reason: string;
 }
+/** How far an avatar follows a value. */
+export interface Tuning {
+  gain: number;
+  dead_zone: number;
+  smoothing_ms: number;
+}
 export interface Bridges {
   targets: BridgeTarget[];
+  /** By ARKit's name, or "all": what is not sent as it comes. */
+  values?: Record<string, Tuning>;
   neutral: { state: 'none' | 'recording' | 'set' | 'failed'; reason: string; frames: number };
 }
 export interface Status {
