@@ -19,6 +19,7 @@
 #include "avatar/bridge_messages.hpp"
 #include "avatar/mapping_file.hpp"
 #include "avatar/phone_requests.hpp"
+#include "avatar/vts_link.hpp"
 #include "facet/aside.hpp"
 #include "facet/clock.hpp"
 #include "facet/error.hpp"
@@ -76,6 +77,7 @@ struct Bridge::Impl {
   bool cleared FACET_GUARDED_BY(mutex) = false;                     ///< meanwhile
 
   BridgeMessages messages;  ///< the thread's own
+  MappedValues vts_chosen;  ///< likewise
   BridgeConfig config;
   LookUp look_up;
   struct Destination {
@@ -114,6 +116,13 @@ struct Bridge::Impl {
   std::optional<PhoneRequests> requests;
   Clock::time_point next_listening = Clock::now();
 
+  VtsTokens tokens{config.vts_tokens_file};
+  struct PluginTarget {
+    std::size_t target;  ///< of config.targets
+    std::unique_ptr<VtsLink> link;
+  };
+  std::vector<PluginTarget> plugins;
+
   // Last, so that they are joined before anything is freed; the helper after who asks it.
   Aside names{"facet-names", [this] { look_up_sought(); }};
   std::jthread thread;
@@ -142,6 +151,8 @@ Bridge::Impl::Impl(const BridgeConfig& given, LookUp given_look_up)
       look_up(std::move(given_look_up)),
       mapping(load_mapping(given.mapping_file)) {
   messages.map(mapping);
+  vts_chosen = mapping.vtube_studio;
+  status.tokens_reason = tokens.fault();
   try {
     neutral = load_neutral(config.neutral_file);
   } catch (const Error& error) {
@@ -156,6 +167,11 @@ Bridge::Impl::Impl(const BridgeConfig& given, LookUp given_look_up)
     const BridgeTarget& target = config.targets[i];
     destinations[i].target = target;
     BridgeTargetStatus told{.target = target};
+    if (target.protocol == BridgeProtocol::VTubeStudioPlugin) {
+      plugins.push_back({i, std::make_unique<VtsLink>(target, tokens, look_up)});
+      status.targets.push_back(std::move(told));
+      continue;
+    }
     const SocketAddress digits = socket_address(target.address, target.port);
     settle(i, digits.length > 0 ? LookedUp{digits, ""} : look_up(target), told);
     status.targets.push_back(std::move(told));
@@ -213,7 +229,7 @@ void Bridge::Impl::look_up_again() {
   } else if (Clock::now() >= next_look_up) {
     sought.clear();
     for (std::size_t i = 0; i < config.targets.size(); ++i) {
-      if (destinations[i].socket < 0) {
+      if (destinations[i].socket < 0 && config.targets[i].protocol != BridgeProtocol::VTubeStudioPlugin) {
         sought.push_back({i, {}});
       }
     }
@@ -361,6 +377,7 @@ void Bridge::Impl::work_once(Clock::time_point& next_send) {
     const Unlock unlock(mutex);
     if (fresh) {
       messages.map(*fresh);
+      vts_chosen = fresh->vtube_studio;
     }
     smoother.apply(state);
     send(state, with_neutral);
@@ -424,6 +441,13 @@ std::string Bridge::Impl::send_all(Destination& to, const std::vector<std::vecto
 }
 
 void Bridge::Impl::send(const FaceState& state, bool with_neutral) {
+  if (!plugins.empty()) {
+    const auto parameters =
+        std::make_shared<const VtsParameters>(vts_parameters(state, vts_chosen, config.vts_arkit));
+    for (const PluginTarget& plugin : plugins) {
+      plugin.link->publish(parameters);
+    }
+  }
   messages.begin(state, with_neutral);
   for (std::size_t i = 0; i < destinations.size(); ++i) {
     const auto& datagrams = messages.of(destinations[i].target.protocol, destinations[i].version);
@@ -455,6 +479,9 @@ Bridge::~Bridge() {
 }
 
 void Bridge::start() {
+  for (const Impl::PluginTarget& plugin : impl_->plugins) {
+    plugin.link->start();
+  }
   impl_->thread = std::jthread([this] { impl_->run(); });
 }
 
@@ -464,16 +491,23 @@ void Bridge::request_stop() {
     impl_->stopping = true;
   }
   impl_->changed.notify_one();
+  for (const Impl::PluginTarget& plugin : impl_->plugins) {
+    plugin.link->request_stop();
+  }
 }
 
 void Bridge::stop() {
   if (impl_->thread.joinable()) {
     impl_->thread.join();
   }
+  for (const Impl::PluginTarget& plugin : impl_->plugins) {
+    plugin.link->stop();
+  }
 }
 
 bool Bridge::finished() const {
-  return !impl_->seeking;
+  return !impl_->seeking && std::all_of(impl_->plugins.begin(), impl_->plugins.end(),
+                                        [](const auto& plugin) { return plugin.link->finished(); });
 }
 
 void Bridge::complete(mesh::MeshFrame& frame) {
@@ -511,8 +545,19 @@ void Bridge::publish(std::shared_ptr<const mesh::MeshFrame> frame) {
 }
 
 BridgeStatus Bridge::status() const {
-  const Lock lock(impl_->mutex);
-  return impl_->status;
+  BridgeStatus now;
+  {
+    const Lock lock(impl_->mutex);
+    now = impl_->status;
+  }
+  for (const Impl::PluginTarget& plugin : impl_->plugins) {
+    const VtsLinkStatus link = plugin.link->status();
+    BridgeTargetStatus& target = now.targets[plugin.target];
+    target.frames = link.frames;
+    target.failed = link.failed;
+    target.reason = link.reason;
+  }
+  return now;
 }
 
 void Bridge::record_neutral(std::chrono::milliseconds duration) {

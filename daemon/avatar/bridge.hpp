@@ -26,8 +26,10 @@ struct BridgeConfig {
   bool vmc_eye_bones = true;
   std::filesystem::path mapping_file;  ///< load_mapping(), until map() says otherwise; empty: none
   std::string answer;  ///< this machine's address at which requests are heard; empty: none are
-  std::chrono::milliseconds look_up_every = std::chrono::seconds(30);  ///< names that were not found
-  ValueTunings values;  ///< where the mapping file has none, and until tune() says otherwise
+  std::chrono::milliseconds look_up_every = std::chrono::seconds(30);          ///< names that were not found
+  std::filesystem::path vts_tokens_file = "/var/lib/facet/vtube-studio.json";  ///< VtsTokens
+  bool vts_arkit = false;  ///< ARKit's 52, too, as custom parameters of VTube Studio's
+  ValueTunings values;     ///< where the mapping file has none, and until tune() says otherwise
 };
 
 struct BridgeTargetStatus {
@@ -48,14 +50,16 @@ struct BridgeStatus {
   NeutralState neutral = NeutralState::None;
   std::string neutral_reason;  ///< why Failed; the earlier pose, if any, stays
   int neutral_frames = 0;      ///< recorded so far
+  std::string tokens_reason;   ///< what was wrong with the file of VTube Studio's tokens at the start
   std::string answer_reason;   ///< why requests can't be heard now; it is tried again
   ValueTunings values;
 };
 
 /// What avatars are moved by. Knows the person's neutral pose and how far each value is followed, gives every
 /// frame its MeshFrame::avatar_values by them, and sends those and the head to configured targets, of which
-/// there may be none, over UDP, on the thread `facet-bridge`. Whoever hands frames over never waits: the
-/// newest frame counts, and a datagram that the network does not take at once is lost.
+/// there may be none, over UDP, on the thread `facet-bridge`; to VTube Studio's API for plug-ins by threads
+/// of their own (VtsLink). Whoever hands frames over never waits: the newest frame counts, and a datagram
+/// that the network does not take at once is lost.
 ///
 /// Who asks as receivers ask phones (PhoneRequests), where that is configured, is a target for as long as it
 /// asked, unless its port is closed; 16 at most. Datagrams to such targets end at the first router, whoever

@@ -75,6 +75,8 @@ void BridgeMessages::write(BridgeProtocol protocol, IFacialMocapVersion version,
     case BridgeProtocol::VTubeStudio:
       write_vtube_studio(state_, unix_ms(), out.emplace_back());
       break;
+    case BridgeProtocol::VTubeStudioPlugin:
+      break;  // no datagrams: VtsLink
   }
 }
 

@@ -132,11 +132,15 @@ LookedUp look_up_host(const BridgeTarget& target) {
   return out;
 }
 
-Listener who_listens(const SocketAddress& address) {
-  const int socket = ::socket(address.storage.ss_family, SOCK_DGRAM | SOCK_CLOEXEC, 0);
+Listener who_listens(const SocketAddress& address, bool is_tcp) {
+  const int type = is_tcp ? SOCK_STREAM : SOCK_DGRAM;
+  const int socket = ::socket(address.storage.ss_family, type | SOCK_CLOEXEC, 0);
   if (socket < 0) {
     return Listener::OtherMachine;
   }
+  // Of TCP, connections that are over hold the port for a minute: they are nobody.
+  const int reuse = is_tcp ? 1 : 0;
+  ::setsockopt(socket, SOL_SOCKET, SO_REUSEADDR, &reuse, sizeof(reuse));
   const bool had = ::bind(socket, reinterpret_cast<const sockaddr*>(&address.storage), address.length) == 0;
   const int fault = errno;
   ::close(socket);

@@ -10,20 +10,22 @@
 
 namespace facet::avatar {
 
-enum class BridgeProtocol { Vmc, LiveLinkFace, IFacialMocap, VrChat, VTubeStudio };
+enum class BridgeProtocol { Vmc, LiveLinkFace, IFacialMocap, VrChat, VTubeStudio, VTubeStudioPlugin };
 
 /// A protocol in the configuration and in messages.
 struct BridgeProtocolNames {
   BridgeProtocol protocol;
   const char* key;           ///< of [bridges]: a list of targets
   std::uint16_t usual_port;  ///< where its receivers listen unless told otherwise
+  bool is_tcp = false;       ///< its receivers take connections; else UDP
 };
-inline constexpr std::array<BridgeProtocolNames, 5> kBridgeProtocols = {{
+inline constexpr std::array<BridgeProtocolNames, 6> kBridgeProtocols = {{
     {BridgeProtocol::Vmc, "vmc", 39539},
     {BridgeProtocol::LiveLinkFace, "live_link_face", 11111},
     {BridgeProtocol::IFacialMocap, "ifacialmocap", 49983},
     {BridgeProtocol::VrChat, "vrchat", 9000},
     {BridgeProtocol::VTubeStudio, "vtube_studio", 11125},
+    {BridgeProtocol::VTubeStudioPlugin, "vtube_studio_plugin", 8001, true},
 }};
 /// As the configuration names it.
 const char* to_string(BridgeProtocol protocol);
@@ -72,6 +74,6 @@ enum class Listener {
   OtherMachine  ///< it is no address of this one
 };
 /// Tries to have it for a moment. Any thread.
-Listener who_listens(const SocketAddress& address);
+Listener who_listens(const SocketAddress& address, bool is_tcp = false);
 
 }  // namespace facet::avatar

@@ -26,6 +26,10 @@ bool fits_text(std::string_view name) {
                      [](char c) { return static_cast<unsigned char>(c) >= 0x20 && c != '\x7f'; });
 }
 
+bool is_letter_or_digit(char c) {
+  return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9');
+}
+
 MappedValues read_table(files::TomlSection section, const MappingTable& table) {
   MappedValues values;
   if (!section.given()) {
@@ -65,9 +69,8 @@ std::string in_quotes(std::string_view text) {
 }
 
 std::string key_text(const std::string& name) {
-  const bool bare = std::all_of(name.begin(), name.end(), [](char c) {
-    return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '_' || c == '-';
-  });
+  const bool bare = std::all_of(name.begin(), name.end(),
+                                [](char c) { return is_letter_or_digit(c) || c == '_' || c == '-'; });
   return bare ? name : in_quotes(name);
 }
 
@@ -79,12 +82,19 @@ std::string tuning_text(const std::string& name, const ValueTuning& tuning) {
 }  // namespace
 
 std::string name_fault(const MappingTable& table, std::string_view name) {
-  if (!name.empty() && name.size() <= kMostMappedNameBytes && fits_text(name) &&
-      (!table.is_address || fits_address(name))) {
-    return "";
+  constexpr std::size_t kFewestOfWord = 4;
+  constexpr std::size_t kMostOfWord = 32;
+  std::string rule = fmt::format("1 to {} bytes", kMostMappedNameBytes);
+  bool fits = !name.empty() && name.size() <= kMostMappedNameBytes && fits_text(name);
+  if (table.names == MappedNames::Address) {
+    rule += ", without spaces and #*,?[]{}";
+    fits = fits && fits_address(name);
+  } else if (table.names == MappedNames::Word) {
+    rule = fmt::format("{} to {} letters and digits", kFewestOfWord, kMostOfWord);
+    fits = name.size() >= kFewestOfWord && name.size() <= kMostOfWord &&
+           std::all_of(name.begin(), name.end(), is_letter_or_digit);
   }
-  return fmt::format("is no name that can be sent: 1 to {} bytes{}", kMostMappedNameBytes,
-                     table.is_address ? ", without spaces and #*,?[]{}" : "");
+  return fits ? "" : "is no name that can be sent: " + rule;
 }
 
 ValueMapping parse_mapping(std::string_view text, const std::filesystem::path& file) {

@@ -18,22 +18,31 @@ inline constexpr std::size_t kMostMappingBytes = 1U << 16;
 inline constexpr std::size_t kMostMappedValues = 256;  ///< of a table
 inline constexpr std::size_t kMostMappedNameBytes = 64;
 
+/// What the names of a table may be.
+enum class MappedNames {
+  Text,     ///< letters that can be shown
+  Address,  ///< parts of an OSC address
+  Word,     ///< 4 to 32 letters and digits
+};
+
 /// A table of a mapping file.
 struct MappingTable {
   const char* name;
   MappedValues ValueMapping::*values;
-  bool is_address;  ///< names are parts of an OSC address
-  float least;      ///< what comes out is cut to least ... 1
+  MappedNames names;
+  float least;  ///< what comes out is cut to this
+  float most;   ///< and this
 };
-inline constexpr std::array<MappingTable, 2> kMappingTables = {{
-    {"vmc", &ValueMapping::vmc, false, 0},
-    {"vrchat", &ValueMapping::vrchat, true, -1},
+inline constexpr std::array<MappingTable, 3> kMappingTables = {{
+    {"vmc", &ValueMapping::vmc, MappedNames::Text, 0, 1},
+    {"vrchat", &ValueMapping::vrchat, MappedNames::Address, -1, 1},
+    {"vtube_studio", &ValueMapping::vtube_studio, MappedNames::Word, -1e6F, 1e6F},
 }};
 
 /// Why a name can't be sent, to follow on the name; empty where it can.
 std::string name_fault(const MappingTable& table, std::string_view name);
 
-/// Reads the tables [vmc] and [vrchat] of `name = "formula"`, and [values] (docs/bridges.md). file: for
+/// Reads the tables of `name = "formula"` (kMappingTables), and [values] (docs/bridges.md). file: for
 /// messages. Throws Error(Usage) that names file, line and key.
 ValueMapping parse_mapping(std::string_view text, const std::filesystem::path& file);
 /// An empty path is an empty mapping, and so is one where there is no file: there will be one once a mapping

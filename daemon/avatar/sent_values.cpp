@@ -32,6 +32,27 @@ constexpr NamedFormula kVrmPresets[] = {
     {"LookRight", "(eyeLookInLeft + eyeLookOutRight) / 2"},
 };
 
+// Smile and brows: 0.5 at rest, as VTube Studio's own set-up of a model takes them. Eyes: X to the subject's
+// right, Y up; the mouth's X to the left.
+constexpr NamedFormula kVtsValues[] = {
+    {"MouthSmile", "0.5 + (mouthSmileLeft + mouthSmileRight - mouthFrownLeft - mouthFrownRight) / 4"},
+    {"MouthOpen", "max(0, jawOpen - mouthClose)"},
+    {"MouthX", "mouthLeft - mouthRight"},
+    {"Brows",
+     "0.5 + (2 * browInnerUp + browOuterUpLeft + browOuterUpRight) / 8 - (browDownLeft + browDownRight) / 4"},
+    {"BrowLeftY", "0.5 + (browInnerUp + browOuterUpLeft) / 4 - browDownLeft / 2"},
+    {"BrowRightY", "0.5 + (browInnerUp + browOuterUpRight) / 4 - browDownRight / 2"},
+    {"EyeOpenLeft", "1 - eyeBlinkLeft"},
+    {"EyeOpenRight", "1 - eyeBlinkRight"},
+    {"EyeLeftX", "eyeLookInLeft - eyeLookOutLeft"},
+    {"EyeLeftY", "eyeLookUpLeft - eyeLookDownLeft"},
+    {"EyeRightX", "eyeLookOutRight - eyeLookInRight"},
+    {"EyeRightY", "eyeLookUpRight - eyeLookDownRight"},
+    {"CheekPuff", "cheekPuff"},
+    {"TongueOut", "tongueOut"},
+    {"FaceAngry", "(browDownLeft + browDownRight) / 2 * (1 - (mouthSmileLeft + mouthSmileRight) / 2)"},
+};
+
 constexpr NamedFormula kUnifiedExpressions[] = {
     // Eyes: X to the subject's right, Y up.
     {"EyeLeftX", "eyeLookInLeft - eyeLookOutLeft"},
@@ -186,6 +207,10 @@ MappedValues vrm_presets() {
 
 MappedValues unified_expressions() {
   return mapped_values(kUnifiedExpressions);
+}
+
+MappedValues vts_values() {
+  return mapped_values(kVtsValues);
 }
 
 }  // namespace facet::avatar

@@ -14,4 +14,8 @@ MappedValues vrm_presets();
 /// them, each 0 to 1, those with two sides -1 to 1 (docs/bridges.md lists them).
 MappedValues unified_expressions();
 
+/// VTube Studio's own tracking parameters, as far as ARKit's values tell them; those of the head are not
+/// among them (docs/bridges.md lists them).
+MappedValues vts_values();
+
 }  // namespace facet::avatar

@@ -23,6 +23,7 @@ using MappedValues = std::vector<MappedValue>;
 struct ValueMapping {
   MappedValues vmc;                      ///< names of /VMC/Ext/Blend/Val
   MappedValues vrchat;                   ///< names of avatar parameters, without "/avatar/parameters/"
+  MappedValues vtube_studio;             ///< names of tracking parameters, VTube Studio's own or further ones
   std::optional<ValueTunings> values{};  ///< in the place of the configured ones
 
   bool operator==(const ValueMapping&) const = default;

@@ -489,18 +489,18 @@ void read_web(Section section, Section& expert, const MetricsConfig& metrics, We
 }
 
 void read_bridges(Section section, avatar::BridgeConfig& bridges) {
-  for (const auto& [protocol, name, usual_port] : avatar::kBridgeProtocols) {
-    const std::string key = name;
+  for (const avatar::BridgeProtocolNames& names : avatar::kBridgeProtocols) {
+    const std::string key = names.key;
     std::vector<std::string> texts;
     section.read(key, texts);
     for (const std::string& text : texts) {
-      const auto target = avatar::parse_target(protocol, text);
+      const auto target = avatar::parse_target(names.protocol, text);
       if (!target) {
         section.fail(
             section.find(key), key,
             fmt::format("must be a list of \"ADDRESS:PORT\", each an IP address in digits or the name "
                         "of a host, such as [\"127.0.0.1:{}\"]; \"{}\" is none",
-                        usual_port, text));
+                        names.usual_port, text));
       }
       bridges.targets.push_back(*target);
     }

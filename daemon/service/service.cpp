@@ -878,8 +878,11 @@ int Service::run() {
     impl.thumbnails.start();
     impl.open_web();
     impl.bridge.start();
-    if (const std::string fault = impl.bridge.status().neutral_reason; !fault.empty()) {
-      impl.log.warning(fault);
+    const avatar::BridgeStatus bridges = impl.bridge.status();
+    for (const std::string& fault : {bridges.neutral_reason, bridges.tokens_reason}) {
+      if (!fault.empty()) {
+        impl.log.warning(fault);
+      }
     }
     if (const auto& file = impl.config.bridges.mapping_file;
         !file.empty() && ::access(file.c_str(), F_OK) < 0) {

@@ -125,6 +125,8 @@ inline constexpr Setting<avatar::BridgeConfig> kBridgesSettings[] = {
     {"vmc_eye_bones", &at<&avatar::BridgeConfig::vmc_eye_bones>},
     {"mapping", &at<&avatar::BridgeConfig::mapping_file>},
     {"answer", &at<&avatar::BridgeConfig::answer>},
+    {"vtube_studio_arkit", &at<&avatar::BridgeConfig::vts_arkit>},
+    {"vtube_studio_tokens", &at<&avatar::BridgeConfig::vts_tokens_file>},
 };
 
 inline constexpr Setting<WebConfig> kWebSettings[] = {

@@ -81,7 +81,8 @@ const avatar::MappingTable& table_of(const json& params) {
   const auto* found = std::find_if(avatar::kMappingTables.begin(), avatar::kMappingTables.end(),
                                    [&](const avatar::MappingTable& table) { return table.name == name; });
   if (found == avatar::kMappingTables.end()) {
-    throw Error(ErrorKind::Usage, fmt::format("'{}' is no table of a mapping: \"vmc\" or \"vrchat\"", name));
+    throw Error(ErrorKind::Usage,
+                fmt::format("'{}' is no table of a mapping: vmc, vrchat or vtube_studio", name));
   }
   return *found;
 }
@@ -146,7 +147,7 @@ json mapped_values_now(const avatar::Bridge& bridge) {
   for (const avatar::MappingTable& table : avatar::kMappingTables) {
     json& numbers = answer[table.name] = json::object();
     for (const avatar::MappedValue& value : mapping.*table.values) {
-      numbers[value.name] = std::clamp(value.formula.of(values), table.least, 1.0F);
+      numbers[value.name] = std::clamp(value.formula.of(values), table.least, table.most);
     }
   }
   return answer;

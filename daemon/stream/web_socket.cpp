@@ -109,19 +109,18 @@ bool WebSocketAssembler::read_head() {
     const bool continues = frame_ == WebSocketOpcode::Continuation;
     const bool fits = is_control(frame_) ? last_ && short_length <= kMostControlBytes
                                          : continues == (opcode_ != WebSocketOpcode::Continuation);
-    if (reserved || !masked || !known || !fits) {
+    if (reserved || masked != (mask_bytes_ > 0) || !known || !fits) {
       return false;
     }
-    head_size_ = 2 + (short_length == 126 ? 2U : short_length == 127 ? 8U : 0U) + mask_.size();
-    return true;
+    head_size_ = 2 + (short_length == 126 ? 2U : short_length == 127 ? 8U : 0U) + mask_bytes_;
   }
   if (head_filled_ == head_size_) {
-    const std::size_t extra = head_size_ - 2 - mask_.size();
+    const std::size_t extra = head_size_ - 2 - mask_bytes_;
     length_ = extra == 0 ? head_[1] & 0x7FU : 0;
     for (std::size_t byte = 0; byte < extra; ++byte) {
       length_ = length_ << 8U | head_.at(2 + byte);
     }
-    std::copy_n(head_.begin() + static_cast<std::ptrdiff_t>(2 + extra), mask_.size(), mask_.begin());
+    std::copy_n(head_.begin() + static_cast<std::ptrdiff_t>(2 + extra), mask_bytes_, mask_.begin());
     taken_ = 0;
     in_payload_ = true;
     if (is_control(frame_)) {

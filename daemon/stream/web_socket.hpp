@@ -8,8 +8,8 @@
 #include <string_view>
 #include <vector>
 
-/// The framing of the WebSocket protocol (RFC 6455) as a server speaks it, without extensions: what comes
-/// over a connection whose HTTP request is done with already.
+/// The framing of the WebSocket protocol (RFC 6455), without extensions: what comes over a connection whose
+/// HTTP request is done with already.
 namespace facet::stream {
 
 enum class WebSocketOpcode : std::uint8_t {
@@ -48,21 +48,25 @@ struct WebSocketHeader {
 std::vector<std::uint8_t> web_socket_pong(std::span<const std::uint8_t> payload);
 std::vector<std::uint8_t> web_socket_close(WebSocketClose code, std::string_view reason);
 
-/// Puts a client's messages together from the pieces that a socket delivers. One thread.
+/// Who speaks: a client's frames are masked, a server's are not.
+enum class WebSocketPeer { Client, Server };
+
+/// Puts a peer's messages together from the pieces that a socket delivers. One thread.
 class WebSocketAssembler {
  public:
   enum class Outcome {
     Incomplete,  ///< all bytes were taken; more are needed
     Message,     ///< message() is whole; call next() before more bytes
     Ping,        ///< control() is to be sent back
-    Close,       ///< the client says that it is done
+    Close,       ///< the peer says that it is done
     Violation,   ///< not the protocol, or an extension that nobody offered; nothing more can be read
     TooLong,     ///< a message beyond the limit; nothing more can be read
   };
 
   /// limit_bytes: of one message, all its fragments. Memory grows with what has come, not with what is
   /// announced.
-  explicit WebSocketAssembler(std::size_t limit_bytes) : limit_bytes_(limit_bytes) {}
+  explicit WebSocketAssembler(std::size_t limit_bytes, WebSocketPeer peer = WebSocketPeer::Client)
+      : limit_bytes_(limit_bytes), mask_bytes_(peer == WebSocketPeer::Client ? 4 : 0) {}
 
   /// Takes bytes up to the end of the current frame; `bytes` is advanced past what was taken. Pongs are
   /// passed over.
@@ -80,6 +84,7 @@ class WebSocketAssembler {
   Outcome end_of_frame();
 
   std::size_t limit_bytes_;
+  std::size_t mask_bytes_;
   std::vector<std::uint8_t> message_;
   std::vector<std::uint8_t> control_;
   WebSocketOpcode opcode_ = WebSocketOpcode::Continuation;  ///< of the message; Continuation: none has begun
@@ -94,7 +99,7 @@ class WebSocketAssembler {
   WebSocketOpcode frame_ = WebSocketOpcode::Continuation;
   std::uint64_t length_ = 0;
   std::uint64_t taken_ = 0;
-  std::array<std::uint8_t, 4> mask_{};
+  std::array<std::uint8_t, 4> mask_{};  ///< zeros where there is none
 };
 
 /// The address at the other end of a TCP connection, as places are counted by it: without its port, IPv6 only

@@ -49,7 +49,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   expect_usage([&] { check(avatar::Formula(text)); });
   expect_usage([&] {
     const avatar::ValueMapping mapping = avatar::parse_mapping(text, "fuzz.toml");
-    for (const avatar::MappedValues* table : {&mapping.vmc, &mapping.vrchat}) {
+    for (const avatar::MappedValues* table : {&mapping.vmc, &mapping.vrchat, &mapping.vtube_studio}) {
       for (const avatar::MappedValue& value : *table) {
         if (value.name.empty() || value.name.size() > avatar::kMostMappedNameBytes) {
           std::abort();

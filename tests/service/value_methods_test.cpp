@@ -174,11 +174,13 @@ class MappingMethods : public ValueMethods {
 };
 
 TEST_F(MappingMethods, SetOneAfterTheOtherAndTakeItAway) {
-  EXPECT_EQ(mapping(), json::parse(R"({"file": null, "saved": true, "vmc": [], "vrchat": []})"));
+  EXPECT_EQ(mapping(),
+            json::parse(R"({"file": null, "saved": true, "vmc": [], "vrchat": [], "vtube_studio": []})"));
   EXPECT_EQ(map("vmc", "A", "0.8 * jawOpen")["result"],
             json::parse(R"({"table": "vmc", "name": "A", "formula": "0.8 * jawOpen"})"));
   map("vmc", "Grin", "mouthSmileLeft");
   map("vrchat", "v2/JawOpen", "-2");
+  map("vtube_studio", "MouthOpen", "jawOpen - 20");
   map("vmc", "A", "jawOpen + 0.25");
   const json now = mapping();
   EXPECT_EQ(now["vmc"], json::parse(R"([{"name": "A", "formula": "jawOpen + 0.25"},
@@ -186,7 +188,8 @@ TEST_F(MappingMethods, SetOneAfterTheOtherAndTakeItAway) {
       << "a name keeps its place";
   EXPECT_EQ(now["saved"], false);
   EXPECT_EQ(ask("mapping.values", json::object(), false)["result"],
-            json::parse(R"({"vmc": {"A": 0.25, "Grin": 0.0}, "vrchat": {"v2/JawOpen": -1.0}})"))
+            json::parse(R"({"vmc": {"A": 0.25, "Grin": 0.0}, "vrchat": {"v2/JawOpen": -1.0},
+                            "vtube_studio": {"MouthOpen": -20.0}})"))
       << "as sent: cut, of a face at rest";
   EXPECT_EQ(bridge_.mapping().vmc.size(), 2U);
 
@@ -205,6 +208,8 @@ TEST_F(MappingMethods, SayWhatIsWrongAndAtWhichLetter) {
   EXPECT_THAT(why_not("vmc", "A", ""), HasSubstr("(letter 1)"));
   EXPECT_THAT(why_not("vmc", "", "1"), HasSubstr("is no name that can be sent"));
   EXPECT_THAT(why_not("vrchat", "Jaw Open", "1"), HasSubstr("without spaces"));
+  EXPECT_THAT(why_not("vtube_studio", "Jaw", "1"), HasSubstr("4 to 32 letters and digits"));
+  EXPECT_THAT(why_not("vtube_studio", "JawÖpen", "1"), HasSubstr("4 to 32 letters and digits"));
   EXPECT_EQ(why_not("vmc", "Jaw Open", "1"), "");
   EXPECT_THAT(why_not("osc", "A", "1"), HasSubstr("'osc' is no table"));
   for (std::size_t i = mapping()["vmc"].size(); i < avatar::kMostMappedValues; ++i) {

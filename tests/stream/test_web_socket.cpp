@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "stream/web_socket.hpp"
+#include "stream/web_socket_client.hpp"
 
 namespace facet::stream {
 namespace {
@@ -111,6 +112,52 @@ TEST(WebSocket, ControlFramesAreCutToTheirLimit) {
   EXPECT_THAT(web_socket_close(WebSocketClose::TooLong, "a"),
               ::testing::ElementsAre(0x88, 3, 0x03, 0xF1, 'a'));
   EXPECT_EQ(web_socket_pong({}).size(), 2U);
+}
+
+/// The answer of RFC 6455, section 1.3.
+TEST(WebSocketClient, TakesTheAnswerToItsOwnRequestAlone) {
+  const std::string key = "dGhlIHNhbXBsZSBub25jZQ==";
+  const auto head = [](const std::string& first, const std::string& accept) {
+    return "HTTP/1.1 " + first + "\r\nUpgrade: websocket\r\nsec-websocket-ACCEPT: " + accept + " \r\n\r\n";
+  };
+  const std::string right = "s3pPLMBiTxaQ9kYGzzhZRbK+xOo=";
+  EXPECT_EQ(web_socket_refusal(head("101 Switching Protocols", right), key), "");
+  EXPECT_EQ(web_socket_refusal(head("101 Switching Protocols", "other"), key),
+            "answers another's WebSocket request");
+  EXPECT_EQ(web_socket_refusal(head("403 Forb\x01idden", right), key),
+            "refuses a WebSocket: 403 Forb\\x01idden");
+  for (const char* other : {"", "\r\n\r\n", "SSH-2.0-OpenSSH\r\n\r\n", "HTTP/1.1 101 Yes\r\n\r\n"}) {
+    EXPECT_EQ(web_socket_refusal(other, key), "is no WebSocket's server") << other;
+  }
+}
+
+TEST(WebSocketAssembler, AServersFramesHaveNoMask) {
+  std::vector<std::uint8_t> bytes = {0x01, 2, 'a', 'b', 0x89, 1, 'p', 0x80, 126, 0, 200};
+  bytes.resize(bytes.size() + 200, 'c');
+  for (std::size_t piece = 1; piece <= bytes.size(); ++piece) {
+    WebSocketAssembler assembler(1000, WebSocketPeer::Server);
+    std::vector<Outcome> outcomes;
+    for (std::size_t at = 0; at < bytes.size(); at += piece) {
+      std::span<const std::uint8_t> some = std::span(bytes).subspan(at, std::min(piece, bytes.size() - at));
+      while (!some.empty()) {
+        if (const Outcome outcome = assembler.feed(some); outcome != Outcome::Incomplete) {
+          outcomes.push_back(outcome);
+        }
+      }
+    }
+    ASSERT_THAT(outcomes, testing::ElementsAre(Outcome::Ping, Outcome::Message)) << piece;
+    EXPECT_EQ(assembler.message().size(), 202U);
+    EXPECT_EQ(assembler.control()[0], 'p');
+  }
+  for (const bool masked : {true, false}) {
+    const std::vector<std::uint8_t> frame = {0x81, static_cast<std::uint8_t>(masked ? 0x80 : 0)};
+    std::span<const std::uint8_t> some = frame;
+    WebSocketAssembler of_server(10, WebSocketPeer::Server);
+    EXPECT_EQ(of_server.feed(some), masked ? Outcome::Violation : Outcome::Message);
+    some = frame;
+    WebSocketAssembler of_client(10);
+    EXPECT_EQ(of_client.feed(some), masked ? Outcome::Incomplete : Outcome::Violation);
+  }
 }
 
 }  // namespace

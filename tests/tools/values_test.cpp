@@ -111,7 +111,7 @@ TEST_F(ValuesCommand, MappingIsSetShownSavedAndTakenAway) {
   EXPECT_THAT(output_, HasSubstr("(letter 10)"));
   EXPECT_EQ(run({"set", "osc", "A", "jawOpen"}), static_cast<int>(ErrorKind::Usage)) << output_;
   EXPECT_EQ(run({}), 0);
-  EXPECT_THAT(output_, AllOf(HasSubstr("vrchat  v2/JawOpen                0.250  0.25 + jawOpen\n"),
+  EXPECT_THAT(output_, AllOf(HasSubstr("vrchat       v2/JawOpen                0.250  0.25 + jawOpen\n"),
                              HasSubstr("`facet mapping save` keeps it")));
   EXPECT_EQ(run({"save"}), 0) << output_;
   EXPECT_EQ(output_, config_.mapping_file.string() + "\n");

@@ -279,7 +279,8 @@ void check_target(Report& report, const avatar::BridgeTarget& target) {
                "facetd looks the name up every 30 s; until it is found the target gets nothing");
     return;
   }
-  switch (avatar::who_listens(found.address)) {
+  const bool is_tcp = avatar::kBridgeProtocols.at(static_cast<std::size_t>(target.protocol)).is_tcp;
+  switch (avatar::who_listens(found.address, is_tcp)) {
     case avatar::Listener::Somebody:
       report.say(Verdict::Good, what, fmt::format("{}: a program listens there", target.text()),
                  target.protocol == avatar::BridgeProtocol::Vmc
@@ -300,7 +301,7 @@ void check_bridges(Report& report, const avatar::BridgeConfig& bridges) {
   for (const avatar::BridgeTarget& target : bridges.targets) {
     check_target(report, target);
   }
-  for (const auto& [protocol, key, port] : avatar::kBridgeProtocols) {
+  for (const auto& [protocol, key, port, is_tcp] : avatar::kBridgeProtocols) {
     // VTube Studio's port is any that a program names; at iFacialMocap's, facetd itself may listen.
     const bool is_known =
         std::any_of(bridges.targets.begin(), bridges.targets.end(),
@@ -308,7 +309,8 @@ void check_bridges(Report& report, const avatar::BridgeConfig& bridges) {
     if (is_known || protocol == avatar::BridgeProtocol::VTubeStudio || !bridges.answer.empty()) {
       continue;
     }
-    if (avatar::who_listens(avatar::socket_address("127.0.0.1", port)) == avatar::Listener::Somebody) {
+    if (avatar::who_listens(avatar::socket_address("127.0.0.1", port), is_tcp) ==
+        avatar::Listener::Somebody) {
       report.say(Verdict::Note, key,
                  fmt::format("a program listens at 127.0.0.1:{}, this protocol's usual port", port),
                  fmt::format("if it is a receiver: [bridges] {} = [\"127.0.0.1:{}\"]", key, port));

@@ -3,6 +3,8 @@
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include "avatar/mapping_file.hpp"
 #include "daemon_options.hpp"
@@ -27,7 +29,7 @@ void list(const DaemonOptions& daemon) {
   for (const avatar::MappingTable& table : avatar::kMappingTables) {
     for (const json& row : mapping[table.name]) {
       const std::string name = row["name"];
-      tell("{:<7} {:<24} {:>6.3f}  {}\n", table.name, name, values[table.name].value(name, 0.0),
+      tell("{:<12} {:<24} {:>6.3f}  {}\n", table.name, name, values[table.name].value(name, 0.0),
            row["formula"].get<std::string>());
       any = true;
     }
@@ -41,8 +43,14 @@ void list(const DaemonOptions& daemon) {
 }
 
 void add_place(const Command& command, MappingOptions& options) {
-  command.option("table", options.table, "vmc or vrchat").required().one_of({"vmc", "vrchat"});
-  command.option("name", options.name, "Of a value of VMC's, or of an avatar parameter of VRChat's")
+  std::vector<std::string> tables;
+  for (const avatar::MappingTable& table : avatar::kMappingTables) {
+    tables.emplace_back(table.name);
+  }
+  command.option("table", options.table, "Of which receivers").required().one_of(tables);
+  command
+      .option("name", options.name,
+              "Of a value of VMC's, an avatar parameter of VRChat's, a tracking parameter of VTube Studio's")
       .required();
 }
 

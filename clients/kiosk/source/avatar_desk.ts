@@ -13,8 +13,8 @@ const kLook_ms = 150;
 const kTyping_ms = 250;
 const kAll = 'all';
 const kPlain: Tuning = { gain: 1, dead_zone: 0, smoothing_ms: 0 };
-type Table = 'vmc' | 'vrchat';
-const kTables: Table[] = ['vmc', 'vrchat'];
+type Table = 'vmc' | 'vrchat' | 'vtube_studio';
+const kTables: Table[] = ['vmc', 'vrchat', 'vtube_studio'];
 
 /** What a slider of a value sets. */
 const kSliders: { key: keyof Tuning; words: Key; most: number; step: number; digits: number }[] = [
@@ -22,12 +22,7 @@ const kSliders: { key: keyof Tuning; words: Key; most: number; step: number; dig
   { key: 'dead_zone', words: 'avatar_dead_zone', most: 0.9, step: 0.01, digits: 2 },
   { key: 'smoothing_ms', words: 'avatar_smoothing', most: 500, step: 5, digits: 0 }];
 
-interface Mapping {
-  file: string | null;
-  saved: boolean;
-  vmc: { name: string; formula: string }[];
-  vrchat: { name: string; formula: string }[];
-}
+type Mapping = { file: string | null; saved: boolean } & Record<Table, { name: string; formula: string }[]>;
 
 export interface AvatarHands {
   /** Whoever is at the page has shown the token. */
@@ -218,7 +213,7 @@ export class AvatarDesk {
   private names: string[] = [];
   private tunings: Record<string, Tuning> = {};
   private valueRows: ValueRow[] = [];
-  private readonly formulaRows: Record<Table, FormulaRow[]> = { vmc: [], vrchat: [] };
+  private readonly formulaRows: Record<Table, FormulaRow[]> = { vmc: [], vrchat: [], vtube_studio: [] };
   private readonly newRows: Partial<Record<Table, NewRow>> = {};
   private mapping: Mapping | null = null;
   private told = '';

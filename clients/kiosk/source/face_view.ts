@@ -117,6 +117,14 @@ const kLeastFree = 0.25;
 /** Of the way to where the face should stand it goes so much with each picture. */
 const kPace = 0.35;
 
+/** Whether the processor draws. */
+export function isSoftware(renderer: THREE.WebGLRenderer): boolean {
+  const gl = renderer.getContext();
+  const names = gl.getExtension('WEBGL_debug_renderer_info');
+  const device = String(gl.getParameter(names ? names.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
+  return /swiftshader|llvmpipe|softpipe|software/i.test(device);
+}
+
 export class FaceView {
   private readonly renderer: THREE.WebGLRenderer;
   private readonly scene = new THREE.Scene();
@@ -166,10 +174,7 @@ export class FaceView {
   /** Throws where there is no WebGL 2. */
   constructor(private readonly canvas: HTMLCanvasElement, private readonly detailChanged: () => void) {
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true, powerPreference: 'high-performance' });
-    const gl = this.renderer.getContext();
-    const names = gl.getExtension('WEBGL_debug_renderer_info');
-    const device = String(gl.getParameter(names ? names.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
-    this.software = /swiftshader|llvmpipe|softpipe|software/i.test(device);
+    this.software = isSoftware(this.renderer);
     this.chooser = new DetailChooser(this.software);
     const options = { glslVersion: THREE.GLSL3, uniforms: this.uniforms, vertexShader };
     this.surface = new THREE.Mesh(new THREE.BufferGeometry(), new THREE.RawShaderMaterial({

@@ -1,5 +1,6 @@
 // A cartoon head that ARKit's values move: what an avatar makes of them, roughly. Its shapes are made here, by formulas.
 import * as THREE from 'three';
+import { isSoftware } from './face_view';
 
 /** ARKit's names, as the configuration and the control protocol write them. */
 export const kArkitNames = [
@@ -25,6 +26,10 @@ const kColours = {
 /** Along a lip or a brow, and around it. */
 const kAlong = 32;
 const kAround = 10;
+
+/** Without a GPU: so much of the screen's pixels along each side, and so long between two pictures. */
+const kSoftwarePixels = 0.7;
+const kSoftwarePause_ms = 80;
 
 const mix = (a: number, b: number, part: number) => a + (b - a) * part;
 const smooth = (from: number, to: number, at: number) => {
@@ -161,12 +166,15 @@ export class Puppet {
   private readonly nose = new THREE.Group();
   private values: Values = {};
   private pending = false;
+  private readonly software: boolean;
+  private drawn_ms = -Infinity;
   /** Pictures drawn since the start. */
   drawn = 0;
 
   /** Throws where there is no WebGL 2. */
   constructor(private readonly canvas: HTMLCanvasElement) {
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
+    this.software = isSoftware(this.renderer);
     const skin = new THREE.MeshStandardMaterial({ color: kColours.skin, roughness: 0.62 });
     const geometry = new THREE.SphereGeometry(1, 72, 60);
     const at = geometry.getAttribute('position') as THREE.BufferAttribute;
@@ -342,11 +350,12 @@ export class Puppet {
     this.inside.teeth.mesh.visible = this.inside.tongue.mesh.visible = gap(0.5) > 0.02;
   }
 
-  /** Draws with the browser's next picture. */
+  /** Draws with one of the browser's next pictures; a processor that draws has others to serve. */
   private request(): void {
     if (!this.pending) {
       this.pending = true;
-      requestAnimationFrame(() => this.draw());
+      const wait_ms = (this.software ? kSoftwarePause_ms : 0) - (performance.now() - this.drawn_ms);
+      window.setTimeout(() => requestAnimationFrame(() => this.draw()), Math.max(0, wait_ms));
     }
   }
 
@@ -356,7 +365,8 @@ export class Puppet {
     if (width === 0 || height === 0) {
       return;
     }
-    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
+    this.drawn_ms = performance.now();
+    this.renderer.setPixelRatio(this.software ? kSoftwarePixels : Math.min(window.devicePixelRatio, 2));
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
     // The head with room for its turns, in whatever form the canvas has.
