@@ -7,6 +7,7 @@
 #include <filesystem>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <string_view>
@@ -69,6 +70,7 @@ struct Timeline {
   std::vector<std::uint64_t> sequences;  ///< of the frames with a mesh that will be written, rising
   std::vector<double> times_s;  ///< [sequences.size()] from 0, rising, of a varying rate; empty: constant
   take::TakeTimecode timecode;  ///< of formats that name it: by the frames' timestamps
+  std::int64_t first_ns = 0;    ///< the first frame's timestamp
   double deviation_s = 0;       ///< the most that a frame's media time is beside its number over the rate
 };
 
@@ -77,6 +79,9 @@ struct Timeline {
 /// alone. It is constant where every media time is within half a frame of its number's. Throws
 /// Error(UnreadableInput) naming `take` and the frame where numbers or times don't rise.
 Timeline make_timeline(std::span<const take::FrameEntry> entries, const std::filesystem::path& take);
+
+/// The timecode of the first frame, where it is known.
+std::optional<take::TimecodePlace> start_timecode(const Timeline& timeline);
 
 /// Seconds of a number of the source since the timeline's first. sequence: from the timeline's first to its
 /// last; one that is not on it lies evenly between its neighbours.

@@ -95,6 +95,10 @@ class GlbAnimation {
   GlbAnimation(const SequenceOptions& options, const ExportMesh& look, bool has_eyes)
       : timeline_(options.timeline), glb_(options.file, options.compression) {
     add_materials(document_, glb_, look, has_eyes);
+    if (const auto start = start_timecode(timeline_)) {
+      document_["asset"]["extras"] = {{"timecode", take::to_text(*start)},
+                                      {"timecodeRate", take::to_text(start->rate)}};
+    }
     document_["scene"] = 0;
     document_["scenes"] = GltfJson::array({{{"nodes", {0}}}});
     document_["nodes"] = GltfJson::array();

@@ -32,6 +32,7 @@ Timeline make_timeline(std::span<const take::FrameEntry> entries, const std::fil
     throw Error(ErrorKind::Internal, "export: a timeline of no frames");
   }
   Timeline timeline;
+  timeline.first_ns = entries.front().timestamp_ns;
   timeline.sequences.push_back(entries.front().sequence);
   for (std::size_t i = 1; i < entries.size(); ++i) {
     const take::FrameEntry& before = entries[i - 1];
@@ -60,6 +61,10 @@ Timeline make_timeline(std::span<const take::FrameEntry> entries, const std::fil
     timeline.times_s = std::move(times_s);
   }
   return timeline;
+}
+
+std::optional<take::TimecodePlace> start_timecode(const Timeline& timeline) {
+  return take::timecode_at(timeline.timecode, timeline.first_ns, timeline.rate_hz);
 }
 
 void require_same_mesh(const mesh::Triangles& triangles, const SequenceFrame& frame,

@@ -147,7 +147,8 @@ Eigen::Matrix3Xf GlbFile::stored(const Eigen::Matrix3Xf& values, GltfStep step) 
 }
 
 void GlbFile::commit(GltfJson document) {
-  document["asset"] = {{"version", "2.0"}, {"generator", "Facet"}};
+  document["asset"]["version"] = "2.0";
+  document["asset"]["generator"] = "Facet";
   document["accessors"] = std::move(accessors_);
   document["bufferViews"] = std::move(views_);
   document["buffers"] = GltfJson::array({{{"byteLength", binary_.size()}}});

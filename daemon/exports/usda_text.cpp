@@ -12,12 +12,20 @@ void append_matrix(UsdaText& text, const Eigen::Matrix4f& matrix) {
 }
 
 void append_layer_head(UsdaText& text, const Timeline& timeline, std::string_view prim) {
-  fmt::format_to(std::back_inserter(text),
+  const auto to = std::back_inserter(text);
+  fmt::format_to(to,
                  "#usda 1.0\n(\n    defaultPrim = \"{}\"\n    doc = \"Facet\"\n    metersPerUnit = 1\n"
                  "    upAxis = \"Y\"\n    startTimeCode = {}\n    endTimeCode = {}\n"
-                 "    timeCodesPerSecond = {}\n    framesPerSecond = {}\n)\n\n",
+                 "    timeCodesPerSecond = {}\n    framesPerSecond = {}\n",
                  prim, usda_time_code(timeline, timeline.sequences.front()),
                  usda_time_code(timeline, timeline.sequences.back()), timeline.rate_hz, timeline.rate_hz);
+  if (const auto start = start_timecode(timeline)) {
+    fmt::format_to(to,
+                   "    customLayerData = {{\n        string timecode = \"{}\"\n"
+                   "        string timecodeRate = \"{}\"\n    }}\n",
+                   take::to_text(*start), take::to_text(start->rate));
+  }
+  fmt::format_to(to, ")\n\n");
 }
 
 void append_mesh_constants(UsdaText& text, const ExportMesh& mesh, std::string_view indent) {

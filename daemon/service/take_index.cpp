@@ -160,6 +160,12 @@ json TakeIndex::Impl::entry_of(const std::filesystem::path& file, const FileStat
     entry["duration_s"] = info.duration_s;
     entry["bytes"] = info.file_bytes;
     entry["picture_bytes"] = info.picture_bytes;
+    std::error_code no_sound;
+    const std::uintmax_t sound_bytes =
+        info.sound.is_there() ? std::filesystem::file_size(take::sound_file_of(file), no_sound) : 0;
+    if (!no_sound && sound_bytes > 0) {
+      entry["sound_bytes"] = sound_bytes;
+    }
     entry["closed"] = info.closed;
     entry["end_reason"] = info.end_reason;
     if (!info.notes.text.empty()) {

@@ -301,6 +301,15 @@ class TarOfFiles {
   std::uint64_t size_ = 2 * kBlock;  ///< two empty blocks are the end
 };
 
+/// A file of a take's that is downloaded as it lies on the disk.
+struct WholeFile {
+  const char* ending;
+  const char* type;
+  bool is_sound;  ///< else the take itself
+};
+constexpr WholeFile kTakeFile{"take", "application/vnd.facet.take", false};
+constexpr WholeFile kSoundFile{"flac", "audio/flac", true};
+
 }  // namespace
 
 struct WebServer::Impl {
@@ -350,7 +359,7 @@ struct WebServer::Impl {
   MHD_Result refuse(MHD_Connection* connection, unsigned status, const std::string& why);
   std::string stranger(MHD_Connection* connection) const;
   MHD_Result send_page(MHD_Connection* connection, const PageFile& file) const;
-  MHD_Result send_take(MHD_Connection* connection, const std::string& name);
+  MHD_Result send_file(MHD_Connection* connection, const std::string& name, const WholeFile& what);
   MHD_Result send_frames(MHD_Connection* connection, const std::string& name);
   std::optional<TakeFiles> closed_take(MHD_Connection* connection, const std::string& name,
                                        MHD_Result& refused);
@@ -443,7 +452,11 @@ MHD_Result WebServer::Impl::answer(MHD_Connection* connection, const std::string
   }
   constexpr std::string_view kTakes = "/takes/";
   if (path.rfind(kTakes, 0) == 0) {
-    return send_take(connection, path.substr(kTakes.size()));
+    return send_file(connection, path.substr(kTakes.size()), kTakeFile);
+  }
+  constexpr std::string_view kSounds = "/sounds/";
+  if (path.rfind(kSounds, 0) == 0) {
+    return send_file(connection, path.substr(kSounds.size()), kSoundFile);
   }
   constexpr std::string_view kFrames = "/frames/";
   if (path.rfind(kFrames, 0) == 0) {
@@ -552,23 +565,24 @@ MHD_Result WebServer::Impl::send_frames(MHD_Connection* connection, const std::s
   return send(connection, MHD_HTTP_OK, response);
 }
 
-MHD_Result WebServer::Impl::send_take(MHD_Connection* connection, const std::string& name) {
+MHD_Result WebServer::Impl::send_file(MHD_Connection* connection, const std::string& name,
+                                      const WholeFile& what) {
   MHD_Result refused = MHD_NO;
   const auto found = closed_take(connection, name, refused);
   if (!found) {
     return refused;
   }
-  const stream::FileDescriptor fd(
-      ::open(found->take.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK));
+  const std::filesystem::path file = what.is_sound ? take::sound_file_of(found->take) : found->take;
+  const stream::FileDescriptor fd(::open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK));
   struct stat status {};
   if (!fd || ::fstat(fd.get(), &status) != 0 || !S_ISREG(status.st_mode)) {
-    return refuse(connection, MHD_HTTP_NOT_FOUND, "no such take");
+    return refuse(connection, MHD_HTTP_NOT_FOUND, what.is_sound ? "the take has no sound" : "no such take");
   }
   const auto size = static_cast<std::uint64_t>(status.st_size);
   const std::string asked = header(connection, MHD_HTTP_HEADER_RANGE).value.value_or("");
   const ByteRange range = byte_range(asked, size);
   if (range.partial && range.first >= range.end) {
-    return refuse(connection, MHD_HTTP_RANGE_NOT_SATISFIABLE, "the take is shorter");
+    return refuse(connection, MHD_HTTP_RANGE_NOT_SATISFIABLE, "the file is shorter");
   }
   const int passed = ::fcntl(fd.get(), F_DUPFD_CLOEXEC, 0);  // the response's own
   const Response response(
@@ -580,10 +594,11 @@ MHD_Result WebServer::Impl::send_take(MHD_Connection* connection, const std::str
   for (const auto& [header_name, value] : kHeaders) {
     MHD_add_response_header(response.get(), header_name, value);
   }
-  MHD_add_response_header(response.get(), MHD_HTTP_HEADER_CONTENT_TYPE, "application/vnd.facet.take");
+  MHD_add_response_header(response.get(), MHD_HTTP_HEADER_CONTENT_TYPE, what.type);
   MHD_add_response_header(response.get(), MHD_HTTP_HEADER_ACCEPT_RANGES, "bytes");
-  MHD_add_response_header(response.get(), MHD_HTTP_HEADER_CONTENT_DISPOSITION,
-                          fmt::format("attachment; filename*=UTF-8''{}.take", percent_encoded(name)).c_str());
+  MHD_add_response_header(
+      response.get(), MHD_HTTP_HEADER_CONTENT_DISPOSITION,
+      fmt::format("attachment; filename*=UTF-8''{}.{}", percent_encoded(name), what.ending).c_str());
   if (range.partial) {
     MHD_add_response_header(response.get(), MHD_HTTP_HEADER_CONTENT_RANGE,
                             fmt::format("bytes {}-{}/{}", range.first, range.end - 1, size).c_str());

@@ -182,8 +182,8 @@ class TakeWriter {
     files::sync_folder(config.file.parent_path());
   }
 
-  /// Writes a frame and what it refers to into the open transaction.
-  void write(const PackedFrame& frame);
+  /// Writes a frame and what it refers to into the open transaction. Returns how many bytes these are.
+  std::uint64_t write(const PackedFrame& frame);
   /// Begins a transaction where none is open.
   void begin() {
     if (!database_.in_transaction()) {
@@ -270,8 +270,9 @@ bool TakeWriter::make_schema(const TakeRecorderConfig& config) {
   return true;
 }
 
-void TakeWriter::write(const PackedFrame& frame) {
+std::uint64_t TakeWriter::write(const PackedFrame& frame) {
   FACET_ASSERT(database_.in_transaction(), frame.number);
+  std::uint64_t bytes = frame.message.size() + frame.records.size();
   if (!frame.fault.empty()) {
     throw Error(ErrorKind::Internal, frame.fault);
   }
@@ -280,17 +281,20 @@ void TakeWriter::write(const PackedFrame& frame) {
       throw Error(ErrorKind::Usage, std::string(fault));
     }
     insert_subject_.bind(1, stored_id(frame.subject->id));
-    insert_subject_.bind(
-        2, compressor_.compress(encoder_.subject(*frame.subject, stream::Profile::Displacements)));
+    const auto blob = compressor_.compress(encoder_.subject(*frame.subject, stream::Profile::Displacements));
+    insert_subject_.bind(2, blob);
     insert_subject_.run();
+    bytes += blob.size();
     subject_id_ = frame.subject->id;
     albedo_version_ = 0;
   }
   if (frame.subject != nullptr && frame.albedo != nullptr && frame.albedo->version != albedo_version_) {
     insert_albedo_.bind(1, stored_id(frame.subject->id));
     insert_albedo_.bind(2, stored_id(frame.albedo->version));
-    insert_albedo_.bind(3, compressor_.compress(encoder_.albedo(frame.subject->id, *frame.albedo)));
+    const auto blob = compressor_.compress(encoder_.albedo(frame.subject->id, *frame.albedo));
+    insert_albedo_.bind(3, blob);
     insert_albedo_.run();
+    bytes += blob.size();
     albedo_version_ = frame.albedo->version;
   }
   insert_frame_.bind(1, frame.number);
@@ -312,6 +316,7 @@ void TakeWriter::write(const PackedFrame& frame) {
     insert_pictures_.bind(4, extent.bytes);
     insert_pictures_.run();
   }
+  return bytes;
 }
 
 void TakeWriter::set_meta(std::string_view key, std::string_view value) {
@@ -566,8 +571,7 @@ void TakeRecorder::Impl::write(const PackedFrame& frame) {
     writer->begin();
     commit_due = Clock::now() + kCommitPeriod;
   }
-  writer->write(frame);
-  counted.bytes += frame.message.size() + frame.records.size();
+  counted.bytes += writer->write(frame);
   ++counted.frames;
   counted.mesh_frames += frame.has_mesh ? 1 : 0;
 }

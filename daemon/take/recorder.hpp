@@ -61,7 +61,7 @@ struct RecorderStatus {
   std::uint64_t frames = 0;       ///< committed
   std::uint64_t mesh_frames = 0;  ///< of these, with a mesh
   std::uint64_t dropped = 0;      ///< lost to a full queue, or after a failure
-  std::uint64_t bytes = 0;        ///< of frame blobs and pictures committed
+  std::uint64_t bytes = 0;        ///< of blobs (frames, subjects, albedos) and pictures committed
   std::size_t queued = 0;         ///< waiting to be written
   bool marked = false;    ///< all is committed, with the marks of the end; what is left is to fold the log
   bool log_left = false;  ///< stopped, but a part is still in the log beside it, as a reader has it open

@@ -113,6 +113,8 @@ TEST_F(SoundTake, HasTheTimecodeOfItsSoundInEveryFrame) {
   EXPECT_LE(info.sound.first_ns, times_ns.front());
   EXPECT_GE(info.sound.first_ns + info.sound.samples * kSecond_ns / 48000, times_ns.back());
   EXPECT_GT(info.file_bytes, std::filesystem::file_size(sound_of("a")));
+  EXPECT_EQ(nlohmann::json::parse(index_.list())["takes"][0]["sound_bytes"],
+            std::filesystem::file_size(sound_of("a")));
   EXPECT_EQ(take::to_text(info.timecode.rate), "25");
   for (const std::int64_t time_ns : times_ns) {
     const double truth = static_cast<double>(time_ns - kBegin_ns) * 25e-9;

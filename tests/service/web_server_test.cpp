@@ -782,6 +782,22 @@ TEST_F(Web, PicturesOfTakesAreServedAndNothingBesideThem) {
   }
 }
 
+TEST_F(Web, TheSoundBesideATakeCanBeDownloaded) {
+  start();
+  write_take("monday");
+  EXPECT_THAT(get("/sounds/monday"), AllOf(StartsWith("HTTP/1.1 404"), HasSubstr("no sound")));
+  const auto sound = folder_.path() / "takes" / "monday.flac";
+  std::ofstream(sound) << "a sound";
+  EXPECT_THAT(get("/sounds/monday"),
+              AllOf(StartsWith("HTTP/1.1 200"), HasSubstr("audio/flac"),
+                    HasSubstr("filename*=UTF-8''monday.flac"), ::testing::EndsWith("\r\n\r\na sound")));
+  std::filesystem::remove(sound);
+  std::filesystem::create_symlink(folder_.path() / "secret.txt", sound);
+  for (const char* path : {"/sounds/monday", "/sounds/nobody", "/sounds/", "/sounds/..%2Fmonday"}) {
+    EXPECT_THAT(get(path), StartsWith("HTTP/1.1 404")) << path;
+  }
+}
+
 TEST_F(Web, RecordedPicturesCanBeDownloaded) {
   start();
   write_take("bare");

@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstring>
 #include <fstream>
 #include <nlohmann/json.hpp>
 
@@ -128,6 +129,28 @@ TEST_F(TakeWithSound, SaysItsTimecode) {
   const auto signals = lines_of("b.jsonl");
   EXPECT_EQ(nlohmann::json::parse(signals.at(7))["timecode"], "01:00:01:07");
   EXPECT_EQ(nlohmann::json::parse(signals.at(74))["timecode"], nullptr);
+}
+
+/// Animations begin at the first frame with a mesh, number 2.
+TEST_F(TakeWithSound, AnimationsSayWhereTheyBegin) {
+  ASSERT_EQ(run({"export", file("a.take"), "--format", "glb-frames", "-o", file("b.glb")}), 0) << output_;
+  std::ifstream glb(file("b.glb"), std::ios::binary);
+  const std::string bytes((std::istreambuf_iterator<char>(glb)), {});
+  std::uint32_t length = 0;
+  std::memcpy(&length, bytes.data() + 12, sizeof(length));
+  const auto document = nlohmann::json::parse(bytes.substr(20, length));
+  EXPECT_EQ(document["asset"]["version"], "2.0");
+  EXPECT_EQ(document["asset"]["extras"]["timecode"], "01:00:01:02");
+  EXPECT_EQ(document["asset"]["extras"]["timecodeRate"], "25");
+  ASSERT_EQ(
+      run({"export", file("a.take"), "--format", "usda-frames", "--frames", "10:35", "-o", file("b.usda")}),
+      0)
+      << output_;
+  std::ifstream usda(file("b.usda"));
+  const std::string text((std::istreambuf_iterator<char>(usda)), {});
+  EXPECT_THAT(text, HasSubstr("    customLayerData = {\n        string timecode = \"01:00:01:10\"\n"
+                              "        string timecodeRate = \"25\"\n    }\n)\n"));
+  EXPECT_THAT(text, HasSubstr("    startTimeCode = 10\n"));
 }
 
 TEST_F(TakeWithSound, WithoutItsFileSaysSo) {

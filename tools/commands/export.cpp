@@ -290,6 +290,7 @@ int export_sequence(take::TakeReader& reader, const Selection& selection, const 
   exports::SequenceOptions sequence;
   sequence.file = options.output;
   sequence.timeline = timeline_of(reader, meshes);
+  sequence.timeline.timecode = reader.info().timecode;
   sequence.compression =
       options.compress == "meshopt" ? exports::GlbCompression::Meshopt : exports::GlbCompression::None;
   sequence.space = options.space == "head" ? exports::MeshSpace::Head : exports::MeshSpace::Camera;

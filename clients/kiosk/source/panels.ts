@@ -201,7 +201,9 @@ function recordingRow(recording: Recording | null, unlocked: boolean): HTMLEleme
                    [lost, recording.reason].filter(Boolean).join('. '));
 }
 
-const kProtocols: Record<string, string> = { vmc: 'VMC', live_link_face: 'Live Link Face' };
+const kProtocols: Record<string, string> = {
+  vmc: 'VMC', live_link_face: 'Live Link Face', ifacialmocap: 'iFacialMocap', vrchat: 'VRChat', vtube_studio: 'VTube Studio',
+  vtube_studio_plugin: 'VTube Studio' };
 
 function bridgeRow({ protocol, target, frames, failed, reason }: BridgeTarget): HTMLElement {
   const words = text(failed > 0 ? 'bridge_refused' : 'bridge_sent', {
@@ -303,7 +305,7 @@ export function showTakes(takes: Takes | null, unlocked: boolean): void {
     }
     actions.append(actionButton(take, 'edit', unlocked));
     const pictures = take.picture_bytes ?? 0;
-    const download = (folder: string, file: string, what: 'download' | 'pictures', size: number): void => {
+    const download = (folder: string, file: string, what: 'download' | 'pictures' | 'sound', size: number): void => {
       const link = document.createElement('a');
       link.href = `/${folder}/${encodeURIComponent(take.name)}`;
       link.download = file;
@@ -315,6 +317,9 @@ export function showTakes(takes: Takes | null, unlocked: boolean): void {
     download('takes', `${take.name}.take`, 'download', (take.bytes ?? 0) - pictures);
     if (pictures > 0) {
       download('frames', `${take.name}.frames.tar`, 'pictures', pictures);
+    }
+    if ((take.sound_bytes ?? 0) > 0) {
+      download('sounds', `${take.name}.flac`, 'sound', take.sound_bytes ?? 0);
     }
     row.append(actions);
     return row;

@@ -128,6 +128,7 @@ export interface Take {
   duration_s?: number;
   bytes?: number;
   picture_bytes?: number;
+  sound_bytes?: number;
   mesh_frames?: number;
   thumbnail?: number;
   closed?: boolean;
