@@ -179,8 +179,7 @@ void VtsSession::take_error(const std::string& id, int number, const std::string
     }
   } else if (state_ == State::Asking && number == TokenDenied) {
     state_ = State::Refused;
-    trouble_ =
-        "permission was refused in VTube Studio; it is asked again when facetd starts anew";
+    trouble_ = "permission was refused in VTube Studio; it is asked again when facetd starts anew";
   } else if (state_ != State::Ready) {
     end(what);
   } else if (number == NeedsAuthentication || number == TokenDenied) {
