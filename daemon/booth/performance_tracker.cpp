@@ -50,6 +50,11 @@ std::vector<capture::Lens> colour_lenses(const capture::Rig& rig) {
   return lenses;
 }
 
+void degrade(const std::string& reason, mesh::MeshFrame& out) {
+  out.degraded = true;
+  out.degraded_reason += (out.degraded_reason.empty() ? "" : "; ") + reason;
+}
+
 }  // namespace
 
 struct PerformanceTracker::Impl {
@@ -72,6 +77,8 @@ struct PerformanceTracker::Impl {
   std::shared_ptr<const mesh::Subject> subject;  ///< null: nobody is followed
   std::uint32_t subject_count = 0;
   Eigen::Matrix3Xd rest_mm;             ///< [3][vertex_count] the person in the first slot, head frame
+  bool begun_torn = false;              ///< what landmarks made of the first slot, that rest_mm came from
+  bool torn = false;                    ///< the last slot's mesh
   bool lost = false;                    ///< the last slot had no mesh
   int strangers = 0;                    ///< slots in a row in which somebody else is seen
   std::vector<float> displacements_mm;  ///< [finest vertex_count] by depth
@@ -90,6 +97,9 @@ struct PerformanceTracker::Impl {
   std::vector<SeenLandmarks> find_landmarks(mesh::MeshFrame& out);
   std::vector<SeenLandmarks> pointed_at() const;
   std::string place(std::uint64_t slot, std::span<const capture::DepthMap> maps, mesh::MeshFrame& out);
+  fit::TemplateFitReport begin(const fit::Placement& by_landmarks,
+                               std::span<const fit::Correspondence> correspondences,
+                               std::span<const capture::DepthMap> maps, bool& deceived);
   std::string follow(std::span<const capture::DepthMap> maps);
   void begin_subject();
   void fit_fine(std::span<const capture::DepthMap> maps, const mesh::Vertices& vertices_mm);
@@ -98,6 +108,7 @@ struct PerformanceTracker::Impl {
   void paint(mesh::MeshFrame& out);
   void fill(const mesh::Vertices& vertices_mm, const Eigen::VectorXd& expression, mesh::MeshFrame& out);
   void leave_out(const std::string& missing, mesh::MeshFrame& out) const;
+  void tell_torn(mesh::MeshFrame& out) const;
 };
 
 PerformanceTracker::Impl::Impl(std::shared_ptr<const face::FaceModel> given_model,
@@ -216,6 +227,7 @@ std::string PerformanceTracker::Impl::place(std::uint64_t slot, std::span<const 
   }
   if (subject != nullptr) {
     const fit::TemplateFitReport report = skin.find_again(placed, maps, pictures);
+    torn = report.torn();
     if (!report.lost) {
       return {};
     }
@@ -223,7 +235,8 @@ std::string PerformanceTracker::Impl::place(std::uint64_t slot, std::span<const 
       return fmt::format("a face is seen that is not the one of before: {}", report.lost_because);
     }
   }
-  const fit::TemplateFitReport report = skin.start(placed, maps, pictures);
+  bool deceived = false;
+  const fit::TemplateFitReport report = begin(placed, correspondences, maps, deceived);
   if (report.lost) {
     return fmt::format(
         "the template does not fit the depth maps: {}; are the projectors on, and is nothing before the "
@@ -231,7 +244,44 @@ std::string PerformanceTracker::Impl::place(std::uint64_t slot, std::span<const 
         report.lost_because);
   }
   begin_subject();
+  begun_torn = deceived;
+  torn = report.torn();
   return {};
+}
+
+/// Fits the template to somebody new. A mouth that is wide open deceives the landmark net: where the mesh is
+/// torn by what it says, others are made of wider jaws and the landmarks above them, and the one that tears
+/// least is taken; better, and still not to be trusted. deceived: out, whether the landmarks tore it
+fit::TemplateFitReport PerformanceTracker::Impl::begin(const fit::Placement& by_landmarks,
+                                                       std::span<const fit::Correspondence> correspondences,
+                                                       std::span<const capture::DepthMap> maps,
+                                                       bool& deceived) {
+  constexpr std::array kWiderJaws{0.75, 1.0, 1.25};
+  fit::TemplateFitReport report = skin.start(by_landmarks, maps, pictures);
+  deceived = report.torn();
+  const std::vector<fit::Correspondence> above = fit::above_the_jaw(*model, correspondences);
+  if (report.lost || !deceived || above.size() == correspondences.size()) {
+    return report;
+  }
+  fit::Placement best = by_landmarks;
+  double least = report.tear();
+  bool is_last = true;
+  for (const double jaw : kWiderJaws) {
+    fit::Placement placed;
+    try {
+      placed = fit::place(*surface, fit::find_first_shape(*model, above, jaw), above);
+    } catch (const Error&) {
+      break;  // too few are above the jaw
+    }
+    const fit::TemplateFitReport found = skin.start(placed, maps, pictures);
+    is_last = !found.lost && found.tear() < least;
+    if (is_last) {
+      least = found.tear();
+      best = std::move(placed);
+      report = found;
+    }
+  }
+  return is_last ? report : skin.start(best, maps, pictures);
 }
 
 void PerformanceTracker::Impl::begin_subject() {
@@ -252,6 +302,7 @@ void PerformanceTracker::Impl::begin_subject() {
 /// Returns why there is no mesh in this slot; empty where there is one.
 std::string PerformanceTracker::Impl::follow(std::span<const capture::DepthMap> maps) {
   const fit::TemplateFitReport report = skin.follow(maps, pictures);
+  torn = report.torn();
   return report.lost ? "the face is lost: " + report.lost_because : std::string();
 }
 
@@ -273,8 +324,19 @@ void PerformanceTracker::Impl::shade(const FrameSet& set, std::span<const LitSlo
     shading_mm.clear();
   }
   if (!missing.empty()) {
-    out.degraded = true;
-    out.degraded_reason += (out.degraded_reason.empty() ? "" : "; ") + missing;
+    degrade(missing, out);
+  }
+}
+
+void PerformanceTracker::Impl::tell_torn(mesh::MeshFrame& out) const {
+  if (begun_torn) {
+    degrade(
+        "the mesh can't be trusted about the mouth: in its first slot the mouth was too wide open; begin "
+        "anew "
+        "with the mouth closer shut",
+        out);
+  } else if (torn) {
+    degrade("the mesh is torn about the mouth", out);
   }
 }
 
@@ -320,8 +382,7 @@ void PerformanceTracker::Impl::fill(const mesh::Vertices& vertices_mm, const Eig
 /// No mesh of this slot, and why.
 void PerformanceTracker::Impl::leave_out(const std::string& missing, mesh::MeshFrame& out) const {
   out.state = subject != nullptr ? mesh::TrackingState::Lost : mesh::TrackingState::Searching;
-  out.degraded = true;
-  out.degraded_reason = out.degraded_reason.empty() ? missing : out.degraded_reason + "; " + missing;
+  degrade(missing, out);
 }
 
 PerformanceTracker::PerformanceTracker(std::shared_ptr<const face::FaceModel> model,
@@ -392,6 +453,7 @@ void PerformanceTracker::process(const FrameSet& set, std::span<const capture::D
     out.stage_ms.displacement_ms = ms_since(fine_begun);
     impl.paint(out);
     impl.fill(impl.skin.vertices_mm(), impl.skin.expression(), out);
+    impl.tell_torn(out);
   } else {
     impl.leave_out(missing, out);
   }
@@ -421,6 +483,7 @@ void PerformanceTracker::process_between(double fraction, std::span<const captur
   impl.fill_fine(impl.between_mm, out);
   out.stage_ms.displacement_ms = ms_since(fine_begun);
   impl.fill(impl.between_mm, impl.expression_between, out);
+  impl.tell_torn(out);
 }
 
 void PerformanceTracker::reset() {

@@ -4,6 +4,17 @@
 #include <utility>
 
 namespace facet::booth {
+namespace {
+
+/// The control vertex of the model that a vertex of the template hangs on most.
+std::size_t nearest_control(const mesh::SparseRows& rows, std::int32_t vertex) {
+  const auto row = static_cast<std::size_t>(vertex);
+  const auto first = rows.weights.begin() + rows.row_offsets[row];
+  const auto heaviest = std::max_element(first, rows.weights.begin() + rows.row_offsets[row + 1]);
+  return static_cast<std::size_t>(rows.columns[static_cast<std::size_t>(heaviest - rows.weights.begin())]);
+}
+
+}  // namespace
 
 std::shared_ptr<const mesh::Subject> build_template_subject(const fit::TemplateMesh& surface,
                                                             std::shared_ptr<const mesh::Hierarchy> hierarchy,
@@ -11,17 +22,21 @@ std::shared_ptr<const mesh::Subject> build_template_subject(const fit::TemplateM
                                                             std::uint32_t count) {
   auto subject = std::make_shared<mesh::Subject>();
   subject->expression_names = model.expression_names;
-  const mesh::SparseRows& rows = surface.from_control;
   for (std::int32_t v = 0; v < surface.vertex_count(); ++v) {
-    const auto row = static_cast<std::size_t>(v);
-    const auto first = rows.weights.begin() + rows.row_offsets[row];
-    const auto heaviest = std::max_element(first, rows.weights.begin() + rows.row_offsets[row + 1]);
-    const std::int32_t control = rows.columns[static_cast<std::size_t>(heaviest - rows.weights.begin())];
-    subject->regions.push_back(model.regions[static_cast<std::size_t>(control)]);
+    subject->regions.push_back(model.regions[nearest_control(surface.from_control, v)]);
   }
   subject->hierarchy = std::move(hierarchy);
   subject->id = mesh::subject_id(*subject, count);
   return subject;
+}
+
+std::vector<face::FacePart> template_parts(const fit::TemplateMesh& surface, const face::FaceModel& model) {
+  const std::vector<face::FacePart> control = face::control_parts(model);
+  std::vector<face::FacePart> parts;
+  for (std::int32_t v = 0; v < surface.vertex_count(); ++v) {
+    parts.push_back(control[nearest_control(surface.from_control, v)]);
+  }
+  return parts;
 }
 
 }  // namespace facet::booth

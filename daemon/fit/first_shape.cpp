@@ -23,6 +23,7 @@ constexpr double kFarOffAtFirst_mm = 30;
 constexpr double kFarOff_mm = 4;
 constexpr double kShrinks = 0.85;
 constexpr double kMostIdentity = 3;  ///< standard deviations
+constexpr double kJawMoves_mm = 2;
 constexpr double kLeastSigma = 0.05;
 
 /// What the coefficients move: [3 * correspondence_count][identity_count + expression_count] at the mean
@@ -56,15 +57,26 @@ struct Landmarks {
   Matrix3Xd target_mm;
 };
 
-/// One ridge solve by projected Gauss-Seidel, which keeps every coefficient where a face has it.
-void solve(const MatrixXd& left, const VectorXd& right, Index identities, VectorXd& coefficients) {
+/// Where a face has its coefficients.
+struct Bounds {
+  VectorXd least, most;
+};
+
+/// One ridge solve by projected Gauss-Seidel, which keeps every coefficient within its bounds.
+void solve(const MatrixXd& left, const VectorXd& right, const Bounds& bounds, VectorXd& coefficients) {
   for (int sweep = 0; sweep < kSweeps; ++sweep) {
     for (Index k = 0; k < coefficients.size(); ++k) {
       const double value = coefficients[k] + (right[k] - left.row(k).dot(coefficients)) / left(k, k);
-      coefficients[k] =
-          k < identities ? std::clamp(value, -kMostIdentity, kMostIdentity) : std::clamp(value, 0.0, 1.0);
+      coefficients[k] = std::clamp(value, bounds.least[k], bounds.most[k]);
     }
   }
+}
+
+/// Of "jawOpen" among the model's expressions.
+std::optional<Index> jaw_of(const face::FaceModel& model) {
+  const auto at = std::find(model.expression_names.begin(), model.expression_names.end(), "jawOpen");
+  return at == model.expression_names.end() ? std::nullopt
+                                            : std::optional<Index>(at - model.expression_names.begin());
 }
 
 }  // namespace
@@ -78,7 +90,26 @@ FirstShape mean_shape(const face::FaceModel& model) {
   return shape;
 }
 
-FirstShape find_first_shape(const face::FaceModel& model, std::span<const Correspondence> correspondences) {
+std::vector<Correspondence> above_the_jaw(const face::FaceModel& model,
+                                          std::span<const Correspondence> correspondences) {
+  std::vector<Correspondence> out(correspondences.begin(), correspondences.end());
+  const std::optional<Index> jaw = jaw_of(model);
+  if (!jaw) {
+    return out;
+  }
+  const mesh::Vertices moved_mm = model.core_row(0, static_cast<int>(*jaw) + 1);
+  out.erase(std::remove_if(out.begin(), out.end(),
+                           [&](const Correspondence& one) {
+                             return static_cast<double>(
+                                        face::FaceModel::anchor_point(one.anchor, moved_mm).norm()) >
+                                    kJawMoves_mm;
+                           }),
+            out.end());
+  return out;
+}
+
+FirstShape find_first_shape(const face::FaceModel& model, std::span<const Correspondence> correspondences,
+                            std::optional<double> jaw_open) {
   const Landmarks landmarks(model, correspondences);
   const Index count = landmarks.mean_mm.cols();
   const Index identities = model.identity_count();
@@ -89,6 +120,13 @@ FirstShape find_first_shape(const face::FaceModel& model, std::span<const Corres
     const double sigma =
         std::max<double>(kLeastSigma, model.expression_sigma.at(static_cast<std::size_t>(k)));
     prior[identities + k] = 1 / (sigma * sigma);
+  }
+  Bounds bounds{VectorXd::Zero(coefficients.size()), VectorXd::Ones(coefficients.size())};
+  bounds.least.head(identities).setConstant(-kMostIdentity);
+  bounds.most.head(identities).setConstant(kMostIdentity);
+  if (const std::optional<Index> jaw = jaw_of(model); jaw && jaw_open) {
+    bounds.least[identities + *jaw] = bounds.most[identities + *jaw] = *jaw_open;
+    coefficients[identities + *jaw] = *jaw_open;
   }
   VectorXd weights = VectorXd::Ones(count);
   VectorXd row_weights(3 * count);
@@ -108,7 +146,7 @@ FirstShape find_first_shape(const face::FaceModel& model, std::span<const Corres
     const MatrixXd weighed = row_weights.asDiagonal() * landmarks.basis;
     MatrixXd left = landmarks.basis.transpose() * weighed;
     left.diagonal() += prior;
-    solve(left, weighed.transpose() * Eigen::Map<const VectorXd>(way.data(), 3 * count), identities,
+    solve(left, weighed.transpose() * Eigen::Map<const VectorXd>(way.data(), 3 * count), bounds,
           coefficients);
   }
   const VectorXf identity = coefficients.head(identities).cast<float>();

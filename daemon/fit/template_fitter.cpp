@@ -240,6 +240,7 @@ struct TemplateFitter::Impl {
   void add_expectation(const mesh::Vertices& vertices_mm);
   void add_ties(const mesh::Vertices& vertices_mm);
   void judge(TemplateFitReport& report, bool with_flow) const;
+  void look_at_mouth(const mesh::Vertices& vertices_mm, TemplateFitReport& report) const;
   void remember(const mesh::Vertices& vertices_mm);
   bool add_data(std::span<const DepthMap> maps, std::span<const FlowView> flows,
                 const mesh::Vertices* before_mm, const mesh::Vertices& vertices_mm,
@@ -657,8 +658,36 @@ TemplateFitReport TemplateFitter::Impl::solve(std::span<const DepthMap> maps, st
     report.unfolded += unfold(vertices_mm, &surface->neutral_mm);
     report.unfolded += unfold(vertices_mm, nullptr);
   }
+  look_at_mouth(vertices_mm, report);
   judge(report, before_mm != nullptr && !flows.empty());
   return report;
+}
+
+void TemplateFitter::Impl::look_at_mouth(const mesh::Vertices& vertices_mm, TemplateFitReport& report) const {
+  constexpr float kLeastEdge_mm = 0.1F;
+  double squares = 0;
+  double edges = 0;
+  double seen = 0;
+  double off = 0;
+  for (std::int32_t v = 0; v < surface->vertex_count(); ++v) {
+    const auto vertex = static_cast<std::size_t>(v);
+    if (surface->is_mouth.empty() || surface->is_mouth[vertex] == 0) {
+      continue;
+    }
+    seen += on_map[vertex];
+    off += off_map[vertex];
+    const mesh::OneRings& rings = surface->one_rings;
+    for (auto e = rings.offsets[vertex]; e < rings.offsets[vertex + 1]; ++e) {
+      const std::int32_t other = rings.neighbours[static_cast<std::size_t>(e)];
+      const Vector3f expected = rest.col(v) - rest.col(other);
+      const Vector3f bent = vertices_mm.col(v) - vertices_mm.col(other) - expected;
+      squares += static_cast<double>(bent.squaredNorm() /
+                                     std::max(expected.squaredNorm(), kLeastEdge_mm * kLeastEdge_mm));
+      ++edges;
+    }
+  }
+  report.mouth_bend = std::sqrt(squares / std::max(edges, 1.0));
+  report.mouth_off = off / std::max(seen, 1.0);
 }
 
 /// The Gauss-Newton step of the normal equations as they stand; false where it is not finite.

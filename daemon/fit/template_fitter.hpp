@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <algorithm>
 #include <cstdint>
 #include <memory>
 #include <span>
@@ -91,6 +92,16 @@ struct TemplateFitReport {
   bool lost = false;
   std::string lost_because;  ///< for people; empty unless lost
   int unfolded = 0;          ///< vertices that the data would have folded and E_r decided on
+  /// Of the skin around the mouth, which tears first: the rms over edges of how far they bend from what E_r
+  /// compares with, over their length; and the share of the vertices on a map that lie more than 5 mm off it.
+  double mouth_bend = 0;
+  double mouth_off = 0;
+  double tear() const { return std::max(mouth_bend / kTornBend, mouth_off / kTornOff); }
+  /// One of both is larger than a sound mesh's: at most 0.17 and 0.057 in 14 first slots of heads of another
+  /// model, above one of these bounds in all 13 whose mouth was torn (docs/decisions/booth-start.md).
+  bool torn() const { return tear() > 1; }
+  static constexpr double kTornBend = 0.22;
+  static constexpr double kTornOff = 0.062;
 };
 
 /// Fits the template to depth maps, and follows the skin through a take. One thread at a time.

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <numeric>
 
+#include "face/face_parts.hpp"
 #include "facet/error.hpp"
 #include "fit/first_shape.hpp"
 #include "maths/statistics.hpp"
@@ -101,19 +102,23 @@ TemplateMesh make_template(const face::FaceModel& model, std::int32_t max_vertic
   }
   made.triangles = hierarchy->finest().triangles;
   made.one_rings = hierarchy->finest().one_rings;
-  Eigen::MatrixXf skin(1, model.vertex_count());
+  const std::vector<face::FacePart> parts =
+      model.landmarks.empty() ? std::vector<face::FacePart>() : face::control_parts(model);
+  Eigen::MatrixXf shares = Eigen::MatrixXf::Zero(2, model.vertex_count());  // of skin, of the mouth
   for (std::int32_t v = 0; v < model.vertex_count(); ++v) {
-    const std::uint8_t bits = model.regions[static_cast<std::size_t>(v)];
-    skin(0, v) =
+    const auto vertex = static_cast<std::size_t>(v);
+    const std::uint8_t bits = model.regions[vertex];
+    shares(0, v) =
         face::has_region(bits, face::Region::Eye) || face::has_region(bits, face::Region::MouthInterior)
             ? 0.0F
             : 1.0F;
+    shares(1, v) = !parts.empty() && parts[vertex] == face::FacePart::Mouth ? 1.0F : 0.0F;
   }
   Eigen::MatrixXf refined;
-  mesh::apply(made.from_control, skin, refined);
-  made.is_skin.resize(static_cast<std::size_t>(refined.cols()));
+  mesh::apply(made.from_control, shares, refined);
   for (Eigen::Index v = 0; v < refined.cols(); ++v) {
-    made.is_skin[static_cast<std::size_t>(v)] = refined(0, v) > 0.99F ? 1 : 0;
+    made.is_skin.push_back(refined(0, v) > 0.99F ? 1 : 0);
+    made.is_mouth.push_back(made.is_skin.back() != 0 && refined(1, v) > 0.5F ? 1 : 0);
   }
   return made;
 }

@@ -23,6 +23,8 @@ struct TemplateMesh {
   /// [vertex_count] 1 where a depth map or a flow may pull: skin. 0: eyeballs, sockets, the inner mouth,
   /// which follow the skin around them.
   std::vector<std::uint8_t> is_skin;
+  std::vector<std::uint8_t>
+      is_mouth;  ///< [vertex_count] 1 on the skin up to 7 mm around the lips; may be empty
 
   std::int32_t vertex_count() const { return static_cast<std::int32_t>(neutral_mm.cols()); }
 };

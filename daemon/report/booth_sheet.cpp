@@ -226,6 +226,18 @@ class Drawer {
     return std::nullopt;
   }
 
+  /// Of the finest vertices; empty where they are not known.
+  const std::vector<face::FacePart>& parts_of(const mesh::Subject& subject) {
+    if (parts_of_ != subject.hierarchy) {
+      parts_of_ = subject.hierarchy;
+      finest_parts_.clear();
+      if (static_cast<std::int32_t>(sources_.parts.size()) == subject.hierarchy->control_vertex_count) {
+        finest_parts_ = face::finest_parts(*subject.hierarchy, sources_.parts);
+      }
+    }
+    return finest_parts_;
+  }
+
   Picture depth(std::uint64_t slot) {
     if (!depth_lens_) {
       return cell_note("not available");
@@ -346,6 +358,9 @@ class Drawer {
     const Comparison comparison = compare(reconstruction, true_surface, Alignment::None);
     std::vector<float> distances;
     double normal_sum = 0;
+    BoothError found;
+    found.slot = frame.sequence;
+    const std::vector<face::FacePart>& parts = parts_of(*frame.subject);
     mesh::Vertices colours = mesh::Vertices::Constant(3, reconstruction.vertices_mm.cols(), kUnknown);
     for (std::size_t k = 0; k < reconstruction.measured.size(); ++k) {
       const float distance = std::abs(comparison.signed_distance_mm[k]);
@@ -354,6 +369,12 @@ class Drawer {
       }
       distances.push_back(distance);
       normal_sum += static_cast<double>(comparison.normal_error_deg[k]);
+      if (!parts.empty()) {
+        PointErrors& part = found.parts.at(
+            static_cast<std::size_t>(parts[static_cast<std::size_t>(reconstruction.measured[k])]));
+        part.distance_mm.push_back(distance);
+        part.normal_deg.push_back(comparison.normal_error_deg[k]);
+      }
       const auto rgb = render::heat_colour(distance / kLargestError_mm);
       for (std::size_t channel = 0; channel < 3; ++channel) {
         colours(static_cast<Eigen::Index>(channel), reconstruction.measured[k]) =
@@ -363,12 +384,13 @@ class Drawer {
     if (!distances.empty()) {
       std::sort(distances.begin(), distances.end());
       const auto count = static_cast<double>(distances.size());
-      error = BoothError{frame.sequence, std::accumulate(distances.begin(), distances.end(), 0.0) / count,
-                         static_cast<double>(distances[static_cast<std::size_t>(0.95 * (count - 1))]),
-                         normal_sum / count};
+      found.mean_mm = std::accumulate(distances.begin(), distances.end(), 0.0) / count;
+      found.p95_mm = static_cast<double>(distances[static_cast<std::size_t>(0.95 * (count - 1))]);
+      found.normal_deg = normal_sum / count;
       const WrinkleSum wrinkles = wrinkles_of(*frame.subject, reconstruction, base, true_surface);
-      error->wrinkle_correlation = wrinkles.correlation();
-      error->wrinkle_depth = wrinkles.depth();
+      found.wrinkle_correlation = wrinkles.correlation();
+      found.wrinkle_depth = wrinkles.depth();
+      error = std::move(found);
     }
     return render_colours(caster, frame.subject->hierarchy->finest().triangles, colours, cell.camera,
                           render::plain_picture(kCellWidth_px, kCellHeight_px, kDark));
@@ -379,6 +401,8 @@ class Drawer {
   const capture::RigCamera* left_ = nullptr;    ///< of the first pair
   std::optional<capture::Lens> depth_lens_;
   std::optional<take::TakeReader> footage_;
+  std::shared_ptr<const mesh::Hierarchy> parts_of_;
+  std::vector<face::FacePart> finest_parts_;
 };
 
 }  // namespace
@@ -413,7 +437,7 @@ Picture make_booth_sheet(const BoothSheetSources& sources, const std::vector<std
     if (error) {
       label_cell(sheet, kGap_px + (columns - 1) * (kCellWidth_px + kGap_px), y + kCellHeight_px,
                  fmt::format("mean {:.2f}, 95 % {:.2f} mm", error->mean_mm, error->p95_mm));
-      errors.push_back(*error);
+      errors.push_back(*std::move(error));
     }
     done(row + 1);
   }

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <functional>
@@ -8,6 +9,7 @@
 #include <vector>
 
 #include "capture/rig.hpp"
+#include "face/face_parts.hpp"
 #include "render/renderer.hpp"
 #include "take/reader.hpp"
 
@@ -22,6 +24,13 @@ struct BoothSheetSources {
   /// As `facet synth-booth` writes; empty: no truth is known. Its pictures say which of its slots a picture
   /// shows.
   std::filesystem::path truth_folder;
+  std::vector<face::FacePart> parts;  ///< [control vertex_count] of the take's meshes; empty: not known
+};
+
+/// Of each point that is compared with the truth.
+struct PointErrors {
+  std::vector<float> distance_mm;
+  std::vector<float> normal_deg;
 };
 
 /// How far one mesh is from the truth, over the face's skin that the first colour camera sees.
@@ -34,6 +43,7 @@ struct BoothError {
   /// and depth as a share. NaN where the truth has none.
   double wrinkle_correlation = 0;
   double wrinkle_depth = 0;
+  std::array<PointErrors, face::kFacePartNames.size()> parts;  ///< by face::FacePart, where they are known
 };
 
 /// One row per frame: stripes, depth as a shaded relief, mesh over the picture, shaded mesh, texture, error;

@@ -269,7 +269,7 @@ TEST(FineSurface, WrongUseIsNamed) {
               ::testing::ThrowsMessage<Error>(::testing::HasSubstr("not ")));
   EXPECT_THROW(FineSurface(scene().model.control,
                            std::make_shared<const TemplateMesh>(
-                               TemplateMesh{mesh::Vertices::Zero(3, 17), {}, {}, {}, {}, {}}),
+                               TemplateMesh{mesh::Vertices::Zero(3, 17), {}, {}, {}, {}, {}, {}}),
                            {}),
                Error);
 }

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <random>
 
 #include "support/synthetic_model.hpp"
@@ -69,6 +70,30 @@ TEST(FirstShape, AThirdOfLandmarksMayBeWrong) {
   }
   const FirstShape found = find_first_shape(model(), all);
   EXPECT_LT((found.shown_mm - sound.shown_mm).colwise().norm().mean(), 2.0);
+}
+
+TEST(FirstShape, AJawThatIsHeldIsFilledUpByWhatLiesAboveIt) {
+  const auto jaw = static_cast<std::size_t>(
+      std::find(model().expression_names.begin(), model().expression_names.end(), "jawOpen") -
+      model().expression_names.begin());
+  ASSERT_LT(jaw, model().expression_names.size());
+  const std::vector<float> identity = {1.2F, -0.8F};
+  std::vector<float> expression(static_cast<std::size_t>(model().expression_count()), 0.0F);
+  expression[jaw] = 1;
+  std::vector<Correspondence> all = seen(identity, expression, 0.2);
+  std::vector<Correspondence> above = above_the_jaw(model(), all);
+  EXPECT_LT(above.size(), all.size());
+  EXPECT_GT(above.size(), all.size() / 4);
+  const mesh::Vertices moves_mm = model().core_row(0, static_cast<int>(jaw) + 1);
+  for (const Correspondence& one : above) {
+    EXPECT_LE(face::FaceModel::anchor_point(one.anchor, moves_mm).norm(), 2.0F);
+  }
+  const FirstShape found = find_first_shape(model(), above, 1.25);
+  EXPECT_EQ(found.expression[static_cast<Eigen::Index>(jaw)], 1.25) << "beyond what is looked for otherwise";
+  mesh::Vertices rest_mm;
+  model().evaluate(identity, {}, rest_mm);
+  EXPECT_LT((found.neutral_mm - rest_mm).colwise().norm().mean(),
+            (mean_shape(model()).neutral_mm - rest_mm).colwise().norm().mean());
 }
 
 TEST(FirstShape, WithoutLandmarksItIsTheMeanFace) {

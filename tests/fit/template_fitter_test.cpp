@@ -48,6 +48,36 @@ TEST(TemplateFitter, ComesToLieOnTheDepthMaps) {
       << "or the test shows nothing";
 }
 
+TEST(TemplateFitter, AMouthThatTearsIsTold) {
+  mesh::Vertices torn_mm = swollen();
+  float middle_mm = 0;
+  int count = 0;
+  for (Eigen::Index v = 0; v < torn_mm.cols(); ++v) {
+    if (surface()->is_mouth[static_cast<std::size_t>(v)] != 0) {
+      EXPECT_NE(surface()->is_skin[static_cast<std::size_t>(v)], 0);
+      middle_mm += torn_mm(1, v);
+      ++count;
+    }
+  }
+  ASSERT_GT(count, 8);
+  middle_mm /= static_cast<float>(count);
+  for (Eigen::Index v = 0; v < torn_mm.cols(); ++v) {  // the lower lip hangs behind the teeth
+    torn_mm(2, v) -=
+        surface()->is_mouth[static_cast<std::size_t>(v)] != 0 && torn_mm(1, v) < middle_mm ? 12.0F : 0.0F;
+  }
+  for (const bool torn : {false, true}) {
+    FitOptions options;
+    options.steps = 30;
+    options.cg_iterations = 200;
+    TemplateFitter fitter(surface(), options);
+    fitter.set_rest(rest());
+    mesh::Vertices vertices_mm = surface()->neutral_mm;
+    const TemplateFitReport report = fitter.fit(depths_of(torn ? torn_mm : swollen()), vertices_mm);
+    EXPECT_FALSE(report.lost);
+    EXPECT_EQ(report.torn(), torn) << "bent by " << report.mouth_bend << ", off " << report.mouth_off;
+  }
+}
+
 TEST(TemplateFitter, OutliersOfDepthDoNotPull) {
   const mesh::Vertices truth_mm = swollen();
   std::vector<DepthMap> maps = depths_of(truth_mm);

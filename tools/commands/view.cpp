@@ -11,12 +11,18 @@
 #include <filesystem>
 #include <iterator>
 #include <memory>
+#include <numeric>
 #include <optional>
 #include <string>
 #include <vector>
 
+#include "booth/template_subject.hpp"
 #include "capture/rig_file.hpp"
+#include "face/face_model.hpp"
+#include "facet/assets.hpp"
 #include "facet/error.hpp"
+#include "fit/template_mesh.hpp"
+#include "maths/statistics.hpp"
 #include "options.hpp"
 #include "progress.hpp"
 #include "report/booth_sheet.hpp"
@@ -40,6 +46,7 @@ struct ViewOptions {
   std::string pictures;
   std::string depth;
   std::string truth;
+  std::string model;
   bool terminal = false;
 };
 
@@ -122,6 +129,46 @@ std::string person_of(take::TakeReader& take, const std::vector<std::int64_t>& f
   return "";
 }
 
+/// The parts of the face that a booth's template is of, where the face model is at hand.
+std::vector<face::FacePart> parts_of_template(const std::string& given) {
+  const std::filesystem::path file = given.empty() ? default_model_file() : std::filesystem::path(given);
+  std::error_code ignored;
+  if (given.empty() && !std::filesystem::exists(file, ignored)) {
+    return {};
+  }
+  try {
+    const face::FaceModel model = face::FaceModel::load(file);
+    return model.landmarks.empty() ? std::vector<face::FacePart>()
+                                   : booth::template_parts(fit::make_template(model), model);
+  } catch (const Error&) {
+    if (!given.empty()) {
+      throw;
+    }
+    return {};  // it may not be the take's
+  }
+}
+
+/// One line for each part of the face, over all meshes whose truth is known.
+void tell_parts(const std::vector<report::BoothError>& errors) {
+  for (std::size_t part = 0; part < face::kFacePartNames.size(); ++part) {
+    std::vector<float> distances;
+    double normals_deg = 0;
+    for (const report::BoothError& error : errors) {
+      const report::PointErrors& points = error.parts.at(part);
+      distances.insert(distances.end(), points.distance_mm.begin(), points.distance_mm.end());
+      normals_deg += std::accumulate(points.normal_deg.begin(), points.normal_deg.end(), 0.0);
+    }
+    if (distances.empty()) {
+      continue;
+    }
+    const auto count = static_cast<double>(distances.size());
+    const double mean = std::accumulate(distances.begin(), distances.end(), 0.0) / count;
+    tell("{:<13} {:.3f} mm (mean; median: {:.3f}, 95 %: {:.3f} mm), normals {:.1f} degrees off\n",
+         std::string(face::kFacePartNames.at(part)) + ":", mean, maths::quantile_of(distances, 0.5),
+         maths::quantile_of(distances, 0.95), normals_deg / count);
+  }
+}
+
 void view_booth(const ViewOptions& options, take::TakeReader& take, const std::vector<std::int64_t>& frames) {
   std::optional<take::TakeReader> pictures = open_pictures(take, options.pictures);
   report::BoothSheetSources sources;
@@ -130,6 +177,9 @@ void view_booth(const ViewOptions& options, take::TakeReader& take, const std::v
   sources.rig = capture::read_rig(options.rig);
   sources.depth_folder = options.depth;
   sources.truth_folder = options.truth;
+  if (!options.truth.empty()) {
+    sources.parts = parts_of_template(options.model);
+  }
   std::vector<report::BoothError> errors;
   Progress progress("Drawing", frames.size(), "rows");
   const render::Picture sheet = report::make_booth_sheet(
@@ -144,6 +194,7 @@ void view_booth(const ViewOptions& options, take::TakeReader& take, const std::v
     tell("slot {}: {:.3f} mm from the truth (mean; 95 %: {:.3f} mm), normals {:.1f} degrees off{}\n",
          error.slot, error.mean_mm, error.p95_mm, error.normal_deg, wrinkles);
   }
+  tell_parts(errors);
   tell("{}: {} frames of {}\n", options.sheet, frames.size(), options.take);
 }
 
@@ -212,6 +263,11 @@ void add_view_command(Command app) {
       .option("--truth", options->truth,
               "The folder that `facet synth-booth` wrote, where the pictures are of the virtual booth")
       .needs("--rig");
+  command
+      .option("--model", options->model,
+              "The face model that the meshes were made with, for the parts of the face; default: the one "
+              "that is installed")
+      .needs("--truth");
   command.callback([options] { run_view(*options); });
 }
 
