@@ -12,6 +12,7 @@
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <numbers>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -43,6 +44,7 @@ struct Options {
   person::EnrolmentOptions enrolment;
   std::vector<double> curvatures{person::AnchorStrength().curvature};
   bool solve_expressions = false;
+  std::optional<pipeline::FrameRange> burst;
   std::filesystem::path person;
   std::vector<std::filesystem::path> against;
 };
@@ -510,14 +512,14 @@ void run_one(const Options& options, const face::FaceModel& model, const std::fi
   const double begun = processor_s();
   pipeline::ShadingParts parts = pipeline::open_shading(config);
   const pipeline::ObservedHead head =
-      pipeline::observe_head(parts, config.frames, [](std::uint64_t) { return true; });
+      pipeline::observe_head(parts, config.frames, options.burst, [](std::uint64_t) { return true; });
   const person::KeyframeCollector& collector = head.keyframes;
   const double tracked = processor_s();
   person::EnrolmentOptions enrolment = options.enrolment;
   enrolment.expression =
       options.solve_expressions ? person::KeyframeExpression::Solved : person::KeyframeExpression::Rest;
   enrolment.skin = enrolment.skin_texels > 0;
-  const auto observed = collector.observed(enrolment.keyframes);
+  const auto observed = collector.observed(enrolment.keyframes, enrolment.lit);
   if (!observed) {
     fmt::print("{}: no keyframe\n", folder.filename().string());
     return;
@@ -546,6 +548,10 @@ int main(int argc, char** argv) {
   app.add_option("--pictures", options.pictures,
                  "folder for the albedo and the relief that were found, each beside the truth");
   app.add_option("--keyframes", options.enrolment.keyframes);
+  app.add_option_function<std::string>(
+      "--burst", [&](const std::string& text) { options.burst = pipeline::parse_frame_range(text); },
+      "frames A:B in which lamps fire in turn");
+  app.add_option("--lit", options.enrolment.lit, "pictures of the burst");
   app.add_option("--rounds", options.enrolment.rounds);
   app.add_option("--chart", options.enrolment.chart_texels);
   app.add_option("--skin", options.enrolment.skin_texels, "of the skin's chart; 0: no skin");

@@ -54,13 +54,15 @@ class Enrolment {
         observed_(observed),
         options_(options),
         progress_(progress),
+        pictures_(observed.keyframes),
         centre_px_(observed.camera.cx, observed.camera.cy),
         solver_(model, observed.identity, observed.camera.fx, centre_px_, options.focal_is_known,
                 options.anchor),
         early_flow_(model, options.chart_texels * 7 / 10),
         flow_(model, options.chart_texels) {
     choose_roles();
-    for (const Keyframe& keyframe : observed.keyframes) {
+    pictures_.insert(pictures_.end(), observed.burst.begin(), observed.burst.end());
+    for (const Keyframe& keyframe : pictures_) {
       HeadState head{keyframe.camera_from_head.linear(), keyframe.camera_from_head.translation(),
                      options.expression == KeyframeExpression::Rest ? observed.rest : keyframe.expression};
       priors_.push_back(head.expression);
@@ -163,8 +165,7 @@ class Enrolment {
       return;
     }
     try {
-      out.skin = find_skin(model_, options_.skin_texels, observed_.keyframes, solver_, centre_px_,
-                           [this] { say(); });
+      out.skin = find_skin(model_, options_.skin_texels, pictures_, solver_, centre_px_, [this] { say(); });
     } catch (const std::exception& error) {
       out.skin = {};
       out.skin_note = fmt::format("its relief was not found: {}", error.what());
@@ -182,13 +183,15 @@ class Enrolment {
   int turns_of(int round) const { return last(round) ? kTurns : 1; }
 
   bool looks_for_relief() const {
-    return options_.skin && options_.expression == KeyframeExpression::Rest && turned_for_relief();
+    return options_.skin && options_.expression == KeyframeExpression::Rest &&
+           (turned_for_relief() || observed_.light_count() >= kFewestLights);
   }
 
   bool go_on() const {
-    const int pictures = (2 * options_.rounds + 1) * static_cast<int>(order_.size());
+    const int pictures =
+        2 * options_.rounds * static_cast<int>(pictures_.size()) + static_cast<int>(order_.size());
     const int steps = (options_.rounds + kTurns - 1) * kShapeSteps;
-    const int skin = looks_for_relief() ? skin_pieces(static_cast<int>(order_.size())) : 0;
+    const int skin = looks_for_relief() ? skin_pieces(static_cast<int>(pictures_.size())) : 0;
     return !progress_ || progress_(done_, pictures + steps + skin);
   }
 
@@ -219,18 +222,21 @@ class Enrolment {
     solves_.assign(keyframes.size(), 1);
     for (std::size_t i = kFirstJudge; i < order_.size(); i += kJudgeEvery) {
       solves_[order_[i]] = 0;
+      judges_.push_back(order_[i]);
     }
+    // A burst shows one side of the head: it tells of its skin alone.
+    solves_.resize(keyframes.size() + observed_.burst.size(), 0);
   }
 
   bool run_round(int round) {
     solver_.set_points(
         (last(round) ? flow_ : early_flow_)
-            .find(observed_.keyframes, solver_, centre_px_, round == 0 ? order_ : std::vector<std::size_t>(),
-                  solves_, [this] { say(); }),
+            .find(pictures_, solver_, centre_px_, round == 0 ? order_ : std::vector<std::size_t>(), solves_,
+                  [this] { say(); }),
         solves_);
     solver_.set_least_bound_px(round + 1 < options_.rounds ? kWideBoundPx : kBoundPx);
     const auto everybody = [&](int steps, bool expression) {
-      for (std::size_t k = 0; k < order_.size(); ++k) {
+      for (std::size_t k = 0; k < pictures_.size(); ++k) {
         solver_.resect(
             k, steps,
             expression && options_.expression == KeyframeExpression::Solved ? &priors_[k] : nullptr);
@@ -266,16 +272,14 @@ class Enrolment {
     const double nearer = solver_.generic_focal_px() / solver_.focal_px();
     solver_.use_generic(generic);
     std::vector<double> residuals;
-    for (std::size_t k = 0; k < kept.size(); ++k) {
+    for (const std::size_t k : judges_) {
       if (!go_on()) {
         throw BrokenOff();
       }
-      if (solves_[k] == 0) {
-        solver_.heads()[k].translation_mm.z() *= generic ? nearer : 1;
-        solver_.resect(k, kJudgeSteps,
-                       options_.expression == KeyframeExpression::Solved ? &priors_[k] : nullptr);
-        residuals.push_back(solver_.residual_px(k));
-      }
+      solver_.heads()[k].translation_mm.z() *= generic ? nearer : 1;
+      solver_.resect(k, kJudgeSteps,
+                     options_.expression == KeyframeExpression::Solved ? &priors_[k] : nullptr);
+      residuals.push_back(solver_.residual_px(k));
     }
     solver_.use_generic(false);
     solver_.heads() = kept;
@@ -341,12 +345,14 @@ class Enrolment {
   const Observed& observed_;
   EnrolmentOptions options_;
   EnrolmentProgress progress_;
+  std::vector<Keyframe> pictures_;  ///< the keyframes, then the burst's
   Eigen::Vector2d centre_px_;
   ShapeSolver solver_;
   SkinFlow early_flow_;  ///< of the rounds but the last, which need not be as fine
   SkinFlow flow_;
   std::vector<std::size_t> order_;
-  std::vector<char> solves_;
+  std::vector<char> solves_;         ///< [pictures]
+  std::vector<std::size_t> judges_;  ///< keyframes that are not solved for
   std::vector<Eigen::VectorXd> priors_;
   int done_ = 0;  ///< pieces of work
 };

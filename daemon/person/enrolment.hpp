@@ -21,6 +21,7 @@ enum class KeyframeExpression {
 
 struct EnrolmentOptions {
   int keyframes = 14;
+  int lit = 12;  ///< pictures of a burst
   int rounds = 3;
   int chart_texels = 640;
   bool focal_is_known = false;
@@ -58,6 +59,9 @@ struct LearnedShape {
 
 /// Asked several times a second with what is done of the total; false breaks the solve off. May be empty.
 using EnrolmentProgress = std::function<bool(int done, int total)>;
+
+/// Lights of a burst that do without a wide turn for the relief.
+inline constexpr int kFewestLights = 3;
 
 /// A head's turn to each side that its shape is solved from, degrees; 20 are better.
 inline constexpr double kLeastYawDeg = 12;

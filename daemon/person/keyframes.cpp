@@ -1,10 +1,13 @@
 #include "person/keyframes.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <limits>
 #include <numbers>
 #include <string_view>
 
+#include "maths/srgb.hpp"
 #include "maths/statistics.hpp"
 
 namespace facet::person {
@@ -27,8 +30,53 @@ constexpr double kReprojectionCost = 0.3;
 /// is turned by 35 degrees; one that talks and smiles is at 0.6 to 1.2.
 constexpr double kRestless = 0.55;
 
+/// Fields along either side of a head's picture that tell one light from another.
+constexpr Eigen::Index kFields = 8;
+/// Of the farthest two lights of a burst, by which two pictures of one light may differ.
+constexpr float kSameLight = 0.2F;
+/// Of the brightest picture, by which the farthest two must differ: else no lamp was switched.
+constexpr float kOtherLight = 0.15F;
+constexpr std::size_t kMostLit = 2000;  ///< frames: a minute
+constexpr double kStillDeg = 3;         ///< from where the head is most of a burst
+
 double degrees(double radians) {
   return radians * 180 / std::numbers::pi;
+}
+
+/// [kFields * kFields] mean linear brightness of a picture's fields.
+Eigen::ArrayXf fields_of(const HeadPicture& picture) {
+  const std::array<float, 256>& decoded = maths::decoded_srgb8();
+  Eigen::ArrayXf sums = Eigen::ArrayXf::Zero(kFields * kFields);
+  Eigen::ArrayXf counts = Eigen::ArrayXf::Constant(kFields * kFields, 1e-6F);
+  for (int y = 0; y < picture.height_px; ++y) {
+    for (int x = 0; x < picture.width_px; ++x) {
+      const Eigen::Index field = y * kFields / picture.height_px * kFields + x * kFields / picture.width_px;
+      const std::size_t pixel =
+          3 * (static_cast<std::size_t>(y) * static_cast<std::size_t>(picture.width_px) +
+               static_cast<std::size_t>(x));
+      sums[field] += 0.5F * (decoded[picture.rgb[pixel]] + decoded[picture.rgb[pixel + 1]]);
+      counts[field] += 1;
+    }
+  }
+  return sums / counts;
+}
+
+/// What a tracked frame tells of the head; without its speed and its picture.
+Keyframe keyframe_of(const track::TrackResult& tracked, const Frame& picture) {
+  Keyframe now;
+  now.sequence = picture.sequence;
+  now.camera_from_head = tracked.camera_from_head.cast<double>();
+  now.expression = Eigen::Map<const Eigen::VectorXf>(tracked.expression.data(),
+                                                     static_cast<Eigen::Index>(tracked.expression.size()))
+                       .cast<double>();
+  now.reprojection_px = tracked.reprojection_px;
+  std::tie(now.yaw_deg, now.pitch_deg) = orientation_deg(now.camera_from_head);
+  return now;
+}
+
+bool is_settled(const track::TrackResult& tracked, const Frame& picture) {
+  return tracked.state == mesh::TrackingState::Tracking && tracked.has_mesh && !picture.empty() &&
+         !picture.corrupt;
 }
 
 }  // namespace
@@ -102,6 +150,9 @@ KeyframeCollector::KeyframeCollector(const face::FaceModel& model) : model_(&mod
 void KeyframeCollector::clear() {
   bins_.clear();
   picture_bytes_ = 0;
+  lit_.clear();
+  lit_bytes_ = 0;
+  lit_step_ = 1;
   expressions_.clear();
   next_expression_ = 0;
   reprojections_px_.clear();
@@ -123,12 +174,7 @@ double KeyframeCollector::cost(const Keyframe& keyframe, const Eigen::VectorXd& 
          kReprojectionCost * keyframe.reprojection_px * 640 / std::max(camera_.width_px, camera_.height_px);
 }
 
-void KeyframeCollector::offer(const track::TrackResult& tracked, const Frame& picture) {
-  if (tracked.state != mesh::TrackingState::Tracking || !tracked.has_mesh || picture.empty() ||
-      picture.corrupt) {
-    previous_.reset();
-    return;
-  }
+void KeyframeCollector::begin_unless_same(const track::TrackResult& tracked) {
   if (tracked.subject != subject_ || tracked.identity != identity_ || tracked.camera.fx != camera_.fx ||
       tracked.camera.width_px != camera_.width_px || tracked.camera.height_px != camera_.height_px) {
     clear();
@@ -136,14 +182,15 @@ void KeyframeCollector::offer(const track::TrackResult& tracked, const Frame& pi
     identity_ = tracked.identity;
     camera_ = tracked.camera;
   }
-  Keyframe now;
-  now.sequence = picture.sequence;
-  now.camera_from_head = tracked.camera_from_head.cast<double>();
-  now.expression = Eigen::Map<const Eigen::VectorXf>(tracked.expression.data(),
-                                                     static_cast<Eigen::Index>(tracked.expression.size()))
-                       .cast<double>();
-  now.reprojection_px = tracked.reprojection_px;
-  std::tie(now.yaw_deg, now.pitch_deg) = orientation_deg(now.camera_from_head);
+}
+
+void KeyframeCollector::offer(const track::TrackResult& tracked, const Frame& picture) {
+  if (!is_settled(tracked, picture)) {
+    previous_.reset();
+    return;
+  }
+  begin_unless_same(tracked);
+  Keyframe now = keyframe_of(tracked, picture);
   const Eigen::Matrix3f turn = tracked.camera_from_head.linear();
   if (previous_ && picture.media_time_ns > previous_->first) {
     const double seconds = static_cast<double>(picture.media_time_ns - previous_->first) * 1e-9;
@@ -200,11 +247,11 @@ std::vector<std::pair<double, double>> KeyframeCollector::filled() const {
   return out;
 }
 
-std::optional<Observed> KeyframeCollector::observed(int most) const {
+std::optional<Observed> KeyframeCollector::observed(int most, int most_lit) const {
   if (bins_.empty()) {
     return std::nullopt;
   }
-  Observed out{camera_, identity_, Eigen::VectorXd::Zero(model_->expression_count()), 0, {}, span()};
+  Observed out{camera_, identity_, Eigen::VectorXd::Zero(model_->expression_count()), 0, {}, span(), {}};
   std::vector<float> values(expressions_.size());
   for (Eigen::Index e = 0; e < out.rest.size(); ++e) {
     std::transform(expressions_.begin(), expressions_.end(), values.begin(),
@@ -246,7 +293,105 @@ std::optional<Observed> KeyframeCollector::observed(int most) const {
   for (const Keyframe* keyframe : chosen) {
     out.keyframes.push_back(*keyframe);
   }
+  out.burst = burst(most_lit, out.rest);
   return out;
+}
+
+void KeyframeCollector::offer_lit(const track::TrackResult& tracked, const Frame& picture) {
+  if (!is_settled(tracked, picture) || lit_.size() >= kMostLit) {
+    return;
+  }
+  begin_unless_same(tracked);
+  Lit now{keyframe_of(tracked, picture), {}};
+  now.keyframe.picture = head_picture(picture, tracked);
+  if (now.keyframe.picture.rgb.empty()) {
+    return;
+  }
+  now.fields = fields_of(now.keyframe.picture);
+  while (lit_bytes_ + now.keyframe.picture.rgb.size() > kMostBytes && lit_step_ < lit_.size()) {
+    lit_step_ *= 2;
+    lit_bytes_ = 0;
+    for (std::size_t i = 0; i < lit_.size(); ++i) {
+      if (i % lit_step_ != 0) {
+        lit_[i].keyframe.picture = {};
+      }
+      lit_bytes_ += lit_[i].keyframe.picture.rgb.size();
+    }
+  }
+  if (lit_.size() % lit_step_ == 0) {
+    lit_bytes_ += now.keyframe.picture.rgb.size();
+  } else {
+    now.keyframe.picture = {};
+  }
+  lit_.push_back(std::move(now));
+}
+
+std::vector<Keyframe> KeyframeCollector::burst(int most, const Eigen::VectorXd& rest) const {
+  std::vector<double> yaws;
+  std::vector<double> pitches;
+  float farthest = 0;
+  float brightness = 0;
+  const auto apart = [&](std::size_t a, std::size_t b) {
+    return (lit_[a].fields - lit_[b].fields).matrix().norm();
+  };
+  for (std::size_t a = 0; a < lit_.size(); ++a) {
+    yaws.push_back(lit_[a].keyframe.yaw_deg);
+    pitches.push_back(lit_[a].keyframe.pitch_deg);
+    brightness = std::max(brightness, lit_[a].fields.matrix().norm());
+    for (std::size_t b = 0; b < a; ++b) {
+      farthest = std::max(farthest, apart(a, b));
+    }
+  }
+  if (lit_.empty() || farthest < kOtherLight * brightness) {
+    return {};
+  }
+  const double yaw = maths::median_of(yaws);
+  const double pitch = maths::median_of(pitches);
+  const float same = kSameLight * farthest;
+  std::vector<std::size_t> usable;
+  for (std::size_t i = 0; i < lit_.size(); ++i) {
+    const Keyframe& keyframe = lit_[i].keyframe;
+    const bool steady = (i > 0 && apart(i, i - 1) < same) || (i + 1 < lit_.size() && apart(i, i + 1) < same);
+    if (steady && !keyframe.picture.rgb.empty() && restlessness(keyframe.expression, rest) <= kRestless &&
+        std::hypot(keyframe.yaw_deg - yaw, keyframe.pitch_deg - pitch) <= kStillDeg) {
+      usable.push_back(i);
+    }
+  }
+  std::vector<Keyframe> out;
+  std::vector<std::size_t> firsts;  // of each light
+  std::vector<std::size_t> taken;
+  while (taken.size() < std::min(usable.size(), static_cast<std::size_t>(std::max(most, 0)))) {
+    std::size_t next = 0;
+    float best = -1;
+    for (const std::size_t i : usable) {
+      float nearest = std::numeric_limits<float>::max();
+      for (const std::size_t other : taken) {
+        nearest = std::min(nearest, other == i ? -1 : apart(i, other));
+      }
+      if (nearest > best) {
+        best = nearest;
+        next = i;
+      }
+    }
+    if (best >= same) {
+      firsts.push_back(next);
+    }
+    const auto nearest = std::min_element(firsts.begin(), firsts.end(), [&](std::size_t a, std::size_t b) {
+      return apart(a, next) < apart(b, next);
+    });
+    taken.push_back(next);
+    out.push_back(lit_[next].keyframe);
+    out.back().light = static_cast<int>(nearest - firsts.begin()) + 1;
+  }
+  return out;
+}
+
+int Observed::light_count() const {
+  int lights = 0;
+  for (const Keyframe& keyframe : burst) {
+    lights = std::max(lights, keyframe.light);
+  }
+  return lights;
 }
 
 }  // namespace facet::person

@@ -34,6 +34,7 @@ struct Keyframe {
   double pitch_deg = 0;  ///< from above positive
   double reprojection_px = 0;
   double speed_deg_s = 0;  ///< of the head's turning
+  int light = 0;           ///< 0: the room's; of a burst which of its lights, from 1 on
   HeadPicture picture;
 };
 
@@ -54,11 +55,15 @@ struct Observed {
   double usual_reprojection_px = 0;
   std::vector<Keyframe> keyframes;  ///< in the order of time
   OrientationSpan span;             ///< of all that was kept
+  std::vector<Keyframe> burst;      ///< the still head while lamps fired in turn; may be empty
+
+  /// How many lights the burst's pictures tell apart.
+  int light_count() const;
 };
 
 /// Keeps of a tracked head the calmest picture for each orientation, in bins of 4 degrees of yaw and 5 of
-/// pitch (docs/person.md, "Keyframes"). Bounded: 200 bins, 256 MB of pictures,
-/// 3,000 frames' expressions. One thread.
+/// pitch (docs/person.md, "Keyframes"), and the pictures of a burst. Bounded: 200 bins, 256 MB of pictures
+/// and as much of a burst's, whose first 2,000 frames count, 3,000 frames' expressions. One thread.
 class KeyframeCollector {
  public:
   /// model must outlive the collector.
@@ -68,6 +73,10 @@ class KeyframeCollector {
   /// blurred ones are passed over; another subject begins anew. 10 microseconds, and half a millisecond where
   /// a picture is kept.
   void offer(const track::TrackResult& tracked, const Frame& picture);
+
+  /// The next frame of a burst: the head is still while lamps fire in turn. Where there is no room for all
+  /// pictures every second one is kept, then every fourth, and so on.
+  void offer_lit(const track::TrackResult& tracked, const Frame& picture);
 
   /// Forgets everything.
   void clear();
@@ -79,12 +88,17 @@ class KeyframeCollector {
   std::vector<std::pair<double, double>> filled() const;
 
   /// At most `most` keyframes of a face about at rest, thinned out where they are dense; nothing where no
-  /// frame counted.
-  std::optional<Observed> observed(int most) const;
+  /// frame counted. Of the burst at most `most_lit` pictures of the face at rest, the head where it was most
+  /// of the time: first one of every light, each time the one that is farthest from those taken, then others
+  /// of them. A light counts where two frames in a row show it: a lamp that is switched within an exposure
+  /// lights a part of a picture.
+  std::optional<Observed> observed(int most, int most_lit = 0) const;
 
  private:
   double restlessness(const Eigen::VectorXd& expression, const Eigen::VectorXd& rest) const;
   double cost(const Keyframe& keyframe, const Eigen::VectorXd& rest) const;
+  void begin_unless_same(const track::TrackResult& tracked);
+  std::vector<Keyframe> burst(int most, const Eigen::VectorXd& rest) const;
 
   const face::FaceModel* model_;
   std::vector<char> moves_;  ///< [expression_count] it moves skin: not the eyes' looking about
@@ -93,6 +107,14 @@ class KeyframeCollector {
   std::vector<float> identity_;
   std::map<std::pair<int, int>, Keyframe> bins_;
   std::size_t picture_bytes_ = 0;
+  /// A frame of a burst.
+  struct Lit {
+    Keyframe keyframe;      ///< without a picture where there was no room
+    Eigen::ArrayXf fields;  ///< mean brightness of the picture's
+  };
+  std::vector<Lit> lit_;
+  std::size_t lit_bytes_ = 0;
+  std::size_t lit_step_ = 1;                  ///< every so many-th frame of the burst keeps its picture
   std::vector<Eigen::VectorXf> expressions_;  ///< of all frames that counted, the last 3,000
   std::size_t next_expression_ = 0;
   std::vector<float> reprojections_px_;

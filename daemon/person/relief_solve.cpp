@@ -31,9 +31,8 @@ struct TexelSums {
   const AlbedoPrior& albedo;
   Eigen::Index pictures;
 
-  float weight_of(Eigen::Index k) const {
-    return weight[k] * (counts.empty() ? 1 : counts[static_cast<std::size_t>(k)]);
-  }
+  float count_of(Eigen::Index k) const { return counts.empty() ? 1 : counts[static_cast<std::size_t>(k)]; }
+  float weight_of(Eigen::Index k) const { return weight[k] * count_of(k); }
 
   float believed(Eigen::Index k, float rho, float bound) const {
     return weight_of(k) * tukey((brightness[k] - rho * shading[k]) / (albedo.usual_brightness * bound));
@@ -55,7 +54,7 @@ struct TexelSums {
         const float w = round == 0 ? weight_of(k) : believed(k, out.rho, bound);
         right += w * shading[k] * brightness[k];
         out.squares += w * shading[k] * shading[k];
-        out.seen += w;
+        out.seen += w / std::max(count_of(k), 1.0F);  // what counts more is one picture still
       }
       // The last round is for the sums under the last weights alone.
       out.rho = round < kAlbedoRounds ? right / out.squares : out.rho;
@@ -217,14 +216,14 @@ Eigen::VectorXd relief_step(const TexelGrid& grid, const SlopeSystem& system, co
 }
 
 double agreement_of_halves(const TexelGrid& grid, const ShadedPictures& pictures, const AlbedoPrior& albedo,
-                           const ReliefPrior& prior, std::span<const std::size_t> order, float bound) {
+                           const ReliefPrior& prior, std::span<const char> halves, float bound) {
   const Eigen::VectorXd flat = Eigen::VectorXd::Zero(grid.count());
   std::array<SlopeSystem, 2> systems;
   std::array<Eigen::VectorXd, 2> reliefs;
   for (std::size_t half = 0; half < 2; ++half) {
-    std::vector<float> counts(order.size(), 0);
-    for (std::size_t i = half; i < order.size(); i += 2) {
-      counts[order[i]] = 1;
+    std::vector<float> counts;
+    for (const char one : halves) {
+      counts.push_back(static_cast<std::size_t>(one) == half ? 1 : 0);
     }
     systems[half] = slope_system(grid, pictures, albedo, flat, bound, counts);
     reliefs[half] = relief_step(grid, systems[half], prior, flat);

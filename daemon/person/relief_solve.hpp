@@ -62,12 +62,12 @@ Eigen::ArrayXf albedo_with_relief(const TexelGrid& grid, const ShadedPictures& p
 Eigen::VectorXd relief_step(const TexelGrid& grid, const SlopeSystem& system, const ReliefPrior& prior,
                             const Eigen::VectorXd& relief_mm);
 
-/// How far the relief that every second picture tells is what the others show, and the other way round: of
-/// both halves s . b over s . H s, with s the slopes of one and H, b of the other. 1 and more where it is,
-/// about 0 where it is noise.
+/// How far the relief that one half of the pictures tells is what the others show, and the other way round:
+/// of both s . b over s . H s, with s the slopes of one and H, b of the other. 1 and more where it is, about
+/// 0 where it is noise.
 ///
-/// order  [pictures] in which every second one is taken
+/// halves  [pictures] 0 or 1
 double agreement_of_halves(const TexelGrid& grid, const ShadedPictures& pictures, const AlbedoPrior& albedo,
-                           const ReliefPrior& prior, std::span<const std::size_t> order, float bound);
+                           const ReliefPrior& prior, std::span<const char> halves, float bound);
 
 }  // namespace facet::person

@@ -36,7 +36,7 @@ float SkinSamples::albedo_brightness(Eigen::Index texel) const {
 SkinAlbedo::SkinAlbedo(const SkinLight& light, Eigen::VectorXf gains, float usual_brightness,
                        float usual_albedo)
     : light_(light),
-      lamps_(Eigen::VectorXd::Zero(light::kLamps)),
+      lamps_(Eigen::MatrixXd::Zero(light::kLamps, light.room_count())),
       gains_(std::move(gains)),
       usual_(usual_brightness),
       usual_albedo_(usual_albedo) {}
@@ -54,39 +54,51 @@ float SkinAlbedo::believed(const SkinSamples& samples, Eigen::Index k, Eigen::In
 }
 
 void SkinAlbedo::solve_lamps(SkinSamples& samples, const Eigen::MatrixXf& rows) {
-  constexpr Eigen::Index n = light::kRoomDirections;
   for (int round = lit_ ? kFirstRounds - 1 : 0; round < kFirstRounds; ++round) {
-    Eigen::MatrixXd matrix = Eigen::MatrixXd::Zero(light::kLamps, light::kLamps);
-    Eigen::VectorXd right = Eigen::VectorXd::Zero(light::kLamps);
-    Eigen::MatrixXf shown(light::kLamps, rows.cols());
-    Eigen::VectorXf values(rows.cols());
-    for (Eigen::Index k = 0; k < gains_.size(); ++k) {
-      Eigen::Index count = 0;
-      for (Eigen::Index i = 0; i < rows.cols(); ++i) {
-        const float weight = lit_ ? believed(samples, k, i) : samples.weight(k, i);
-        if (weight > 0) {
-          shown.col(count) = std::sqrt(weight) * gains_[k] * samples.albedo_brightness(i) * rows.col(i);
-          values[count++] = std::sqrt(weight) * samples.brightness(k, i);
-        }
-      }
-      Eigen::MatrixXf lower = Eigen::MatrixXf::Zero(light::kLamps, light::kLamps);
-      lower.selfadjointView<Eigen::Lower>().rankUpdate(shown.leftCols(count));
-      const Eigen::MatrixXd in_head = lower.selfadjointView<Eigen::Lower>().toDenseMatrix().cast<double>();
-      const Eigen::VectorXd right_in_head = (shown.leftCols(count) * values.head(count)).cast<double>();
-      const Eigen::MatrixXd& turn = light_.head_from_camera(static_cast<std::size_t>(k));
-      for (Eigen::Index a = 0; a < 2; ++a) {
-        right.segment(a * n, n) += turn.transpose() * right_in_head.segment(a * n, n);
-        for (Eigen::Index b = 0; b <= a; ++b) {
-          const Eigen::MatrixXd turned = in_head.block(a * n, b * n, n, n) * turn;
-          matrix.block(a * n, b * n, n, n) += turn.transpose() * turned;
-        }
-      }
+    for (Eigen::Index room = 0; room < lamps_.cols(); ++room) {
+      solve_room(samples, rows, room);
     }
-    matrix.topRightCorner(n, n) = matrix.bottomLeftCorner(n, n).transpose();
-    light::descend(matrix, right, kRidge, kSweeps, lamps_);
     samples.shading = light_.in_head(lamps_).transpose() * rows;
     lit_ = true;
   }
+}
+
+/// The lamps that some of the keyframes were lit by.
+void SkinAlbedo::solve_room(const SkinSamples& samples, const Eigen::MatrixXf& rows, Eigen::Index room) {
+  constexpr Eigen::Index n = light::kRoomDirections;
+  Eigen::MatrixXd matrix = Eigen::MatrixXd::Zero(light::kLamps, light::kLamps);
+  Eigen::VectorXd right = Eigen::VectorXd::Zero(light::kLamps);
+  Eigen::MatrixXf shown(light::kLamps, rows.cols());
+  Eigen::VectorXf values(rows.cols());
+  for (Eigen::Index k = 0; k < gains_.size(); ++k) {
+    if (light_.room(static_cast<std::size_t>(k)) != room) {
+      continue;
+    }
+    Eigen::Index count = 0;
+    for (Eigen::Index i = 0; i < rows.cols(); ++i) {
+      const float weight = lit_ ? believed(samples, k, i) : samples.weight(k, i);
+      if (weight > 0) {
+        shown.col(count) = std::sqrt(weight) * gains_[k] * samples.albedo_brightness(i) * rows.col(i);
+        values[count++] = std::sqrt(weight) * samples.brightness(k, i);
+      }
+    }
+    Eigen::MatrixXf lower = Eigen::MatrixXf::Zero(light::kLamps, light::kLamps);
+    lower.selfadjointView<Eigen::Lower>().rankUpdate(shown.leftCols(count));
+    const Eigen::MatrixXd in_head = lower.selfadjointView<Eigen::Lower>().toDenseMatrix().cast<double>();
+    const Eigen::VectorXd right_in_head = (shown.leftCols(count) * values.head(count)).cast<double>();
+    const Eigen::MatrixXd& turn = light_.head_from_camera(static_cast<std::size_t>(k));
+    for (Eigen::Index a = 0; a < 2; ++a) {
+      right.segment(a * n, n) += turn.transpose() * right_in_head.segment(a * n, n);
+      for (Eigen::Index b = 0; b <= a; ++b) {
+        const Eigen::MatrixXd turned = in_head.block(a * n, b * n, n, n) * turn;
+        matrix.block(a * n, b * n, n, n) += turn.transpose() * turned;
+      }
+    }
+  }
+  matrix.topRightCorner(n, n) = matrix.bottomLeftCorner(n, n).transpose();
+  Eigen::VectorXd strengths = lamps_.col(room);
+  light::descend(matrix, right, kRidge, kSweeps, strengths);
+  lamps_.col(room) = strengths;
 }
 
 void SkinAlbedo::scale_lamps(SkinSamples& samples, float factor) {

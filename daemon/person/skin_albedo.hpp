@@ -1,6 +1,6 @@
 #pragma once
 
-// Private to this room: albedo, lamps and exposures of a head that turned.
+// Private to this room: albedo, lamps and exposures of a head that turned, or was lit in turn.
 
 #include <Eigen/Core>
 #include <array>
@@ -46,7 +46,7 @@ class SkinAlbedo {
   /// is far off.
   void solve_albedo(SkinSamples& samples, bool first);
 
-  const Eigen::VectorXd& lamps() const { return lamps_; }
+  const Eigen::MatrixXd& lamps() const { return lamps_; }  ///< [kLamps][rooms] camera frame
   const Eigen::VectorXf& gains() const { return gains_; }
   float usual_brightness() const { return usual_; }
   /// Of the face: brightness over the model's albedo.
@@ -58,11 +58,12 @@ class SkinAlbedo {
 
  private:
   float believed(const SkinSamples& samples, Eigen::Index keyframe, Eigen::Index texel) const;
+  void solve_room(const SkinSamples& samples, const Eigen::MatrixXf& rows, Eigen::Index room);
   void scale_lamps(SkinSamples& samples, float factor);
   void normalise(SkinSamples& samples);
 
   const SkinLight& light_;
-  Eigen::VectorXd lamps_;  ///< [kLamps] camera frame
+  Eigen::MatrixXd lamps_;
   Eigen::VectorXf gains_;
   Eigen::Array3f hue_{1, 1, 1};
   float usual_, usual_albedo_;

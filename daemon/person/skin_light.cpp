@@ -41,10 +41,11 @@ Eigen::MatrixXf SkinLight::rows(std::span<const std::int32_t> texels) const {
   return lamps.transpose();
 }
 
-Eigen::MatrixXf SkinLight::in_head(const Eigen::VectorXd& lamps) const {
+Eigen::MatrixXf SkinLight::in_head(const Eigen::MatrixXd& lamps) const {
   Eigen::MatrixXf out(light::kLamps, static_cast<Eigen::Index>(head_from_camera_.size()));
   for (std::size_t k = 0; k < head_from_camera_.size(); ++k) {
-    out.col(static_cast<Eigen::Index>(k)) = light::turned(head_from_camera_[k], lamps).cast<float>();
+    out.col(static_cast<Eigen::Index>(k)) =
+        light::turned(head_from_camera_[k], lamps.col(rooms_[k])).cast<float>();
   }
   return out;
 }
@@ -81,7 +82,7 @@ void SkinLight::each_block(const Eigen::MatrixXf& strengths, Of of, Call&& call)
   }
 }
 
-Eigen::MatrixXf SkinLight::shading(const Eigen::VectorXd& lamps) const {
+Eigen::MatrixXf SkinLight::shading(const Eigen::MatrixXd& lamps) const {
   const Eigen::MatrixXf strengths = in_head(lamps);
   Eigen::MatrixXf out(strengths.cols(), texels_.count());
   each_block(strengths, Of::Value, [&](Eigen::Index first, Eigen::Index count, const Eigen::MatrixXf& given) {
@@ -90,7 +91,7 @@ Eigen::MatrixXf SkinLight::shading(const Eigen::VectorXd& lamps) const {
   return out;
 }
 
-void SkinLight::slopes(const Eigen::VectorXd& lamps, Eigen::MatrixXf& slope_u,
+void SkinLight::slopes(const Eigen::MatrixXd& lamps, Eigen::MatrixXf& slope_u,
                        Eigen::MatrixXf& slope_v) const {
   const Eigen::MatrixXf strengths = in_head(lamps);
   const Eigen::Index keyframes = strengths.cols();

@@ -38,6 +38,9 @@ constexpr double kLeastGain = 0.2;
 constexpr double kMostGain = 5;
 constexpr float kReliefBound = 0.2F;
 constexpr float kMostAlbedoFactor = 2;
+/// What a picture under a light of its own counts as: those of a turn have one light, whose faults are
+/// theirs.
+constexpr float kLitCounts = 4;
 constexpr float kReliefCounts = 0.02F;  ///< what the albedo found counts as, of one picture's worth
 /// Pictures' worth of weight between which the relief fades in, and its way to the chart's rim.
 constexpr float kFewestSeen = 1;
@@ -69,7 +72,7 @@ class SkinSolve {
         surface_mm_(solver.surface(solver.heads().front().expression).cast<float>()),
         texels_(chart_, triangles_, surface_mm_),
         visibility_(visibility_of(surface_mm_, triangles_)),
-        light_(texels_, visibility_, turns_of(solver)) {
+        light_(texels_, visibility_, turns_of(solver), rooms_of(keyframes)) {
     const auto count = static_cast<Eigen::Index>(keyframes.size());
     all_.weight.resize(count, texels_.count());
     all_.model.resize(3, texels_.count());
@@ -136,6 +139,19 @@ class SkinSolve {
     std::vector<Eigen::MatrixXd> out;
     for (const HeadState& head : solver.heads()) {
       out.push_back(light::turned_lamps(head.rotation.transpose().cast<float>()));
+    }
+    return out;
+  }
+
+  /// Those of the turn are of one room, each of the others of its own.
+  static std::vector<Eigen::Index> rooms_of(const std::vector<Keyframe>& keyframes) {
+    const bool turned = std::any_of(keyframes.begin(), keyframes.end(),
+                                    [](const Keyframe& keyframe) { return keyframe.light == 0; });
+    std::vector<Eigen::Index> out;
+    out.reserve(keyframes.size());
+    Eigen::Index next = turned ? 1 : 0;
+    for (const Keyframe& keyframe : keyframes) {
+      out.push_back(keyframe.light == 0 ? 0 : next++);
     }
     return out;
   }
@@ -261,11 +277,18 @@ class SkinSolve {
     }
   }
 
-  std::vector<std::size_t> by_yaw() const {
-    std::vector<std::size_t> out(keyframes_.size());
-    std::iota(out.begin(), out.end(), std::size_t{0});
-    std::sort(out.begin(), out.end(),
+  /// [keyframe] of which half it is: every second one of the turn, by yaw; of a burst every second light.
+  std::vector<char> halves() const {
+    std::vector<std::size_t> by_yaw(keyframes_.size());
+    std::iota(by_yaw.begin(), by_yaw.end(), std::size_t{0});
+    std::sort(by_yaw.begin(), by_yaw.end(),
               [&](std::size_t a, std::size_t b) { return keyframes_[a].yaw_deg < keyframes_[b].yaw_deg; });
+    std::vector<char> out(keyframes_.size());
+    int turned = 0;
+    for (const std::size_t k : by_yaw) {
+      const int light = keyframes_[k].light;
+      out[k] = static_cast<char>((light == 0 ? turned++ : light) % 2);
+    }
     return out;
   }
 
@@ -314,10 +337,15 @@ class SkinSolve {
     ReliefPrior relief_prior;
     relief_prior.texel_mm = texels_.texel_mm;
     between_();
-    agreement = agreement_of_halves(texels_.grid, pictures, prior, relief_prior, by_yaw(), kReliefBound);
+    std::vector<float> counts;
+    counts.reserve(keyframes_.size());
+    for (const Keyframe& keyframe : keyframes_) {
+      counts.push_back(keyframe.light == 0 ? 1 : kLitCounts);
+    }
+    agreement = agreement_of_halves(texels_.grid, pictures, prior, relief_prior, halves(), kReliefBound);
     between_();
     const Eigen::VectorXd flat = Eigen::VectorXd::Zero(texels_.count());
-    const SlopeSystem system = slope_system(texels_.grid, pictures, prior, flat, kReliefBound);
+    const SlopeSystem system = slope_system(texels_.grid, pictures, prior, flat, kReliefBound, counts);
     Eigen::VectorXd relief =
         relief_step(texels_.grid, system, relief_prior, flat).cwiseProduct(fade.matrix().cast<double>());
     const auto of = [&](const Eigen::VectorXd& relief_mm) {

@@ -22,8 +22,8 @@ struct Skin {
 };
 
 /// Finds a head's albedo and fine relief d from how its shading changed while it turned under a light that
-/// stayed (docs/person.md): lamps, exposures and albedo in turns, with the shape that `solver` has; then the
-/// pictures are brought onto each other by their flow, and
+/// stayed, and while lamps fired in turn (docs/person.md): lamps, exposures and albedo in turns, with the
+/// shape that `solver` has; then the pictures are brought onto each other by their flow, and
 ///   sum_kt w_kt rho(I_kt - g_k rho_t E_k(n_t - grad d_t))^2 + (l_s |L d|^2 + l_g |grad d|^2) / texel^2
 ///     + l_0 |d|^2
 /// is solved for d with rho_t eliminated at every texel: photometric stereo [Woo80]. The albedo handed out is
@@ -31,8 +31,10 @@ struct Skin {
 ///
 /// chart_texels  of the chart's longer side
 /// keyframes     with pictures; the solver's heads are theirs, all with the first one's expression
+///               those of light 0 under lamps that stayed, each of the others under lamps of its own
 /// between       called skin_pieces() times; may throw
-/// Some ten seconds and 200 MB for 14 keyframes and 768 texels; any thread.
+/// Some ten seconds and 200 MB for 14 keyframes and 768 texels, twice that with twelve of a burst; any
+/// thread.
 Skin find_skin(const face::FaceModel& model, int chart_texels, const std::vector<Keyframe>& keyframes,
                const ShapeSolver& solver, const Eigen::Vector2d& centre_px,
                const std::function<void()>& between);

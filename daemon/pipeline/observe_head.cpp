@@ -7,6 +7,7 @@
 namespace facet::pipeline {
 
 ObservedHead observe_head(ShadingParts& parts, const FrameRange& frames,
+                          const std::optional<FrameRange>& burst,
                           const std::function<bool(std::uint64_t done)>& go_on) {
   ObservedHead out{person::KeyframeCollector(*parts.model)};
   parts.coarse->prepare([&] { return go_on(0); });
@@ -25,7 +26,11 @@ ObservedHead observe_head(ShadingParts& parts, const FrameRange& frames,
       break;
     }
     const track::TrackResult& tracked = parts.coarse->process(set.frames);
-    out.keyframes.offer(tracked, set.frames.front());
+    if (burst && set.slot >= burst->first && set.slot < burst->end) {
+      out.keyframes.offer_lit(tracked, set.frames.front());
+    } else {
+      out.keyframes.offer(tracked, set.frames.front());
+    }
     ++out.frames;
     out.mesh_frames += tracked.has_mesh ? 1 : 0;
   }

@@ -110,6 +110,19 @@ struct ActorSequence::Impl {
                 .calm_turn = given.calm_turn,
                 .curves = given.curves}) {}
 
+  /// The light of a frame, and of a strobe or a burst the lamp that fires.
+  Lighting light_of(int index, int& lamp) const {
+    lamp = -1;
+    const int since = index - static_cast<int>(std::lround((kCalmTurn_s - config.start_s) * config.rate_hz));
+    if (config.burst && since >= 0) {
+      return burst_light(lighting, placed.resting_pivot_mm(), since, lamp);
+    }
+    if (lighting.kind == LightKind::Strobe) {
+      lamp = index % static_cast<int>(lighting.area_lights.size());
+    }
+    return lighting_of_frame(lighting, index);
+  }
+
   double time_s(int index) const { return static_cast<double>(index) / config.rate_hz; }
 
   void place_camera() {
@@ -207,8 +220,9 @@ struct ActorSequence::Impl {
     placed.build_scene(time_s, scene);
     const render::Raycaster caster(scene.vertices_mm, scene.triangles, render::Raycaster::Build::Quick);
     const Isometry3f first_from_view = view.view_from_first.inverse();
+    int unused_lamp = -1;
     const Eigen::Matrix3Xf colours = shade_vertices(
-        scene, caster, lighting_of_frame(lighting, static_cast<int>(std::lround(time_s * config.rate_hz))),
+        scene, caster, light_of(static_cast<int>(std::lround(time_s * config.rate_hz)), unused_lamp),
         config.highlights, first_from_view.translation());
     Metering metering;
     int centre_count = 0;
@@ -548,10 +562,7 @@ SyntheticFrame ActorSequence::render(int index, TruthMesh* truth, TruthMesh* sur
     *surfaces = {scene.vertices_mm, scene.normals, scene.albedo, scene.triangles};
   }
   const ActorSequenceConfig& config = impl_->config;
-  const Lighting lighting = lighting_of_frame(impl_->lighting, index);
-  if (lighting.kind == LightKind::Strobe) {
-    frame.lamp = index % static_cast<int>(impl_->lighting.area_lights.size());
-  }
+  const Lighting lighting = impl_->light_of(index, frame.lamp);
   const bool painted = config.look.painted();
   const render::Raycaster caster(scene.vertices_mm, scene.triangles);
   const render::StrandCaster strands(painted ? render::Strands{} : impl_->placed.strands_of(scene));

@@ -34,6 +34,7 @@ struct ActorSequenceConfig {
   /// What the actor does; as in PerformanceConfig.
   double start_s = 0;
   bool calm_turn = false;
+  bool burst = false;  ///< after a calm turn lamps fire in turn (burst_light)
   std::shared_ptr<const RecordedCurves> curves = nullptr;
   double turn_deg = 0;  ///< besides its own motion the head turns to the subject's left by so much and back
   /// More than one: further cameras stand to both sides of the first one, each with an exposure and a white
@@ -52,7 +53,7 @@ struct SyntheticFrame {
   std::vector<render::Picture> further_pictures;  ///< [camera_count - 1]
   Eigen::Isometry3f camera_from_head = Eigen::Isometry3f::Identity();
   std::vector<float> expression;  ///< [expression_count]
-  int lamp = -1;                  ///< of a strobe: which of the area lights fired
+  int lamp = -1;                  ///< of a strobe: which of the area lights fired; of a burst: which lamp
   CameraSettings settings;        ///< the first camera's
 };
 

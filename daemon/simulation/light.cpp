@@ -95,17 +95,22 @@ void add_ring(Random& random, const Vector3f& head_mm, Lighting& lighting) {
   }
 }
 
+/// A small lamp.
+AreaLight diode(const Vector3f& head_mm, float azimuth_deg, float elevation_deg, float distance_mm) {
+  constexpr float kHalf_mm = 12;
+  AreaLight light = rectangle(head_mm, to_camera(direction_of(azimuth_deg, elevation_deg)), distance_mm,
+                              kHalf_mm, kHalf_mm);
+  light.irradiance = Vector3f(1, 1, 1);
+  return light;
+}
+
 /// Lamps of an active photometric rig: known places, small, all equally bright at the head.
 void add_strobe(const Vector3f& head_mm, Lighting& lighting) {
   constexpr std::array<std::array<float, 2>, 6> kFrom{
       {{-50, 20}, {50, 20}, {0, 45}, {-28, -18}, {28, -18}, {0, 8}}};  // azimuth, elevation; degrees
   constexpr float kDistance_mm = 700;
-  constexpr float kHalf_mm = 12;
   for (const auto& [azimuth_deg, elevation_deg] : kFrom) {
-    AreaLight light = rectangle(head_mm, to_camera(direction_of(azimuth_deg, elevation_deg)), kDistance_mm,
-                                kHalf_mm, kHalf_mm);
-    light.irradiance = Vector3f(1, 1, 1);
-    lighting.area_lights.push_back(light);
+    lighting.area_lights.push_back(diode(head_mm, azimuth_deg, elevation_deg, kDistance_mm));
   }
 }
 
@@ -137,6 +142,8 @@ Lighting make_near_lighting(LightKind kind, std::uint64_t seed, const Vector3f& 
     case LightKind::Area:
       break;
   }
+  lighting.main_directions.reserve(lighting.area_lights.size());
+  lighting.main_strengths.reserve(lighting.area_lights.size());
   for (const AreaLight& light : lighting.area_lights) {
     lighting.main_directions.emplace_back(-light.normal);
     lighting.main_strengths.push_back(light.irradiance.y());
@@ -164,6 +171,7 @@ std::string light_name(LightKind kind) {
 
 std::vector<std::string> light_names() {
   std::vector<std::string> names;
+  names.reserve(kNames.size());
   for (const NamedLight& one : kNames) {
     names.emplace_back(one.name);
   }
@@ -239,6 +247,40 @@ Lighting make_lighting(LightKind kind, std::uint64_t seed, const Eigen::Vector3f
     lighting.area_lights.push_back(light);
   }
   return lighting;
+}
+
+Lighting burst_light(const Lighting& room, const Vector3f& head_mm, int frame, int& lamp) {
+  constexpr std::array<std::array<float, 2>, 4> kFrom{{{-27, 10}, {27, 10}, {0, 30}, {0, -27}}};
+  constexpr float kDistance_mm = 600;
+  constexpr int kFrames = 3;
+  constexpr float kHalf = 0.5F;
+  Lighting now = room;
+  float main = 0;
+  for (const float strength : room.main_strengths) {
+    main = std::max(main, strength);
+  }
+  for (float& coefficient : now.spherical_harmonics) {
+    coefficient *= kHalf;
+  }
+  for (AreaLight& light : now.area_lights) {
+    light.irradiance *= kHalf;
+  }
+  for (float& strength : now.main_strengths) {
+    strength *= kHalf;
+  }
+  lamp = frame / kFrames % (static_cast<int>(kFrom.size()) + 1);
+  if (lamp == static_cast<int>(kFrom.size())) {
+    lamp = -1;
+    return now;
+  }
+  const auto& [azimuth_deg, elevation_deg] = kFrom.at(static_cast<std::size_t>(lamp));
+  AreaLight light = diode(head_mm, azimuth_deg, elevation_deg, kDistance_mm);
+  light.irradiance *= kHalf * main;
+  now.main_directions.emplace_back(-light.normal);
+  now.main_strengths.push_back(kHalf * main);
+  now.area_lights.push_back(light);
+  now.kind = LightKind::Area;
+  return now;
 }
 
 Lighting lighting_of_frame(const Lighting& lighting, int frame) {

@@ -57,6 +57,15 @@ std::array<float, 9> distant_light_sh(const Eigen::Vector3f& direction);
 /// head_mm: where the head is, camera frame.
 Lighting make_lighting(LightKind kind, std::uint64_t seed, const Eigen::Vector3f& head_mm);
 
+/// Four small lamps about a camera, 27 to 30 degrees off its axis and 0.6 m from the head, as a kiosk has
+/// them around its screen: of a room's light and each of them in turn.
+///
+/// room       of the sequence, exposed
+/// frame      since the burst began; each lamp fires for three frames, then none for three
+/// returns    half of the room's light, as a camera exposes for both, and the lamp's; `lamp` is which of the
+///            four, -1 for none
+Lighting burst_light(const Lighting& room, const Eigen::Vector3f& head_mm, int frame, int& lamp);
+
 /// The light of one frame: of a strobe the lamp that fires then, of all others all that there is.
 Lighting lighting_of_frame(const Lighting& lighting, int frame);
 

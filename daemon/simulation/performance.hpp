@@ -40,6 +40,8 @@ struct PerformanceConfig {
 
 /// A calm turn's length, s: 30 degrees to the subject's left and to the right, then 10 up and 10 down.
 inline constexpr double kCalmTurn_s = 10;
+/// Of lamps that fire in turn after it.
+inline constexpr double kBurst_s = 1.5;
 
 /// What the virtual actor does over time. Acted: it talks in phrases, smiles, raises and knits the brows,
 /// squints, puckers, sneers, blinks, moves the eyes and turns the head up to 25 degrees; a function of the

@@ -14,16 +14,23 @@ simulation::ActorSequenceConfig actors_turn() {
   config.seed = 352;
   config.width_px = 480;
   config.height_px = 360;
-  config.frame_count = 300;
+  config.frame_count = 345;
   config.calm_turn = true;
+  config.burst = true;
   config.sensor_noise = false;
   return config;
 }
 
 Observed look_at(const face::FaceModel& model, const simulation::ActorSequence& actor) {
   Observed out = look_at(model, actor, {30, 45, 75, 105, 135, 150, 165});
-  for (Keyframe& keyframe : out.keyframes) {
-    keyframe.expression = out.rest;
+  out.burst = look_at(model, actor, {301, 304, 307, 310}).keyframes;
+  for (std::size_t lamp = 0; lamp < out.burst.size(); ++lamp) {
+    out.burst[lamp].light = static_cast<int>(lamp) + 1;
+  }
+  for (std::vector<Keyframe>* pictures : {&out.keyframes, &out.burst}) {
+    for (Keyframe& keyframe : *pictures) {
+      keyframe.expression = out.rest;
+    }
   }
   return out;
 }

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
 #include <memory>
 #include <numbers>
 
@@ -100,6 +101,59 @@ TEST_F(KeyframesTest, WhereTheyAreDenseTheyAreThinnedOut) {
         std::min(nearest, std::abs(observed->keyframes[i].yaw_deg - observed->keyframes[i - 1].yaw_deg));
   }
   EXPECT_GE(nearest, 7.9);
+}
+
+TEST_F(KeyframesTest, OfABurstEveryLightIsTakenAndNoSwitching) {
+  show(0, 0, 0);
+  // Of three lights (from the left, the right, from below) three pictures each, and after them one in which
+  // the lamp was switched; in the last one of each light the person blinks away or smiles.
+  const auto show_light = [&](float left, float right, float low, float smile) {
+    const std::shared_ptr<std::uint8_t[]> pixels(new std::uint8_t[4 * 640 * 480]);
+    for (int y = 0; y < 480; ++y) {
+      for (int x = 0; x < 640; ++x) {
+        const float value = 40 + (x < 320 ? left : right) + (y < 240 ? 0 : low);
+        std::fill_n(pixels.get() + 4 * (640 * y + x), 4, static_cast<std::uint8_t>(value));
+      }
+    }
+    frame_.pixels = pixels;
+    tracked_.expression[static_cast<std::size_t>(model_.expression_index("mouthSmileLeft"))] = smile;
+    frame_.sequence = sequence_++;
+    collector_.offer_lit(tracked_, frame_);
+  };
+  sequence_ = 0;
+  const std::array<std::array<float, 3>, 3> lights{{{150, 0, 0}, {0, 150, 0}, {0, 0, 150}}};
+  const std::array<std::array<float, 3>, 3> switching{{{75, 75, 0}, {0, 75, 75}, {75, 0, 75}}};
+  for (std::size_t light = 0; light < 3; ++light) {
+    for (int i = 0; i < 3; ++i) {
+      show_light(lights[light][0], lights[light][1], lights[light][2], i == 2 ? 0.9F : 0);
+    }
+    show_light(switching[light][0], switching[light][1], switching[light][2], 0);
+  }
+  EXPECT_TRUE(collector_.observed(10)->burst.empty()) << "it was not asked for";
+  for (const int most : {3, 100}) {
+    const auto observed = collector_.observed(10, most);
+    ASSERT_TRUE(observed);
+    EXPECT_EQ(observed->light_count(), 3);
+    EXPECT_EQ(observed->burst.size(), most == 3 ? 3U : 6U);
+    std::array<int, 3> light_of{0, 0, 0};
+    for (const Keyframe& keyframe : observed->burst) {
+      EXPECT_LT(keyframe.sequence % 4, 2U) << "the lamp was switched, or the face was not at rest";
+      int& light = light_of.at(keyframe.sequence / 4);
+      EXPECT_TRUE(light == 0 || light == keyframe.light) << "one light has one number";
+      light = keyframe.light;
+    }
+  }
+  tracked_.subject = 2;  // somebody else
+  show(0, 0, 9);
+  EXPECT_TRUE(collector_.observed(10, 100)->burst.empty());
+}
+
+TEST_F(KeyframesTest, WhereNoLampIsSwitchedThereIsNoBurst) {
+  show(0, 0, 0);
+  for (int i = 0; i < 6; ++i) {
+    collector_.offer_lit(tracked_, frame_);
+  }
+  EXPECT_EQ(collector_.observed(10, 100)->light_count(), 0);
 }
 
 TEST_F(KeyframesTest, WithoutAMeshNothingIsKept) {

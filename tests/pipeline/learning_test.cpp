@@ -141,7 +141,7 @@ class MoreRelief final : public refine::RefineStage {
 
 TEST_F(ATurningHead, ItsReliefIsTheMeanOfWhatItsPicturesShow) {
   ShadingParts parts = open_shading(config_);
-  const ObservedHead head = observe_head(parts, config_.frames, [](std::uint64_t) { return true; });
+  const ObservedHead head = observe_head(parts, config_.frames, {}, [](std::uint64_t) { return true; });
   const std::optional<person::Observed> observed = head.keyframes.observed(6);
   ASSERT_TRUE(observed);
   ASSERT_EQ(observed->keyframes.size(), 6U);

@@ -47,16 +47,18 @@ struct Options {
   std::string name;
   std::string config;
   std::string frames;
+  std::string burst;
   std::string socket;
   std::string improve;
   bool live = false;
 };
 
-pipeline::ObservedHead look(const pipeline::ShadingConfig& config, const std::string& video,
-                            pipeline::ShadingParts& parts, const StopSignals& signals) {
+pipeline::ObservedHead look(const pipeline::ShadingConfig& config, const Options& options,
+                            const std::optional<pipeline::FrameRange>& burst, pipeline::ShadingParts& parts,
+                            const StopSignals& signals) {
   const std::optional<std::uint64_t> count = parts.pictures->cameras().front().info.frame_count;
   Progress progress("Looking", count.value_or(0));
-  pipeline::ObservedHead head = pipeline::observe_head(parts, config.frames, [&](std::uint64_t done) {
+  pipeline::ObservedHead head = pipeline::observe_head(parts, config.frames, burst, [&](std::uint64_t done) {
     progress.set(done);
     return signals.pending() == 0;
   });
@@ -67,7 +69,7 @@ pipeline::ObservedHead look(const pipeline::ShadingConfig& config, const std::st
         fmt::format(
             "no face could be followed in the {} frames of '{}': give a video in which one face looks "
             "at the camera, upright and lit, and then turns",
-            head.frames, video));
+            head.frames, options.video));
   }
   return head;
 }
@@ -88,11 +90,12 @@ person::LearnedShape learn(const face::FaceModel& model, const person::Observed&
   return learned;
 }
 
-/// Refines the relief that was found. Returns why it was not, for people.
+/// Refines the relief that was found; one of a burst is nearer as it is. Returns why it was not, for people.
 std::string refine(const face::FaceModel& model, const person::Observed& observed,
                    const pipeline::ShadingConfig& shading, const StopSignals& signals,
                    person::LearnedShape& learned) {
-  if (!learned.accepted || !learned.skin.believed || shading.gpu_device == pipeline::kNoDevice) {
+  if (!learned.accepted || !learned.skin.believed || !observed.burst.empty() ||
+      shading.gpu_device == pipeline::kNoDevice) {
     return {};
   }
   face::FaceModel own = face::person_model(model, learned.identity, learned.neutral_mm, "enrolled");
@@ -229,6 +232,25 @@ void keep(const Place& place, person::PersonFile person, float guessed_focal_px,
        by_file ? place.file.string() : place.name);
 }
 
+/// Throws where the frames that are said to be a burst show no lamps, or are all that there is.
+void check_burst(const Options& options, const pipeline::ObservedHead& head,
+                 const std::optional<person::Observed>& observed) {
+  if (options.burst.empty()) {
+    return;
+  }
+  if (head.keyframes.size() == 0) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("--burst {} leaves no frame in which the head turns", options.burst));
+  }
+  if (observed && observed->light_count() < 2) {
+    throw Error(
+        ErrorKind::NoFace,
+        fmt::format("--burst {}: the face is not seen under two lights there, each for three frames, the "
+                    "head still and the face at rest",
+                    options.burst));
+  }
+}
+
 void run(const Options& options) {
   if (!options.socket.empty()) {
     throw Error(ErrorKind::Usage, "--socket goes with --live: a video needs no daemon");
@@ -246,6 +268,10 @@ void run(const Options& options) {
   if (!options.frames.empty()) {
     shading.frames = pipeline::parse_frame_range(options.frames);
   }
+  std::optional<pipeline::FrameRange> burst;
+  if (!options.burst.empty()) {
+    burst = pipeline::parse_frame_range(options.burst);
+  }
   const Place place = place_of(options);
   const StopSignals signals;
   pipeline::ShadingConfig coarse = shading;
@@ -254,13 +280,14 @@ void run(const Options& options) {
   if (place.before) {
     person::check_model(*place.before, *parts.model, options.improve);
   }
-  const pipeline::ObservedHead head = look(shading, options.video, parts, signals);
+  const pipeline::ObservedHead head = look(shading, options, burst, parts, signals);
   if (signals.pending() != 0) {
     signals.die_of(signals.pending());
   }
   person::EnrolmentOptions how;
   how.focal_is_known = shading.tracker.intrinsics.has_value();
-  const std::optional<person::Observed> observed = head.keyframes.observed(how.keyframes);
+  const std::optional<person::Observed> observed = head.keyframes.observed(how.keyframes, how.lit);
+  check_burst(options, head, observed);
   if (!observed) {
     throw Error(
         ErrorKind::NoFace,
@@ -273,8 +300,11 @@ void run(const Options& options) {
   const person::OrientationSpan& span = observed->span;
   tell(
       "seen from {:.0f} degrees at its right to {:.0f} at its left, {:.0f} below to {:.0f} above; {} "
-      "pictures used\n",
-      -span.least_yaw, span.largest_yaw, -span.least_pitch, span.largest_pitch, learned.keyframes.size());
+      "pictures used{}\n",
+      -span.least_yaw, span.largest_yaw, -span.least_pitch, span.largest_pitch, learned.keyframes.size(),
+      observed->burst.empty() ? ""
+                              : fmt::format(", and {} of the burst under {} lights", observed->burst.size(),
+                                            observed->light_count()));
   for (const person::Gate& gate : learned.gates) {
     tell("  {:<34} {:8.3f}   (limit {:.3f}){}\n", gate.name, gate.value, gate.limit,
          gate.passed ? "" : "   refused");
@@ -327,9 +357,10 @@ std::string next_step(const json& learning) {
 /// Has the daemon keep what the head before its camera shows.
 void run_live(const Options& options) {
   if (!options.video.empty() || !options.person.empty() || !options.frames.empty() ||
-      !options.improve.empty()) {
+      !options.burst.empty() || !options.improve.empty()) {
     throw Error(ErrorKind::Usage,
-                "--live takes no video, no --frames, no --improve and no -o: the daemon's camera sees the "
+                "--live takes no video, no --frames, no --burst, no --improve and no -o: the daemon's camera "
+                "sees the "
                 "head, and its [persons] folder keeps who is named with --name");
   }
   if (options.name.empty()) {
@@ -395,6 +426,9 @@ void add_enrol_command(Command program) {
       "the device of [gpu]. Its [persons] folder is where the person goes, without it that of the "
       "installed configuration");
   command.option("--frames", options->frames, kFramesHelp);
+  command.option("--burst", options->burst,
+                 "Frames A:B of the video in which the head is still and lamps are switched on in turn, each "
+                 "for three frames and more: they tell of the skin's relief");
   command.option("--socket", options->socket,
                  "With --live: the daemon's control socket; default: that of its configuration");
   command.callback([options] { options->live ? run_live(*options) : run(*options); });

@@ -44,6 +44,7 @@ void list(const DaemonOptions& daemon) {
 
 void add_place(const Command& command, MappingOptions& options) {
   std::vector<std::string> tables;
+  tables.reserve(avatar::kMappingTables.size());
   for (const avatar::MappingTable& table : avatar::kMappingTables) {
     tables.emplace_back(table.name);
   }

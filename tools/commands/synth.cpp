@@ -63,10 +63,15 @@ void write_take(const face::FaceModel& model, const SynthOptions& options) {
 
 void run_synth(SynthOptions options) {
   constexpr double kActed_s = 10.0 / 3;
-  const double duration_s = options.studio.calm_turn ? simulation::kCalmTurn_s : kActed_s;
+  const bool is_take = std::filesystem::path(options.folder).extension() == ".take";
+  if (options.studio.burst && (is_take || options.light == "strobe")) {
+    throw Error(ErrorKind::Usage, "--burst is of a video, whose light is not a strobe");
+  }
+  const double turn_s = simulation::kCalmTurn_s + (options.studio.burst ? simulation::kBurst_s : 0);
+  const double duration_s = options.studio.calm_turn ? turn_s : kActed_s;
   options.studio.frame_count = static_cast<int>(
       options.frames.value_or(static_cast<std::uint64_t>(std::lround(duration_s * options.studio.rate_hz))));
-  if (std::filesystem::path(options.folder).extension() == ".take") {
+  if (is_take) {
     write_take(face::FaceModel::load(options.actor.model), options);
     return;
   }
@@ -138,6 +143,11 @@ void add_synth_command(Command app) {
       "--calm-turn", options->studio.calm_turn,
       "Of a video: instead of acting the head turns by 30 degrees to both sides and by 10 up and down, "
       "in 10 s, the face at rest but for blinks");
+  command
+      .flag("--burst", options->studio.burst,
+            "After the calm turn four lamps about the camera fire in turn, for 1.5 s in which the head is "
+            "still")
+      .needs("--calm-turn");
   command
       .option("--cameras", options->studio.camera_count,
               "Of a video: so many calibrated cameras see the actor, the first one as without this; one "
