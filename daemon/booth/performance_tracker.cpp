@@ -259,9 +259,12 @@ fit::TemplateFitReport PerformanceTracker::Impl::begin(const fit::Placement& by_
   constexpr std::array kWiderJaws{0.75, 1.0, 1.25};
   fit::TemplateFitReport report = skin.start(by_landmarks, maps, pictures);
   deceived = report.torn();
-  const std::vector<fit::Correspondence> above = fit::above_the_jaw(*model, correspondences);
-  if (report.lost || !deceived || above.size() == correspondences.size()) {
+  if (report.lost || !deceived) {
     return report;
+  }
+  const std::vector<fit::Correspondence> above = fit::above_the_jaw(*model, correspondences);
+  if (above.size() == correspondences.size()) {
+    return report;  // a model without a jaw
   }
   fit::Placement best = by_landmarks;
   double least = report.tear();
@@ -331,8 +334,7 @@ void PerformanceTracker::Impl::shade(const FrameSet& set, std::span<const LitSlo
 void PerformanceTracker::Impl::tell_torn(mesh::MeshFrame& out) const {
   if (begun_torn) {
     degrade(
-        "the mesh can't be trusted about the mouth: in its first slot the mouth was too wide open; begin "
-        "anew "
+        "the mesh can't be trusted about the mouth, which was too wide open in its first slot: begin anew "
         "with the mouth closer shut",
         out);
   } else if (torn) {

@@ -360,8 +360,7 @@ void run_live(const Options& options) {
       !options.burst.empty() || !options.improve.empty()) {
     throw Error(ErrorKind::Usage,
                 "--live takes no video, no --frames, no --burst, no --improve and no -o: the daemon's camera "
-                "sees the "
-                "head, and its [persons] folder keeps who is named with --name");
+                "sees the head, and its [persons] folder keeps who is named with --name");
   }
   if (options.name.empty()) {
     throw Error(ErrorKind::Usage, "give the person's --name, to be kept in the daemon's folder of persons");
