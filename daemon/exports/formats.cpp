@@ -58,6 +58,9 @@ const std::array kFormats = {
     ExportFormat{"wav", "the sound beside the take from its first mesh on, with its timecode", "wav",
                  Sound{}},
     ExportFormat{"flac", "the same as FLAC, without timecode", "flac", Sound{}},
+    ExportFormat{"mp4",
+                 "a film: the camera's picture, the mesh in grey and in its skin, with the take's sound",
+                 "mp4", Film{}},
     ExportFormat{"png", "the cameras' pictures, where they were recorded", "", CameraPictures{}},
 };
 

@@ -39,6 +39,9 @@ struct Lines {
   bool in_time = false;  ///< the timeline is used, else it may be an empty one
 };
 
+/// A film for people to look at, in one file.
+struct Film {};
+
 /// The cameras' pictures as they were recorded.
 struct CameraPictures {};
 
@@ -50,11 +53,11 @@ struct ExportFormat {
   const char* name;
   const char* help;       ///< a clause for --format
   const char* extension;  ///< of its files, without dot; of maps and pictures: empty
-  std::variant<FrameFiles, Animation, Maps, Lines, Sound, CameraPictures> writes;
+  std::variant<FrameFiles, Animation, Maps, Lines, Sound, Film, CameraPictures> writes;
 
   bool is_one_file() const {
     return std::holds_alternative<Animation>(writes) || std::holds_alternative<Lines>(writes) ||
-           std::holds_alternative<Sound>(writes);
+           std::holds_alternative<Sound>(writes) || std::holds_alternative<Film>(writes);
   }
 };
 

@@ -7,8 +7,8 @@
 
 #include "capture/rig_file.hpp"
 #include "files/output_file.hpp"
+#include "render/video_writer.hpp"
 #include "simulation/recorded_curves.hpp"
-#include "simulation/video_writer.hpp"
 
 namespace facet::simulation {
 namespace {
@@ -103,10 +103,11 @@ void write_sequence(const ActorSequence& sequence, const std::filesystem::path& 
                    {"identity", sequence.identity()},
                    {"outside_span_rms_mm", sequence.outside_span_rms_mm()},
                    {"frames", json::array()}};
-  std::vector<std::unique_ptr<VideoWriter>> videos;
+  std::vector<std::unique_ptr<render::VideoWriter>> videos;
   for (const capture::RigCamera& one : sequence.rig().cameras) {
-    videos.push_back(std::make_unique<VideoWriter>(folder / (one.name + ".mkv"), one.lens.width_px,
-                                                   one.lens.height_px, config.rate_hz, config.webcam.codec));
+    videos.push_back(std::make_unique<render::VideoWriter>(folder / (one.name + ".mkv"), one.lens.width_px,
+                                                           one.lens.height_px, config.rate_hz,
+                                                           config.webcam.codec));
   }
   if (config.webcam.any()) {
     document["webcam"] = webcam_json(config.webcam, sequence.webcam());
@@ -137,7 +138,7 @@ void write_sequence(const ActorSequence& sequence, const std::filesystem::path& 
     }
     done(index + 1);
   }
-  for (const std::unique_ptr<VideoWriter>& video : videos) {
+  for (const std::unique_ptr<render::VideoWriter>& video : videos) {
     video->finish();
   }
   if (videos.size() > 1 || config.webcam.distortion) {

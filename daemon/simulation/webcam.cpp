@@ -55,7 +55,7 @@ WebcamEffects parse_webcam_effects(const std::string& text) {
     return effects;
   }
   if (text == "webcam") {
-    effects.codec = VideoCodec::H264;
+    effects.codec = render::VideoCodec::H264;
     for (const Switch& one : kSwitches) {
       effects.*one.on = true;
     }
@@ -68,8 +68,8 @@ WebcamEffects parse_webcam_effects(const std::string& text) {
     const bool codec = name == "h264" || name == "mjpeg";
     if (found != kSwitches.end()) {
       effects.*found->on = true;
-    } else if (codec && effects.codec == VideoCodec::Lossless) {
-      effects.codec = name == "h264" ? VideoCodec::H264 : VideoCodec::MotionJpeg;
+    } else if (codec && effects.codec == render::VideoCodec::Lossless) {
+      effects.codec = name == "h264" ? render::VideoCodec::H264 : render::VideoCodec::MotionJpeg;
     } else if (codec) {
       throw Error(ErrorKind::Usage, fmt::format("camera '{}': a video has one codec, h264 or mjpeg", text));
     } else {
@@ -89,8 +89,8 @@ WebcamEffects parse_webcam_effects(const std::string& text) {
 
 std::vector<std::string> names_of(const WebcamEffects& effects) {
   std::vector<std::string> names;
-  if (effects.codec != VideoCodec::Lossless) {
-    names.emplace_back(effects.codec == VideoCodec::H264 ? "h264" : "mjpeg");
+  if (effects.codec != render::VideoCodec::Lossless) {
+    names.emplace_back(effects.codec == render::VideoCodec::H264 ? "h264" : "mjpeg");
   }
   for (const Switch& one : kSwitches) {
     if (effects.*one.on) {

@@ -8,15 +8,15 @@
 #include <vector>
 
 #include "capture/rig.hpp"
+#include "render/video_writer.hpp"
 #include "simulation/random.hpp"
-#include "simulation/video_writer.hpp"
 
 namespace facet::simulation {
 
 /// What of a webcam stands between the actor and the video. All off: a pinhole whose picture is one moment,
 /// with a small sensor's noise, stored without loss.
 struct WebcamEffects {
-  VideoCodec codec = VideoCodec::Lossless;
+  render::VideoCodec codec = render::VideoCodec::Lossless;
   bool exposure = false;         ///< automatic gain that hunts; noise grows with it
   bool white_balance = false;    ///< automatic, and seldom sure
   bool rolling_shutter = false;  ///< every row has a time of its own

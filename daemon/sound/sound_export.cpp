@@ -271,40 +271,73 @@ void require_sound(const SoundCut& cut) {
 
 }  // namespace
 
-std::int64_t write_sound(const SoundCut& cut, SoundEncoding encoding, const std::filesystem::path& out) {
-  require_sound(cut);
-  SampleWindow window(cut.file);
-  const SoundFormat format = window.format();
-  const auto count = static_cast<std::int64_t>(
-      std::llround(static_cast<double>(cut.to_ns - cut.from_ns) * 1e-9 * format.rate_hz));
-  const auto channels = static_cast<std::size_t>(format.channels);
-  const Interpolator interpolate;
-  const double start = place_of(cut.sound, cut.from_ns);
-  const double step = cut.sound.rate_hz / format.rate_hz;
-  const auto most = static_cast<double>((1 << (kSampleBits - 1)) - 1);
-  SoundOut file(out, encoding, format, count, cut.timecode_s);
+struct SoundReader::Impl {
+  explicit Impl(const std::filesystem::path& file) : window(file) {}
+
+  SampleWindow window;
+  Interpolator interpolate;
+  double start = 0;  ///< place in the file of sample 0
+  double step = 1;   ///< samples of the file for each that is read
+  std::int64_t count = 0;
+  std::int64_t done = 0;
   std::vector<std::int32_t> piece;
-  for (std::int64_t done = 0; done < count;) {
-    const std::int64_t samples = std::min(kPiece, count - done);
-    const auto from = static_cast<std::int64_t>(std::floor(start + static_cast<double>(done) * step));
-    const auto last =
-        static_cast<std::int64_t>(std::floor(start + static_cast<double>(done + samples - 1) * step));
-    const auto around = window.at(from - kHalf + 1, last - from + kTaps);
-    piece.clear();
-    for (std::int64_t k = 0; k < samples; ++k) {
-      const double place = start + static_cast<double>(done + k) * step;
-      const double whole = std::floor(place);
-      const auto offset = static_cast<std::size_t>(static_cast<std::int64_t>(whole) - from) * channels;
-      for (std::size_t c = 0; c < channels; ++c) {
-        const double value = interpolate(&around[offset + c], channels, place - whole);
-        piece.push_back(static_cast<std::int32_t>(std::lround(std::clamp(value, -most - 1, most))));
-      }
+};
+
+SoundReader::SoundReader(const SoundCut& cut) {
+  require_sound(cut);
+  impl_ = std::make_unique<Impl>(cut.file);
+  const int rate_hz = format().rate_hz;
+  impl_->count =
+      static_cast<std::int64_t>(std::llround(static_cast<double>(cut.to_ns - cut.from_ns) * 1e-9 * rate_hz));
+  impl_->start = place_of(cut.sound, cut.from_ns);
+  impl_->step = cut.sound.rate_hz / rate_hz;
+}
+
+SoundReader::~SoundReader() = default;
+
+const SoundFormat& SoundReader::format() const {
+  return impl_->window.format();
+}
+
+std::int64_t SoundReader::count() const {
+  return impl_->count;
+}
+
+std::span<const std::int32_t> SoundReader::next(std::int64_t most) {
+  constexpr auto kMost = static_cast<double>((1 << (kSampleBits - 1)) - 1);
+  const auto channels = static_cast<std::size_t>(format().channels);
+  const std::int64_t samples =
+      std::clamp<std::int64_t>(most, 0, std::min(kPiece, impl_->count - impl_->done));
+  impl_->piece.clear();
+  if (samples == 0) {
+    return {};
+  }
+  const auto place = [&](std::int64_t k) {
+    return impl_->start + static_cast<double>(impl_->done + k) * impl_->step;
+  };
+  const auto from = static_cast<std::int64_t>(std::floor(place(0)));
+  const auto last = static_cast<std::int64_t>(std::floor(place(samples - 1)));
+  const auto around = impl_->window.at(from - kHalf + 1, last - from + kTaps);
+  for (std::int64_t k = 0; k < samples; ++k) {
+    const double whole = std::floor(place(k));
+    const auto offset = static_cast<std::size_t>(static_cast<std::int64_t>(whole) - from) * channels;
+    for (std::size_t c = 0; c < channels; ++c) {
+      const double value = impl_->interpolate(&around[offset + c], channels, place(k) - whole);
+      impl_->piece.push_back(static_cast<std::int32_t>(std::lround(std::clamp(value, -kMost - 1, kMost))));
     }
+  }
+  impl_->done += samples;
+  return impl_->piece;
+}
+
+std::int64_t write_sound(const SoundCut& cut, SoundEncoding encoding, const std::filesystem::path& out) {
+  SoundReader reader(cut);
+  SoundOut file(out, encoding, reader.format(), reader.count(), cut.timecode_s);
+  for (auto piece = reader.next(reader.count()); !piece.empty(); piece = reader.next(reader.count())) {
     file.add(piece);
-    done += samples;
   }
   file.commit();
-  return count;
+  return reader.count();
 }
 
 take::TakeSound copy_sound(const SoundCut& cut, const std::filesystem::path& out) {

@@ -2,8 +2,11 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <memory>
 #include <optional>
+#include <span>
 
+#include "sound/sound_source.hpp"
 #include "take/reader.hpp"
 #include "take/take_time.hpp"
 
@@ -20,13 +23,33 @@ struct SoundCut {
   std::optional<double> timecode_s;
 };
 
+/// Reads it at the device's nominal rate: sample k is what was heard at from_ns + k / rate. The device's own
+/// clock is taken out by a band-limited interpolation (windowed sinc, 32 samples), so that picture and sound
+/// stay together however long it is; where there is no sound, there is silence. One thread.
+class SoundReader {
+ public:
+  /// Throws Error(UnreadableInput) where the take has no sound or it can't be read.
+  explicit SoundReader(const SoundCut& cut);
+  ~SoundReader();
+  SoundReader(const SoundReader&) = delete;
+  SoundReader& operator=(const SoundReader&) = delete;
+
+  const SoundFormat& format() const;
+  std::int64_t count() const;  ///< samples of each channel, all in all
+  /// The next [at most `most` and some thousand][channels], 24 bits, until the next call; none: the end, or
+  /// `most` is 0. Throws Error(UnreadableInput).
+  std::span<const std::int32_t> next(std::int64_t most);
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
 enum class SoundEncoding { Wav, Flac };
 
-/// Writes it as a file of its own at the device's nominal rate: sample k is what was heard at from_ns + k /
-/// rate. The device's own clock is taken out by a band-limited interpolation (windowed sinc, 32 samples), so
-/// that picture and sound stay together however long it is; where there is no sound, there is silence. The
-/// file appears whole or not at all. Throws Error(UnreadableInput) where the sound can't be read,
-/// Error(Usage) where a WAV would be longer than 4 GiB, Error(Storage). Returns the samples of each channel.
+/// Writes what SoundReader reads as a file of its own, which appears whole or not at all. Throws as that
+/// does, Error(Usage) where a WAV would be longer than 4 GiB, Error(Storage). Returns the samples of each
+/// channel.
 std::int64_t write_sound(const SoundCut& cut, SoundEncoding encoding, const std::filesystem::path& out);
 
 /// Copies the part of a take's sound that lies around a stretch into a file of another take, as it is:

@@ -8,8 +8,8 @@
 #include "facet/error.hpp"
 #include "pipeline/shading.hpp"
 #include "render/renderer.hpp"
+#include "render/video_writer.hpp"
 #include "scripted_stages.hpp"
-#include "simulation/video_writer.hpp"
 #include "support/paths.hpp"
 
 namespace facet::pipeline {
@@ -52,7 +52,7 @@ class Film : public ::testing::Test {
   /// A sequence of grey frames into which `draw` puts what is seen.
   void film(int width_px, int frame_count, const std::function<void(render::Picture& onto, int frame)>& draw,
             int height_px = kClipHeight_px, int rate_hz = 25) {
-    simulation::VideoWriter video(config_.source.path, width_px, height_px, rate_hz);
+    render::VideoWriter video(config_.source.path, width_px, height_px, rate_hz);
     for (int f = 0; f < frame_count; ++f) {
       render::Picture picture = render::plain_picture(width_px, height_px, {118, 118, 118});
       draw(picture, f);

@@ -16,8 +16,8 @@
 #include "pipeline/observe_head.hpp"
 #include "pipeline/refined_relief.hpp"
 #include "pipeline/shading_parts.hpp"
+#include "render/video_writer.hpp"
 #include "simulation/actor_sequence.hpp"
-#include "simulation/video_writer.hpp"
 #include "support/paths.hpp"
 
 namespace facet::pipeline {
@@ -50,8 +50,8 @@ class ATurningHead : public ::testing::Test {
     const simulation::ActorSequence actor(model, turn);
     focal_px_ = actor.camera().fx;
     folder_ = std::make_unique<test::TemporaryFolder>();
-    simulation::VideoWriter video(folder_->path() / "turn.mkv", turn.width_px, turn.height_px,
-                                  kFramesPerSecond);  // as slow as it is
+    render::VideoWriter video(folder_->path() / "turn.mkv", turn.width_px, turn.height_px,
+                              kFramesPerSecond);  // as slow as it is
     for (int frame = 0; frame < 30; ++frame) {
       video.append(actor.render(frame, nullptr).picture);
     }
@@ -60,8 +60,7 @@ class ATurningHead : public ::testing::Test {
     }
     video.finish();
     turn.seed = 77;
-    simulation::VideoWriter other(folder_->path() / "other.mkv", turn.width_px, turn.height_px,
-                                  kFramesPerSecond);
+    render::VideoWriter other(folder_->path() / "other.mkv", turn.width_px, turn.height_px, kFramesPerSecond);
     other.append(simulation::ActorSequence(model, turn).render(0, nullptr).picture);
     other.finish();
 #endif

@@ -15,9 +15,9 @@
 #include "capture/rig_file.hpp"
 #include "facet/error.hpp"
 #include "pipeline/shading.hpp"
+#include "render/video_writer.hpp"
 #include "scripted_stages.hpp"
 #include "simulation/sequence.hpp"
-#include "simulation/video_writer.hpp"
 #include "support/paths.hpp"
 
 namespace facet::pipeline {
@@ -70,7 +70,7 @@ class Views : public ::testing::Test {
   }
 
   void film(const std::string& name, int width_px, int height_px, int frames) const {
-    simulation::VideoWriter video(folder_.path() / name, width_px, height_px, 30);
+    render::VideoWriter video(folder_.path() / name, width_px, height_px, 30);
     for (int f = 0; f < frames; ++f) {
       video.append(render::plain_picture(width_px, height_px, {40, 40, 40}));
     }

@@ -64,7 +64,7 @@ TEST_F(Views, WhatDoesNotGoTogetherIsTold) {
 
 TEST(Calibrated, TheLensIsTakenOutOfThePictures) {
   const test::TemporaryFolder folder;
-  simulation::VideoWriter video(folder.path() / "a.mkv", 64, 48, 30);
+  render::VideoWriter video(folder.path() / "a.mkv", 64, 48, 30);
   render::Picture picture = render::plain_picture(64, 48, {20, 20, 20});
   for (int y = 20; y < 28; ++y) {
     for (int x = 52; x < 60; ++x) {

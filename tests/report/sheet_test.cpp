@@ -6,7 +6,7 @@
 
 #include <filesystem>
 
-#include "simulation/video_writer.hpp"
+#include "render/video_writer.hpp"
 #include "support/mesh_frames.hpp"
 #include "support/paths.hpp"
 #include "take/recorder.hpp"
@@ -33,7 +33,7 @@ std::filesystem::path record_take(const std::filesystem::path& folder) {
 }
 
 void write_video(const std::filesystem::path& folder) {
-  simulation::VideoWriter video(folder / "video.mkv", 1280, 720, 30);
+  render::VideoWriter video(folder / "video.mkv", 1280, 720, 30);
   for (int k = 0; k < 3; ++k) {
     video.append(render::plain_picture(1280, 720, {static_cast<std::uint8_t>(60 * k), 120, 90}));
   }

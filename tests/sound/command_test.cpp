@@ -7,8 +7,10 @@
 #include <cmath>
 #include <cstring>
 #include <fstream>
+#include <iterator>
 #include <nlohmann/json.hpp>
 
+#include "render/video_writer.hpp"
 #include "sound/flac_file.hpp"
 #include "sound/sound_file.hpp"
 #include "support/child_process.hpp"
@@ -19,6 +21,7 @@
 namespace facet::sound {
 namespace {
 
+using testing::AllOf;
 using testing::HasSubstr;
 
 constexpr double kRate_hz = 48009.6;  // 200 ppm
@@ -151,6 +154,82 @@ TEST_F(TakeWithSound, AnimationsSayWhereTheyBegin) {
   EXPECT_THAT(text, HasSubstr("    customLayerData = {\n        string timecode = \"01:00:01:10\"\n"
                               "        string timecodeRate = \"25\"\n    }\n)\n"));
   EXPECT_THAT(text, HasSubstr("    startTimeCode = 10\n"));
+}
+
+/// Somebody else's reader: a film's stream as raw values.
+std::string decoded(const std::string& film, const std::vector<std::string>& how, const std::string& out) {
+  std::vector<std::string> arguments = {"-v", "error", "-i", film};
+  arguments.insert(arguments.end(), how.begin(), how.end());
+  arguments.push_back(out);
+  test::ChildProcess ffmpeg("/usr/bin/ffmpeg", arguments, out + ".log");
+  EXPECT_EQ(ffmpeg.wait(), 0) << ffmpeg.output();
+  std::ifstream stream(out, std::ios::binary);
+  return {std::istreambuf_iterator<char>(stream), {}};
+}
+
+/// The source's picture flashes where its sound clicks, at each tenth frame: so does the film.
+TEST_F(TakeWithSound, AFilmsPictureAndSoundAreTogether) {
+  {
+    render::VideoWriter source(file("source.mkv"), 1280, 720, 25);
+    for (int i = 0; i < 75; ++i) {
+      const auto grey = static_cast<std::uint8_t>(i % 10 == 0 ? 230 : 30);
+      source.append(render::plain_picture(1280, 720, {grey, grey, grey}));
+    }
+    source.finish();
+  }
+  ASSERT_EQ(run({"export", file("a.take"), "--format", "mp4", "--panels", "picture,skin", "--video",
+                 file("source.mkv"), "--size", "120", "--frames", "5:", "-o", file("a.mp4")}),
+            0)
+      << output_;
+  EXPECT_THAT(output_, HasSubstr("192x148 px, 2.80 s at 25 Hz, with sound, timecode from 01:00:01:05"));
+  const std::string pictures =
+      decoded(file("a.mp4"), {"-vf", "crop=96:120:0:0,scale=1:1:flags=area,format=gray", "-f", "rawvideo"},
+              file("p"));
+  const std::string sound = decoded(file("a.mp4"), {"-ac", "1", "-f", "f32le"}, file("s"));
+  ASSERT_EQ(pictures.size(), 70U);
+  std::vector<float> samples(sound.size() / sizeof(float));
+  std::memcpy(samples.data(), sound.data(), samples.size() * sizeof(float));
+  ASSERT_NEAR(static_cast<double>(samples.size()), 2.8 * 48000, 2048) << "AAC's last piece is filled up";
+  for (int frame = 10; frame < 75; frame += 10) {
+    const int shown = frame - 5;
+    EXPECT_GT(static_cast<unsigned char>(pictures[static_cast<std::size_t>(shown)]), 180) << frame;
+    EXPECT_LT(static_cast<unsigned char>(pictures[static_cast<std::size_t>(shown - 1)]), 80) << frame;
+    const auto near = samples.begin() + shown * 1920;
+    const auto loudest = std::max_element(near - 4000, near + 4000,
+                                          [](float a, float b) { return std::abs(a) < std::abs(b); });
+    EXPECT_NEAR(static_cast<double>(loudest - near), 0, 100) << "2 ms, at frame " << frame;
+  }
+}
+
+/// The source's numbers are the clock: frames that the take lacks are held, so that editors find it as long
+/// as it was.
+TEST_F(TakeWithSound, AFilmHoldsWhatIsMissing) {
+  take::TakeRecorderConfig config;
+  config.file = file("gap.take");
+  config.when_full = take::WhenFull::Wait;
+  config.disk_reserve_bytes = 0;
+  take::TakeRecorder recorder(config);
+  recorder.start();
+  const auto subject = test::patch_subject();
+  for (const int i : {0, 1, 2, 3, 4, 9, 10}) {
+    auto frame = test::patch_frame(static_cast<std::uint64_t>(i), subject, nullptr);
+    frame.timestamp_ns = time_of(i);
+    frame.media_time_ns = i * 40'000'000LL;
+    recorder.record(std::make_shared<mesh::MeshFrame>(frame));
+  }
+  ASSERT_EQ(recorder.stop().frames, 7U);
+  ASSERT_EQ(run({"export", file("gap.take"), "--format", "mp4", "--size", "64", "-o", file("gap.mp4")}), 0)
+      << output_;
+  EXPECT_THAT(output_, AllOf(HasSubstr("0.44 s at 25 Hz"), HasSubstr("the take has no sound")));
+  const std::string pictures =
+      decoded(file("gap.mp4"), {"-vf", "scale=1:1:flags=area,format=gray", "-f", "rawvideo"}, file("p"));
+  EXPECT_EQ(pictures.size(), 11U);
+  EXPECT_EQ(run({"export", file("gap.take"), "--format", "mp4", "-o", file("gap.avi")}), 2);
+  EXPECT_EQ(run({"export", file("gap.take"), "--format", "mp4", "--panels", "hat", "-o", file("b.mp4")}), 2);
+  EXPECT_THAT(output_, HasSubstr("no panel 'hat'; it can have, with commas between: picture, mesh, grey"));
+  EXPECT_EQ(run({"export", file("gap.take"), "--format", "ply", "--panels", "grey", "-o", file("b")}), 2);
+  EXPECT_THAT(output_, HasSubstr("--panels and --video are for mp4, not for ply"));
+  EXPECT_FALSE(std::filesystem::exists(file("b.mp4")));
 }
 
 TEST_F(TakeWithSound, WithoutItsFileSaysSo) {

@@ -25,7 +25,7 @@
 #include "files/text_file.hpp"
 #include "gpu/context.hpp"
 #include "render/renderer.hpp"
-#include "simulation/video_writer.hpp"
+#include "render/video_writer.hpp"
 #include "simulation/virtual_booth.hpp"
 #include "stream/client.hpp"
 #include "stream/ring_layout.h"
@@ -304,6 +304,7 @@ TEST_F(Command, ABrokenOffExportLeavesNothingHalfWritten) {
     EXPECT_EQ(run({"export", some, "--format", "ply", "-o", file("meshes")}, birth), 128 + signal);
     EXPECT_THAT(output_, AllOf(HasSubstr("meshes' holds 0 of the 5 frames")));
     EXPECT_TRUE(files_in("meshes").empty());
+    EXPECT_EQ(run({"export", some, "--format", "mp4", "-o", file("film.mp4")}, birth), 128 + signal);
   }
   EXPECT_THAT(files_in("."), ElementsAre("log", "meshes", "some.take")) << "no .part file";
 }
@@ -337,7 +338,7 @@ TEST_F(CommandWithAssets, ATruncatedVideoGivesWhatItHoldsAndStatus3) {
   {
     const auto source = camera::open_camera({.kind = "file", .path = clip()});
     source->start();
-    simulation::VideoWriter video(cut, 400, 300, 25);
+    render::VideoWriter video(cut, 400, 300, 25);
     Frame frame;
     for (int f = 0; f < 40 && source->next(frame, std::chrono::seconds(10)) == CaptureOutcome::Delivered;
          ++f) {

@@ -20,8 +20,8 @@
 #include "facet/error.hpp"
 #include "mesh/hierarchy.hpp"
 #include "progress.hpp"
+#include "render/video_writer.hpp"
 #include "report/take_pictures.hpp"
-#include "simulation/video_writer.hpp"
 #include "stop_signals.hpp"
 #include "take/recorder.hpp"
 #include "tell.hpp"
@@ -127,39 +127,34 @@ bool write_take(Frames& frames, const AnimateOptions& options, const StopSignals
   return true;
 }
 
-/// One camera for all of a film: what holds the face wherever it goes. A camera that followed the face would
-/// pump with every expression.
 CameraIntrinsics film_camera(Frames& frames) {
   constexpr std::int64_t kMostLooks = 120;
   const std::int64_t step = std::max<std::int64_t>(1, frames.count() / kMostLooks);
   std::vector<mesh::Vertices> looks;
-  Eigen::Index count = 0;
   CameraIntrinsics camera;
   for (std::int64_t index = 0; index < frames.count(); index += step) {
     const auto frame = frames.at(index);
     camera = frame->camera;
-    count += looks.emplace_back(report::face_vertices(*frame)).cols();
+    looks.push_back(report::face_vertices(*frame));
   }
-  mesh::Vertices all(3, count);
-  Eigen::Index at = 0;
-  for (const mesh::Vertices& look : looks) {
-    all.middleCols(at, look.cols()) = look;
-    at += look.cols();
-  }
-  return report::cell_around(all, camera, kVideoWidth_px, kVideoHeight_px).camera;
+  return report::film_cell(looks, camera, kVideoWidth_px, kVideoHeight_px).camera;
 }
 
 bool write_video(Frames& frames, const AnimateOptions& options, double rate_hz, const StopSignals& signals) {
   const CameraIntrinsics camera = film_camera(frames);
-  simulation::VideoWriter video(options.output, kVideoWidth_px, kVideoHeight_px,
-                                static_cast<int>(std::lround(rate_hz)));
+  const bool is_film = std::filesystem::path(options.output).extension() == ".mp4";
+  render::VideoWriter video(options.output,
+                            {kVideoWidth_px,
+                             kVideoHeight_px,
+                             is_film ? rate_hz : std::round(rate_hz),
+                             is_film ? render::VideoCodec::Film : render::VideoCodec::Lossless,
+                             {},
+                             {}});
   const bool whole = for_each(frames, "Drawing", signals, [&](std::int64_t, const auto& frame) {
     video.append(draw_face(*frame, camera));
   });
-  video.finish();
-  if (!whole) {
-    std::error_code ignored;
-    std::filesystem::remove(options.output, ignored);
+  if (whole) {
+    video.finish();
   }
   return whole;
 }
@@ -294,9 +289,11 @@ void add_animate_command(Command app) {
   command.flag("--report", options->report, "Print every transition");
   command
       .option("-o,--output", options->output,
-              "anim.take: a take like any other; anim.glb: one animated mesh; anim.mkv: a film of it in grey")
+              "anim.take: a take like any other; anim.glb: one animated mesh; anim.mp4, anim.mkv: a film of "
+              "it in "
+              "grey, small or without loss")
       .required()
-      .ends_in({".take", ".glb", ".mkv"});
+      .ends_in({".take", ".glb", ".mp4", ".mkv"});
   command.callback([options] { run_animate(*options); });
 }
 

@@ -20,6 +20,7 @@
 #include "report/set_pictures.hpp"
 #include "stop_signals.hpp"
 #include "take/reader.hpp"
+#include "take_film.hpp"
 #include "take_frames.hpp"
 #include "take_person.hpp"
 #include "take_sound.hpp"
@@ -37,12 +38,17 @@ struct ExportOptions {
   std::string axes;
   std::string compress = "none";
   std::string map_format = "exr";
-  int size_px = 1024;
+  int size_px = 0;  ///< 0: kMapSize_px, of films kFilmHeight_px
+  std::string panels;
+  std::string video;
   std::string model;
   std::string output;
 };
 
 using exports::ExportFormat;
+
+constexpr int kMapSize_px = 1024;
+constexpr int kFilmHeight_px = 720;
 
 const ExportFormat& format_of(const ExportOptions& options) {
   const auto formats = exports::export_formats();
@@ -97,6 +103,9 @@ bool has_picture(const ExportFormat& format) {
   const auto* animation = std::get_if<exports::Animation>(&format.writes);
   return (files != nullptr && files->has_picture) || (animation != nullptr && animation->has_picture);
 }
+bool is_film(const ExportFormat& format) {
+  return std::holds_alternative<exports::Film>(format.writes);
+}
 bool is_in_expressions(const ExportFormat& format) {
   const auto* animation = std::get_if<exports::Animation>(&format.writes);
   return animation != nullptr && animation->in_expressions;
@@ -129,6 +138,10 @@ class SkinPicture {
 
 /// Indices in the take.
 using Selection = std::vector<std::int64_t>;
+
+int map_size_px(const ExportOptions& options) {
+  return options.size_px > 0 ? options.size_px : kMapSize_px;
+}
 
 exports::MeshLevel level_of(const ExportOptions& options) {
   return options.level == "coarse" ? exports::MeshLevel::Coarse : exports::MeshLevel::Finest;
@@ -184,7 +197,7 @@ int export_meshes(take::TakeReader& reader, const Selection& selection, const Ex
   Progress progress("Exporting", selection.size());
   const auto& writes = std::get<exports::FrameFiles>(format.writes);
   exports::ExportMesh mesh;
-  SkinPicture skin(options.size_px);
+  SkinPicture skin(map_size_px(options));
   std::vector<std::uint64_t> without_mesh;
   std::size_t done = 0;
   for (const std::int64_t index : selection) {
@@ -318,7 +331,7 @@ int export_sequence(take::TakeReader& reader, const Selection& selection, const 
         sequence.shapes = expression_shapes(*frame, options);
       }
       dress(next.mesh, *reader.frame(meshes.back(), take::Pictures::Described),
-            animation.has_picture ? options.size_px : 0);
+            animation.has_picture ? map_size_px(options) : 0);
       writer = animation.open(sequence, next);
     }
     writer->add(next);
@@ -342,7 +355,7 @@ int export_maps(take::TakeReader& reader, const Selection& selection, const Expo
   const Selection meshes = with_mesh(reader, selection);
   const auto format = options.map_format == "png" ? exports::PictureFormat::Png : exports::PictureFormat::Exr;
   const std::filesystem::path folder = options.output;
-  exports::MapBaker baker(options.size_px);
+  exports::MapBaker baker(map_size_px(options));
   files::make_folder(folder);
   Progress progress("Exporting", meshes.size());
   std::uint64_t albedo_version = 0;
@@ -368,8 +381,8 @@ int export_maps(take::TakeReader& reader, const Selection& selection, const Expo
     throw Error(ErrorKind::NoFace,
                 fmt::format("none of the selected frames of '{}' has an albedo", options.take));
   }
-  tell("{}: {} {} maps, {} x {} px\n", options.output, written, options.format, options.size_px,
-       options.size_px);
+  tell("{}: {} {} maps, {} x {} px\n", options.output, written, options.format, map_size_px(options),
+       map_size_px(options));
   return 0;
 }
 
@@ -462,6 +475,10 @@ void run_export(const ExportOptions& options) {
     throw Error(ErrorKind::Usage, fmt::format("--axes is for {}, not for {}",
                                               fmt::join(names_of(has_axes), " and "), options.format));
   }
+  if ((!options.panels.empty() || !options.video.empty()) && !is_film(format)) {
+    throw Error(ErrorKind::Usage, fmt::format("--panels and --video are for {}, not for {}",
+                                              fmt::join(names_of(is_film), " and "), options.format));
+  }
   take::TakeReader reader(options.take);
   const take::TakeInfo& info = reader.info();
   if (!info.closed) {
@@ -484,6 +501,11 @@ void run_export(const ExportOptions& options) {
     export_sound(reader, selection,
                  options.format == "wav" ? sound::SoundEncoding::Wav : sound::SoundEncoding::Flac,
                  options.output);
+  } else if (is_film(format)) {
+    broken_off_by = export_film(reader, selection,
+                                {options.panels, options.video,
+                                 options.size_px > 0 ? options.size_px : kFilmHeight_px, options.output},
+                                signals);
   } else if (const auto* lines = std::get_if<exports::Lines>(&format.writes)) {
     broken_off_by = export_lines(reader, selection, options, *lines, signals);
   } else {
@@ -534,11 +556,20 @@ void add_export_command(Command app) {
       .shows_default()
       .one_of({"png", "exr"});
   command
-      .option("--size", options->size_px,
-              fmt::format("Maps, and the picture of the skin in {}: width and height, pixels",
-                          fmt::join(names_of(has_picture), ", ")))
-      .shows_default()
+      .option(
+          "--size", options->size_px,
+          fmt::format(
+              "Maps, and the picture of the skin in {}: width and height, pixels ({}); {}: height ({})",
+              fmt::join(names_of(has_picture), ", "), kMapSize_px, names_of(is_film).front(), kFilmHeight_px))
       .range(16, 16384);
+  command.option("--panels", options->panels,
+                 fmt::format("{}: what stands side by side, of picture, mesh, grey, skin and normals, with "
+                             "commas between (picture,grey,skin, without picture where there is none)",
+                             names_of(is_film).front()));
+  command.option("--video", options->video,
+                 fmt::format("{}: video or take with the pictures, where it is another than the take or its "
+                             "source",
+                             names_of(is_film).front()));
   command.option("--model", options->model,
                  fmt::format("{}: the face model that the take was made with",
                              fmt::join(names_of(is_in_expressions), ", ")));

@@ -7,14 +7,14 @@
 #include <string_view>
 
 #include "render/renderer.hpp"
-#include "simulation/video_writer.hpp"
+#include "render/video_writer.hpp"
 
 namespace facet::test {
 
 /// Writes a Matroska file of grey pictures, 320 x 240 px, 25 Hz: nobody is seen. Link ROOMS render
 /// simulation.
 inline void write_grey_video(const std::filesystem::path& file, int frame_count) {
-  simulation::VideoWriter video(file, 320, 240, 25);
+  render::VideoWriter video(file, 320, 240, 25);
   for (int f = 0; f < frame_count; ++f) {
     video.append(render::plain_picture(320, 240, {118, 118, 118}));
   }

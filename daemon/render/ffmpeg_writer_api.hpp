@@ -10,13 +10,15 @@
 extern "C" {
 #include <libavcodec/avcodec.h>
 #include <libavformat/avformat.h>
+#include <libavutil/channel_layout.h>
+#include <libavutil/dict.h>
 #include <libavutil/error.h>
 #include <libavutil/frame.h>
 #include <libavutil/log.h>
 #include <libavutil/opt.h>
 }
 
-namespace facet::simulation {
+namespace facet::render {
 
 #define FACET_AVFORMAT_FUNCTIONS(X) \
   X(avformat_alloc_output_context2) \
@@ -50,6 +52,8 @@ namespace facet::simulation {
   X(av_freep)                     \
   X(av_malloc)                    \
   X(av_opt_set)                   \
+  X(av_channel_layout_default)    \
+  X(av_dict_set)                  \
   X(av_strerror)
 
 /// The versions whose headers it was built with.
@@ -88,4 +92,4 @@ inline const FfmpegWriterApi& ffmpeg() {
   return api;
 }
 
-}  // namespace facet::simulation
+}  // namespace facet::render

@@ -1,0 +1,144 @@
+#include "take_film.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <memory>
+#include <optional>
+
+#include "exports/export.hpp"
+#include "facet/error.hpp"
+#include "files/output_file.hpp"
+#include "progress.hpp"
+#include "render/video_writer.hpp"
+#include "report/film.hpp"
+#include "take_frames.hpp"
+#include "take_sound.hpp"
+#include "tell.hpp"
+
+namespace facet::tools {
+namespace {
+
+/// A picture is not held for longer than this without being sent again: players seek by what is there.
+constexpr std::uint64_t kLongestHold = 3600;
+
+std::vector<report::FilmPanel> panels_of(const std::string& text, bool has_pictures) {
+  if (!text.empty()) {
+    return report::parse_film_panels(text);
+  }
+  return report::parse_film_panels(has_pictures ? "picture,grey,skin" : "grey,skin");
+}
+
+/// "frame 120   00:00:04.000", and the timecode where there is one.
+std::string line_of(const mesh::MeshFrame& frame, double time_s, const exports::Timeline& timeline) {
+  const auto hundredths = static_cast<long>(std::lround(time_s * 100));
+  std::string text = fmt::format("frame {}   {}:{:02}.{:02}", frame.sequence, hundredths / 6000,
+                                 hundredths / 100 % 60, hundredths % 100);
+  if (const auto place = take::timecode_at(timeline.timecode, frame.timestamp_ns, timeline.rate_hz)) {
+    text += "   TC " + take::to_text(*place);
+  }
+  return text;
+}
+
+/// The film's first timecode, where it counts as the film does.
+std::string timecode_of(const exports::Timeline& timeline) {
+  const auto place = exports::start_timecode(timeline);
+  return place && std::abs(place->rate.hz() - timeline.rate_hz) < 0.02 * timeline.rate_hz
+             ? take::to_text(*place)
+             : std::string();
+}
+
+/// A take's sound on its way into a film.
+class FilmTrack {
+ public:
+  FilmTrack(take::TakeReader& take, std::int64_t from_ns, std::int64_t to_ns) {
+    const take::TakeInfo& info = take.info();
+    if (info.sound.is_there()) {
+      reader_.emplace(
+          sound::SoundCut{take::sound_file_of(info.file), info.sound, from_ns, to_ns, std::nullopt});
+    } else if (!info.sound.reason.empty()) {
+      tell(stderr, "note: the film has no sound: {}\n", info.sound.reason);
+    }
+  }
+
+  std::optional<render::FilmSound> format() const {
+    return reader_ ? std::optional(render::FilmSound{reader_->format().rate_hz, reader_->format().channels})
+                   : std::nullopt;
+  }
+  /// What is heard before time_s and was not appended yet.
+  void append_until(double time_s, render::VideoWriter& film) {
+    if (!reader_) {
+      return;
+    }
+    const auto until = static_cast<std::int64_t>(std::llround(time_s * reader_->format().rate_hz));
+    while (done_ < until) {
+      const auto samples = reader_->next(until - done_);
+      if (samples.empty()) {
+        return;
+      }
+      film.append_sound(samples);
+      done_ += static_cast<std::int64_t>(samples.size()) / reader_->format().channels;
+    }
+  }
+
+ private:
+  std::optional<sound::SoundReader> reader_;
+  std::int64_t done_ = 0;
+};
+
+}  // namespace
+
+int export_film(take::TakeReader& take, const std::vector<std::int64_t>& indices, const FilmOptions& options,
+                const StopSignals& signals) {
+  if (std::filesystem::path(options.output).extension() != ".mp4") {
+    throw Error(ErrorKind::Usage, "--format mp4 writes one file: name it with -o NAME.mp4");
+  }
+  exports::Timeline timeline = timeline_of(take, indices);
+  timeline.timecode = take.info().timecode;
+  const bool is_constant = timeline.times_s.empty();
+  const std::unique_ptr<report::SourceImages> images = report::open_source_images(take.info(), options.video);
+  report::FilmPainter painter(take, indices, images.get(), panels_of(options.panels, images != nullptr),
+                              options.height_px);
+  const std::int64_t frame_ns = std::llround(1e9 / timeline.rate_hz);
+  FilmTrack sound(take, take.entry(indices.front()).timestamp_ns,
+                  take.entry(indices.back()).timestamp_ns + frame_ns);
+
+  files::make_folder(std::filesystem::absolute(options.output).parent_path());
+  render::VideoFormat format{painter.width_px(),       painter.height_px(), timeline.rate_hz,
+                             render::VideoCodec::Film, sound.format(),      timecode_of(timeline)};
+  render::VideoWriter film(options.output, format);
+  Progress progress("Drawing", indices.size());
+  render::Picture picture;
+  std::uint64_t next = timeline.sequences.front();
+  double end_s = 0;
+  for (const std::int64_t index : indices) {
+    if (const int signal = signals.pending(); signal != 0) {
+      tell(stderr, "facet: broken off: nothing was written to '{}'\n", options.output);
+      return signal;
+    }
+    const auto frame = take.frame(index, take::Pictures::Described);
+    const double time_s = exports::time_s(timeline, frame->sequence);
+    if (is_constant && frame->sequence - next < kLongestHold) {
+      for (; next < frame->sequence; ++next) {
+        film.append(picture, exports::time_s(timeline, next));
+      }
+    }
+    picture = painter.paint(*frame, line_of(*frame, time_s, timeline));
+    film.append(picture, time_s);
+    next = frame->sequence + 1;
+    end_s = time_s + 1 / timeline.rate_hz;
+    sound.append_until(end_s, film);
+    progress.advance();
+  }
+  film.finish();
+  progress.finish();
+  tell("{}: {}x{} px, {:.2f} s at {}{:.6g} Hz, {}{}\n", options.output, format.width_px, format.height_px,
+       end_s, is_constant ? "" : "a varying rate, on average ", timeline.rate_hz,
+       format.sound ? "with sound" : "the take has no sound",
+       format.timecode.empty() ? "" : ", timecode from " + format.timecode);
+  return 0;
+}
+
+}  // namespace facet::tools
