@@ -36,8 +36,8 @@ struct VideoFormat {
   int height_px = 0;
   double rate_hz = 30;  ///< a whole number but for Film
   VideoCodec codec = VideoCodec::Lossless;
-  std::optional<FilmSound> sound;  ///< of Film
-  std::string timecode;            ///< of the first picture, "HH:MM:SS:FF" at rate_hz, of Film; empty: none
+  std::optional<FilmSound> sound{};  ///< of Film
+  std::string timecode{};            ///< of the first picture, "HH:MM:SS:FF" at rate_hz, of Film; empty: none
 };
 /// Whether a film of this rate can have timecode: those that editors know, 24 to 60 and their multiples.
 bool takes_timecode(double rate_hz);
