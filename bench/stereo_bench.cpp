@@ -499,9 +499,10 @@ void run(const Options& options) {
               : facet::bench::scene_footage(scene, options.scene);
     for (const std::string& method : options.methods) {
       if (method == "structured") {
-        if (!booth || scene == "actor") {
+        if (!booth || (scene == "actor" && options.scene.compensation < 0)) {
           throw facet::Error(facet::ErrorKind::Usage,
-                             "structured light is for still, booth-plane and booth-sphere");
+                             "structured light is for still, booth-plane and booth-sphere, and for the actor "
+                             "with --compensation");
         }
         run_structured(*booth, scene, options, table);
         continue;
@@ -571,6 +572,9 @@ int main(int argc, char** argv) {
   app.add_option("--straddle", options.stereo.spacetime.straddle_px);
   app.add_option("--noise", options.stereo.spacetime.noise);
   app.add_option("--sequence", options.sequence, "of structured light");
+  app.add_option("--compensation", options.scene.compensation,
+                 "of structured light with phase:4xF while the actor moves: the order of the binomial "
+                 "self-compensation, 1, 3, 5");
   app.add_option("--smooth", options.decode.smooth_px, "of structured light's phases, px");
   app.add_option("--pictures", options.pictures, "folder for shaded reliefs");
   CLI11_PARSE(app, argc, argv);

@@ -3,9 +3,11 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "facet/error.hpp"
+#include "maths/srgb.hpp"
 #include "render/renderer.hpp"
 #include "simulation/virtual_booth.hpp"
 #include "support/stereo_scene.hpp"
@@ -223,6 +225,24 @@ StereoFootage booth_footage(const simulation::VirtualBooth& booth, const std::st
   return out;
 }
 
+namespace {
+
+/// What each of 4 + order slots counts for: that of a set of four shifts, binomially averaged with the sets
+/// that begin one slot later and so on (arXiv:2404.06693).
+std::vector<double> compensating_weights(int order) {
+  std::vector<double> weights(4, 1);
+  for (int k = 0; k < order; ++k) {
+    weights.push_back(0);
+    for (std::size_t i = weights.size() - 1; i > 0; --i) {
+      weights[i] = (weights[i] + weights[i - 1]) / 2;
+    }
+    weights[0] /= 2;
+  }
+  return weights;
+}
+
+}  // namespace
+
 CodedFootage coded_footage(const simulation::VirtualBooth& booth, const std::string& name, std::size_t pair,
                            const SceneOptions& options, const scan::DecodeOptions& decode) {
   CodedFootage out;
@@ -241,23 +261,52 @@ CodedFootage coded_footage(const simulation::VirtualBooth& booth, const std::str
   };
   scan::PhaseDecoder left = decoder_of(out.pair.pair.left);
   scan::PhaseDecoder right = decoder_of(out.pair.pair.right);
-  std::vector<float> grey;
-  const auto add = [&](scan::PhaseDecoder& decoder, std::size_t picture, const Frame& frame) {
-    grey.clear();
+  const auto grey_of = [](const Frame& frame) {
+    std::vector<float> grey;
     for (int y = 0; y < frame.height_px; ++y) {
       for (int x = 0; x < frame.width_px; ++x) {
         grey.push_back(static_cast<float>(frame.row(y)[4 * x]) / 255);
       }
     }
-    decoder.add(picture, grey);
+    return grey;
   };
-  for (std::size_t picture = 0; picture < options.sequence.pictures.size(); ++picture) {
+  const auto shot_of = [&](std::size_t picture, int slot) {
     std::vector<capture::GreyImage> shown(rig.projectors.size());
     shown[out.projector_index] = capture::draw_coded(config, options.sequence, picture);
-    const simulation::BoothSlot shot =
-        booth.slot(static_cast<std::uint64_t>(options.first_slot) + picture, std::move(shown));
-    add(left, picture, shot.frame(out.pair.pair.left));
-    add(right, picture, shot.frame(out.pair.pair.right));
+    return booth.slot(static_cast<std::uint64_t>(slot), std::move(shown));
+  };
+  using Shots = std::array<std::vector<float>, 2>;
+  const std::array<std::size_t, 2> cameras = {out.pair.pair.left, out.pair.pair.right};
+  for (std::size_t picture = 0; picture < options.sequence.pictures.size(); ++picture) {
+    const capture::CodedPicture& coded = options.sequence.pictures[picture];
+    const bool is_compensated = options.compensation >= 0 && coded.kind == capture::CodedPicture::Kind::Phase;
+    Shots shots;
+    if (is_compensated) {
+      const std::vector<double> weights = compensating_weights(options.compensation);
+      const int before = static_cast<int>(weights.size() - 1) / 2;
+      for (std::size_t k = static_cast<std::size_t>(coded.index); k < weights.size(); k += 4) {
+        const simulation::BoothSlot shot =
+            shot_of(picture, options.first_slot - before + static_cast<int>(k));
+        for (std::size_t c = 0; c < 2; ++c) {
+          const std::vector<float> grey = grey_of(shot.frame(cameras[c]));
+          shots[c].resize(grey.size());
+          for (std::size_t i = 0; i < grey.size(); ++i) {
+            shots[c][i] += static_cast<float>(weights[k]) * maths::decode_srgb(grey[i]);
+          }
+        }
+      }
+      for (std::vector<float>& shot : shots) {
+        std::transform(shot.begin(), shot.end(), shot.begin(), maths::encode_srgb);
+      }
+    } else {
+      // Of a moving actor the Gray code is that of the middle: the best that it could be.
+      const simulation::BoothSlot shot =
+          shot_of(picture, options.compensation >= 0 ? options.first_slot
+                                                     : options.first_slot + static_cast<int>(picture));
+      shots = {grey_of(shot.frame(cameras[0])), grey_of(shot.frame(cameras[1]))};
+    }
+    left.add(picture, shots[0]);
+    right.add(picture, shots[1]);
   }
   out.left = left.decode();
   out.right = right.decode();

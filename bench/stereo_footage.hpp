@@ -46,6 +46,9 @@ struct SceneOptions {
   double stripe_mm = 2;
   double noise = 0.008;            ///< of a linear grey value at full light
   capture::CodeSequence sequence;  ///< of structured light
+  /// Of structured light: the actor moves while the phases are shown, of which so many orders of binomial
+  /// self-compensation are made one set; below 0: the actor holds the pose.
+  int compensation = -1;
 };
 
 /// scene: "plane", "sphere", "wave" or "step". Throws Error(Usage) for another.

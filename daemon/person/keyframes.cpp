@@ -150,14 +150,18 @@ KeyframeCollector::KeyframeCollector(const face::FaceModel& model) : model_(&mod
 void KeyframeCollector::clear() {
   bins_.clear();
   picture_bytes_ = 0;
-  lit_.clear();
-  lit_bytes_ = 0;
-  lit_step_ = 1;
+  clear_lit();
   expressions_.clear();
   next_expression_ = 0;
   reprojections_px_.clear();
   mean_expression_ = Eigen::VectorXd::Zero(model_->expression_count());
   previous_.reset();
+}
+
+void KeyframeCollector::clear_lit() {
+  lit_.clear();
+  lit_bytes_ = 0;
+  lit_step_ = 1;
 }
 
 double KeyframeCollector::restlessness(const Eigen::VectorXd& expression, const Eigen::VectorXd& rest) const {

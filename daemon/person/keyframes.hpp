@@ -77,6 +77,8 @@ class KeyframeCollector {
   /// The next frame of a burst: the head is still while lamps fire in turn. Where there is no room for all
   /// pictures every second one is kept, then every fourth, and so on.
   void offer_lit(const track::TrackResult& tracked, const Frame& picture);
+  /// Forgets the burst.
+  void clear_lit();
 
   /// Forgets everything.
   void clear();

@@ -52,14 +52,20 @@ LearnedFace learn_face(const face::FaceModel& model, const person::Observed& obs
       out.camera.fx = out.camera.fy = static_cast<float>(shape.focal_px);
     }
     out.note = fmt::format(
-        "the head turns: its own shape is followed, learned from {} pictures of {} (focal length {:.0f} px)",
-        shape.keyframes.size(), from, shape.focal_px);
+        "the head turns: its own shape is followed, learned from {} pictures of {}{} (focal length {:.0f} "
+        "px)",
+        shape.keyframes.size(), from,
+        observed.burst.empty() ? "" : fmt::format(" and a burst of {} lights", observed.light_count()),
+        shape.focal_px);
     face::FaceModel own = face::person_model(model, shape.identity, shape.neutral_mm, "learned from " + from);
     if (shape.skin.believed) {
       own.skin = shape.skin.chart;
       track::TrackerConfig tracker = options.tracker;
       tracker.intrinsics = out.camera;
-      const std::string missed = refine_relief(own, observed, tracker, options.relief, go_on);
+      // That of a burst is nearer as it is.
+      const std::string missed = observed.burst.empty()
+                                     ? refine_relief(own, observed, tracker, options.relief, go_on)
+                                     : std::string();
       if (!missed.empty()) {
         out.note += "; " + missed;
       }
@@ -75,12 +81,14 @@ LearnedFace learn_face(const face::FaceModel& model, const person::Observed& obs
 }
 
 LearningTracker::LearningTracker(std::shared_ptr<const face::FaceModel> model,
-                                 const track::TrackerConfig& config, ReliefRefinement relief)
+                                 const track::TrackerConfig& config, ReliefRefinement relief,
+                                 std::unique_ptr<LampBurst> lamps)
     : generic_model_(std::move(model)),
       config_(config),
       relief_(std::move(relief)),
       generic_(*generic_model_, config),
-      keyframes_(*generic_model_) {
+      keyframes_(*generic_model_),
+      lamps_(std::move(lamps)) {
   show(LearningStatus::State::Looking);
 }
 
@@ -118,6 +126,11 @@ void LearningTracker::reset_identity() {
   leave_person();
 }
 
+void LearningTracker::burst() {
+  burst_wanted_ =
+      lamps_ != nullptr && own_ == nullptr && !solving_ && result_.state == mesh::TrackingState::Tracking;
+}
+
 /// Whoever comes next is estimated anew.
 void LearningTracker::leave_person() {
   if (own_ != nullptr) {
@@ -132,13 +145,19 @@ void LearningTracker::leave_person() {
 
 /// Of what was seen nothing is left, and what is being solved counts no more.
 void LearningTracker::forget() {
-  if (keyframes_.size() == 0 && (!solving_ || of_another_) && learned_.note.empty() &&
+  burst_wanted_ = false;
+  if (std::exchange(bursting_, false)) {
+    lamps_->end();
+  }
+  if (keyframes_.size() == 0 && bursts_ == 0 && (!solving_ || of_another_) && learned_.note.empty() &&
       learned_.learning->state == LearningStatus::State::Looking) {
     return;
   }
   keyframes_.clear();
   keyframes_seen_ = 0;
   keyframes_tried_ = 0;
+  bursts_ = 0;
+  lights_ = 0;
   learned_.note.clear();
   solver_.request_stop();
   of_another_ = solving_;
@@ -158,10 +177,44 @@ void LearningTracker::show(LearningStatus::State state) {
   now->turned_left_deg = static_cast<float>(std::abs(span.least_yaw));
   now->turned_right_deg = static_cast<float>(span.largest_yaw);
   now->needed_deg = static_cast<float>(person::kLeastYawDeg);
+  now->lamps = lamps_ != nullptr ? lamps_->count() : 0;
+  now->burst_s = lamps_ != nullptr ? static_cast<float>(lamps_->duration_s()) : 0;
+  now->bursts = bursts_;
+  now->lights = lights_;
   learned_.learning = std::move(now);
 }
 
+/// A picture of a burst, which ends with it or goes on.
+void LearningTracker::look_at_lit(const Frame& picture) {
+  keyframes_.offer_lit(result_, picture);
+  bursting_ = lamps_->go_on(picture.media_time_ns);
+  if (bursting_) {
+    return;
+  }
+  ++bursts_;
+  grew_ns_ = picture.media_time_ns;
+  const person::EnrolmentOptions how;
+  const std::optional<person::Observed> observed = keyframes_.observed(how.keyframes, how.lit);
+  lights_ = observed ? observed->light_count() : 0;
+  learned_.note.clear();
+  if (!lamps_->fault().empty()) {
+    learned_.note = "the lamps can't be switched: " + lamps_->fault();
+  } else if (lights_ < 2) {
+    learned_.note = "the lamps fired, but the face, at rest and still, was not seen under two lights";
+  }
+  show(learned_.learning->state);
+}
+
 void LearningTracker::look(const Frame& picture) {
+  if (std::exchange(burst_wanted_, false)) {
+    keyframes_.clear_lit();
+    lamps_->begin(picture.media_time_ns);
+    bursting_ = true;
+  }
+  if (bursting_) {
+    look_at_lit(picture);
+    return;
+  }
   keyframes_.offer(result_, picture);
   if (keyframes_.size() != keyframes_seen_) {
     keyframes_seen_ = keyframes_.size();
@@ -182,7 +235,8 @@ void LearningTracker::begin_when_enough(std::int64_t media_time_ns) {
   }
   keyframes_tried_ = seen;
   tried_ns_ = media_time_ns;
-  std::optional<person::Observed> observed = keyframes_.observed(person::EnrolmentOptions().keyframes);
+  std::optional<person::Observed> observed =
+      keyframes_.observed(person::EnrolmentOptions().keyframes, person::EnrolmentOptions().lit);
   if (!observed) {
     learned_.note = "the head turns, but no picture shows the face at rest";
     show(LearningStatus::State::Looking);

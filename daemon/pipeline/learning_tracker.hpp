@@ -12,6 +12,7 @@
 #include "facet/mutex.hpp"
 #include "person/enrolment.hpp"
 #include "person/keyframes.hpp"
+#include "pipeline/lamp_burst.hpp"
 #include "pipeline/refined_relief.hpp"
 #include "pipeline/shading_parts.hpp"
 #include "track/tracker.hpp"
@@ -48,9 +49,9 @@ LearnedFace learn_face(const face::FaceModel& model, const person::Observed& obs
 /// followed by the generic model again. One shape is learned of each person. As CoarseStage: one thread.
 class LearningTracker final : public CoarseStage {
  public:
-  /// Throws as track::Tracker. relief  on a device of its own
+  /// Throws as track::Tracker. relief: on a device of its own. lamps: null: there are none
   LearningTracker(std::shared_ptr<const face::FaceModel> model, const track::TrackerConfig& config,
-                  ReliefRefinement relief = {});
+                  ReliefRefinement relief = {}, std::unique_ptr<LampBurst> lamps = nullptr);
   ~LearningTracker() override;
 
   void prepare(const std::function<bool()>& /*go_on*/) override {}
@@ -59,6 +60,7 @@ class LearningTracker final : public CoarseStage {
   void keep_model(bool keep) override { keep_model_ = keep; }
   const track::TrackResult& process(std::span<const Frame> views) override;
   void reset_identity() override;
+  void burst() override;
   void request_stop() override { stopping_ = true; }
 
  private:
@@ -71,6 +73,7 @@ class LearningTracker final : public CoarseStage {
 
   void follow(track::Tracker& tracker, std::span<const Frame> views);
   void look(const Frame& picture);
+  void look_at_lit(const Frame& picture);
   void begin_when_enough(std::int64_t media_time_ns);
   void solve(const std::function<bool()>& go_on, const person::Observed& observed);
   std::unique_ptr<track::Tracker> follower_of(const LearnedFace& face, const person::Observed& observed,
@@ -92,6 +95,11 @@ class LearningTracker final : public CoarseStage {
 
   person::KeyframeCollector keyframes_;  ///< of who is followed by the generic model
   std::size_t keyframes_seen_ = 0;
+  std::unique_ptr<LampBurst> lamps_;
+  bool burst_wanted_ = false;
+  bool bursting_ = false;
+  int bursts_ = 0;                   ///< LearningStatus
+  int lights_ = 0;                   ///< likewise
   std::int64_t grew_ns_ = 0;         ///< media time at which there was a keyframe more
   std::size_t keyframes_tried_ = 0;  ///< so many were there when a solve began
   std::int64_t tried_ns_ = 0;        ///< media time of that

@@ -38,6 +38,9 @@ class Pipeline {
   /// where the pipeline makes no meshes.
   virtual void reset_identity() = 0;
 
+  /// As CoarseStage::burst, of one live camera. Any thread.
+  virtual void burst() {}
+
   /// What happened since the last call, for the log. Any thread.
   virtual std::vector<Messages::Message> take_messages() = 0;
 };

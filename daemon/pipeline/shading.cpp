@@ -101,6 +101,7 @@ struct ShadingPipeline::Impl {
                   [this](ErrorKind kind, const std::string& what) { fail(kind, what); }};
   std::atomic<bool> stopping{false};
   std::atomic<bool> wants_new_identity{false};
+  std::atomic<bool> wants_burst{false};
   BoundedQueue<Captured> captured;
   BoundedQueue<Tracked> tracked;
   FramePool pool;
@@ -254,6 +255,9 @@ void ShadingPipeline::Impl::track() {
     beat();
     if (wants_new_identity.exchange(false)) {
       stages.coarse->reset_identity();
+    }
+    if (wants_burst.exchange(false)) {
+      stages.coarse->burst();
     }
     track_one(std::move(item));
   }
@@ -567,6 +571,10 @@ std::optional<Progress::Silence> ShadingPipeline::longest_silence() const {
 
 void ShadingPipeline::reset_identity() {
   impl_->wants_new_identity = true;
+}
+
+void ShadingPipeline::burst() {
+  impl_->wants_burst = true;
 }
 
 std::vector<Messages::Message> ShadingPipeline::take_messages() {

@@ -55,6 +55,7 @@ class ShadingPipeline final : public Pipeline {
   PipelineStatus status() const override;
   std::optional<Progress::Silence> longest_silence() const override;
   void reset_identity() override;
+  void burst() override;
   std::vector<Messages::Message> take_messages() override;
 
  private:

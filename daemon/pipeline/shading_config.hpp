@@ -8,6 +8,7 @@
 #include "capture/rig.hpp"
 #include "mesh/hierarchy.hpp"
 #include "pipeline/frame_range.hpp"
+#include "pipeline/lamp_burst.hpp"
 #include "refine/refiner.hpp"
 #include "track/tracker.hpp"
 
@@ -39,6 +40,7 @@ struct ShadingConfig {
   /// frames, of one recorded camera before the first frame, which takes longer than the recording.
   bool learn_live = false;
   bool learn_ahead = false;
+  LampsConfig lamps;  ///< of whoever is learned live
   track::TrackerConfig tracker;
   mesh::HierarchyOptions hierarchy;
   refine::RefinerConfig refiner;

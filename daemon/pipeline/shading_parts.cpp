@@ -221,7 +221,8 @@ ShadingParts open_shading(const ShadingConfig& given, OpenPictures open) {
   }
   const bool recorded = !reference.info.live && !config.source.loop;
   if (!recorded && config.learn_live && cameras.size() == 1 && stages.model->identity_count() > 0) {
-    stages.coarse = std::make_unique<LearningTracker>(stages.model, config.tracker, std::move(relief));
+    stages.coarse = std::make_unique<LearningTracker>(stages.model, config.tracker, std::move(relief),
+                                                      open_lamps(config.lamps));
   } else {
     stages.coarse = std::make_unique<TrackerStage>(
         stages.model, config, recorded ? std::move(open) : OpenPictures(), std::move(relief));

@@ -41,6 +41,10 @@ class CoarseStage {
   virtual const track::TrackResult& process(std::span<const Frame> views) = 0;
   /// As track::Tracker::reset_identity.
   virtual void reset_identity() = 0;
+  /// The lamps fire in turn while the head holds still, and what it looks like under them counts for whoever
+  /// is being learned, in the place of an earlier burst. Nothing where there are no lamps, nobody is being
+  /// looked at to be learned (LearningStatus::State::Looking), or none is tracked.
+  virtual void burst() {}
   /// What goes on beside the frames is broken off. Any thread, returns at once.
   virtual void request_stop() = 0;
 };

@@ -99,6 +99,10 @@ struct LearningStatus {
   float turned_left_deg = 0;                   ///< the head, so far
   float turned_right_deg = 0;
   float needed_deg = 0;                              ///< of each
+  int lamps = 0;                                     ///< that can fire in turn; 0: there are none
+  float burst_s = 0;                                 ///< how long they do
+  int bursts = 0;                                    ///< that are over, of whoever it is
+  int lights = 0;                                    ///< that the last one showed the face under
   std::shared_ptr<const person::PersonFile> person;  ///< Learned: the shape, without a name
 };
 const char* to_string(LearningStatus::State state);

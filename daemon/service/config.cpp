@@ -357,6 +357,38 @@ void read_model(Section section, pipeline::ShadingConfig& shading) {
   section.finish();
 }
 
+/// Lamps that fire in turn while somebody is enrolled from the live camera.
+void read_lamps(Section section, const Config& config, pipeline::LampsConfig& lamps) {
+  constexpr std::size_t kMostLamps = 8;
+  std::string chip;
+  std::vector<std::string> lines;
+  section.read("chip", chip);
+  section.read("lines", lines);
+  section.read(kLampsSettings, lamps);
+  section.finish();
+  if (lines.empty()) {
+    return;
+  }
+  const toml::node* node = section.node();
+  if (chip.empty()) {
+    section.fail(node, "chip", "is missing: the GPIO chip of the lamps' lines");
+  }
+  if (lines.size() < 2 || lines.size() > kMostLamps ||
+      std::set<std::string>(lines.begin(), lines.end()).size() != lines.size()) {
+    section.fail(node, "lines", fmt::format("must be 2 to {} different lines, each of one lamp", kMostLamps));
+  }
+  if (config.mode != Mode::Monocular) {
+    section.fail(node, "lines",
+                 "are for mode \"monocular\"; a booth's lamps are lines of its trigger (trigger.light)");
+  }
+  if (!config.pipeline.learn_live || !config.pipeline.person.empty()) {
+    section.fail(node, "lines", "light whoever is learned: [model] must have learn = true and no person");
+  }
+  for (const std::string& line : lines) {
+    lamps.outputs.push_back({fmt::format("lamp.{}", lamps.outputs.size() + 1), chip, line});
+  }
+}
+
 /// "" is no folder: nobody is kept.
 void read_persons(Section section, std::filesystem::path& folder) {
   if (const toml::node* node = section.find("folder")) {
@@ -560,6 +592,7 @@ void read_all(Document& document, Config& config) {
   read_booth(root.section("booth"), config);
   read_model(root.section("model"), config.pipeline);
   read_persons(root.section("persons"), config.pipeline.persons_folder);
+  read_lamps(root.section("lamps"), config, config.pipeline.lamps);
   Section tracker = root.section("tracker");
   read_expert(tracker, expert.section("tracker"), "tracker", expert::kTracker, config.pipeline.tracker);
   tracker.finish();

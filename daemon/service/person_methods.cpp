@@ -18,14 +18,15 @@ using nlohmann::json;
 namespace {
 
 constexpr double kWhoeverIsThere = -1;
+constexpr const char* kNothingIsLearned =
+    "no shape is learned here: that takes one live camera, [model] learn = true and nobody named as [model] "
+    "person";
 
 /// The shape that the head before the camera showed. subject: whose it is to be.
 std::shared_ptr<const person::PersonFile> shown(const pipeline::PipelineStatus& now, double subject) {
   const pipeline::LearningStatus* learning = now.learning.get();
   if (learning == nullptr) {
-    throw Error(ErrorKind::Usage,
-                "no shape is learned here: that takes one live camera, [model] learn = true and nobody named "
-                "as [model] person");
+    throw Error(ErrorKind::Usage, kNothingIsLearned);
   }
   if (learning->person == nullptr) {
     throw Error(ErrorKind::Usage,
@@ -41,10 +42,38 @@ std::shared_ptr<const person::PersonFile> shown(const pipeline::PipelineStatus& 
   return learning->person;
 }
 
+/// Throws where no lamps could fire for somebody.
+json burst_to_come(const pipeline::PipelineStatus& now) {
+  const pipeline::LearningStatus* learning = now.learning.get();
+  if (learning == nullptr) {
+    throw Error(ErrorKind::Usage, kNothingIsLearned);
+  }
+  if (learning->lamps == 0) {
+    throw Error(ErrorKind::Usage,
+                "no lamps are configured: name their lines in [lamps]; of lamps that are switched by hand "
+                "record a video, and give it to 'facet enrol VIDEO --burst A:B'");
+  }
+  if (learning->state != pipeline::LearningStatus::State::Looking) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("the face before the camera is {} already: 'facet reset-identity' forgets that",
+                            to_string(learning->state)));
+  }
+  if (now.tracking != mesh::TrackingState::Tracking) {
+    throw Error(ErrorKind::NoFace, "no face is before the camera now: the lamps stay off");
+  }
+  return {{"lamps", learning->lamps}, {"seconds", learning->burst_s}};
+}
+
 }  // namespace
 
-ControlMethods person_methods(std::function<pipeline::PipelineStatus()> now,
+ControlMethods person_methods(std::function<pipeline::PipelineStatus()> now, std::function<void()> burst,
                               const std::filesystem::path& folder, Errands& errands, const Log& log) {
+  const auto fire = [now, burst = std::move(burst), &log](const json&) {
+    json answer = burst_to_come(now());
+    burst();
+    log.info("the lamps fire, as asked over the control socket");
+    return answer;
+  };
   const auto keep = [now = std::move(now), folder, &errands, &log](const json& params) {
     const std::string name = params.at("name");
     person::check_person_name(name);
@@ -70,6 +99,7 @@ ControlMethods person_methods(std::function<pipeline::PipelineStatus()> now,
   };
   return {{"person.keep",
            {true, {{"name", ControlParam::Type::Text, true}, {"subject", ControlParam::Type::Number}}, keep}},
+          {"person.burst", {true, {}, fire}},
           {"person.check", {true, {{"name", ControlParam::Type::Text, true}}, check}}};
 }
 

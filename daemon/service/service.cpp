@@ -318,6 +318,11 @@ ControlMethods Service::Impl::methods() {
   all.merge(desk.methods());
   all.merge(value_methods(bridge, config.bridges, recording.errands()));
   all.merge(person_methods([this] { return pipeline ? pipeline->status() : pipeline::PipelineStatus(); },
+                           [this] {
+                             if (pipeline) {
+                               pipeline->burst();
+                             }
+                           },
                            config.pipeline.persons_folder, recording.errands(), log));
   return all;
 }

@@ -84,6 +84,11 @@ inline constexpr Setting<pipeline::ShadingConfig> kModelSettings[] = {
     {"landmark_nets", &at<&pipeline::ShadingConfig::tracker, &track::TrackerConfig::landmark_nets>},
 };
 
+inline constexpr Setting<pipeline::LampsConfig> kLampsSettings[] = {
+    {"active_low", &at<&pipeline::LampsConfig::active_low>},
+    {"each_ms", &at<&pipeline::LampsConfig::each_ms>, 100, 5000},
+};
+
 inline constexpr Setting<pipeline::ShadingConfig> kGpuSettings[] = {
     {"device", &at<&pipeline::ShadingConfig::gpu_device>},
 };

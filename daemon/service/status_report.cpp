@@ -111,7 +111,11 @@ json to_json(const pipeline::LearningStatus& learning) {
           {"seen_deg", learning.seen_deg},
           {"turned_left_deg", learning.turned_left_deg},
           {"turned_right_deg", learning.turned_right_deg},
-          {"needed_deg", learning.needed_deg}};
+          {"needed_deg", learning.needed_deg},
+          {"lamps", learning.lamps},
+          {"burst_s", learning.burst_s},
+          {"bursts", learning.bursts},
+          {"lights", learning.lights}};
 }
 
 }  // namespace

@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <chrono>
 #include <memory>
 #include <optional>
@@ -18,6 +19,7 @@
 #include "pipeline/shading_parts.hpp"
 #include "render/video_writer.hpp"
 #include "simulation/actor_sequence.hpp"
+#include "support/lamp_lines.hpp"
 #include "support/paths.hpp"
 
 namespace facet::pipeline {
@@ -103,6 +105,19 @@ class ATurningHead : public ::testing::Test {
   static Frame black(Frame picture) {
     picture.pixels = std::shared_ptr<const std::uint8_t[]>(
         new std::uint8_t[picture.stride_bytes * static_cast<std::size_t>(picture.height_px)]());
+    return picture;
+  }
+
+  /// The picture while lamps are on: the first lights its left half, the second its right half.
+  static Frame lit(Frame picture, LineMask on) {
+    const std::size_t bytes = picture.stride_bytes * static_cast<std::size_t>(picture.height_px);
+    const std::shared_ptr<std::uint8_t[]> pixels(new std::uint8_t[bytes]);
+    for (std::size_t i = 0; i < bytes; ++i) {
+      const bool left = i % picture.stride_bytes < picture.stride_bytes / 2;
+      const bool is_lit = (on & (left ? 1U : 2U)) != 0;
+      pixels[i] = static_cast<std::uint8_t>(std::min(255, picture.pixels[i] * (is_lit ? 5 : 3) / 3));
+    }
+    picture.pixels = pixels;
     return picture;
   }
 
@@ -276,6 +291,100 @@ TEST_F(ATurningHead, IsLearnedBesideTheFrames) {
   EXPECT_EQ(show(stranger).subject, 3U);
   EXPECT_EQ(show(stranger).state, mesh::TrackingState::Tracking);
   EXPECT_EQ(show(stranger).identity.size(), static_cast<std::size_t>(model->identity_count()));
+}
+
+/// The lamps fire while the head is looked at to be learned; they are off before, after, and where nobody is
+/// there.
+TEST_F(ATurningHead, IsSeenUnderTheLampsThatFireInTurn) {
+  const auto model = std::make_shared<const face::FaceModel>(face::FaceModel::load(config_.model_file));
+  LineMask on = 0;
+  auto lines = std::make_unique<test::LampLines>(on);
+  test::LampLines& wires = *lines;
+  LearningTracker tracker(model, config_.tracker, {}, std::make_unique<LampBurst>(std::move(lines), 2, 1000));
+  const std::vector<Frame> turn = pictures("turn.mkv");
+  std::int64_t now_ns = 0;
+  std::vector<LineMask> was;
+  mesh::TrackingState state = mesh::TrackingState::Searching;
+  const auto show = [&](const Frame& given) {
+    Frame picture = lit(given, on);
+    was.push_back(on);
+    picture.media_time_ns = now_ns += kStep_ns;
+    state = tracker.process({&picture, 1}).state;
+  };
+  const auto learning = [&] { return *tracker.learned().learning; };
+  tracker.burst();
+  for (std::size_t i = 0; i < 2 * turn.size() && state != mesh::TrackingState::Tracking; ++i) {
+    show(turn[i % turn.size()]);
+  }
+  for (int i = 0; i < 3; ++i) {
+    show(turn.front());
+  }
+  ASSERT_EQ(state, mesh::TrackingState::Tracking);
+  EXPECT_THAT(was, Each(LineMask{0})) << "nobody was there when they were asked for";
+  EXPECT_EQ(learning().lamps, 2);
+  EXPECT_FLOAT_EQ(learning().burst_s, 3);
+  EXPECT_EQ(learning().bursts, 0);
+
+  const auto burst = [&](int frames) {
+    was.clear();
+    tracker.burst();
+    for (int i = 0; i < frames; ++i) {
+      show(turn.front());
+    }
+  };
+  burst(3 * kFramesPerSecond + 3);
+  EXPECT_EQ(learning().bursts, 1) << learning().note;
+  EXPECT_EQ(learning().lights, 3) << learning().note << "; the lamps, and none";
+  EXPECT_EQ(on, 0U);
+  for (const LineMask lamps : {0U, 1U, 2U}) {
+    EXPECT_GE(std::count(was.begin(), was.end(), lamps), kFramesPerSecond - 1) << lamps;
+  }
+  wires.fails = true;
+  burst(2);
+  EXPECT_EQ(learning().bursts, 2);
+  EXPECT_EQ(learning().lights, 0);
+  EXPECT_THAT(learning().note, HasSubstr("can't be switched: line 1 was pulled out"));
+  wires.fails = false;
+  tracker.burst();
+  show(turn.front());
+  EXPECT_EQ(on, 1U);
+  tracker.reset_identity();
+  EXPECT_EQ(on, 0U) << "nobody is learned any more";
+  EXPECT_EQ(learning().bursts, 0);
+}
+
+/// Of a video the frames that are said to be a burst are kept as such.
+TEST_F(ATurningHead, ABurstOfAVideoIsFound) {
+  const std::vector<Frame> turn = pictures("turn.mkv");
+  const Frame& front = turn.front();
+  const std::uint64_t first = turn.size();
+  {
+    render::VideoWriter video(folder_->path() / "burst.mkv", front.width_px, front.height_px,
+                              kFramesPerSecond);
+    for (const Frame& picture : turn) {
+      video.append(render::to_picture(picture));
+    }
+    for (const LineMask on : {1U, 1U, 1U, 1U, 2U, 2U, 2U, 2U}) {
+      video.append(render::to_picture(lit(front, on)));
+    }
+    video.finish();
+  }
+  config_.source.path = folder_->path() / "burst.mkv";
+  const auto observed = [&](const std::optional<FrameRange>& burst) {
+    ShadingParts parts = open_shading(config_);
+    const ObservedHead head = observe_head(parts, config_.frames, burst, [](std::uint64_t) { return true; });
+    EXPECT_EQ(head.frames, first + 8);
+    return head.keyframes.observed(14, 12);
+  };
+  const auto with = observed(FrameRange{first, first + 8});
+  ASSERT_TRUE(with);
+  EXPECT_EQ(with->light_count(), 2);
+  for (const person::Keyframe& keyframe : with->burst) {
+    EXPECT_GE(keyframe.sequence, first);
+  }
+  const auto without = observed(std::nullopt);
+  ASSERT_TRUE(without);
+  EXPECT_TRUE(without->burst.empty());
 }
 
 /// What is being solved of somebody counts for nobody, once they are to be forgotten, and a stop breaks it

@@ -193,6 +193,29 @@ TEST(Config, KeysForExpertsHaveMoved) {
   EXPECT_THAT(error_of("[expert.traker]\n"), HasSubstr("did you mean 'tracker'?"));
 }
 
+TEST(Config, LampsAreLinesOfOneChip) {
+  const Config config = parse_config(
+      "[lamps]\nchip = \"gpiochip0\"\nlines = [\"17\", \"27\"]\nactive_low = true\neach_ms = 500\n",
+      "f.toml");
+  const pipeline::LampsConfig& lamps = config.pipeline.lamps;
+  ASSERT_EQ(lamps.outputs.size(), 2U);
+  EXPECT_EQ(lamps.outputs[1].name, "lamp.2");
+  EXPECT_EQ(lamps.outputs[1].chip, "gpiochip0");
+  EXPECT_EQ(lamps.outputs[1].line, "27");
+  EXPECT_TRUE(lamps.active_low);
+  EXPECT_EQ(lamps.each_ms, 500);
+  EXPECT_TRUE(parse_config("[lamps]\nchip = \"\"\nlines = []\n", "f.toml").pipeline.lamps.outputs.empty());
+  const std::string two = "[lamps]\nlines = [\"1\", \"2\"]\n";
+  EXPECT_THAT(error_of(two), HasSubstr("lamps.chip: is missing"));
+  const std::string chip = two + "chip = \"c\"\n";
+  EXPECT_THAT(error_of("[lamps]\nchip = \"c\"\nlines = [\"1\"]\n"), HasSubstr("lamps.lines: must be 2 to 8"));
+  EXPECT_THAT(error_of("[lamps]\nchip = \"c\"\nlines = [\"1\", \"1\"]\n"), HasSubstr("different lines"));
+  EXPECT_THAT(error_of(chip + "each_ms = 99\n"), HasSubstr("lamps.each_ms: must be a whole number from 100"));
+  EXPECT_THAT(error_of("mode = \"booth\"\n" + chip), HasSubstr("are for mode \"monocular\""));
+  EXPECT_THAT(error_of(chip + "[model]\nlearn = false\n"), HasSubstr("must have learn = true and no person"));
+  EXPECT_THAT(error_of(chip + "[model]\nperson = \"ada\"\n"), HasSubstr("must have learn = true"));
+}
+
 /// The same of keys that are spelled otherwise.
 TEST(Config, OldSpellingsAreReadWithAWarning) {
   const Config old = parse_config(

@@ -23,7 +23,8 @@ using ::testing::HasSubstr;
 class PersonMethods : public ::testing::Test {
  protected:
   json ask(const json& params, bool member = true) {
-    const auto methods = person_methods([this] { return now_; }, folder_, errands_, log_);
+    const auto methods =
+        person_methods([this] { return now_; }, [this] { ++fired_; }, folder_, errands_, log_);
     const json request = {{"jsonrpc", "2.0"}, {"id", 1}, {"method", method_}, {"params", params}};
     return json::parse(answer_request(methods, request.dump(), {1, 1000, member}));
   }
@@ -55,6 +56,7 @@ class PersonMethods : public ::testing::Test {
   std::filesystem::path folder_ = temporary_.path();
   pipeline::PipelineStatus now_;
   std::string method_ = "person.keep";
+  int fired_ = 0;
   Log log_{LogLevel::Error};
   Errands errands_{"not-started"};  // answer_request does the work itself
 };
@@ -104,6 +106,27 @@ TEST_F(PersonMethods, NobodyIsKeptWhoIsNotThere) {
   EXPECT_TRUE(std::filesystem::exists(folder_ / "ada.person"));
 }
 
+TEST_F(PersonMethods, LampsFireForWhoIsThereAndNotKnownYet) {
+  method_ = "person.burst";
+  const json nothing = json::object();
+  EXPECT_THAT(refusal(nothing), HasSubstr("one live camera"));
+  learn();
+  auto learning = std::make_shared<pipeline::LearningStatus>(*now_.learning);
+  now_.learning = learning;
+  EXPECT_THAT(refusal(nothing), HasSubstr("no lamps are configured: name their lines in [lamps]"));
+  learning->lamps = 4;
+  learning->burst_s = 2;
+  EXPECT_THAT(refusal(nothing), HasSubstr("learned already"));
+  learning->state = pipeline::LearningStatus::State::Looking;
+  now_.tracking = mesh::TrackingState::Searching;
+  EXPECT_THAT(refusal(nothing), HasSubstr("the lamps stay off"));
+  now_.tracking = mesh::TrackingState::Tracking;
+  EXPECT_EQ(ask(nothing, false)["error"]["code"], kPermissionDenied);
+  EXPECT_EQ(fired_, 0);
+  EXPECT_EQ(ask(nothing)["result"], (json{{"lamps", 4}, {"seconds", 2}}));
+  EXPECT_EQ(fired_, 1);
+}
+
 /// Before somebody turns the head for it.
 TEST_F(PersonMethods, WhetherANameCanBeKeptIsKnownBefore) {
   method_ = "person.check";
@@ -125,7 +148,8 @@ TEST_F(PersonMethods, TheStatusShowsWhatTheHeadHasShown) {
   looking->needed_deg = 12;
   status.learning = looking;
   EXPECT_EQ(to_json(status)["learning"], json::parse(R"({"state": "looking", "subject": 0, "note": "",
-      "seen_deg": [[-8, 0], [4, 5]], "turned_left_deg": 8, "turned_right_deg": 4, "needed_deg": 12})"));
+      "seen_deg": [[-8, 0], [4, 5]], "turned_left_deg": 8, "turned_right_deg": 4, "needed_deg": 12, "lamps": 0, "burst_s": 0,
+      "bursts": 0, "lights": 0})"));
 }
 
 }  // namespace

@@ -152,6 +152,74 @@ TEST_F(Enrol, LiveSaysWhatToDoAndHasTheDaemonKeepThePerson) {
   EXPECT_THAT(output_, HasSubstr("was learned already"));
 }
 
+/// The lamps fire before the head turns, once a face is there; what they did not show is said.
+TEST_F(Enrol, LiveHasTheLampsFireFirst) {
+  using nlohmann::json;
+  int asked = 0;
+  int lights = 3;
+  int fired = 0;
+  int lamps = 4;
+  service::ControlMethods methods;
+  methods["status"] = {false, {}, [&](const json&) {
+                         ++asked;
+                         return json{{"tracking", asked < 3 ? "searching" : "tracking"},
+                                     {"learning",
+                                      {{"state", fired > 0 ? "learned" : "looking"},
+                                       {"subject", 2},
+                                       {"note", "the lamps fired, but the face was not seen"},
+                                       {"turned_left_deg", 14},
+                                       {"needed_deg", 12},
+                                       {"turned_right_deg", 14},
+                                       {"seen_deg", json::array()},
+                                       {"lamps", lamps},
+                                       {"burst_s", 0.1},
+                                       {"bursts", fired},
+                                       {"lights", fired > 0 ? lights : 0}}}};
+                       }};
+  methods["person.check"] = {true, {{"name", service::ControlParam::Type::Text, true}}, [](const json&) {
+                               return json{{"file", "kept/ada.person"}};
+                             }};
+  methods["person.burst"] = {true, {}, [&](const json&) {
+                               if (lamps == 0) {
+                                 throw Error(ErrorKind::Usage, "no lamps are configured");
+                               }
+                               ++fired;
+                               return json{{"lamps", lamps}, {"seconds", 0.1}};
+                             }};
+  int kept = 0;
+  methods["person.keep"] = {
+      true,
+      {{"name", service::ControlParam::Type::Text, true}, {"subject", service::ControlParam::Type::Number}},
+      [&](const json&) {
+        ++kept;
+        return json{{"file", "kept/ada.person"}};
+      }};
+  const test::Answering daemon(file("control.sock"), std::move(methods));
+  const auto live = [&] {
+    return run({"enrol", "--live", "--lamps", "--name", "ada", "--socket", file("control.sock")});
+  };
+  EXPECT_EQ(live(), 0) << output_;
+  EXPECT_THAT(output_, AllOf(HasSubstr("no face is followed yet"), HasSubstr("hold still: in two seconds"),
+                             HasSubstr("the face was seen under 3 lights"), HasSubstr("kept/ada.person")));
+  EXPECT_EQ(fired, 1);
+  lights = 1;
+  EXPECT_EQ(live(), 4) << output_;
+  EXPECT_THAT(output_, HasSubstr("was not seen: nearer or brighter lamps"));
+  lamps = 0;
+  EXPECT_EQ(live(), 2);
+  EXPECT_THAT(output_, HasSubstr("no lamps are configured"));
+  EXPECT_EQ(kept, 1);
+}
+
+TEST_F(Enrol, WhereABurstIsMustBeSaidInFrames) {
+  EXPECT_EQ(run({"enrol", clip(), "--name", "ada", "--burst", "soon"}), 2);
+  EXPECT_THAT(output_, HasSubstr("soon"));
+  EXPECT_EQ(run({"enrol", clip(), "--name", "ada", "--lamps"}), 2);
+  EXPECT_THAT(output_, HasSubstr("say with --burst where in the video lamps fire"));
+  EXPECT_EQ(run({"enrol", "--live", "--name", "ada", "--burst", "1:2"}), 2);
+  EXPECT_THAT(output_, HasSubstr("no --burst"));
+}
+
 TEST_F(Enrol, LiveAndAVideoDoNotGoTogether) {
   EXPECT_EQ(run({"enrol", "--live", clip(), "--name", "ada"}), 2);
   EXPECT_THAT(output_, HasSubstr("--live takes no video"));

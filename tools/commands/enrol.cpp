@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <chrono>
+#include <cmath>
 #include <cstdint>
 #include <cstdio>
 #include <filesystem>
@@ -22,6 +23,7 @@
 
 #include "daemon_options.hpp"
 #include "face/person_model.hpp"
+#include "facet/clock.hpp"
 #include "facet/error.hpp"
 #include "options.hpp"
 #include "person/enrolment.hpp"
@@ -51,6 +53,7 @@ struct Options {
   std::string socket;
   std::string improve;
   bool live = false;
+  bool lamps = false;  ///< with live
 };
 
 pipeline::ObservedHead look(const pipeline::ShadingConfig& config, const Options& options,
@@ -255,6 +258,9 @@ void run(const Options& options) {
   if (!options.socket.empty()) {
     throw Error(ErrorKind::Usage, "--socket goes with --live: a video needs no daemon");
   }
+  if (options.lamps) {
+    throw Error(ErrorKind::Usage, "--lamps goes with --live: say with --burst where in the video lamps fire");
+  }
   if (options.video.empty()) {
     throw Error(ErrorKind::Usage, "give a video of the head, or --live for the running daemon's camera");
   }
@@ -354,6 +360,51 @@ std::string next_step(const json& learning) {
                       : note + "; turn once more, further, the face at rest";
 }
 
+/// Has the daemon's lamps fire in turn once a face is there, and waits until they did.
+void fire_lamps(const DaemonOptions& daemon, const StopSignals& signals) {
+  const auto wait = [&](std::chrono::milliseconds time) {
+    std::this_thread::sleep_for(time);
+    if (signals.pending() != 0) {
+      signals.die_of(signals.pending());
+    }
+    return call_daemon(daemon, "status");
+  };
+  const auto say = [](const std::string& text) {
+    tell("{}\n", text);
+    std::fflush(stdout);
+  };
+  json status = call_daemon(daemon, "status");
+  if (status["learning"].is_object() && status["learning"]["lamps"] > 0 && status["tracking"] != "tracking") {
+    say("look at the camera: no face is followed yet");
+    while (status["tracking"] != "tracking") {
+      status = wait(std::chrono::milliseconds(250));
+    }
+  }
+  const int before = status["learning"].is_object() ? status["learning"].value("bursts", 0) : 0;
+  if (before == 0 && status["learning"].is_object() && status["learning"]["lamps"] > 0) {
+    say("look at the camera, the face at rest, and hold still: in two seconds the lamps fire one by one");
+    wait(std::chrono::seconds(2));
+  }
+  const json burst = call_daemon(daemon, "person.burst");
+  const double patience_s = burst["seconds"].get<double>() + 10;
+  const Clock::time_point until = Clock::now() + std::chrono::milliseconds(std::llround(1000 * patience_s));
+  json learning;
+  do {
+    learning = wait(std::chrono::milliseconds(100))["learning"];
+    if (Clock::now() > until) {
+      throw Error(ErrorKind::NoFace,
+                  "the lamps' burst did not end: did the face leave the camera? Try again");
+    }
+  } while (learning.is_object() && learning["bursts"] == before);
+  if (!learning.is_object() || learning["lights"] < 2) {
+    throw Error(
+        ErrorKind::NoFace,
+        fmt::format("{}: nearer or brighter lamps, or less light in the room; then try again",
+                    learning.is_object() ? learning["note"].get<std::string>() : "nobody is learned"));
+  }
+  say(fmt::format("the face was seen under {} lights", learning["lights"].get<int>()));
+}
+
 /// Has the daemon keep what the head before its camera shows.
 void run_live(const Options& options) {
   if (!options.video.empty() || !options.person.empty() || !options.frames.empty() ||
@@ -369,6 +420,9 @@ void run_live(const Options& options) {
   const DaemonOptions daemon{options.socket, options.config};
   call_daemon(daemon, "person.check", {{"name", options.name}});  // before somebody turns the head for it
   const StopSignals signals;
+  if (options.lamps) {
+    fire_lamps(daemon, signals);
+  }
   std::string said;
   json learning = call_daemon(daemon, "status")["learning"];
   while (!learning.is_null() && learning["state"] != "learned") {
@@ -404,6 +458,10 @@ void add_enrol_command(Command program) {
   command.option("video", options->video,
                  "A video of five to ten seconds: the face at rest looks at the camera, then turns left, "
                  "right, up and down, 20 degrees and more to both sides");
+  command.flag(
+      "--lamps", options->lamps,
+      "With --live: first the daemon's lamps ([lamps]) fire in turn for some seconds, and the skin's "
+      "relief is found from how the face looks under each");
   command.flag(
       "--live", options->live,
       "In place of a video the running daemon's camera: says what to do, and the daemon keeps the person");
