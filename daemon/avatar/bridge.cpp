@@ -2,13 +2,9 @@
 
 #include <fmt/format.h>
 #include <pthread.h>
-#include <sys/socket.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <atomic>
-#include <cerrno>
-#include <cstring>
 #include <memory>
 #include <random>
 #include <string>
@@ -16,9 +12,11 @@
 #include <thread>
 #include <utility>
 
+#include "avatar/bridge_destination.hpp"
 #include "avatar/bridge_messages.hpp"
 #include "avatar/mapping_file.hpp"
 #include "avatar/phone_requests.hpp"
+#include "avatar/vrchat_finder.hpp"
 #include "avatar/vts_link.hpp"
 #include "facet/aside.hpp"
 #include "facet/clock.hpp"
@@ -65,7 +63,6 @@ const char* to_string(NeutralState state) {
 
 struct Bridge::Impl {
   Impl(const BridgeConfig& given, LookUp given_look_up);
-  ~Impl();
 
   // What holds poses stands first: it is aligned to 32 bytes.
   Smoother smoother;                         ///< the thread's own
@@ -73,35 +70,26 @@ struct Bridge::Impl {
   ValueTuner shown FACET_GUARDED_BY(mutex);  ///< of takes and poses, between which live frames come
   std::optional<NeutralPose> neutral FACET_GUARDED_BY(mutex);
   std::optional<NeutralRecorder> recorder FACET_GUARDED_BY(mutex);  ///< while a neutral pose is recorded
-  bool saving FACET_GUARDED_BY(mutex) = false;                      ///< what was recorded is written
-  bool cleared FACET_GUARDED_BY(mutex) = false;                     ///< meanwhile
 
-  BridgeMessages messages;  ///< the thread's own
-  MappedValues vts_chosen;  ///< likewise
+  BridgeMessages messages;     ///< the thread's own
+  MappedValues vts_chosen;     ///< likewise
+  MappedValues vrchat_chosen;  ///< likewise
   BridgeConfig config;
   LookUp look_up;
-  struct Destination {
-    BridgeTarget target;
-    SocketAddress address;
-    int socket = -1;
-    std::string unknown{};  ///< why there is no address
-    bool connected = false;
-    int sound_frames = 0;                                   ///< since the last that failed
-    int refusals = 0;                                       ///< since the last kSoundFrames that went well
-    std::optional<Clock::time_point> until;                 ///< of one that asked
-    IFacialMocapVersion version = IFacialMocapVersion::V1;  ///< that it asked for last
-  };
-  /// The thread's own, as is status.targets' order: the configured ones, then those that asked.
+  using Destination = BridgeDestination;
+  /// The thread's own, as is status.targets' order: the configured ones, then those that asked or were found.
   std::vector<Destination> destinations;
 
   mutable Mutex mutex;
   Condition changed;
   bool stopping FACET_GUARDED_BY(mutex) = false;
+  bool saving FACET_GUARDED_BY(mutex) = false;                            ///< what was recorded is written
+  bool cleared FACET_GUARDED_BY(mutex) = false;                           ///< while it was written
+  bool remapped FACET_GUARDED_BY(mutex) = false;                          ///< `messages` have another one yet
   std::shared_ptr<const mesh::MeshFrame> newest FACET_GUARDED_BY(mutex);  ///< not sent yet
   BridgeStatus status FACET_GUARDED_BY(mutex);
   std::shared_ptr<const ValueTunings> values FACET_GUARDED_BY(mutex);  ///< those of the status
   ValueMapping mapping FACET_GUARDED_BY(mutex);                        ///< its values are not used
-  bool remapped FACET_GUARDED_BY(mutex) = false;                       ///< `messages` have another one yet
   mesh::ArkitValues sent FACET_GUARDED_BY(mutex){};
   Clock::time_point recorded_until FACET_GUARDED_BY(mutex);
 
@@ -115,6 +103,7 @@ struct Bridge::Impl {
   Clock::time_point next_look_up = Clock::now();
   std::optional<PhoneRequests> requests;
   Clock::time_point next_listening = Clock::now();
+  std::uint64_t found_changes = 0;  ///< those of the finder's that were taken
 
   VtsTokens tokens{config.vts_tokens_file};
   struct PluginTarget {
@@ -122,26 +111,30 @@ struct Bridge::Impl {
     std::unique_ptr<VtsLink> link;
   };
   std::vector<PluginTarget> plugins;
+  std::unique_ptr<VrChatFinder> finder;  ///< none: VRChats are not looked for
 
   // Last, so that they are joined before anything is freed; the helper after who asks it.
   Aside names{"facet-names", [this] { look_up_sought(); }};
   std::jthread thread;
 
-  static int open_socket(int family);
   void settle(std::size_t target, const LookedUp& found, BridgeTargetStatus& told);
   void look_up_again() FACET_REQUIRES(mutex);
   void look_up_sought();
   // Without the lock, which they take where they change the status: nobody waits for what the network brings.
   void hear_requests();
-  bool has_place() const { return destinations.size() < config.targets.size() + kMostAskers; }
+  bool has_place() const;
   void take_asker(const Asker& asker);
   void forget_askers();
+  void take_mapping(const ValueMapping& fresh);
+  void take_found();
+  void know(std::size_t place, const FoundVrChat* vrchat);
+  void add(Destination destination, BridgeTargetStatus told);
+  void forget(std::size_t place);
   bool changes_values() const FACET_REQUIRES(mutex) { return recorder || neutral || !values->plain(); }
   void run();
   void work_once(Clock::time_point& next_send) FACET_REQUIRES(mutex);
   void finish_recording() FACET_REQUIRES(mutex);
   void send(const FaceState& state, bool with_neutral);
-  static std::string send_all(Destination& to, const std::vector<std::vector<std::byte>>& datagrams);
 };
 
 Bridge::Impl::Impl(const BridgeConfig& given, LookUp given_look_up)
@@ -152,6 +145,7 @@ Bridge::Impl::Impl(const BridgeConfig& given, LookUp given_look_up)
       mapping(load_mapping(given.mapping_file)) {
   messages.map(mapping);
   vts_chosen = mapping.vtube_studio;
+  vrchat_chosen = mapping.vrchat;
   status.tokens_reason = tokens.fault();
   try {
     neutral = load_neutral(config.neutral_file);
@@ -176,29 +170,14 @@ Bridge::Impl::Impl(const BridgeConfig& given, LookUp given_look_up)
     settle(i, digits.length > 0 ? LookedUp{digits, ""} : look_up(target), told);
     status.targets.push_back(std::move(told));
   }
-  // So that an asker is on both lists or on none, even where there is no memory.
-  destinations.reserve(config.targets.size() + kMostAskers);
-  status.targets.reserve(config.targets.size() + kMostAskers);
+  if (config.find.where != VrChatFind::Off) {
+    finder = std::make_unique<VrChatFinder>(config.find);
+  }
+  // So that one who comes is on both lists or on none, even where there is no memory.
+  const std::size_t most = config.targets.size() + kMostAskers + kMostFoundVrChats;
+  destinations.reserve(most);
+  status.targets.reserve(most);
   next_look_up = Clock::now() + config.look_up_every;
-}
-
-Bridge::Impl::~Impl() {
-  for (const Destination& destination : destinations) {
-    if (destination.socket >= 0) {
-      ::close(destination.socket);
-    }
-  }
-}
-
-/// A connected socket for each target: a refusal that comes back from it (nobody listens there) is told with
-/// the next datagram.
-int Bridge::Impl::open_socket(int family) {
-  const int descriptor = ::socket(family, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
-  if (descriptor < 0) {
-    throw Error(ErrorKind::Internal,
-                fmt::format("bridge: cannot open a UDP socket: {}", std::strerror(errno)));
-  }
-  return descriptor;
 }
 
 /// Takes what a target's address is, or why it has none.
@@ -210,7 +189,7 @@ void Bridge::Impl::settle(std::size_t target, const LookedUp& found, BridgeTarge
                                       std::chrono::duration<double>(config.look_up_every).count());
   } else {
     destination.address = found.address;
-    destination.socket = open_socket(found.address.storage.ss_family);
+    destination.open();
   }
   told.reason = destination.unknown;
 }
@@ -229,7 +208,7 @@ void Bridge::Impl::look_up_again() {
   } else if (Clock::now() >= next_look_up) {
     sought.clear();
     for (std::size_t i = 0; i < config.targets.size(); ++i) {
-      if (destinations[i].socket < 0 && config.targets[i].protocol != BridgeProtocol::VTubeStudioPlugin) {
+      if (!destinations[i].socket && config.targets[i].protocol != BridgeProtocol::VTubeStudioPlugin) {
         sought.push_back({i, {}});
       }
     }
@@ -294,29 +273,110 @@ void Bridge::Impl::take_asker(const Asker& asker) {
   asked.until = until;
   asked.version = asker.version;
   BridgeTargetStatus told{.target = asked.target, .asked = true};
-  asked.socket = open_socket(asker.address.storage.ss_family);
-  // Whoever sends a request in another's name gets none of it beyond this network.
-  if (!keep_in_network(asked.socket, asker.address.storage.ss_family)) {
-    ::close(asked.socket);
+  add(std::move(asked), std::move(told));
+}
+
+/// One that is not configured. Whoever says that he is somebody else gets nothing beyond this network.
+void Bridge::Impl::add(Destination destination, BridgeTargetStatus told) {
+  destination.open();
+  if (!keep_in_network(destination.socket.get(), destination.address.storage.ss_family)) {
     return;
   }
   const Lock lock(mutex);
   status.targets.push_back(std::move(told));
-  destinations.push_back(std::move(asked));
+  destinations.push_back(std::move(destination));
+}
+
+void Bridge::Impl::forget(std::size_t place) {
+  const auto at = static_cast<std::ptrdiff_t>(place);
+  destinations.erase(destinations.begin() + at);
+  const Lock lock(mutex);
+  status.targets.erase(status.targets.begin() + at);
 }
 
 void Bridge::Impl::forget_askers() {
   const auto now = Clock::now();
   for (std::size_t i = destinations.size(); i > config.targets.size(); --i) {
     const Destination& asked = destinations[i - 1];
-    if (now >= *asked.until || asked.refusals >= kMostRefusals) {
-      ::close(asked.socket);
-      const auto at = static_cast<std::ptrdiff_t>(i - 1);
-      destinations.erase(destinations.begin() + at);
-      const Lock lock(mutex);
-      status.targets.erase(status.targets.begin() + at);
+    if (asked.until && (now >= *asked.until || asked.refusals >= kMostRefusals)) {
+      forget(i - 1);
     }
   }
+}
+
+bool Bridge::Impl::has_place() const {
+  const auto askers = std::count_if(destinations.begin(), destinations.end(),
+                                    [](const Destination& each) { return each.until.has_value(); });
+  return static_cast<std::size_t>(askers) < kMostAskers;
+}
+
+void Bridge::Impl::take_mapping(const ValueMapping& fresh) {
+  messages.map(fresh);
+  vts_chosen = fresh.vtube_studio;
+  vrchat_chosen = fresh.vrchat;
+  for (std::size_t i = 0; i < destinations.size(); ++i) {
+    Destination& each = destinations[i];
+    if (each.avatar != nullptr) {
+      each.wear(each.avatar, vrchat_chosen);
+      const Lock lock(mutex);
+      status.targets[i].driven = each.writer->driven();
+    }
+  }
+}
+
+/// Takes over which VRChats answer, where that has changed.
+void Bridge::Impl::take_found() {
+  const std::uint64_t changes = finder->changes();
+  if (changes == found_changes) {
+    return;
+  }
+  found_changes = changes;
+  const std::vector<FoundVrChat> found = finder->found();
+  const auto is_at = [](const FoundVrChat& vrchat, const Destination& destination) {
+    return destination.target.protocol == BridgeProtocol::VrChat &&
+           std::any_of(vrchat.addresses.begin(), vrchat.addresses.end(), [&](const SocketAddress& address) {
+             return same_address(address, destination.address);
+           });
+  };
+  for (std::size_t i = destinations.size(); i > 0; --i) {
+    const Destination& known = destinations[i - 1];
+    const auto vrchat =
+        std::find_if(found.begin(), found.end(), [&](const FoundVrChat& each) { return is_at(each, known); });
+    if (vrchat == found.end() && known.found) {
+      forget(i - 1);
+    } else if (known.target.protocol == BridgeProtocol::VrChat) {
+      know(i - 1, vrchat != found.end() ? &*vrchat : nullptr);
+    }
+  }
+  for (const FoundVrChat& vrchat : found) {
+    if (std::none_of(destinations.begin(), destinations.end(),
+                     [&](const Destination& known) { return is_at(vrchat, known); })) {
+      Destination place;
+      place.target = vrchat.target();
+      place.address = vrchat.addresses.front();
+      place.found = true;
+      BridgeTargetStatus told{.target = place.target, .found = true};
+      const std::size_t before = destinations.size();
+      add(std::move(place), std::move(told));
+      if (destinations.size() > before) {
+        know(before, &vrchat);
+      }
+    }
+  }
+}
+
+/// What a target of VRChat's is, and what its avatar has; null: that is not known.
+void Bridge::Impl::know(std::size_t place, const FoundVrChat* vrchat) {
+  Destination& destination = destinations[place];
+  const auto avatar = vrchat != nullptr ? vrchat->avatar : nullptr;
+  if (avatar != destination.avatar) {
+    destination.wear(avatar, vrchat_chosen);
+  }
+  const Lock lock(mutex);
+  BridgeTargetStatus& told = status.targets[place];
+  told.name = vrchat != nullptr ? vrchat->name : "";
+  told.avatar = avatar != nullptr ? avatar->avatar : "";
+  told.driven = avatar != nullptr ? std::optional(destination.writer->driven()) : std::nullopt;
 }
 
 void Bridge::Impl::run() {
@@ -341,10 +401,15 @@ void Bridge::Impl::work_once(Clock::time_point& next_send) {
   const auto period =
       std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1 / config.rate_hz));
   look_up_again();
-  if (!config.answer.empty()) {
+  if (!config.answer.empty() || finder != nullptr) {
     {
       const Unlock unlock(mutex);
-      hear_requests();
+      if (!config.answer.empty()) {
+        hear_requests();
+      }
+      if (finder != nullptr) {
+        take_found();
+      }
     }
     if (stopping) {
       return;  // told while nobody waited
@@ -376,8 +441,7 @@ void Bridge::Impl::work_once(Clock::time_point& next_send) {
   {
     const Unlock unlock(mutex);
     if (fresh) {
-      messages.map(*fresh);
-      vts_chosen = fresh->vtube_studio;
+      take_mapping(*fresh);
     }
     smoother.apply(state);
     send(state, with_neutral);
@@ -420,26 +484,6 @@ void Bridge::Impl::finish_recording() {
   }
 }
 
-/// Empty, or what the network said.
-std::string Bridge::Impl::send_all(Destination& to, const std::vector<std::vector<std::byte>>& datagrams) {
-  if (to.socket < 0) {
-    return to.unknown;
-  }
-  // Where there is no route yet, the next frame tries again.
-  if (!to.connected &&
-      ::connect(to.socket, reinterpret_cast<const sockaddr*>(&to.address.storage), to.address.length) < 0) {
-    return std::strerror(errno);
-  }
-  to.connected = true;
-  std::string reason;
-  for (const std::vector<std::byte>& datagram : datagrams) {
-    if (::send(to.socket, datagram.data(), datagram.size(), MSG_NOSIGNAL) < 0) {
-      reason = errno == EAGAIN ? "the network is busy" : std::strerror(errno);
-    }
-  }
-  return reason;
-}
-
 void Bridge::Impl::send(const FaceState& state, bool with_neutral) {
   if (!plugins.empty()) {
     const auto parameters =
@@ -450,11 +494,14 @@ void Bridge::Impl::send(const FaceState& state, bool with_neutral) {
   }
   messages.begin(state, with_neutral);
   for (std::size_t i = 0; i < destinations.size(); ++i) {
-    const auto& datagrams = messages.of(destinations[i].target.protocol, destinations[i].version);
+    VrChatWriter* const writer = destinations[i].writer.get();
+    const auto& datagrams = writer != nullptr
+                                ? messages.of(*writer)
+                                : messages.of(destinations[i].target.protocol, destinations[i].version);
     if (datagrams.empty()) {
       continue;
     }
-    const std::string reason = send_all(destinations[i], datagrams);
+    const std::string reason = destinations[i].send(datagrams);
     const Lock lock(mutex);
     BridgeTargetStatus& target = status.targets[i];
     ++target.frames;
@@ -482,6 +529,9 @@ void Bridge::start() {
   for (const Impl::PluginTarget& plugin : impl_->plugins) {
     plugin.link->start();
   }
+  if (impl_->finder != nullptr) {
+    impl_->finder->start();
+  }
   impl_->thread = std::jthread([this] { impl_->run(); });
 }
 
@@ -494,6 +544,9 @@ void Bridge::request_stop() {
   for (const Impl::PluginTarget& plugin : impl_->plugins) {
     plugin.link->request_stop();
   }
+  if (impl_->finder != nullptr) {
+    impl_->finder->request_stop();
+  }
 }
 
 void Bridge::stop() {
@@ -502,6 +555,9 @@ void Bridge::stop() {
   }
   for (const Impl::PluginTarget& plugin : impl_->plugins) {
     plugin.link->stop();
+  }
+  if (impl_->finder != nullptr) {
+    impl_->finder->stop();
   }
 }
 
@@ -556,6 +612,9 @@ BridgeStatus Bridge::status() const {
     target.frames = link.frames;
     target.failed = link.failed;
     target.reason = link.reason;
+  }
+  if (impl_->finder != nullptr) {
+    now.find_reason = impl_->finder->fault();
   }
   return now;
 }

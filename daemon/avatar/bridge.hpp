@@ -12,6 +12,7 @@
 #include "avatar/protocols.hpp"
 #include "avatar/value_mapping.hpp"
 #include "avatar/value_tuning.hpp"
+#include "avatar/vrchat_finder.hpp"
 #include "mesh/mesh_frame.hpp"
 
 namespace facet::avatar {
@@ -28,8 +29,9 @@ struct BridgeConfig {
   std::string answer;  ///< this machine's address at which requests are heard; empty: none are
   std::chrono::milliseconds look_up_every = std::chrono::seconds(30);          ///< names that were not found
   std::filesystem::path vts_tokens_file = "/var/lib/facet/vtube-studio.json";  ///< VtsTokens
-  bool vts_arkit = false;  ///< ARKit's 52, too, as custom parameters of VTube Studio's
-  ValueTunings values;     ///< where the mapping file has none, and until tune() says otherwise
+  bool vts_arkit = false;   ///< ARKit's 52, too, as custom parameters of VTube Studio's
+  VrChatFinderConfig find;  ///< VRChats that are targets without being configured
+  ValueTunings values;      ///< where the mapping file has none, and until tune() says otherwise
 };
 
 struct BridgeTargetStatus {
@@ -38,7 +40,11 @@ struct BridgeTargetStatus {
   std::uint64_t frames = 0;  ///< sent
   std::uint64_t failed = 0;  ///< of which a datagram could not be sent
   std::string
-      reason{};  ///< of the last that failed; empty once 30 in a row went well, or once a name is found
+      reason{};        ///< of the last that failed; empty once 30 in a row went well, or once a name is found
+  bool found = false;  ///< it is not configured, but a VRChat that was found (BridgeConfig::find)
+  std::string name{};  ///< of a VRChat that answers: "VRChat-Client-A1B2C3"
+  std::string avatar{};         ///< that it wears; empty: not known
+  std::optional<int> driven{};  ///< of its avatar's parameters; none: which it has is not known, all are sent
 };
 
 /// Where the recording of the neutral pose stands.
@@ -52,6 +58,7 @@ struct BridgeStatus {
   int neutral_frames = 0;      ///< recorded so far
   std::string tokens_reason;   ///< what was wrong with the file of VTube Studio's tokens at the start
   std::string answer_reason;   ///< why requests can't be heard now; it is tried again
+  std::string find_reason;     ///< why VRChats can't be looked for now; it is tried again
   ValueTunings values;
 };
 
@@ -64,6 +71,10 @@ struct BridgeStatus {
 /// Who asks as receivers ask phones (PhoneRequests), where that is configured, is a target for as long as it
 /// asked, unless its port is closed; 16 at most. Datagrams to such targets end at the first router, whoever
 /// they said that they were.
+///
+/// VRChats that were found (VrChatFinder), where that is configured, are targets for as long as they answer,
+/// 4 at most; datagrams to them end at the first router, too. Of each, as of a configured target that is one
+/// of them, the parameters alone are sent that its avatar has, where it tells them.
 class Bridge {
  public:
   /// Reads the neutral pose, where there is one, and the mapping file. Throws Error(UnreadableInput) where

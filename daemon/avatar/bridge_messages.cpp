@@ -48,18 +48,27 @@ const std::vector<std::vector<std::byte>>& BridgeMessages::of(BridgeProtocol pro
   return written.datagrams;
 }
 
+const std::vector<std::vector<std::byte>>& BridgeMessages::of(VrChatWriter& writer) {
+  osc_.clear();
+  writer.write(state_, time_s(), osc_);
+  return osc_.bundles();
+}
+
+float BridgeMessages::time_s() const {
+  return std::chrono::duration<float>(Clock::now() - started_).count();
+}
+
 void BridgeMessages::write(BridgeProtocol protocol, IFacialMocapVersion version,
                            std::vector<std::vector<std::byte>>& out) {
   const bool has_values = state_.tracked && state_.has_expression;
-  const float time_s = std::chrono::duration<float>(Clock::now() - started_).count();
   osc_.clear();
   switch (protocol) {
     case BridgeProtocol::Vmc:
-      write_vmc(state_, time_s, neutral_, vmc_content_, osc_);
+      write_vmc(state_, time_s(), neutral_, vmc_content_, osc_);
       out = osc_.bundles();
       break;
     case BridgeProtocol::VrChat:
-      vrchat_.write(state_, time_s, osc_);
+      vrchat_.write(state_, time_s(), osc_);
       out = osc_.bundles();
       break;
     case BridgeProtocol::LiveLinkFace:

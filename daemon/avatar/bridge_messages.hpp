@@ -35,8 +35,11 @@ class BridgeMessages {
   /// frame. Until the next begin(). version: of IFacialMocap alone.
   const std::vector<std::vector<std::byte>>& of(BridgeProtocol protocol,
                                                 IFacialMocapVersion version = IFacialMocapVersion::V1);
+  /// The same for one VRChat, whose writer knows its avatar. Until the next call.
+  const std::vector<std::vector<std::byte>>& of(VrChatWriter& writer);
 
  private:
+  float time_s() const;
   void write(BridgeProtocol protocol, IFacialMocapVersion version, std::vector<std::vector<std::byte>>& out);
 
   FaceState state_;  // first, as it is aligned to 16 bytes

@@ -541,6 +541,9 @@ void read_bridges(Section section, avatar::BridgeConfig& bridges) {
   if (const auto shapes = section.read_choice("vmc_shapes", avatar::kVmcShapes)) {
     bridges.vmc_shapes = static_cast<avatar::VmcShapes>(*shapes);
   }
+  if (const auto find = section.read_choice("vrchat_find", avatar::kVrChatFinds)) {
+    bridges.find.where = static_cast<avatar::VrChatFind>(*find);
+  }
   if (!bridges.answer.empty() && avatar::socket_address(bridges.answer, 0).length == 0) {
     section.fail(section.find("answer"), "answer",
                  "must be an IP address of this machine in digits, such as \"0.0.0.0\", or \"\" for none");

@@ -19,6 +19,8 @@ namespace {
 constexpr std::size_t kOwn = 96;
 /// Device or socket, memory, wake-ups, trigger line and the buffers of one camera.
 constexpr std::size_t kPerCamera = 8;
+/// Of who finds VRChats: those that are asked and those that are sent to, questions, wake-up.
+constexpr std::size_t kOfVrChats = 14;
 constexpr std::size_t kLeastPlaces = 2;  ///< of each kind
 
 /// Of all servers, with those that a round accepts only to close them.
@@ -38,7 +40,9 @@ std::size_t of_places(const Config& config) {
 }
 
 std::size_t of_our_own(const Config& config) {
-  return kOwn + (kPerCamera * std::max<std::size_t>(1, config.devices.cameras.size()));
+  const bool finds = config.bridges.find.where != avatar::VrChatFind::Off;
+  return kOwn + (finds ? kOfVrChats : 0) +
+         (kPerCamera * std::max<std::size_t>(1, config.devices.cameras.size()));
 }
 
 }  // namespace

@@ -17,6 +17,7 @@ namespace facet::service {
 /// * `facet-takes`, `facet-trim` rename, delete, note and cut takes. The disk.
 /// * `facet-studio`, `facet-pictures`: see their classes. The disk.
 /// * `facet-names` looks up the bridges' hosts. The resolver.
+/// * `facet-vrchat` finds VRChats, where that is configured. Poll alone.
 /// * `facet-vts`, for each of VTube Studio's APIs for plug-ins that is a target. It waits for that peer
 /// alone.
 /// * `facet-stream`, `facet-bridge`, `facet-take`, `facet-pack-N`, `facet-capture`, `facet-track`,

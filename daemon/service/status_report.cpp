@@ -203,6 +203,10 @@ json to_json(const avatar::BridgeStatus& status) {
     targets.push_back({{"protocol", avatar::to_string(target.target.protocol)},
                        {"target", target.target.text()},
                        {"asked", target.asked},
+                       {"found", target.found},
+                       {"name", target.name},
+                       {"avatar", target.avatar},
+                       {"driven", target.driven ? json(*target.driven) : json()},
                        {"frames", target.frames},
                        {"failed", target.failed},
                        {"reason", target.reason}});
@@ -220,6 +224,7 @@ json to_json(const avatar::BridgeStatus& status) {
   return {{"targets", std::move(targets)},
           {"values", std::move(values)},
           {"answer_reason", status.answer_reason},
+          {"find_reason", status.find_reason},
           {"neutral",
            {{"state", avatar::to_string(status.neutral)},
             {"reason", status.neutral_reason},

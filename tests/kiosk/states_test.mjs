@@ -234,6 +234,7 @@ async function devicesAreTold(browser, step) {
       recording: { state: 'recording', reason: '', warning: '', file: '/t/a.take', frames: 9, dropped: 3, bytes: 9 },
       bridges: { neutral: { state: 'none', reason: '', frames: 0 }, targets: [
         { protocol: 'vmc', target: '127.0.0.1:39539', frames: 120, failed: 0, reason: '' },
+        { protocol: 'vrchat', target: '127.0.0.1:9000', name: 'VRChat-Client-A1B2C3', frames: 5, failed: 0, reason: '' },
         { protocol: 'live_link_face', target: '192.168.1.20:11111', frames: 9, failed: 9, reason: 'Connection refused' }] } };
     told.send(fake.dropped(7));
     await eventually('skipped', async () => (await textOf(page, 'devices')).includes(words.skipped));
@@ -244,6 +245,7 @@ async function devicesAreTold(browser, step) {
     const vmc = rowOf(page, 'VMC 127.0.0.1:39539');
     assert.equal(await vmc.getAttribute('class'), 'good');
     assert.ok((await vmc.textContent()).includes(words.sent));
+    assert.equal(await rowOf(page, 'VRChat-Client-A1B2C3 127.0.0.1:9000').getAttribute('class'), 'good');
     const unreal = rowOf(page, 'Live Link Face 192.168.1.20:11111');
     assert.equal(await unreal.getAttribute('class'), 'bad');
     assert.ok((await unreal.textContent()).includes(words.refused) && (await unreal.textContent()).includes('Connection refused'));

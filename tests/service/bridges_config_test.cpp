@@ -25,6 +25,7 @@ TEST(BridgesConfig, BridgesSayWhatIsSent) {
   const Config config = parse_config(
       "[bridges]\nifacialmocap = [\"localhost:49983\"]\nvrchat = [\"127.0.0.1:9000\"]\n"
       "vtube_studio = [\"127.0.0.1:11125\"]\nvmc_shapes = \"presets\"\nvmc_eye_bones = false\n"
+      "vrchat_find = \"network\"\n"
       "mapping = \"avatar.toml\"\nanswer = \"0.0.0.0\"\n",
       "/etc/facet/facet.toml");
   ASSERT_EQ(config.bridges.targets.size(), 3U);
@@ -33,14 +34,17 @@ TEST(BridgesConfig, BridgesSayWhatIsSent) {
   EXPECT_EQ(config.bridges.targets[2].protocol, avatar::BridgeProtocol::VTubeStudio);
   EXPECT_EQ(config.bridges.vmc_shapes, avatar::VmcShapes::Presets);
   EXPECT_FALSE(config.bridges.vmc_eye_bones);
+  EXPECT_EQ(config.bridges.find.where, avatar::VrChatFind::Network);
   EXPECT_EQ(config.bridges.mapping_file, "/etc/facet/avatar.toml");
   EXPECT_EQ(config.bridges.answer, "0.0.0.0");
   const avatar::BridgeConfig plain = parse_config("", "facet.toml").bridges;
   EXPECT_EQ(plain.vmc_shapes, avatar::VmcShapes::PerfectSync);
   EXPECT_TRUE(plain.vmc_eye_bones);
+  EXPECT_EQ(plain.find.where, avatar::VrChatFind::Off) << "nobody is looked for unless that is said";
   EXPECT_TRUE(plain.mapping_file.empty());
   EXPECT_TRUE(plain.answer.empty()) << "nobody is heard unless that is said";
   EXPECT_THAT(error_of("[bridges]\nvmc_shapes = \"vrm\"\n"), HasSubstr("perfect_sync"));
+  EXPECT_THAT(error_of("[bridges]\nvrchat_find = true\n"), HasSubstr("machine"));
   EXPECT_THAT(error_of("[bridges]\nanswer = \"everywhere\"\n"), HasSubstr("in digits"));
   EXPECT_THAT(error_of("[bridges]\nvrchat = [\"nowhere\"]\n"), HasSubstr("such as [\"127.0.0.1:9000\"]"));
 }

@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <filesystem>
@@ -16,6 +17,8 @@
 
 #include "avatar/bridge.hpp"
 #include "avatar/mapping_file.hpp"
+#include "avatar/vrchat.hpp"
+#include "avatar/vrchat_finder.hpp"
 #include "booth/booth_depth.hpp"
 #include "camera/factory.hpp"
 #include "camera/host_sandbox.hpp"
@@ -297,6 +300,31 @@ void check_target(Report& report, const avatar::BridgeTarget& target) {
   }
 }
 
+/// VRChats of this machine and of its networks that answer in a while, configured or not.
+void find_vrchats(Report& report, const avatar::BridgeConfig& bridges) {
+  using namespace std::chrono_literals;
+  avatar::VrChatFinder finder({.where = avatar::VrChatFind::Network, .patience = 1s});
+  finder.start();
+  std::this_thread::sleep_for(1500ms);
+  const std::vector<avatar::FoundVrChat> found = finder.found();
+  for (const avatar::FoundVrChat& vrchat : found) {
+    const std::string avatar =
+        vrchat.avatar == nullptr
+            ? "does not tell what its avatar has"
+            : fmt::format("avatar {} has {} parameters, {} of them are driven", vrchat.avatar->avatar,
+                          vrchat.avatar->list.size(), avatar::VrChatWriter({}, vrchat.avatar.get()).driven());
+    report.say(Verdict::Good, "vrchat",
+               fmt::format("{} answers at {}: {}", vrchat.name, vrchat.target().text(), avatar),
+               bridges.find.where == avatar::VrChatFind::Off
+                   ? "[bridges] vrchat_find = \"machine\" sends to it"
+                   : "");
+  }
+  if (found.empty() && bridges.find.where != avatar::VrChatFind::Off) {
+    report.say(Verdict::Note, "vrchat", finder.fault().empty() ? "no VRChat answers" : finder.fault(),
+               "start it, and switch OSC on in its menu: Options, OSC");
+  }
+}
+
 void check_bridges(Report& report, const avatar::BridgeConfig& bridges) {
   for (const avatar::BridgeTarget& target : bridges.targets) {
     check_target(report, target);
@@ -431,6 +459,7 @@ void run(const std::string& given_file) {
   }
   check_takes(report, config);
   check_bridges(report, config.bridges);
+  find_vrchats(report, config.bridges);
   check_daemon(report, config);
   if (report.first_fault()) {
     throw Error(*report.first_fault(),

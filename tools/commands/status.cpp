@@ -33,9 +33,18 @@ void print_bridges(const json& bridges) {
     tell("bridge        {} to {}: {} frames, {} failed{}\n", target["protocol"].get<std::string>(),
          target["target"].get<std::string>(), target["frames"].get<std::uint64_t>(),
          target["failed"].get<std::uint64_t>(), reason.empty() ? "" : ": " + reason);
+    if (const std::string name = target.value("name", std::string()); !name.empty()) {
+      const json driven = target.value("driven", json());
+      tell("              {}, {}\n", name,
+           driven.is_null() ? "which does not tell what its avatar has: everything is sent"
+                            : fmt::format("avatar {}: {} of its parameters are driven",
+                                          target.value("avatar", std::string()), driven.get<int>()));
+    }
   }
-  if (const std::string fault = bridges.value("answer_reason", std::string()); !fault.empty()) {
-    tell("bridges       {}\n", fault);
+  for (const char* key : {"answer_reason", "find_reason"}) {
+    if (const std::string fault = bridges.value(key, std::string()); !fault.empty()) {
+      tell("bridges       {}\n", fault);
+    }
   }
   const std::string reason = bridges["neutral"]["reason"];
   tell("neutral pose  {}{}\n", bridges["neutral"]["state"].get<std::string>(),

@@ -205,10 +205,10 @@ const kProtocols: Record<string, string> = {
   vmc: 'VMC', live_link_face: 'Live Link Face', ifacialmocap: 'iFacialMocap', vrchat: 'VRChat', vtube_studio: 'VTube Studio',
   vtube_studio_plugin: 'VTube Studio' };
 
-function bridgeRow({ protocol, target, frames, failed, reason }: BridgeTarget): HTMLElement {
+function bridgeRow({ protocol, target, name, frames, failed, reason }: BridgeTarget): HTMLElement {
   const words = text(failed > 0 ? 'bridge_refused' : 'bridge_sent', {
     sent: number(frames), refused: number(failed) });
-  return healthRow(`${kProtocols[protocol] ?? protocol} ${target}`, words,
+  return healthRow(`${name || (kProtocols[protocol] ?? protocol)} ${target}`, words,
                    reason !== '' ? 'bad' : frames > 0 ? 'good' : 'busy', said(reason));
 }
 

@@ -75,6 +75,8 @@ export interface Learning {
 export interface BridgeTarget {
   protocol: string;
   target: string;
+  /** Of a VRChat that answers; else "". */
+  name?: string;
   frames: number;
   failed: number;
   reason: string;
