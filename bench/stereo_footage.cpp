@@ -259,6 +259,13 @@ CodedFootage coded_footage(const simulation::VirtualBooth& booth, const std::str
     return scan::PhaseDecoder(options.sequence, rig.cameras[camera].lens.width_px,
                               rig.cameras[camera].lens.height_px, decode);
   };
+  if (options.compensation >= 0 &&
+      (options.compensation % 2 == 0 || options.compensation > 9 || options.first_slot < 8 ||
+       std::any_of(options.sequence.columns.fringes.begin(), options.sequence.columns.fringes.end(),
+                   [](const capture::FringeSet& set) { return set.shifts != 4; }))) {
+    throw Error(ErrorKind::Usage,
+                "self-compensation is of order 1, 3 to 9, of sets of 4 shifts (phase:4x64), from slot 8 on");
+  }
   scan::PhaseDecoder left = decoder_of(out.pair.pair.left);
   scan::PhaseDecoder right = decoder_of(out.pair.pair.right);
   const auto grey_of = [](const Frame& frame) {

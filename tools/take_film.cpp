@@ -7,6 +7,7 @@
 #include <filesystem>
 #include <memory>
 #include <optional>
+#include <span>
 
 #include "exports/export.hpp"
 #include "facet/error.hpp"
@@ -24,10 +25,13 @@ namespace {
 /// A picture is not held for longer than this without being sent again: players seek by what is there.
 constexpr std::uint64_t kLongestHold = 3600;
 
-std::vector<report::FilmPanel> panels_of(const std::string& text, bool has_pictures) {
+/// images may be null; first: a frame that they are asked for. A set of several cameras' pictures gives none.
+std::vector<report::FilmPanel> panels_of(const std::string& text, report::SourceImages* images,
+                                         std::uint64_t first) {
   if (!text.empty()) {
     return report::parse_film_panels(text);
   }
+  const bool has_pictures = images != nullptr && images->at(first).has_value();
   return report::parse_film_panels(has_pictures ? "picture,grey,skin" : "grey,skin");
 }
 
@@ -45,21 +49,30 @@ std::string line_of(const mesh::MeshFrame& frame, double time_s, const exports::
 /// The film's first timecode, where it counts as the film does.
 std::string timecode_of(const exports::Timeline& timeline) {
   const auto place = exports::start_timecode(timeline);
-  return place && std::abs(place->rate.hz() - timeline.rate_hz) < 0.02 * timeline.rate_hz
+  return place && render::takes_timecode(timeline.rate_hz) &&
+                 std::abs(place->rate.hz() - timeline.rate_hz) < 0.02 * timeline.rate_hz
              ? take::to_text(*place)
              : std::string();
 }
 
-/// A take's sound on its way into a film.
+/// A take's sound on its way into a film, which does without what of it can't be had.
 class FilmTrack {
  public:
   FilmTrack(take::TakeReader& take, std::int64_t from_ns, std::int64_t to_ns) {
     const take::TakeInfo& info = take.info();
-    if (info.sound.is_there()) {
-      reader_.emplace(
-          sound::SoundCut{take::sound_file_of(info.file), info.sound, from_ns, to_ns, std::nullopt});
-    } else if (!info.sound.reason.empty()) {
-      tell(stderr, "note: the film has no sound: {}\n", info.sound.reason);
+    std::string fault = info.sound.is_there() ? "" : info.sound.reason;
+    try {
+      if (info.sound.is_there()) {
+        reader_.emplace(
+            sound::SoundCut{take::sound_file_of(info.file), info.sound, from_ns, to_ns, std::nullopt});
+        fault = render::fault_of(*format());
+      }
+    } catch (const Error& error) {
+      fault = error.what();
+    }
+    if (!fault.empty()) {
+      reader_.reset();
+      tell(stderr, "note: the film has no sound: {}\n", fault);
     }
   }
 
@@ -74,7 +87,7 @@ class FilmTrack {
     }
     const auto until = static_cast<std::int64_t>(std::llround(time_s * reader_->format().rate_hz));
     while (done_ < until) {
-      const auto samples = reader_->next(until - done_);
+      const auto samples = next(until - done_);
       if (samples.empty()) {
         return;
       }
@@ -84,7 +97,20 @@ class FilmTrack {
   }
 
  private:
+  /// None at the end, and where the rest can't be read, which is said once.
+  std::span<const std::int32_t> next(std::int64_t most) {
+    try {
+      return is_broken_ ? std::span<const std::int32_t>() : reader_->next(most);
+    } catch (const Error& error) {
+      is_broken_ = true;
+      tell(stderr, "note: the film has no sound from {:.2f} s on: {}\n",
+           static_cast<double>(done_) / reader_->format().rate_hz, error.what());
+      return {};
+    }
+  }
+
   std::optional<sound::SoundReader> reader_;
+  bool is_broken_ = false;
   std::int64_t done_ = 0;
 };
 
@@ -99,7 +125,8 @@ int export_film(take::TakeReader& take, const std::vector<std::int64_t>& indices
   timeline.timecode = take.info().timecode;
   const bool is_constant = timeline.times_s.empty();
   const std::unique_ptr<report::SourceImages> images = report::open_source_images(take.info(), options.video);
-  report::FilmPainter painter(take, indices, images.get(), panels_of(options.panels, images != nullptr),
+  report::FilmPainter painter(take, indices, images.get(),
+                              panels_of(options.panels, images.get(), timeline.sequences.front()),
                               options.height_px);
   const std::int64_t frame_ns = std::llround(1e9 / timeline.rate_hz);
   FilmTrack sound(take, take.entry(indices.front()).timestamp_ns,

@@ -103,7 +103,7 @@ struct Bridge::Impl {
   Clock::time_point next_look_up = Clock::now();
   std::optional<PhoneRequests> requests;
   Clock::time_point next_listening = Clock::now();
-  std::uint64_t found_changes = 0;  ///< those of the finder's that were taken
+  std::optional<std::uint64_t> found_changes = 0;  ///< those of the finder's that were taken; none: again
 
   VtsTokens tokens{config.vts_tokens_file};
   struct PluginTarget {
@@ -205,6 +205,7 @@ void Bridge::Impl::look_up_again() {
     for (const Sought& each : sought) {
       settle(each.target, each.found, status.targets[each.target]);
     }
+    found_changes.reset();  // one of them may be a VRChat that was found
   } else if (Clock::now() >= next_look_up) {
     sought.clear();
     for (std::size_t i = 0; i < config.targets.size(); ++i) {
@@ -342,7 +343,9 @@ void Bridge::Impl::take_found() {
     const Destination& known = destinations[i - 1];
     const auto vrchat =
         std::find_if(found.begin(), found.end(), [&](const FoundVrChat& each) { return is_at(each, known); });
-    if (vrchat == found.end() && known.found) {
+    const auto configured = [&](const Destination& other) { return !other.found && is_at(*vrchat, other); };
+    if (known.found &&
+        (vrchat == found.end() || std::any_of(destinations.begin(), destinations.end(), configured))) {
       forget(i - 1);
     } else if (known.target.protocol == BridgeProtocol::VrChat) {
       know(i - 1, vrchat != found.end() ? &*vrchat : nullptr);
@@ -357,9 +360,15 @@ void Bridge::Impl::take_found() {
       place.found = true;
       BridgeTargetStatus told{.target = place.target, .found = true};
       const std::size_t before = destinations.size();
-      add(std::move(place), std::move(told));
+      try {
+        add(std::move(place), std::move(told));
+      } catch (const Error&) {
+        // Want of descriptors, which may pass.
+      }
       if (destinations.size() > before) {
         know(before, &vrchat);
+      } else {
+        found_changes.reset();
       }
     }
   }

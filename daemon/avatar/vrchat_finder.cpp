@@ -35,6 +35,8 @@ constexpr std::size_t kMostNetworks = 32;
 constexpr int kMostFailures = 2;
 /// Of the list, once the avatar has changed: the first may come while the avatar is still loaded.
 constexpr int kReads = 2;
+/// Rounds after which it is read again though nobody told of a change: an avatar may be uploaded anew.
+constexpr int kRoundsToReadAgain = 6;
 /// At a time, so that others have their turn.
 constexpr int kMostDatagrams = 64;
 /// Even where there is no descriptor left to be woken by.
@@ -130,6 +132,7 @@ struct VrChatFinder::Impl {
     std::vector<SocketAddress> addresses{};  ///< FoundVrChat's; none before it has told
     std::shared_ptr<const AvatarParameters> avatar{};
     int reads_left = kReads;  ///< of the list
+    int rounds = 0;           ///< since it was read
     int list_failures = 0;
   };
 
@@ -145,6 +148,7 @@ struct VrChatFinder::Impl {
   // The thread's own.
   stream::FileDescriptor questions;
   std::vector<OwnNetwork> own;
+  std::size_t places_asked = 0;  ///< names whose place was asked for since the last question to all
   std::vector<Client> clients;
   Clock::time_point next_question = Clock::now();
   std::jthread thread;
@@ -218,6 +222,7 @@ void VrChatFinder::Impl::ask_all() {
     questions.reset(::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
   }
   own = networks(questions.get());
+  places_asked = 0;
   const int failed = questions ? ask(kOscQueryService, ns_t_ptr) : errno;
   if (failed != 0) {
     now = fmt::format("VRChat can't be looked for: {}", std::strerror(failed));
@@ -262,13 +267,17 @@ void VrChatFinder::Impl::hear() {
 }
 
 void VrChatFinder::Impl::take(const VrChatService& service, const SocketAddress& from) {
-  if (service.port == 0) {
-    ask(service.full_name(), ns_t_srv);
-    return;
-  }
   const auto known = std::find_if(clients.begin(), clients.end(),
                                   [&](const Client& client) { return client.service.name == service.name; });
   const bool is_new = known == clients.end();
+  if (service.port == 0) {
+    // One datagram of names alone must not become many questions.
+    if (is_new && clients.size() < kMostClients && places_asked < kMostClients) {
+      ++places_asked;
+      ask(service.full_name(), ns_t_srv);
+    }
+    return;
+  }
   if (is_new ? clients.size() >= kMostClients
              : known->service.port == service.port || is_own(known->machine) != is_own(from) ||
                    (!is_own(from) && !same_host(known->machine, from))) {
@@ -371,6 +380,8 @@ void VrChatFinder::Impl::take_answer(Client& client) {
       const std::string avatar = parse_avatar_change(text);
       if (client.avatar == nullptr || client.avatar->avatar != avatar) {
         client.reads_left = kReads;
+      } else if (avatar.empty() || ++client.rounds >= kRoundsToReadAgain) {
+        client.reads_left = std::max(client.reads_left, 1);  // what does not say who it is may be another
       }
       if (client.reads_left == 0) {
         end_round(client, false);
@@ -381,6 +392,7 @@ void VrChatFinder::Impl::take_answer(Client& client) {
     }
     case Client::Step::Avatar: {
       AvatarParameters avatar = parse_avatar(text);
+      client.rounds = 0;
       if (client.avatar == nullptr || !(*client.avatar == avatar)) {
         // While an avatar is loaded there is none.
         client.avatar =

@@ -127,8 +127,8 @@ void LearningTracker::reset_identity() {
 }
 
 void LearningTracker::burst() {
-  burst_wanted_ =
-      lamps_ != nullptr && own_ == nullptr && !solving_ && result_.state == mesh::TrackingState::Tracking;
+  burst_wanted_ = lamps_ != nullptr && !bursting_ && own_ == nullptr && !solving_ &&
+                  result_.state == mesh::TrackingState::Tracking;
 }
 
 /// Whoever comes next is estimated anew.

@@ -28,6 +28,7 @@ namespace facet::pipeline {
 /// tracker's thread; of
 ///   low priority. Its work. longest_silence does not look at it: no frame waits for it, but for the change
 ///   to another person's model, which lets a look end.
+/// * `facet-lamps`, while lamps fire: LampBurst. Its time; no frame waits for it.
 /// * `facet-regpu`: RecoveringRefiner, after a device loss. The driver. longest_silence does not look at it.
 ///
 /// start begins the first three, stop joins them. The tracker works on frame n + 1 while the GPU works on n.

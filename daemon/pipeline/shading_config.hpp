@@ -8,9 +8,9 @@
 #include "capture/rig.hpp"
 #include "mesh/hierarchy.hpp"
 #include "pipeline/frame_range.hpp"
-#include "pipeline/lamp_burst.hpp"
 #include "refine/refiner.hpp"
 #include "track/tracker.hpp"
+#include "trigger/gpio_trigger.hpp"
 
 namespace facet::pipeline {
 
@@ -22,6 +22,16 @@ struct RecordedCamera {
   capture::RigCamera camera;
   std::filesystem::path rig_file;  ///< that it is from, for messages
   camera::CameraConfig source;
+};
+
+/// Lamps of a kiosk that are switched in turn while a person is enrolled.
+struct LampsConfig {
+  std::vector<trigger::GpioOutput> outputs;  ///< none: there are no lamps
+  bool active_low = false;
+  int each_ms = 400;  ///< that each is on
+
+  /// Lamps that change faster than three times a second can harm people who are sensitive to flicker.
+  static constexpr int kLeastCalm_ms = 334;
 };
 
 /// What the monocular pipeline is asked to do; ShadingPipeline is the running of it.

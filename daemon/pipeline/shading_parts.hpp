@@ -43,7 +43,7 @@ class CoarseStage {
   virtual void reset_identity() = 0;
   /// The lamps fire in turn while the head holds still, and what it looks like under them counts for whoever
   /// is being learned, in the place of an earlier burst. Nothing where there are no lamps, nobody is being
-  /// looked at to be learned (LearningStatus::State::Looking), or none is tracked.
+  /// looked at to be learned (LearningStatus::State::Looking), none is tracked, or they fire already.
   virtual void burst() {}
   /// What goes on beside the frames is broken off. Any thread, returns at once.
   virtual void request_stop() = 0;

@@ -237,6 +237,20 @@ std::int64_t webcam_bits_per_second(int width_px, int height_px, int rate_hz) {
   return std::llround(3e6 * std::pow(size, 0.75) * rate_hz / 30);
 }
 
+std::string fault_of(const FilmSound& sound) {
+  const AVCodec* encoder = ffmpeg().avcodec_find_encoder(AV_CODEC_ID_AAC);
+  if (encoder == nullptr) {
+    return "the installed libavcodec has no AAC encoder";
+  }
+  bool known = false;
+  for (const int* rate = encoder->supported_samplerates; rate != nullptr && *rate != 0; ++rate) {
+    known = known || *rate == sound.rate_hz;
+  }
+  return known && sound.channels >= 1 && sound.channels <= kMostAacChannels
+             ? std::string()
+             : fmt::format("AAC has no {} channels at {} Hz", sound.channels, sound.rate_hz);
+}
+
 bool takes_timecode(double rate_hz) {
   constexpr std::array kKnown = {24, 25, 30, 48, 50, 60, 100, 120, 150};
   return std::find(kKnown.begin(), kKnown.end(), std::lround(rate_hz)) != kKnown.end();
@@ -312,7 +326,11 @@ void VideoWriter::Impl::add_track(Track& track, const AVCodec* encoder) const {
 }
 
 void VideoWriter::Impl::open_codec(const Track& track, const AVCodec* encoder) const {
-  check(ffmpeg().avcodec_open2(track.codec.get(), encoder, nullptr), "encode");
+  if (const int code = ffmpeg().avcodec_open2(track.codec.get(), encoder, nullptr); code < 0) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("{}: {} can't make a video of {}x{} px ({}): choose a smaller one", file,
+                            encoder->name, format.width_px, format.height_px, reason_of(code)));
+  }
   track.stream->time_base = track.codec->time_base;
   check(ffmpeg().avcodec_parameters_from_context(track.stream->codecpar, track.codec.get()), "set up");
 }
@@ -353,23 +371,10 @@ void VideoWriter::Impl::begin_pictures() {
 }
 
 void VideoWriter::Impl::begin_sound() {
+  if (const std::string fault = fault_of(*format.sound); !fault.empty()) {
+    throw Error(ErrorKind::Usage, fmt::format("{}: {}", file, fault));
+  }
   const AVCodec* encoder = ffmpeg().avcodec_find_encoder(AV_CODEC_ID_AAC);
-  if (encoder == nullptr) {
-    throw Error(
-        ErrorKind::Unavailable,
-        "the installed libavcodec has no AAC encoder: install Debian's, or write the film without sound");
-  }
-  bool known = false;
-  for (const int* rate = encoder->supported_samplerates; rate != nullptr && *rate != 0; ++rate) {
-    known = known || *rate == format.sound->rate_hz;
-  }
-  if (!known || format.sound->channels < 1 || format.sound->channels > kMostAacChannels) {
-    throw Error(
-        ErrorKind::Usage,
-        fmt::format("{}: a film's sound (AAC) can't have {} channels at {} Hz; write it as a file of its "
-                    "own (--format wav)",
-                    file, format.sound->channels, format.sound->rate_hz));
-  }
   add_track(sound, encoder);
   AVCodecContext& codec = *sound.codec;
   codec.sample_fmt = AV_SAMPLE_FMT_FLTP;

@@ -39,6 +39,8 @@ struct VideoFormat {
   std::optional<FilmSound> sound{};  ///< of Film
   std::string timecode{};            ///< of the first picture, "HH:MM:SS:FF" at rate_hz, of Film; empty: none
 };
+/// Why a film can't have such sound; empty: it can. Throws Error(Unavailable) where FFmpeg is not installed.
+std::string fault_of(const FilmSound& sound);
 /// Whether a film of this rate can have timecode: those that editors know, 24 to 60 and their multiples.
 bool takes_timecode(double rate_hz);
 

@@ -133,19 +133,24 @@ std::vector<FilmPanel> parse_film_panels(const std::string& text) {
   return panels;
 }
 
-Cell film_cell(const std::vector<mesh::Vertices>& looks, const CameraIntrinsics& camera, int width_px,
-               int height_px) {
+Cell film_cell(const std::vector<FilmLook>& looks, int width_px, int height_px) {
   Eigen::Index count = 0;
-  for (const mesh::Vertices& look : looks) {
-    count += look.cols();
+  for (const FilmLook& look : looks) {
+    count += look.vertices_mm.cols();
   }
+  const CameraIntrinsics& last = looks.back().camera;
   mesh::Vertices all(3, count);
   Eigen::Index at = 0;
-  for (const mesh::Vertices& look : looks) {
-    all.middleCols(at, look.cols()) = look;
-    at += look.cols();
+  for (const FilmLook& look : looks) {
+    // Where the last camera sees in the same pixels what this one sees.
+    auto part = all.middleCols(at, look.vertices_mm.cols());
+    const CameraIntrinsics& own = look.camera;
+    part = look.vertices_mm;
+    part.row(0) = (own.fx * part.row(0) + (own.cx - last.cx) * part.row(2)) / last.fx;
+    part.row(1) = (own.fy * part.row(1) + (own.cy - last.cy) * part.row(2)) / last.fy;
+    at += look.vertices_mm.cols();
   }
-  return cell_around(all, camera, width_px, height_px);
+  return cell_around(all, last, width_px, height_px);
 }
 
 FilmPainter::FilmPainter(take::TakeReader& take, const std::vector<std::int64_t>& frames,
@@ -158,18 +163,18 @@ FilmPainter::FilmPainter(take::TakeReader& take, const std::vector<std::int64_t>
   if (meshes.empty()) {
     throw Error(ErrorKind::NoFace, "none of the selected frames has a mesh: nothing was written");
   }
-  std::vector<mesh::Vertices> looks;
-  CameraIntrinsics camera;
+  std::vector<FilmLook> looks;
   for (const std::int64_t index : spread_evenly(meshes, kMostLooks)) {
     const auto frame = take.frame(index, take::Pictures::Described);
-    camera = frame->camera;
-    looks.push_back(face_vertices(*frame));
+    looks.push_back({face_vertices(*frame), frame->camera});
     if (index == meshes.back() && frame->albedo != nullptr) {
       subject_ = frame->subject->id;
       albedo_ = frame->albedo->linear_rgb;
     }
   }
-  cell_ = film_cell(looks, camera, even(height_px * 4 / 5), even(height_px));
+  width_px_ = looks.back().camera.width_px;
+  height_px_ = looks.back().camera.height_px;
+  cell_ = film_cell(looks, even(height_px * 4 / 5), even(height_px));
 }
 
 int FilmPainter::width_px() const {
@@ -190,19 +195,45 @@ std::vector<float> FilmPainter::albedo_of(const mesh::MeshFrame& frame) const {
                                                                              : std::vector<float>{};
 }
 
+/// The film's cut-out as this frame's camera sees it: the focal length becomes better known on the way.
+Cell FilmPainter::cell_of(const mesh::MeshFrame& frame) const {
+  if (!mesh::has_mesh(frame)) {
+    return cell_;
+  }
+  Cell cell = cell_;
+  const float scale = static_cast<float>(cell.camera.width_px) / cell.width_px;
+  cell.camera.fx = frame.camera.fx * scale;
+  cell.camera.fy = frame.camera.fy * scale;
+  cell.camera.cx = (frame.camera.cx + 0.5F - cell.x_px) * scale - 0.5F;
+  cell.camera.cy = (frame.camera.cy + 0.5F - cell.y_px) * scale - 0.5F;
+  return cell;
+}
+
+/// Null where none is to be shown, or there is none.
+std::optional<Frame> FilmPainter::image_of(const mesh::MeshFrame& frame) const {
+  if (images_ == nullptr || std::all_of(panels_.begin(), panels_.end(), is_rendered)) {
+    return std::nullopt;
+  }
+  std::optional<Frame> image = images_->at(frame.sequence);
+  if (image && (image->width_px != width_px_ || image->height_px != height_px_)) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("the pictures are of {}x{} px, the take was made from such of {}x{}: give with "
+                            "--video what it was made from, or choose --panels grey,skin",
+                            image->width_px, image->height_px, width_px_, height_px_));
+  }
+  return image;
+}
+
 Picture FilmPainter::paint(const mesh::MeshFrame& frame, const std::string& text) {
   const int width_px = cell_.camera.width_px;
   const int height_px = cell_.camera.height_px;
   const bool has_mesh = mesh::has_mesh(frame);
-  const bool wants_image =
-      std::any_of(panels_.begin(), panels_.end(), [](FilmPanel panel) { return !is_rendered(panel); });
-  const std::optional<Frame> image =
-      images_ != nullptr && wants_image ? images_->at(frame.sequence) : std::nullopt;
+  const Cell cell = cell_of(frame);
+  const std::optional<Frame> image = image_of(frame);
   const Picture nothing =
       has_mesh ? note("not learned yet", width_px, height_px)
                : note(fmt::format("no mesh: {}", mesh::to_string(frame.state)), width_px, height_px);
-  const Picture input =
-      image ? cell_picture(*image, cell_) : note("image not available", width_px, height_px);
+  const Picture input = image ? cell_picture(*image, cell) : note("image not available", width_px, height_px);
   std::vector<Picture> cells(panels_.size(), nothing);
   FrameGeometry geometry;
   Eigen::MatrixXf fields;
@@ -215,7 +246,7 @@ Picture FilmPainter::paint(const mesh::MeshFrame& frame, const std::string& text
     if (panels_[k] == FilmPanel::Picture) {
       cells[k] = input;
     } else if (panels_[k] == FilmPanel::Mesh && has_mesh) {
-      cells[k] = draw_coarse_mesh(frame, cell_, input, kWireOpacity);
+      cells[k] = draw_coarse_mesh(frame, cell, input, kWireOpacity);
     } else if (panels_[k] == FilmPanel::Grey && has_mesh) {
       colours = grey_shading(geometry.refined_normals);
     } else if (panels_[k] == FilmPanel::Normals && has_mesh) {
@@ -234,7 +265,7 @@ Picture FilmPainter::paint(const mesh::MeshFrame& frame, const std::string& text
   if (!rendered.empty()) {
     const mesh::Triangles& triangles = frame.subject->hierarchy->finest().triangles;
     const render::Raycaster surface(geometry.refined_mm, triangles, render::Raycaster::Build::Quick);
-    std::vector<Picture> pictures = render_fields(surface, triangles, fields, cell_.camera);
+    std::vector<Picture> pictures = render_fields(surface, triangles, fields, cell.camera);
     for (std::size_t k = 0; k < rendered.size(); ++k) {
       cells[rendered[k]] = std::move(pictures[k]);
     }

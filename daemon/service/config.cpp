@@ -377,9 +377,10 @@ void read_lamps(Section section, const Config& config, pipeline::LampsConfig& la
       std::set<std::string>(lines.begin(), lines.end()).size() != lines.size()) {
     section.fail(node, "lines", fmt::format("must be 2 to {} different lines, each of one lamp", kMostLamps));
   }
-  if (config.mode != Mode::Monocular) {
-    section.fail(node, "lines",
-                 "are for mode \"monocular\"; a booth's lamps are lines of its trigger (trigger.light)");
+  if (config.mode != Mode::Monocular || !config.devices.cameras.empty()) {
+    section.fail(
+        node, "lines",
+        "are for one camera in mode \"monocular\"; a booth's lamps are lines of its trigger (trigger.light)");
   }
   if (!config.pipeline.learn_live || !config.pipeline.person.empty()) {
     section.fail(node, "lines", "light whoever is learned: [model] must have learn = true and no person");

@@ -1,4 +1,5 @@
-// VRChats that are found: by stand-ins of this test, and by somebody else's server of OSCQuery.
+// VRChats that are found: stand-ins of this test. tests/avatar/check-vrchat has somebody else's server of
+// OSCQuery.
 
 #include "avatar/vrchat_finder.hpp"
 
@@ -6,7 +7,6 @@
 #include <gtest/gtest.h>
 
 #include <chrono>
-#include <filesystem>
 #include <functional>
 #include <nlohmann/json.hpp>
 #include <set>
@@ -16,7 +16,6 @@
 
 #include "avatar/bridge.hpp"
 #include "datagrams.hpp"
-#include "support/child_process.hpp"
 #include "support/eventually.hpp"
 #include "support/mesh_frames.hpp"
 #include "support/paths.hpp"
@@ -31,11 +30,9 @@ using test::eventually;
 using test::MdnsStandIn;
 using test::WebStandIn;
 using ::testing::Contains;
-using ::testing::Each;
 using ::testing::IsEmpty;
 using ::testing::Not;
 using ::testing::SizeIs;
-using ::testing::StartsWith;
 
 /// Asks a stand-in, often; has all the time there is for an answer.
 VrChatFinderConfig asking(const MdnsStandIn& mdns) {
@@ -216,71 +213,6 @@ TEST_F(FoundTargets, OneThatIsConfiguredIsSentToOnce) {
   EXPECT_EQ(bridge.status().targets.at(0).name, "");
   EXPECT_TRUE(publish_until(bridge, [&] { return received(osc).count("/avatar/parameters/v2/JawLeft") > 0; }))
       << "and gets everything again";
-}
-
-/// The npm package oscquery, which tells of itself by multicast DNS on loopback. Its packets are read by
-/// another's reader of OSC, osc-min.
-TEST_F(FoundTargets, AnothersServerOfOscQueryIsFound) {
-  const std::filesystem::path packages =
-      std::filesystem::absolute(test::assets() / "oscquery" / "node_modules");
-  const std::filesystem::path reader = std::filesystem::absolute(test::assets() / "osc-min");
-  const std::string node = "/usr/bin/node";
-  if (!std::filesystem::exists(node) || !std::filesystem::exists(packages / "oscquery") ||
-      !std::filesystem::exists(reader / "package.json")) {
-    GTEST_SKIP() << "Node.js, " << packages << " or " << reader << " is not there (packaging/fetch-assets)";
-  }
-  const test::Receiver osc;
-  const std::string name = "VRChat-Client-" + std::to_string(::getpid());
-  test::ChildProcess server(node,
-                            {OSCQUERY_SERVER_SCRIPT, packages.string(), name, std::to_string(osc.port())},
-                            folder_.path() / "server");
-  ASSERT_TRUE(
-      eventually([&] { return server.output().find("up\n") != std::string::npos || !server.running(); }));
-  if (server.output().find("no multicast\n") != std::string::npos) {
-    GTEST_SKIP() << "multicast does not come through on this machine's loopback";
-  }
-  ASSERT_TRUE(server.running()) << server.output();
-  Bridge bridge(config({.where = VrChatFind::Machine, .every = 200ms, .patience = 1min}));
-  bridge.start();
-  const auto ours = [&]() -> std::optional<BridgeTargetStatus> {
-    for (const BridgeTargetStatus& target : bridge.status().targets) {
-      if (target.name == name) {
-        return target;
-      }
-    }
-    return std::nullopt;
-  };
-  ASSERT_TRUE(publish_until(bridge, [&] { return ours() && ours()->driven == 5; })) << server.output();
-  EXPECT_EQ(ours()->avatar, "avtr_1");
-  std::vector<std::string> datagrams = osc.receive(20ms);
-  datagrams.clear();
-  ASSERT_TRUE(publish_until(bridge, [&] {
-    for (std::string& datagram : osc.receive(20ms)) {
-      datagrams.push_back(std::move(datagram));
-    }
-    return datagrams.size() > 300;
-  }));
-  test::ChildProcess reading(
-      node, {READ_OSC_SCRIPT, reader.string(), test::write_datagrams(datagrams, folder_.path()).string()},
-      folder_.path() / "read");
-  ASSERT_EQ(reading.wait(), 0) << reading.output();
-  std::map<std::string, json> last;
-  for (const json& message : json::parse(reading.output())) {
-    last[message[0]] = message[1];
-  }
-  EXPECT_NEAR(last.at("/avatar/parameters/v2/JawOpen").get<float>(), 0.75F, 1e-6F);
-  EXPECT_EQ(last.at("/avatar/parameters/FT/v2/JawOpen1"), true) << "3 of 4";
-  EXPECT_EQ(last.at("/avatar/parameters/FT/v2/JawOpen2"), true);
-  EXPECT_EQ(last.at("/avatar/parameters/FT/v2/JawOpenNegative"), false);
-  EXPECT_EQ(last.at("/avatar/parameters/EyeTrackingActive"), true);
-  EXPECT_EQ(last.count("/avatar/parameters/v2/JawLeft"), 0U);
-
-  server.send(SIGUSR2);
-  EXPECT_TRUE(publish_until(bridge, [&] {
-    return ours() && ours()->avatar == "avtr_2" && ours()->driven == 1;
-  })) << "another avatar";
-  server.send(SIGKILL);
-  EXPECT_TRUE(publish_until(bridge, [&] { return !ours(); }));
 }
 
 }  // namespace

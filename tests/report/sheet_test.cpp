@@ -7,6 +7,7 @@
 #include <filesystem>
 
 #include "render/video_writer.hpp"
+#include "report/film.hpp"
 #include "support/mesh_frames.hpp"
 #include "support/paths.hpp"
 #include "take/recorder.hpp"
@@ -141,6 +142,49 @@ TEST(CellAround, MapsTheCutOutOntoTheCell) {
   EXPECT_NEAR(in_cell.y(), (in_picture.y() + 0.5F - cell.y_px) * scale - 0.5F, 1e-2F);
   EXPECT_NEAR(cell.width_px / cell.height_px, 400.0F / 480, 1e-4F);
   EXPECT_GT(cell.width_px, 1000 * 100 / 600.0F);
+}
+
+/// A focal length that becomes better known on the way moves nothing in the film's pictures.
+TEST(Film, EveryFrameIsDrawnByItsOwnCamera) {
+  const test::TemporaryFolder folder;
+  const auto subject = test::patch_subject();
+  const auto albedo = test::patch_albedo(*subject);
+  {
+    take::TakeRecorder recorder({.file = folder.path() / "focal.take",
+                                 .software = "test",
+                                 .when_full = take::WhenFull::Wait,
+                                 .disk_reserve_bytes = 0});
+    recorder.start();
+    for (const std::uint64_t sequence : {0U, 1U}) {
+      mesh::MeshFrame frame = test::patch_frame(sequence, subject, albedo);
+      if (sequence == 1) {  // the same picture: twice the focal length, twice as far
+        frame.camera.fx *= 2;
+        frame.camera.fy *= 2;
+        frame.camera_from_head.translation().z() *= 2;
+      }
+      recorder.record(std::make_shared<mesh::MeshFrame>(frame));
+    }
+    recorder.stop();
+  }
+  take::TakeReader take(folder.path() / "focal.take");
+  FilmPainter painter(take, {0, 1}, nullptr, parse_film_panels("grey"), 200);
+  const auto lit_box = [&](std::int64_t index) {
+    const render::Picture film = painter.paint(*take.frame(index), "");
+    Eigen::AlignedBox2i box;
+    for (int y = 0; y < 200; ++y) {
+      for (int x = 0; x < film.width_px; ++x) {
+        if (film.rgb[3 * static_cast<std::size_t>(y * film.width_px + x)] > 60) {
+          box.extend(Eigen::Vector2i(x, y));
+        }
+      }
+    }
+    return box;
+  };
+  const Eigen::AlignedBox2i first = lit_box(0);
+  const Eigen::AlignedBox2i second = lit_box(1);
+  ASSERT_FALSE(first.isEmpty());
+  EXPECT_NEAR(first.sizes().x(), second.sizes().x(), 0.1 * first.sizes().x() + 2);
+  EXPECT_NEAR(first.center().x(), second.center().x(), 0.1 * first.sizes().x() + 2);
 }
 
 }  // namespace

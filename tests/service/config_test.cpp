@@ -211,7 +211,7 @@ TEST(Config, LampsAreLinesOfOneChip) {
   EXPECT_THAT(error_of("[lamps]\nchip = \"c\"\nlines = [\"1\"]\n"), HasSubstr("lamps.lines: must be 2 to 8"));
   EXPECT_THAT(error_of("[lamps]\nchip = \"c\"\nlines = [\"1\", \"1\"]\n"), HasSubstr("different lines"));
   EXPECT_THAT(error_of(chip + "each_ms = 99\n"), HasSubstr("lamps.each_ms: must be a whole number from 100"));
-  EXPECT_THAT(error_of("mode = \"booth\"\n" + chip), HasSubstr("are for mode \"monocular\""));
+  EXPECT_THAT(error_of("mode = \"booth\"\n" + chip), HasSubstr("are for one camera in mode \"monocular\""));
   EXPECT_THAT(error_of(chip + "[model]\nlearn = false\n"), HasSubstr("must have learn = true and no person"));
   EXPECT_THAT(error_of(chip + "[model]\nperson = \"ada\"\n"), HasSubstr("must have learn = true"));
 }

@@ -16,6 +16,7 @@
 #include "support/child_process.hpp"
 #include "support/mesh_frames.hpp"
 #include "support/paths.hpp"
+#include "support/videos.hpp"
 #include "take/recorder.hpp"
 
 namespace facet::sound {
@@ -229,6 +230,13 @@ TEST_F(TakeWithSound, AFilmHoldsWhatIsMissing) {
   EXPECT_THAT(output_, HasSubstr("no panel 'hat'; it can have, with commas between: picture, mesh, grey"));
   EXPECT_EQ(run({"export", file("gap.take"), "--format", "ply", "--panels", "grey", "-o", file("b")}), 2);
   EXPECT_THAT(output_, HasSubstr("--panels and --video are for mp4, not for ply"));
+  EXPECT_EQ(run({"export", file("gap.take"), "--format", "mp4", "--size", "16384", "-o", file("b.mp4")}), 2);
+  EXPECT_THAT(output_, HasSubstr("can't make a video of 26214x16412 px"));
+  test::write_grey_video(file("small.mkv"), 12);
+  EXPECT_EQ(run({"export", file("gap.take"), "--format", "mp4", "--panels", "mesh", "--video",
+                 file("small.mkv"), "-o", file("b.mp4")}),
+            2);
+  EXPECT_THAT(output_, HasSubstr("the pictures are of 320x240 px, the take was made from such of"));
   EXPECT_FALSE(std::filesystem::exists(file("b.mp4")));
 }
 
@@ -237,6 +245,9 @@ TEST_F(TakeWithSound, WithoutItsFileSaysSo) {
   EXPECT_EQ(run({"export", file("a.take"), "--format", "wav", "-o", file("b.wav")}), 3);
   EXPECT_THAT(output_, HasSubstr("a.flac': there is no such file"));
   EXPECT_FALSE(std::filesystem::exists(file("b.wav")));
+  ASSERT_EQ(run({"export", file("a.take"), "--format", "mp4", "--size", "64", "-o", file("b.mp4")}), 0)
+      << output_ << ": a film is one without sound, too";
+  EXPECT_THAT(output_, AllOf(HasSubstr("note: the film has no sound: "), HasSubstr("there is no such file")));
 }
 
 }  // namespace

@@ -159,6 +159,7 @@ TEST_F(Enrol, LiveHasTheLampsFireFirst) {
   int lights = 3;
   int fired = 0;
   int lamps = 4;
+  bool leaves = false;
   service::ControlMethods methods;
   methods["status"] = {false, {}, [&](const json&) {
                          ++asked;
@@ -183,7 +184,7 @@ TEST_F(Enrol, LiveHasTheLampsFireFirst) {
                                if (lamps == 0) {
                                  throw Error(ErrorKind::Usage, "no lamps are configured");
                                }
-                               ++fired;
+                               fired = leaves ? 0 : fired + 1;
                                return json{{"lamps", lamps}, {"seconds", 0.1}};
                              }};
   int kept = 0;
@@ -204,7 +205,11 @@ TEST_F(Enrol, LiveHasTheLampsFireFirst) {
   EXPECT_EQ(fired, 1);
   lights = 1;
   EXPECT_EQ(live(), 4) << output_;
-  EXPECT_THAT(output_, HasSubstr("was not seen: nearer or brighter lamps"));
+  EXPECT_THAT(output_, AllOf(HasSubstr("hold still: in two seconds"),
+                             HasSubstr("was not seen: nearer or brighter lamps")));
+  leaves = true;
+  EXPECT_EQ(live(), 4) << output_;
+  EXPECT_THAT(output_, HasSubstr("the face left the camera while the lamps fired"));
   lamps = 0;
   EXPECT_EQ(live(), 2);
   EXPECT_THAT(output_, HasSubstr("no lamps are configured"));

@@ -130,14 +130,12 @@ bool write_take(Frames& frames, const AnimateOptions& options, const StopSignals
 CameraIntrinsics film_camera(Frames& frames) {
   constexpr std::int64_t kMostLooks = 120;
   const std::int64_t step = std::max<std::int64_t>(1, frames.count() / kMostLooks);
-  std::vector<mesh::Vertices> looks;
-  CameraIntrinsics camera;
+  std::vector<report::FilmLook> looks;
   for (std::int64_t index = 0; index < frames.count(); index += step) {
     const auto frame = frames.at(index);
-    camera = frame->camera;
-    looks.push_back(report::face_vertices(*frame));
+    looks.push_back({report::face_vertices(*frame), frame->camera});
   }
-  return report::film_cell(looks, camera, kVideoWidth_px, kVideoHeight_px).camera;
+  return report::film_cell(looks, kVideoWidth_px, kVideoHeight_px).camera;
 }
 
 bool write_video(Frames& frames, const AnimateOptions& options, double rate_hz, const StopSignals& signals) {

@@ -33,6 +33,7 @@
 #include "landmark/landmark_assets.hpp"
 #include "options.hpp"
 #include "pipeline/frames.hpp"
+#include "pipeline/lamp_burst.hpp"
 #include "pipeline/live_cameras.hpp"
 #include "render/embree.hpp"
 #include "service/config.hpp"
@@ -206,6 +207,30 @@ void check_trigger(Report& report, const pipeline::Devices& devices, bool daemon
     report.say(Verdict::Good, "trigger", program + "; they can be had");
   } catch (const Error& error) {
     report.bad(error.kind(), "trigger", error.what(), "facetd tries again until it works");
+  }
+}
+
+/// The same of a kiosk's lamps, which stay off.
+void check_lamps(Report& report, const service::Config& config) {
+  const pipeline::LampsConfig& lamps = config.pipeline.lamps;
+  if (lamps.outputs.empty()) {
+    return;
+  }
+  const std::string what = fmt::format("{} on chip {}", lamps.outputs.size(), lamps.outputs.front().chip);
+  std::error_code ignored;
+  if (std::filesystem::exists(config.control.socket, ignored)) {
+    report.say(Verdict::Note, "lamps", what + "; the daemon has the lines");
+    return;
+  }
+  try {
+    pipeline::open_lamps(lamps);
+    report.say(Verdict::Good, "lamps", what + "; their lines can be had",
+               lamps.each_ms < pipeline::LampsConfig::kLeastCalm_ms
+                   ? "they change more than three times a second, which can harm people who are sensitive to "
+                     "flicker: lamps.each_ms = 400 does not"
+                   : "");
+  } catch (const Error& error) {
+    report.bad(error.kind(), "lamps", error.what(), "correct [lamps], or leave it out");
   }
 }
 
@@ -456,6 +481,7 @@ void run(const std::string& given_file) {
     if (!service::has_live_cameras(config)) {
       check_source(report, config);
     }
+    check_lamps(report, config);
   }
   check_takes(report, config);
   check_bridges(report, config.bridges);

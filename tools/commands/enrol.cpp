@@ -381,7 +381,8 @@ void fire_lamps(const DaemonOptions& daemon, const StopSignals& signals) {
     }
   }
   const int before = status["learning"].is_object() ? status["learning"].value("bursts", 0) : 0;
-  if (before == 0 && status["learning"].is_object() && status["learning"]["lamps"] > 0) {
+  const json subject = status["learning"].is_object() ? status["learning"]["subject"] : json();
+  if (status["learning"].is_object() && status["learning"]["lamps"] > 0) {
     say("look at the camera, the face at rest, and hold still: in two seconds the lamps fire one by one");
     wait(std::chrono::seconds(2));
   }
@@ -391,16 +392,16 @@ void fire_lamps(const DaemonOptions& daemon, const StopSignals& signals) {
   json learning;
   do {
     learning = wait(std::chrono::milliseconds(100))["learning"];
-    if (Clock::now() > until) {
-      throw Error(ErrorKind::NoFace,
-                  "the lamps' burst did not end: did the face leave the camera? Try again");
+    const bool is_gone =
+        !learning.is_object() || learning["subject"] != subject || learning["bursts"] < before;
+    if (is_gone || Clock::now() > until) {
+      throw Error(ErrorKind::NoFace, "the face left the camera while the lamps fired: try again");
     }
-  } while (learning.is_object() && learning["bursts"] == before);
-  if (!learning.is_object() || learning["lights"] < 2) {
-    throw Error(
-        ErrorKind::NoFace,
-        fmt::format("{}: nearer or brighter lamps, or less light in the room; then try again",
-                    learning.is_object() ? learning["note"].get<std::string>() : "nobody is learned"));
+  } while (learning["bursts"] == before);
+  if (learning["lights"] < 2) {
+    throw Error(ErrorKind::NoFace,
+                fmt::format("{}: nearer or brighter lamps, or less light in the room; then try again",
+                            learning["note"].get<std::string>()));
   }
   say(fmt::format("the face was seen under {} lights", learning["lights"].get<int>()));
 }

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <atomic>
 #include <cstddef>
 #include <span>
 #include <string>
@@ -11,7 +12,7 @@ namespace facet::test {
 /// Lines without wires: which are active is seen in `on`, which outlives them.
 class LampLines final : public trigger::TriggerLines {
  public:
-  explicit LampLines(LineMask& on) : on_(on) { on_ = 0; }
+  explicit LampLines(std::atomic<LineMask>& on) : on_(on) { on_ = 0; }
   ~LampLines() override { on_ = 0; }
 
   bool set(LineMask which, LineMask active) override {
@@ -25,10 +26,10 @@ class LampLines final : public trigger::TriggerLines {
   std::size_t seen(std::span<trigger::SeenEdge> /*out*/) override { return 0; }
   std::string last_error() const override { return "line 1 was pulled out"; }
 
-  bool fails = false;
+  std::atomic<bool> fails = false;
 
  private:
-  LineMask& on_;
+  std::atomic<LineMask>& on_;
 };
 
 }  // namespace facet::test
