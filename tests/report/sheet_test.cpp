@@ -151,6 +151,7 @@ TEST(Film, EveryFrameIsDrawnByItsOwnCamera) {
   const auto albedo = test::patch_albedo(*subject);
   {
     take::TakeRecorder recorder({.file = folder.path() / "focal.take",
+                                 .source = "/dev/video0",
                                  .software = "test",
                                  .when_full = take::WhenFull::Wait,
                                  .disk_reserve_bytes = 0});

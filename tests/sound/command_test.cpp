@@ -231,7 +231,7 @@ TEST_F(TakeWithSound, AFilmHoldsWhatIsMissing) {
   EXPECT_EQ(run({"export", file("gap.take"), "--format", "ply", "--panels", "grey", "-o", file("b")}), 2);
   EXPECT_THAT(output_, HasSubstr("--panels and --video are for mp4, not for ply"));
   EXPECT_EQ(run({"export", file("gap.take"), "--format", "mp4", "--size", "16384", "-o", file("b.mp4")}), 2);
-  EXPECT_THAT(output_, HasSubstr("can't make a video of 26214x16412 px"));
+  EXPECT_THAT(output_, HasSubstr("can't make a video of 26216x16412 px"));
   test::write_grey_video(file("small.mkv"), 12);
   EXPECT_EQ(run({"export", file("gap.take"), "--format", "mp4", "--panels", "mesh", "--video",
                  file("small.mkv"), "-o", file("b.mp4")}),
