@@ -42,7 +42,7 @@ double bessel_0(double x) {
 /// Values between samples: kPhases + 1 rows of weights for the samples from place - kHalf + 1 on.
 class Interpolator {
  public:
-  Interpolator() : weights_((kPhases + 1) * kTaps) {
+  Interpolator() : weights_(std::size_t{kPhases + 1} * kTaps) {
     for (int phase = 0; phase <= kPhases; ++phase) {
       for (int tap = 0; tap < kTaps; ++tap) {
         const double x = tap - (kHalf - 1) - static_cast<double>(phase) / kPhases;
