@@ -45,17 +45,6 @@ mesh::Vertices lit_skin(const Eigen::Matrix3Xf& normals, const std::vector<float
   return colours;
 }
 
-mesh::Vertices normal_colours(const Eigen::Matrix3Xf& normals) {
-  mesh::Vertices colours(3, normals.cols());
-  for (Eigen::Index v = 0; v < normals.cols(); ++v) {
-    const auto rgb = render::normal_colour(normals.col(v));
-    for (std::size_t channel = 0; channel < 3; ++channel) {
-      colours(static_cast<Eigen::Index>(channel), v) = render::srgb8_to_linear(rgb[channel]);
-    }
-  }
-  return colours;
-}
-
 /// Several colourings of one mesh, for the price of one: fields [3 * picture_count][vertex_count] linear RGB.
 std::vector<Picture> render_fields(const render::Raycaster& surface, const mesh::Triangles& triangles,
                                    const Eigen::MatrixXf& fields, const CameraIntrinsics& camera) {

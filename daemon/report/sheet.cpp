@@ -30,17 +30,6 @@ Picture cell_note(const std::string& text) {
   return note(text, kCellWidth_px, kCellHeight_px);
 }
 
-mesh::Vertices normal_colours(const Eigen::Matrix3Xf& normals) {
-  mesh::Vertices colours(3, normals.cols());
-  for (Eigen::Index v = 0; v < normals.cols(); ++v) {
-    const auto rgb = render::normal_colour(normals.col(v));
-    for (std::size_t channel = 0; channel < 3; ++channel) {
-      colours(static_cast<Eigen::Index>(channel), v) = render::srgb8_to_linear(rgb[channel]);
-    }
-  }
-  return colours;
-}
-
 mesh::Vertices error_colours(const std::vector<float>& errors) {
   constexpr float kUnknown = 0.05F;
   mesh::Vertices colours(3, static_cast<Eigen::Index>(errors.size()));

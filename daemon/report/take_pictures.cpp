@@ -181,6 +181,17 @@ mesh::Vertices grey_shading(const Eigen::Matrix3Xf& normals) {
   return shaded;
 }
 
+mesh::Vertices normal_colours(const Eigen::Matrix3Xf& normals) {
+  mesh::Vertices colours(3, normals.cols());
+  for (Eigen::Index v = 0; v < normals.cols(); ++v) {
+    const auto rgb = render::normal_colour(normals.col(v));
+    for (std::size_t channel = 0; channel < 3; ++channel) {
+      colours(static_cast<Eigen::Index>(channel), v) = render::srgb8_to_linear(rgb[channel]);
+    }
+  }
+  return colours;
+}
+
 void draw_scale(Picture& picture, int x_px, int y_px, int width_px, const std::string& low,
                 const std::string& high) {
   constexpr int kHeight_px = 10;

@@ -84,6 +84,9 @@ render::Picture render_colours(const render::Raycaster& caster, const mesh::Tria
 /// normals [3][vertex_count] camera frame. returns [3][vertex_count]
 mesh::Vertices grey_shading(const Eigen::Matrix3Xf& normals);
 
+/// render::normal_colour of each, linear. normals [3][vertex_count] camera frame. returns [3][vertex_count]
+mesh::Vertices normal_colours(const Eigen::Matrix3Xf& normals);
+
 /// A dark cell with a text in its middle.
 render::Picture note(const std::string& text, int width_px, int height_px);
 
