@@ -22,7 +22,8 @@
 namespace facet::tools {
 namespace {
 
-/// A picture is not held for longer than this without being sent again: players seek by what is there.
+/// Frames that the take lacks and the picture before them is sent again for; over longer gaps it is shown
+/// once, for as long as they are.
 constexpr std::uint64_t kLongestHold = 3600;
 
 /// images may be null; first: a frame that they are asked for. A set of several cameras' pictures gives none.
@@ -35,7 +36,7 @@ std::vector<report::FilmPanel> panels_of(const std::string& text, report::Source
   return report::parse_film_panels(has_pictures ? "picture,grey,skin" : "grey,skin");
 }
 
-/// "frame 120   00:00:04.000", and the timecode where there is one.
+/// "frame 120   0:04.00", and the timecode where there is one.
 std::string line_of(const mesh::MeshFrame& frame, double time_s, const exports::Timeline& timeline) {
   const auto hundredths = static_cast<long>(std::lround(time_s * 100));
   std::string text = fmt::format("frame {}   {}:{:02}.{:02}", frame.sequence, hundredths / 6000,

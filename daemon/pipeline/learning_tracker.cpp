@@ -196,6 +196,9 @@ void LearningTracker::look_at_lit(const Frame& picture) {
   const person::EnrolmentOptions how;
   const std::optional<person::Observed> observed = keyframes_.observed(how.keyframes, how.lit);
   lights_ = observed ? observed->light_count() : 0;
+  if (lights_ < 2) {
+    keyframes_.clear_lit();  // nothing of it tells lights apart
+  }
   learned_.note.clear();
   if (!lamps_->fault().empty()) {
     learned_.note = "the lamps can't be switched: " + lamps_->fault();
