@@ -49,6 +49,7 @@ struct Options {
   int threads = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
   facet::stereo::StereoOptions stereo;
   std::string sequence = "phase:8x64,gray:6,gray-inverse:6";
+  std::string program = "stripes";
   facet::scan::DecodeOptions decode;
   facet::scan::StructuredLightOptions structured;
 };
@@ -571,6 +572,8 @@ int main(int argc, char** argv) {
   app.add_option("--window-t", options.stereo.spacetime.window_t);
   app.add_option("--straddle", options.stereo.spacetime.straddle_px);
   app.add_option("--noise", options.stereo.spacetime.noise);
+  app.add_option("--program", options.program, "of the booth: stripes, fringes or a slot's words")
+      ->capture_default_str();
   app.add_option("--sequence", options.sequence, "of structured light");
   app.add_option("--compensation", options.scene.compensation,
                  "of structured light with phase:4xF while the actor moves: the order of the binomial "
@@ -579,6 +582,7 @@ int main(int argc, char** argv) {
   app.add_option("--pictures", options.pictures, "folder for shaded reliefs");
   CLI11_PARSE(app, argc, argv);
   try {
+    options.scene.program = facet::capture::parse_slot_program(options.program);
     run(options);
   } catch (const facet::Error& error) {
     fmt::print(stderr, "{}\n", error.what());

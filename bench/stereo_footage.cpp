@@ -214,11 +214,17 @@ StereoFootage booth_footage(const simulation::VirtualBooth& booth, const std::st
   StereoFootage out = empty_footage(booth, name, pair);
   const stereo::Rectification rectification = out.rectification();
   for (int slot = 0; slot < options.slots; ++slot) {
-    const simulation::BoothSlot shot = booth.slot(static_cast<std::uint64_t>(options.first_slot + slot));
+    const auto number = static_cast<std::uint64_t>(options.first_slot + slot);
+    const simulation::BoothSlot shot = booth.slot(number, options.program);
+    const capture::SlotLight& light = capture::light_of_slot(options.program, number);
     stereo::StereoSlot& pictures = out.slots.emplace_back();
     pictures.left = shot.frame(out.pair.left);
     pictures.right = shot.frame(out.pair.right);
-    pictures.has_pattern = shot.shown().kind == capture::Shown::Kind::Stripes;
+    pictures.has_pattern = light.has_pattern();
+    const bool blank = light.kind == capture::SlotLight::Kind::Blank;
+    if (blank || light.kind == capture::SlotLight::Kind::Fringes) {
+      pictures.fringes = {light.quarters / 4.0, blank};
+    }
     add_truth(booth, shot, out.pair.left, rectification.right(), out);
   }
   judge_middle(out);

@@ -6,6 +6,7 @@
 
 #include "capture/code_sequence.hpp"
 #include "capture/rig.hpp"
+#include "capture/slot_program.hpp"
 #include "face/face_model.hpp"
 #include "scan/phase_decoder.hpp"
 #include "simulation/virtual_booth.hpp"
@@ -44,8 +45,9 @@ struct SceneOptions {
   std::uint32_t seed = 1;
   double speed_mm_per_slot = 1.5;
   double stripe_mm = 2;
-  double noise = 0.008;            ///< of a linear grey value at full light
-  capture::CodeSequence sequence;  ///< of structured light
+  double noise = 0.008;                                        ///< of a linear grey value at full light
+  capture::SlotProgram program = capture::standard_program();  ///< of the booth's slots
+  capture::CodeSequence sequence;                              ///< of structured light
   /// Of structured light: the actor moves while the phases are shown, of which so many orders of binomial
   /// self-compensation are made one set; below 0: the actor holds the pose.
   int compensation = -1;

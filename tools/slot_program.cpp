@@ -14,13 +14,32 @@ ProgramStart find_program_start(const std::vector<double>& unevenness, const cap
   ProgramStart best;
   best.even = std::numeric_limits<double>::infinity();
   double second = std::numeric_limits<double>::infinity();
+  const auto like_an_earlier_one = [&](std::size_t first) {
+    const auto alike = [&](std::size_t other) {
+      for (std::size_t slot = 0; slot < program.size(); ++slot) {
+        if (capture::light_of_slot(program, slot + first).has_pattern() !=
+            capture::light_of_slot(program, slot + other).has_pattern()) {
+          return false;
+        }
+      }
+      return true;
+    };
+    for (std::size_t other = 0; other < first; ++other) {
+      if (alike(other)) {
+        return true;
+      }
+    }
+    return false;
+  };
   for (std::size_t first = 0; first < program.size(); ++first) {
+    if (like_an_earlier_one(first)) {
+      continue;  // fringes by half a period more are the same to a pair
+    }
     double sums[2] = {0, 0};
     double counts[2] = {0, 0};
     for (std::size_t slot = 0; slot < unevenness.size(); ++slot) {
       if (unevenness[slot] > 0) {
-        const bool striped =
-            capture::light_of_slot(program, slot + first).kind == capture::SlotLight::Kind::Stripes;
+        const bool striped = capture::light_of_slot(program, slot + first).has_pattern();
         sums[striped ? 1 : 0] += unevenness[slot];
         counts[striped ? 1 : 0] += 1;
       }

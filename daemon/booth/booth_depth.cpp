@@ -168,7 +168,8 @@ std::string BoothDepth::find(std::uint64_t first_slot, std::span<const DepthSlot
     impl.slots.clear();
     for (const DepthSlot& slot : slots) {
       stereo::StereoSlot& one = impl.slots.emplace_back();
-      one.has_pattern = slot.stripes;
+      one.has_pattern = slot.has_pattern;
+      one.fringes = slot.fringes;
       one.wanted = slot.wanted;
       if (impl.starts == Starts::KeptOfTheRunBefore && slot.set != nullptr) {
         one.number = first_slot + impl.slots.size() - 1;

@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
@@ -10,6 +11,7 @@
 #include "capture/rig.hpp"
 #include "facet/frame_set.hpp"
 #include "gpu/context.hpp"
+#include "stereo/fringe_matcher.hpp"
 #include "stereo/rectification.hpp"
 #include "stereo/spacetime_solver.hpp"
 
@@ -26,8 +28,9 @@ stereo::DepthRange depth_range(const capture::Rig& rig);
 struct DepthSlot {
   /// Frames in the rig's order of cameras; null where the slot is missing. Kept alive by the caller.
   const FrameSet* set = nullptr;
-  bool stripes = true;
-  bool wanted = false;  ///< a depth map is asked for
+  bool has_pattern = true;
+  bool wanted = false;                                    ///< a depth map is asked for
+  std::optional<stereo::Fringes> fringes = std::nullopt;  ///< as in stereo::StereoSlot
 };
 
 /// Where depth maps come from. One thread at a time.

@@ -17,7 +17,9 @@ constexpr double kLargestSlant_rad = 8 * std::numbers::pi / 180;
 constexpr double kEdge_px = 0.8;            // sigma of a stripe's edge
 constexpr double kLeastStep = 0.25;         // between the light of neighbours
 constexpr double kWidthSpread = 0.4;        // of the mean width, to either side
-constexpr double kBlankLight = 0.5;         // the mean of the stripes
+constexpr double kBlankLight = 0.5;         // the mean of the stripes and of the fringes
+constexpr double kWander_rad = 1.5;         // of the fringes' phase, to either side
+constexpr double kWander_periods = 1;       // between the knots of that field
 constexpr int kTableSteps = 16;             // per pixel, of the tabulated light across the stripes
 constexpr double kReach_px = 5 * kEdge_px;  // beyond it an edge is over
 
@@ -33,6 +35,10 @@ void check(const PatternConfig& config) {
   if (!(config.stripe_px >= 3 && config.stripe_px <= static_cast<float>(config.width_px))) {
     throw Error(ErrorKind::Usage,
                 fmt::format("stripes of {} px: they are 3 px to the picture's width wide", config.stripe_px));
+  }
+  if (!(config.fringe_px >= 8 && config.fringe_px <= static_cast<float>(config.width_px))) {
+    throw Error(ErrorKind::Usage,
+                fmt::format("fringes of {} px: they are 8 px to the picture's width wide", config.fringe_px));
   }
   if (!(config.gamma >= 1 && config.gamma <= 4)) {
     throw Error(ErrorKind::Usage,
@@ -106,6 +112,39 @@ std::vector<double> light_across(double first_px, double length_px, const Patter
   return table;
 }
 
+/// What is added to the fringes' phase: a random value at each knot of a grid, smooth between them.
+class Wander {
+ public:
+  Wander(const PatternConfig& config, std::size_t projector)
+      : pitch_px_(kWander_periods * static_cast<double>(config.fringe_px)),
+        columns_(static_cast<std::size_t>(config.width_px / pitch_px_) + 2) {
+    constexpr std::uint64_t kOwn = ~std::uint64_t{0};  // no stripes have that number
+    Random random(config.seed, kOwn, projector);
+    knots_.resize(columns_ * (static_cast<std::size_t>(config.height_px / pitch_px_) + 2));
+    for (double& knot : knots_) {
+      knot = random.uniform(-kWander_rad, kWander_rad);
+    }
+  }
+  double operator()(int x, int y) const {
+    const auto column = static_cast<std::size_t>(x / pitch_px_);
+    const auto row = static_cast<std::size_t>(y / pitch_px_);
+    const double across = eased(x / pitch_px_ - static_cast<double>(column));
+    const double down = eased(y / pitch_px_ - static_cast<double>(row));
+    const auto along = [&](std::size_t line) {
+      const double* knot = knots_.data() + line * columns_ + column;
+      return (1 - across) * knot[0] + across * knot[1];
+    };
+    return (1 - down) * along(row) + down * along(row + 1);
+  }
+
+ private:
+  static double eased(double part) { return part * part * (3 - 2 * part); }
+
+  double pitch_px_;
+  std::size_t columns_;
+  std::vector<double> knots_;
+};
+
 constexpr std::size_t kEncoderSteps = 1 << 16;
 
 }  // namespace
@@ -140,6 +179,18 @@ GreyImage draw_pattern(const PatternConfig& config, const Shown& shown, std::siz
   GreyImage image{config.width_px, config.height_px, {}};
   image.values.assign(static_cast<std::size_t>(config.width_px) * static_cast<std::size_t>(config.height_px),
                       shown.kind == Shown::Kind::Blank ? encode(kBlankLight) : std::uint8_t{0});
+  if (shown.kind == Shown::Kind::Fringes) {
+    const Wander wander(config, projector);
+    constexpr double kTurn = 2 * std::numbers::pi;
+    const double shift = kTurn / 4 * static_cast<double>(shown.number % 4);
+    std::uint8_t* value = image.values.data();
+    for (int y = 0; y < config.height_px; ++y) {
+      for (int x = 0; x < config.width_px; ++x) {
+        const double phase = kTurn * x / static_cast<double>(config.fringe_px) + wander(x, y) + shift;
+        *value++ = encode((1 + std::cos(phase)) / 2);
+      }
+    }
+  }
   if (shown.kind != Shown::Kind::Stripes) {
     return image;
   }

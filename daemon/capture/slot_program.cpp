@@ -11,6 +11,7 @@ namespace facet::capture {
 namespace {
 
 constexpr std::string_view kLight = "light:";
+constexpr std::string_view kFringes = "fringes:";
 
 std::string_view trimmed(std::string_view text) {
   const auto first = text.find_first_not_of(" \t\n");
@@ -33,7 +34,34 @@ std::vector<std::string_view> pieces(std::string_view text, char separator) {
 
 SlotProgram standard_program() {
   using Kind = SlotLight::Kind;
-  return {{Kind::Stripes, {}}, {Kind::Stripes, {}}, {Kind::Blank, {}}};
+  return {{Kind::Stripes}, {Kind::Stripes}, {Kind::Blank}};
+}
+
+SlotProgram fringe_program() {
+  using Kind = SlotLight::Kind;
+  return {{Kind::Fringes, {}, 0}, {Kind::Fringes, {}, 1}, {Kind::Blank},
+          {Kind::Fringes, {}, 2}, {Kind::Fringes, {}, 3}, {Kind::Blank}};
+}
+
+Shown shown_in_slot(const SlotProgram& program, std::uint64_t slot) {
+  const auto stripes_before = [&](std::uint64_t end) {
+    return static_cast<std::uint64_t>(
+        std::count_if(program.begin(), program.begin() + static_cast<std::ptrdiff_t>(end),
+                      [](const SlotLight& one) { return one.kind == SlotLight::Kind::Stripes; }));
+  };
+  const SlotLight& light = light_of_slot(program, slot);
+  switch (light.kind) {
+    case SlotLight::Kind::Blank:
+      return {Shown::Kind::Blank, 0};
+    case SlotLight::Kind::Fringes:
+      return {Shown::Kind::Fringes, static_cast<std::uint64_t>(light.quarters)};
+    case SlotLight::Kind::Stripes:
+      return {Shown::Kind::Stripes,
+              slot / program.size() * stripes_before(program.size()) + stripes_before(slot % program.size())};
+    case SlotLight::Kind::Lit:
+      break;
+  }
+  return {};
 }
 
 std::string to_word(const SlotLight& light) {
@@ -42,6 +70,8 @@ std::string to_word(const SlotLight& light) {
       return "blank";
     case SlotLight::Kind::Stripes:
       return "stripes";
+    case SlotLight::Kind::Fringes:
+      return fmt::format("{}{}", kFringes, light.quarters);
     case SlotLight::Kind::Lit:
       return light.lights.empty() ? "dark" : fmt::format("{}{}", kLight, fmt::join(light.lights, "+"));
   }
@@ -51,15 +81,24 @@ std::string to_word(const SlotLight& light) {
 SlotLight parse_slot_light(std::string_view word) {
   word = trimmed(word);
   if (word == "blank") {
-    return {SlotLight::Kind::Blank, {}};
+    return {SlotLight::Kind::Blank};
   }
   if (word == "dark") {
-    return {SlotLight::Kind::Lit, {}};
+    return {SlotLight::Kind::Lit};
+  }
+  if (word == "fringes" || word.starts_with(kFringes)) {
+    const std::string_view shift = word.substr(std::min(word.size(), kFringes.size()));
+    if (shift.size() != 1 || shift[0] < '0' || shift[0] > '3') {
+      throw Error(
+          ErrorKind::Usage,
+          fmt::format("'{}': fringes are shifted by 0 to 3 quarters of a period, such as fringes:1", word));
+    }
+    return {SlotLight::Kind::Fringes, {}, shift[0] - '0'};
   }
   if (!word.starts_with(kLight)) {
-    return {SlotLight::Kind::Stripes, {}};
+    return {SlotLight::Kind::Stripes};
   }
-  SlotLight light{SlotLight::Kind::Lit, {}};
+  SlotLight light{SlotLight::Kind::Lit};
   for (const std::string_view name : pieces(word.substr(kLight.size()), '+')) {
     if (name.empty()) {
       throw Error(ErrorKind::Usage,
@@ -83,6 +122,9 @@ std::optional<SlotLight> read_slot_light(std::string_view word) {
 }
 
 SlotProgram parse_slot_program(std::string_view text) {
+  if (trimmed(text) == "stripes" || trimmed(text) == "fringes") {
+    return trimmed(text) == "stripes" ? standard_program() : fringe_program();
+  }
   SlotProgram program;
   for (const std::string_view word : pieces(text, ',')) {
     if (word.empty()) {
@@ -94,9 +136,11 @@ SlotProgram parse_slot_program(std::string_view text) {
   if (!makes_meshes(program)) {
     throw Error(
         ErrorKind::Usage,
-        fmt::format("the slots' program '{}': name what each slot shows, such as "
-                    "stripes,stripes,blank, with one slot with stripes and one that is blank at least",
-                    text));
+        fmt::format(
+            "the slots' program '{}': name what each slot shows, such as "
+            "stripes,stripes,blank, with one slot with stripes or fringes and one that is blank at least; or "
+            "stripes or fringes alone for the usual ones",
+            text));
   }
   return program;
 }
@@ -108,11 +152,10 @@ std::string to_text(const SlotProgram& program) {
 }
 
 bool makes_meshes(const SlotProgram& program) {
-  const auto has = [&](SlotLight::Kind kind) {
-    return std::any_of(program.begin(), program.end(),
-                       [kind](const SlotLight& light) { return light.kind == kind; });
-  };
-  return has(SlotLight::Kind::Stripes) && has(SlotLight::Kind::Blank);
+  return std::any_of(program.begin(), program.end(),
+                     [](const SlotLight& light) { return light.has_pattern(); }) &&
+         std::any_of(program.begin(), program.end(),
+                     [](const SlotLight& light) { return light.kind == SlotLight::Kind::Blank; });
 }
 
 }  // namespace facet::capture

@@ -43,7 +43,7 @@ constexpr std::uint64_t kCheckPeriod = 5;
 
 struct RunSlot {
   SetPointer set;  ///< null: missing
-  capture::SlotLight::Kind kind = capture::SlotLight::Kind::Stripes;
+  capture::SlotLight light = {capture::SlotLight::Kind::Stripes};
   bool wanted = false;
 };
 
@@ -226,15 +226,15 @@ capture::SlotLight BoothMeshes::Impl::light_of(std::uint64_t slot, const SetPoin
 void BoothMeshes::Impl::add(std::uint64_t slot, SetPointer set) {
   using Kind = capture::SlotLight::Kind;
   RunSlot& one = window.emplace_back();
-  one.kind = light_of(slot, set).kind;
-  if (one.kind == Kind::Lit && set != nullptr && stages.lights) {
+  one.light = light_of(slot, set);
+  if (one.light.kind == Kind::Lit && set != nullptr && stages.lights) {
     lit.push_back(set);
     if (lit.size() > 2 * stages.program.size() * static_cast<std::size_t>(stages.blanks_per_run)) {
       lit.pop_front();
     }
   }
   const auto has_picture = [](const Frame& picture) { return !picture.empty(); };
-  one.wanted = (one.kind == Kind::Blank || stages.every_slot) && set != nullptr &&
+  one.wanted = (one.light.kind == Kind::Blank || stages.every_slot) && set != nullptr &&
                std::any_of(set->frames.begin(), set->frames.end(), has_picture);
   one.set = std::move(set);
   wanted += one.wanted ? 1 : 0;
@@ -271,7 +271,7 @@ void BoothMeshes::Impl::hand_on(bool at_end) {
     }
     wanted -= ready;
     std::size_t last_blank = last;
-    while (last_blank > begin && window[last_blank].kind != capture::SlotLight::Kind::Blank) {
+    while (last_blank > begin && window[last_blank].light.kind != capture::SlotLight::Kind::Blank) {
       --last_blank;
     }
     while (!lit.empty() && lit.front()->slot < first_slot + last_blank) {
@@ -369,7 +369,14 @@ void BoothMeshes::Impl::find_depth(Run& run) {
   std::vector<booth::DepthSlot> slots;
   for (const RunSlot& slot : run.slots) {
     sets.push_back(slot.set != nullptr ? in_rig_order(*slot.set) : nullptr);
-    slots.push_back({sets.back().get(), slot.kind == capture::SlotLight::Kind::Stripes, slot.wanted});
+    booth::DepthSlot& one = slots.emplace_back();
+    one.set = sets.back().get();
+    one.has_pattern = slot.light.has_pattern();
+    one.wanted = slot.wanted;
+    const bool blank = slot.light.kind == capture::SlotLight::Kind::Blank;
+    if (blank || slot.light.kind == capture::SlotLight::Kind::Fringes) {
+      one.fringes = {slot.light.quarters / 4.0, blank};
+    }
   }
   const Clock::time_point begun = Clock::now();
   std::vector<std::vector<capture::DepthMap>> maps;
@@ -385,7 +392,7 @@ void BoothMeshes::Impl::find_depth(Run& run) {
       item.depth_ms = depth_ms / static_cast<float>(maps.size());
       item.maps = std::move(maps[at++]);
       capture::weigh_by_own_noise(item.maps);
-      item.blank = run.slots[i].kind == capture::SlotLight::Kind::Blank;
+      item.blank = run.slots[i].light.kind == capture::SlotLight::Kind::Blank;
       while (item.blank && next_lit != run.lit.end() && (*next_lit)->slot < item.given->slot) {
         item.lit.push_back(in_rig_order(**next_lit++));
       }

@@ -221,7 +221,7 @@ capture::SlotProgram lights_of(const DevicesConfig& config) {
   using Kind = capture::SlotLight::Kind;
   capture::SlotProgram program;
   for (const LineMask active : config.program.patterns) {
-    program.push_back({active != 0 ? Kind::Stripes : Kind::Blank, {}});
+    program.push_back({active != 0 ? Kind::Stripes : Kind::Blank});
   }
   return program;
 }

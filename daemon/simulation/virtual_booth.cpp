@@ -777,20 +777,9 @@ BoothSlot VirtualBooth::slot(std::uint64_t number, std::vector<capture::GreyImag
 }
 
 BoothSlot VirtualBooth::slot(std::uint64_t number, const capture::SlotProgram& program) const {
-  using Kind = capture::SlotLight::Kind;
   const capture::SlotLight& light = capture::light_of_slot(program, number);
-  if (light.kind == Kind::Blank) {
-    return slot(number, capture::Shown{capture::Shown::Kind::Blank, 0});
-  }
-  if (light.kind == Kind::Stripes) {
-    const auto stripes_to = [&](std::uint64_t end) {
-      return static_cast<std::uint64_t>(
-          std::count_if(program.begin(), program.begin() + static_cast<std::ptrdiff_t>(end),
-                        [](const capture::SlotLight& one) { return one.kind == Kind::Stripes; }));
-    };
-    return slot(number, capture::Shown{capture::Shown::Kind::Stripes,
-                                       number / program.size() * stripes_to(program.size()) +
-                                           stripes_to(number % program.size())});
+  if (light.kind != capture::SlotLight::Kind::Lit) {
+    return slot(number, capture::shown_in_slot(program, number));
   }
   const capture::Rig& rig = impl_->rig;
   std::vector<capture::GreyImage> pictures(rig.projectors.size());

@@ -75,7 +75,10 @@ struct View {
 struct Hand {
   std::optional<StartValue> start;  ///< nothing where the device finds start values
   Islands islands;
-  std::vector<float> nearest;  ///< [width] of a row of the right picture
+  FringeMatcher fringes;
+  std::vector<FringePictures> fringe_pictures;
+  std::vector<std::uint8_t> lit;  ///< [height][width] where a slot is as bright as a start value needs
+  std::vector<float> nearest;     ///< [width] of a row of the right picture
 };
 
 StereoOptions completed(StereoOptions options, const capture::Rig& rig, const capture::StereoPair& pair) {
@@ -102,6 +105,8 @@ struct StereoMatcher::Impl {
   }
   void for_each(std::span<const std::size_t> chosen, const Alive& alive,
                 const std::function<void(Hand&, std::size_t)>& work);
+  bool look_at_fringes(Hand& hand, std::span<const StereoSlot> slots, std::size_t slot);
+  void spread(Hand& hand, std::span<const StereoSlot> slots, std::size_t slot, std::span<float> line);
   void finish(Hand& hand, std::size_t slot, capture::DepthMap& map) const;
   void drop_hidden(std::vector<float>& nearest, std::span<const float> disparity_px,
                    std::span<float> depth_mm) const;
@@ -115,6 +120,7 @@ struct StereoMatcher::Impl {
   std::unique_ptr<DeviceStart> device_start;  ///< null: the host finds start values
   gpu::Buffer usable;                         ///< [slots] 1 where both pictures are there and show a pattern
   gpu::Batch batch;
+  std::vector<bool> has_both;  ///< [slots] of pictures
 
   std::vector<float> left_grey, right_grey, start_px, start_px_before;
   std::vector<std::optional<std::uint64_t>> numbers;  ///< [slots] whose start values are in start_px
@@ -149,7 +155,11 @@ StereoMatcher::Impl::Impl(gpu::Context& context, const capture::Rig& rig, const 
   }
   int threads = 0;
   do {
-    Hand& hand = hands.emplace_back(Hand{std::nullopt, Islands(options.width_px, options.height_px),
+    Hand& hand = hands.emplace_back(Hand{std::nullopt,
+                                         Islands(options.width_px, options.height_px),
+                                         FringeMatcher(rectification, options.fringes),
+                                         {},
+                                         {},
                                          std::vector<float>(static_cast<std::size_t>(options.width_px))});
     if (!device_start) {
       hand.start.emplace(options.width_px, options.height_px, rectification.least_disparity_px(),
@@ -197,10 +207,12 @@ bool StereoMatcher::Impl::on_device(const gpu::Context& context) const {
 gpu::Outcome StereoMatcher::Impl::rectify(std::span<const StereoSlot> slots) {
   const std::span<float> flags = usable.mapped_as<float>();
   std::fill(flags.begin(), flags.end(), 0.0F);
+  has_both.assign(slots.size(), false);
   for (std::size_t slot = 0; slot < slots.size(); ++slot) {
     const bool has_left = left.load(slots[slot].left, slot);
     const bool has_right = right.load(slots[slot].right, slot);
-    flags[slot] = has_left && has_right && slots[slot].has_pattern ? 1 : 0;
+    has_both[slot] = has_left && has_right;
+    flags[slot] = has_both[slot] && slots[slot].has_pattern ? 1 : 0;
   }
   if (device_start) {
     device_start->want(missing);
@@ -250,6 +262,38 @@ std::vector<std::optional<std::uint64_t>> StereoMatcher::Impl::keep_starts(
   return now;
 }
 
+/// Whether fringes in a slot, or around it, tell its phases.
+bool StereoMatcher::Impl::look_at_fringes(Hand& hand, std::span<const StereoSlot> slots, std::size_t slot) {
+  hand.fringe_pictures.clear();
+  for (std::size_t near = 0; near < slots.size(); ++near) {
+    if (slots[near].fringes && has_both[near]) {
+      hand.fringe_pictures.push_back(
+          {&slots[near].left,
+           &slots[near].right,
+           {static_cast<int>(near) - static_cast<int>(slot), *slots[near].fringes}});
+    }
+  }
+  return hand.fringes.look(hand.fringe_pictures);
+}
+
+/// Start values that are whole periods off are none. Without phases nothing tells which these are.
+void StereoMatcher::Impl::spread(Hand& hand, std::span<const StereoSlot> slots, std::size_t slot,
+                                 std::span<float> line) {
+  const auto repeats = [](const StereoSlot& one) { return !one.has_pattern || one.fringes; };
+  if (look_at_fringes(hand, slots, slot)) {
+    hand.lit.assign(line.size(), 0);
+    for (std::size_t near = 0; near < slots.size(); ++near) {
+      const std::span<const float> grey = line_of(left_grey, near);
+      for (std::size_t at = 0; at < line.size(); ++at) {
+        hand.lit[at] = hand.lit[at] != 0 || grey[at] >= options.start.least_grey ? 1 : 0;
+      }
+    }
+    hand.fringes.spread(line, hand.lit);
+  } else if (std::ranges::all_of(slots, repeats)) {
+    std::fill(line.begin(), line.end(), kNan);
+  }
+}
+
 void StereoMatcher::Impl::find_start(std::span<const StereoSlot> slots, const Alive& alive) {
   for_each(missing, alive, [&](Hand& hand, std::size_t slot) {
     const std::span<float> line = line_of(start_px, slot);
@@ -258,6 +302,7 @@ void StereoMatcher::Impl::find_start(std::span<const StereoSlot> slots, const Al
     } else {
       hand.start->find(solver.size(), left_grey, right_grey, static_cast<int>(slot), line);
     }
+    spread(hand, slots, slot, line);
     const std::span<const std::uint8_t> mask = slots[slot].mask;
     for (std::size_t at = 0; at < mask.size(); ++at) {
       line[at] = mask[at] != 0 ? line[at] : kNan;
@@ -422,7 +467,13 @@ StereoOutcome StereoMatcher::match(std::span<const StereoSlot> slots, std::vecto
       wanted.push_back(slot);
     }
   }
-  impl.for_each(wanted, alive, [&](Hand& hand, std::size_t slot) { impl.finish(hand, slot, maps[slot]); });
+  impl.for_each(wanted, alive, [&](Hand& hand, std::size_t slot) {
+    if (impl.look_at_fringes(hand, slots, slot)) {
+      hand.fringes.refine(impl.line_of(impl.field.disparity_px, slot),
+                          impl.line_of(impl.field.sigma_px, slot));
+    }
+    impl.finish(hand, slot, maps[slot]);
+  });
   impl.times.finish_ms = ms_since(clock);
   return StereoOutcome::Done;
 }

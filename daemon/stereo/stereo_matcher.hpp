@@ -12,6 +12,7 @@
 #include "capture/rig.hpp"
 #include "facet/frame.hpp"
 #include "gpu/context.hpp"
+#include "stereo/fringe_matcher.hpp"
 #include "stereo/rectification.hpp"
 #include "stereo/spacetime_solver.hpp"
 #include "stereo/start_value.hpp"
@@ -29,6 +30,8 @@ struct StereoSlot {
   /// Of the slot in its recording. Where a slot of the run before has the same, its start value is taken
   /// over; nothing: found anew.
   std::optional<std::uint64_t> number = std::nullopt;
+  /// What there was of fringes, which repeat; nothing: another light.
+  std::optional<Fringes> fringes = std::nullopt;
 };
 
 struct StereoOptions {
@@ -38,6 +41,7 @@ struct StereoOptions {
   int most_slots = 9;  ///< that a call may give
   StartOptions start;
   SpacetimeOptions spacetime;
+  FringeOptions fringes;
   float least_correlation = 0.7F;  ///< of the pictures over a window
   float most_sigma_mm = 0.5F;      ///< standard deviation of a depth
   int least_island_px = 200;       ///< smaller pieces of surface are noise
@@ -69,14 +73,14 @@ class StereoMatcher {
 
   const Rectification& rectification() const;
 
-  /// Depth of every slot of a run of consecutive ones. Slots near the ends have fewer neighbours in their
-  /// windows; those with window_t / 2 slots on either side are as good as they get.
-  /// slots   1 to most_slots
-  /// maps    out, [slots], empty of depths where not wanted; confidence 1 / (1 + (sigma / 0.1 mm)^2) where
-  /// there is a depth; a picture of another size than its lens's counts as missing
-  /// alive   called on this thread between pieces of work and while it waits for the device
-  /// DeviceLost and NumericalFailure leave the maps empty of depths; failure() says more. Throws Error(Usage)
-  /// for other slots or masks, what `alive` throws, and std::bad_alloc; the next match begins anew.
+  /// Depth of every slot of a run of consecutive ones. Where fringes tell its phase, by that; what stereo
+  /// found is where it begins, and what stays where there is no phase. Slots near the ends have fewer
+  /// neighbours in their windows; those with window_t / 2 slots on either side are as good as they get. slots
+  /// 1 to most_slots maps    out, [slots], empty of depths where not wanted; confidence 1 / (1 + (sigma / 0.1
+  /// mm)^2) where there is a depth; a picture of another size than its lens's counts as missing alive called
+  /// on this thread between pieces of work and while it waits for the device DeviceLost and NumericalFailure
+  /// leave the maps empty of depths; failure() says more. Throws Error(Usage) for other slots or masks, what
+  /// `alive` throws, and std::bad_alloc; the next match begins anew.
   StereoOutcome match(
       std::span<const StereoSlot> slots, std::vector<capture::DepthMap>& maps, const Alive& alive = [] {});
 

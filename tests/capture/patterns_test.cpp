@@ -65,6 +65,43 @@ TEST(Patterns, FollowFromSeedNumberAndProjectorAlone) {
   EXPECT_LT(std::abs(correlation(light, light_of(draw_pattern(config, stripes(4)), config.gamma))), 0.3);
 }
 
+TEST(Patterns, FringesAddUpToBlankLightAndTellWhereTheyAre) {
+  PatternConfig config;
+  config.width_px = 256;
+  config.height_px = 96;
+  const auto fringes = [&](std::uint64_t quarters, std::size_t projector = 0) {
+    return light_of(draw_pattern(config, {Shown::Kind::Fringes, quarters}, projector), config.gamma);
+  };
+  const std::vector<std::vector<double>> shifted{fringes(0), fringes(1), fringes(2), fringes(3)};
+  const std::vector<double> blank = light_of(draw_pattern(config, {Shown::Kind::Blank, 0}), config.gamma);
+  std::vector<double> phase;
+  for (std::size_t at = 0; at < blank.size(); ++at) {
+    const double sine = shifted[3][at] - shifted[1][at];
+    const double cosine = shifted[0][at] - shifted[2][at];
+    EXPECT_NEAR(shifted[0][at] + shifted[1][at] + shifted[2][at] + shifted[3][at], 4 * blank[at], 0.03);
+    EXPECT_NEAR(std::hypot(sine, cosine), 1, 0.03);
+    phase.push_back(std::atan2(sine, cosine));
+  }
+  // It rises everywhere, by a period in fringe_px on the whole; a period further on it is another one.
+  double risen = 0;
+  double unlike = 0;
+  for (std::size_t row = 0; row < 96; row += 5) {
+    for (std::size_t x = 0; x + 1 < 256; ++x) {
+      const std::size_t at = row * 256 + x;
+      const double rise = std::remainder(phase[at + 1] - phase[at], 2 * std::numbers::pi);
+      EXPECT_GT(rise, 0);
+      risen += rise / (20 * 255);
+      if (x + 17 < 256) {
+        unlike += std::abs(std::remainder(phase[at + 16] - phase[at], 2 * std::numbers::pi)) / (20 * 239);
+      }
+    }
+  }
+  EXPECT_NEAR(risen, 2 * std::numbers::pi / 16, 0.01);
+  EXPECT_GT(unlike, 0.4);
+  config.fringe_px = 7;
+  EXPECT_THROW(draw_pattern(config, {Shown::Kind::Fringes, 0}), Error);
+}
+
 TEST(Patterns, AreUprightStripesOverTheWholeRangeOfLight) {
   const PatternConfig config;
   for (std::uint64_t number = 0; number < 6; ++number) {

@@ -26,6 +26,32 @@ TEST(SlotProgram, BlankDarkAndLightAreTheWordsThatCount) {
   EXPECT_EQ(to_text(standard_program()), "stripes,stripes,blank");
 }
 
+TEST(SlotProgram, FringesGoThroughTheirFourShifts) {
+  const SlotProgram program = parse_slot_program("fringes");
+  EXPECT_EQ(to_text(program), "fringes:0,fringes:1,blank,fringes:2,fringes:3,blank");
+  EXPECT_EQ(parse_slot_program(to_text(program)), program);
+  EXPECT_EQ(parse_slot_program("stripes"), standard_program());
+  EXPECT_EQ(shown_in_slot(program, 10), (Shown{Shown::Kind::Fringes, 3}));
+  EXPECT_EQ(shown_in_slot(program, 11).kind, Shown::Kind::Blank);
+  EXPECT_TRUE(program[4].has_pattern());
+  EXPECT_FALSE(program[5].has_pattern());
+  for (const char* wrong : {"fringes:", "fringes:4", "fringes:01", "fringes:-1", "fringes"}) {
+    EXPECT_THROW(parse_slot_light(wrong), Error) << wrong;
+  }
+}
+
+// Stripes are never the same again, whatever lies between them.
+TEST(SlotProgram, StripesAreNumberedThroughout) {
+  const SlotProgram program = parse_slot_program("stripes,fringes:2,blank,stripes,dark");
+  EXPECT_EQ(shown_in_slot(program, 0), (Shown{Shown::Kind::Stripes, 0}));
+  EXPECT_EQ(shown_in_slot(program, 3), (Shown{Shown::Kind::Stripes, 1}));
+  EXPECT_EQ(shown_in_slot(program, 4).kind, Shown::Kind::Dark);
+  EXPECT_EQ(shown_in_slot(program, 13), (Shown{Shown::Kind::Stripes, 5}));
+  for (std::uint64_t slot = 0; slot < 9; ++slot) {
+    EXPECT_EQ(shown_in_slot(standard_program(), slot), shown_in_slot(slot)) << slot;
+  }
+}
+
 TEST(SlotProgram, WithoutDepthOrTextureThereIsNoMesh) {
   for (const char* wrong : {"", "blank", "a,b", "a,,blank", ",", "a,light:x", "blank,dark"}) {
     EXPECT_THROW(parse_slot_program(wrong), Error) << wrong;

@@ -30,6 +30,9 @@ std::vector<StereoSlot> slots_of(const StereoScene& scene, int count) {
   std::vector<StereoSlot> slots;
   for (int slot = 0; slot < count; ++slot) {
     slots.push_back({scene.picture(0, slot), scene.picture(1, slot), StereoScene::has_pattern(slot), {}});
+    if (scene.fringe_mm > 0) {
+      slots.back().fringes = {StereoScene::shift_turns(slot), !StereoScene::has_pattern(slot)};
+    }
   }
   return slots;
 }
@@ -93,6 +96,46 @@ TEST_F(StereoMatcherTest, MovingWavesArePreciseInPatternAndBlankSlots) {
     EXPECT_GT(figures.fill, 0.95);
   }
   EXPECT_LE(matcher.dispatch_count(), 100U);
+}
+
+// What stereo finds under the same fringes is where phases begin.
+TEST_F(StereoMatcherTest, FringesOnMovingWavesAreNearerThanStereo) {
+  StereoScene scene = scene_of(Surface::Wave);
+  scene.fringe_mm = 11;
+  scene.speed_mm_per_slot = 0.5;
+  std::vector<StereoSlot> slots = slots_of(scene, 6);
+  StereoOptions options = options_for(6);
+  options.depths = {720, 775};  // about a period: start values are right
+  StereoMatcher matcher(context(), scene.rig, {0, 1}, options);
+  std::vector<capture::DepthMap> maps;
+  ASSERT_EQ(matcher.match(slots, maps), StereoOutcome::Done) << matcher.failure();
+  std::vector<Figures> by_phase;
+  for (const int slot : {2, 3}) {
+    by_phase.push_back(judge(scene, maps[static_cast<std::size_t>(slot)], slot));
+  }
+  for (StereoSlot& slot : slots) {
+    slot.fringes.reset();
+  }
+  ASSERT_EQ(matcher.match(slots, maps), StereoOutcome::Done) << matcher.failure();
+  for (const int slot : {2, 3}) {
+    SCOPED_TRACE(slot);
+    const Figures& phases = by_phase[static_cast<std::size_t>(slot - 2)];
+    const Figures stereo = judge(scene, maps[static_cast<std::size_t>(slot)], slot);
+    EXPECT_LT(phases.median_mm, 0.6 * stereo.median_mm);
+    EXPECT_LT(phases.percentile95_mm, stereo.percentile95_mm);
+    EXPECT_GT(phases.fill, stereo.fill - 0.02);
+  }
+}
+
+// Nothing tells then which period is the right one.
+TEST_F(StereoMatcherTest, FringesOfTooFewSlotsGiveNoDepth) {
+  StereoScene scene = scene_of(Surface::Plane);
+  scene.fringe_mm = 11;
+  const std::vector<StereoSlot> slots = slots_of(scene, 2);
+  StereoMatcher matcher(context(), scene.rig, {0, 1}, options_for(2));
+  std::vector<capture::DepthMap> maps;
+  ASSERT_EQ(matcher.match(slots, maps), StereoOutcome::Done) << matcher.failure();
+  EXPECT_EQ(judge(scene, maps[1], 1).fill, 0);
 }
 
 TEST_F(StereoMatcherTest, PlaneIsPreciseAndSigmaTellsTheError) {

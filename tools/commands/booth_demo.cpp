@@ -49,7 +49,8 @@ constexpr auto kEndingPatience = 20s;
 /// hurry with, on machines that are busy, too.
 constexpr double kSlotsPerSecond = 20;
 /// Lamps above and below the cameras in turn, to see folds by.
-constexpr const char* kProgram = "stripes,stripes,blank,light:top,light:low";
+constexpr const char* kProgram =
+    "fringes:0,fringes:1,blank,light:top,fringes:2,fringes:3,blank,light:low";
 
 struct DemoOptions {
   std::uint64_t seed = 5;

@@ -15,6 +15,7 @@
 #include "capture/code_sequence.hpp"
 #include "capture/patterns.hpp"
 #include "capture/rig_file.hpp"
+#include "capture/slot_program.hpp"
 #include "facet/error.hpp"
 #include "files/output_file.hpp"
 #include "options.hpp"
@@ -31,12 +32,14 @@ struct PatternsOptions {
   std::string size;
   std::string rig;
   std::string sequence;
+  std::string program = "fringes";
   std::uint64_t periods = 60;
   std::string folder;
 };
 
 /// Who shows the patterns: a folder inside the one given ("" for the folder itself), a size.
 struct Screen {
+  std::string name;  ///< of the projector in the rig; empty without one
   std::filesystem::path folder;
   int width_px = 0;
   int height_px = 0;
@@ -45,7 +48,7 @@ struct Screen {
 std::vector<Screen> screens_of(const PatternsOptions& options) {
   if (options.rig.empty()) {
     const PictureSize size = parse_picture_size("--size", options.size);
-    return {{options.folder, size.width_px, size.height_px}};
+    return {{"", options.folder, size.width_px, size.height_px}};
   }
   std::vector<Screen> screens;
   for (const capture::RigProjector& projector : capture::read_rig(options.rig).projectors) {
@@ -53,8 +56,8 @@ std::vector<Screen> screens_of(const PatternsOptions& options) {
       throw Error(ErrorKind::Usage, fmt::format("{}: the projector's name '{}' can't be a folder's",
                                                 options.rig, projector.name));
     }
-    screens.push_back({std::filesystem::path(options.folder) / projector.name, projector.lens.width_px,
-                       projector.lens.height_px});
+    screens.push_back({projector.name, std::filesystem::path(options.folder) / projector.name,
+                       projector.lens.width_px, projector.lens.height_px});
   }
   if (screens.empty()) {
     throw Error(
@@ -72,14 +75,29 @@ render::Picture to_picture(const capture::GreyImage& image) {
   return picture;
 }
 
+/// A slot's picture; white in one that the projector alone lights, or with lamps.
+capture::GreyImage draw_slot(const capture::PatternConfig& config, const capture::SlotProgram& program,
+                             std::uint64_t slot, const Screen& screen, std::size_t projector) {
+  capture::GreyImage image = capture::draw_pattern(config, capture::shown_in_slot(program, slot), projector);
+  const std::vector<std::string>& lights = capture::light_of_slot(program, slot).lights;
+  if (!screen.name.empty() && std::find(lights.begin(), lights.end(), screen.name) != lights.end()) {
+    std::fill(image.values.begin(), image.values.end(), std::uint8_t{255});
+  }
+  return image;
+}
+
 void run_write(const PatternsOptions& options) {
   const std::vector<Screen> screens = screens_of(options);
   std::optional<capture::CodeSequence> sequence;
   if (!options.sequence.empty()) {
     sequence = capture::parse_sequence(options.sequence);
   }
+  const capture::SlotProgram program = capture::parse_slot_program(options.program);
+  const bool repeats = std::none_of(program.begin(), program.end(), [](const capture::SlotLight& light) {
+    return light.kind == capture::SlotLight::Kind::Stripes;
+  });
   const std::uint64_t slots =
-      sequence ? sequence->pictures.size() : options.periods * capture::kSlotsPerPeriod;
+      sequence ? sequence->pictures.size() : (repeats ? 1 : options.periods) * program.size();
   Progress progress("Drawing", slots * screens.size(), "pictures");
   for (std::size_t k = 0; k < screens.size(); ++k) {
     const Screen& screen = screens[k];
@@ -88,9 +106,8 @@ void run_write(const PatternsOptions& options) {
     config.width_px = screen.width_px;
     config.height_px = screen.height_px;
     for (std::uint64_t slot = 0; slot < slots; ++slot) {
-      const capture::GreyImage image = sequence
-                                           ? capture::draw_coded(config, *sequence, slot)
-                                           : capture::draw_pattern(config, capture::shown_in_slot(slot), k);
+      const capture::GreyImage image = sequence ? capture::draw_coded(config, *sequence, slot)
+                                                : draw_slot(config, program, slot, screen, k);
       const std::string name = sequence ? fmt::format("{:03}-{}.png", slot, capture::name_of(*sequence, slot))
                                         : fmt::format("slot_{:06}.png", slot);
       render::write_png(to_picture(image), screen.folder / name);
@@ -107,7 +124,8 @@ void run_write(const PatternsOptions& options) {
         "in the same order, go to `facet scan --sequence {}`\n",
         options.folder, slots, projectors, options.sequence);
   } else {
-    tell("{}: {} slots (stripes A, stripes B, blank, and again) for {}\n", options.folder, slots, projectors);
+    tell("{}: {} slots ({}, and again) for {}\n", options.folder, slots, capture::to_text(program),
+         projectors);
   }
 }
 
@@ -201,8 +219,8 @@ void add_show_command(Command command) {
 
 void add_patterns_command(Command app) {
   auto options = std::make_shared<PatternsOptions>();
-  const Command command =
-      app.subcommand("patterns", "Patterns for the projectors of a booth: random stripes, structured light");
+  const Command command = app.subcommand(
+      "patterns", "Patterns for the projectors of a booth: fringes, random stripes, structured light");
   command.requires_subcommand();
   const Command write = command.subcommand(
       "write", "Write what the projectors show, slot by slot, as PNG pictures for their player");
@@ -215,8 +233,15 @@ void add_patterns_command(Command app) {
       "8 shifts of a sine of 64 periods over the picture, Gray bits that count them, and their inverses; "
       "`facet scan --help` has all groups");
   write
+      .option(
+          "--program", options->program,
+          "What the slots show in turn: fringes (four shifts of them and blank slots, six pictures), stripes "
+          "(two random ones and a blank slot), or a word for each slot, as in trigger.light")
+      .shows_default()
+      .excludes("--sequence");
+  write
       .option("--periods", options->periods,
-              "Periods of three slots; a player that begins again repeats the stripes")
+              "Of a program with stripes, each with others; a player that begins again repeats them")
       .shows_default()
       .range(1, 100'000)
       .excludes("--sequence");
@@ -224,6 +249,10 @@ void add_patterns_command(Command app) {
   write
       .option("--stripe", options->patterns.stripe_px,
               "Mean width of a stripe in the projector's pixels; 3 pixels of the cameras at least")
+      .shows_default();
+  write
+      .option("--fringe", options->patterns.fringe_px,
+              "Period of the fringes in the projector's pixels; 6 pixels of the cameras at least")
       .shows_default();
   write.option("--gamma", options->patterns.gamma, "Of the projector: light = (value / 255)^gamma")
       .shows_default();

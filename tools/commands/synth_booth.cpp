@@ -40,7 +40,7 @@ struct SynthBoothOptions {
   std::uint64_t slots = 90;
   std::string meshes = "blank";
   bool quiet_sensor = false;
-  std::string program = "stripes,stripes,blank";
+  std::string program = "fringes";
   std::vector<std::string> lamps;
   ActorChoice actor;
   std::string folder;

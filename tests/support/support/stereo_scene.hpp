@@ -31,7 +31,8 @@ struct StereoScene {
   double ambient = 0.06;
   double right_gain = 0.85;  ///< the right camera's exposure
   double stripe_mm = 2;      ///< width of a stripe on the surface
-  int samples = 2;           ///< rays per pixel, across and down
+  double fringe_mm = 0;  ///< above 0: fringes of that period in place of stripes, and light in blank slots
+  int samples = 2;       ///< rays per pixel, across and down
   std::uint32_t seed = 1;
 
   capture::Rig rig;
@@ -76,6 +77,8 @@ struct StereoScene {
 
   /// Pattern A, pattern B, blank.
   static bool has_pattern(int slot) { return slot % 3 != 2; }
+  /// Parts of a period, of the fringes: a quarter more from pattern to pattern.
+  static double shift_turns(int slot) { return has_pattern(slot) ? (slot / 3 * 2 + slot % 3) % 4 / 4.0 : 0; }
 
   /// Depth z of the surface over the rig's x and y, where there is one.
   std::optional<double> height(double x, double y, int slot) const {
@@ -209,12 +212,21 @@ struct StereoScene {
   }
 
  private:
-  /// Grey of the projector's columns: random stripes, blurred as lenses do. All 0 in a blank slot.
+  /// Grey of the projector's columns: random stripes, blurred as lenses do, all 0 in a blank slot; or
+  /// fringes.
   std::vector<double> stripes_of(int slot) const {
     const int width = rig.projectors.front().lens.width_px;
     const auto stripe =
         static_cast<std::size_t>(std::lround(stripe_mm * rig.projectors.front().lens.fx_px / kDistance_mm));
     std::vector<double> sharp(static_cast<std::size_t>(width), 0.0);
+    if (fringe_mm > 0) {
+      const double period_px = fringe_mm * rig.projectors.front().lens.fx_px / kDistance_mm;
+      for (std::size_t u = 0; u < sharp.size(); ++u) {
+        const double turns = static_cast<double>(u) / period_px + shift_turns(slot);
+        sharp[u] = has_pattern(slot) ? 0.5 + 0.5 * std::cos(2 * std::numbers::pi * turns) : 0.5;
+      }
+      return sharp;
+    }
     if (!has_pattern(slot)) {
       return sharp;
     }
