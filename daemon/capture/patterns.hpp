@@ -33,8 +33,8 @@ struct PatternConfig {
   int height_px = 768;
   /// Mean width of a stripe, at least 3. What the cameras see should be no narrower than 3 of their pixels.
   float stripe_px = 6;
-  float fringe_px =
-      16;  ///< period of the fringes, 8 to the picture's width; 6 pixels of the cameras at least
+  /// Period of the fringes, 8 to the picture's width; 6 pixels of the cameras at least.
+  float fringe_px = 16;
   /// Of the projector: its light is (value / 255)^gamma. 1 to 4.
   float gamma = 2.2F;
 };

@@ -36,7 +36,7 @@ constexpr float kWireOpacity = 0.22F;
 constexpr std::array<std::uint8_t, 3> kDark{30, 32, 37};
 constexpr float kLargestRelief_mm = 0.3F;
 // Columns.
-constexpr std::size_t kStripes = 0;
+constexpr std::size_t kPattern = 0;
 constexpr std::size_t kDepth = 1;
 constexpr std::size_t kOver = 2;
 constexpr std::size_t kShaded = 3;
@@ -44,7 +44,7 @@ constexpr std::size_t kTexture = 4;
 constexpr std::size_t kRelief = 5;
 constexpr std::size_t kConfidence = 6;
 constexpr std::size_t kDistance = 7;
-constexpr std::array<const char*, 8> kColumns{"stripes",
+constexpr std::array<const char*, 8> kColumns{"pattern",
                                               "depth",
                                               "mesh over the picture",
                                               "mesh, shaded",
@@ -145,8 +145,8 @@ class Drawer {
   Cells row(const mesh::MeshFrame& frame, std::optional<BoothError>& error) {
     Cells cells;
     cells.fill(cell_note("not available"));
-    if (const auto stripes = picture_of(*left_, frame.sequence, -1)) {
-      cells[kStripes] = fitted(render::to_picture(*stripes));
+    if (const auto pattern = picture_of(*left_, frame.sequence, -1)) {
+      cells[kPattern] = fitted(render::to_picture(*pattern));
     }
     cells[kDepth] = depth(frame.sequence);
     const std::optional<Frame> seen = picture_of(*colour_, frame.sequence, 0);

@@ -36,8 +36,9 @@ PhaseWeights phase_weights(std::span<const FringeSlot> slots);
 struct FringeOptions {
   float noise = 0.01F;     ///< standard deviation of a linear grey value (0 to 1)
   float own_drift = 0.3F;  ///< part of PhaseWeights::error_rad that the two cameras do not have in common
-  /// Phases that motion may put further off do for start values alone: at the ends of a recording.
-  float most_error_rad = 0.12F;
+  /// Phases that motion may put further off do for start values alone: fewer than two slots of fringes on
+  /// either side of a blank one.
+  float most_error_rad = 0.08F;
   float saturated = 250.5F / 255;    ///< grey as coded, from which on a pixel says nothing
   float least_amplitude = 0.02F;     ///< of the fringes, linear grey
   float least_slope_rad = 0.15F;     ///< of the fringes, per px

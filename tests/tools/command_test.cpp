@@ -474,7 +474,10 @@ TEST_F(CommandWithAssets, ABrokenOffTakeIsWhole) {
 TEST_F(Command, PatternsAreWrittenForEveryProjectorOfARig) {
   EXPECT_EQ(run({"patterns", "write", file("patterns")}), static_cast<int>(ErrorKind::Usage));
   EXPECT_THAT(output_, HasSubstr("--rig FILE or --size"));
-  ASSERT_EQ(run({"patterns", "write", file("patterns"), "--size", "64x48", "--periods", "2"}), 0) << output_;
+  ASSERT_EQ(run({"patterns", "write", file("patterns"), "--size", "64x48", "--program", "stripes",
+                 "--periods", "2"}),
+            0)
+      << output_;
   capture::PatternConfig config;
   config.width_px = 64;
   config.height_px = 48;
@@ -485,6 +488,22 @@ TEST_F(Command, PatternsAreWrittenForEveryProjectorOfARig) {
     ASSERT_EQ(picture.rgb[k], shown.values[k / 3]);
   }
   EXPECT_FALSE(std::filesystem::exists(file("patterns/slot_000006.png")));
+  // Fringes begin again by themselves; a slot that one projector alone lights is white there and black
+  // elsewhere.
+  simulation::VirtualBoothConfig booth;
+  booth.scene = simulation::BoothScene::Plane;
+  capture::write_rig(simulation::VirtualBooth(nullptr, booth).rig(), file("rig.toml"));
+  ASSERT_EQ(run({"patterns", "write", file("lit"), "--rig", file("rig.toml"), "--program",
+                 "fringes:0,fringes:1,blank,fringes:2,fringes:3,light:projector-l"}),
+            0)
+      << output_;
+  EXPECT_EQ(files_in("lit/projector-l").size(), 6U);
+  EXPECT_EQ(render::read_image(file("lit/projector-l/slot_000005.png")).rgb.front(), 255);
+  EXPECT_EQ(render::read_image(file("lit/projector-r/slot_000005.png")).rgb.front(), 0);
+  EXPECT_NE(render::read_image(file("lit/projector-l/slot_000000.png")).rgb,
+            render::read_image(file("lit/projector-l/slot_000003.png")).rgb);
+  EXPECT_EQ(run({"patterns", "write", file("none"), "--size", "64x48", "--program", "fringes:9,blank"}),
+            static_cast<int>(ErrorKind::Usage));
 }
 
 TEST_F(Command, SynthBoothWritesTakeRigAndTruth) {
@@ -664,9 +683,9 @@ TEST_F(BoothDemo, GoesItsWholeWay) {
   }
   const std::string demo = file("demo");
   // Four periods: with which slot cameras begin to see is anybody's guess, and the first and last blank slot
-  // may have too few stripes about them.
+  // may have too few fringes about them.
   ASSERT_EQ(
-      run({"booth-demo", "--slots", "20", "--samples", "1", "--resolution", "0.625", "--model",
+      run({"booth-demo", "--slots", "28", "--samples", "1", "--resolution", "0.625", "--model",
            test::default_model().string(), "--landmark-nets",
            (test::assets() / "mediapipe" / "face_mesh_solution_packed_assets.data").string(), "-o", demo}),
       0)
@@ -682,8 +701,12 @@ TEST_F(BoothDemo, GoesItsWholeWay) {
   EXPECT_LT(last_normals("booth-sheet.png"), last_normals("by-depth-sheet.png")) << output_;
   take::TakeReader pictures(demo + "/pictures.take");
   const auto light_of = [&](std::int64_t slot) { return pictures.frame(slot)->images->light; };
-  EXPECT_THAT((std::vector<std::string>{light_of(1), light_of(2), light_of(3), light_of(4), light_of(5)}),
-              testing::UnorderedElementsAre("stripes", "stripes", "blank", "light:top", "light:low"));
+  std::vector<std::string> lights;
+  for (std::int64_t slot = 1; slot <= 7; ++slot) {
+    lights.push_back(light_of(slot));
+  }
+  EXPECT_THAT(lights, testing::UnorderedElementsAre("fringes:0", "fringes:1", "blank", "fringes:2",
+                                                    "fringes:3", "light:top", "light:low"));
   take::TakeReader meshes(demo + "/meshes.take");
   std::int64_t tracked = 0;
   for (std::int64_t i = 0; i < meshes.frame_count(); ++i) {

@@ -48,13 +48,28 @@ constexpr auto kEndingPatience = 20s;
 /// A third of the speed that the performance was rendered at: pictures of six cameras that nobody has to
 /// hurry with, on machines that are busy, too.
 constexpr double kSlotsPerSecond = 20;
-/// Lamps above and below the cameras in turn, to see folds by.
-constexpr const char* kProgram =
-    "fringes:0,fringes:1,blank,light:top,fringes:2,fringes:3,blank,light:low";
+/// Fringes, and lamps above and below the cameras in turn, to see folds by. Each slot has lines of its own,
+/// by which the simulated cameras know it.
+struct DemoSlot {
+  const char* light;
+  std::vector<const char*> lines;
+};
+const std::vector<DemoSlot>& demo_program() {
+  static const std::vector<DemoSlot> program{
+      {"fringes:0", {"fringes.a"}},
+      {"fringes:1", {"fringes.b"}},
+      {"blank", {}},
+      {"fringes:2", {"fringes.a", "half"}},
+      {"fringes:3", {"fringes.b", "half"}},
+      {"light:top", {"top"}},
+      {"light:low", {"low"}},
+  };
+  return program;
+}
 
 struct DemoOptions {
   std::uint64_t seed = 5;
-  std::uint64_t slots = 30;
+  std::uint64_t slots = 35;
   int samples = 2;
   double resolution = 1;
   std::string model = default_model_file().string();
@@ -197,6 +212,10 @@ class Demo {
 
   void render() const {
     files::make_folder(folder_);
+    std::vector<std::string> words;
+    for (const DemoSlot& slot : demo_program()) {
+      words.emplace_back(slot.light);
+    }
     step({"synth-booth",
           "--seed",
           std::to_string(options_.seed),
@@ -209,7 +228,7 @@ class Demo {
           "--model",
           options_.model,
           "--program",
-          kProgram,
+          fmt::format("{}", fmt::join(words, ",")),
           "--lamp",
           "top=0,550,850",
           "--lamp",
@@ -232,11 +251,19 @@ class Demo {
     }
     text += fmt::format("[trigger]\nkind = \"virtual\"\nslots_per_second = {:.1f}\nexposure_us = 5000\n",
                         kSlotsPerSecond);
-    text +=
-        "patterns = [[\"stripes.a\"], [\"stripes.b\"], [], [\"top\"], [\"low\"]]\n"
-        "light = [\"stripes\", \"stripes\", \"blank\", \"light:top\", \"light:low\"]\n"
-        "edge_log = \"edges.log\"\n";
-    for (const char* line : {"cameras", "stripes.a", "stripes.b", "top", "low"}) {
+    std::vector<std::string> patterns;
+    std::vector<std::string> lights;
+    for (const DemoSlot& slot : demo_program()) {
+      std::vector<std::string> lines;
+      for (const char* line : slot.lines) {
+        lines.push_back(fmt::format("\"{}\"", line));
+      }
+      patterns.push_back(fmt::format("[{}]", fmt::join(lines, ", ")));
+      lights.push_back(fmt::format("\"{}\"", slot.light));
+    }
+    text += fmt::format("patterns = [{}]\nlight = [{}]\nedge_log = \"edges.log\"\n",
+                        fmt::join(patterns, ", "), fmt::join(lights, ", "));
+    for (const char* line : {"cameras", "fringes.a", "fringes.b", "half", "top", "low"}) {
       text += fmt::format("[[trigger.line]]\nname = \"{}\"\nrole = \"{}\"\n", line,
                           std::strcmp(line, "cameras") == 0 ? "camera" : "projector");
     }
@@ -383,7 +410,7 @@ void add_booth_demo_command(Command app) {
                                          "run facetd on it, record, make meshes, draw "
                                          "a sheet");
   command.option("--seed", options->seed, "Of the virtual booth").shows_default();
-  command.option("--slots", options->slots, "Length of the performance; a fifth of it become meshes")
+  command.option("--slots", options->slots, "Length of the performance; a seventh of it become meshes")
       .shows_default()
       .range(9, 3600);
   command
