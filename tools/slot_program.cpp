@@ -8,32 +8,43 @@
 
 namespace facet::tools {
 
+namespace {
+
+/// Whether a recording that begins with one slot of the program can't be told from one that begins with the
+/// other: all lights are the same, but for a shift that all fringes have in common, which is nothing to
+/// cameras.
+bool are_alike(const capture::SlotProgram& program, std::size_t one, std::size_t other) {
+  std::optional<int> further;
+  for (std::size_t slot = 0; slot < program.size(); ++slot) {
+    const capture::SlotLight& a = capture::light_of_slot(program, slot + one);
+    const capture::SlotLight& b = capture::light_of_slot(program, slot + other);
+    if (a.kind != b.kind || a.lights != b.lights) {
+      return false;
+    }
+    const int shift = (b.quarters - a.quarters + 4) % 4;
+    if (a.kind == capture::SlotLight::Kind::Fringes && further.value_or(shift) != shift) {
+      return false;
+    }
+    further = a.kind == capture::SlotLight::Kind::Fringes ? shift : further;
+  }
+  return true;
+}
+
+}  // namespace
+
 ProgramStart find_program_start(const std::vector<double>& unevenness, const capture::SlotProgram& program) {
   /// A start counts where its blank slots are this much more even than in every other start.
   constexpr double kClearly = 0.85;
   ProgramStart best;
   best.even = std::numeric_limits<double>::infinity();
+  best.repeats_after = program.size();
   double second = std::numeric_limits<double>::infinity();
-  const auto like_an_earlier_one = [&](std::size_t first) {
-    const auto alike = [&](std::size_t other) {
-      for (std::size_t slot = 0; slot < program.size(); ++slot) {
-        if (capture::light_of_slot(program, slot + first).has_pattern() !=
-            capture::light_of_slot(program, slot + other).has_pattern()) {
-          return false;
-        }
-      }
-      return true;
-    };
-    for (std::size_t other = 0; other < first; ++other) {
-      if (alike(other)) {
-        return true;
-      }
-    }
-    return false;
-  };
   for (std::size_t first = 0; first < program.size(); ++first) {
-    if (like_an_earlier_one(first)) {
-      continue;  // fringes by half a period more are the same to a pair
+    if (first > 0 && best.repeats_after == program.size() && are_alike(program, 0, first)) {
+      best.repeats_after = first;
+    }
+    if (first >= best.repeats_after) {
+      break;
     }
     double sums[2] = {0, 0};
     double counts[2] = {0, 0};
@@ -50,7 +61,8 @@ ProgramStart find_program_start(const std::vector<double>& unevenness, const cap
     const double even = (sums[0] / counts[0]) / (sums[1] / counts[1]);
     second = std::min(second, std::max(even, best.even));
     if (even < best.even) {
-      best = {first, even, false};
+      best.first = first;
+      best.even = even;
     }
   }
   best.told = best.even < kClearly && best.even < kClearly * second;

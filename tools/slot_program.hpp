@@ -10,12 +10,13 @@
 
 namespace facet::tools {
 
-/// Which slot of the program a recording begins with, told by its pictures: those without stripes are the
+/// Which slot of the program a recording begins with, told by its pictures: those without a pattern are the
 /// even ones.
 struct ProgramStart {
   std::size_t first = 0;  ///< index into the program of the recording's first slot
-  double even = 0;        ///< unevenness of the slots without stripes, as a share of that of the others
+  double even = 0;        ///< unevenness of the slots without a pattern, as a share of that of the others
   bool told = false;      ///< false: no start fits clearly better than every other one
+  std::size_t repeats_after = 0;  ///< so many slots later a start can't be told from it
 };
 /// unevenness  [slot_count] of one camera's pictures, 0 or less where it has none
 ProgramStart find_program_start(const std::vector<double>& unevenness, const capture::SlotProgram& program);

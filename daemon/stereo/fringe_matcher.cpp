@@ -7,6 +7,7 @@
 #include <limits>
 #include <numbers>
 
+#include "facet/error.hpp"
 #include "maths/srgb.hpp"
 
 namespace facet::stereo {
@@ -79,12 +80,29 @@ PhaseWeights phase_weights(std::span<const FringeSlot> slots) {
   return out;
 }
 
-FringeMatcher::FringeMatcher(const Rectification& rectification, const FringeOptions& options)
-    : width_(static_cast<std::size_t>(rectification.left().width_px)),
-      height_(static_cast<std::size_t>(rectification.left().height_px)),
+FringeMatcher::FringeMatcher(std::span<const Eigen::Vector2f> left_sources,
+                             std::span<const Eigen::Vector2f> right_sources, int width_px,
+                             const FringeOptions& options)
+    : width_(static_cast<std::size_t>(width_px)),
+      height_(left_sources.size() / static_cast<std::size_t>(width_px)),
       options_(options) {
-  left_.sources = rectification.left_sources();
-  right_.sources = rectification.right_sources();
+  constexpr int kMostSmooth_px = 4;
+  if (!(options.noise > 0 && options.least_amplitude > 0 && options.least_slope_rad > 0 &&
+        options.most_move_px > 0 && options.smooth_px >= 0 && options.smooth_px <= kMostSmooth_px &&
+        options.most_carried_px >= 0 && options.most_carried_px < 256)) {
+    throw Error(ErrorKind::Usage,
+                "fringes: bounds are above 0, phases are averaged over 4 px around at most");
+  }
+  left_.sources = left_sources;
+  right_.sources = right_sources;
+}
+
+std::size_t FringeMatcher::bytes(const capture::Lens& camera, std::size_t rectified_pixels) {
+  const auto seen = static_cast<std::size_t>(camera.width_px) * static_cast<std::size_t>(camera.height_px);
+  constexpr std::size_t kSeen = std::size_t{2} * 4 * sizeof(float);
+  constexpr std::size_t kRectified =
+      std::size_t{2} * 2 * sizeof(float) + sizeof(float) + 2 + 3 * sizeof(std::size_t);
+  return kSeen * seen + kRectified * rectified_pixels;
 }
 
 /// Sums of the slots' linear grey, and from them phases with their variances (S12).
@@ -97,8 +115,9 @@ void FringeMatcher::sum_up(std::span<const Frame* const> frames,
   for (std::size_t value = 0; value < linear.size(); ++value) {
     linear[value] = static_cast<float>(value) / 255 < options_.saturated ? linear[value] / 3 : kNan;
   }
-  view.sine.assign(pixels, 0);
-  view.cosine.assign(pixels, 0);
+  // Sums of sine and cosine first, then phase and variance.
+  view.seen_rad.assign(pixels, 0);
+  view.seen_variance.assign(pixels, 0);
   double square = 0;
   for (std::size_t k = 0; k < frames.size(); ++k) {
     square += std::norm(weights[k]);
@@ -106,8 +125,8 @@ void FringeMatcher::sum_up(std::span<const Frame* const> frames,
     const auto sine = static_cast<float>(weights[k].imag());
     for (int y = 0; y < height; ++y) {
       const std::uint8_t* rgba = frames[k]->row(y);
-      float* cosines = view.cosine.data() + static_cast<std::size_t>(y) * width;
-      float* sines = view.sine.data() + static_cast<std::size_t>(y) * width;
+      float* cosines = view.seen_variance.data() + static_cast<std::size_t>(y) * width;
+      float* sines = view.seen_rad.data() + static_cast<std::size_t>(y) * width;
       for (std::size_t x = 0; x < width; ++x) {
         const float grey = linear[rgba[4 * x]] + linear[rgba[4 * x + 1]] + linear[rgba[4 * x + 2]];
         cosines[x] += cosine * grey;
@@ -117,14 +136,13 @@ void FringeMatcher::sum_up(std::span<const Frame* const> frames,
   }
   const float noise = options_.noise * options_.noise * static_cast<float>(square / 2);
   const float least = options_.least_amplitude * options_.least_amplitude;
-  view.seen_rad.assign(pixels, kNan);
-  view.seen_variance.assign(pixels, 0);
   for (std::size_t at = 0; at < pixels; ++at) {
-    const float power = view.sine[at] * view.sine[at] + view.cosine[at] * view.cosine[at];
-    if (power >= least) {  // not where one is saturated
-      view.seen_rad[at] = std::atan2(view.sine[at], view.cosine[at]);
-      view.seen_variance[at] = noise / power;
-    }
+    float& phase = view.seen_rad[at];
+    float& variance = view.seen_variance[at];
+    const float power = phase * phase + variance * variance;
+    const bool known = power >= least;  // not where one is saturated
+    phase = known ? std::atan2(phase, variance) : kNan;
+    variance = known ? noise / power : 0;
   }
 }
 
@@ -236,7 +254,7 @@ bool FringeMatcher::match(std::size_t at, float start_px, Match& found) const {
     slope =
         (wrapped(phase[before] - phase[before - 1]) + here + wrapped(phase[before + 2] - phase[before + 1])) /
         3;
-    const float off = wrapped(wanted - phase[before]) - (at_px - static_cast<float>(before)) * here;
+    const float off = wrapped(wanted - phase[before] - (at_px - static_cast<float>(before)) * here);
     at_px += off / (2 * here * slope > slope * slope ? here : slope);
     // Not where one of the phases is not known.
     if (!(std::abs(slope) >= options_.least_slope_rad &&
@@ -349,9 +367,10 @@ void FringeMatcher::spread(std::span<float> start_px, std::span<const std::uint8
   std::copy(followed_px_.begin(), followed_px_.end(), start_px.begin());
 }
 
-std::size_t FringeMatcher::refine(std::span<float> disparity_px, std::span<float> sigma_px) const {
+std::size_t FringeMatcher::refine(std::span<float> disparity_px, std::span<float> sigma_px,
+                                  std::span<float> correlation) const {
   std::size_t refined = 0;
-  if (error_rad_ > options_.most_error_rad) {
+  if (!can_refine()) {
     return refined;
   }
   Match found;
@@ -359,6 +378,7 @@ std::size_t FringeMatcher::refine(std::span<float> disparity_px, std::span<float
     if (sigma_px[at] > 0 && match(at, disparity_px[at], found)) {
       disparity_px[at] = found.disparity_px;
       sigma_px[at] = found.sigma_px;
+      correlation[at] = 1;
       ++refined;
     }
   }

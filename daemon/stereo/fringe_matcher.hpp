@@ -60,13 +60,21 @@ struct FringePictures {
 /// thread at a time. Arrays are [height][width] of the rectified left picture.
 class FringeMatcher {
  public:
-  /// rectification: must outlive it
-  FringeMatcher(const Rectification& rectification, const FringeOptions& options);
+  /// left_sources, right_sources  Rectification's, which must outlive it; rows of width_px
+  /// Throws Error(Usage) for options out of range.
+  FringeMatcher(std::span<const Eigen::Vector2f> left_sources, std::span<const Eigen::Vector2f> right_sources,
+                int width_px, const FringeOptions& options);
+
+  /// Memory once it has seen fringes, of two cameras of that size.
+  static std::size_t bytes(const capture::Lens& camera, std::size_t rectified_pixels);
 
   /// Finds the phases of the slot that is wanted, which the other calls are about.
   /// slots  the fringes in it and around it; pictures are there and of their cameras' sizes
   /// False where they tell none.
   bool look(std::span<const FringePictures> slots);
+
+  /// Whether the phases are near enough for `refine`.
+  bool can_refine() const { return error_rad_ <= options_.most_error_rad; }
 
   /// Fringes repeat, and start values may be whole periods off. The largest piece of them is taken to be
   /// right, as a face is one surface, and followed from pixel to pixel by phase; then, where it did not come,
@@ -76,16 +84,17 @@ class FringeMatcher {
   void spread(std::span<float> start_px, std::span<const std::uint8_t> lit);
 
   /// disparity_px, sigma_px  in/out; sigma 0: no disparity, and none is looked for
+  /// correlation             in/out, of windows, which reach over edges: 1 where a phase was found
   /// Returns how many were refined; the others keep what they are given with. None where motion may put the
   /// phases off by more than most_error_rad.
-  std::size_t refine(std::span<float> disparity_px, std::span<float> sigma_px) const;
+  std::size_t refine(std::span<float> disparity_px, std::span<float> sigma_px,
+                     std::span<float> correlation) const;
 
  private:
   /// Phases as one camera sees them; NaN where none is known.
   struct View {
-    std::vector<Eigen::Vector2f> sources;  ///< Rectification::left_sources
-    std::vector<float> sine, cosine;       ///< of its picture, linear grey
-    std::vector<float> seen_rad, seen_variance;
+    std::span<const Eigen::Vector2f> sources;
+    std::vector<float> seen_rad, seen_variance;  ///< [height][width] of its picture
     std::vector<float> smooth_rad, smooth_variance;
     std::vector<float> phase_rad, variance;  ///< rectified
   };

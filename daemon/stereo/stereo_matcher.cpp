@@ -77,8 +77,7 @@ struct Hand {
   Islands islands;
   FringeMatcher fringes;
   std::vector<FringePictures> fringe_pictures;
-  std::vector<std::uint8_t> lit;  ///< [height][width] where a slot is as bright as a start value needs
-  std::vector<float> nearest;     ///< [width] of a row of the right picture
+  std::vector<float> nearest;  ///< [width] of a row of the right picture
 };
 
 StereoOptions completed(StereoOptions options, const capture::Rig& rig, const capture::StereoPair& pair) {
@@ -113,6 +112,7 @@ struct StereoMatcher::Impl {
 
   StereoOptions options;
   Rectification rectification;
+  std::vector<Eigen::Vector2f> left_sources, right_sources;  ///< of the rectified pictures
   SpacetimeSolver solver;
   std::vector<Hand> hands;
   gpu::Kernel rectify_kernel;
@@ -120,7 +120,9 @@ struct StereoMatcher::Impl {
   std::unique_ptr<DeviceStart> device_start;  ///< null: the host finds start values
   gpu::Buffer usable;                         ///< [slots] 1 where both pictures are there and show a pattern
   gpu::Batch batch;
-  std::vector<bool> has_both;  ///< [slots] of pictures
+  std::vector<bool> has_both;      ///< [slots] of pictures
+  std::vector<std::uint8_t> lit;   ///< [height][width] 1 where a slot is as bright as a start value needs
+  std::vector<std::uint8_t> told;  ///< [slots] 0: by too few fringes, of which the next run may have more
 
   std::vector<float> left_grey, right_grey, start_px, start_px_before;
   std::vector<std::optional<std::uint64_t>> numbers;  ///< [slots] whose start values are in start_px
@@ -134,12 +136,14 @@ StereoMatcher::Impl::Impl(gpu::Context& context, const capture::Rig& rig, const 
                           const StereoOptions& chosen)
     : options(completed(chosen, rig, pair)),
       rectification(rig, pair, options.depths, options.width_px, options.height_px),
+      left_sources(rectification.left_sources()),
+      right_sources(rectification.right_sources()),
       solver(context, {options.width_px, options.height_px, options.most_slots}, options.spacetime),
       rectify_kernel(context, shaders::stereo::kernels(), "stereo/rectify"),
-      left(context, rig.cameras[pair.left].lens, rectification.left_sources(), solver.left(),
-           options.most_slots, "left pictures"),
-      right(context, rig.cameras[pair.right].lens, rectification.right_sources(), solver.right(),
-            options.most_slots, "right pictures"),
+      left(context, rig.cameras[pair.left].lens, left_sources, solver.left(), options.most_slots,
+           "left pictures"),
+      right(context, rig.cameras[pair.right].lens, right_sources, solver.right(), options.most_slots,
+            "right pictures"),
       usable(context, static_cast<std::size_t>(options.most_slots) * sizeof(float), gpu::Memory::Upload,
              "usable"),
       batch(context, "rectification") {
@@ -155,18 +159,19 @@ StereoMatcher::Impl::Impl(gpu::Context& context, const capture::Rig& rig, const 
   }
   int threads = 0;
   do {
-    Hand& hand = hands.emplace_back(Hand{std::nullopt,
-                                         Islands(options.width_px, options.height_px),
-                                         FringeMatcher(rectification, options.fringes),
-                                         {},
-                                         {},
-                                         std::vector<float>(static_cast<std::size_t>(options.width_px))});
+    Hand& hand =
+        hands.emplace_back(Hand{std::nullopt,
+                                Islands(options.width_px, options.height_px),
+                                FringeMatcher(left_sources, right_sources, options.width_px, options.fringes),
+                                {},
+                                std::vector<float>(static_cast<std::size_t>(options.width_px))});
     if (!device_start) {
       hand.start.emplace(options.width_px, options.height_px, rectification.least_disparity_px(),
                          rectification.most_disparity_px(), options.start);
     }
     threads = thread_count(std::thread::hardware_concurrency(), options.most_slots,
-                           hand.start ? hand.start->bytes() : 0);
+                           (hand.start ? hand.start->bytes() : 0) +
+                               FringeMatcher::bytes(rig.cameras[pair.left].lens, size.slot_voxels()));
   } while (std::ssize(hands) < threads);
   batch.stage("rectify");
   const auto record = [&](const View& view, const gpu::Buffer& volume) {
@@ -281,20 +286,24 @@ void StereoMatcher::Impl::spread(Hand& hand, std::span<const StereoSlot> slots, 
                                  std::span<float> line) {
   const auto repeats = [](const StereoSlot& one) { return !one.has_pattern || one.fringes; };
   if (look_at_fringes(hand, slots, slot)) {
-    hand.lit.assign(line.size(), 0);
-    for (std::size_t near = 0; near < slots.size(); ++near) {
-      const std::span<const float> grey = line_of(left_grey, near);
-      for (std::size_t at = 0; at < line.size(); ++at) {
-        hand.lit[at] = hand.lit[at] != 0 || grey[at] >= options.start.least_grey ? 1 : 0;
-      }
-    }
-    hand.fringes.spread(line, hand.lit);
+    hand.fringes.spread(line, lit);
   } else if (std::ranges::all_of(slots, repeats)) {
     std::fill(line.begin(), line.end(), kNan);
+    told[slot] = 0;
   }
 }
 
 void StereoMatcher::Impl::find_start(std::span<const StereoSlot> slots, const Alive& alive) {
+  told.assign(slots.size(), 1);
+  if (std::ranges::any_of(slots, [](const StereoSlot& slot) { return slot.has_pattern && slot.fringes; })) {
+    lit.assign(solver.size().slot_voxels(), 0);
+    for (std::size_t slot = 0; slot < slots.size(); ++slot) {
+      const std::span<const float> grey = line_of(left_grey, slot);
+      for (std::size_t at = 0; at < lit.size(); ++at) {
+        lit[at] = lit[at] != 0 || grey[at] >= options.start.least_grey ? 1 : 0;
+      }
+    }
+  }
   for_each(missing, alive, [&](Hand& hand, std::size_t slot) {
     const std::span<float> line = line_of(start_px, slot);
     if (device_start) {
@@ -451,6 +460,9 @@ StereoOutcome StereoMatcher::match(std::span<const StereoSlot> slots, std::vecto
   impl.times.rectify_ms = ms_since(clock) - start_ms;
   clock = Clock::now();
   impl.find_start(slots, alive);
+  for (std::size_t slot = 0; slot < numbers.size(); ++slot) {
+    numbers[slot] = impl.told[slot] != 0 ? numbers[slot] : std::nullopt;
+  }
   impl.numbers = std::move(numbers);
   impl.times.start_ms = ms_since(clock) + start_ms;
   clock = Clock::now();
@@ -470,7 +482,8 @@ StereoOutcome StereoMatcher::match(std::span<const StereoSlot> slots, std::vecto
   impl.for_each(wanted, alive, [&](Hand& hand, std::size_t slot) {
     if (impl.look_at_fringes(hand, slots, slot)) {
       hand.fringes.refine(impl.line_of(impl.field.disparity_px, slot),
-                          impl.line_of(impl.field.sigma_px, slot));
+                          impl.line_of(impl.field.sigma_px, slot),
+                          impl.line_of(impl.field.correlation, slot));
     }
     impl.finish(hand, slot, maps[slot]);
   });

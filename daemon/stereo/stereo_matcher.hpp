@@ -73,14 +73,19 @@ class StereoMatcher {
 
   const Rectification& rectification() const;
 
-  /// Depth of every slot of a run of consecutive ones. Where fringes tell its phase, by that; what stereo
-  /// found is where it begins, and what stays where there is no phase. Slots near the ends have fewer
-  /// neighbours in their windows; those with window_t / 2 slots on either side are as good as they get. slots
-  /// 1 to most_slots maps    out, [slots], empty of depths where not wanted; confidence 1 / (1 + (sigma / 0.1
-  /// mm)^2) where there is a depth; a picture of another size than its lens's counts as missing alive called
-  /// on this thread between pieces of work and while it waits for the device DeviceLost and NumericalFailure
-  /// leave the maps empty of depths; failure() says more. Throws Error(Usage) for other slots or masks, what
-  /// `alive` throws, and std::bad_alloc; the next match begins anew.
+  /// Depth of every slot of a run of consecutive ones. Slots near the ends have fewer neighbours in their
+  /// windows; those with window_t / 2 slots on either side are as good as they get. Where fringes tell
+  /// phases, what stereo found is moved to these (FringeMatcher).
+  ///
+  /// slots   1 to most_slots
+  ///
+  /// maps    out, [slots], empty of depths where not wanted; confidence 1 / (1 + (sigma / 0.1 mm)^2) where
+  /// there is a depth; a picture of another size than its lens's counts as missing
+  ///
+  /// alive   called on this thread between pieces of work and while it waits for the device
+  ///
+  /// DeviceLost and NumericalFailure leave the maps empty of depths; failure() says more. Throws Error(Usage)
+  /// for other slots or masks, what `alive` throws, and std::bad_alloc; the next match begins anew.
   StereoOutcome match(
       std::span<const StereoSlot> slots, std::vector<capture::DepthMap>& maps, const Alive& alive = [] {});
 

@@ -10,6 +10,7 @@
 #include <random>
 #include <vector>
 
+#include "facet/error.hpp"
 #include "support/stereo_scene.hpp"
 
 namespace facet::stereo {
@@ -111,13 +112,15 @@ struct FringeMatcherTest : testing::Test {
 
   StereoScene scene{256, 160};
   Rectification rectification{scene.rig, {0, 1}, {660, 840}, 256, 160};
+  std::vector<Eigen::Vector2f> left_sources = rectification.left_sources();
+  std::vector<Eigen::Vector2f> right_sources = rectification.right_sources();
   std::vector<Frame> left, right;
   std::vector<FringePictures> pictures;
   std::vector<float> truth_px;
 };
 
 TEST_F(FringeMatcherTest, RefinesWhatStereoFound) {
-  FringeMatcher matcher(rectification, {});
+  FringeMatcher matcher(left_sources, right_sources, 256, {});
   ASSERT_TRUE(matcher.look(pictures));
   std::mt19937 random(1);
   std::uniform_real_distribution<float> off(-0.3F, 0.3F);
@@ -126,13 +129,16 @@ TEST_F(FringeMatcherTest, RefinesWhatStereoFound) {
     disparity += off(random);
   }
   std::vector<float> sigma_px(disparity_px.size(), 0.3F);
+  std::vector<float> correlation(disparity_px.size(), 0.5F);
   const float unknown = disparity_px[80 * 256 + 100];
   sigma_px[80 * 256 + 100] = 0;
   const double before = right_part(disparity_px, 0.05F);
-  EXPECT_GT(matcher.refine(disparity_px, sigma_px), 30'000U);
+  EXPECT_GT(matcher.refine(disparity_px, sigma_px, correlation), 30'000U);
   EXPECT_LT(before, 0.2);
   EXPECT_GT(right_part(disparity_px, 0.05F), 0.9);
   EXPECT_EQ(disparity_px[80 * 256 + 100], unknown) << "nothing was to be found there";
+  EXPECT_EQ(correlation[80 * 256 + 100], 0.5F);
+  EXPECT_EQ(correlation[80 * 256 + 101], 1);
   std::vector<float> sigmas = sigma_px;
   std::ranges::sort(sigmas);
   EXPECT_LT(sigmas[sigmas.size() / 2], 0.05F);
@@ -140,7 +146,7 @@ TEST_F(FringeMatcherTest, RefinesWhatStereoFound) {
 
 // A period is 7.3 px here.
 TEST_F(FringeMatcherTest, FollowsTheSurfaceWhereStartValuesAreAPeriodOff) {
-  FringeMatcher matcher(rectification, {});
+  FringeMatcher matcher(left_sources, right_sources, 256, {});
   ASSERT_TRUE(matcher.look(pictures));
   std::vector<float> start_px = truth_px;
   for (std::size_t at = 0; at < start_px.size(); ++at) {
@@ -154,7 +160,7 @@ TEST_F(FringeMatcherTest, FollowsTheSurfaceWhereStartValuesAreAPeriodOff) {
 }
 
 TEST_F(FringeMatcherTest, GoesNoFurtherThanIsLit) {
-  FringeMatcher matcher(rectification, {});
+  FringeMatcher matcher(left_sources, right_sources, 256, {});
   ASSERT_TRUE(matcher.look(pictures));
   std::vector<float> start_px = truth_px;
   std::vector<std::uint8_t> lit(start_px.size(), 1);
@@ -169,26 +175,30 @@ TEST_F(FringeMatcherTest, GoesNoFurtherThanIsLit) {
 
 // The last blank slot of a recording, of a face that moves: stereo's windows know it better.
 TEST_F(FringeMatcherTest, PhasesFromOneSideAreForStartValuesAlone) {
-  FringeMatcher matcher(rectification, {});
+  FringeMatcher matcher(left_sources, right_sources, 256, {});
   ASSERT_TRUE(matcher.look(std::span(pictures).first(3)));
   std::vector<float> disparity_px = truth_px;
   std::vector<float> sigma_px(disparity_px.size(), 0.3F);
-  EXPECT_EQ(matcher.refine(disparity_px, sigma_px), 0U);
+  std::vector<float> correlation(disparity_px.size(), 0.5F);
+  EXPECT_EQ(matcher.refine(disparity_px, sigma_px, correlation), 0U);
   matcher.spread(disparity_px, std::vector<std::uint8_t>(disparity_px.size(), 1));
   EXPECT_GT(right_part(disparity_px, 1), 0.9);
 }
 
 TEST_F(FringeMatcherTest, SaturatedPixelsAndTooFewSlotsTellNothing) {
-  FringeMatcher matcher(rectification, {});
+  FringeMatcher matcher(left_sources, right_sources, 256, {});
   EXPECT_FALSE(matcher.look(std::span(pictures).first(2)));
   FringeOptions options;
   options.saturated = 0.01F;
-  FringeMatcher blinded(rectification, options);
+  FringeMatcher blinded(left_sources, right_sources, 256, options);
   ASSERT_TRUE(blinded.look(pictures));
   std::vector<float> disparity_px = truth_px;
   std::vector<float> sigma_px(disparity_px.size(), 0.3F);
-  EXPECT_EQ(blinded.refine(disparity_px, sigma_px), 0U);
+  std::vector<float> correlation(disparity_px.size(), 0.5F);
+  EXPECT_EQ(blinded.refine(disparity_px, sigma_px, correlation), 0U);
   EXPECT_EQ(disparity_px, truth_px);
+  options.noise = 0;
+  EXPECT_THROW(FringeMatcher(left_sources, right_sources, 256, options), Error);
 }
 
 }  // namespace

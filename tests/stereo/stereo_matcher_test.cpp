@@ -123,8 +123,44 @@ TEST_F(StereoMatcherTest, FringesOnMovingWavesAreNearerThanStereo) {
     const Figures stereo = judge(scene, maps[static_cast<std::size_t>(slot)], slot);
     EXPECT_LT(phases.median_mm, 0.6 * stereo.median_mm);
     EXPECT_LT(phases.percentile95_mm, stereo.percentile95_mm);
-    EXPECT_GT(phases.fill, stereo.fill - 0.02);
+    EXPECT_GT(phases.fill, stereo.fill - 0.05);
   }
+}
+
+// A run may end where too few fringes tell a slot's period; the next one has more.
+TEST_F(StereoMatcherTest, StartValuesThatFringesDidNotTellAreNotKept) {
+  StereoScene scene = scene_of(Surface::Wave);
+  scene.fringe_mm = 11;
+  scene.speed_mm_per_slot = 0.5;
+  std::vector<StereoSlot> slots = slots_of(scene, 6);
+  for (std::size_t slot = 0; slot < slots.size(); ++slot) {
+    slots[slot].number = slot;
+  }
+  StereoOptions options = options_for(6);
+  options.depths = {720, 775};
+  StereoMatcher matcher(context(), scene.rig, {0, 1}, options);
+  std::vector<capture::DepthMap> maps;
+  ASSERT_EQ(matcher.match(std::span(slots).first(2), maps), StereoOutcome::Done) << matcher.failure();
+  EXPECT_EQ(judge(scene, maps[1], 1).fill, 0);
+  ASSERT_EQ(matcher.match(slots, maps), StereoOutcome::Done) << matcher.failure();
+  EXPECT_GT(judge(scene, maps[1], 1).fill, 0.7);
+}
+
+// One picture less, and one of another size: the others still tell.
+TEST_F(StereoMatcherTest, FringesDoWithoutAPictureThatIsMissing) {
+  StereoScene scene = scene_of(Surface::Plane);
+  scene.fringe_mm = 11;
+  std::vector<StereoSlot> slots = slots_of(scene, 6);
+  slots[1].left = {};
+  slots[5].right.width_px /= 2;
+  StereoOptions options = options_for(6);
+  options.depths = {720, 775};
+  StereoMatcher matcher(context(), scene.rig, {0, 1}, options);
+  std::vector<capture::DepthMap> maps;
+  ASSERT_EQ(matcher.match(slots, maps), StereoOutcome::Done) << matcher.failure();
+  const Figures figures = judge(scene, maps[2], 2);
+  EXPECT_GT(figures.fill, 0.7);
+  EXPECT_LT(figures.median_mm, 0.3);
 }
 
 // Nothing tells then which period is the right one.

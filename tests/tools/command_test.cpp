@@ -724,7 +724,7 @@ TEST_F(BoothDemo, GoesItsWholeWay) {
   // What was exported before can be exported of a booth's take.
   EXPECT_EQ(run({"export", demo + "/meshes.take", "--format", "ply", "-o", file("ply")}), 0) << output_;
   // Ended, it can be begun anew only elsewhere: nothing is overwritten.
-  EXPECT_EQ(run({"booth-demo", "--slots", "9", "-o", demo}), static_cast<int>(ErrorKind::Storage));
+  EXPECT_EQ(run({"booth-demo", "--slots", "14", "-o", demo}), static_cast<int>(ErrorKind::Storage));
 }
 
 /// The process of a team that has a rank, by what Open MPI tells it; 0 where there is none.

@@ -166,8 +166,12 @@ TEST(ProgramStart, AStartIsToldWhereItsBlankSlotsAreClearlyEven) {
   EXPECT_TRUE(find_program_start({9, 2, 9, 8, 2, 9}, program).told);
   EXPECT_FALSE(find_program_start({9, 9, 9, 9, 8, 9}, program).told);
   EXPECT_FALSE(find_program_start({}, program).told);
+  const capture::SlotProgram lamp =
+      capture::parse_slot_program("stripes,stripes,blank,stripes,stripes,light:top");
+  EXPECT_FALSE(find_program_start({9, 9, 2, 9, 9, 2}, lamp).told) << "a lamp is as even as blank light";
   const capture::SlotProgram fringes = capture::fringe_program();
   EXPECT_EQ(find_program_start({9, 2, 9, 8, 2, 9}, fringes).first, 1U) << "half a period more is the same";
+  EXPECT_EQ(find_program_start({9, 2, 9, 8, 2, 9}, fringes).repeats_after, 3U);
   EXPECT_TRUE(find_program_start({9, 2, 9, 8, 2, 9}, fringes).told);
   EXPECT_EQ(find_program_start({0, 2, 9, 8, 2, 9}, program).first, 1U) << "a picture is missing";
 }

@@ -412,7 +412,7 @@ void add_booth_demo_command(Command app) {
   command.option("--seed", options->seed, "Of the virtual booth").shows_default();
   command.option("--slots", options->slots, "Length of the performance; a seventh of it become meshes")
       .shows_default()
-      .range(9, 3600);
+      .range(14, 3600);
   command
       .option("--resolution", options->resolution,
               "Of the cameras: 1 is 640x480 px, 0.5 is 320x240, a quarter of the work")

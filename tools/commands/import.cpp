@@ -468,7 +468,7 @@ class Import {
         continue;
       }
       if (agreed && *agreed != start.first) {
-        const std::size_t late = (*agreed + program_.size() - start.first) % program_.size();
+        const std::size_t late = (*agreed + start.repeats_after - start.first) % start.repeats_after;
         throw Error(
             ErrorKind::UnreadableInput,
             fmt::format("the blank pictures of camera '{}' come {} slots later than those of '{}': its "
@@ -553,7 +553,10 @@ void add_import_command(Command app) {
       .one_of({"srgb", "linear"});
   command
       .option("--program", options->program,
-              "What the slots show, again and again: \"blank\" is even light, every other word a pattern")
+              "What the slots show, again and again: stripes or fringes for these programs, or a word for "
+              "each slot: "
+              "\"blank\" is even light, fringes:0 to fringes:3 are fringes, every other word is a pattern "
+              "that never repeats")
       .shows_default();
   command
       .option("--start", options->start,

@@ -1,12 +1,14 @@
 // `facet patterns`: what the projectors of a booth show.
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
+#include <iterator>
 #include <memory>
 #include <optional>
 #include <string>
@@ -115,6 +117,8 @@ void run_write(const PatternsOptions& options) {
     }
   }
   progress.finish();
+  std::vector<std::string> words;
+  std::transform(program.begin(), program.end(), std::back_inserter(words), capture::to_word);
   const std::string projectors =
       fmt::format("{} projector{}", screens.size(), screens.size() == 1 ? "" : "s");
   if (sequence) {
@@ -124,8 +128,8 @@ void run_write(const PatternsOptions& options) {
         "in the same order, go to `facet scan --sequence {}`\n",
         options.folder, slots, projectors, options.sequence);
   } else {
-    tell("{}: {} slots ({}, and again) for {}\n", options.folder, slots, capture::to_text(program),
-         projectors);
+    tell("{}: {} slots for {}, again and again. In facetd's configuration: trigger.light = [\"{}\"]\n",
+         options.folder, slots, projectors, fmt::join(words, "\", \""));
   }
 }
 
@@ -245,7 +249,7 @@ void add_patterns_command(Command app) {
       .shows_default()
       .range(1, 100'000)
       .excludes("--sequence");
-  write.option("--seed", options->patterns.seed, "All stripes follow from it").shows_default();
+  write.option("--seed", options->patterns.seed, "All patterns follow from it").shows_default();
   write
       .option("--stripe", options->patterns.stripe_px,
               "Mean width of a stripe in the projector's pixels; 3 pixels of the cameras at least")

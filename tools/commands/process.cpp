@@ -577,7 +577,7 @@ void add_booth_options(const Command& command, Options& options) {
       .needs("--rig");
   command
       .flag("--every-slot", options.every_slot,
-            "A mesh for slots with stripes, too: between the blank ones' meshes, on its own depth maps")
+            "A mesh for slots with patterns, too: between the blank ones' meshes, on its own depth maps")
       .needs("--rig");
   command
       .flag("--shading", options.shading,
@@ -591,7 +591,7 @@ void add_booth_options(const Command& command, Options& options) {
       .needs("--rig");
   command
       .option("--program", options.program,
-              "What the slots show in turn, such as stripes,stripes,blank; "
+              "What the slots show in turn: fringes, stripes, or a word for each slot; "
               "default: what the slots say of themselves, else --config's trigger")
       .needs("--rig");
   command

@@ -200,16 +200,13 @@ void run_synth_booth(SynthBoothOptions options) {
 void add_synth_booth_command(Command app) {
   auto options = std::make_shared<SynthBoothOptions>();
   const Command command = app.subcommand(
-      "synth-booth",
-      "Render what a booth of six cameras and two stripe projectors would record, with true depth");
+      "synth-booth", "Render what a booth of six cameras and two projectors would record, with true depth");
   command.option("--seed", options->booth.seed, "Rig, actor, performance and noise follow from it")
       .shows_default();
   command.option("--scene", options->scene, "actor: performs; plane, sphere: still targets")
       .shows_default()
       .one_of({kScenes.begin(), kScenes.end()});
-  command.option("--slots", options->slots, "Number of slots, 60 a second: stripes A, stripes B, blank")
-      .shows_default()
-      .range(1, 36'000);
+  command.option("--slots", options->slots, "Number of slots, 60 a second").shows_default().range(1, 36'000);
   command
       .option("--first-slot", options->first_slot,
               "The actor begins calmly: by slot 150 the head moves as it does later")
@@ -232,7 +229,8 @@ void add_synth_booth_command(Command app) {
   command.option("--ambient", options->booth.ambient, "Room light, of the projectors' white").shows_default();
   command
       .option("--program", options->program,
-              "What the slots show in turn; light:projector-l shows that projector's white alone")
+              "What the slots show in turn: fringes, stripes, or a word for each slot (docs/booth.md); "
+              "light:projector-l shows that projector's white alone")
       .shows_default();
   command.option("--lamp", options->lamps,
                  "A lamp for slots such as light:top, as NAME=X,Y,Z[,STRENGTH]: mm from the face's middle, x "

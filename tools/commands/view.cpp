@@ -248,7 +248,7 @@ void add_view_command(Command app) {
   command.option("--video", options->video, "The video that the take was made from, where it has moved");
   command.option(
       "--rig", options->rig,
-      "A booth's rig file, for a take that `facet process --rig` made: draws stripes, depth, mesh over the "
+      "A booth's rig file, for a take that `facet process --rig` made: draws pattern, depth, mesh over the "
       "picture, shaded mesh, texture, error");
   command
       .flag("--terminal", options->terminal,
