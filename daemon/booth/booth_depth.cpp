@@ -61,6 +61,38 @@ stereo::DepthRange depth_range(const capture::Rig& rig) {
   return {static_cast<float>(nearest - kBefore_mm), static_cast<float>(farthest + kBehind_mm)};
 }
 
+std::string why_no_depth(const capture::SlotProgram& program) {
+  using Kind = capture::SlotLight::Kind;
+  constexpr auto kReach = static_cast<int>(kDepthReach);
+  if (std::none_of(program.begin(), program.end(),
+                   [](const capture::SlotLight& light) { return light.kind == Kind::Fringes; })) {
+    return {};
+  }
+  for (std::size_t slot = 0; slot < program.size(); ++slot) {
+    if (program[slot].kind != Kind::Blank) {
+      continue;
+    }
+    std::vector<stereo::FringeSlot> around;
+    bool has_stripes = false;
+    for (int away = -kReach; away <= kReach; ++away) {
+      const auto at = static_cast<std::int64_t>(slot + kDepthReach * program.size()) + away;
+      const capture::SlotLight& light = capture::light_of_slot(program, static_cast<std::uint64_t>(at));
+      has_stripes = has_stripes || light.kind == Kind::Stripes;
+      if (light.kind == Kind::Blank || light.kind == Kind::Fringes) {
+        around.push_back({away, {light.quarters / 4.0, light.kind == Kind::Blank}});
+      }
+    }
+    if (!has_stripes && stereo::phase_weights(around).of_slots.empty()) {
+      return fmt::format(
+          "slot {} of the program {} is blank, and the fringes within {} slots of it tell no depth: give it "
+          "two "
+          "slots with fringes on either side, each shifted further, as in {}",
+          slot, capture::to_text(program), kReach, capture::to_text(capture::fringe_program()));
+    }
+  }
+  return {};
+}
+
 struct BoothDepth::Impl {
   Impl(std::string given_device, std::shared_ptr<const capture::Rig> given_rig,
        const stereo::StereoOptions& given_options, Starts given_starts)

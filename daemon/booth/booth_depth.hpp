@@ -9,6 +9,7 @@
 
 #include "capture/depth_map.hpp"
 #include "capture/rig.hpp"
+#include "capture/slot_program.hpp"
 #include "facet/frame_set.hpp"
 #include "gpu/context.hpp"
 #include "stereo/fringe_matcher.hpp"
@@ -23,6 +24,10 @@ inline constexpr std::size_t kDepthReach = 2;
 /// Where the cameras of the pairs look: the point that comes closest to all their axes, 150 mm before and
 /// 250 mm behind it as each pair sees it. Throws Error(Usage) where the axes meet nowhere in front of them.
 stereo::DepthRange depth_range(const capture::Rig& rig);
+
+/// Why blank slots of a program with fringes get no depth, for people; empty where they do: by stripes within
+/// kDepthReach, or by fringes there whose shifts tell a phase.
+std::string why_no_depth(const capture::SlotProgram& program);
 
 /// One slot of a run.
 struct DepthSlot {

@@ -89,6 +89,9 @@ void check(const BoothConfig& config) {
                 "trigger.patterns must have slots with projector lines (for depth) and blank ones, [] (for "
                 "texture), such as [[\"stripes.a\"], [\"stripes.b\"], []]");
   }
+  if (const std::string why = booth::why_no_depth(config.program); !why.empty()) {
+    throw Error(ErrorKind::Usage, why);
+  }
   if (config.gpu_device == "none") {
     throw Error(ErrorKind::Usage,
                 "a booth's depth maps need a Vulkan device: set gpu.device to \"auto\" (lavapipe will do, "

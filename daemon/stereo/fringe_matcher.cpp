@@ -367,8 +367,7 @@ void FringeMatcher::spread(std::span<float> start_px, std::span<const std::uint8
   std::copy(followed_px_.begin(), followed_px_.end(), start_px.begin());
 }
 
-std::size_t FringeMatcher::refine(std::span<float> disparity_px, std::span<float> sigma_px,
-                                  std::span<float> correlation) const {
+std::size_t FringeMatcher::refine(std::span<float> disparity_px, std::span<float> sigma_px) const {
   std::size_t refined = 0;
   if (!can_refine()) {
     return refined;
@@ -378,7 +377,6 @@ std::size_t FringeMatcher::refine(std::span<float> disparity_px, std::span<float
     if (sigma_px[at] > 0 && match(at, disparity_px[at], found)) {
       disparity_px[at] = found.disparity_px;
       sigma_px[at] = found.sigma_px;
-      correlation[at] = 1;
       ++refined;
     }
   }

@@ -84,11 +84,9 @@ class FringeMatcher {
   void spread(std::span<float> start_px, std::span<const std::uint8_t> lit);
 
   /// disparity_px, sigma_px  in/out; sigma 0: no disparity, and none is looked for
-  /// correlation             in/out, of windows, which reach over edges: 1 where a phase was found
   /// Returns how many were refined; the others keep what they are given with. None where motion may put the
   /// phases off by more than most_error_rad.
-  std::size_t refine(std::span<float> disparity_px, std::span<float> sigma_px,
-                     std::span<float> correlation) const;
+  std::size_t refine(std::span<float> disparity_px, std::span<float> sigma_px) const;
 
  private:
   /// Phases as one camera sees them; NaN where none is known.

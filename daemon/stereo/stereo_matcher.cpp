@@ -482,8 +482,7 @@ StereoOutcome StereoMatcher::match(std::span<const StereoSlot> slots, std::vecto
   impl.for_each(wanted, alive, [&](Hand& hand, std::size_t slot) {
     if (impl.look_at_fringes(hand, slots, slot)) {
       hand.fringes.refine(impl.line_of(impl.field.disparity_px, slot),
-                          impl.line_of(impl.field.sigma_px, slot),
-                          impl.line_of(impl.field.correlation, slot));
+                          impl.line_of(impl.field.sigma_px, slot));
     }
     impl.finish(hand, slot, maps[slot]);
   });

@@ -274,6 +274,14 @@ TEST(BoothConfig, NeedsRigStripesAndBlankSlots) {
   EXPECT_THAT(refusal(config), HasSubstr("blank"));
   config.program = {{Kind::Blank, {}}};
   EXPECT_THAT(refusal(config), HasSubstr("blank"));
+  config.program = capture::parse_slot_program("fringes:0,fringes:2,blank");
+  EXPECT_THAT(refusal(config),
+              AllOf(HasSubstr("slot 2"), HasSubstr("fringes:0,fringes:1,blank,fringes:2,fringes:3,blank")));
+  for (const char* good : {"fringes", "fringes:0,fringes:2,blank,stripes",
+                           "fringes:0,fringes:1,blank,fringes:2,fringes:3,light:a"}) {
+    config.program = capture::parse_slot_program(good);
+    EXPECT_EQ(refusal(config), "") << good;
+  }
   config.program = {{Kind::Stripes, {}}, {Kind::Blank, {}}};
   config.gpu_device = "none";
   EXPECT_THAT(refusal(config), HasSubstr("gpu.device"));

@@ -129,7 +129,7 @@ void run_write(const PatternsOptions& options) {
         options.folder, slots, projectors, options.sequence);
   } else {
     tell("{}: {} slots for {}, again and again. In facetd's configuration: trigger.light = [\"{}\"]\n",
-         options.folder, slots, projectors, fmt::join(words, "\", \""));
+         options.folder, slots, projectors, fmt::format("{}", fmt::join(words, "\", \"")));
   }
 }
 
