@@ -310,8 +310,8 @@ TEST_F(ExportPeers, KhronosValidatorFindsNothing) {
   EXPECT_THAT(output_, HasSubstr("frames.glb: 0 errors"));
 }
 
-/// golden/booth.take: `facet synth-booth --program stripes --seed 5 --slots 12 --samples 1 --resolution 0.5 --meshes none`,
-/// then `facet process --rig`. Meshes without expressions, with gaps between the blank slots.
+/// golden/booth.take: `facet synth-booth --program stripes --seed 5 --slots 12 --samples 1 --resolution 0.5
+/// --meshes none`, then `facet process --rig`. Meshes without expressions, with gaps between the blank slots.
 TEST_F(ExportPeers, ABoothsTakeComesOutWhole) {
   const std::string take = script("golden/booth.take");
   for (const auto& [name, format] :

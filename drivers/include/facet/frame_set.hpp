@@ -23,8 +23,8 @@ struct FrameSet {
   std::int64_t skew_ns = 0;  ///< from the earliest to the latest time of the frames, each camera's own lag to
                              ///< the trigger taken away; 0 for fewer than two
   std::shared_ptr<const std::vector<std::string>> camera_names;  ///< [camera_count]
-  /// What lit the face, as a word: "stripes", "blank", "light:NAME+NAME" (capture::SlotLight); empty: not
-  /// known.
+  /// What lit the face, as a word: "stripes", "fringes:1", "blank", "light:NAME+NAME" (capture::SlotLight);
+  /// empty: not known.
   std::string light;
 
   bool complete() const { return missing == 0; }
