@@ -84,9 +84,8 @@ std::string why_no_depth(const capture::SlotProgram& program) {
     }
     if (!has_stripes && stereo::phase_weights(around).of_slots.empty()) {
       return fmt::format(
-          "slot {} of the program {} is blank, and the fringes within {} slots of it tell no depth: give it "
-          "two "
-          "slots with fringes on either side, each shifted further, as in {}",
+          "slot {} of the program {} is blank, and the fringes within {} slots of it tell no "
+          "depth: give it two slots with fringes on either side, each shifted further, as in {}",
           slot, capture::to_text(program), kReach, capture::to_text(capture::fringe_program()));
     }
   }
