@@ -163,14 +163,6 @@ std::uint8_t ProjectorEncoder::operator()(double light) const {
   return values_[static_cast<std::size_t>(std::lround(std::clamp(light, 0.0, 1.0) * kEncoderSteps))];
 }
 
-Shown shown_in_slot(std::uint64_t slot) {
-  const std::uint64_t phase = slot % kSlotsPerPeriod;
-  if (phase == kSlotsPerPeriod - 1) {
-    return {Shown::Kind::Blank, 0};
-  }
-  return {Shown::Kind::Stripes, (kSlotsPerPeriod - 1) * (slot / kSlotsPerPeriod) + phase};
-}
-
 GreyImage draw_pattern(const PatternConfig& config, const Shown& shown, std::size_t projector) {
   const ProjectorEncoder encode(config);
   if (shown.kind == Shown::Kind::Picture) {

@@ -21,12 +21,6 @@ struct Shown {
   bool operator==(const Shown&) const = default;
 };
 
-/// A period is stripes A, stripes B, blank.
-inline constexpr std::uint64_t kSlotsPerPeriod = 3;
-
-/// What slot n of the standard program shows: 2p, 2p + 1, blank in period p.
-Shown shown_in_slot(std::uint64_t slot);
-
 struct PatternConfig {
   std::uint64_t seed = 1;
   int width_px = 1024;  ///< of the projector, 16 to 8192

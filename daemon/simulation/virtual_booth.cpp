@@ -740,7 +740,7 @@ std::optional<BoothTarget> VirtualBooth::target() const {
 }
 
 BoothSlot VirtualBooth::slot(std::uint64_t number) const {
-  return slot(number, capture::shown_in_slot(number));
+  return slot(number, capture::standard_program());
 }
 
 BoothSlot VirtualBooth::slot(std::uint64_t number, const capture::Shown& shown) const {

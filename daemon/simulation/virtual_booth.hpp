@@ -121,7 +121,7 @@ class VirtualBooth {
   /// Nothing for the actor.
   std::optional<BoothTarget> target() const;
 
-  /// A slot of the standard program (capture::shown_in_slot).
+  /// A slot of the standard program.
   BoothSlot slot(std::uint64_t number) const;
   /// A slot in which the projectors show something else.
   BoothSlot slot(std::uint64_t number, const capture::Shown& shown) const;

@@ -43,15 +43,6 @@ double correlation(const std::vector<double>& a, const std::vector<double>& b) {
   return ab / std::sqrt(aa * bb);
 }
 
-TEST(Patterns, PeriodIsTwoNewPatternsAndBlank) {
-  EXPECT_EQ(shown_in_slot(0), stripes(0));
-  EXPECT_EQ(shown_in_slot(1), stripes(1));
-  EXPECT_EQ(shown_in_slot(2).kind, Shown::Kind::Blank);
-  EXPECT_EQ(shown_in_slot(3), stripes(2));
-  EXPECT_EQ(shown_in_slot(3001), stripes(2001));
-  EXPECT_EQ(shown_in_slot(3002).kind, Shown::Kind::Blank);
-}
-
 TEST(Patterns, FollowFromSeedNumberAndProjectorAlone) {
   PatternConfig config;
   const GreyImage first = draw_pattern(config, stripes(4));

@@ -47,9 +47,9 @@ TEST(SlotProgram, StripesAreNumberedThroughout) {
   EXPECT_EQ(shown_in_slot(program, 3), (Shown{Shown::Kind::Stripes, 1}));
   EXPECT_EQ(shown_in_slot(program, 4).kind, Shown::Kind::Dark);
   EXPECT_EQ(shown_in_slot(program, 13), (Shown{Shown::Kind::Stripes, 5}));
-  for (std::uint64_t slot = 0; slot < 9; ++slot) {
-    EXPECT_EQ(shown_in_slot(standard_program(), slot), shown_in_slot(slot)) << slot;
-  }
+  EXPECT_EQ(shown_in_slot(standard_program(), 2).kind, Shown::Kind::Blank);
+  EXPECT_EQ(shown_in_slot(standard_program(), 3), (Shown{Shown::Kind::Stripes, 2}));
+  EXPECT_EQ(shown_in_slot(standard_program(), 301), (Shown{Shown::Kind::Stripes, 201}));
 }
 
 TEST(SlotProgram, WithoutDepthOrTextureThereIsNoMesh) {
