@@ -115,6 +115,7 @@ struct Options {
   std::vector<int> gap = {1'000'000, 0};
   std::uint64_t stranger = 0;
   bool all_cameras = false;
+  bool knows_light = true;
   bool with_stereo = false;
   bool with_between = false;
   bool with_shading = false;
@@ -147,8 +148,8 @@ void add_options(CLI::App& app, Options& given) {
   app.add_option("--steps", fit.steps);
   app.add_option("--model-steps", fit.model_steps, "Over pose and expressions before each fit");
   app.add_flag("!--no-unfold", fit.unfolds, "Folded triangles are left");
-  app.add_option("--reference-weight", given.tracking.reference_weight);
   app.add_option("--reference-sigma", given.tracking.reference_sigma_px, "px");
+  app.add_option("--sigma-s", fit.sigma_s_mm, "Tukey's, of depth, mm");
   app.add_option("--gamma", fit.gamma, "Of the temporal term");
   app.add_option("--sigma-t", fit.sigma_t_mm, "mm");
   app.add_option("--still", given.still, "Meshes from this one on see its slot again, with other noise");
@@ -157,6 +158,7 @@ void add_options(CLI::App& app, Options& given) {
   app.add_option("--cg", fit.cg_iterations);
   app.add_flag("--no-flow", given.no_flow, "Depth alone");
   app.add_flag("--all-cameras", given.all_cameras, "Flow in the monochrome cameras' blank pictures, too");
+  app.add_flag("!--no-light", given.knows_light, "The projectors' light and its shadows are not known");
   app.add_flag("!--no-redraw", given.tracking.redraws,
                "The picture before is not drawn again where the mesh is found");
   app.add_flag("!--no-reference", given.tracking.uses_reference,
@@ -318,6 +320,14 @@ std::vector<capture::Lens> lenses_of(const capture::Rig& rig, const std::vector<
   return lenses;
 }
 
+std::vector<capture::Lens> projectors_of(const capture::Rig& rig) {
+  std::vector<capture::Lens> lenses;
+  for (const capture::RigProjector& projector : rig.projectors) {
+    lenses.push_back(projector.lens);
+  }
+  return lenses;
+}
+
 /// Follows the performance mesh by mesh and judges each mesh by the truth.
 class Course {
  public:
@@ -328,7 +338,8 @@ class Course {
         rig_(booth_.rig()),
         surface_(make_surface(model_, options.vertices)),
         cameras_(flow_cameras(rig_, options.all_cameras)),
-        tracker_(surface_, lenses_of(rig_, cameras_), options.tracking),
+        tracker_(surface_, lenses_of(rig_, cameras_),
+                 options.knows_light ? projectors_of(rig_) : std::vector<capture::Lens>(), options.tracking),
         context_(options.with_stereo ? std::make_unique<gpu::Context>(gpu::ContextOptions()) : nullptr),
         depth_(context_ != nullptr ? std::make_unique<bench::StereoDepth>(*context_, booth_) : nullptr),
         footage_(booth_, options.cache),

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <optional>
 
-#include "fit/template_fitter.hpp"
+#include "fit/visibility.hpp"
 #include "maths/threads.hpp"
 #include "render/renderer.hpp"
 

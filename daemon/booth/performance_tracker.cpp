@@ -40,6 +40,14 @@ struct View {
   landmark::Landmarker landmarker;
 };
 
+std::vector<capture::Lens> projector_lenses(const capture::Rig& rig) {
+  std::vector<capture::Lens> lenses;
+  for (const capture::RigProjector& projector : rig.projectors) {
+    lenses.push_back(projector.lens);
+  }
+  return lenses;
+}
+
 std::vector<capture::Lens> colour_lenses(const capture::Rig& rig) {
   std::vector<capture::Lens> lenses;
   for (const capture::RigCamera& camera : rig.cameras) {
@@ -120,7 +128,7 @@ PerformanceTracker::Impl::Impl(std::shared_ptr<const face::FaceModel> given_mode
     : model(std::move(given_model)),
       rig(std::move(given_rig)),
       surface(std::make_shared<const fit::TemplateMesh>(fit::make_template(*model))),
-      skin(surface, colour_lenses(*rig), given_options),
+      skin(surface, colour_lenses(*rig), projector_lenses(*rig), given_options),
       fine(model->control, surface),
       points(std::move(given_points)),
       shading(std::move(given_shading)),

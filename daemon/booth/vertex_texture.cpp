@@ -4,7 +4,7 @@
 #include <cmath>
 #include <utility>
 
-#include "fit/template_fitter.hpp"
+#include "fit/visibility.hpp"
 #include "render/renderer.hpp"
 
 namespace facet::booth {

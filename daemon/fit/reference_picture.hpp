@@ -7,6 +7,7 @@
 
 #include "capture/rig.hpp"
 #include "facet/frame.hpp"
+#include "fit/projected_light.hpp"
 #include "mesh/mesh.hpp"
 
 namespace facet::fit {
@@ -18,17 +19,24 @@ class ReferencePicture {
  public:
   /// picture      of the camera, kept
   /// vertices_mm  [3][vertex_count] the mesh at that moment, rig frame
+  /// normals      [3][vertex_count] of it
   /// visible      [vertex_count] what the camera saw of it (find_visible)
+  /// light        of the projectors, its shadows cast by that mesh. How much of the picture it lit, and how
+  ///              much the room did, is read off the picture; where that is all, nothing is relit.
   ReferencePicture(const capture::Lens& lens, Frame picture, const mesh::Vertices& vertices_mm,
-                   const mesh::Triangles& triangles, const std::vector<std::uint8_t>& visible);
+                   const Eigen::Matrix3Xf& normals, const mesh::Triangles& triangles,
+                   const std::vector<std::uint8_t>& visible, const ProjectedLight& light);
   ~ReferencePicture();
   ReferencePicture(ReferencePicture&& other) noexcept;
 
-  /// `now` with the skin drawn over it where the mesh is, from the reference.
+  /// `now` with the skin drawn over it where the mesh is, from the reference and in the light of now.
   /// now      the camera's picture, of the reference's size: what is around the skin, and how bright it is
-  /// visible  [vertex_count] what the camera sees of the mesh now
+  /// normals  [3][vertex_count] of the mesh now
+  /// visible  [vertex_count] what the camera sees of it
+  /// light    as the mesh casts its shadows now
   /// drawn    [height][width] out: 1 where skin was drawn
-  Frame draw(const Frame& now, const mesh::Vertices& vertices_mm, const std::vector<std::uint8_t>& visible,
+  Frame draw(const Frame& now, const mesh::Vertices& vertices_mm, const Eigen::Matrix3Xf& normals,
+             const std::vector<std::uint8_t>& visible, const ProjectedLight& light,
              std::vector<std::uint8_t>& drawn) const;
 
  private:

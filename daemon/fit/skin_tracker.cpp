@@ -10,7 +10,9 @@
 
 #include "facet/error.hpp"
 #include "fit/optical_flow.hpp"
+#include "fit/projected_light.hpp"
 #include "fit/reference_picture.hpp"
+#include "fit/visibility.hpp"
 
 namespace facet::fit {
 namespace {
@@ -21,8 +23,10 @@ constexpr int kPlacingCgIterations = 200;
 constexpr float kVisibleMargin_mm = 4;
 /// How often a mesh that was found again is drawn to its skin: landmarks leave it millimetres off.
 constexpr int kPasses = 3;
-/// A followed person's shape is at most 2.1 mm from its own at rest; others', 3.7 mm and more.
+/// A person's shape is at most 2.5 mm from its own at rest; others' 2.4 mm (told by their skin) and more.
 constexpr double kSamePerson_mm = 3;
+/// Flow from the first picture's skin comes back on 0.63 of it and more, from others' on 0.14 to 0.35.
+constexpr double kSameSkinTrust = 0.5;
 /// Around the mesh, in shares of its size in the picture: what may have moved from slot to slot, and what
 /// lies around skin that was drawn where it is.
 constexpr double kReach = 0.3;
@@ -50,8 +54,11 @@ struct View {
 
 struct SkinTracker::Impl {
   Impl(std::shared_ptr<const TemplateMesh> given_surface, std::vector<capture::Lens> lenses,
-       const SkinTrackerOptions& given_options)
-      : surface(std::move(given_surface)), options(given_options), fitter(surface, options.fit) {
+       std::vector<capture::Lens> projectors, const SkinTrackerOptions& given_options)
+      : surface(std::move(given_surface)),
+        options(given_options),
+        fitter(surface, options.fit),
+        light(std::move(projectors)) {
     for (capture::Lens& lens : lenses) {
       views.emplace_back(std::move(lens));
     }
@@ -60,6 +67,7 @@ struct SkinTracker::Impl {
   std::shared_ptr<const TemplateMesh> surface;
   SkinTrackerOptions options;
   TemplateFitter fitter;
+  ProjectedLight light;  ///< its shadows are cast by the mesh that `normals` belong to
   std::deque<View> views;
   mesh::Vertices now_mm;
   Eigen::VectorXd expression;         ///< of now_mm
@@ -79,17 +87,29 @@ struct SkinTracker::Impl {
       throw Error(ErrorKind::Usage, "the skin tracker was not started");
     }
   }
+  /// Normals and shadows of a mesh that is about to be drawn or remembered.
+  void stand_on(const mesh::Vertices& vertices_mm) {
+    mesh::vertex_normals(vertices_mm, surface->triangles, normals);
+    light.cast_shadows(vertices_mm, surface->triangles);
+  }
+  /// Eyes and what is in the mouth move by themselves.
+  void find_visible_skin(const View& view, const mesh::Vertices& vertices_mm) {
+    find_visible(view.lens, vertices_mm, normals, surface->triangles, kVisibleMargin_mm, 0, visible);
+    for (std::size_t v = 0; v < visible.size(); ++v) {
+      visible[v] &= surface->is_skin[v];
+    }
+  }
   ReferencePicture picture_of_skin(const View& view, const Frame& picture,
                                    const mesh::Vertices& vertices_mm) {
-    find_visible(view.lens, vertices_mm, normals, surface->triangles, kVisibleMargin_mm, 0, visible);
-    return {view.lens, picture, vertices_mm, surface->triangles, visible};
+    find_visible_skin(view, vertices_mm);
+    return {view.lens, picture, vertices_mm, normals, surface->triangles, visible, light};
   }
   PixelBox box_of(const View& view, const Frame& picture, const mesh::Vertices& vertices_mm,
                   double reach) const;
   void flow_from(const ReferencePicture& skin, View& view, const Frame& picture,
                  const mesh::Vertices& vertices_mm, Flow& found);
-  void add(const View& view, const Flow& flow, const mesh::Vertices* from_mm, bool from_reference,
-           std::vector<FlowView>& flows) const;
+  static void add(const View& view, const Flow& flow, const mesh::Vertices* from_mm,
+                  std::vector<FlowView>& flows, float sigma_px = 0);
   TemplateFitReport conclude(const TemplateFitReport& report, const TemplateFitter& by,
                              mesh::Vertices&& found_mm, std::span<const Frame> pictures);
 };
@@ -123,20 +143,18 @@ PixelBox SkinTracker::Impl::box_of(const View& view, const Frame& picture, const
 /// Flow from skin that was seen before, drawn where the mesh is, to the picture.
 void SkinTracker::Impl::flow_from(const ReferencePicture& skin, View& view, const Frame& picture,
                                   const mesh::Vertices& vertices_mm, Flow& found) {
-  view.flow.find(skin.draw(picture, vertices_mm, visible, drawn), picture,
+  view.flow.find(skin.draw(picture, vertices_mm, normals, visible, light, drawn), picture,
                  box_of(view, picture, vertices_mm, kRim), found);
   for (std::size_t i = 0; i < drawn.size(); ++i) {
     found.confidence[i] *= static_cast<float>(drawn[i]);
   }
 }
 
+/// sigma_px  Tukey's; 0: the options'
 void SkinTracker::Impl::add(const View& view, const Flow& flow, const mesh::Vertices* from_mm,
-                            bool from_reference, std::vector<FlowView>& flows) const {
-  flows.push_back({view.lens, flow.width_px, flow.height_px, flow.flow_px, flow.confidence, from_mm});
-  if (from_reference) {
-    flows.back().weight = options.reference_weight;
-    flows.back().sigma_px = options.reference_sigma_px;
-  }
+                            std::vector<FlowView>& flows, float sigma_px) {
+  flows.push_back(
+      {view.lens, flow.width_px, flow.height_px, flow.flow_px, flow.confidence, from_mm, sigma_px});
 }
 
 /// Takes over what was found, unless it is lost.
@@ -155,7 +173,7 @@ TemplateFitReport SkinTracker::Impl::conclude(const TemplateFitReport& report, c
   now_mm = std::move(found_mm);
   expression = by.expression();
   fitter.remember(now_mm);
-  mesh::vertex_normals(now_mm, surface->triangles, normals);
+  stand_on(now_mm);
   for (std::size_t k = 0; k < views.size(); ++k) {
     View& view = views[k];
     view.previous.reset();
@@ -173,8 +191,8 @@ TemplateFitReport SkinTracker::Impl::conclude(const TemplateFitReport& report, c
 }
 
 SkinTracker::SkinTracker(std::shared_ptr<const TemplateMesh> surface, std::vector<capture::Lens> lenses,
-                         const SkinTrackerOptions& options)
-    : impl_(std::make_unique<Impl>(std::move(surface), std::move(lenses), options)) {}
+                         std::vector<capture::Lens> projectors, const SkinTrackerOptions& options)
+    : impl_(std::make_unique<Impl>(std::move(surface), std::move(lenses), std::move(projectors), options)) {}
 
 SkinTracker::~SkinTracker() = default;
 
@@ -213,15 +231,17 @@ TemplateFitReport SkinTracker::follow(std::span<const capture::DepthMap> maps,
     if (usable(pictures[k]) && !view.before.empty()) {
       view.flow.find(view.before, pictures[k], impl.box_of(view, pictures[k], impl.now_mm, kReach),
                      view.from_before);
-      impl.add(view, view.from_before, nullptr, false, flows);
+      impl.add(view, view.from_before, nullptr, flows);
     }
   }
   mesh::Vertices found_mm = impl.now_mm;
-  TemplateFitReport report = impl.fitter.track(maps, flows, impl.now_mm, found_mm);
+  impl.fitter.move(maps, flows, impl.now_mm, found_mm);
   // The way that is left is short: once more from the skin drawn where it was found.
   const mesh::Vertices drawn_mm = found_mm;
-  std::vector<FlowView> again;
-  mesh::vertex_normals(drawn_mm, impl.surface->triangles, impl.normals);
+  if (impl.options.redraws) {
+    flows.clear();
+  }
+  impl.stand_on(drawn_mm);
   for (std::size_t k = 0; k < impl.views.size(); ++k) {
     View& view = impl.views[k];
     const bool redraws = impl.options.redraws && view.previous;
@@ -229,22 +249,17 @@ TemplateFitReport SkinTracker::follow(std::span<const capture::DepthMap> maps,
     if (!usable(pictures[k]) || !(redraws || compares)) {
       continue;
     }
-    find_visible(view.lens, drawn_mm, impl.normals, impl.surface->triangles, kVisibleMargin_mm, 0,
-                 impl.visible);
+    impl.find_visible_skin(view, drawn_mm);
     if (redraws) {
       impl.flow_from(*view.previous, view, pictures[k], drawn_mm, view.from_drawn);
-      impl.add(view, view.from_drawn, &drawn_mm, false, again);
-    } else if (!view.before.empty()) {
-      impl.add(view, view.from_before, nullptr, false, again);
+      impl.add(view, view.from_drawn, &drawn_mm, flows);
     }
     if (compares) {
       impl.flow_from(*view.reference, view, pictures[k], drawn_mm, view.from_reference);
-      impl.add(view, view.from_reference, &drawn_mm, true, again);
+      impl.add(view, view.from_reference, &drawn_mm, flows, impl.options.reference_sigma_px);
     }
   }
-  if (!again.empty()) {
-    report = impl.fitter.track(maps, again, impl.now_mm, found_mm);
-  }
+  TemplateFitReport report = impl.fitter.track(maps, flows, impl.now_mm, found_mm);
   mesh::Vertices before_mm = impl.now_mm;
   impl.expression_before = impl.expression;
   report = impl.conclude(report, impl.fitter, std::move(found_mm), pictures);
@@ -276,28 +291,38 @@ TemplateFitReport SkinTracker::find_again(const Placement& placed, std::span<con
   impl.fitter.forget();
   mesh::Vertices found_mm = impl.fitter.shape_like(placed.shown_mm);
   TemplateFitReport report = impl.fitter.fit(maps, found_mm);
+  const TemplateFitReport fitted = report;
+  bool compared = false;
   for (int pass = 0; pass < kPasses && impl.options.uses_reference && !report.lost; ++pass) {
     const mesh::Vertices drawn_mm = found_mm;
-    mesh::vertex_normals(drawn_mm, impl.surface->triangles, impl.normals);
+    impl.stand_on(drawn_mm);
     std::vector<FlowView> flows;
     for (std::size_t k = 0; k < impl.views.size(); ++k) {
       View& view = impl.views[k];
       if (usable(pictures[k]) && view.reference) {
-        find_visible(view.lens, drawn_mm, impl.normals, impl.surface->triangles, kVisibleMargin_mm, 0,
-                     impl.visible);
+        impl.find_visible_skin(view, drawn_mm);
         impl.flow_from(*view.reference, view, pictures[k], drawn_mm, view.from_reference);
-        impl.add(view, view.from_reference, nullptr, false, flows);
+        impl.add(view, view.from_reference, nullptr, flows, impl.options.reference_sigma_px);
       }
     }
     if (flows.empty()) {
       break;
     }
     report = impl.fitter.track(maps, flows, drawn_mm, found_mm);
+    compared = true;
   }
+  report.mouth_bend = std::max(report.mouth_bend, fitted.mouth_bend);
+  report.mouth_off = std::max(report.mouth_off, fitted.mouth_off);
+  report.shape_rms_mm = std::max(report.shape_rms_mm, fitted.shape_rms_mm);
   if (!report.lost && report.shape_rms_mm > kSamePerson_mm) {
     report.lost = true;
     report.lost_because = fmt::format("the face differs by {:.1f} mm from the one that was followed before",
                                       report.shape_rms_mm);
+  } else if (!report.lost && compared && report.flow_trust < kSameSkinTrust) {
+    report.lost = true;
+    report.lost_because =
+        fmt::format("the skin is like that of the face that was followed before on {:.0f} % of it only",
+                    100 * report.flow_trust);
   }
   return impl.conclude(report, impl.fitter, std::move(found_mm), pictures);
 }

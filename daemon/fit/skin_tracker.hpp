@@ -17,8 +17,8 @@ struct SkinTrackerOptions {
   /// What docs/template-fit.md, "Drift", adds to the paper; off for comparisons.
   bool redraws = true;         ///< the picture before, where the mesh is found
   bool uses_reference = true;  ///< the first picture, too
-  float reference_weight = kReferenceWeight;
-  float reference_sigma_px = kReferenceSigmaPx;
+  /// Tukey's, of flow from the first picture: it may be of something else by now.
+  float reference_sigma_px = 4;
 };
 
 /// Follows one person's skin from slot to slot: the template on the depth maps, every vertex on the point of
@@ -30,9 +30,9 @@ struct SkinTrackerOptions {
 /// the next slot is one for find_again or start.
 class SkinTracker {
  public:
-  /// lenses: of the cameras that see texture
+  /// lenses: of the cameras that see texture. projectors: that light blank slots
   SkinTracker(std::shared_ptr<const TemplateMesh> surface, std::vector<capture::Lens> lenses,
-              const SkinTrackerOptions& options);
+              std::vector<capture::Lens> projectors, const SkinTrackerOptions& options);
   ~SkinTracker();
 
   /// A new person: fits the template as it was placed; the result less the expression that it was placed with

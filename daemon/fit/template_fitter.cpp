@@ -6,12 +6,12 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <numbers>
 #include <optional>
 
 #include "facet/error.hpp"
 #include "fit/conjugate_gradients.hpp"
 #include "fit/depth_pull.hpp"
+#include "fit/visibility.hpp"
 #include "maths/solve.hpp"
 
 namespace facet::fit {
@@ -28,7 +28,6 @@ using Eigen::Vector3f;
 
 constexpr float kSettledMm = 0.005F;
 constexpr double kLeastSeen = 0.05;
-constexpr float kCameraFacing = 0.15F;  ///< least cosine between normal and view for a flow to count
 constexpr float kVisibilityMarginMm = 4;
 constexpr float kOffMm = 5;          ///< from a map's surface: not that surface
 constexpr float kTurnedAway = 0.3F;  ///< cosine; a surface seen more steeply tells nothing of that
@@ -49,7 +48,6 @@ constexpr double kLeastExpression = -0.25;
 constexpr double kMostExpression = 1.25;
 constexpr double kExpressionMisfitMm = 0.5;  ///< what expressions do not explain, typically
 constexpr float kRimPx = 5;                  ///< half of a flow's patch and a little
-constexpr float kRimJumpMm = 12;             ///< in depth: another part of the face
 constexpr float kTieAcross = 0.02F;          ///< of a tie along the surface, which weighs 1
 constexpr float kResidualReduction = 1e-4F;  ///< of the conjugate gradients
 
@@ -74,79 +72,6 @@ std::optional<Vector2f> sample(const FlowView& view, float x, float y, float& co
   return Vector2f((view.flow_px[at] * (1 - u) + view.flow_px[at + 1] * u) * (1 - v) +
                   (view.flow_px[below] * (1 - u) + view.flow_px[below + 1] * u) * v);
 }
-
-/// Distance along z from every pixel to the nearest triangle; infinity where there is none.
-class DepthBuffer {
- public:
-  void draw(const Lens& lens, const Matrix3Xf& seen, const mesh::Triangles& triangles) {
-    width_ = lens.width_px;
-    height_ = lens.height_px;
-    depth_.assign(static_cast<std::size_t>(width_) * static_cast<std::size_t>(height_),
-                  std::numeric_limits<float>::infinity());
-    const auto fx = static_cast<float>(lens.fx_px);
-    const auto fy = static_cast<float>(lens.fy_px);
-    const auto cx = static_cast<float>(lens.cx_px);
-    const auto cy = static_cast<float>(lens.cy_px);
-    for (Eigen::Index t = 0; t < triangles.cols(); ++t) {
-      std::array<Vector3f, 3> corner;
-      bool in_front = true;
-      for (std::size_t i = 0; i < 3; ++i) {
-        const Vector3f at = seen.col(triangles(static_cast<Eigen::Index>(i), t));
-        in_front = in_front && at.z() > 1;
-        corner[i] = {fx * at.x() / at.z() + cx, fy * at.y() / at.z() + cy, 1 / at.z()};
-      }
-      if (in_front) {
-        fill(corner);
-      }
-    }
-  }
-  /// Without the lens's distortion, as drawn.
-  float at(float x, float y) const {
-    const int column = static_cast<int>(std::lround(x));
-    const int row = static_cast<int>(std::lround(y));
-    return column >= 0 && row >= 0 && column < width_ && row < height_
-               ? depth_[static_cast<std::size_t>(row) * static_cast<std::size_t>(width_) +
-                        static_cast<std::size_t>(column)]
-               : 0;
-  }
-
- private:
-  void fill(const std::array<Vector3f, 3>& corner) {
-    const auto [least_x, most_x] = std::minmax({corner[0].x(), corner[1].x(), corner[2].x()});
-    const auto [least_y, most_y] = std::minmax({corner[0].y(), corner[1].y(), corner[2].y()});
-    const float area = (corner[1] - corner[0]).x() * (corner[2] - corner[0]).y() -
-                       (corner[1] - corner[0]).y() * (corner[2] - corner[0]).x();
-    if (!(std::abs(area) > 1e-9F) || !(least_x > -1e5F) || !(most_x < 1e5F) || !(least_y > -1e5F) ||
-        !(most_y < 1e5F)) {
-      return;
-    }
-    const int x0 = std::max(0, static_cast<int>(std::ceil(least_x)));
-    const int x1 = std::min(width_ - 1, static_cast<int>(std::floor(most_x)));
-    const int y0 = std::max(0, static_cast<int>(std::ceil(least_y)));
-    const int y1 = std::min(height_ - 1, static_cast<int>(std::floor(most_y)));
-    for (int y = y0; y <= y1; ++y) {
-      for (int x = x0; x <= x1; ++x) {
-        const float px = static_cast<float>(x);
-        const float py = static_cast<float>(y);
-        const auto side = [&](const Vector3f& a, const Vector3f& b) {
-          return ((b.x() - a.x()) * (py - a.y()) - (b.y() - a.y()) * (px - a.x())) / area;
-        };
-        const float w2 = side(corner[0], corner[1]);
-        const float w0 = side(corner[1], corner[2]);
-        const float w1 = 1 - w0 - w2;
-        if (w0 >= 0 && w1 >= 0 && w2 >= 0) {
-          float& depth = depth_[static_cast<std::size_t>(y) * static_cast<std::size_t>(width_) +
-                                static_cast<std::size_t>(x)];
-          depth = std::min(depth, 1 / (w0 * corner[0].z() + w1 * corner[1].z() + w2 * corner[2].z()));
-        }
-      }
-    }
-  }
-
-  int width_ = 0;
-  int height_ = 0;
-  std::vector<float> depth_;
-};
 
 /// The projection of a point and its derivative, distortion included.
 struct Projection {
@@ -178,38 +103,12 @@ std::optional<Projection> project(const Lens& lens, const Vector3f& point_mm) {
 
 }  // namespace
 
-void find_visible(const Lens& lens, const mesh::Vertices& vertices_mm, const Matrix3Xf& normals,
-                  const mesh::Triangles& triangles, float margin_mm, float rim_px,
-                  std::vector<std::uint8_t>& visible) {
-  thread_local DepthBuffer buffer;
-  const Pinhole camera(lens);
-  const Matrix3Xf seen = (camera.rotation * vertices_mm).colwise() + camera.translation;
-  buffer.draw(lens, seen, triangles);
-  visible.assign(static_cast<std::size_t>(vertices_mm.cols()), 0);
-  for (Eigen::Index v = 0; v < vertices_mm.cols(); ++v) {
-    const Vector3f at = seen.col(v);
-    const float facing = -(camera.rotation * normals.col(v)).dot(at.normalized());
-    if (at.z() > 1 && facing > kCameraFacing) {
-      const float x = camera.fx * at.x() / at.z() + camera.cx;
-      const float y = camera.fy * at.y() / at.z() + camera.cy;
-      const float drawn = buffer.at(x, y);
-      bool inside = drawn > 0 && at.z() < drawn + margin_mm / facing;
-      for (int i = 0; i < 8 && inside && rim_px > 0; ++i) {
-        const float angle = static_cast<float>(i) * std::numbers::pi_v<float> / 4;
-        inside = std::abs(buffer.at(x + rim_px * std::cos(angle), y + rim_px * std::sin(angle)) - at.z()) <
-                 kRimJumpMm / facing;
-      }
-      visible[static_cast<std::size_t>(v)] = inside ? 1 : 0;
-    }
-  }
-}
-
 struct TemplateFitter::Impl {
   Impl(std::shared_ptr<const TemplateMesh> with, const FitOptions& how)
       : surface(std::move(with)), options(how) {
     if (!(options.alpha > 0) || !(options.beta >= 0) || !(options.sigma_s_mm > 0) ||
-        !(options.sigma_m_px > 0) || !(options.gamma >= 0) || !(options.sigma_t_mm > 0) ||
-        options.steps < 1 || options.cg_iterations < 1) {
+        !(options.placing_sigma_s_mm > 0) || !(options.sigma_m_px > 0) || !(options.gamma >= 0) ||
+        !(options.sigma_t_mm > 0) || options.steps < 1 || options.cg_iterations < 1) {
       throw Error(ErrorKind::Usage,
                   "the options of the template fit make no sense: alpha, sigmas and counts are above 0, beta "
                   "not below");
@@ -229,6 +128,9 @@ struct TemplateFitter::Impl {
     edge_weights.resize(neighbours.size());
   }
 
+  TemplateFitOutcome move(std::span<const DepthMap> maps, std::span<const FlowView> flows,
+                          const mesh::Vertices* before_mm, mesh::Vertices& vertices_mm,
+                          TemplateFitReport& report);
   TemplateFitReport solve(std::span<const DepthMap> maps, std::span<const FlowView> flows,
                           const mesh::Vertices* before_mm, mesh::Vertices& vertices_mm);
   TemplateFitReport settle(std::span<const DepthMap> maps, const mesh::Vertices& expected_mm,
@@ -256,16 +158,17 @@ struct TemplateFitter::Impl {
   void apply(const Matrix3Xf& in, Matrix3Xf& out) const;
   void solve_step();
 
+  Eigen::Isometry3f rig_from_rest = Eigen::Isometry3f::Identity();  ///< of the rest shape placed
   std::shared_ptr<const TemplateMesh> surface;
   FitOptions options;
+  double sigma_s_mm = 0;        ///< of the call
   RestShape placed;             ///< as it was set
   Eigen::MatrixXf expressions;  ///< [3 * vertex_count][expression_count] of placed; 0 off the skin
   Eigen::LLT<Eigen::MatrixXd> expression_normals;
-  Eigen::VectorXd expression;                                       ///< [expression_count]
-  Eigen::VectorXf misfit;                                           ///< [3 * vertex_count]
-  mesh::Vertices expressed;                                         ///< placed, with the expression
-  mesh::Vertices rest;                                              ///< the template, turned with the head
-  Eigen::Isometry3f rig_from_rest = Eigen::Isometry3f::Identity();  ///< of the placed one
+  Eigen::VectorXd expression;            ///< [expression_count]
+  Eigen::VectorXf misfit;                ///< [3 * vertex_count]
+  mesh::Vertices expressed;              ///< placed, with the expression
+  mesh::Vertices rest;                   ///< the template, turned with the head
   Eigen::MatrixXf model, pulled_model;   ///< [3 * pulled vertices][6 + expression_count]
   std::vector<std::int32_t> offsets;     ///< [vertex_count + 1] into neighbours
   std::vector<std::int32_t> neighbours;  ///< the one-rings' and what a loose piece hangs on
@@ -450,7 +353,7 @@ void TemplateFitter::Impl::add_smoothness(const mesh::Vertices& vertices_mm) {
 /// [SF04 eq. 10] of one depth map: the residual along its z axis, w = confidence x max(0, n . template n).
 void TemplateFitter::Impl::add_depth(const DepthMap& map, const mesh::Vertices& vertices_mm) {
   const Pinhole camera(map.lens);
-  const auto sigma = static_cast<float>(options.sigma_s_mm);
+  const auto sigma = static_cast<float>(sigma_s_mm);
   for (std::int32_t v = 0; v < surface->vertex_count(); ++v) {
     const auto vertex = static_cast<std::size_t>(v);
     if (surface->is_skin[vertex] == 0) {
@@ -478,7 +381,7 @@ void TemplateFitter::Impl::add_depth(const DepthMap& map, const mesh::Vertices& 
 void TemplateFitter::Impl::add_motion(const FlowView& flow, const mesh::Vertices& before_mm,
                                       std::span<const std::uint8_t> seen, const mesh::Vertices& vertices_mm) {
   const auto sigma = flow.sigma_px > 0 ? flow.sigma_px : static_cast<float>(options.sigma_m_px);
-  const float beta = static_cast<float>(options.beta) * flow.weight;
+  const auto beta = static_cast<float>(options.beta);
   for (std::int32_t v = 0; v < surface->vertex_count(); ++v) {
     const auto vertex = static_cast<std::size_t>(v);
     if (surface->is_skin[vertex] == 0 || seen[vertex] == 0) {
@@ -534,14 +437,15 @@ void TemplateFitter::Impl::remember(const mesh::Vertices& vertices_mm) {
   last_mm = vertices_mm;
 }
 
-/// Thresholds lie well off what a followed face shows: seen 0.73 to 0.85, rejected below 0.23 (what others
-/// hide lies behind them), rms below 0.9 mm, trust above 0.74.
+/// Thresholds lie well off what a followed face shows: rejected below 0.32 (what others hide lies behind
+/// them), seen 0.72 to 0.85, trust above 0.74. The rms tells of a template that was just placed alone: depth
+/// pulls within 4 mm afterwards.
 void TemplateFitter::Impl::judge(TemplateFitReport& report, bool with_flow) const {
-  if (report.seen < kLostSeen) {
-    report.lost_because = fmt::format("only {:.0f} % of the skin lies on a depth map", 100 * report.seen);
-  } else if (report.rejected > kLostRejected) {
+  if (report.rejected > kLostRejected) {
     report.lost_because = fmt::format("{:.0f} % of the skin lies more than {} mm off the depth maps",
                                       100 * report.rejected, kOffMm);
+  } else if (report.seen < kLostSeen) {
+    report.lost_because = fmt::format("only {:.0f} % of the skin lies on a depth map", 100 * report.seen);
   } else if (report.surface_rms_mm > kLostSurfaceMm) {
     report.lost_because = fmt::format("the skin lies {:.1f} mm off the depth maps", report.surface_rms_mm);
   } else if (with_flow && report.flow_trust < kLostTrust) {
@@ -582,9 +486,11 @@ void TemplateFitter::Impl::solve_step() {
       memory, step);
 }
 
-TemplateFitReport TemplateFitter::Impl::solve(std::span<const DepthMap> maps, std::span<const FlowView> flows,
-                                              const mesh::Vertices* before_mm, mesh::Vertices& vertices_mm) {
-  TemplateFitReport report;
+/// Pose and expressions alone. Returns NoData or NumericalFailure where it can't be, NotConverged where it is
+/// done: the vertices are free to go their own ways.
+TemplateFitOutcome TemplateFitter::Impl::move(std::span<const DepthMap> maps, std::span<const FlowView> flows,
+                                              const mesh::Vertices* before_mm, mesh::Vertices& vertices_mm,
+                                              TemplateFitReport& report) {
   if (placed.vertices_mm.cols() != vertices_mm.cols()) {
     throw Error(ErrorKind::Usage, "the template fit has no rest shape yet, or other vertices");
   }
@@ -601,6 +507,25 @@ TemplateFitReport TemplateFitter::Impl::solve(std::span<const DepthMap> maps, st
                    visible[k]);
     }
   }
+  bring_along(vertices_mm);
+  for (int i = 0; i < (options.turns_with_the_head ? options.model_steps : 0); ++i) {
+    if (!add_data(maps, flows, before_mm, vertices_mm, report)) {
+      return TemplateFitOutcome::NoData;
+    }
+    const double moved = model_step(vertices_mm);
+    if (!std::isfinite(moved)) {
+      return TemplateFitOutcome::NumericalFailure;
+    }
+    if (moved < kModelSettledMm) {
+      break;
+    }
+  }
+  return TemplateFitOutcome::NotConverged;
+}
+
+TemplateFitReport TemplateFitter::Impl::solve(std::span<const DepthMap> maps, std::span<const FlowView> flows,
+                                              const mesh::Vertices* before_mm, mesh::Vertices& vertices_mm) {
+  TemplateFitReport report;
   const mesh::Vertices given = vertices_mm;
   const auto give_up = [&](TemplateFitOutcome outcome, std::string failure) {
     vertices_mm = given;
@@ -613,23 +538,18 @@ TemplateFitReport TemplateFitter::Impl::solve(std::span<const DepthMap> maps, st
   const auto no_data = [&] {
     return give_up(
         TemplateFitOutcome::NoData,
-        fmt::format("only {:.1f} % of the template's skin lies on a depth map", 100 * report.seen));
+        report.rejected > kLostRejected
+            ? fmt::format("{:.0f} % of the skin lies more than {} mm off the depth maps",
+                          100 * report.rejected, kOffMm)
+            : fmt::format("only {:.1f} % of the template's skin lies on a depth map", 100 * report.seen));
   };
-  bring_along(vertices_mm);
-  for (int i = 0; i < (options.turns_with_the_head ? options.model_steps : 0); ++i) {
-    if (!add_data(maps, flows, before_mm, vertices_mm, report)) {
-      return no_data();
-    }
-    const double moved = model_step(vertices_mm);
-    if (!std::isfinite(moved)) {
-      return give_up(TemplateFitOutcome::NumericalFailure,
-                     "the model's step of the template fit is not finite");
-    }
-    if (moved < kModelSettledMm) {
-      break;
-    }
+  report.outcome = move(maps, flows, before_mm, vertices_mm, report);
+  if (report.outcome == TemplateFitOutcome::NoData) {
+    return no_data();
   }
-  report.outcome = TemplateFitOutcome::NotConverged;
+  if (report.outcome == TemplateFitOutcome::NumericalFailure) {
+    return give_up(report.outcome, "the model's step of the template fit is not finite");
+  }
   while (report.steps < options.steps && report.outcome != TemplateFitOutcome::Converged) {
     bring_along(vertices_mm);
     if (!add_data(maps, flows, before_mm, vertices_mm, report)) {
@@ -927,16 +847,49 @@ void TemplateFitter::set_rest(RestShape rest) {
 }
 
 TemplateFitReport TemplateFitter::fit(std::span<const DepthMap> maps, mesh::Vertices& vertices_mm) {
-  return impl_->solve(maps, {}, nullptr, vertices_mm);
+  const mesh::Vertices given = vertices_mm;
+  impl_->sigma_s_mm = impl_->options.placing_sigma_s_mm;
+  TemplateFitReport placed = impl_->solve(maps, {}, nullptr, vertices_mm);
+  if (placed.lost) {
+    return placed;
+  }
+  impl_->sigma_s_mm = impl_->options.sigma_s_mm;
+  TemplateFitReport report = impl_->solve(maps, {}, nullptr, vertices_mm);
+  if (report.outcome == TemplateFitOutcome::NoData ||
+      report.outcome == TemplateFitOutcome::NumericalFailure) {
+    vertices_mm = given;
+  }
+  report.steps += placed.steps;
+  report.unfolded += placed.unfolded;
+  // What tears, and whose face it is, shows while depth pulls from afar.
+  report.shape_rms_mm = std::max(report.shape_rms_mm, placed.shape_rms_mm);
+  report.mouth_bend = std::max(report.mouth_bend, placed.mouth_bend);
+  report.mouth_off = std::max(report.mouth_off, placed.mouth_off);
+  return report;
+}
+
+void TemplateFitter::move(std::span<const DepthMap> maps, std::span<const FlowView> flows,
+                          const mesh::Vertices& before_mm, mesh::Vertices& vertices_mm) {
+  TemplateFitReport report;
+  for (const double sigma_mm : {impl_->options.placing_sigma_s_mm, impl_->options.sigma_s_mm}) {
+    const mesh::Vertices given = vertices_mm;
+    impl_->sigma_s_mm = sigma_mm;
+    if (impl_->move(maps, flows, &before_mm, vertices_mm, report) != TemplateFitOutcome::NotConverged) {
+      vertices_mm = given;
+      return;
+    }
+  }
 }
 
 TemplateFitReport TemplateFitter::track(std::span<const DepthMap> maps, std::span<const FlowView> flows,
                                         const mesh::Vertices& before_mm, mesh::Vertices& vertices_mm) {
+  impl_->sigma_s_mm = impl_->options.sigma_s_mm;
   return impl_->solve(maps, flows, &before_mm, vertices_mm);
 }
 
 TemplateFitReport TemplateFitter::settle(std::span<const DepthMap> maps, const mesh::Vertices& expected_mm,
                                          mesh::Vertices& vertices_mm) {
+  impl_->sigma_s_mm = impl_->options.sigma_s_mm;
   return impl_->settle(maps, expected_mm, vertices_mm);
 }
 

@@ -25,28 +25,25 @@ struct FlowView {
   /// [3][vertex_count] the mesh that the flow leads away from, rig frame; null: the one before. A flow from a
   /// ReferencePicture leads away from the mesh that it was drawn with.
   const mesh::Vertices* from_mm = nullptr;
-  float weight = 1;    ///< against the others; kReferenceWeight for one from a ReferencePicture
   float sigma_px = 0;  ///< Tukey's; 0: the options'
 };
-
-/// Flow from picture to picture is wrong by a tenth of a pixel and adds up; flow from a reference picture is
-/// wrong by six tenths (the light on the skin and its wrinkles are others by then), but does not. These
-/// weights make the drift of both together least (a steady Kalman filter's gain); docs/template-fit.md,
-/// "Drift".
-constexpr float kReferenceWeight = 0.15F;
-constexpr float kReferenceSigmaPx = 4;
 
 /// What [SF04 sec. 3] minimises, and its constants.
 struct FitOptions {
   double alpha = 2.0;      ///< of E_r [SF04 eq. 12]
-  double beta = 0.5;       ///< of E_m [SF04 eq. 14]
-  double sigma_s_mm = 20;  ///< Tukey's, of depth [SF04 eq. 10]
+  double beta = 0.1;       ///< of E_m [SF04 eq. 14]
   double sigma_m_px = 20;  ///< Tukey's, of motion [SF04 eq. 13]
+  /// Tukey's, of depth [SF04 eq. 10]: of a mesh that is about right, and of one that landmarks or the slot
+  /// before placed. The paper has 20 for all: beside the nose a vertex is pulled to the cheek behind it then,
+  /// and slides backwards along the nose.
+  double sigma_s_mm = 4;
+  double placing_sigma_s_mm = 20;
   /// Of what ties a vertex to where its last velocity leads (past the paper), and Tukey's sigma of that: a
   /// vertex that does otherwise by more is not held. Needs TemplateFitter::remember.
-  double gamma = 0.2;
+  double gamma = 0.05;
   double sigma_t_mm = 1;
-  int steps = 6;           ///< Gauss-Newton, at most; ends early once no vertex moves by more than 0.005 mm
+  int steps = 6;  ///< Gauss-Newton, at most, of `fit` as many again; ends early once no vertex moves by more
+                  ///< than 0.005 mm
   int cg_iterations = 60;  ///< per step, at most
   /// Gauss-Newton over pose and expressions alone before those over all vertices, at most (past the paper);
   /// they end early once no vertex moves by more than 0.02 mm.
@@ -114,11 +111,17 @@ class TemplateFitter {
   /// Needed before the first fit. Throws Error(Usage) where it has other vertices than the template.
   void set_rest(RestShape rest);
 
-  /// [SF04 eq. 10-12]: deforms the template onto the depth maps.
+  /// [SF04 eq. 10-12]: deforms the template, as landmarks placed it, onto the depth maps: first with depth
+  /// that pulls from afar (FitOptions::placing_sigma_s_mm), then with what is near.
   /// vertices_mm  [3][vertex_count] rig frame; in: where to begin, out: the result
   TemplateFitReport fit(std::span<const capture::DepthMap> maps, mesh::Vertices& vertices_mm);
 
-  /// [SF04 eq. 13, 14]. The same, and every vertex goes where the flow says that its skin went.
+  /// Pose and expression alone, by depth from afar and then by what is near, and by flow, as they are from
+  /// one slot to the next. vertices_mm stays as it is where hardly any of it is seen. Arguments as for track.
+  void move(std::span<const capture::DepthMap> maps, std::span<const FlowView> flows,
+            const mesh::Vertices& before_mm, mesh::Vertices& vertices_mm);
+
+  /// [SF04 eq. 13, 14]. Onto the depth maps, and every vertex goes where the flow says that its skin went.
   /// flows        of the cameras that see texture
   /// before_mm    [3][vertex_count] the result for the earlier picture
   /// vertices_mm  as above
@@ -153,12 +156,5 @@ class TemplateFitter {
   struct Impl;
   std::unique_ptr<Impl> impl_;
 };
-
-/// Which vertices a lens sees: in front of it, in its picture, turned towards it and behind no other part of
-/// the mesh (drawn with `margin_mm` to spare), and `rim_px` away from where the mesh ends or hides itself:
-/// there a flow mixes what moves differently. [vertex_count] 0 or 1.
-void find_visible(const capture::Lens& lens, const mesh::Vertices& vertices_mm,
-                  const Eigen::Matrix3Xf& normals, const mesh::Triangles& triangles, float margin_mm,
-                  float rim_px, std::vector<std::uint8_t>& visible);
 
 }  // namespace facet::fit

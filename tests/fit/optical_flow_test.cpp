@@ -3,39 +3,11 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <cmath>
-#include <functional>
-
 #include "facet/error.hpp"
-#include "fit/reference_picture.hpp"
+#include "painted_picture.hpp"
 
 namespace facet::fit {
 namespace {
-
-/// A picture of a smooth function.
-Frame painted(int width, int height, const std::function<float(float, float)>& grey) {
-  Frame frame;
-  frame.width_px = width;
-  frame.height_px = height;
-  frame.stride_bytes = 4 * static_cast<std::size_t>(width);
-  auto pixels = std::make_shared<std::uint8_t[]>(frame.stride_bytes * static_cast<std::size_t>(height));
-  for (int y = 0; y < height; ++y) {
-    for (int x = 0; x < width; ++x) {
-      std::uint8_t* at =
-          pixels.get() + static_cast<std::size_t>(y) * frame.stride_bytes + 4 * static_cast<std::size_t>(x);
-      at[0] = at[1] = at[2] =
-          static_cast<std::uint8_t>(std::lround(grey(static_cast<float>(x), static_cast<float>(y))));
-      at[3] = 255;
-    }
-  }
-  frame.pixels = std::move(pixels);
-  return frame;
-}
-
-float texture(float x, float y) {
-  return 128 + 40 * std::sin(0.21F * x + 0.4F * std::sin(0.07F * y)) +
-         40 * std::sin(0.17F * y + 0.5F * std::cos(0.05F * x));
-}
 
 constexpr PixelBox kWhole{0, 0, 160, 120};
 
@@ -106,47 +78,6 @@ TEST(OpticalFlow, DifferentSizesAreRefused) {
   EXPECT_THAT([&] { flow.find(painted(64, 48, texture), painted(80, 48, texture), kWhole, found); },
               ::testing::ThrowsMessage<Error>(::testing::HasSubstr("64x48 and 80x48")));
   EXPECT_THROW(flow.find(Frame(), Frame(), kWhole, found), Error);
-}
-
-/// A plate in front of a camera that shows (x, y, 500 mm) at (x + 80, y + 60).
-TEST(ReferencePicture, DrawsTheSkinWhereTheMeshIs) {
-  capture::Lens lens;
-  lens.width_px = 160;
-  lens.height_px = 120;
-  lens.fx_px = lens.fy_px = 500;
-  lens.cx_px = 80;
-  lens.cy_px = 60;
-  mesh::Vertices plate(3, 4);
-  plate << -40, 40, 40, -40, -30, -30, 30, 30, 500, 500, 500, 500;
-  mesh::Triangles triangles(3, 2);
-  triangles << 0, 0, 1, 2, 2, 3;
-  const std::vector<std::uint8_t> all(4, 1);
-  const ReferencePicture reference(lens, painted(160, 120, texture), plate, triangles, all);
-  const mesh::Vertices moved = plate.colwise() + Eigen::Vector3f(7, -4, 0);
-  std::vector<std::uint8_t> drawn;
-  const Frame now = painted(160, 120, [](float, float) { return 10.0F; });
-  const Frame shown = reference.draw(now, moved, all, drawn);
-  for (int y = 0; y < 120; ++y) {
-    for (int x = 0; x < 160; ++x) {
-      const bool inside = x > 48 && x < 126 && y > 27 && y < 85;
-      const bool outside = x < 46 || x > 128 || y < 25 || y > 87;
-      const int value = shown.row(y)[4 * x];
-      if (inside) {
-        ASSERT_NEAR(value, texture(static_cast<float>(x) - 7, static_cast<float>(y) + 4), 1.01F)
-            << x << ", " << y;
-        ASSERT_EQ(drawn[static_cast<std::size_t>(y) * 160 + static_cast<std::size_t>(x)], 1);
-      } else if (outside) {
-        ASSERT_EQ(value, 10) << x << ", " << y;
-        ASSERT_EQ(drawn[static_cast<std::size_t>(y) * 160 + static_cast<std::size_t>(x)], 0);
-      }
-    }
-  }
-  // A vertex that is not seen takes its triangles with it.
-  std::vector<std::uint8_t> hidden = all;
-  hidden[1] = 0;
-  reference.draw(now, moved, hidden, drawn);
-  EXPECT_EQ(drawn[40 * 160 + 110], 0) << "the triangle at the hidden corner";
-  EXPECT_EQ(drawn[70 * 160 + 60], 1) << "the other one";
 }
 
 }  // namespace

@@ -7,6 +7,7 @@
 
 #include "face_scene.hpp"
 #include "facet/error.hpp"
+#include "maths/srgb.hpp"
 
 namespace facet::fit {
 namespace {
@@ -26,11 +27,42 @@ std::vector<Lens> colour_lenses() {
   return {lens_at(-0.2), lens_at(0.2)};
 }
 
-Frame picture_of(const mesh::Vertices& vertices_mm, const Lens& lens, const Paint& paint) {
+/// From one side and above: the nose's shadow falls on a cheek.
+std::vector<Lens> projector_lenses() {
+  Lens lens = lens_at(-0.7);
+  lens.camera_from_rig = lens.camera_from_rig * Eigen::AngleAxisd(-0.3, Vector3d::UnitX());
+  return {lens};
+}
+
+/// Shares of the light that everything gets.
+Eigen::VectorXf even_light(const render::Raycaster&, const mesh::Vertices& vertices_mm) {
+  return Eigen::VectorXf::Ones(vertices_mm.cols());
+}
+
+/// The projector's, with shadows cast by the mesh, and the room's.
+Eigen::VectorXf projector_light(const render::Raycaster& caster, const mesh::Vertices& vertices_mm) {
+  const Vector3f centre_mm = projector_lenses().front().centre_mm().cast<float>();
+  Eigen::Matrix3Xf normals;
+  mesh::vertex_normals(vertices_mm, surface()->triangles, normals);
+  Eigen::VectorXf light = Eigen::VectorXf::Constant(vertices_mm.cols(), 0.1F);
+  for (Eigen::Index v = 0; v < vertices_mm.cols(); ++v) {
+    const float cosine = normals.col(v).dot((centre_mm - vertices_mm.col(v)).normalized());
+    if (cosine > 0 && !caster.occluded(vertices_mm.col(v) + normals.col(v), centre_mm, 0)) {
+      light[v] += cosine;
+    }
+  }
+  return light;
+}
+
+using Light = Eigen::VectorXf(const render::Raycaster&, const mesh::Vertices&);
+
+Frame picture_of(const mesh::Vertices& vertices_mm, const Lens& lens, const Paint& paint, Light& light) {
   const Eigen::Isometry3f camera_from_rig = lens.camera_from_rig.cast<float>();
   const mesh::Triangles& triangles = surface()->triangles;
   const mesh::Vertices seen =
       (camera_from_rig.linear() * vertices_mm).colwise() + camera_from_rig.translation();
+  const Eigen::Matrix3Xf lit =
+      light(render::Raycaster(vertices_mm, triangles), vertices_mm).transpose().replicate(3, 1);
   const render::HitImage hits = render::Raycaster(seen, triangles)
                                     .cast({static_cast<float>(lens.fx_px), static_cast<float>(lens.fy_px),
                                            static_cast<float>(lens.cx_px), static_cast<float>(lens.cy_px),
@@ -41,10 +73,15 @@ Frame picture_of(const mesh::Vertices& vertices_mm, const Lens& lens, const Pain
   frame.stride_bytes = 4 * static_cast<std::size_t>(lens.width_px);
   auto pixels = std::make_shared<std::uint8_t[]>(4 * hits.triangle.size());
   for (std::size_t i = 0; i < hits.triangle.size(); ++i) {
-    const float grey = hits.triangle[i] < 0
-                           ? 20
-                           : paint(render::interpolate(triangles, hits.triangle[i], hits.barycentric[i],
-                                                       surface()->neutral_mm));
+    float grey = 20;
+    if (hits.triangle[i] >= 0) {
+      const float albedo =
+          maths::decode_srgb(paint(render::interpolate(triangles, hits.triangle[i], hits.barycentric[i],
+                                                       surface()->neutral_mm)) /
+                             255);
+      const float given = render::interpolate(triangles, hits.triangle[i], hits.barycentric[i], lit).x();
+      grey = 255 * maths::encode_srgb(std::min(1.0F, albedo * given));
+    }
     std::fill_n(pixels.get() + static_cast<std::ptrdiff_t>(4 * i), 3,
                 static_cast<std::uint8_t>(std::lround(grey)));
     pixels[static_cast<std::ptrdiff_t>(4 * i + 3)] = 255;
@@ -53,10 +90,11 @@ Frame picture_of(const mesh::Vertices& vertices_mm, const Lens& lens, const Pain
   return frame;
 }
 
-std::vector<Frame> pictures_of(const mesh::Vertices& vertices_mm, const Paint& paint) {
+std::vector<Frame> pictures_of(const mesh::Vertices& vertices_mm, const Paint& paint,
+                               Light& light = even_light) {
   std::vector<Frame> pictures;
   for (const Lens& lens : colour_lenses()) {
-    pictures.push_back(picture_of(vertices_mm, lens, paint));
+    pictures.push_back(picture_of(vertices_mm, lens, paint, light));
   }
   return pictures;
 }
@@ -117,7 +155,7 @@ double drift_mm(const SkinTracker& tracker, const mesh::Vertices& truth_mm) {
 
 TEST(SkinTracker, FollowsTheSkinWithoutDrift) {
   const auto drift_after = [](const SkinTrackerOptions& options, bool with_pictures) {
-    SkinTracker tracker(surface(), colour_lenses(), options);
+    SkinTracker tracker(surface(), colour_lenses(), {}, options);
     for (int slot = 0; slot < 8; ++slot) {
       const mesh::Vertices truth_mm = performance(slot);
       const auto pictures = with_pictures ? pictures_of(truth_mm, skin(1)) : std::vector<Frame>(2);
@@ -132,8 +170,25 @@ TEST(SkinTracker, FollowsTheSkinWithoutDrift) {
   EXPECT_GT(drift_after({}, false), 5 * drift) << "depth alone can't tell";
 }
 
+TEST(SkinTracker, AShadowThatStaysDoesNotHoldTheSkin) {
+  const Paint faint = [](const Vector3f& at) { return 100 + 0.25F * (skin(1)(at) - 128); };
+  const auto drift_after = [&](const std::vector<Lens>& projectors) {
+    SkinTracker tracker(surface(), colour_lenses(), projectors, {});
+    for (int slot = 0; slot < 8; ++slot) {
+      const mesh::Vertices truth_mm = performance(slot);
+      const auto pictures = pictures_of(truth_mm, faint, projector_light);
+      const TemplateFitReport report = slot == 0 ? tracker.start(placed_well(), depths_of(truth_mm), pictures)
+                                                 : tracker.follow(depths_of(truth_mm), pictures);
+      EXPECT_FALSE(report.lost) << report.lost_because;
+    }
+    return drift_mm(tracker, performance(7));
+  };
+  const double drift = drift_after(projector_lenses());
+  EXPECT_LT(drift, 0.8 * drift_after({})) << drift;
+}
+
 TEST(SkinTracker, FindsThePersonAgainAfterAGap) {
-  SkinTracker tracker(surface(), colour_lenses(), {});
+  SkinTracker tracker(surface(), colour_lenses(), {}, {});
   const mesh::Vertices first_mm = performance(0);
   ASSERT_FALSE(tracker.start(placed_well(), depths_of(first_mm), pictures_of(first_mm, skin(1))).lost);
   const TemplateFitReport gone = tracker.follow({}, std::vector<Frame>(2));
@@ -151,7 +206,7 @@ TEST(SkinTracker, FindsThePersonAgainAfterAGap) {
 }
 
 TEST(SkinTracker, SomebodyElseIsNotThePerson) {
-  SkinTracker tracker(surface(), colour_lenses(), {});
+  SkinTracker tracker(surface(), colour_lenses(), {}, {});
   const mesh::Vertices first_mm = performance(0);
   ASSERT_FALSE(tracker.start(placed_well(), depths_of(first_mm), pictures_of(first_mm, skin(1))).lost);
   const mesh::Vertices other_mm = Eigen::Vector3f(1.1F, 0.93F, 1).asDiagonal() * swollen();
@@ -167,7 +222,7 @@ TEST(SkinTracker, SomebodyElseIsNotThePerson) {
 }
 
 TEST(SkinTracker, GoesOnWithThePicturesThatThereAre) {
-  SkinTracker tracker(surface(), colour_lenses(), {});
+  SkinTracker tracker(surface(), colour_lenses(), {}, {});
   for (int slot = 0; slot < 8; ++slot) {
     const mesh::Vertices truth_mm = performance(slot);
     auto pictures = pictures_of(truth_mm, skin(1));
@@ -188,7 +243,7 @@ TEST(SkinTracker, GoesOnWithThePicturesThatThereAre) {
 }
 
 TEST(SkinTracker, GoesBetweenTwoSlotsOnDepthAlone) {
-  SkinTracker tracker(surface(), colour_lenses(), {});
+  SkinTracker tracker(surface(), colour_lenses(), {}, {});
   const mesh::Vertices before_mm = performance(0);
   const mesh::Vertices after_mm = performance(1);
   // Half way the skin bulges by 2 mm, which neither of the slots around it shows.
@@ -240,7 +295,7 @@ TEST(SkinTracker, GoesBetweenTwoSlotsOnDepthAlone) {
 }
 
 TEST(SkinTracker, WrongUseIsNamed) {
-  SkinTracker tracker(surface(), colour_lenses(), {});
+  SkinTracker tracker(surface(), colour_lenses(), {}, {});
   const mesh::Vertices first_mm = performance(0);
   const auto pictures = pictures_of(first_mm, skin(1));
   EXPECT_THROW(tracker.follow(depths_of(first_mm), pictures), Error);
