@@ -118,6 +118,10 @@ struct TakeDesk::Impl {
   json cancel(const json& params);
 
   void cut(const take::CutConfig& cut);  ///< on `cutter`
+  Trim trim_now() const {
+    const Lock lock(mutex);
+    return trim;
+  }
   void end_trim(const std::string& state, const std::string& reason);
 };
 
@@ -139,10 +143,7 @@ std::filesystem::path TakeDesk::Impl::existing(const std::string& name) const {
 
 /// Throws where somebody here works with a take of this name. Who reads it does not mind the studio.
 void TakeDesk::Impl::require_free(const std::string& name, Use use) const {
-  const Trim now = [this] {
-    const Lock lock(mutex);
-    return trim;
-  }();
+  const Trim now = trim_now();
   if (config.recorded() == name) {
     throw Error(ErrorKind::Usage,
                 fmt::format("take '{}' is being recorded: stop it first (record.stop)", name));
@@ -372,8 +373,7 @@ ControlMethods TakeDesk::methods() {
 }
 
 json TakeDesk::trim_status() const {
-  const Lock lock(impl_->mutex);
-  const Trim& trim = impl_->trim;
+  const Trim trim = impl_->trim_now();
   return trim.state.empty() ? json(nullptr)
                             : json{{"take", trim.take},   {"to", trim.to},       {"done", trim.done},
                                    {"total", trim.total}, {"state", trim.state}, {"reason", trim.reason}};

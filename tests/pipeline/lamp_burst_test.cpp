@@ -1,17 +1,25 @@
 #include "pipeline/lamp_burst.hpp"
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <atomic>
 #include <chrono>
+#include <optional>
+#include <string>
 #include <thread>
 #include <utility>
 #include <vector>
 
+#include "facet/error.hpp"
 #include "support/lamp_lines.hpp"
+#include "support/simulated_chip.hpp"
 
 namespace facet::pipeline {
 namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
 
 constexpr std::int64_t kMillisecond_ns = 1'000'000;
 
@@ -84,6 +92,73 @@ TEST(LampBurst, ALineThatFailsEndsItWithTheReason) {
 
 TEST(LampBurst, WithoutLinesThereIsNone) {
   EXPECT_EQ(open_lamps({}), nullptr);
+}
+
+/// Lamps on lines of the kernel's; skipped by name where there is no gpio-sim.
+class LampsOnGpioSim : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    if (const std::string missing = test::SimulatedChip::missing(); !missing.empty()) {
+      GTEST_SKIP() << missing;
+    }
+    chip_.emplace();
+    ASSERT_NE(chip_->name(), "");
+    config_.outputs = {{"left", chip_->name(), "facet2", trigger::LineDrive::PushPull},
+                       {"right", chip_->name(), "facet5", trigger::LineDrive::PushPull}};
+    config_.each_ms = 100;
+  }
+  std::string levels() const { return chip_->level(2) + chip_->level(5); }
+
+  std::optional<test::SimulatedChip> chip_;
+  LampsConfig config_;
+};
+
+TEST_F(LampsOnGpioSim, EachIsOnByItselfAndAllAreOffAtTheEnd) {
+  for (const bool active_low : {false, true}) {
+    config_.active_low = active_low;
+    const std::vector<std::string> wanted =
+        active_low ? std::vector<std::string>{"11", "01", "10", "11", "01", "11"}
+                   : std::vector<std::string>{"00", "10", "01", "00", "10", "00"};
+    std::vector<std::string> was;
+    {
+      const auto lamps = open_lamps(config_);
+      was.push_back(levels());
+      lamps->begin(0);
+      was.push_back(levels());
+      EXPECT_TRUE(lamps->go_on(120 * kMillisecond_ns));
+      was.push_back(levels());
+      EXPECT_TRUE(lamps->go_on(220 * kMillisecond_ns));
+      was.push_back(levels());
+      EXPECT_FALSE(lamps->go_on(320 * kMillisecond_ns));
+      lamps->begin(0);
+      was.push_back(levels());
+      lamps->end();
+      was.push_back(levels());
+    }
+    EXPECT_EQ(was, wanted) << "active low: " << active_low;
+  }
+}
+
+TEST_F(LampsOnGpioSim, EndsWithoutPictures) {
+  const auto lamps = open_lamps(config_);
+  lamps->begin(0);
+  EXPECT_EQ(levels(), "10");
+  while (lamps->is_on()) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  }
+  EXPECT_EQ(levels(), "00");
+}
+
+TEST_F(LampsOnGpioSim, ALineThatIsHeldIsNamedWithItsHolder) {
+  const auto holder = open_lamps(config_);
+  try {
+    open_lamps(config_);
+    ADD_FAILURE() << "taken twice";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::Unavailable);
+    EXPECT_THAT(error.what(), AllOf(HasSubstr("'left'"), HasSubstr(chip_->name()), HasSubstr("facet2"),
+                                    HasSubstr("is held by 'facet lamps'")));
+  }
 }
 
 }  // namespace

@@ -2,16 +2,15 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <unistd.h>
 
 #include <atomic>
-#include <filesystem>
-#include <fstream>
+#include <optional>
 #include <string>
 #include <thread>
 
 #include "bench_of_lines.hpp"
 #include "facet/error.hpp"
+#include "support/simulated_chip.hpp"
 #include "trigger/gpio_trigger.hpp"
 
 namespace facet::trigger {
@@ -19,61 +18,24 @@ namespace {
 
 using namespace std::chrono_literals;
 using ::testing::HasSubstr;
-namespace fs = std::filesystem;
 
-void write(const fs::path& file, const std::string& text) {
-  std::ofstream(file) << text << std::flush;
-}
-
-std::string read(const fs::path& file) {
-  std::string text;
-  std::getline(std::ifstream(file), text);
-  return text;
-}
-
-/// A chip of 8 lines, "facet0" to "facet7"; skipped by name where there is no gpio-sim.
+/// Skipped by name where there is no gpio-sim.
 class GpioSim : public ::testing::Test {
  protected:
   void SetUp() override {
-    const fs::path simulator = "/sys/kernel/config/gpio-sim";
-    if (!fs::exists(simulator)) {
-      GTEST_SKIP() << "no simulated GPIO chip: the kernel's module gpio-sim is not loaded here";
+    if (const std::string missing = test::SimulatedChip::missing(); !missing.empty()) {
+      GTEST_SKIP() << missing;
     }
-    if (::geteuid() != 0) {
-      GTEST_SKIP() << "a simulated GPIO chip can be made by root only";
-    }
-    device_ = simulator / ("facet-test-" + std::to_string(::getpid()));
-    fs::create_directory(device_);
-    fs::create_directory(device_ / "bank0");
-    write(device_ / "bank0/num_lines", "8");
-    for (int i = 0; i < 8; ++i) {
-      const fs::path line = device_ / ("bank0/line" + std::to_string(i));
-      fs::create_directory(line);
-      write(line / "name", "facet" + std::to_string(i));
-    }
-    write(device_ / "live", "1");
-    ASSERT_EQ(read(device_ / "live"), "1");
-    chip_ = read(device_ / "bank0/chip_name");
-    lines_ = fs::path("/sys/devices/platform") / read(device_ / "dev_name") / chip_;
+    chip_.emplace();
+    ASSERT_NE(chip_->name(), "");
     const TriggerProgram program = two_cameras_two_projectors();
     for (std::size_t i = 0; i < program.lines.size(); ++i) {
       config_.outputs.push_back(
-          {program.lines[i].name, chip_, "facet" + std::to_string(i), LineDrive::PushPull});
+          {program.lines[i].name, chip_->name(), "facet" + std::to_string(i), LineDrive::PushPull});
     }
-  }
-  void TearDown() override {
-    if (device_.empty()) {
-      return;
-    }
-    write(device_ / "live", "0");
-    for (int i = 0; i < 8; ++i) {
-      fs::remove(device_ / ("bank0/line" + std::to_string(i)));
-    }
-    fs::remove(device_ / "bank0");
-    fs::remove(device_);
   }
 
-  std::string level(int line) const { return read(lines_ / ("sim_gpio" + std::to_string(line)) / "value"); }
+  std::string level(int line) const { return chip_->level(line); }
   std::string complaint() const {
     try {
       open_gpio_trigger(two_cameras_two_projectors(), config_);
@@ -84,9 +46,7 @@ class GpioSim : public ::testing::Test {
     return "no error";
   }
 
-  fs::path device_;
-  fs::path lines_;
-  std::string chip_;
+  std::optional<test::SimulatedChip> chip_;
   GpioTriggerConfig config_;
 };
 
@@ -110,8 +70,8 @@ TEST_F(GpioSim, LinesRestAtTheirSafeLevel) {
 TEST_F(GpioSim, ALineThatIsHeldIsNamedWithItsHolder) {
   config_.consumer = "another program";
   const auto holder = open_gpio_trigger(two_cameras_two_projectors(), config_);
-  EXPECT_THAT(complaint(), ::testing::AllOf(HasSubstr("'camera.left'"), HasSubstr(chip_), HasSubstr("facet0"),
-                                            HasSubstr("is held by 'another program'")));
+  EXPECT_THAT(complaint(), ::testing::AllOf(HasSubstr("'camera.left'"), HasSubstr(chip_->name()),
+                                            HasSubstr("facet0"), HasSubstr("is held by 'another program'")));
 }
 
 TEST_F(GpioSim, AnUnknownLineIsNamedWithThoseThatAre) {
@@ -123,7 +83,7 @@ TEST_F(GpioSim, AnUnknownLineIsNamedWithThoseThatAre) {
 
 /// A thread is the wire from the left camera's line to an input.
 TEST_F(GpioSim, ReadBackProvesEdges) {
-  config_.read_backs = {{"camera.left", chip_, "facet7", false}};
+  config_.read_backs = {{"camera.left", chip_->name(), "facet7", false}};
   TriggerProgram program = two_cameras_two_projectors();
   program.slots_per_second = 10;
   program.exposure_ns = 50 * kMillisecond;
@@ -132,7 +92,7 @@ TEST_F(GpioSim, ReadBackProvesEdges) {
   std::atomic<bool> cut = false;
   std::thread wire([&] {
     while (!cut) {
-      write(lines_ / "sim_gpio7/pull", level(0) == "1" ? "pull-up" : "pull-down");
+      chip_->pull(7, level(0) == "1" ? "pull-up" : "pull-down");
     }
   });
   trigger->start(0);

@@ -178,6 +178,7 @@ export class Studio {
   /** The keys' animation follows the same rule as the pose. */
   private async toggleBeyond(): Promise<void> {
     this.beyond = !this.beyond;
+    this.draw();
     await this.sendBeyond();
     if (this.keys.keys.length > 0) {
       this.keys.beyond = this.beyond;

@@ -29,8 +29,10 @@ class Rig:
     log = Path("/tmp/rig/log")
     facet_program = BIN / "facet"
 
-    def __init__(self, chip):
+    def __init__(self, chip, lamps=()):
+        """lamps: which hang on the pattern's first lines; the slots say what lights them."""
         self.chip = chip
+        self.lamps = lamps
         for folder in (self.config.parent, self.sockets, self.takes):
             folder.mkdir(parents=True, exist_ok=True)
         self.cameras = [Lines("usb_camera", f"--port={port}", f"--lines={chip.folder}", f"--pattern-lines={PATTERN_LINES}",
@@ -52,6 +54,9 @@ class Rig:
                       f"rate_hz = {RATE}.0", "stall_after_ms = 2000"]
         lines += ["[trigger]", 'kind = "gpio"', f"slots_per_second = {RATE}.0", f"settle_us = {slot_us // 8}",
                   f"exposure_us = {slot_us // 2}", f"tolerance_us = {slot_us // 4}", f"patterns = {json.dumps(patterns)}"]
+        if self.lamps:
+            lit = [[lamp for i, lamp in enumerate(self.lamps) if slot >> i & 1] for slot in range(1 << PATTERN_LINES)]
+            lines.append(f"light = {json.dumps(['light:' + '+'.join(names) if names else 'dark' for names in lit])}")
         for i, name in enumerate([*bits, "cameras"]):
             lines += ["[[trigger.line]]", f'name = "{name}"', f'role = "{"camera" if name == "cameras" else "projector"}"',
                       f'chip = "{self.chip.label}"', f'line = "{i}"']
@@ -125,15 +130,16 @@ class Rig:
         wait_until(lambda: not any(Path(device).exists() for device in CAMERAS), 10, "the cameras stay")
 
 
-def check_take(take, until_ns=None, most_lost_s=1.0):
-    """Every picture of a take stands in its slot's set; the counts. until_ns: when the recording met its end; at most so much
-    before it may be lost."""
-    done = subprocess.run([BIN / "check_take", take], capture_output=True, text=True, check=False)
+def check_take(take, until_ns=None, most_lost_s=1.0, lamps=()):
+    """Every picture of a take stands in its slot's set, and shows the lamps that the set says where there are some; the counts.
+    until_ns: when the recording met its end; at most so much before it may be lost."""
+    done = subprocess.run([BIN / "check_take", take, *([f"--lamps={','.join(lamps)}"] if lamps else [])], capture_output=True, text=True, check=False)
     check(done.returncode in (0, 1), f"check_take: {done.stderr}")
     told = json.loads(done.stdout)
     figure("sets recorded, complete; pictures right, wrong",
            [told["sets"], told["complete"], told["right"], len(told["wrong"])])
     check(not told["wrong"], f"pictures in the wrong set: {told['wrong'][:5]}")
+    check(not told["otherwise_lit"], f"pictures under another light: {told['otherwise_lit'][:5]}")
     check(told["right"] > 0 and told["unreadable"] == 0, told)
     if until_ns is not None:
         lost_s = (until_ns - told["last_trigger_ns"]) / 1e9

@@ -28,6 +28,13 @@ def gpio_tests():
 
 
 @test
+def lamp_tests():
+    """The lamps of a kiosk on lines of gpio-sim: tests/pipeline/lamp_burst_test.cpp."""
+    guest.gtest("test_pipeline", "LampsOnGpioSim.*")
+    return "reported"
+
+
+@test
 def line_held_by_another_program():
     """The error names chip, line and holder; once the line is free all is well."""
     with Chip("held", 10) as chip:

@@ -32,6 +32,28 @@ def sets_are_recorded_in_their_slots():
 
 
 @test
+def sets_say_which_lamps_lit_them():
+    """Two lamps on lines of the trigger: what the cameras saw of them is what every set says, though one camera comes and goes."""
+    lamps = ("top", "low")
+    with Rig(CHIP, lamps) as rig:
+        rig.wait_sets(10)
+        take = rig.record("lamps")
+        rig.wait_sets(30)
+        rig.cameras[0].tell("skip 3")
+        rig.cameras[1].tell("unplug")
+        rig.wait(lambda now: now["cameras"][1]["state"] == "absent", "the unplugging is not noticed")
+        rig.cameras[1].tell("plug")
+        rig.wait_sets(30)
+        rig.facet("record", "stop")
+        rig.stop()
+    told = check_take(take, lamps=lamps)
+    figure("pictures that show their set's light", told["lit"])
+    check(told["lit"] == told["right"] > 60, told)
+    wrong = json.loads(subprocess.run([BIN / "check_take", take, "--lamps=low,top"], capture_output=True, text=True, check=False).stdout)
+    check(len(wrong["otherwise_lit"]) > 20, "lamps with their names exchanged are not told")
+
+
+@test
 def a_camera_comes_and_goes():
     """One camera is unplugged, plugged, frozen; the other goes on, and no picture changes its set."""
     with Rig(CHIP) as rig:
