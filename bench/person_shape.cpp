@@ -10,10 +10,12 @@
 #include <ctime>
 #include <filesystem>
 #include <fstream>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <numbers>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "face/face_parts.hpp"
@@ -154,8 +156,9 @@ struct SkinTruth {
   /// [texel] of the truth over the surface through the vertices as it bends between them (half of Phong's
   /// tessellation), mm; and over the triangles.
   Eigen::ArrayXf height_mm, over_triangles_mm;
-  std::vector<char> known;  ///< [texel]
-  std::vector<char> plain;  ///< [texel] skin, and neither lids, nose nor mouth
+  std::vector<char> known;           ///< [texel]
+  std::vector<char> plain;           ///< [texel] skin, and neither lids, nose nor mouth
+  std::vector<face::FacePart> part;  ///< [texel] of its first corner
 };
 
 float brightness(const Eigen::Vector3f& rgb) {
@@ -183,12 +186,14 @@ SkinTruth skin_truth(const face::FaceModel& model, const person::LearnedShape& l
                 {},
                 {},
                 {},
+                {},
                 {}};
   const auto count = static_cast<Eigen::Index>(out.chart.triangle().size());
   out.normals = out.true_normals = out.true_albedo = Eigen::Matrix3Xf::Zero(3, count);
   out.height_mm = out.over_triangles_mm = Eigen::ArrayXf::Zero(count);
   out.known.assign(static_cast<std::size_t>(count), 0);
   out.plain = out.known;
+  out.part.resize(static_cast<std::size_t>(count));
   const std::vector<face::FacePart> parts = face::control_parts(model);
   Eigen::Matrix3Xf normals;
   mesh::vertex_normals(out.placed_mm, triangles, normals);
@@ -203,6 +208,7 @@ SkinTruth skin_truth(const face::FaceModel& model, const person::LearnedShape& l
     out.normals.col(i) = out.chart.spread(normals, texel).stableNormalized();
     const auto closest = truth.caster().closest_point(at, 20);
     const auto of_texel = triangles.col(out.chart.triangle()[texel]);
+    out.part[texel] = parts[static_cast<std::size_t>(of_texel[0])];
     out.plain[texel] = std::all_of(of_texel.begin(), of_texel.end(), [&](std::int32_t v) {
       const face::FacePart part = parts[static_cast<std::size_t>(v)];
       return model.control.refinable[static_cast<std::size_t>(v)] != 0 && part != face::FacePart::Lids &&
@@ -380,17 +386,25 @@ void print_relief(const Options& options, const person::Skin& skin, const SkinTr
     const Eigen::ArrayXf found = band(relief, weight, skin.chart.width, low * per_mm, high * per_mm);
     const Eigen::ArrayXf there = band(truth.height_mm, weight, skin.chart.width, low * per_mm, high * per_mm);
     Agreement agreement;
+    std::map<face::FacePart, Agreement> of_part;
     for (Eigen::Index i = 0; i < count; ++i) {
       if (whole[i] > 0.97F) {
         agreement.add(found[i], there[i]);
+        of_part[truth.part[static_cast<std::size_t>(i)]].add(found[i], there[i]);
       }
       if (weight[i] > 0) {
         pictures[0].col(i).array() += 0.25F + 2 * found[i];
         pictures[1].col(i).array() += 0.25F + 2 * there[i];
       }
     }
-    fmt::print(" {:.0f} to {:.0f} mm correlation {:.3f}, depth {:.3f};", low, high, agreement.correlation(),
+    fmt::print(" {:.0f} to {:.0f} mm correlation {:.3f}, depth {:.3f} (", low, high, agreement.correlation(),
                agreement.depth());
+    const char* between = "";
+    for (const auto& [part, one] : of_part) {
+      fmt::print("{}{} {:.2f}, {:.2f}", std::exchange(between, "; "),
+                 face::kFacePartNames.at(static_cast<std::size_t>(part)), one.correlation(), one.depth());
+    }
+    fmt::print(");");
   }
   double before = 0;
   double after = 0;

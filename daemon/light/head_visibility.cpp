@@ -14,17 +14,14 @@ namespace {
 constexpr float kPixelMm = 1.25F;
 // A vertex looks from so far above the skin, so that a flat mesh does not hide itself.
 constexpr float kLiftMm = 2;
+// Of a lamp: what is nearer lies beside it.
+constexpr float kNearestMm = 50;
 
-/// Depths of a head seen from far away in one direction; what is nearer to the eye is larger.
+/// Depths of what is seen in one direction; what is nearer to the eye is larger. Points are x and y in pixels
+/// of the map, and depth.
 class DepthMap {
  public:
-  DepthMap(const mesh::Vertices& vertices_mm, const mesh::Triangles& triangles,
-           const Eigen::Vector3f& direction) {
-    const Eigen::Vector3f beside = direction.unitOrthogonal();
-    map_from_head_.row(0) = beside.transpose() / kPixelMm;
-    map_from_head_.row(1) = direction.cross(beside).transpose() / kPixelMm;
-    map_from_head_.row(2) = direction.transpose();
-    const Eigen::Matrix3Xf points = map_from_head_ * vertices_mm;
+  DepthMap(const Eigen::Matrix3Xf& points, const mesh::Triangles& triangles) {
     low_ = points.topRows<2>().rowwise().minCoeff().array() - 2;
     const Eigen::Array2f high = points.topRows<2>().rowwise().maxCoeff().array() + 3;
     size_ = (high - low_).ceil().cast<int>();
@@ -36,8 +33,7 @@ class DepthMap {
   }
 
   /// Share of the four pixels around a point that nothing nearer covers, 0 to 1, by bilinear weights.
-  float seen_from(const Eigen::Vector3f& head_mm) const {
-    const Eigen::Vector3f point = map_from_head_ * head_mm;
+  float seen(const Eigen::Vector3f& point) const {
     const Eigen::Array2f at = point.head<2>().array() - low_;
     const Eigen::Array2i first = at.floor().cast<int>();
     if ((first < 0).any() || (first + 1 >= size_).any()) {
@@ -66,7 +62,6 @@ class DepthMap {
                          });
   }
 
-  Eigen::Matrix3f map_from_head_;
   Eigen::Array2f low_;
   Eigen::Array2i size_;
   std::vector<float> depths_;  ///< [height][width] along the direction, mm
@@ -80,13 +75,45 @@ HeadVisibility::HeadVisibility(const mesh::Vertices& vertices_mm, const Eigen::M
       seen_(vertex_count_ * static_cast<std::size_t>(kRoomDirections)) {
   const mesh::Vertices lifted = vertices_mm + kLiftMm * normals;
   for (int d = 0; d < kRoomDirections; ++d) {
-    const DepthMap map(vertices_mm, triangles, room_directions().col(d));
+    const Eigen::Vector3f direction = room_directions().col(d);
+    const Eigen::Vector3f beside = direction.unitOrthogonal();
+    Eigen::Matrix3f map_from_head;
+    map_from_head << beside.transpose() / kPixelMm, direction.cross(beside).transpose() / kPixelMm,
+        direction.transpose();
+    const DepthMap map(map_from_head * vertices_mm, triangles);
     std::uint8_t* const out = seen_.data() + static_cast<std::size_t>(d) * vertex_count_;
     for (std::size_t v = 0; v < vertex_count_; ++v) {
       out[v] = static_cast<std::uint8_t>(
-          std::lround(255 * map.seen_from(lifted.col(static_cast<Eigen::Index>(v)))));
+          std::lround(255 * map.seen(map_from_head * lifted.col(static_cast<Eigen::Index>(v)))));
     }
   }
+}
+
+Eigen::ArrayXf seen_from_lamp(const mesh::Vertices& vertices_mm, const Eigen::Matrix3Xf& normals,
+                              const mesh::Triangles& triangles, const Eigen::Vector3f& place_mm) {
+  const Eigen::Vector3f middle_mm = vertices_mm.rowwise().mean();
+  const float distance_mm = (place_mm - middle_mm).norm();
+  const Eigen::Vector3f towards = (place_mm - middle_mm) / distance_mm;
+  const Eigen::Vector3f beside = towards.unitOrthogonal();
+  const Eigen::Vector3f above = towards.cross(beside);
+  // As the lamp sees it: straight edges stay straight, and so does 1 / distance along them.
+  const auto drawn = [&](const Eigen::Vector3f& at_mm) -> Eigen::Vector3f {
+    const Eigen::Vector3f from_middle = at_mm - middle_mm;
+    const float ahead_mm = std::max(distance_mm - towards.dot(from_middle), kNearestMm);
+    const float zoom = distance_mm / ahead_mm;
+    return {zoom * beside.dot(from_middle) / kPixelMm, zoom * above.dot(from_middle) / kPixelMm,
+            distance_mm * zoom};
+  };
+  Eigen::Matrix3Xf points(3, vertices_mm.cols());
+  for (Eigen::Index v = 0; v < points.cols(); ++v) {
+    points.col(v) = drawn(vertices_mm.col(v));
+  }
+  const DepthMap map(points, triangles);
+  Eigen::ArrayXf out(points.cols());
+  for (Eigen::Index v = 0; v < points.cols(); ++v) {
+    out[v] = map.seen(drawn(vertices_mm.col(v) + kLiftMm * normals.col(v)));
+  }
+  return out;
 }
 
 }  // namespace facet::light

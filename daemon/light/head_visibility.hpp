@@ -32,4 +32,10 @@ class HeadVisibility {
   std::vector<std::uint8_t> seen_;  ///< [kRoomDirections][vertex_count]
 };
 
+/// The same of a small lamp: [vertex_count] 0 to 1, how much of it a vertex sees past the head.
+///
+/// place_mm  head frame, outside of the head
+Eigen::ArrayXf seen_from_lamp(const mesh::Vertices& vertices_mm, const Eigen::Matrix3Xf& normals,
+                              const mesh::Triangles& triangles, const Eigen::Vector3f& place_mm);
+
 }  // namespace facet::light

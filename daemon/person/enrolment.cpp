@@ -191,7 +191,8 @@ class Enrolment {
     const int pictures =
         2 * options_.rounds * static_cast<int>(pictures_.size()) + static_cast<int>(order_.size());
     const int steps = (options_.rounds + kTurns - 1) * kShapeSteps;
-    const int skin = looks_for_relief() ? skin_pieces(static_cast<int>(pictures_.size())) : 0;
+    const int skin =
+        looks_for_relief() ? skin_pieces(static_cast<int>(pictures_.size()), observed_.light_count()) : 0;
     return !progress_ || progress_(done_, pictures + steps + skin);
   }
 

@@ -21,7 +21,7 @@ enum class KeyframeExpression {
 
 struct EnrolmentOptions {
   int keyframes = 14;
-  int lit = 12;  ///< pictures of a burst
+  int lit = 24;  ///< pictures of a burst
   int rounds = 3;
   int chart_texels = 640;
   bool focal_is_known = false;

@@ -2,13 +2,16 @@
 
 #include <algorithm>
 #include <array>
+#include <map>
 #include <numeric>
 #include <opencv2/imgproc.hpp>
+#include <tuple>
 #include <utility>
 #include <vector>
 
 #include "maths/srgb.hpp"
 #include "mesh/quads.hpp"
+#include "person/burst_lamp.hpp"
 #include "person/chart_view.hpp"
 #include "person/relief_solve.hpp"
 #include "person/skin_albedo.hpp"
@@ -41,7 +44,20 @@ constexpr float kMostAlbedoFactor = 2;
 /// What a picture under a light of its own counts as: those of a turn have one light, whose faults are
 /// theirs.
 constexpr float kLitCounts = 4;
-constexpr float kReliefCounts = 0.02F;  ///< what the albedo found counts as, of one picture's worth
+constexpr float kLampCounts = 12;  ///< the same under a lamp that was found
+/// Of what a lamp gave, that may be left over.
+constexpr float kMostUnexplained = 0.3F;
+/// Cosine of 40 degrees, which two of the lamps are to stand apart at least.
+constexpr float kApart = 0.766F;
+/// What a lamp's light is off by far and wide is not the relief's: a bell of this standard deviation, mm.
+constexpr double kEvenMm = 14;
+/// Of the usual brightness that a lamp took from skin, and of how much skin: then the other light was one,
+/// too.
+constexpr float kLess = 0.05F;
+constexpr float kMostLess = 0.05F;
+constexpr float kLeastExpected = 1e-4F;  ///< of the squared bound: less is no light
+constexpr float kMostUneven = 2;         ///< times as bright as expected, or as dark
+constexpr float kReliefCounts = 0.02F;   ///< what the albedo found counts as, of one picture's worth
 /// Pictures' worth of weight between which the relief fades in, and its way to the chart's rim.
 constexpr float kFewestSeen = 1;
 constexpr float kEnoughSeen = 3;
@@ -70,8 +86,9 @@ class SkinSolve {
         triangles_(mesh::split_quads(model.control.quads)),
         chart_(face_chart(model, chart_texels)),
         surface_mm_(solver.surface(solver.heads().front().expression).cast<float>()),
+        normals_(normals_of(surface_mm_, triangles_)),
         texels_(chart_, triangles_, surface_mm_),
-        visibility_(visibility_of(surface_mm_, triangles_)),
+        visibility_(surface_mm_, normals_, triangles_),
         light_(texels_, visibility_, turns_of(solver), rooms_of(keyframes)) {
     const auto count = static_cast<Eigen::Index>(keyframes.size());
     all_.weight.resize(count, texels_.count());
@@ -84,6 +101,10 @@ class SkinSolve {
       between_();
       ChartView view =
           chart_view(chart_, triangles_, keyframes[k].picture, solver, solver.heads()[k], centre_px);
+      const HeadState& head = solver.heads()[k];
+      Eigen::Isometry3f& pose = poses_.emplace_back(Eigen::Isometry3f::Identity());
+      pose.linear() = head.rotation.cast<float>();
+      pose.translation() = head.translation_mm.cast<float>();
       shots_.push_back({std::move(view.x_px), std::move(view.y_px), std::move(view.weight), held_texels()});
     }
     sample_pictures();
@@ -108,7 +129,8 @@ class SkinSolve {
     out.seen.assign(seen.ptr<float>(), seen.ptr<float>() + seen.total());
     const cv::Mat fading = fade(seen);
     Eigen::ArrayXf albedo_factor;
-    const Eigen::VectorXd relief = find_relief(albedo, of_texels(fading), out.agreement, albedo_factor);
+    const Eigen::VectorXd relief =
+        find_relief(albedo, of_texels(fading), out.agreement, albedo_factor, out.lamps);
     out.believed = out.agreement >= kLeastAgreement && out.residual <= kMostResidual;
     out.chart.relief_mm.assign(seen.total(), 0);
     out.chart.albedo.assign(3 * seen.total(), 0);
@@ -128,11 +150,10 @@ class SkinSolve {
   }
 
  private:
-  static light::HeadVisibility visibility_of(const mesh::Vertices& surface_mm,
-                                             const mesh::Triangles& triangles) {
+  static Eigen::Matrix3Xf normals_of(const mesh::Vertices& surface_mm, const mesh::Triangles& triangles) {
     Eigen::Matrix3Xf normals;
     mesh::vertex_normals(surface_mm, triangles, normals);
-    return {surface_mm, normals, triangles};
+    return normals;
   }
 
   static std::vector<Eigen::MatrixXd> turns_of(const ShapeSolver& solver) {
@@ -305,8 +326,9 @@ class SkinSolve {
   ///
   /// fade           [texel_count] what of the relief is kept
   /// albedo_factor  [texel_count] what the relief makes of the albedo
+  /// lamps          how many a burst has that stand at a place
   Eigen::VectorXd find_relief(const SkinAlbedo& albedo, const Eigen::ArrayXf& fade, double& agreement,
-                              Eigen::ArrayXf& albedo_factor) {
+                              Eigen::ArrayXf& albedo_factor, int& lamps) {
     shots_.clear();
     AlbedoPrior prior;
     prior.brightness.resize(texels_.count());
@@ -342,6 +364,7 @@ class SkinSolve {
     for (const Keyframe& keyframe : keyframes_) {
       counts.push_back(keyframe.light == 0 ? 1 : kLitCounts);
     }
+    lamps = put_lamps(prior, pictures, counts);
     agreement = agreement_of_halves(texels_.grid, pictures, prior, relief_prior, halves(), kReliefBound);
     between_();
     const Eigen::VectorXd flat = Eigen::VectorXd::Zero(texels_.count());
@@ -353,6 +376,142 @@ class SkinSolve {
     };
     albedo_factor = (of(relief) / of(flat).max(1e-6F)).max(1 / kMostAlbedoFactor).min(kMostAlbedoFactor);
     return relief;
+  }
+
+  /// Rows of what is taken, [texel_count]: weighted mean, and the sum of weights.
+  static std::pair<Eigen::ArrayXf, Eigen::ArrayXf> mean_of(const ShadedPictures& pictures,
+                                                           const std::vector<Eigen::Index>& rows) {
+    Eigen::ArrayXf sum = Eigen::ArrayXf::Zero(pictures.weight.cols());
+    Eigen::ArrayXf weight = sum;
+    for (const Eigen::Index k : rows) {
+      sum += (pictures.weight.row(k).array() * pictures.brightness.row(k).array()).transpose();
+      weight += pictures.weight.row(k).array().transpose();
+    }
+    return {sum / weight.max(kShown), weight};
+  }
+
+  /// [texel_count] by what a lamp's light is brighter than expected, far and wide: what the mesh is off by
+  /// and the light that skin throws on skin make of it.
+  Eigen::ArrayXf unevenness(const Eigen::ArrayXf& found, const Eigen::ArrayXf& expected,
+                            const Eigen::ArrayXf& weight, float bound) const {
+    const Eigen::ArrayXf counts = weight * ((found - expected).abs() < bound).cast<float>();
+    const double sigma = kEvenMm / texels_.texel_mm;
+    const Eigen::ArrayXf above = of_texels(blurred(texels_.image(counts * found * expected), sigma));
+    const Eigen::ArrayXf below = of_texels(blurred(texels_.image(counts * expected.square()), sigma));
+    const float least = kLeastExpected * bound * bound;
+    return (below > least).select((above / below.max(least)).max(1 / kMostUneven).min(kMostUneven), 1.0F);
+  }
+
+  /// The lights of a burst by their pictures' rows; first the darkest, which is the room's alone.
+  std::vector<std::vector<Eigen::Index>> burst_lights(const ShadedPictures& pictures) const {
+    std::map<int, std::vector<Eigen::Index>> rows;
+    for (std::size_t k = 0; k < keyframes_.size(); ++k) {
+      if (keyframes_[k].light > 0) {
+        rows[keyframes_[k].light].push_back(static_cast<Eigen::Index>(k));
+      }
+    }
+    std::vector<std::pair<float, std::vector<Eigen::Index>>> lights;
+    for (auto& [light, of] : rows) {
+      const auto [mean, weight] = mean_of(pictures, of);
+      lights.emplace_back((mean * weight).sum() / std::max(weight.sum(), kShown), std::move(of));
+    }
+    std::sort(lights.begin(), lights.end());
+    std::vector<std::vector<Eigen::Index>> out;
+    out.reserve(lights.size());
+    for (auto& [brightness, of] : lights) {
+      out.push_back(std::move(of));
+    }
+    return out;
+  }
+
+  /// A light of a burst that is a lamp.
+  struct FoundLamp {
+    std::vector<Eigen::Index> rows;  ///< of its pictures
+    std::vector<LitPicture> pictures;
+    BurstLamp lamp;
+  };
+
+  struct FoundLamps {
+    Eigen::ArrayXf dark;  ///< [texel_count] what the room's light alone shows
+    std::vector<FoundLamp> lamps;
+  };
+
+  FoundLamps find_lamps(const LitSurface& surface, const AlbedoPrior& albedo,
+                        const ShadedPictures& pictures) const {
+    FoundLamps out;
+    const std::vector<std::vector<Eigen::Index>> lights = burst_lights(pictures);
+    if (lights.size() < 2) {
+      return out;
+    }
+    Eigen::ArrayXf known;
+    std::tie(out.dark, known) = mean_of(pictures, lights.front());
+    known = (known > kShown).cast<float>();
+    for (auto rows = lights.begin() + 1; rows != lights.end(); ++rows) {
+      between_();
+      std::vector<LitPicture> lit;
+      lit.reserve(rows->size());
+      for (const Eigen::Index k : *rows) {
+        lit.push_back({poses_[static_cast<std::size_t>(k)], pictures.brightness.row(k),
+                       known * pictures.weight.row(k).transpose().array()});
+      }
+      std::optional<BurstLamp> lamp =
+          find_burst_lamp(surface, visibility_, lit, out.dark, albedo.brightness, albedo.usual_brightness);
+      if (!lamp || lamp->unexplained > kMostUnexplained) {
+        continue;
+      }
+      // Some of the skin got more light without: that was no dark picture.
+      const auto [mean, weight] = mean_of(pictures, *rows);
+      const float exposure = std::accumulate(lamp->exposure.begin(), lamp->exposure.end(), 0.0F) /
+                             static_cast<float>(lamp->exposure.size());
+      const float least = -kLess * albedo.usual_brightness;
+      const Eigen::ArrayXf less = (mean - exposure * out.dark < least).cast<float>();
+      if ((known * weight * less).sum() <= kMostLess * (known * weight).sum()) {
+        out.lamps.push_back({*rows, std::move(lit), std::move(*lamp)});
+      }
+    }
+    return out;
+  }
+
+  /// Whether lamps stand around a face far enough from each other that it tells their light from the room's.
+  bool stand_apart(const std::vector<FoundLamp>& lamps) const {
+    float least = 1;  // cosine
+    for (const FoundLamp& a : lamps) {
+      const Eigen::Vector3f middle_mm = a.pictures.front().camera_from_head * surface_mm_.rowwise().mean();
+      for (const FoundLamp& b : lamps) {
+        least = std::min(
+            least,
+            (a.lamp.place_mm - middle_mm).normalized().dot((b.lamp.place_mm - middle_mm).normalized()));
+      }
+    }
+    return least <= kApart;
+  }
+
+  /// Of a burst: lamps that are found in its pictures stand for what was found of the light in each, and what
+  /// the room gave is taken off. Returns how many.
+  int put_lamps(const AlbedoPrior& albedo, ShadedPictures& pictures, std::vector<float>& counts) const {
+    const LitSurface surface{texels_, surface_mm_, normals_, triangles_};
+    const FoundLamps found = find_lamps(surface, albedo, pictures);
+    if (!stand_apart(found.lamps)) {
+      return 0;
+    }
+    for (const auto& [rows, shown, lamp] : found.lamps) {
+      for (std::size_t j = 0; j < rows.size(); ++j) {
+        const Eigen::Index k = rows[j];
+        const LampShading light = lamp_shading(surface, lamp, shown[j].camera_from_head);
+        const Eigen::ArrayXf given = shown[j].brightness - lamp.exposure[j] * found.dark;
+        const Eigen::ArrayXf trusted = shown[j].weight * light.trust;
+        const Eigen::ArrayXf expected = lamp.strength[j] * albedo.brightness * light.shading;
+        const Eigen::ArrayXf strength =
+            lamp.strength[j] * unevenness(given, expected, trusted, kReliefBound * albedo.usual_brightness);
+        pictures.brightness.row(k) = given;
+        pictures.weight.row(k) = trusted;
+        pictures.shading.row(k) = strength * light.shading;
+        pictures.slope_u.row(k) = strength * light.slope_u;
+        pictures.slope_v.row(k) = strength * light.slope_v;
+        counts[static_cast<std::size_t>(k)] = kLampCounts;
+      }
+    }
+    return static_cast<int>(found.lamps.size());
   }
 
   /// [height][width] 1 where enough is seen, 0 at the rim and beyond.
@@ -378,10 +537,12 @@ class SkinSolve {
   mesh::Triangles triangles_;
   TextureChart chart_;
   mesh::Vertices surface_mm_;  ///< head frame
+  Eigen::Matrix3Xf normals_;   ///< of its vertices
   SkinTexels texels_;
   light::HeadVisibility visibility_;
   SkinLight light_;
   std::vector<Shot> shots_;
+  std::vector<Eigen::Isometry3f> poses_;  ///< [keyframe] camera from head
   SkinSamples all_;
 };
 
@@ -402,8 +563,8 @@ Skin find_skin(const face::FaceModel& model, int chart_texels, const std::vector
   return SkinSolve(model, chart_texels, keyframes, solver, centre_px, between).run(scale_of(solver));
 }
 
-int skin_pieces(int keyframes) {
-  return (1 + kRegistrations) * keyframes + kTurns + 2;
+int skin_pieces(int keyframes, int lights) {
+  return (1 + kRegistrations) * keyframes + kTurns + 2 + std::max(lights - 1, 0);
 }
 
 }  // namespace facet::person

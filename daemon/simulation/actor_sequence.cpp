@@ -114,8 +114,8 @@ struct ActorSequence::Impl {
   Lighting light_of(int index, int& lamp) const {
     lamp = -1;
     const int since = index - static_cast<int>(std::lround((kCalmTurn_s - config.start_s) * config.rate_hz));
-    if (config.burst && since >= 0) {
-      return burst_light(lighting, placed.resting_pivot_mm(), since, lamp);
+    if (config.burst != Burst::None && since >= 0) {
+      return burst_light(config.burst, lighting, placed.resting_pivot_mm(), since, lamp);
     }
     if (lighting.kind == LightKind::Strobe) {
       lamp = index % static_cast<int>(lighting.area_lights.size());

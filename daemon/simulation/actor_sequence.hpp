@@ -34,7 +34,7 @@ struct ActorSequenceConfig {
   /// What the actor does; as in PerformanceConfig.
   double start_s = 0;
   bool calm_turn = false;
-  bool burst = false;  ///< after a calm turn lamps fire in turn (burst_light)
+  Burst burst = Burst::None;  ///< after a calm turn (burst_light)
   std::shared_ptr<const RecordedCurves> curves = nullptr;
   double turn_deg = 0;  ///< besides its own motion the head turns to the subject's left by so much and back
   /// More than one: further cameras stand to both sides of the first one, each with an exposure and a white

@@ -114,6 +114,36 @@ void add_strobe(const Vector3f& head_mm, Lighting& lighting) {
   }
 }
 
+constexpr int kBurstLights = 4;
+
+AreaLight burst_lamp(const Vector3f& head_mm, int lamp) {
+  constexpr std::array<std::array<float, 2>, kBurstLights> kFrom{{{-27, 10}, {27, 10}, {0, 30}, {0, -27}}};
+  constexpr float kDistance_mm = 600;
+  const auto& [azimuth_deg, elevation_deg] = kFrom.at(static_cast<std::size_t>(lamp));
+  return diode(head_mm, azimuth_deg, elevation_deg, kDistance_mm);
+}
+
+/// Left, right, upper, lower half of a screen, the camera in the middle of whose upper edge looks along its
+/// normal.
+AreaLight screen_half(const Vector3f& head_mm, int half) {
+  constexpr float kWidth_mm = 530;
+  constexpr float kHeight_mm = 300;
+  constexpr float kBelowCamera_mm = 15;
+  const bool beside = half < 2;
+  const float sign = half % 2 == 0 ? -1.0F : 1.0F;
+  AreaLight light;
+  light.half_u_mm = Vector3f(beside ? kWidth_mm / 4 : kWidth_mm / 2, 0, 0);
+  light.half_v_mm = Vector3f(0, beside ? kHeight_mm / 2 : kHeight_mm / 4, 0);
+  light.centre_mm = Vector3f(beside ? sign * kWidth_mm / 4 : 0,
+                             kBelowCamera_mm + kHeight_mm / 2 + (beside ? 0 : sign * kHeight_mm / 4), 0);
+  light.normal = Vector3f(0, 0, 1);
+  light.reference_distance_mm = (light.centre_mm - head_mm).norm();
+  // It is the head that gets 1, not what lies along the screen's normal.
+  const float cosine = light.normal.dot(head_mm - light.centre_mm) / light.reference_distance_mm;
+  light.irradiance = Vector3f::Constant(1 / cosine);
+  return light;
+}
+
 Lighting make_near_lighting(LightKind kind, std::uint64_t seed, const Vector3f& head_mm) {
   Random random(seed, 32);
   Lighting lighting;
@@ -155,6 +185,8 @@ struct NamedLight {
   const char* name;
   LightKind kind;
 };
+constexpr std::array<std::pair<const char*, Burst>, 3> kBursts{
+    {{"lamps", Burst::Lamps}, {"screen", Burst::Screen}, {"dim-screen", Burst::DimScreen}}};
 constexpr std::array<NamedLight, 6> kNames{{{"sh", LightKind::SphericalHarmonics},
                                             {"area", LightKind::Area},
                                             {"lamps", LightKind::Lamps},
@@ -249,37 +281,50 @@ Lighting make_lighting(LightKind kind, std::uint64_t seed, const Eigen::Vector3f
   return lighting;
 }
 
-Lighting burst_light(const Lighting& room, const Vector3f& head_mm, int frame, int& lamp) {
-  constexpr std::array<std::array<float, 2>, 4> kFrom{{{-27, 10}, {27, 10}, {0, 30}, {0, -27}}};
-  constexpr float kDistance_mm = 600;
+Burst parse_burst(const std::string& name) {
+  const auto found =
+      std::find_if(kBursts.begin(), kBursts.end(), [&](const auto& one) { return one.first == name; });
+  if (found == kBursts.end()) {
+    throw Error(ErrorKind::Usage, fmt::format("--burst '{}': lamps, screen or dim-screen", name));
+  }
+  return found->second;
+}
+
+std::string burst_name(Burst burst) {
+  const auto found =
+      std::find_if(kBursts.begin(), kBursts.end(), [&](const auto& one) { return one.second == burst; });
+  return found == kBursts.end() ? "" : found->first;
+}
+
+Lighting burst_light(Burst burst, const Lighting& room, const Vector3f& head_mm, int frame, int& lamp) {
   constexpr int kFrames = 3;
-  constexpr float kHalf = 0.5F;
+  const float share = burst == Burst::Screen ? 0.2F : 0.5F;  // of all light that is the fired one's
   Lighting now = room;
   float main = 0;
   for (const float strength : room.main_strengths) {
-    main = std::max(main, strength);
+    // A ring's diodes are one lamp.
+    main = room.kind == LightKind::Ring ? main + strength : std::max(main, strength);
   }
   for (float& coefficient : now.spherical_harmonics) {
-    coefficient *= kHalf;
+    coefficient *= 1 - share;
   }
   for (AreaLight& light : now.area_lights) {
-    light.irradiance *= kHalf;
+    light.irradiance *= 1 - share;
   }
   for (float& strength : now.main_strengths) {
-    strength *= kHalf;
+    strength *= 1 - share;
   }
-  lamp = frame / kFrames % (static_cast<int>(kFrom.size()) + 1);
-  if (lamp == static_cast<int>(kFrom.size())) {
+  now.kind = LightKind::Area;  // of all frames alike: what a lamp adds is seen by the difference
+  lamp = frame / kFrames % (kBurstLights + 1);
+  if (lamp == kBurstLights) {
     lamp = -1;
     return now;
   }
-  const auto& [azimuth_deg, elevation_deg] = kFrom.at(static_cast<std::size_t>(lamp));
-  AreaLight light = diode(head_mm, azimuth_deg, elevation_deg, kDistance_mm);
-  light.irradiance *= kHalf * main;
-  now.main_directions.emplace_back(-light.normal);
-  now.main_strengths.push_back(kHalf * main);
+  AreaLight light = burst == Burst::Lamps ? burst_lamp(head_mm, lamp) : screen_half(head_mm, lamp);
+  light.irradiance *= share * main;
+  now.main_directions.emplace_back((light.centre_mm - head_mm).normalized());
+  now.main_strengths.push_back(share * main);
   now.area_lights.push_back(light);
-  now.kind = LightKind::Area;
   return now;
 }
 

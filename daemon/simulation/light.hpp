@@ -57,14 +57,27 @@ std::array<float, 9> distant_light_sh(const Eigen::Vector3f& direction);
 /// head_mm: where the head is, camera frame.
 Lighting make_lighting(LightKind kind, std::uint64_t seed, const Eigen::Vector3f& head_mm);
 
-/// Four small lamps about a camera, 27 to 30 degrees off its axis and 0.6 m from the head, as a kiosk has
-/// them around its screen: of a room's light and each of them in turn.
+/// What fires in turn around a kiosk's camera while the head is still.
+enum class Burst {
+  None,
+  Lamps,   ///< four small ones 27 to 30 degrees off the camera's axis, 0.6 m from the head, as bright as the
+           ///< room
+  Screen,  ///< the left, right, upper and lower half of a screen of 24 inches, the camera on its upper
+           ///< edge: a quarter as bright as a lit room
+  DimScreen,  ///< the same in a room that is dimmed until both are equal
+};
+
+/// "lamps", "screen", "dim-screen" and what they are: the command line's and camera.json's words.
+Burst parse_burst(const std::string& name);  ///< Throws Error(Usage).
+std::string burst_name(Burst burst);         ///< "" for None
+
+/// The light of a burst: of the room and each of its four lights in turn.
 ///
 /// room       of the sequence, exposed
-/// frame      since the burst began; each lamp fires for three frames, then none for three
-/// returns    half of the room's light, as a camera exposes for both, and the lamp's; `lamp` is which of the
-///            four, -1 for none
-Lighting burst_light(const Lighting& room, const Eigen::Vector3f& head_mm, int frame, int& lamp);
+/// frame      since the burst began; each light fires for three frames, then none for three
+/// returns    the room's light and the fired one's, together as bright as the room's was; `lamp` is which of
+///            the four, -1 for none
+Lighting burst_light(Burst burst, const Lighting& room, const Eigen::Vector3f& head_mm, int frame, int& lamp);
 
 /// The light of one frame: of a strobe the lamp that fires then, of all others all that there is.
 Lighting lighting_of_frame(const Lighting& lighting, int frame);

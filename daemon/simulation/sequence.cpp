@@ -99,7 +99,7 @@ void write_sequence(const ActorSequence& sequence, const std::filesystem::path& 
                    {"curves", config.curves ? json(config.curves->source()) : json(nullptr)},
                    {"start_s", config.start_s},
                    {"calm_turn", config.calm_turn},
-                   {"burst", config.burst},
+                   {"burst", burst_name(config.burst)},
                    {"identity", sequence.identity()},
                    {"outside_span_rms_mm", sequence.outside_span_rms_mm()},
                    {"frames", json::array()}};

@@ -16,14 +16,14 @@ simulation::ActorSequenceConfig actors_turn() {
   config.height_px = 360;
   config.frame_count = 345;
   config.calm_turn = true;
-  config.burst = true;
+  config.burst = simulation::Burst::Lamps;
   config.sensor_noise = false;
   return config;
 }
 
 Observed look_at(const face::FaceModel& model, const simulation::ActorSequence& actor) {
   Observed out = look_at(model, actor, {30, 45, 75, 105, 135, 150, 165});
-  out.burst = look_at(model, actor, {301, 304, 307, 310}).keyframes;
+  out.burst = look_at(model, actor, {301, 304, 307, 310, 313}).keyframes;  // the last one without a lamp
   for (std::size_t lamp = 0; lamp < out.burst.size(); ++lamp) {
     out.burst[lamp].light = static_cast<int>(lamp) + 1;
   }

@@ -179,20 +179,29 @@ TEST(SkinTest, AnActorsTurnShowsTheAlbedo) {
   constexpr int kTexels = 256;
   int pieces = 0;
   const Skin skin = find_skin(model, kTexels, observed.keyframes, solver, centre_px, [&] { ++pieces; });
-  EXPECT_EQ(pieces, skin_pieces(static_cast<int>(observed.keyframes.size())));
+  EXPECT_EQ(pieces, skin_pieces(static_cast<int>(observed.keyframes.size()), 0));
   // Pictures of lamps that fired in turn have each a light of their own, or are not understood.
   std::vector<Keyframe> all = observed.keyframes;
   all.insert(all.end(), observed.burst.begin(), observed.burst.end());
   place(observed.burst, solver);
-  const auto residual = [&](const std::vector<Keyframe>& pictures) {
-    return find_skin(model, kTexels, pictures, solver, centre_px, [] {}).residual;
-  };
-  const double told = residual(all);
+  pieces = 0;
+  const Skin lit = find_skin(model, kTexels, all, solver, centre_px, [&] { ++pieces; });
+  EXPECT_EQ(pieces, skin_pieces(static_cast<int>(all.size()), observed.light_count()));
+  EXPECT_EQ(skin.lamps, 0);
+  EXPECT_EQ(lit.lamps, 4);
+  const double told = lit.residual;
   EXPECT_LT(told, 0.1);
+  // Without a picture that shows the room alone no lamp is told from it.
+  std::vector<Keyframe> always_lit = all;
+  always_lit.pop_back();
+  const HeadState dark_head = solver.heads().back();
+  solver.heads().pop_back();
+  EXPECT_EQ(find_skin(model, kTexels, always_lit, solver, centre_px, [] {}).lamps, 0);
+  solver.heads().push_back(dark_head);
   for (Keyframe& keyframe : all) {
     keyframe.light = 0;
   }
-  EXPECT_GT(residual(all), 1.3 * told);
+  EXPECT_GT(find_skin(model, kTexels, all, solver, centre_px, [] {}).residual, 1.3 * told);
   const TextureChart chart = face_chart(model, kTexels);
   ASSERT_EQ(skin.chart.width, chart.width());
   ASSERT_EQ(skin.chart.height, chart.height());

@@ -326,6 +326,13 @@ void run(const Options& options) {
     if (!not_refined.empty()) {
       tell("{}\n", not_refined);
     }
+    if (learned.skin.lamps > 0) {
+      tell("the burst: {} lamps, told from the room's light\n", learned.skin.lamps);
+    } else if (!observed->burst.empty()) {
+      tell(
+          "the burst: no lamps were told from the room's light, so it tells less: two of them must stand 40 "
+          "degrees apart as the face sees them, and three pictures show none\n");
+    }
   }
   if (!learned.accepted) {
     throw Error(ErrorKind::NoFace,

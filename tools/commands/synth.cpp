@@ -26,6 +26,7 @@ struct SynthOptions {
   simulation::ActorSequenceConfig studio;
   std::string size = "1280x720";
   std::string light = "sh";
+  std::string burst;
   ActorChoice actor;
   std::optional<std::uint64_t> frames;
   std::string camera = "clean";
@@ -64,10 +65,14 @@ void write_take(const face::FaceModel& model, const SynthOptions& options) {
 void run_synth(SynthOptions options) {
   constexpr double kActed_s = 10.0 / 3;
   const bool is_take = std::filesystem::path(options.folder).extension() == ".take";
-  if (options.studio.burst && (is_take || options.light == "strobe")) {
+  if (!options.burst.empty()) {
+    options.studio.burst = simulation::parse_burst(options.burst);
+  }
+  const bool bursts = options.studio.burst != simulation::Burst::None;
+  if (bursts && (is_take || options.light == "strobe")) {
     throw Error(ErrorKind::Usage, "--burst is of a video, whose light is not a strobe");
   }
-  const double turn_s = simulation::kCalmTurn_s + (options.studio.burst ? simulation::kBurst_s : 0);
+  const double turn_s = simulation::kCalmTurn_s + (bursts ? simulation::kBurst_s : 0);
   const double duration_s = options.studio.calm_turn ? turn_s : kActed_s;
   options.studio.frame_count = static_cast<int>(
       options.frames.value_or(static_cast<std::uint64_t>(std::lround(duration_s * options.studio.rate_hz))));
@@ -144,9 +149,11 @@ void add_synth_command(Command app) {
       "Of a video: instead of acting the head turns by 30 degrees to both sides and by 10 up and down, "
       "in 10 s, the face at rest but for blinks");
   command
-      .flag("--burst", options->studio.burst,
-            "After the calm turn four lamps about the camera fire in turn, for 1.5 s in which the head is "
-            "still")
+      .option("--burst", options->burst,
+              "After the calm turn four lights fire in turn, for 1.5 s in which the head is still. lamps: "
+              "small ones about the camera; screen: the halves of a screen below it, left, right, upper and "
+              "lower; dim-screen: the same in a dim room")
+      .one_of({"lamps", "screen", "dim-screen"})
       .needs("--calm-turn");
   command
       .option("--cameras", options->studio.camera_count,

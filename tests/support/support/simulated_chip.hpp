@@ -31,7 +31,7 @@ class SimulatedChip {
       write(line / "name", "facet" + std::to_string(i));
     }
     write(device_ / "live", "1");
-    name_ = read(device_ / "bank0/chip_name");
+    name_ = read(device_ / "live") == "1" ? read(device_ / "bank0/chip_name") : "";
     lines_ = fs::path("/sys/devices/platform") / read(device_ / "dev_name") / name_;
   }
   ~SimulatedChip() {
