@@ -115,7 +115,7 @@ std::string got(const std::string& text, std::size_t piece, bool closed = true) 
 
 TEST(HttpAnswer, IsReadWhateverItsPieces) {
   const std::string ok = "HTTP/1.1 200 OK\r\n";
-  for (const std::size_t piece : {1, 2, 3, 7, 1000}) {
+  for (const std::size_t piece : std::initializer_list<std::size_t>{1, 2, 3, 7, 1000}) {
     EXPECT_EQ(got(ok + "Content-Length: 5\r\n\r\nhello", piece, false), "hello");
     EXPECT_EQ(
         got(ok + "transfer-encoding: Chunked\r\n\r\n2\r\nhe\r\n3;a=b\r\nllo\r\n0\r\n\r\n", piece, false),

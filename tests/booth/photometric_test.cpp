@@ -91,8 +91,8 @@ struct Scene {
           grey += parts[k] * albedo[static_cast<std::size_t>(corner[k])];
         }
         const std::uint8_t value = render::linear_to_srgb8(std::min(0.9F, 0.5F * grey * light));
-        std::fill_n(&pixels[4 * i], 3, value);
-        pixels[4 * i + 3] = 255;
+        std::fill_n(pixels.get() + 4 * i, 3, value);
+        pixels.get()[4 * i + 3] = 255;
       }
       Frame& frame = set.frames.emplace_back();
       frame.width_px = frame.height_px = kSide_px;

@@ -111,7 +111,7 @@ class TornMouth : public ::testing::Test {
     PerformanceTracker tracker(model_, nets_, std::make_shared<const capture::Rig>(booth_->rig()), {},
                                landmarks(first, raised_mm));
     std::vector<mesh::MeshFrame> made(2);
-    for (const std::uint64_t number : {2, 5}) {
+    for (const std::uint64_t number : std::initializer_list<std::uint64_t>{2, 5}) {
       const simulation::BoothSlot slot = booth_->slot(number);
       std::vector<capture::DepthMap> maps;
       for (const capture::StereoPair& pair : booth_->rig().pairs) {

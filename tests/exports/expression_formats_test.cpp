@@ -207,14 +207,14 @@ TEST_F(Expressions, EyesTurnAsLiveLinkSays) {
   const std::string take = record("looks.take", frames);
   export_as(take, "glb-expressions", "looks.glb");
   const avatar::GlbDocument glb = avatar::read_glb(file("looks.glb"));
-  EXPECT_EQ(glb.json["nodes"][0]["children"], nlohmann::json({1, 2}));
+  EXPECT_EQ(glb.json["nodes"][0]["children"], nlohmann::ordered_json({1, 2}));
   for (const auto& [node, first] : {std::pair{"eyeLeft", 3U}, {"eyeRight", 6U}}) {
     const std::vector<float> turns = channel(glb, node, "rotation");
     ASSERT_EQ(turns.size(), 4 * looks.size());
     for (std::size_t i = 0; i < looks.size(); ++i) {
       const auto angles = mesh::live_link_rotations(
           mesh::arkit_values(model.expression_names, frames[i].expression), Eigen::Matrix3f::Identity());
-      const Eigen::Quaternionf turn(Eigen::Map<const Eigen::Vector4f>(&turns[4 * i]));
+      const Eigen::Quaternionf turn{Eigen::Map<const Eigen::Vector4f>(&turns[4 * i])};
       // Where the eye looks: yaw to the subject's right, pitch down.
       const Eigen::Vector3f gaze = turn * Eigen::Vector3f::UnitZ();
       constexpr float kTolerance_rad = 0.01F;  // a blend of shapes is not quite in proportion

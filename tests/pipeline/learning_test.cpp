@@ -113,10 +113,12 @@ class ATurningHead : public ::testing::Test {
   static Frame lit(Frame picture, LineMask on) {
     const std::size_t bytes = picture.stride_bytes * static_cast<std::size_t>(picture.height_px);
     const std::shared_ptr<std::uint8_t[]> pixels(new std::uint8_t[bytes]);
+    std::uint8_t* const lit_pixels = pixels.get();
+    const std::uint8_t* const given = picture.pixels.get();
     for (std::size_t i = 0; i < bytes; ++i) {
       const bool left = i % picture.stride_bytes < picture.stride_bytes / 2;
       const bool is_lit = (on & (left ? 1U : 2U)) != 0;
-      pixels[i] = static_cast<std::uint8_t>(std::min(255, picture.pixels[i] * (is_lit ? 5 : 3) / 3));
+      lit_pixels[i] = static_cast<std::uint8_t>(std::min(255, given[i] * (is_lit ? 5 : 3) / 3));
     }
     picture.pixels = pixels;
     return picture;

@@ -169,7 +169,7 @@ Frame picture(const std::vector<float>& irradiance, const View& view) {
         const float linear = std::clamp(view.exposure * kAlbedo * b.dot(light), 0.0F, 1.0F);
         const auto value = static_cast<std::uint8_t>(std::lround(255 * maths::encode_srgb(linear)));
         std::fill_n(pixels.get() + 4 * at, 3, value);
-        pixels[4 * at + 3] = 255;
+        pixels.get()[4 * at + 3] = 255;
       }
     }
   }

@@ -215,7 +215,7 @@ TEST_F(StudioTest, RefusesWhatMakesNoSense) {
   const json apart = {{{"vertex", edge}, {"move_mm", {20, 0, 0}}},
                       {{"vertex", lip}, {"move_mm", {0, -15, 0}}},
                       {{"vertex", beside}, {"move_mm", {0, 15, 0}}}};
-  const auto problem = [&](const json& status, int which) {
+  const auto problem = [&](const json& status, std::size_t which) {
     return status["controls"][which]["problem"].get<std::string>();
   };
   ask("pose.set", {{"controls", apart}, {"beyond", true}});

@@ -21,6 +21,7 @@
 #include "mesh/hierarchy.hpp"
 #include "progress.hpp"
 #include "render/video_writer.hpp"
+#include "report/film.hpp"
 #include "report/take_pictures.hpp"
 #include "stop_signals.hpp"
 #include "take/recorder.hpp"

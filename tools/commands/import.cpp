@@ -87,11 +87,12 @@ Frame frame_of(const files::RgbImage<std::uint16_t>& image, const Coding& coding
   const std::size_t pixels =
       static_cast<std::size_t>(image.width_px) * static_cast<std::size_t>(image.height_px);
   const std::shared_ptr<std::uint8_t[]> rgba(new std::uint8_t[4 * pixels]);
+  std::uint8_t* const bytes = rgba.get();
   for (std::size_t i = 0; i < pixels; ++i) {
     for (std::size_t c = 0; c < 3; ++c) {
-      rgba[4 * i + c] = coding[image.values[3 * i + c]];
+      bytes[4 * i + c] = coding[image.values[3 * i + c]];
     }
-    rgba[4 * i + 3] = 255;
+    bytes[4 * i + 3] = 255;
   }
   frame.pixels = rgba;
   return frame;
@@ -266,7 +267,7 @@ std::vector<NamedInput> named_inputs(const ImportOptions& options) {
   for (const std::string& given : options.inputs) {
     const auto [camera, place] = parted(given, "name the camera and its folder or video, CAMERA=FOLDER");
     if (std::any_of(inputs.begin(), inputs.end(),
-                    [&](const NamedInput& one) { return one.camera == camera; })) {
+                    [&name = camera](const NamedInput& one) { return one.camera == name; })) {
       throw Error(ErrorKind::Usage, fmt::format("camera '{}' is given twice", camera));
     }
     inputs.push_back({camera, place, 0});
@@ -274,7 +275,7 @@ std::vector<NamedInput> named_inputs(const ImportOptions& options) {
   for (const std::string& given : options.shifts) {
     const auto [camera, number] = parted(given, "--shift takes CAMERA=SLOTS");
     const auto found = std::find_if(inputs.begin(), inputs.end(),
-                                    [&](const NamedInput& one) { return one.camera == camera; });
+                                    [&name = camera](const NamedInput& one) { return one.camera == name; });
     std::int64_t shift = 0;
     const auto [stop, fault] = std::from_chars(number.data(), number.data() + number.size(), shift);
     if (found == inputs.end() || fault != std::errc() || stop != number.data() + number.size() ||
