@@ -62,6 +62,7 @@ std::optional<BurstLamp> find_burst_lamp(const LitSurface& surface, const light:
                                          std::span<const LitPicture> pictures, const Eigen::ArrayXf& dark,
                                          const Eigen::ArrayXf& albedo, float usual_brightness);
 
+/// What a lamp gives all texels of one picture, E and how it changes with the relief, before its strength.
 LampShading lamp_shading(const LitSurface& surface, const BurstLamp& lamp,
                          const Eigen::Isometry3f& camera_from_head);
 
