@@ -129,13 +129,15 @@ async function sizesAreRight(browser, step) {
       await eventually('the page knows', () => told.asked.length > until);
       for (const [width, height] of locale === 'en-GB' ? kSizes : kSizes.filter(([width]) => width === 390 || width === 1280)) {
         await page.setViewportSize({ width, height });
-        let before = await drawnBy(page);
+        const before = await drawnBy(page);
+        await eventually('pictures of this size', async () => (await drawnBy(page)) > before + 3);
+        let last = null;
         const stands = async () => {
-          const seen = [await overlaps(page), before];
-          before = await drawnBy(page);
-          return before > seen[1] + 3 ? seen[0] : null;
+          const seen = await overlaps(page);
+          const moved = last?.height !== seen.height;
+          last = seen;
+          return moved ? null : seen;
         };
-        await page.waitForTimeout(600);
         const { faults: wrong, share, inside } = await eventually('the face stands', stands);
         const least = name === 'studio' ? 0.2 : 0.3;
         const where = `${name}, ${locale}, ${width}x${height}`;
