@@ -728,7 +728,9 @@ double TemplateFitter::Impl::model_step(mesh::Vertices& vertices_mm) {
     auto own = model.middleRows<3>(row);
     own.leftCols<3>() << 0, arm.z(), -arm.y(), -arm.z(), 0, arm.x(), arm.y(), -arm.x(), 0;
     own.middleCols<3>(3).setIdentity();
-    own.rightCols(known).noalias() = turned * expressions.middleRows<3>(Eigen::Index{3} * v);
+    if (known > 0) {
+      own.rightCols(known).noalias() = turned * expressions.middleRows<3>(Eigen::Index{3} * v);
+    }
     pulled_model.middleRows<3>(row).noalias() = blocks[static_cast<std::size_t>(v)] * own;
     slope.noalias() += own.transpose() * gradient.col(v);
   }

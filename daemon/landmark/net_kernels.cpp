@@ -2,21 +2,23 @@
 
 #include <algorithm>
 #include <array>
+#include <cstring>
 #include <limits>
 
 namespace facet::landmark {
 namespace {
 
 using Float8 = float __attribute__((vector_size(32)));
-/// Of floats anywhere in memory.
-using Loose8 = float __attribute__((vector_size(32), aligned(4), may_alias));
 static_assert(sizeof(Float8) == kLanes * sizeof(float));
 
+// From and to floats anywhere in memory: one instruction, not a call.
 Float8 load(const float* from) {
-  return *reinterpret_cast<const Loose8*>(from);
+  Float8 values;
+  std::memcpy(&values, from, sizeof values);
+  return values;
 }
 void store(Float8 values, float* to) {
-  *reinterpret_cast<Loose8*>(to) = values;
+  std::memcpy(to, &values, sizeof values);
 }
 Float8 larger(Float8 a, Float8 b) {
   return a > b ? a : b;
