@@ -14,7 +14,6 @@ using Eigen::Matrix3Xf;
 using Eigen::Vector3f;
 
 constexpr std::size_t kThreads = 2;
-constexpr std::size_t kPiece = 1024;  ///< vertices
 constexpr float kVisibleMargin_mm = 4;
 constexpr float kRim_px = 3;
 constexpr float kShadowLift_mm = 0.5F;
@@ -68,16 +67,6 @@ std::vector<Lamp> lamps_of(const capture::Rig& rig) {
                      static_cast<float>(light.strength)});
   }
   return lamps;
-}
-
-void for_each_vertex(Eigen::Index count, const std::function<void(Eigen::Index)>& work) {
-  const auto all = static_cast<std::size_t>(count);
-  maths::for_each_piece((all + kPiece - 1) / kPiece, kThreads, [&](std::size_t, std::size_t piece) {
-    const std::size_t end = std::min(all, (piece + 1) * kPiece);
-    for (std::size_t v = piece * kPiece; v < end; ++v) {
-      work(static_cast<Eigen::Index>(v));
-    }
-  });
 }
 
 void LitMesh::stand_on(const mesh::Hierarchy& hierarchy, const std::vector<float>& displacements_mm) {

@@ -3,13 +3,15 @@
 // Private to this room: a slot's mesh, its lamps and what the cameras see of it, for PhotometricStereo.
 
 #include <Eigen/Core>
+#include <algorithm>
+#include <cstddef>
 #include <cstdint>
-#include <functional>
 #include <string>
 #include <vector>
 
 #include "capture/rig.hpp"
 #include "facet/frame_set.hpp"
+#include "maths/threads.hpp"
 #include "mesh/hierarchy.hpp"
 
 namespace facet::booth {
@@ -35,8 +37,18 @@ struct Shining {
   std::size_t strength;  ///< index into the strengths
 };
 
-/// Calls for each of `count` vertices, on two threads.
-void for_each_vertex(Eigen::Index count, const std::function<void(Eigen::Index)>& work);
+/// Calls work(vertex) for each of `count` vertices, on two threads.
+template <typename Work>
+void for_each_vertex(Eigen::Index count, const Work& work) {
+  constexpr Eigen::Index kPiece = 4096;
+  maths::for_each_piece(static_cast<std::size_t>((count + kPiece - 1) / kPiece), 2,
+                        [&](std::size_t, std::size_t piece) {
+                          const Eigen::Index begin = static_cast<Eigen::Index>(piece) * kPiece;
+                          for (Eigen::Index v = begin; v < std::min(count, begin + kPiece); ++v) {
+                            work(v);
+                          }
+                        });
+}
 
 /// One slot's pictures, light and mesh.
 struct LitMesh {

@@ -31,13 +31,13 @@ constexpr int kAlbedoRounds = 2;
 constexpr float kRemembered = 0.8F;  ///< of what is known of an albedo, from slot to slot
 constexpr float kForgotten = 0.2F;   ///< of what may be known at best: less is nothing
 constexpr int kStrengthRounds = 4;
-constexpr Eigen::Index kStrengthStride = 5;  ///< one vertex of so many tells them
-constexpr double kStrengthSigma = 0.3;       ///< of a light's strength about the rig file's, relative
-constexpr double kAmbientSigma = 0.1;        ///< of ambient light, of a projector's white
-constexpr double kLeastStrength = 0.2;       ///< of itself, that a strength is left in one round
-constexpr double kLeastShare = 0.3;          ///< of its usual strength, that a lit slot has
-constexpr double kFewest = 500;              ///< vertices whose ratio tells whether a slot's lights shone
-constexpr std::size_t kAmbient = 4;          ///< its mean and its slope along three axes
+constexpr Eigen::Index kStrengthVertices = 7200;  ///< that tell them, at least; evenly strewn
+constexpr double kStrengthSigma = 0.3;            ///< of a light's strength about the rig file's, relative
+constexpr double kAmbientSigma = 0.1;             ///< of ambient light, of a projector's white
+constexpr double kLeastStrength = 0.2;            ///< of itself, that a strength is left in one round
+constexpr double kLeastShare = 0.3;               ///< of its usual strength, that a lit slot has
+constexpr double kFewest = 500;      ///< vertices whose ratio tells whether a slot's lights shone
+constexpr std::size_t kAmbient = 4;  ///< its mean and its slope along three axes
 
 float tukey(float t) {
   const float rest = 1 - t * t;
@@ -232,11 +232,12 @@ void PhotometricStereo::Impl::fit_strengths() {
     return sum;
   };
   Eigen::VectorXd along(n), basis(n);
+  const Eigen::Index stride = std::max<Eigen::Index>(1, slots.front().normals.cols() / kStrengthVertices);
   for (int round = 0; round < kStrengthRounds; ++round) {
     Eigen::MatrixXd matrix = Eigen::MatrixXd::Zero(n, n);
     Eigen::VectorXd right = Eigen::VectorXd::Zero(n);
     double seen_count = 0;
-    for (Eigen::Index v = 0; v < slots.front().normals.cols(); v += kStrengthStride) {
+    for (Eigen::Index v = 0; v < slots.front().normals.cols(); v += stride) {
       for (std::size_t camera = 0; camera < rig->cameras.size(); ++camera) {
         const auto row = static_cast<Eigen::Index>(camera);
         const VertexSums sums = albedo_of(camera, v, Earlier::LeftOut);

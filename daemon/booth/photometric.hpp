@@ -24,7 +24,7 @@ struct PhotometricOptions {
   float sigma_light = 0.04F;     ///< standard deviation of a picture's light about the model's, relative
   float sigma_albedo = 0.03F;    ///< of what earlier slots say of a vertex's albedo, at best, relative
   float sigma_depth_mm = 0.12F;  ///< of the depths' displacement, per square millimetre of skin
-  float sigma_bend = 0.2F;       ///< of the Laplacian of what is added, 1/mm, per square millimetre
+  float sigma_bend = 0.5F;       ///< of the Laplacian of what is added, 1/mm, per square millimetre
   float robust = 0.25F;          ///< Tukey's bound, relative: what is off by more is shadow, gloss or hair
   float least_agreement = 0.3F;  ///< of a lit slot's pictures with its lights, a correlation
   int steps = 2;                 ///< Gauss-Newton

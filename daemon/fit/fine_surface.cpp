@@ -25,7 +25,7 @@ constexpr float kHold = 0.05F;         ///< towards 0 where no map sees a vertex
 constexpr float kLeastEdgeMm = 0.2F;   ///< in the Laplacian
 constexpr float kLeastUpright = 0.1F;  ///< cosine between a triangle and the coarse normals
 constexpr int kUnfoldRounds = 8;
-constexpr float kResidualReduction = 1e-3F;  ///< of the conjugate gradients
+constexpr float kResidualReduction = 1e-2F;  ///< of the conjugate gradients
 
 }  // namespace
 

@@ -13,12 +13,12 @@
 namespace facet::fit {
 
 struct FineOptions {
-  int sweeps = 2;       ///< of 4-8 subdivision below the template, on the face's skin; two halve its edges
+  int sweeps = 3;       ///< of 4-8 subdivision below the template, on the face's skin; two halve its edges
   double sigma_mm = 3;  ///< Tukey's, of depth: what lies farther off is another surface
   /// Of the squared Laplacian of the displacements, mm^4; its fourth root is a length.
   double smoothness = 0.1;
   int steps = 3;           ///< Gauss-Newton
-  int cg_iterations = 20;  ///< per step, at most
+  int cg_iterations = 80;  ///< per step, at most
 };
 
 /// What the template is too coarse for (past the paper, whose template has an eighth of the depth maps'
