@@ -71,7 +71,7 @@ void multiply_tile(const Product& product, std::size_t first, std::size_t group)
     for (int g = 0; g < kGroups; ++g) {
       factors[g] = load(weights + static_cast<std::size_t>(g) * kLanes);
     }
-    weights += kGroups * kLanes;
+    weights += std::size_t{kGroups} * kLanes;
     for (int p = 0; p < kCount; ++p) {
       const float value = in[static_cast<std::size_t>(p) * in_stride + k];
       for (int g = 0; g < kGroups; ++g) {
@@ -147,7 +147,7 @@ void convolve_three(const float* in, const Steps& steps, const float* weights, c
   const std::size_t stride = steps.stride;
   for (std::size_t channel = 0; channel < stride; channel += kLanes) {
     Float8 taps[kTaps * kTaps];
-    for (std::size_t t = 0; t < kTaps * kTaps; ++t) {
+    for (std::size_t t = 0; t < std::size_t{kTaps} * kTaps; ++t) {
       taps[t] = load(weights + t * stride + channel);
     }
     const Float8 bias = load(finish.bias + channel);
@@ -186,11 +186,11 @@ PackedWeights::PackedWeights(std::span<const float> weights, int outputs, int de
       groups_((static_cast<std::size_t>(outputs) + kLanes - 1) / kLanes),
       values_(groups_ * kLanes * depth_) {
   for (std::size_t o = 0; o < static_cast<std::size_t>(outputs); ++o) {
-    const std::size_t pair = o / (2 * kLanes);
+    const std::size_t pair = o / (std::size_t{2} * kLanes);
     const std::size_t lanes = std::min<std::size_t>(2, groups_ - 2 * pair) * kLanes;
     float* panel = values_.data() + pair * 2 * kLanes * depth_;
     for (std::size_t k = 0; k < depth_; ++k) {
-      panel[k * lanes + o % (2 * kLanes)] = weights[o * depth_ + k];
+      panel[k * lanes + o % (std::size_t{2} * kLanes)] = weights[o * depth_ + k];
     }
   }
 }

@@ -67,9 +67,29 @@ struct Seen {
   bool blank = true;
   std::vector<SetPointer> lit;  ///< blank: the slots before it that known lights lit, in the rig's order
   std::string wrong;
+  std::string rough;  ///< why its depth is not as good as another's; empty where it is
   float depth_ms = 0;
   Clock::time_point complete;
 };
+
+/// Why the depth of a blank slot of a run is rougher than others', for people: patterns lit one side of it
+/// alone, as where a recording begins or ends, or where slots were lost. Else empty.
+std::string why_rough(std::span<const RunSlot> slots, std::size_t at) {
+  const auto is_there = [](const RunSlot& slot) { return slot.set != nullptr; };
+  const auto blank = slots.begin() + static_cast<std::ptrdiff_t>(at);
+  const std::size_t before = std::min(at, booth::kDepthReach);
+  const std::size_t after = std::min(slots.size() - at - 1, booth::kDepthReach);
+  if (slots[at].light.kind != capture::SlotLight::Kind::Blank) {
+    return {};
+  }
+  if (std::none_of(blank - static_cast<std::ptrdiff_t>(before), blank, is_there)) {
+    return "no slot before this one was recorded: its depth is rougher than the next ones'";
+  }
+  if (std::none_of(blank + 1, blank + 1 + static_cast<std::ptrdiff_t>(after), is_there)) {
+    return "no slot after this one was recorded: its depth is rougher than the last ones'";
+  }
+  return {};
+}
 
 /// From the first slot that gets a mesh by a run to the last.
 std::size_t reach_of_run(const BoothParts& stages) {
@@ -400,6 +420,7 @@ void BoothMeshes::Impl::find_depth(Run& run) {
         item.lit.push_back(in_rig_order(**next_lit++));
       }
       item.wrong = wrong;
+      item.rough = why_rough(run.slots, i);
       item.complete = run.complete;
       seen.push(std::move(item), [this] { workers.beat(kDepth); });
     }
@@ -527,7 +548,8 @@ std::shared_ptr<mesh::MeshFrame> BoothMeshes::Impl::begin_frame(const Seen& item
   frame->timestamp_ns = item.set->trigger_ns;
   frame->media_time_ns = item.set->media_time_ns;
   frame->images = item.set;
-  frame->degraded_reason = item.wrong.empty() ? capture::missing_pictures(*item.given) : item.wrong;
+  const std::string missing = capture::missing_pictures(*item.given);
+  frame->degraded_reason = !item.wrong.empty() ? item.wrong : !missing.empty() ? missing : item.rough;
   frame->degraded = !frame->degraded_reason.empty();
   frame->stage_ms.depth_ms = item.depth_ms;
   if (take_depth && item.wrong.empty()) {

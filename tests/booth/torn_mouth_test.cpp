@@ -22,12 +22,14 @@ namespace {
 using Eigen::Vector3f;
 using testing::HasSubstr;
 
+/// Wide, not to its end: with 1 the mouth bends as much as a torn one's in its soundest mesh (0.219 of 0.22),
+/// and the compiler decides.
 std::shared_ptr<const simulation::RecordedCurves> open_jaw() {
   std::string names = "Timecode,BlendShapeCount";
   std::string values;
   for (const std::string_view name : mesh::kArkitNames) {
     names += fmt::format(",{}", name);
-    values += name == "JawOpen" ? ",1" : ",0";
+    values += name == "JawOpen" ? ",0.8" : ",0";
   }
   return std::make_shared<simulation::RecordedCurves>(simulation::RecordedCurves::parse(
       fmt::format("{}\n00:00:00:00.000,52{}\n00:00:01:00.000,52{}\n", names, values, values), "jaw"));

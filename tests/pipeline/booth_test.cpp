@@ -494,6 +494,18 @@ TEST_F(Booth, EveryBlankSlotBecomesAMesh) {
   EXPECT_EQ(status_.subjects, 1U);
 }
 
+TEST_F(Booth, BlankSlotsWithPatternsOnOneSideAloneAreToldToBeRougher) {
+  run({footage_->sets.begin() + 2, footage_->sets.begin() + 6});
+  ASSERT_EQ(frames_.size(), 2U) << status_.reason;
+  EXPECT_TRUE(frames_[0]->degraded);
+  EXPECT_THAT(frames_[0]->degraded_reason, HasSubstr("no slot before this one"));
+  EXPECT_TRUE(frames_[1]->degraded);
+  EXPECT_THAT(frames_[1]->degraded_reason, HasSubstr("no slot after this one"));
+  for (const auto& frame : frames_) {
+    expect_true_or_none(*frame);
+  }
+}
+
 TEST_F(Booth, EverySlotBetweenBlankOnesBecomesAMesh) {
   write_half_a_rig();
   config_.every_slot = true;

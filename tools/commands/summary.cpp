@@ -224,7 +224,8 @@ void print_frames(const TakeFigures& figures, const take::TakeInfo& info, std::i
        count(mesh::TrackingState::Searching), count(mesh::TrackingState::Lost), figures.refined,
        info.dropped);
   if (figures.degraded > 0) {
-    tell("degraded      {} frames, the last one because: {}\n", figures.degraded, figures.degraded_reason);
+    tell("degraded      {} frame{}, the last one because: {}\n", figures.degraded,
+         figures.degraded == 1 ? "" : "s", figures.degraded_reason);
   }
   if (!figures.person.empty()) {
     tell("person        {}\n", figures.person);
