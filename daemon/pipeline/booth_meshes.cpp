@@ -7,6 +7,7 @@
 #include <atomic>
 #include <chrono>
 #include <deque>
+#include <span>
 #include <utility>
 
 #include "capture/frame_set.hpp"

@@ -134,7 +134,7 @@ async function sizesAreRight(browser, step) {
         let last = null;
         const stands = async () => {
           const seen = await overlaps(page);
-          const moved = last?.height !== seen.height;
+          const moved = !(seen.height > 0) || last?.height !== seen.height;
           last = seen;
           return moved ? null : seen;
         };
